@@ -1,17 +1,17 @@
-"""Errors of heli_lab, a branch of heli_sim's tree.
+"""Errors of heli_lab, a branch of heli_sim's error classes.
 
 ::
 
     HeliError                   cause, remedy and exit code
-    └── SimError                what goes wrong in the simulation
-        ├── CampaignError       a campaign that cannot be read, begun or gone on with
-        ├── PoolError           diagnoses that cannot be pooled
-        ├── TwinError           a twin that cannot be made, or a flight that it cannot fly beside
-        ├── UnsureGuess         a file whose meaning nothing settles, nor was it told
-        ├── LearningError       an environment, a domain or an episode that there is not
-        └── IdentifyError       a flight and a model from which nothing can be identified
-            ├── WrongSigns      a flight whose signs, zeros or units are not those that it should have
-            └── NotExcited      a sound flight in which nothing flew, or nothing that could be learned from
+    └── SimError                an error in the simulation
+        ├── CampaignError       a campaign cannot be read, started or continued
+        ├── PoolError           diagnoses cannot be pooled
+        ├── TwinError           a twin cannot be built, or cannot follow a flight
+        ├── UnsureGuess         a guessed profile of a file is ambiguous
+        ├── LearningError       an invalid environment, domain or episode of heli_lab.gym
+        └── IdentifyError       parameters cannot be identified from a flight with a model
+            ├── WrongSigns      a flight has wrong signs, zeros or units
+            └── NotExcited      a valid flight without enough motion in the air
 """
 
 from __future__ import annotations
@@ -20,32 +20,32 @@ from heli_sim.errors import SimError
 
 
 class CampaignError(SimError):
-    """A campaign that cannot be read, begun or gone on with."""
+    """A campaign cannot be read, started or continued."""
 
 
 class PoolError(SimError):
-    """Diagnoses that cannot be pooled."""
+    """Diagnoses cannot be pooled."""
 
 
 class TwinError(SimError):
-    """A twin that cannot be made, or a flight that it cannot fly beside."""
+    """A twin cannot be built, or cannot follow a flight."""
 
 
 class UnsureGuess(SimError):
-    """A file whose meaning nothing settles; what is open is in the text."""
+    """A guessed profile of a file is ambiguous; the message lists the ambiguities."""
 
 
 class LearningError(SimError):
-    """An environment, a domain or an episode of `heli_lab.gym` that there is not."""
+    """An environment, domain or episode of `heli_lab.gym` is invalid."""
 
 
 class IdentifyError(SimError):
-    """A flight and a model from which nothing can be identified."""
+    """Parameters cannot be identified from a flight with a model."""
 
 
 class WrongSigns(IdentifyError):
-    """A flight whose signs, zeros or units are not those that it should have."""
+    """A flight has wrong signs, zeros or units."""
 
 
 class NotExcited(IdentifyError):
-    """A sound flight in which nothing flew, or nothing that could be learned from."""
+    """A valid flight has too little motion in the air to estimate anything."""

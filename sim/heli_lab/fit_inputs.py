@@ -1,4 +1,4 @@
-"""What the verbs that fit begin with: rig, model and flights, read and checked."""
+"""Read and check the inputs of a fit: rig, model and flights."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FitInputs:
-    """Input of a fit.
+    """Rig, model and flight names of a fit.
 
     Parameters
     ----------
     rig : Rig
-        Values and tolerances before the fit.
+        Prior values and tolerances.
     model : Model
-        Equations of motion, with the effects that the rig states and those that were asked for.
+        Equations of motion with the effects of the rig and of the command line.
     labels : list of str
-        Short names of the flights, those for validation last.
+        Short names of the flights to fit, then of those for validation.
     """
 
     rig: Rig
@@ -45,25 +45,25 @@ def fit_inputs(
     effect_files: Sequence[Path],
     effects: Sequence[str] = (),
 ) -> FitInputs:
-    """Read rig and model of a fit.
+    """Read the rig and build the model of a fit.
 
     Parameters
     ----------
     flights, validate : sequence of Path
-        Files of the flights to fit and to validate on.
+        Files of the flights to fit, and of those for validation.
     rig : str
         Name or file of the rig.
     model : str or None
-        Name of the model; None for the one that the rig names, or `DEFAULT_MODEL`.
+        Name of the model; if None, the one named in the rig file, or `DEFAULT_MODEL`.
     effect_files : sequence of Path
-        Python files with further effects.
+        Python files that define further effects.
     effects : sequence of str
-        Effects as the command line spells them; they come before those that the rig states.
+        Effects in the notation of the command line; they override effects of the rig file with the same name.
 
     Raises
     ------
     SimError
-        When rig, model or an effect is unknown or wrong.
+        When rig, model or an effect is unknown or invalid.
     """
     from heli_sim.model.effects import effects_of, parse_effects
     from heli_sim.model.named import model_named
@@ -82,40 +82,46 @@ def fit_inputs(
 def parts(
     from_s: Sequence[float], to_s: Sequence[float], fitted: int, validated: int
 ) -> list[tuple[float | None, float | None]]:
-    """Give each flight its part.
+    """Assign the times of --from and --to to the flights.
 
     Parameters
     ----------
     from_s, to_s : sequence of float
-        None, one for all flights to fit, one for each of these, or one for each and for those to validate.
+        No times, one for all flights to fit, one per flight to fit, or one per flight to fit or validate.
     fitted, validated : int
-        Numbers of flights.
+        Number of flights to fit, and to validate.
 
     Returns
     -------
     list of (float or None, float or None)
-        First time and first time no longer used of each flight, those to fit first.
+        Start (included) and end (excluded) of each flight [s], flights to fit first; None if not limited.
 
     Raises
     ------
     IdentifyError
-        When there are more or fewer times than that.
+        When the number of times is another one.
     """
     ends = []
     for option, times in (("--from", from_s), ("--to", to_s)):
         if len(times) > 1 and len(times) not in (fitted, fitted + validated):
             raise IdentifyError(
                 f"{option} has {len(times)} times for {fitted} flights to fit and {validated} to validate",
-                "give one for all, or one for each",
+                "give one time for all flights, or one per flight",
             )
-        whole: list[float | None] = list(times) if len(times) != 1 else [*times] * fitted
-        ends.append(whole + [None] * (fitted + validated - len(whole)))
+        limits: list[float | None] = list(times) if len(times) != 1 else [*times] * fitted
+        ends.append(limits + [None] * (fitted + validated - len(limits)))
     return list(zip(*ends, strict=True))
 
 
 def part_of(flight: Flight, rig: Rig, label: str, part: tuple[float | None, float | None]) -> Flight | Record:
-    """Prepare a `flight`, whose messages call it `label`, of which only a `part` is used; a flight that is
-    used whole is returned as it is.
+    """Prepare the `part` of a flight between two times [s]; return the flight itself if both are None.
+
+    Parameters
+    ----------
+    label : str
+        Name of the flight in messages.
+    part : tuple of float or None
+        Start (included) and end (excluded).
     """
     from heli_lab.identify.record import prepare
 
@@ -125,8 +131,17 @@ def part_of(flight: Flight, rig: Rig, label: str, part: tuple[float | None, floa
 
 
 def refuse_wrong_signs(flights: Sequence[Flight], labels: Sequence[str], rig: Rig) -> None:
-    """Refuse flights, called `labels`, whose signs, zeros or units are not those of a flight; a WrongSigns
-    says what is wrong with the first, and the remedy.
+    """Check signs, zeros and units of flights before a fit.
+
+    Parameters
+    ----------
+    labels : sequence of str
+        Names of the flights in messages.
+
+    Raises
+    ------
+    WrongSigns
+        When a flight has wrong signs, zeros or units; the message states how to fix them.
     """
     from heli_lab.guess.signs import wrong_signs
     from heli_lab.identify.record import prepare
@@ -135,24 +150,35 @@ def refuse_wrong_signs(flights: Sequence[Flight], labels: Sequence[str], rig: Ri
         try:
             prepare(flight, rig, label)
         except NotExcited:
-            # An elevation that counts the other way is below its table all the time.
+            # An elevation with the wrong sign is below the table for the whole flight.
             pass
         except IdentifyError:
-            # What is not sound has no signs; the fit says what is wrong with it.
+            # Signs of an invalid flight are undefined; the fit reports what is wrong with it.
             continue
         wrong = wrong_signs(flight, rig)
         if wrong:
             raise WrongSigns(
-                f"{label}: {'; '.join(sign.what for sign in wrong)}",
-                f"{'; '.join(sign.remedy for sign in wrong)} (or fit it --as-is)",
+                f"{label}: {'; '.join(sign.description for sign in wrong)}",
+                f"{'; '.join(sign.remedy for sign in wrong)} (or fit it unchanged with --as-is)",
             )
 
 
 def read_flights(paths: Sequence[Path], allow_gaps: bool = False) -> list[Flight]:
-    """Read and check the flights of files, `paths`, in which rows may be missing if `allow_gaps`; a
-    FlightDataError names file, column and row that cannot be used.
+    """Read and check flight files.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        The files.
+    allow_gaps : bool
+        Whether rows may be missing.
+
+    Raises
+    ------
+    FlightDataError
+        When a file is invalid; the message names file, column and row.
     """
     from heli_host.log.flight_file import read_flight
 
-    # Of ten minutes at 1 kHz the columns that no fit looks at are 80 MB.
+    # Fits do not use the extra columns, which are 80 MB for ten minutes at 1 kHz.
     return [replace(read_flight(path, allow_gaps=allow_gaps), extra={}) for path in paths]

@@ -1,4 +1,4 @@
-"""Options of the verbs that learn from flights, identify and diagnose, some of which tune takes too."""
+"""Command-line options shared by identify and diagnose, and some of them by tune."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ FlightsArgument = Annotated[
 ]
 ValidateOption = Annotated[
     list[Path] | None,
-    typer.Option("--validate", metavar="FLIGHT...", help="Other flights, to judge the result on."),
+    typer.Option("--validate", metavar="FLIGHT...", help="Other flights, to evaluate the result."),
 ]
 KnownRigOption = Annotated[
     str,
     typer.Option(
         "--rig",
         metavar="NAME|FILE",
-        help=f"What is known beforehand: values, tolerances.  [default: {DEFAULT_RIG}]",
+        help=f"Prior parameters and tolerances.  [default: {DEFAULT_RIG}]",
         show_default=False,
     ),
 ]
@@ -31,13 +31,13 @@ EquationsOption = Annotated[
     typer.Option(
         "--model",
         metavar="NAME",
-        help=f"Equations of motion; else those that the rig names, or {DEFAULT_MODEL}.",
+        help=f"Equations of motion.  [default: those named in the rig file, or {DEFAULT_MODEL}]",
         show_default=False,
     ),
 ]
 OwnEffectsOption = Annotated[
     list[Path] | None,
-    typer.Option("--effects", metavar="FILE...", help="Python files with effects of your own."),
+    typer.Option("--effects", metavar="FILE...", help="Python files with your own effects."),
 ]
 FromOption = Annotated[
     list[float] | None,
@@ -45,28 +45,26 @@ FromOption = Annotated[
         "--from",
         "--from-s",
         metavar="S...",
-        help="Fit nothing before this time: one for all, or one for each flight, those to validate last.",
+        help="Ignore rows before this time: one for all, or one per flight.",
     ),
 ]
 ToOption = Annotated[
     list[float] | None,
-    typer.Option("--to", "--to-s", metavar="S...", help="Fit nothing from this time on; as --from."),
+    typer.Option("--to", "--to-s", metavar="S...", help="Ignore rows from this time on, as --from."),
 ]
 GapsOption = Annotated[
-    bool, typer.Option("--allow-gaps", help="Leave out missing rows instead of refusing the flight.")
+    bool, typer.Option("--allow-gaps", help="Skip missing rows instead of refusing the flight.")
 ]
 AsIsOption = Annotated[
-    bool, typer.Option("--as-is", help="Fit though signs, zeros, units or motion look wrong.")
+    bool, typer.Option("--as-is", help="Fit even if signs, zeros, units or motion look wrong.")
 ]
 ReportOption = Annotated[
-    Path | None, typer.Option("--report", metavar="DIR", help="A page with figures to look at.")
+    Path | None, typer.Option("--report", metavar="DIR", help="Folder for an HTML report with figures.")
 ]
 NumbersOption = Annotated[
     Path | None,
-    typer.Option(
-        "--json", metavar="FILE", help="All numbers; - for standard output, which then has nothing else."
-    ),
+    typer.Option("--json", metavar="FILE", help="Results as JSON, - for standard output only."),
 ]
 FoundRigOption = Annotated[
-    Path | None, typer.Option("--out", metavar="FILE", help="The rig found, TOML, to be flown.")
+    Path | None, typer.Option("--out", metavar="FILE", help="Write the estimated rig, TOML.")
 ]

@@ -1,4 +1,4 @@
-"""A rig, by its name alone, as a state space for control design."""
+"""Linear state space of a rig for control design."""
 
 from __future__ import annotations
 
@@ -30,26 +30,25 @@ def linearise(
     Parameters
     ----------
     rig : str, Path or Rig
-        A name such as ``makki2024``, a TOML file, or a rig already read. Effects that its file states count.
+        Name such as ``makki2024``, TOML file, or loaded rig. The effects in its file are included.
     elevation_deg : float
-        Elevation at which it hovers [deg].
+        Elevation at hover [deg].
     effects : sequence of str
-        Further effects, such as ``rotor_lag=0.1``; their states follow the rig's six.
+        Further effects, such as ``rotor_lag=0.1``; their states follow the six of the rig.
     model : str
-        ``multibody``, ``paper`` or ``paper_printed``; empty for the one that the rig's file names, or
+        ``multibody``, ``paper`` or ``paper_printed``. If empty, the model named in the rig file, or
         ``multibody``.
 
     Returns
     -------
     control.StateSpace
-        In deviations from hover. States: ``elevation_rad``, ``pitch_rad``, ``travel_rad``, their rates
-        [rad/s], then those of effects. Inputs: ``front_V``, ``back_V``. Outputs: the three angles that the
-        encoders see [rad].
+        Deviations from hover. States: ``elevation_rad``, ``pitch_rad``, ``travel_rad``, their rates [rad/s],
+        states of effects. Inputs: ``front_V``, ``back_V``. Outputs: the three angles at the encoders [rad].
 
     Raises
     ------
     RigError, EffectError, PlantError
-        There is no such rig, effect or model, or the rig cannot hover there.
+        When rig, effect or model is unknown, or the rig cannot hover at this elevation.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Work shared out to threads: filters, programs and arithmetic on arrays leave Python's lock."""
+"""Parallel work in threads: filters, compiled programs and array arithmetic release Python's lock."""
 
 from __future__ import annotations
 
@@ -12,42 +12,45 @@ from functools import cache
 from typing import Final, TypeVar
 
 _ARENA_MAX: Final = -8
-"""M_ARENA_MAX of glibc's malloc.h."""
+"""Constant M_ARENA_MAX of glibc's malloc.h."""
 _T = TypeVar("_T")
 _Item = TypeVar("_Item")
 
 
-class _Here(threading.local):
-    shared = False
-    """Whether this thread does a share of a work, so that it shares out nothing itself."""
+class _ThreadState(threading.local):
+    is_worker = False
+    """Whether this is a worker thread of `parallel_map`, which starts no further threads."""
     threads: int | None = None
-    other_works: Callable[[], bool] | None = None
-    """Whether there is another thread that this one shares the machine with, and it has something to do."""
+    is_other_busy: Callable[[], bool] | None = None
+    """Returns whether the other thread of a `Prefetcher` is busy; None outside of one."""
 
     @property
-    def alone(self) -> bool:
-        """Whether this thread is to do its work by itself."""
-        return self.shared or (self.other_works is not None and self.other_works())
+    def is_serial(self) -> bool:
+        """Whether this thread must not start further threads."""
+        return self.is_worker or (self.is_other_busy is not None and self.is_other_busy())
 
 
-_here = _Here()
+_state = _ThreadState()
 
 
 def default_thread_count() -> int:
-    """Threads of a work that was not told how many: two, or one where ``OMP_NUM_THREADS`` is 1, which is how
-    one says that other processes have the other cores.
+    """Return the default number of threads: two, or one if ``OMP_NUM_THREADS`` is 1.
+
+    That setting states that other processes use the other cores.
     """
-    if _here.alone:
+    if _state.is_serial:
         return 1
-    if _here.threads is not None:
-        return _here.threads
+    if _state.threads is not None:
+        return _state.threads
     return 1 if os.environ.get("OMP_NUM_THREADS") == "1" else 2
 
 
 def limit_malloc_arenas() -> None:
-    """Have all threads take memory from one heap, where the C library is glibc. By its default each thread
-    has its own, and what one gives back no other gets: of ten minutes at 1 kHz a diagnosis held 0.58 GB, and
-    0.49 with one heap; of one minute 0.27 and 0.19. It is for a program to choose, before it has threads.
+    """Make all threads share one heap if the C library is glibc, to save memory.
+
+    By default each thread has a heap, and other threads cannot use what it frees. The memory of a diagnosis
+    of ten minutes at 1 kHz was 0.58 GB, and 0.49 GB with one heap; of one minute 0.27 GB and 0.19 GB. Only a
+    program may call this, before it starts threads.
     """
     with suppress(OSError, AttributeError, TypeError):
         ctypes.CDLL(None).mallopt(_ARENA_MAX, 1)
@@ -55,95 +58,96 @@ def limit_malloc_arenas() -> None:
 
 @contextmanager
 def using_threads(threads: int | None) -> Iterator[None]:
-    """Have works in this block use so many `threads`, 1 or more, as usual ones; None changes nothing."""
-    before = _here.threads
-    _here.threads = before if threads is None else threads
+    """Set the default number of `threads`, 1 or more, inside of this block; None changes nothing."""
+    before = _state.threads
+    _state.threads = before if threads is None else threads
     try:
         yield
     finally:
-        _here.threads = before
+        _state.threads = before
 
 
 @cache
 def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads, initializer=lambda: setattr(_here, "shared", True))
+    return ThreadPoolExecutor(threads, initializer=lambda: setattr(_state, "is_worker", True))
 
 
 def parallel_map(work: Callable[[_Item], _T], items: Sequence[_Item], threads: int | None = None) -> list[_T]:
-    """Do `work` on each of some items, by several threads, and return what it made of each in their order.
-    A share of a work is not shared out again.
+    """Call `work` with each item in several threads, and return the results in the order of the items.
+
+    Calls from a worker thread are serial.
 
     Parameters
     ----------
     work : callable
-        Called with an item, by any thread; what it raises is raised here.
+        Called with an item, in any thread; its exceptions are raised here.
     items : sequence
-        What to work on.
+        Arguments.
     threads : int, optional
-        Threads, 1 or more; `default_thread_count` where not given.
+        Number of threads, 1 or more; by default `default_thread_count`.
     """
     threads = default_thread_count() if threads is None else threads
-    if threads == 1 or len(items) < 2 or _here.alone:
+    if threads == 1 or len(items) < 2 or _state.is_serial:
         return [work(item) for item in items]
     return list(_pool(threads).map(work, items))
 
 
 class Prefetcher:
-    """Works that will be asked for one after the other, done by a thread beside from the last one on: it and
-    whoever asks meet in the middle. They must not depend on each other. While one of the two has nothing to
-    do, the other shares out its work.
+    """Second thread that computes independent tasks in reverse order, while the caller needs them in order.
+
+    The two threads meet in the middle. While one of them is idle, `parallel_map` in the other uses both
+    cores.
     """
 
     def __init__(self) -> None:
-        self._waiting: dict[str, Future[object]] = {}
-        self._awaited = threading.Event()
+        self._pending: dict[str, Future[object]] = {}
+        self._is_awaited = threading.Event()
 
     @contextmanager
-    def working(self, works: Mapping[str, Callable[[], object]]) -> Iterator[None]:
-        """Begin these `works`, by key, and end what was not asked for with the block. Where there is no
-        second thread nothing is done ahead.
+    def working(self, tasks: Mapping[str, Callable[[], object]]) -> Iterator[None]:
+        """Start `tasks`, by key, in the second thread; the end of the block waits for all that have started.
+
+        With a single thread, nothing is computed in advance.
         """
-        if default_thread_count() < 2 or len(works) < 2 or _here.other_works is not None:
+        if default_thread_count() < 2 or len(tasks) < 2 or _state.is_other_busy is not None:
             yield
             return
         threads = default_thread_count()
-        self._waiting = {
-            key: _beside().submit(self._beside_whoever_asks, work, threads)
-            for key, work in reversed(list(works.items()))
+        self._pending = {
+            key: _second_thread().submit(self._run_task, task, threads)
+            for key, task in reversed(list(tasks.items()))
         }
-        _here.other_works = lambda: self.left
+        _state.is_other_busy = lambda: self.is_busy
         try:
             yield
         finally:
-            # All are waited for, whatever one of them raises.
+            # Wait for every task, even if one of them raises.
             with ExitStack() as stack:
-                stack.callback(setattr, _here, "other_works", None)
-                for key in self._waiting:
+                stack.callback(setattr, _state, "is_other_busy", None)
+                for key in self._pending:
                     stack.callback(self.wait_for, key)
 
     def wait_for(self, key: str) -> None:
-        """Wait for the work of a `key` if it was begun; what it raises is raised here. It is done no more
-        where it was not.
-        """
-        work = self._waiting.pop(key, None)
-        if work is not None and not work.cancel():
-            self._awaited.set()
+        """Wait for the task of a `key` if it has started, and raise its exception; cancel it otherwise."""
+        task = self._pending.pop(key, None)
+        if task is not None and not task.cancel():
+            self._is_awaited.set()
             try:
-                work.result()
+                task.result()
             finally:
-                self._awaited.clear()
+                self._is_awaited.clear()
 
     @property
-    def left(self) -> bool:
-        """Whether the thread beside has something to do."""
-        return any(not work.done() for work in self._waiting.values())
+    def is_busy(self) -> bool:
+        """Whether the second thread has unfinished tasks."""
+        return any(not task.done() for task in self._pending.values())
 
-    def _beside_whoever_asks(self, work: Callable[[], object], threads: int) -> object:
-        _here.other_works = lambda: not self._awaited.is_set()
+    def _run_task(self, task: Callable[[], object], threads: int) -> object:
+        _state.is_other_busy = lambda: not self._is_awaited.is_set()
         with using_threads(threads):
-            return work()
+            return task()
 
 
 @cache
-def _beside() -> ThreadPoolExecutor:
+def _second_thread() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(1)

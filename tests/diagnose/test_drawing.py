@@ -24,7 +24,7 @@ def figure(number: int, points: int = 2) -> Figure:
 
 def test_a_process_beside_draws_the_same_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     expected = [png_of(figure(number)) for number in range(3)]
-    with Drawing(beside=True) as some:
+    with Drawing(use_process=True) as some:
         added = [some.add(figure(number), tmp_path / f"{number}.png") for number in range(3)]
         # None of them is drawn here.
         monkeypatch.setattr(drawing, "png_of", lambda _: pytest.fail("drawn here"))
@@ -37,7 +37,7 @@ def test_a_process_beside_draws_the_same_pictures(tmp_path: Path, monkeypatch: p
 
 @pytest.mark.skipif(sys.platform == "win32", reason="ended by a signal")
 def test_what_a_killed_process_was_drawing_is_drawn_here(tmp_path: Path) -> None:
-    with Drawing(beside=True) as some:
+    with Drawing(use_process=True) as some:
         first = some.add(figure(1), tmp_path / "1.png")
         while some.process is None:
             time.sleep(0.01)
@@ -61,12 +61,12 @@ def test_a_process_that_does_not_start_costs_no_picture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys, "executable", str(tmp_path / "no python"))
-    with Drawing(beside=True) as some:
+    with Drawing(use_process=True) as some:
         assert str(some.add(figure(5), tmp_path / "5.png"))
 
 
 def test_no_process_is_left_behind_when_what_was_to_be_drawn_never_came() -> None:
-    with pytest.raises(KeyError), Drawing(beside=True) as some:
+    with pytest.raises(KeyError), Drawing(use_process=True) as some:
         while some.process is None:
             time.sleep(0.01)
         raise KeyError
@@ -75,7 +75,7 @@ def test_no_process_is_left_behind_when_what_was_to_be_drawn_never_came() -> Non
 
 
 def test_a_picture_that_cannot_be_written_is_an_error_and_no_empty_picture(tmp_path: Path) -> None:
-    with Drawing(beside=True) as some:
+    with Drawing(use_process=True) as some:
         picture = some.add(figure(6), tmp_path / "no folder" / "6.png")
         while some.waiting:
             time.sleep(0.01)

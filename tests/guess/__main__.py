@@ -1,4 +1,4 @@
-"""Two hundred distorted flights, guessed: ``python -m tests.guess``."""
+"""Guess two hundred distorted flights: ``python -m tests.guess``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from heli_sim.rig import load_rig
 from tests.guess.distort import drawn, write
 from tests.guess.exports import FORMS, corrections
 from tests.guess.flights import SIMULATED, measured, measured_flight, simulated
-from tests.guess.judge import Judged, judged
+from tests.guess.judge import FileVerdict, judge_file
 
 COUNT = 200
 
@@ -26,11 +26,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.guess", description=__doc__)
     parser.add_argument("--count", type=int, default=COUNT)
     parser.add_argument("--first", type=int, default=0, help="first seed")
-    parser.add_argument("--measured", action="store_true", help="the flights beside the project instead")
     parser.add_argument(
-        "--exports", action="store_true", help="the flights beside the project in further forms"
+        "--measured", action="store_true", help="the measured flights of the shared data instead"
     )
-    parser.add_argument("--rig", help="with --exports: held against this rig file, not the nearest")
+    parser.add_argument(
+        "--exports", action="store_true", help="the measured flights of the shared data in further forms"
+    )
+    parser.add_argument("--rig", help="with --exports: use this rig file instead of the best shipped one")
     given = parser.parse_args(arguments)
     if given.exports:
         return _exports(given.first, given.rig)
@@ -41,9 +43,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     tally: collections.Counter[str] = collections.Counter()
     for seed in range(given.first, given.first + given.count):
         path = files[seed % len(files)] if files else None
-        found = one(seed, path)
-        tally[found.verdict] += 1
-        print(f"{seed:4d} {found.verdict:15s} {drawn(seed).text()} | {found.why}", flush=True)
+        guess_result = judge_seed(seed, path)
+        tally[guess_result.verdict] += 1
+        print(
+            f"{seed:4d} {guess_result.verdict:15s} {drawn(seed).text()} | {guess_result.reason}", flush=True
+        )
     print()
     for verdict, count in tally.most_common():
         print(f"{count:4d} {verdict}")
@@ -63,22 +67,24 @@ def _exports(first: int, rig: str | None) -> int:
         with tempfile.TemporaryDirectory() as folder:
             table = read_table(form(flight, Path(folder)))
             fitting = guess_by_rigs([table], load_rig(rig) if rig else None)
-            (found,) = fitting.guesses
-            wrong = corrections(table, found, flight)
+            (guess_result,) = fitting.guesses
+            wrong = corrections(table, guess_result, flight)
         most = max(most, len(wrong))
-        doubts = "; ".join(doubt.what for doubt in found.doubts)
-        print(f"{len(wrong)} {fitting.rig.name:15s} {name:28s} {', '.join(wrong)} | {doubts}", flush=True)
+        ambiguities = "; ".join(ambiguity.subject for ambiguity in guess_result.ambiguities)
+        print(
+            f"{len(wrong)} {fitting.rig.name:15s} {name:28s} {', '.join(wrong)} | {ambiguities}", flush=True
+        )
     return 1 if most > 2 else 0
 
 
-def one(seed: int, path: Path | None = None) -> Judged:
+def judge_seed(seed: int, path: Path | None = None) -> FileVerdict:
     """Distort a flight from a `seed` and judge the guess: the measured one at `path`, or a simulated one."""
     flight, rig = measured_flight(path) if path else simulated(seed % SIMULATED)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "flight.csv"
         how = drawn(seed)
         truth = write(flight, rig, how, file, seed)
-        return judged(file, truth, how, rig)
+        return judge_file(file, truth, how, rig)
 
 
 if __name__ == "__main__":

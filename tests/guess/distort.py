@@ -101,17 +101,17 @@ def drawn(seed: int) -> Distortion:
     """Draw a distortion."""
     random = np.random.default_rng(seed)
 
-    def one(choices: tuple[str, ...], shares: tuple[float, ...] | None = None) -> str:
+    def draw(choices: tuple[str, ...], shares: tuple[float, ...] | None = None) -> str:
         return str(random.choice(choices, p=shares))
 
     late = ("", 0.0)
     if random.random() < 0.3:
-        late = (one(("voltages", "elevation", "travel")), float(random.uniform(0.02, 0.25)))
+        late = (draw(("voltages", "elevation", "travel")), float(random.uniform(0.02, 0.25)))
     return Distortion(
-        one(tuple(NAMES)),
-        one(("rad", "deg", "count")),
-        one(("V", "mV", "duty", "percent", "pwm"), (0.5, 0.1, 0.15, 0.1, 0.15)),
-        one(("s", "ms", "us")),
+        draw(tuple(NAMES)),
+        draw(("rad", "deg", "count")),
+        draw(("V", "mV", "duty", "percent", "pwm"), (0.5, 0.1, 0.15, 0.1, 0.15)),
+        draw(("s", "ms", "us")),
         bool(random.random() < 0.5),
         tuple(float(random.choice((1.0, -1.0), p=(0.7, 0.3))) for _ in range(3)),  # type: ignore[arg-type]
         bool(random.random() < 0.2),

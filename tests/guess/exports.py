@@ -33,7 +33,7 @@ def _table(
     encoding: str = "utf-8",
 ) -> Path:
     lines = [separator.join(header)] if header else []
-    cells = [[one if isinstance(one, str) else f"{one:.9g}" for one in column] for column in columns]
+    cells = [[item if isinstance(item, str) else f"{item:.9g}" for item in column] for column in columns]
     for row in zip(*cells, strict=True):
         text = separator.join(row)
         lines.append(text.replace(".", ",") if comma else text)
@@ -171,12 +171,12 @@ def series(flight: Flight, folder: Path) -> Path:
     """A log of time series, each with its own times, voltages at a tenth of the rate."""
     from scipy.io import savemat
 
-    def one(values: Floats, every: int = 1) -> dict[str, Floats]:
+    def item(values: Floats, every: int = 1) -> dict[str, Floats]:
         return {"Time": flight.t_s[::every, None], "Data": values[::every].reshape(1, 1, -1)}
 
     path = folder / "logsout.mat"
-    logged = {f"{axis}_meas": one(getattr(flight, f"{axis}_rad")) for axis in _AXES}
-    logged |= {"u_front": one(flight.front_V), "u_back": one(flight.back_V)}
+    logged = {f"{axis}_meas": item(getattr(flight, f"{axis}_rad")) for axis in _AXES}
+    logged |= {"u_front": item(flight.front_V), "u_back": item(flight.back_V)}
     savemat(path, {"logsout": logged})
     return path
 
@@ -212,7 +212,7 @@ def half_sums(flight: Flight, folder: Path) -> Path:
 
 
 def half_sums_unnamed(flight: Flight, folder: Path) -> Path:
-    rows = [*state_rows(flight), *(0.5 * one for one in voltage_rows(flight))]
+    rows = [*state_rows(flight), *(0.5 * item for item in voltage_rows(flight))]
     return write_mat(folder / "half.mat", flight.t_s, rows)
 
 
@@ -221,10 +221,10 @@ def crowded(flight: Flight, folder: Path) -> Path:
     random = np.random.default_rng(3)
     states = state_rows(flight)
     optimal = []
-    for one in states[::2]:
-        smooth = np.convolve(one, np.ones(400) / 400.0, mode="same")
+    for item in states[::2]:
+        smooth = np.convolve(item, np.ones(400) / 400.0, mode="same")
         optimal += [smooth, np.gradient(smooth, flight.step_s)]
-    inertial = [one + random.normal(0.0, 0.02, one.size) for one in states[2::2]]
+    inertial = [item + random.normal(0.0, 0.02, item.size) for item in states[2::2]]
     rows = [
         *optimal,
         *setpoint_rows(flight),
@@ -287,7 +287,7 @@ def trailing_zeros(flight: Flight, folder: Path) -> Path:
     return write_mat(
         folder / "buffer.mat",
         np.concatenate((flight.t_s, spare)),
-        [np.concatenate((one, spare)) for one in rows],
+        [np.concatenate((item, spare)) for item in rows],
     )
 
 
@@ -297,8 +297,8 @@ def logged_on(flight: Flight, folder: Path) -> Path:
     t_s = np.arange(len(flight) + spare, dtype=np.float64) * flight.step_s
     rest = [flight.travel_rad[-1] * DEG, 0.0, flight.elevation_rad[0] * DEG]
     angles = [flight.travel_rad * DEG, flight.pitch_rad * DEG, flight.elevation_rad * DEG]
-    rows = [np.concatenate((one, np.full(spare, end))) for one, end in zip(angles, rest, strict=True)]
-    rows += [np.concatenate((one, np.zeros(spare))) for one in (flight.front_V, flight.back_V)]
+    rows = [np.concatenate((item, np.full(spare, end))) for item, end in zip(angles, rest, strict=True)]
+    rows += [np.concatenate((item, np.zeros(spare))) for item in (flight.front_V, flight.back_V)]
     return write_mat(folder / "on.mat", t_s, rows)
 
 
@@ -341,8 +341,8 @@ def clipped_late(flight: Flight, folder: Path) -> Path:
     random = np.random.default_rng(1)
     volts = []
     for motor in ("front", "back"):
-        one = some[f"{motor}_V"]
-        wild = np.where(np.abs(one) >= 4.999, one * (1.0 + random.exponential(0.5, one.size)), one)
+        item = some[f"{motor}_V"]
+        wild = np.where(np.abs(item) >= 4.999, item * (1.0 + random.exponential(0.5, item.size)), item)
         volts.append(wild)
     header = ["t", "elevation_deg", "pitch_deg", "travel_deg", "Vf_cmd", "Vb_cmd"]
     return _table(folder / "cmd.csv", header, [some["t_s"], *_degrees(flight), *volts])
@@ -357,8 +357,8 @@ def all_turned(flight: Flight, folder: Path) -> Path:
 
 
 FORMS: Final[dict[str, Form]] = {
-    one.__name__: one
-    for one in (
+    item.__name__: item
+    for item in (
         *(norwegian, german, french, spanish, chinese, epsilon_theta, phi_theta, state_space),
         *(to_workspace, scope_with_labels, workspace_variables, series),
         *(serial_monitor, wrapped_counts, half_sums, half_sums_unnamed, crowded),
@@ -368,11 +368,12 @@ FORMS: Final[dict[str, Form]] = {
 }
 
 
-def corrections(table: Table, found: Guess, truth: Flight) -> tuple[str, ...]:
+def corrections(table: Table, guess_result: Guess, truth: Flight) -> tuple[str, ...]:
     """Name the entries of a guessed profile that are to be put right by hand, from the flight as it was."""
-    other = replace(found.profile, mirrored=not found.profile.mirrored)
+    other = replace(guess_result.profile, mirrored=not guess_result.profile.mirrored)
     return min(
-        (_corrections(table, found.profile, truth), _corrections(table, other, truth, ("mirrored",))), key=len
+        (_corrections(table, guess_result.profile, truth), _corrections(table, other, truth, ("mirrored",))),
+        key=len,
     )
 
 
@@ -422,15 +423,15 @@ def _voltages(mine: Floats, true: Floats, summed: bool) -> list[str]:
     for order in ((0, 1), (1, 0)):
         wrong = [] if order == (0, 1) else [f"{name}.column" for name in names]
         for name, place, column in zip(names, order, true.T, strict=True):
-            one = mine[:, place]
-            slope, level = np.polyfit(one, column, 1) if np.ptp(one) > 0.0 else (0.0, 0.0)
-            rest = float(np.std(column - slope * one - level))
+            values = mine[:, place]
+            slope, level = np.polyfit(values, column, 1) if np.ptp(values) > 0.0 else (0.0, 0.0)
+            rest = float(np.std(column - slope * values - level))
             if rest > 0.15 * float(np.std(column)):
                 wrong.append(f"{name}.column")
                 continue
             wrong += [f"{name}.sign"] if slope < 0.0 else []
             wrong += [f"{name}.unit x {abs(slope):.3g}"] if abs(abs(slope) - 1.0) > 0.05 else []
-            off = abs(float(np.mean(column - np.sign(slope) * one)))
+            off = abs(float(np.mean(column - np.sign(slope) * values)))
             if abs(abs(slope) - 1.0) <= 0.05 and off > 0.75:
                 wrong.append(f"{name}.offset_V {off:.2f}")
         best = wrong if best is None or len(wrong) < len(best) else best

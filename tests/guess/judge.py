@@ -23,36 +23,36 @@ _MOST_LATE_s = {"travel": 0.14, "elevation": 0.22, "voltages": 0.25}
 
 
 @dataclass(frozen=True)
-class Judged:
+class FileVerdict:
     """What came of a file.
 
     Parameters
     ----------
     verdict : str
         `right`, `unsure` (right all the same), `unsure, wrong`, `refused`, or `SILENTLY WRONG`.
-    why : str
+    reason : str
         What is wrong, or open.
     """
 
     verdict: str
-    why: str
+    reason: str
 
 
-def judged(path: Path, truth: Flight, how: Distortion, rig: Rig) -> Judged:
+def judge_file(path: Path, truth: Flight, how: Distortion, rig: Rig) -> FileVerdict:
     """Guess a file and compare with its truth."""
     try:
         table = read_table(path)
-        found = guess(table, rig)
+        guess_result = guess(table, rig)
     except HeliError as error:
-        return Judged("refused", str(error))
-    made = flights_of(table, found.profile)[0]
-    wrong = _wrong(made, truth, how, found)
-    if wrong and found.sure and not _wrong(_mirrored(made), truth, how, found):
-        return Judged("right", "in a mirror")
-    open_ = "; ".join(doubt.what for doubt in found.doubts)
+        return FileVerdict("refused", str(error))
+    made = flights_of(table, guess_result.profile)[0]
+    wrong = _wrong(made, truth, how, guess_result)
+    if wrong and guess_result.sure and not _wrong(_mirrored(made), truth, how, guess_result):
+        return FileVerdict("right", "in a mirror")
+    open_ = "; ".join(ambiguity.subject for ambiguity in guess_result.ambiguities)
     if not wrong:
-        return Judged("right" if found.sure else "unsure", open_)
-    return Judged("SILENTLY WRONG" if found.sure else "unsure, wrong", f"{wrong} [{open_}]")
+        return FileVerdict("right" if guess_result.sure else "unsure", open_)
+    return FileVerdict("SILENTLY WRONG" if guess_result.sure else "unsure, wrong", f"{wrong} [{open_}]")
 
 
 def _mirrored(flight: Flight) -> Flight:
@@ -70,10 +70,10 @@ def _mirrored(flight: Flight) -> Flight:
     )
 
 
-def _wrong(made: Flight, truth: Flight, how: Distortion, found: Guess) -> str:
+def _wrong(made: Flight, truth: Flight, how: Distortion, guess_result: Guess) -> str:
     wrong = []
     rows = min(len(made), len(truth))
-    late_s = {axis: one.delay_s for axis, one in found.profile.angles.items()}
+    late_s = {axis: item.delay_s for axis, item in guess_result.profile.angles.items()}
     for name in ("elevation", "pitch", "travel"):
         shift = round(late_s[name] * how.rate_Hz)
         mine = getattr(made, f"{name}_rad")[: rows - abs(shift)]
@@ -93,6 +93,6 @@ def _wrong(made: Flight, truth: Flight, how: Distortion, found: Guess) -> str:
         if float(np.abs(mine[: len(true)] - true[: len(mine)]).mean()) > _MOST_V_SHARE * span:
             wrong.append(name)
     which, seconds = how.late
-    if which and seconds > _MOST_LATE_s[which] and found.sure:
+    if which and seconds > _MOST_LATE_s[which] and guess_result.sure:
         wrong.append(f"{which} {seconds:.2f} s late")
     return ", ".join(wrong)

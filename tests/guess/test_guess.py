@@ -10,7 +10,7 @@ from heli_host.errors import FlightDataError
 from heli_host.tables import Column, Table, flights_of, read_table
 from heli_lab.guess import guess
 
-from tests.guess.__main__ import one
+from tests.guess.__main__ import judge_seed
 from tests.guess.distort import Distortion, drawn, write
 from tests.guess.flights import measured, measured_flight, simulated
 from tests.running.long import samples
@@ -24,14 +24,14 @@ def guessed(how: Distortion, folder: Path) -> tuple[object, ...]:
     flight, rig = simulated(1)
     path = folder / "flight.csv"
     write(flight, rig, how, path)
-    found = guess(read_table(path), rig)
-    return found, {doubt.what for doubt in found.doubts}
+    guess_result = guess(read_table(path), rig)
+    return guess_result, {ambiguity.subject for ambiguity in guess_result.ambiguities}
 
 
 @pytest.mark.slow
 def test_nothing_wrong_is_sure(tmp_path: Path) -> None:
-    found, doubts = guessed(PLAIN, tmp_path)
-    assert found.sure, doubts  # type: ignore[attr-defined]
+    guess_result, ambiguities = guessed(PLAIN, tmp_path)
+    assert guess_result.sure, ambiguities  # type: ignore[attr-defined]
 
 
 @pytest.mark.slow
@@ -39,29 +39,29 @@ def test_nothing_wrong_is_sure(tmp_path: Path) -> None:
 def test_a_turned_angle_is_turned_back(axis: int, tmp_path: Path) -> None:
     signs = [1.0, 1.0, 1.0]
     signs[axis] = -1.0
-    found, doubts = guessed(replace(PLAIN, signs=tuple(signs)), tmp_path)  # type: ignore[arg-type]
-    angles = found.profile.angles  # type: ignore[attr-defined]
+    guess_result, ambiguities = guessed(replace(PLAIN, signs=tuple(signs)), tmp_path)  # type: ignore[arg-type]
+    angles = guess_result.profile.angles  # type: ignore[attr-defined]
     assert [angles[name].sign for name in ("elevation", "pitch", "travel")] == signs
-    assert doubts == (set() if axis == 0 else {"which rotor is the front one"})
+    assert ambiguities == (set() if axis == 0 else {"which rotor is the front one"})
 
 
 @pytest.mark.slow
 def test_zero_at_rest_is_brought_to_level(tmp_path: Path) -> None:
-    found, doubts = guessed(replace(PLAIN, at_rest=True), tmp_path)
-    assert not doubts
-    assert found.profile.angles["elevation"].offset_deg == pytest.approx(-25.0, abs=0.5)  # type: ignore[attr-defined]
+    guess_result, ambiguities = guessed(replace(PLAIN, at_rest=True), tmp_path)
+    assert not ambiguities
+    assert guess_result.profile.angles["elevation"].offset_deg == pytest.approx(-25.0, abs=0.5)  # type: ignore[attr-defined]
 
 
 @pytest.mark.slow
 def test_columns_without_names_are_found_by_physics(tmp_path: Path) -> None:
     flight, rig = simulated(1)
     values = [flight.travel_rad, flight.back_V, flight.pitch_rad, flight.front_V, flight.elevation_rad]
-    columns = {"t": Column(flight.t_s[::5])} | {f"x{i}": Column(one[::5]) for i, one in enumerate(values)}
-    found = guess(Table("memory", columns, named=False), rig)
-    angles = found.profile.angles
+    columns = {"t": Column(flight.t_s[::5])} | {f"x{i}": Column(item[::5]) for i, item in enumerate(values)}
+    guess_result = guess(Table("memory", columns, named=False), rig)
+    angles = guess_result.profile.angles
     assert [angles[name].column for name in ("elevation", "pitch", "travel")] == ["x4", "x2", "x0"]
-    assert {one.column for one in found.profile.voltages.values()} == {"x1", "x3"}
-    assert {doubt.what for doubt in found.doubts} == {"which rotor is the front one"}
+    assert {item.column for item in guess_result.profile.voltages.values()} == {"x1", "x3"}
+    assert {ambiguity.subject for ambiguity in guess_result.ambiguities} == {"which rotor is the front one"}
 
 
 @pytest.mark.slow
@@ -79,9 +79,9 @@ def test_a_flight_without_voltages_is_refused_or_unsure() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(samples(24, 2)))
 def test_no_distorted_flight_is_silently_wrong(seed: int) -> None:
-    found = one(seed)
-    print(seed, drawn(seed).text(), found)
-    assert found.verdict != "SILENTLY WRONG"
+    guess_result = judge_seed(seed)
+    print(seed, drawn(seed).text(), guess_result)
+    assert guess_result.verdict != "SILENTLY WRONG"
 
 
 @pytest.mark.slow
@@ -91,8 +91,8 @@ def test_measured_flights_are_guessed_right(tmp_path: Path) -> None:
     for path in measured()[:: samples(1, 6)]:
         flight, rig = measured_flight(path)
         table = read_table(path)
-        found = guess(table, rig)
-        (made,) = flights_of(table, found.profile)
-        assert found.sure, (path.name, found.doubts)
+        guess_result = guess(table, rig)
+        (made,) = flights_of(table, guess_result.profile)
+        assert guess_result.sure, (path.name, guess_result.ambiguities)
         assert made.pitch_rad == pytest.approx(flight.pitch_rad, abs=1e-6)
         assert made.front_V == pytest.approx(flight.front_V, abs=1e-6)

@@ -17,7 +17,9 @@ def test_the_low_pass_is_the_butterworth_filter_of_scipy_both_ways(rows: int) ->
     wandering = np.cumsum(np.random.default_rng(rows).normal(size=rows)) + 100.0
     sections = butter(4, CUTOFF_Hz, fs=1.0 / SAMPLE_STEP_s, output="sos")
     low = sosfiltfilt(sections, wandering)
-    found = filtered_signal(wandering)
-    np.testing.assert_allclose(found.value, low, atol=1e-10)
+    guess_result = filtered_signal(wandering)
+    np.testing.assert_allclose(guess_result.value, low, atol=1e-10)
     acceleration = np.gradient(np.gradient(low, SAMPLE_STEP_s), SAMPLE_STEP_s)
-    np.testing.assert_allclose(found.acceleration, acceleration, atol=1e-8 * np.abs(acceleration).max())
+    np.testing.assert_allclose(
+        guess_result.acceleration, acceleration, atol=1e-8 * np.abs(acceleration).max()
+    )

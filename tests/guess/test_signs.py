@@ -14,14 +14,14 @@ from tests.guess.flights import EFFECTS, measured, measured_flight, simulated
 from tests.running.long import samples
 
 
-def said(flight: Flight, number: int = 1) -> list[str]:
-    return [one.what for one in wrong_signs(flight, simulated(number)[1])]
+def descriptions(flight: Flight, number: int = 1) -> list[str]:
+    return [item.description for item in wrong_signs(flight, simulated(number)[1])]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(len(EFFECTS)))
 def test_nothing_is_said_of_a_sound_flight(number: int) -> None:
-    assert said(simulated(number)[0], number) == []
+    assert descriptions(simulated(number)[0], number) == []
 
 
 @pytest.mark.slow
@@ -30,24 +30,24 @@ def test_each_wrong_sign_is_named() -> None:
     swapped = replace(flight, front_V=flight.back_V, back_V=flight.front_V)
     for wrong, words in (
         (replace(flight, travel_rad=-flight.travel_rad), "travel goes against pitch"),
-        (replace(flight, pitch_rad=-flight.pitch_rad), "pitch counts the other way"),
+        (replace(flight, pitch_rad=-flight.pitch_rad), "pitch has the opposite sign"),
         (swapped, "the motors are exchanged"),
-        (replace(flight, elevation_rad=-flight.elevation_rad), "elevation falls where the voltages rise"),
+        (replace(flight, elevation_rad=-flight.elevation_rad), "elevation falls when the voltages rise"),
     ):
-        (one,) = said(wrong)
-        assert words in one
+        (item,) = descriptions(wrong)
+        assert words in item
 
 
 @pytest.mark.slow
 def test_a_zero_at_rest_and_degrees_are_named() -> None:
     flight = simulated(1)[0]
-    (one,) = said(replace(flight, elevation_rad=flight.elevation_rad - flight.elevation_rad[0]))
-    assert "zeroed there" in one
+    (item,) = descriptions(replace(flight, elevation_rad=flight.elevation_rad - flight.elevation_rad[0]))
+    assert "zeroed there" in item
     degrees = {
         name: np.degrees(getattr(flight, name)) for name in ("elevation_rad", "pitch_rad", "travel_rad")
     }
-    (one,) = said(replace(flight, **degrees))
-    assert "in degrees" in one
+    (item,) = descriptions(replace(flight, **degrees))
+    assert "in degrees" in item
 
 
 @pytest.mark.slow
@@ -57,7 +57,7 @@ def test_measured_flights_are_sound_and_their_wrong_copies_are_not() -> None:
     for path in measured()[:: samples(1, 6)]:
         flight, rig = measured_flight(path)
         assert wrong_signs(flight, rig) == (), path.name
-        (one,) = wrong_signs(replace(flight, travel_rad=-flight.travel_rad), rig)
-        assert one.turned == ("travel",), path.name
+        (item,) = wrong_signs(replace(flight, travel_rad=-flight.travel_rad), rig)
+        assert item.inverted_axes == ("travel",), path.name
         at_rest = replace(flight, elevation_rad=flight.elevation_rad - math.radians(-30.0))
-        assert any("zeroed there" in one.what for one in wrong_signs(at_rest, rig)), path.name
+        assert any("zeroed there" in item.description for item in wrong_signs(at_rest, rig)), path.name

@@ -14,7 +14,7 @@ def table(name: str, step: float, unit: str = "") -> Table:
 
 
 @pytest.mark.parametrize(
-    ("name", "step", "unit", "found", "sure"),
+    ("name", "step", "unit", "expected_unit", "sure"),
     [
         ("t_s", 0.002, "", "s", True),
         ("Time [ms]", 2.0, "", "ms", True),
@@ -29,10 +29,10 @@ def table(name: str, step: float, unit: str = "") -> Table:
         ("x2", 5.0, "ms", "ms", True),
     ],
 )
-def test_a_clock(name: str, step: float, unit: str, found: str, sure: bool) -> None:
+def test_a_clock(name: str, step: float, unit: str, expected_unit: str, sure: bool) -> None:
     clock = clock_of(table(name, step, unit))
-    assert (clock.column, clock.unit, clock.sure) == (name, found, sure)
-    assert sure or clock.other
+    assert (clock.column, clock.unit, clock.sure) == (name, expected_unit, sure)
+    assert sure or clock.alternative
 
 
 def test_no_clock() -> None:

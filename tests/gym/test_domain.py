@@ -17,7 +17,7 @@ def test_numbers_spread_by_the_tolerances_of_the_file() -> None:
     rig, random = load_rig("makki2024"), np.random.default_rng(1)
     drawn = [Domain(tolerances=1.0).draw(random).rig for _ in range(200)]
     for name, number in rig.items():
-        values = np.array([one[name].value for one in drawn])
+        values = np.array([rig_[name].value for rig_ in drawn])
         assert np.abs(values - number.value).max() <= number.tolerance * (1.0 + 1e-12)
         # Half widths are of 95 %: two standard deviations, less what the cut takes (12 %).
         if number.tolerance and 0.0 < number.tolerance < 0.9 * number.value:

@@ -21,11 +21,11 @@ LONG = os.environ.get("HELI_LONG") == "1"
 
 def test_the_cross_entropy_method_finds_gains_that_hover() -> None:
     env = gymnasium.make("HeliHover-v0")
-    generations, wanted = (15, 460.0) if LONG else (5, 380.0)
+    generations, required = (15, 460.0) if LONG else (5, 380.0)
     policy = cross_entropy(env, generations=generations, population=20 if LONG else 12, episodes=2)
-    found, idle = mean_return(env, policy, SEEDS), mean_return(env, LinearPolicy(np.zeros((2, 8))), SEEDS)
+    searched, idle = mean_return(env, policy, SEEDS), mean_return(env, LinearPolicy(np.zeros((2, 8))), SEEDS)
     # Of 500; hover voltages alone, on rigs as uncertain as the file says, let most arms sink or rise.
-    assert idle < 320.0 and found > wanted
+    assert idle < 320.0 and searched > required
 
 
 def test_ppo_of_stable_baselines3_learns_to_hover() -> None:

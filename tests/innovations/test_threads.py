@@ -99,7 +99,7 @@ def test_what_goes_wrong_ahead_is_raised_where_it_is_asked_for_and_nothing_stays
         with pytest.raises(ZeroDivisionError), ahead.working({"never": lambda: None, "wrong": wrong}):
             assert begun.wait(60)
         assert default_thread_count() == 2
-        assert not ahead.left
+        assert not ahead.is_busy
 
 
 def _name_after_a_while(_: int) -> str:

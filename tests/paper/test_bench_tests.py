@@ -47,9 +47,9 @@ def rows(table: Table) -> dict[str, TableRow]:
 def test_on_a_rig_that_obeys_30_its_coefficients_are_found_within_three_standard_errors(
     by_paper: dict[int, Table],
 ) -> None:
-    told = [row for table in by_paper.values() for row in table.rows if row.estimate is not None]
-    assert len(told) == 16
-    for row in told:
+    estimated = [row for table in by_paper.values() for row in table.rows if row.estimate is not None]
+    assert len(estimated) == 16
+    for row in estimated:
         assert row.estimate == pytest.approx(row.analytic, abs=1.5 * (row.half or 0.0)), row.name
     assert all(table.normalised <= 1.05 for table in by_paper.values())
 
@@ -77,12 +77,12 @@ def test_30_cannot_predict_a_multibody_rig_whose_pitch_and_travel_move_together(
 
 def test_the_multibody_model_explains_every_bench_test_down_to_the_encoder() -> None:
     plant = Plant(MultibodyModel(), RIG)
-    found = fit_rig(
+    rig_table = fit_rig(
         RIG, {number: records(plant, number) for number in TESTS_OF_TABLE}, read_thrust(plant).line()
     )
-    assert all(value <= 1.05 for value in found.normalised.values())
-    told = {row.name: row for row in found.rows if row.estimate is not None}
-    assert set(told) >= {
+    assert all(value <= 1.05 for value in rig_table.normalised.values())
+    estimated = {row.name: row for row in rig_table.rows if row.estimate is not None}
+    assert set(estimated) >= {
         "thrust_gain",
         "dead_zone",
         "L_theta",
@@ -90,7 +90,7 @@ def test_the_multibody_model_explains_every_bench_test_down_to_the_encoder() -> 
         "friction_elevation",
         "friction_pitch",
     }
-    for name, row in told.items():
+    for name, row in estimated.items():
         assert row.estimate == pytest.approx(RIG[name].value, abs=1.5 * (row.half or 0.0)), name
 
 

@@ -81,6 +81,6 @@ def test_a_number_that_has_changed_is_noticed() -> None:
 
 
 def test_the_sensitivities_told_are_those_of_the_figure() -> None:
-    found = {one.name: abs(one.equilibrium_deg) for one in sensitivities(load_rig("makki2024"))}
-    told = {"P_6": 0.6, "P_1": 0.4, "P_2": 0.3, "P_3": 0.1, "P_4": 0.0}
-    assert {name: round(value, 1) for name, value in found.items()} == told
+    computed = {item.name: abs(item.equilibrium_deg) for item in sensitivities(load_rig("makki2024"))}
+    documented = {"P_6": 0.6, "P_1": 0.4, "P_2": 0.3, "P_3": 0.1, "P_4": 0.0}
+    assert {name: round(value, 1) for name, value in computed.items()} == documented

@@ -148,8 +148,8 @@ ANGLES = (r"\theta", r"\phi", r"\psi")
 @pytest.mark.parametrize("model", [PaperModel(), PaperPrintedModel()], ids=lambda model: model.name)
 def test_the_lines_of_a_paper_model_evaluate_to_its_accelerations(model: Model) -> None:
     known = evaluated(model, equations(model))
-    found = [known[rf"J_{{{a}}}\,\ddot{{{a}}}"] / known[f"J_{{{a}}}"] for a in ANGLES]
-    assert found == pytest.approx(accelerations(model), rel=1e-12)
+    written = [known[rf"J_{{{a}}}\,\ddot{{{a}}}"] / known[f"J_{{{a}}}"] for a in ANGLES]
+    assert written == pytest.approx(accelerations(model), rel=1e-12)
 
 
 def test_the_lines_of_the_lumped_model_evaluate_to_its_accelerations() -> None:

@@ -43,20 +43,20 @@ def test_printed_as_a_pitch_setpoint_in_degrees_travel_swings_up_on_either_model
     on_multibody: dict[tuple[str, str, str], LoopVerdict],
     derivative: str,
 ) -> None:
-    for found in (on_30, on_multibody):
-        row = found["printed", "degrees", derivative]
+    for verdicts_by_reading in (on_30, on_multibody):
+        row = verdicts_by_reading["printed", "degrees", derivative]
         assert row.growth_1_per_s == pytest.approx(0.118, abs=0.002)
         assert row.period_s == pytest.approx(10.5, abs=0.1)
-        assert found["corrected", "degrees", derivative].growth_1_per_s < -0.3
+        assert verdicts_by_reading["corrected", "degrees", derivative].growth_1_per_s < -0.3
 
 
 def test_printed_as_u3_on_30_is_stable_by_a_hair_and_only_with_the_exact_derivative_of_the_error(
     on_30: dict[tuple[str, str, str], LoopVerdict],
 ) -> None:
-    exact, usual = on_30["printed", "u3", "error"], on_30["printed", "u3", "measurement"]
+    exact, standard = on_30["printed", "u3", "error"], on_30["printed", "u3", "measurement"]
     assert -0.035 < exact.growth_1_per_s < -0.025
     assert exact.lag_s < 0.09  # the shortest lag of any real rig
-    assert usual.growth_1_per_s > 1.5
+    assert standard.growth_1_per_s > 1.5
 
 
 def test_printed_as_u3_is_stable_on_a_multibody_rig_because_the_body_hangs_below_the_pitch_axis(

@@ -1,7 +1,7 @@
-"""``python -m tests.pool.coverage``: standard errors of a rig's numbers from several of its flights together.
+"""``python -m tests.pool.coverage``: standard errors of a rig's parameters from several flights together.
 
-Prints how they fall against the root of the number of flights, for what one flight tells by itself, and how
-often they hold the truth.
+Prints how they fall with the root of the number of flights, for parameters that one flight identifies, and
+how often the true value is within two of them.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ RIGS = range(1, 13)
 
 
 def main() -> None:
-    """Print both."""
+    """Print ratios and coverage."""
     for name in BY_FLIGHTS:
         shares = shares_of_one(name, RIGS)
         print(

@@ -1,4 +1,4 @@
-"""Flights of one rig in weather, and its numbers from some of them together."""
+"""Flights of one rig with disturbances, and its parameters from several of them together."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from heli_host.flight import Flight
 from heli_lab.identify import Record, prepare
 from heli_lab.identify.functions import Floats
 from heli_lab.innovations import ModelFunctions, ParameterVector, estimate, kinematic_filter
-from heli_lab.pool.machine import NumberEstimate, by_flights_alone
+from heli_lab.pool.rig_diagnosis import ParameterEstimate, without_prior
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import Rig, load_rig
@@ -24,32 +24,32 @@ from tests.running.kept import FLOWN, KEPT
 
 SECONDS = 14.0
 FLIGHTS = 4
-"""Together, to be held against one."""
+"""Number of flights in a joint estimate, to compare with one flight."""
 BY_FLIGHTS = ("rotor_lag_s", "friction_pitch", "friction_travel", "dead_zone")
-"""Numbers that one flight tells by itself; masses and lengths are told in combinations only, whose other
-members a file's tolerances hold."""
+"""Parameters that one flight identifies alone. Of masses and lengths it identifies only combinations, so that
+the rig file's tolerances are needed too."""
 GUST_Nm = {"elevation": 0.012, "pitch": 0.004, "travel": 0.008}
 MADE_BY = (Path(__file__), Path(made.__file__))
 
 
 @dataclass(frozen=True)
 class Pooled:
-    """Numbers of a rig from some flights together.
+    """Parameters of a rig from several flights together.
 
     Parameters
     ----------
     off : dict of float
-        By name, estimate minus truth in standard errors.
-    alone : dict of NumberEstimate
-        By name, what the flights alone say, where they say more than the rig's file.
+        Estimate minus true value, in standard errors, by name.
+    alone : dict of ParameterEstimate
+        Estimates without the prior, by name, if the flights are informative.
     """
 
     off: dict[str, float]
-    alone: dict[str, NumberEstimate]
+    alone: dict[str, ParameterEstimate]
 
 
 def true_rig(rig: int) -> tuple[Rig, float]:
-    """Numbers of a rig, drawn from what the file says of them, and the lag of its rotors in s."""
+    """Return a rig drawn within the tolerances of its file, and the lag of its rotors [s]."""
     return perturbed(rig), float(np.random.default_rng([rig, 8]).uniform(0.04, 0.12))
 
 
@@ -69,35 +69,38 @@ def record(rig: int, seed: int) -> Record:
 
 @cache
 def pooled(rig: int, count: int) -> Pooled:
-    """Estimate a rig's numbers from its first flights together."""
+    """Estimate a rig's parameters from its first `count` flights together."""
     nominal, (true, lag_s) = load_rig("makki2024"), true_rig(rig)
     records = [record(rig, seed) for seed in range(count)]
     model = MultibodyModel(parse_effects(["rotor_lag=0.06"]))
     parameter_vector = ParameterVector(model, nominal, records)
     functions = ModelFunctions(model, parameter_vector.quantities)
-    references, theta, disturbances = [kinematic_filter(one) for one in records], parameter_vector.start, None
+    references, theta, disturbances = (
+        [kinematic_filter(item) for item in records],
+        parameter_vector.start,
+        None,
+    )
     for _ in range(2):
-        found = estimate(parameter_vector, references, functions, theta, disturbances)
-        theta, disturbances = found.theta, found.disturbances
-        references = found.filtered().refiltered(disturbances)
-    std = np.sqrt(np.diag(found.covariance))
+        fit = estimate(parameter_vector, references, functions, theta, disturbances)
+        theta, disturbances = fit.theta, fit.disturbances
+        references = fit.filtered().refiltered(disturbances)
+    std = np.sqrt(np.diag(fit.covariance))
     truth = {**{name: number.value for name, number in true.items()}, "rotor_lag_s": lag_s}
-    shared = [(i, one) for i, one in enumerate(parameter_vector.free) if one.record is None]
+    shared = [(i, item) for i, item in enumerate(parameter_vector.free) if item.record is None]
     alone = {
-        one.name: by_flights_alone(
-            float(theta[i]), float(std[i]), NumberEstimate(one.prior.mean, one.prior.std, one.unit)
+        item.name: without_prior(
+            float(theta[i]), float(std[i]), ParameterEstimate(item.prior.mean, item.prior.std, item.unit)
         )
-        for i, one in shared
+        for i, item in shared
     }
     return Pooled(
-        {one.name: float((theta[i] - truth[one.quantity]) / std[i]) for i, one in shared},
-        {name: one for name, one in alone.items() if one is not None},
+        {item.name: float((theta[i] - truth[item.quantity]) / std[i]) for i, item in shared},
+        {name: item for name, item in alone.items() if item is not None},
     )
 
 
 def shares_of_one(name: str, rigs: Iterable[int]) -> list[float]:
-    """Standard error of a number from `FLIGHTS` flights over that from one, times the root of `FLIGHTS`, of
-    each rig."""
+    """Return, for each rig, the ratio of standard errors from `FLIGHTS` flights and one, times their root."""
     return [
         math.sqrt(FLIGHTS) * pooled(rig, FLIGHTS).alone[name].std / pooled(rig, 1).alone[name].std
         for rig in rigs
@@ -105,5 +108,5 @@ def shares_of_one(name: str, rigs: Iterable[int]) -> list[float]:
 
 
 def off(count: int, rigs: Iterable[int]) -> Floats:
-    """Every number of each rig from `count` flights, minus the truth, in standard errors."""
+    """Return all estimates of each rig from `count` flights minus the true values, in standard errors."""
     return np.array([value for rig in rigs for value in pooled(rig, count).off.values()])

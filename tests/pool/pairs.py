@@ -1,10 +1,12 @@
-"""`python -m tests.pool.pairs`: what a lively machine's flight is worth to another machine that flew gently.
+"""`python -m tests.pool.pairs`: benefit of the strongly excited flight of one rig for another rig of its
+type.
 
-Two machines of one make fly in MuJoCo, in weather, behind a rotor lag: one lively, the other gently. The
-gentle one's numbers are estimated from its flight with the rig's file as the prior, and with what the pool
-makes of the lively machine. Both are held against another lively flight of the gentle machine, and against
-another gentle one: by the log-likelihood of its innovations, and by free runs over 2 s, of which weather is
-most. So is what no pool can be better than: the make as it was drawn, with the spread of its machines.
+Two rigs of one type fly in MuJoCo with disturbances and a rotor lag: one flight is strongly excited
+("lively"), the other weakly ("gentle"). The parameters of the second rig are estimated from its flight with
+the rig file as prior, and with the pooled prior from the first rig. Both estimates are evaluated on another
+lively and another gentle flight of the second rig, by the log-likelihood of the innovations and by open-loop
+errors over 2 s. The true population, with the standard deviation between its rigs, gives the best result that
+pooling can reach.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
 from heli_lab.diagnose.prediction import predict
 from heli_lab.identify import Record, prepare
 from heli_lab.pool import pool
-from heli_lab.pool.machine import Machine, NumberEstimate, by_flights_alone
+from heli_lab.pool.rig_diagnosis import ParameterEstimate, RigDiagnosis, without_prior
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue, effect_numbers, effects_of, parse_effects
 from heli_sim.rig import Rig, load_rig
@@ -35,66 +37,65 @@ from tests.blind.disturbed_case import DisturbedCase
 from tests.blind.hidden import RotorLag
 from tests.blind.tracking import CONTROLLERS
 
-LIVELY_s, GENTLE_s, OTHER_s = 40.0, 15.0, 30.0
-"""Lengths of the lively machine's flight, of the gentle one's, and of those that neither fit saw."""
+EXCITED_s, GENTLE_s, OTHER_s = 40.0, 15.0, 30.0
+"""Durations of the excited rig's flight, of the gentle one's, and of the flights for evaluation [s]."""
 _LAG: Final = "rotor_lag"
-_AMONG_MACHINES: Final = 0.3
-"""Standard deviation among the machines of a make, over that among makes."""
-_LAG_AMONG_MACHINES: Final = 0.1
-"""Standard deviation of the logarithm of the lag among the machines of a make."""
+_BETWEEN_RIGS: Final = 0.3
+"""Standard deviation between rigs of one type, over that between types."""
+_LAG_BETWEEN_RIGS: Final = 0.1
+"""Standard deviation of the logarithm of the lag between rigs of one type."""
 _NORMAL: Final = {
     "thrust_gain": 0.08,
     "dead_zone": 0.06,
     **dict.fromkeys(("M_f", "M_b", "M_w", "M_h", "M_l"), 0.004),
     **dict.fromkeys((f"friction_{axis}" for axis in ("elevation", "pitch", "travel")), 0.4),
 }
-"""Standard deviations of the logarithms of the makes' numbers about the file's."""
+"""Standard deviations of the logarithms of parameters between rig types, about the rig file."""
 
 
 @dataclass(frozen=True)
-class MachineCase(DisturbedCase):
-    """A machine of a make.
+class RigCase(DisturbedCase):
+    """Simulated rig of a random rig type.
 
     Parameters
     ----------
     population : int
-        Seed of the make.
+        Seed of the rig type.
     """
 
     population: int
 
     def rig(self) -> Rig:
-        """Draw the make from what the file says, and the machine from the make."""
-        population, own = self.make_rig(), np.random.default_rng([self.seed, 1])
+        """Draw the rig type about the rig file, and the rig from its type."""
+        population, rng = self.type_rig(), np.random.default_rng([self.seed, 1])
         off = {
-            name: float(np.exp(std * _AMONG_MACHINES * own.standard_normal()))
-            for name, std in _NORMAL.items()
+            name: float(np.exp(std * _BETWEEN_RIGS * rng.standard_normal())) for name, std in _NORMAL.items()
         }
-        return population.replace(**{name: population[name].value * one for name, one in off.items()})
+        return population.replace(**{name: population[name].value * item for name, item in off.items()})
 
-    def make_rig(self) -> Rig:
-        """Draw the make from what the file says."""
+    def type_rig(self) -> Rig:
+        """Draw the rig type about the rig file."""
         rig, population = load_rig(self.rig_name), np.random.default_rng([self.population, 9])
         off = {name: float(np.exp(std * population.standard_normal())) for name, std in _NORMAL.items()}
-        return rig.replace(**{name: rig[name].value * one for name, one in off.items()})
+        return rig.replace(**{name: rig[name].value * item for name, item in off.items()})
 
 
 def _drawn(number: int) -> tuple[np.random.Generator, float]:
-    """What else a pair is drawn with, and the lag of its make."""
+    """Return the random generator of a pair, and the lag of its rig type [s]."""
     rng = np.random.default_rng([8000 + number, 2])
     return rng, rng.uniform(0.05, 0.12)
 
 
-def machines(number: int) -> tuple[MachineCase, MachineCase]:
-    """Lay out a pair: the lively machine and the gentle one."""
+def pair_cases(number: int) -> tuple[RigCase, RigCase]:
+    """Return the cases of a pair: the excited rig and the gentle one."""
     rng, lag_s = _drawn(number)
     both = []
     for which in range(2):
-        own_s = float(lag_s * np.exp(_LAG_AMONG_MACHINES * rng.standard_normal()))
+        lag_of_rig_s = float(lag_s * np.exp(_LAG_BETWEEN_RIGS * rng.standard_normal()))
         both.append(
-            MachineCase(
+            RigCase(
                 f"pair-{number}-{('lively', 'gentle')[which]}",
-                ((_LAG, own_s),),
+                ((_LAG, lag_of_rig_s),),
                 (),
                 8000 + 2 * number + which,
                 (RotorLag,),
@@ -109,61 +110,62 @@ def machines(number: int) -> tuple[MachineCase, MachineCase]:
     return both[0], both[1]
 
 
-def as_drawn(number: int) -> Rig:
-    """The make of a pair as it was drawn: its numbers, and as tolerances twice the spread of its machines."""
-    population, lag_s = machines(number)[0].make_rig(), _drawn(number)[1]
+def true_population(number: int) -> Rig:
+    """Return the true rig type of a pair; tolerances are twice the standard deviation between its rigs."""
+    population, lag_s = pair_cases(number)[0].type_rig(), _drawn(number)[1]
     numbers = dict(population.numbers)
     for name, std in _NORMAL.items():
         value = population[name].value
-        numbers[name] = replace(population[name], tolerance=2.0 * _AMONG_MACHINES * std * value)
+        numbers[name] = replace(population[name], tolerance=2.0 * _BETWEEN_RIGS * std * value)
     (name,) = catalogue()[_LAG].size
     lag = effect_numbers(
-        catalogue()[_LAG], {name: lag_s}, {name: 2.0 * _LAG_AMONG_MACHINES * lag_s}, "as it was drawn"
+        catalogue()[_LAG], {name: lag_s}, {name: 2.0 * _LAG_BETWEEN_RIGS * lag_s}, "as drawn"
     )
-    return Rig("drawn", "the make as it was drawn", numbers, {_LAG: lag}, "multibody")
+    return Rig("drawn", "the true rig type", numbers, {_LAG: lag}, "multibody")
 
 
-def compared(number: int) -> dict[str, Any]:
-    """Measure a pair.
+def compare_pair(number: int) -> dict[str, Any]:
+    """Estimate and evaluate a pair with all priors.
 
     Returns
     -------
     dict
-        For each flight held out, ``lively`` and ``gentle``, and each prior, ``by_file``, ``by_make`` and
-        ``as_drawn``: the ``log_likelihood`` of the flight, its own constants and weather estimated; rms
-        errors over 2 s by axis (``deg``) and over all axes in standard deviations of the quantisation
-        (``normalised``). Of each of the ``numbers``: truth, mean and standard deviation of the make's prior.
+        For each evaluation flight, ``lively`` and ``gentle``, and each prior, ``by_file``, ``by_make`` and
+        ``as_drawn``: the ``log_likelihood`` of the flight, with its constants and disturbances estimated; the
+        open-loop RMS error over 2 s by axis (``deg``) and over all axes in standard deviations of the
+        quantisation (``normalised``). For each of the ``numbers``: true value, mean and standard deviation of
+        the pooled prior.
     """
     nominal = load_rig("makki2024")
-    lively, gentle = machines(number)
-    record = _record(lively, 0, LIVELY_s, nominal)
+    excited, gentle = pair_cases(number)
+    record = _record(excited, 0, EXCITED_s, nominal)
     model = MultibodyModel(parse_effects([f"{_LAG}=0.06"]))
-    found = ModelComparison(model, nominal, [record], []).refit([])
-    machine = _machine("lively", found)
-    prior = pool([machine]).prior(nominal, "make")
-    drawn = as_drawn(number)
+    excited_fit = ModelComparison(model, nominal, [record], []).refit([])
+    diagnosis = _diagnosis("lively", excited_fit)
+    prior = pool([diagnosis]).prior_rig(nominal, "pooled")
+    drawn = true_population(number)
     train = _record(gentle, 0, GENTLE_s, nominal)
     others = {
         "lively": _record(replace(gentle, gentle=False), 1, OTHER_s, nominal),
         "gentle": _record(gentle, 1, OTHER_s, nominal),
     }
-    # Along the same courses, whatever the prior.
+    # The same reference trajectories for every prior.
     judges = {name: ModelComparison(model, nominal, [train], [other]) for name, other in others.items()}
     answer: dict[str, Any] = {name: {} for name in others}
-    for what, rig, own in (
+    for prior_name, rig, trial_model in (
         ("by_file", nominal, model),
         ("by_make", prior, MultibodyModel(effects_of(prior))),
         ("as_drawn", drawn, MultibodyModel(effects_of(drawn))),
     ):
-        hypothesis = ModelComparison(own, rig, [train], []).refit([])
+        hypothesis = ModelComparison(trial_model, rig, [train], []).refit([])
         fit = predict((), hypothesis.estimate, [train], ()).fit
         for name, other in others.items():
             (run,) = free_runs(fit, [other])
             held_out = judges[name].held_out_estimate(hypothesis)
-            answer[name][what] = _errors(run, other) | {"log_likelihood": held_out.log_likelihood}
+            answer[name][prior_name] = _errors(run, other) | {"log_likelihood": held_out.log_likelihood}
     answer["numbers"] = {
-        name: [one.value, prior[name].value, 0.5 * prior[name].tolerance]
-        for name, one in gentle.rig().items()
+        name: [item.value, prior[name].value, 0.5 * prior[name].tolerance]
+        for name, item in gentle.rig().items()
     }
     return answer
 
@@ -172,18 +174,18 @@ def _record(case: DisturbedCase, flight: int, seconds: float, nominal: Rig) -> R
     return prepare(case.flown(flight, seconds)[0], nominal, f"{case.name} {flight}")
 
 
-def _machine(label: str, found: Hypothesis) -> Machine:
-    """The machine as a diagnosis that named the lag has it."""
-    estimate = found.estimate
+def _diagnosis(label: str, hypothesis: Hypothesis) -> RigDiagnosis:
+    """Return the diagnosis of a rig whose cause is the rotor lag."""
+    estimate = hypothesis.estimate
     std = np.sqrt(np.diag(estimate.covariance))
     priors, numbers = {}, {}
-    for i, one in enumerate(estimate.parameter_vector.free):
-        if one.record is None:
-            priors[one.name] = NumberEstimate(one.prior.mean, one.prior.std, one.unit)
-            alone = by_flights_alone(float(estimate.theta[i]), float(std[i]), priors[one.name])
+    for i, item in enumerate(estimate.parameter_vector.free):
+        if item.record is None:
+            priors[item.name] = ParameterEstimate(item.prior.mean, item.prior.std, item.unit)
+            alone = without_prior(float(estimate.theta[i]), float(std[i]), priors[item.name])
             if alone is not None:
-                numbers[one.name] = alone
-    return Machine(label, "makki2024", "multibody", numbers, priors, {_LAG: 1.0}, ())
+                numbers[item.name] = alone
+    return RigDiagnosis(label, "makki2024", "multibody", numbers, priors, {_LAG: 1.0}, ())
 
 
 def _errors(run: FreeRun, record: Record) -> dict[str, Any]:
@@ -195,25 +197,25 @@ def _errors(run: FreeRun, record: Record) -> dict[str, Any]:
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> str:
-    """Count pairs in which the make's prior predicts the gentle machine better."""
+    """Count the pairs in which the pooled prior predicts the gentle rig better than the rig file."""
     lines = []
     for name in ("lively", "gentle"):
-        for prior, said in (("by_make", "the make's prior"), ("as_drawn", "the make as it was drawn")):
+        for prior, label in (("by_make", "pooled prior"), ("as_drawn", "true rig type as prior")):
             ratios = [row[name][prior]["normalised"] / row[name]["by_file"]["normalised"] for row in rows]
             nats = [
                 row[name][prior]["log_likelihood"] - row[name]["by_file"]["log_likelihood"] for row in rows
             ]
             lines.append(
-                f"{said}, another {name} flight of the gentle machine: likelier in "
+                f"{label}, another {name} flight of the gentle rig: more likely in "
                 f"{sum(n > 0.0 for n in nats)} of {len(nats)}, by {np.median(nats):.1f} nats "
-                f"({min(nats):.1f} to {max(nats):.1f}); free runs better in {sum(r < 1.0 for r in ratios)}, "
+                f"({min(nats):.1f} to {max(nats):.1f}); smaller error in {sum(r < 1.0 for r in ratios)}, "
                 f"ratio {np.median(ratios):.3f} ({min(ratios):.3f} to {max(ratios):.3f})"
             )
     return "\n".join(lines)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the pairs that the JSON file does not have, and count; 0 when all ran."""
+    """Run the pairs that are missing in the JSON file, and print a summary; return 0."""
     parser = argparse.ArgumentParser(prog="python -m tests.pool.pairs", description=__doc__)
     parser.add_argument("--pairs", type=int, default=20)
     parser.add_argument("--json", type=Path, default=Path("pairs.json"))
@@ -224,19 +226,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if str(number) in rows:
             continue
         started_s = time.process_time()
-        rows[str(number)] = compared(number)
+        rows[str(number)] = compare_pair(number)
         given.json.write_text(json.dumps(rows, indent=1) + "\n")
         print(
-            f"pair {number}: {time.process_time() - started_s:.0f} s; {_said(rows[str(number)])}", flush=True
+            f"pair {number}: {time.process_time() - started_s:.0f} s; {_summary_line(rows[str(number)])}",
+            flush=True,
         )
     print(summary(list(rows.values())))
     return 0
 
 
-def _said(row: dict[str, Any]) -> str:
+def _summary_line(row: dict[str, Any]) -> str:
     return "; ".join(
-        f"{name} {row[name]['by_file']['normalised']:.3g} by the file, "
-        f"{row[name]['by_make']['normalised']:.3g} by the make, "
+        f"{name} {row[name]['by_file']['normalised']:.3g} with the file, "
+        f"{row[name]['by_make']['normalised']:.3g} with the pooled prior, "
         f"{row[name]['by_make']['log_likelihood'] - row[name]['by_file']['log_likelihood']:.1f} nats"
         for name in ("lively", "gentle")
     )

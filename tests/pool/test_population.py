@@ -1,4 +1,4 @@
-"""Diagnoses are read, pooled, and made into what a new machine begins with."""
+"""Diagnoses are read and pooled, and give a prior for another rig."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from heli_lab.errors import PoolError
-from heli_lab.pool import RigPopulation, pool, read_machine
-from heli_lab.pool.machine import NumberEstimate, by_flights_alone
+from heli_lab.pool import RigPopulation, pool, read_rig_diagnosis
+from heli_lab.pool.rig_diagnosis import ParameterEstimate, without_prior
 from heli_sim.model.effects import effects_of
 from heli_sim.rig import load_rig, write_rig
 
@@ -23,7 +23,7 @@ def number(value: float, std: float, mean: float, prior_std: float, unit: str) -
 
 
 def diagnosis(gain: float, lag_s: float | None, hidden: tuple[str, ...] = ()) -> dict[str, Any]:
-    """What a machine's flights say, of the prior of the rig's file and a measurement of 2 % of the gain."""
+    """Diagnosis of a rig: the prior of the rig file combined with a measurement of the gain to 2 %."""
     was = RIG["thrust_gain"]
     before, flights = 0.5 * was.tolerance, 0.02 * was.value
     precision = before**-2.0 + flights**-2.0
@@ -51,22 +51,22 @@ def population(folder: Path, *machines: dict[str, Any]) -> RigPopulation:
     paths = [folder / f"machine{n}.json" for n in range(len(machines))]
     for path, content in zip(paths, machines, strict=True):
         path.write_text(json.dumps(content))
-    return pool([read_machine(path) for path in paths])
+    return pool([read_rig_diagnosis(path) for path in paths])
 
 
 def test_the_prior_is_taken_out_of_what_machines_share(tmp_path: Path) -> None:
     gains = [1.05 * RIG["thrust_gain"].value, 1.09 * RIG["thrust_gain"].value]
     made = population(tmp_path, *(diagnosis(gain, None) for gain in gains))
-    for machine, gain in zip(made.machines, gains, strict=True):
-        assert machine.numbers["thrust_gain"].value == pytest.approx(gain)
-        assert machine.numbers["thrust_gain"].std == pytest.approx(0.02 * RIG["thrust_gain"].value)
-    assert made.numbers["thrust_gain"].mean == pytest.approx(np.mean(gains))
+    for machine, gain in zip(made.diagnoses, gains, strict=True):
+        assert machine.parameters["thrust_gain"].value == pytest.approx(gain)
+        assert machine.parameters["thrust_gain"].std == pytest.approx(0.02 * RIG["thrust_gain"].value)
+    assert made.parameters["thrust_gain"].mean == pytest.approx(np.mean(gains))
 
 
-def test_a_number_that_flights_tell_nothing_of_has_no_say() -> None:
-    prior = NumberEstimate(1.0, 0.1, "1")
-    assert by_flights_alone(1.0, 0.0999, prior) is None
-    assert by_flights_alone(1.01, 0.05, prior) is not None
+def test_a_number_that_flights_do_not_inform_is_left_out() -> None:
+    prior = ParameterEstimate(1.0, 0.1, "1")
+    assert without_prior(1.0, 0.0999, prior) is None
+    assert without_prior(1.01, 0.05, prior) is not None
 
 
 def test_a_cause_is_counted_among_the_machines_that_would_show_it(tmp_path: Path) -> None:
@@ -76,10 +76,10 @@ def test_a_cause_is_counted_among_the_machines_that_would_show_it(tmp_path: Path
         tmp_path, *(diagnosis(gain, lag) for lag in (0.08, 0.09, 0.1)), diagnosis(gain, None), blind
     )
     counted = made.causes["rotor_lag"]
-    assert (counted.found, counted.seen) == (3, 4)
+    assert (counted.present, counted.detectable) == (3, 4)
     assert counted.interval == pytest.approx((0.1941, 0.9937), abs=1e-4)
-    # What was named without being sure counts as seen and not found.
-    assert made.causes["backlash.pitch"].found == 0
+    # A cause that was named with low confidence counts as detectable but not present.
+    assert made.causes["backlash.pitch"].present == 0
     assert next(iter(made.causes)) == "rotor_lag"
 
 
@@ -87,10 +87,10 @@ def test_the_next_machine_is_expected_where_the_others_are(tmp_path: Path) -> No
     was = RIG["thrust_gain"]
     gains = [1.2 * was.value * (1.0 + 0.01 * z) for z in (-1.0, 0.0, 1.0, 0.5, -0.5)]
     made = population(tmp_path, *(diagnosis(gain, 0.09 + 0.001 * n) for n, gain in enumerate(gains)))
-    prior = made.prior(RIG, "make")
+    prior = made.prior_rig(RIG, "pooled")
     assert prior["thrust_gain"].value == pytest.approx(1.2 * was.value, rel=0.02)
     assert prior["thrust_gain"].tolerance < 0.6 * was.tolerance
-    assert prior["M_f"] == RIG["M_f"], "no flight told anything of it"
+    assert prior["M_f"] == RIG["M_f"], "no flight is informative about it"
     assert "before:" in prior["thrust_gain"].source
     lag = prior.effects["rotor_lag"]["s"]
     assert lag.value == pytest.approx(0.092, abs=0.004)
@@ -106,7 +106,7 @@ def test_one_machine_says_less_of_the_next_than_several_alike(tmp_path: Path) ->
     gain = 1.1 * RIG["thrust_gain"].value
     tolerances = [
         population(tmp_path, *(diagnosis((1.0 + 1e-6 * number) * gain, None) for number in range(count)))
-        .prior(RIG, "make")["thrust_gain"]
+        .prior_rig(RIG, "pooled")["thrust_gain"]
         .tolerance
         for count in (1, 2, 5)
     ]
@@ -114,15 +114,15 @@ def test_one_machine_says_less_of_the_next_than_several_alike(tmp_path: Path) ->
     assert tolerances[0] < RIG["thrust_gain"].tolerance
 
 
-def test_a_make_whose_machines_differ_is_expected_to_differ(tmp_path: Path) -> None:
-    """The next machine lies within two standard deviations of what is expected, as often as that says."""
+def test_rigs_of_a_type_that_differ_is_expected_to_differ(tmp_path: Path) -> None:
+    """The parameter of the next rig is within two predicted standard deviations in about 95 % of cases."""
     random = np.random.default_rng(1)
     was, held = RIG["thrust_gain"], 0
     spread = 0.3 * 0.5 * was.tolerance
     for _ in range(60):
         gains = 1.1 * was.value + spread * random.standard_normal(5)
         seen = gains[:4] + 0.02 * was.value * random.standard_normal(4)
-        prior = population(tmp_path, *(diagnosis(float(gain), None) for gain in seen)).prior(RIG, "m")[
+        prior = population(tmp_path, *(diagnosis(float(gain), None) for gain in seen)).prior_rig(RIG, "m")[
             "thrust_gain"
         ]
         held += abs(gains[4] - prior.value) < prior.tolerance
@@ -130,28 +130,28 @@ def test_a_make_whose_machines_differ_is_expected_to_differ(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
-        ("", "is no JSON"),
-        ("[]", "is no diagnosis"),
-        ("{}", "is no diagnosis"),
-        ('{"rig": null, "causes": [], "undetectable": []}', "is no diagnosis"),
+        ("", "is not JSON"),
+        ("[]", "is not a diagnosis"),
+        ("{}", "is not a diagnosis"),
+        ('{"rig": null, "causes": [], "undetectable": []}', "is not a diagnosis"),
     ],
 )
-def test_what_is_no_diagnosis_is_refused_in_a_line(tmp_path: Path, text: str, said: str) -> None:
+def test_what_is_no_diagnosis_is_refused_in_a_line(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "x.json"
     path.write_text(text)
-    with pytest.raises(PoolError, match=said) as caught:
-        read_machine(path)
+    with pytest.raises(PoolError, match=message) as caught:
+        read_rig_diagnosis(path)
     assert "x.json" in str(caught.value)
 
 
-def test_machines_of_two_makes_and_of_one_name_are_refused(tmp_path: Path) -> None:
-    one, other = diagnosis(1.0, None), diagnosis(1.0, None)
+def test_rigs_of_two_types_and_of_one_name_are_refused(tmp_path: Path) -> None:
+    item, other = diagnosis(1.0, None), diagnosis(1.0, None)
     other["rig"]["name"] = "quanser-course"
-    with pytest.raises(PoolError, match="not of one make: machine0: rig makki2024"):
-        population(tmp_path, one, other)
-    machine = population(tmp_path, one).machines[0]
+    with pytest.raises(PoolError, match="not of one type: machine0: rig makki2024"):
+        population(tmp_path, item, other)
+    machine = population(tmp_path, item).diagnoses[0]
     with pytest.raises(PoolError, match="two diagnoses are called machine0"):
         pool([machine, machine])
     with pytest.raises(PoolError, match="machine0 and again are the same diagnosis"):

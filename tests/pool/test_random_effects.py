@@ -1,4 +1,4 @@
-"""DerSimonian and Laird's estimate against another implementation, and against what it promises."""
+"""The estimate of DerSimonian and Laird equals that of statsmodels and has its nominal coverage."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MEASURED = st.tuples(st.floats(-10.0, 10.0), st.floats(0.05, 5.0))
 def test_it_is_what_statsmodels_has(measured: list[tuple[float, float]]) -> None:
     from statsmodels.stats.meta_analysis import combine_effects
 
-    values, stds = (np.array(one) for one in zip(*measured, strict=True))
+    values, stds = (np.array(item) for item in zip(*measured, strict=True))
     ours = der_simonian_laird(values.tolist(), stds.tolist())
     theirs = combine_effects(values, stds**2, method_re="dl", use_t=True)
     assert ours.tau**2 == pytest.approx(max(0.0, theirs.tau2), abs=1e-9)
@@ -32,7 +32,7 @@ def test_it_is_what_statsmodels_has(measured: list[tuple[float, float]]) -> None
     row = theirs.summary_frame().loc[kind]
     assert ours.mean == pytest.approx(row["eff"], abs=1e-9)
     assert ours.std == pytest.approx(row["sd_eff"], rel=1e-9)
-    # Theirs of Hartung and Knapp may be narrower than the errors allow.
+    # The interval of Hartung and Knapp in statsmodels may be narrower than the standard errors allow.
     scaled = theirs.summary_frame().loc[f"{kind} wls"]
     wider = scaled if scaled["sd_eff"] > row["sd_eff"] else row
     assert ours.interval == pytest.approx((wider["ci_low"], wider["ci_upp"]), abs=1e-6)
@@ -45,12 +45,12 @@ def test_the_intervals_hold_the_make_and_the_next_machine() -> None:
         stds = random.uniform(0.5, 1.5, 12)
         machines = random.normal(5.0, 1.0, 13)
         seen = machines[:12] + stds * random.standard_normal(12)
-        found = der_simonian_laird(seen.tolist(), stds.tolist())
-        assert found.prediction is not None
-        held_mean += found.interval[0] < 5.0 < found.interval[1]
-        held_next += found.prediction[0] < machines[12] < found.prediction[1]
+        estimate = der_simonian_laird(seen.tolist(), stds.tolist())
+        assert estimate.prediction is not None
+        held_mean += estimate.interval[0] < 5.0 < estimate.interval[1]
+        held_next += estimate.prediction[0] < machines[12] < estimate.prediction[1]
     assert 0.92 < held_mean / 400 < 0.98
-    # A make whose machines differ as much as they are measured badly: its tau is hard to tell.
+    # The rigs differ as much as their standard errors, so that tau is uncertain.
     assert 0.84 < held_next / 400 < 0.99
 
 
@@ -63,11 +63,11 @@ def test_one_machine_is_itself_and_machines_that_agree_differ_by_nothing() -> No
 
 
 @pytest.mark.parametrize(
-    ("found", "seen", "low", "high"),
+    ("present", "detectable", "low", "high"),
     # Table values of the exact interval: all of n has the lower end 0.025^(1/n).
     [(5, 5, 0.025**0.2, 1.0), (0, 5, 0.0, 1.0 - 0.025**0.2), (1, 2, 0.01258, 0.98742)],
 )
-def test_a_share_has_its_exact_interval(found: int, seen: int, low: float, high: float) -> None:
-    counted = share(found, seen)
-    assert counted.interval == pytest.approx((low, high), abs=1e-4)
-    assert counted.share == found / seen
+def test_a_share_has_its_exact_interval(present: int, detectable: int, low: float, high: float) -> None:
+    estimated_share = share(present, detectable)
+    assert estimated_share.interval == pytest.approx((low, high), abs=1e-4)
+    assert estimated_share.share == present / detectable

@@ -18,11 +18,11 @@ def test_machines_are_pooled_and_a_prior_is_left(terminal: Terminal, tmp_path: P
     paths = [tmp_path / f"lab{n}.json" for n in range(3)]
     for path, lag_s in zip(paths, (0.08, 0.09, 0.1), strict=True):
         path.write_text(json.dumps(diagnosis(gain, lag_s)))
-    out, numbers = tmp_path / "make.toml", tmp_path / "make.json"
-    said = terminal("pool", *paths, "--out", out, "--json", numbers)
-    assert said.code == 0, said.err
-    assert "3 machines of makki2024, model multibody" in said.out
-    assert "rotor_lag: on 3 of 3 machines that would show it; of all 29 to 100 %" in said.out
+    out, numbers = tmp_path / "pooled.toml", tmp_path / "pooled.json"
+    result = terminal("pool", *paths, "--out", out, "--json", numbers)
+    assert result.code == 0, result.err
+    assert "3 rigs of type makki2024, model multibody" in result.out
+    assert "rotor_lag: on 3 of 3 rigs that could show it; 29 to 100 % of all rigs of this type" in result.out
     assert load_rig(out)["thrust_gain"].value > 1.05 * RIG["thrust_gain"].value
     content = json.loads(numbers.read_text())
     assert content["numbers"]["rotor_lag_s"]["machines"] == 3
@@ -30,6 +30,6 @@ def test_machines_are_pooled_and_a_prior_is_left(terminal: Terminal, tmp_path: P
 
 
 def test_what_is_no_diagnosis_is_one_line(terminal: Terminal, tmp_path: Path) -> None:
-    said = terminal("pool", tmp_path / "none.json")
-    assert said.code == 2
-    assert said.err.count("\n") == 1 and "none.json" in said.err
+    result = terminal("pool", tmp_path / "none.json")
+    assert result.code == 2
+    assert result.err.count("\n") == 1 and "none.json" in result.err

@@ -33,7 +33,7 @@ _BEFORE_TICKS = 400
 
 
 @dataclass(frozen=True)
-class Flown:
+class PilotFlight:
     """A flight from the moment at which the loops closed.
 
     Parameters
@@ -98,7 +98,7 @@ def fly(
     duration_s: float,
     parameters: Mapping[str, float] | None = None,
     seed: int = 1,
-) -> Flown:
+) -> PilotFlight:
     """Close all loops on the table and stream a path at 50 Hz.
 
     Parameters
@@ -131,7 +131,7 @@ def fly(
         received.append(world.advance(12, send(make(request))))
 
     ask(lambda number: d.HelloMessage(number, d.LINK_HASH, 7))
-    index = {one.name: one.index for one in d.PARAMS}
+    index = {param.name: param.index for param in d.PARAMS}
     for name, value in (parameters or {}).items():
         ask(functools.partial(_param_set, index[name], value))
     ask(d.ArmMessage)
@@ -156,7 +156,7 @@ def _param_set(index: int, value: float, request: int) -> d.ParamSetMessage:
 
 def _decoded(
     data: bytes, start_tick: int, path_deg: Callable[[Floats], Floats], duration_s: float, counts: Floats
-) -> Flown:
+) -> PilotFlight:
     frames = FrameParser().feed(data)
     telemetry = TelemetryDecoder().decode([f.payload for f in frames if f.id == d.MessageId.TELEMETRY])
     tick = telemetry.tick.astype(np.int64) - start_tick
@@ -166,7 +166,7 @@ def _decoded(
     def columns(group: list[d.Channel]) -> Floats:
         return np.column_stack([physical(raw, channel) for channel in group])
 
-    return Flown(
+    return PilotFlight(
         t_s.astype(np.float64),
         np.asarray(columns(COUNTS) * 360.0 / counts, np.float64),
         np.degrees(columns(SETPOINTS)),
@@ -220,7 +220,7 @@ class StepMetrics:
     volts_ripple_V: float
 
 
-def step_metrics(flown: Flown) -> StepMetrics:
+def step_metrics(flown: PilotFlight) -> StepMetrics:
     elevation, travel = flown.angle_deg[:, 0], flown.angle_deg[:, 2]
     climb, there = flown.between(TAKE_OFF_S, STEP_S), flown.between(STEP_S, BACK_S)
     back, sine = flown.between(BACK_S, SINE_S), flown.between(SINE_S, END_S)

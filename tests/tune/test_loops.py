@@ -11,14 +11,14 @@ from heli_host.errors import ParameterError
 from heli_host.published_gains import paper_gains
 from heli_lab.tune import (
     CascadeGains,
-    Known,
     LinearPlant,
+    LoopEffects,
     Pid,
     Spread,
     cascade_gains_of,
     is_stable,
-    known_of,
     linear_plant,
+    loop_effects_of,
     loops,
     margins,
 )
@@ -77,16 +77,16 @@ def test_the_pitch_loop_alone_is_stable_up_to_its_gain_margin(lagging: LinearPla
 @pytest.mark.medium
 @pytest.mark.parametrize("loop", loops.LOOPS)
 def test_a_delay_of_the_delay_margin_puts_the_loop_on_minus_one(lagging: LinearPlant, loop: str) -> None:
-    found = margins(lagging, LAW)[loop]
+    margins_ = margins(lagging, LAW)[loop]
     frequency = np.geomspace(0.02, 300.0, 20_000)
     response = loops.open_loops(lagging, LAW, frequency)[loop]
 
     def distance(delay_s: float) -> float:
         return float(np.min(np.abs(1.0 + response * np.exp(-1j * frequency * delay_s))))
 
-    assert distance(found.delay_s) < 0.01
-    assert distance(0.0) == pytest.approx(1.0 / found.sensitivity, rel=1e-3)
-    assert distance(0.5 * found.delay_s) > 0.02
+    assert distance(margins_.delay_s) < 0.01
+    assert distance(0.0) == pytest.approx(1.0 / margins_.sensitivity, rel=1e-3)
+    assert distance(0.5 * margins_.delay_s) > 0.02
 
 
 @pytest.mark.medium
@@ -138,7 +138,7 @@ def test_the_shaped_step_is_the_path_that_the_board_flies(axis: int, size_deg: f
 
 
 def test_a_delay_of_the_voltages_delays_the_loop_by_exactly_as_much(lagging: LinearPlant) -> None:
-    late = linear_plant(load_rig("makki2024"), 0.12, known=Known(delay_s=0.02))
+    late = linear_plant(load_rig("makki2024"), 0.12, loop_effects=LoopEffects(delay_s=0.02))
     frequency = np.geomspace(0.1, 100.0, 40)
     plain, delayed = (loops.open_loops(plant, LAW, frequency) for plant in (lagging, late))
     for loop in ("elevation", "pitch", "differential"):
@@ -148,24 +148,24 @@ def test_a_delay_of_the_voltages_delays_the_loop_by_exactly_as_much(lagging: Lin
 def test_effects_are_sorted_by_what_they_are_for_a_loop() -> None:
     later = ("coulomb_friction.travel", "thrust_step.front")
     texts = ("rotor_lag=0.1", "input_delay=0.01", "inflow_damping", *later)
-    known = known_of(parse_effects(texts))
-    assert (known.lag_s, known.delay_s) == (0.1, 0.01)
-    assert [effect.name for effect in known.linear] == ["inflow_damping"]
-    assert known.left_out == later
-    assert known.spread.lag_s == pytest.approx((0.075, 0.1, 0.125))
-    assert known_of(()).spread == Spread()
+    loop_effects = loop_effects_of(parse_effects(texts))
+    assert (loop_effects.lag_s, loop_effects.delay_s) == (0.1, 0.01)
+    assert [effect.name for effect in loop_effects.linear] == ["inflow_damping"]
+    assert loop_effects.excluded == later
+    assert loop_effects.spread.lag_s == pytest.approx((0.075, 0.1, 0.125))
+    assert loop_effects_of(()).spread == Spread()
 
 
 def test_a_lag_with_dead_time_is_for_a_loop_a_lag_and_a_delay() -> None:
-    known = known_of(parse_effects(["rotor_lag_with_delay=lag_s:0.1,delay_s:0.02"]))
-    assert known == Known(0.1, 0.02)
+    loop_effects = loop_effects_of(parse_effects(["rotor_lag_with_delay=lag_s:0.1,delay_s:0.02"]))
+    assert loop_effects == LoopEffects(0.1, 0.02)
 
 
 def test_thrust_that_is_the_square_of_a_lagging_speed_has_the_slope_of_its_hover() -> None:
     rig = load_rig("makki2024")
-    known = known_of(parse_effects(["rotor_speed_lag=0.12"]))
-    straight, square = linear_plant(rig, 0.12), linear_plant(rig, 0.12, known=known)
-    assert known.lag_s == 0.12 and known.left_out == ()
+    loop_effects = loop_effects_of(parse_effects(["rotor_speed_lag=0.12"]))
+    straight, square = linear_plant(rig, 0.12), linear_plant(rig, 0.12, loop_effects=loop_effects)
+    assert loop_effects.lag_s == 0.12 and loop_effects.excluded == ()
     thrust_V = 0.5 * straight.hover_V
     at_hover_V = 2.0 * np.sqrt(thrust_V)  # k V^2 / 4 V carries the arm as k thrust_V did
     assert 0.5 * square.hover_V + rig["dead_zone"].value == pytest.approx(at_hover_V)
@@ -173,13 +173,13 @@ def test_thrust_that_is_the_square_of_a_lagging_speed_has_the_slope_of_its_hover
     for gain in ("elevation_gain", "pitch_gain"):
         assert getattr(square, gain) == pytest.approx(slope * getattr(straight, gain))
     assert -1.0 / square.elevation_A[2, 2] == pytest.approx(0.12)
-    slower = linear_plant(rig, 0.15, known=known)
+    slower = linear_plant(rig, 0.15, loop_effects=loop_effects)
     assert -1.0 / slower.tilt_A[4, 4] == pytest.approx(0.15)
 
 
 def test_an_effect_that_is_linear_about_hover_is_in_the_plant() -> None:
-    rig, known = load_rig("makki2024"), known_of(parse_effects(["inflow_damping=0.2"]))
-    damped, plain = linear_plant(rig, 0.1, known=known), linear_plant(rig, 0.1)
+    rig, loop_effects = load_rig("makki2024"), loop_effects_of(parse_effects(["inflow_damping=0.2"]))
+    damped, plain = linear_plant(rig, 0.1, loop_effects=loop_effects), linear_plant(rig, 0.1)
     # Both rotors' share of 0.2 s/m of the hover's thrust, at L_a, over the inertia.
     more = damped.elevation_A[1, 1] - plain.elevation_A[1, 1]
     assert more == pytest.approx(-0.2 * rig["L_a"].value * plain.hover_V * plain.elevation_gain)

@@ -95,11 +95,11 @@ def test_learning_from_a_healthy_flight_writes_a_file_that_the_twin_takes(
     monkeypatch.setattr(learn, "evidence", lambda *_: evidence)
     assert run(["twin", "--rig", "makki2024", "--healthy", str(flown), "--learn", str(file)]) == 0
     told = capsys.readouterr().out
-    assert f"files: {file}" in told and "calmer than a quiet room" in told
+    assert f"files: {file}" in told and "almost no disturbances" in told
     learned = open_rig(str(file))
     assert learned.rig.name == "makki2024"
     assert run(["twin", str(flown), "--rig", "quanser-course", "--to", "9"]) == 0
-    assert "monday.mcap is a flight of makki2024, the twin one of quanser-course" in capsys.readouterr().out
+    assert "is a flight of rig makki2024, but the twin is of rig quanser-course" in capsys.readouterr().out
     assert learned.calibration.source.startswith("monday.mcap and 12 simulated flights")
     # A minute of flight taught it, whose error the alarm allows for.
     assert learned.calibration.tail.level_nats == pytest.approx(fit_tail(13 * [evidence], 60.0).level_nats)

@@ -1,4 +1,4 @@
-"""What columns' names say about what they are."""
+"""Find the role of a column from its name."""
 
 from __future__ import annotations
 
@@ -39,9 +39,10 @@ _WORDS: Final = {
         *("differanse", "differenz", "diferencia"),
     ),
 }
-"""English and Greek; what Norwegian, German, French, Spanish and Chinese courses write, without accents."""
+"""Words for each role, without accents: English, Greek letters, Norwegian, German, French, Spanish and
+Chinese."""
 _HALVES: Final = frozenset({"mean", "avg", "average", "half", "mid", "middle"})
-_OTHERS: Final = frozenset(
+_DERIVED_SIGNALS: Final = frozenset(
     {
         *("ref", "reference", "setpoint", "set", "sp", "des", "desired", "cmd", "command", "target", "goal"),
         *("rate", "dot", "vel", "velocity", "speed", "acc", "acceleration", "gyro", "omega", "err", "error"),
@@ -66,7 +67,7 @@ _CHINESE: Final = tuple(
 
 
 def words_of(name: str) -> list[str]:
-    """Take a column's `name` without its unit apart into words, lower case."""
+    """Split a column's `name`, without its unit, into lower-case words."""
     bare = _CAMEL.sub("_", split_unit(name)[0])
     plain = "".join(
         char
@@ -74,9 +75,9 @@ def words_of(name: str) -> list[str]:
         if not unicodedata.combining(char)
     )
     words = [word for word in _SPLIT.split(plain) if word]
-    # Chinese has no spaces: its words are found within.
+    # Chinese writes no spaces between words.
     words += [word for word in _CHINESE if word in plain]
-    # v_f, v s, u_d: the letter of a voltage belongs to the next word.
+    # In v_f, v s and u_d the letter of the voltage belongs to the next word.
     joined = [a + b for a, b in itertools.pairwise(words) if a in {"v", "u", "m"} and len(b) == 1]
     return words + joined
 
@@ -86,11 +87,15 @@ def _is_long(word: str) -> bool:
 
 
 def role_of(name: str) -> str:
-    """Return the role that a column's `name` states, one of `ROLES`; empty where it states none, or says that
-    it is something else, such as a setpoint or a rate.
+    """Return the role, one of `ROLES`, that a column's `name` states.
+
+    Returns
+    -------
+    str
+        Empty if the name states no role, or means a derived signal such as a setpoint or a rate.
     """
     words = words_of(name)
-    if _OTHERS.intersection(words):
+    if _DERIVED_SIGNALS.intersection(words):
         return ""
     stated = {role for role, known in _WORDS.items() if any(word in known for word in words)}
     long = {role for role in stated if any(word in _WORDS[role] and _is_long(word) for word in words)}
@@ -101,21 +106,21 @@ def role_of(name: str) -> str:
 
 
 def is_half(name: str) -> bool:
-    """Whether a `name` says that a sum of two voltages, or their difference, is half of it."""
+    """Whether a `name` means half of the sum, or half of the difference, of two voltages."""
     return bool(_HALVES.intersection(words_of(name)))
 
 
-def is_other(name: str) -> bool:
-    """Whether a `name` says that a column is no measured angle and no voltage."""
-    return bool(_OTHERS.intersection(words_of(name)))
+def is_derived_signal(name: str) -> bool:
+    """Whether a `name` means a signal other than a measured angle or a voltage, such as a setpoint."""
+    return bool(_DERIVED_SIGNALS.intersection(words_of(name)))
 
 
 def is_time(name: str) -> bool:
-    """Whether a `name` says that a column is the time."""
+    """Whether a `name` means the time."""
     return bool(_TIMES.intersection(words_of(name)))
 
 
 def is_counter(name: str) -> bool:
-    """Whether a `name` says that a column counts rows."""
+    """Whether a `name` means a counter of rows."""
     words = words_of(name)
     return not words or bool(_COUNTERS.intersection(words))

@@ -1,4 +1,4 @@
-"""What the baseline model of a rig says of how it moves: scales to hold units against."""
+"""Gains and stiffnesses of a rig's baseline model at hover; they decide between units."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from heli_lab.errors import IdentifyError
 
 @dataclass(frozen=True)
 class Reference:
-    """Linearised at hover.
+    """Gains and stiffnesses of a rig, linearised at hover.
 
     Parameters
     ----------
     stiffness : Mapping[str, tuple]
-        Of elevation and pitch: acceleration for a deflection, mean and standard deviation, 1/s2.
+        By axis, elevation and pitch: acceleration per deflection, mean and standard deviation [1/s^2].
     gain : Mapping[str, float]
-        Elevation's acceleration for the sum of the voltages, rad/s2/V; pitch's for their difference, the
-        same; travel's for the pitch, 1/s2.
+        By axis: elevation acceleration per sum of the voltages and pitch acceleration per their difference
+        [rad/s^2/V], travel acceleration per pitch [1/s^2].
     hover_V : float
-        Sum of the voltages at hover.
+        Sum of the voltages at hover [V].
     rest_deg, rest_tolerance_deg : float
-        Elevation on the table.
+        Elevation on the table, and its tolerance [deg].
     counts : Mapping[str, float]
-        Counts of a turn, by axis.
+        Encoder counts per turn, by axis.
     supply_V : float
-        Full supply.
+        Largest voltage of a motor [V].
     """
 
     stiffness: Mapping[str, tuple[float, float]]
@@ -54,24 +54,26 @@ def reference_of(rig: Rig) -> Reference:
     """
     model = MultibodyModel()
     try:
-        at = trim(model, rig)
+        hover = trim(model, rig)
     except PlantError as error:
-        raise IdentifyError(f"rig {rig.name} says nothing of units: {error.cause}", error.remedy) from error
-    first = derivatives(model, rig, at.state, at.volts_V)
-    # Measured pitch swings with -0.3 to -1.4 1/s2 where the rig file says 0.
+        raise IdentifyError(
+            f"units cannot be checked with rig {rig.name}: {error.cause}", error.remedy
+        ) from error
+    linear = derivatives(model, rig, hover.state, hover.volts_V)
+    # Measured rigs have a pitch stiffness of -0.3 to -1.4 1/s^2; their rig files state 0.
     stiffness = {
-        axis: (float(first.A[row, place]), float(max(1.0, 0.5 * abs(first.A[row, place]))))
-        for axis, row, place in (("elevation", 3, 0), ("pitch", 4, 1))
+        axis: (float(linear.A[row, column]), float(max(1.0, 0.5 * abs(linear.A[row, column]))))
+        for axis, row, column in (("elevation", 3, 0), ("pitch", 4, 1))
     }
     counts = rig["encoder_counts"].value
     return Reference(
         stiffness,
         {
-            "elevation": float(np.mean(first.B[3])),
-            "pitch": float(0.5 * (first.B[4, 0] - first.B[4, 1])),
-            "travel": float(first.A[5, 1]),
+            "elevation": float(np.mean(linear.B[3])),
+            "pitch": float(0.5 * (linear.B[4, 0] - linear.B[4, 1])),
+            "travel": float(linear.A[5, 1]),
         },
-        float(at.volts_V.sum()),
+        float(hover.volts_V.sum()),
         rig["elevation_min"].value,
         rig["elevation_min"].tolerance,
         {

@@ -1,4 +1,4 @@
-"""What a guess is: a profile, how sure, and what else it could be."""
+"""Result of a guess: a profile, its ambiguities and its evidence."""
 
 from __future__ import annotations
 
@@ -9,70 +9,70 @@ from heli_host.tables import Profile
 
 @dataclass(frozen=True)
 class Ambiguity:
-    """Something that the file does not settle.
+    """A property of the file that has two likely values.
 
     Parameters
     ----------
-    what : str
-        What is in question, in a few words.
-    chosen, other : str
-        What the profile says, and what it could be instead.
-    why : str
-        Why nothing settles it, and what would.
+    subject : str
+        The property, in a few words, such as ``the units``.
+    chosen, alternative : str
+        Value in the profile, and the other likely value.
+    reason : str
+        Why the file does not decide between the two, and how the user can decide.
     """
 
-    what: str
+    subject: str
     chosen: str
-    other: str
-    why: str
+    alternative: str
+    reason: str
 
     def sentence(self) -> str:
-        """The doubt in one line."""
-        return f"unsure of {self.what}: {self.chosen}, or {self.other}; {self.why}"
+        """Describe the ambiguity in one line."""
+        return f"unsure of {self.subject}: {self.chosen}, or {self.alternative}; {self.reason}"
 
 
 @dataclass(frozen=True)
-class Choice:
-    """One choice of signs, flown through the baseline model.
+class SignChoice:
+    """Open-loop error of the baseline model with one choice of the angles' signs.
 
     Parameters
     ----------
     name : str
-        What is changed against the profile; empty for the profile itself.
+        Axes with the opposite sign to the profile, such as ``pitch and travel``; empty for the profile.
     error_deg : tuple of float
-        Error of free runs, deg rms, by axis.
-    ratio : float
-        Product of the axes' errors, relative to that of the profile: below 1 where this choice flies better.
+        RMS error of open-loop simulations, by axis [deg].
+    error_ratio : float
+        Product of the three errors over that product for the profile; below 1 if this choice fits better.
     """
 
     name: str
     error_deg: tuple[float, float, float]
-    ratio: float
+    error_ratio: float
 
 
 @dataclass(frozen=True)
 class Guess:
-    """A proposed profile.
+    """A proposed profile of a log file.
 
     Parameters
     ----------
-    doubts : tuple of Ambiguity
-        What is open; none where the guess is sure.
+    ambiguities : tuple of Ambiguity
+        Properties that the file does not decide; empty if the guess is sure.
     evidence : tuple of str
-        What it rests on, a sentence each.
-    choices : tuple of Choice
-        Signs flown, the profile first.
-    nats : float
-        Log-likelihood of columns and units, to compare rigs by.
+        Reasons for the profile, one sentence per element.
+    sign_choices : tuple of SignChoice
+        All simulated choices of signs, the profile first.
+    log_likelihood : float
+        Log-likelihood of columns and units [nats]; comparable between rigs for the same file.
     """
 
     profile: Profile
-    doubts: tuple[Ambiguity, ...]
+    ambiguities: tuple[Ambiguity, ...]
     evidence: tuple[str, ...]
-    choices: tuple[Choice, ...] = ()
-    nats: float = 0.0
+    sign_choices: tuple[SignChoice, ...] = ()
+    log_likelihood: float = 0.0
 
     @property
     def sure(self) -> bool:
-        """Whether nothing is open."""
-        return not self.doubts
+        """Whether the guess has no ambiguity."""
+        return not self.ambiguities

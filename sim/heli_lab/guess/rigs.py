@@ -1,4 +1,4 @@
-"""Which rig file a log fits: the shipped ones beside the one that was given."""
+"""Compare a log with the shipped rig files and the given one, and find the rig that fits best."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from heli_sim.rig import Rig, load_rig, rig_names
 
 from heli_lab.guess import thresholds
 from heli_lab.guess.result import Ambiguity, Guess
-from heli_lab.guess.run import flown, proposed
+from heli_lab.guess.run import check_by_simulation, propose
 
 
 @dataclass(frozen=True)
 class RigMatch:
-    """Files, guessed by the rig that fits them.
+    """Guesses of several files of one rig, with the rig that fits them.
 
     Parameters
     ----------
     rig : Rig
-        The rig that they are held against.
+        The rig file that units and zeros come from.
     guesses : tuple of Guess
-        In the files' order.
+        One per file, in the order of the files.
     """
 
     rig: Rig
@@ -36,24 +36,26 @@ def guess_by_rigs(
     rate_Hz: float | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> RigMatch:
-    """Guess files of one make by the rig given, and say where a shipped one fits them better. Where none is
-    given, guess by the shipped one that fits best, and say which, or between which it is unsure.
+    """Guess files of one rig type, with a given rig file or with the shipped one that fits best.
+
+    The guess reports which rig file it used. It is ambiguous if another rig file fits much better than the
+    given one, or if two shipped ones fit about equally well and give different profiles.
 
     Parameters
     ----------
     tables : sequence of Table
         The files.
     rig : Rig, optional
-        What is known of the rig.
+        Rig file to use.
     rate_Hz : float, optional
-        Rows a second, for tables without times.
+        Sampling rate [Hz], for tables without times.
     progress : callable
-        Called with the share of the work that is done.
+        Called with the completed share of the work, 0 to 1.
 
     Raises
     ------
     FlightDataError
-        When no rig makes sense of a table.
+        When a table cannot be interpreted with any rig.
     """
     known = {name: load_rig(name) for name in rig_names() if rig is None or name != rig.name}
     if rig is not None:
@@ -64,41 +66,37 @@ def guess_by_rigs(
     for number, (name, known_rig) in enumerate(known.items()):
         progress(number / count)
         try:
-            by_rig[name] = [proposed(table, known_rig, rate_Hz) for table in tables]
+            by_rig[name] = [propose(table, known_rig, rate_Hz) for table in tables]
         except HeliError as error:
             refusals[name] = error
     if not by_rig or (rig is not None and rig.name not in by_rig):
         raise refusals[rig.name if rig is not None else next(iter(refusals))]
-    nats = {name: sum(guess.nats for guess, _ in guesses) for name, guesses in by_rig.items()}
+    nats = {name: sum(guess.log_likelihood for guess, _ in guesses) for name, guesses in by_rig.items()}
     best = max(nats, key=lambda name: nats[name])
     chosen = rig.name if rig is not None else best
     progress(1.0 - 1.0 / count)
-    guesses = [flown(guessed, part, known[chosen]) for guessed, part in by_rig[chosen]]
+    guesses = [check_by_simulation(guessed, part, known[chosen]) for guessed, part in by_rig[chosen]]
     others = [name for name in nats if name != chosen]
-    # Rigs by which the same profile comes out are no two possibilities; that one of them fits better is told.
+    # Rigs that give the same profile are not an ambiguity, but the better fit is reported.
     differing = [name for name in others if _differs(by_rig[name], by_rig[chosen])]
     second = max(differing or others, key=lambda name: nats[name], default=None)
     if second is None:
         return RigMatch(known[chosen], tuple(guesses))
     ahead = nats[chosen] - nats[second]
-    sentence = f"rig: held against {chosen}; {second}'s numbers fit by {abs(ahead):.0f} nats {_than(ahead)}"
+    comparison = f"{abs(ahead):.0f} nats {'worse' if ahead >= 0.0 else 'better'}"
+    sentence = f"rig: compared with {chosen}; {second} fits {comparison}"
     guesses = [replace(guess, evidence=(sentence, *guess.evidence)) for guess in guesses]
-    # A rig that was given is believed until another one is clearly nearer; a choice of ours must be sure.
-    enough = -thresholds.SURE_NATS if rig is not None else thresholds.SURE_NATS
-    if differing and ahead < enough:
-        doubt = Ambiguity(
+    # A given rig is used unless another one fits clearly better; an automatic choice must win clearly.
+    required_nats = -thresholds.DECISIVE_NATS if rig is not None else thresholds.DECISIVE_NATS
+    if differing and ahead < required_nats:
+        ambiguity = Ambiguity(
             "the rig",
             chosen,
             second,
-            f"its numbers fit by {abs(ahead):.0f} nats {_than(ahead)}, with other units or columns; "
-            f"give --rig {second} if it is that",
+            f"it fits {comparison}, with other units or columns; if it is your rig, give --rig {second}",
         )
-        guesses = [replace(guess, doubts=(doubt, *guess.doubts)) for guess in guesses]
+        guesses = [replace(guess, ambiguities=(ambiguity, *guess.ambiguities)) for guess in guesses]
     return RigMatch(known[chosen], tuple(guesses))
-
-
-def _than(ahead: float) -> str:
-    return "worse" if ahead >= 0.0 else "better"
 
 
 def _differs(first: Sequence[tuple[Guess, Table]], second: Sequence[tuple[Guess, Table]]) -> bool:

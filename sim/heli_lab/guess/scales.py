@@ -1,4 +1,4 @@
-"""Which unit each column is in: how fast the axes accelerate and what holds the arm up tell."""
+"""Find the unit of each column from the accelerations of the axes and the voltage at hover."""
 
 from __future__ import annotations
 
@@ -16,135 +16,142 @@ from heli_lab.guess.reference import Reference
 from heli_lab.guess.signals import Floats
 
 AXES: Final = ("elevation", "pitch", "travel")
-_ANGLES: Final = ("rad", "deg", COUNT, "turn", "mrad")
-_VOLTAGES: Final = ("V", "mV", "duty", "percent", "pwm")
-_FULLS: Final = (255.0, 1023.0, 4095.0)
-_UNUSUAL: Final = {"turn": 3.0, "mrad": 3.0, "mV": 1.0, "percent": 1.0}
-"""Nats that a unit costs that nobody stated and few people use."""
-_MIXED: Final = 3.0
-"""Nats that an angle costs whose unit is another than elevation's, unless it is stated."""
-_BIAS: Final = 4.0
-"""Nats that it costs that a sum was logged without its bias."""
-_HALVED: Final = 3.0
-"""Nats that it costs that sum and difference were logged by halves, as mean and offset of it, where no name
-says so."""
-_PEAK: Final = 6.0
-"""Nats that a unit costs in which no motor ever gets a sixth of its supply, or one gets more than all."""
-_PEAKS: Final = (0.16, 1.2)
-"""Shares of the supply, as the rig file has it."""
-_MOST_SHARE: Final = 1.02
-"""The same of what is written as a share: more than all is none, whatever the supply."""
-_GRID: Final = 3.0
-"""Nats for an angle in steps of the encoder's count, and against one in whole numbers that is no count."""
+_ANGLE_UNITS: Final = ("rad", "deg", COUNT, "turn", "mrad")
+_VOLTAGE_UNITS: Final = ("V", "mV", "duty", "percent", "pwm")
+_FULL_SCALES: Final = (255.0, 1023.0, 4095.0)
+_RARE_UNIT_NATS: Final = {"turn": 3.0, "mrad": 3.0, "mV": 1.0, "percent": 1.0}
+"""Penalty of a rare unit that the file does not state [nats]."""
+_MIXED_UNITS_NATS: Final = 3.0
+"""Penalty of an angle whose unit differs from elevation's, unless it is stated [nats]."""
+_MISSING_BIAS_NATS: Final = 4.0
+"""Penalty of a sum that was logged without its bias [nats]."""
+_HALVED_SUM_NATS: Final = 3.0
+"""Penalty of half sums and half differences that no name states [nats]."""
+_IMPLAUSIBLE_PEAK_NATS: Final = 6.0
+"""Penalty of a voltage unit in which the peak is outside of the plausible shares of the supply [nats]."""
+_PLAUSIBLE_PEAK_SHARES: Final = (0.16, 1.2)
+"""Plausible peak voltages over the rig file's supply; the upper limit allows another supply."""
+_MAX_SHARE: Final = 1.02
+"""Upper limit for units that are shares of the supply: a share above 1 is impossible."""
+_QUANTISATION_NATS: Final = 3.0
+"""Reward of an angle quantised by the encoder; penalty of whole numbers that are not counts [nats]."""
 
 
 @dataclass(frozen=True)
-class Motion:
-    """How the axes were seen to accelerate, in the columns' own units.
+class MeasuredMotion:
+    """Measured gains and ranges of the assigned columns, in the units of the columns.
 
     Parameters
     ----------
     gain : Mapping[str, float]
-        By axis, as in `Reference.gain`, in units of the columns, without sign.
-    level : float
+        Gain of each axis as in `Reference.gain`; the sign is ignored.
+    mean_sum : float
         Mean of the sum of the voltages in flight.
     peak : float
-        Largest voltage that a motor gets, as far as that is known.
-    step : Mapping[str, float]
-        Smallest step of each angle; 0 where there is none.
-    whole : Mapping[str, bool]
-        Whether an angle has whole numbers only.
-    stated : Mapping[str, str]
-        Units that names or the file state, by role: the axes and `voltage`.
+        Largest voltage of a motor.
+    quantisation_step : Mapping[str, float]
+        Smallest step of each angle; 0 if the angle is not quantised.
+    integer_valued : Mapping[str, bool]
+        Whether each angle has whole numbers only.
+    stated_units : Mapping[str, str]
+        Units that names or the file state, by axis and for `voltage`; empty if none is stated.
     summed : bool
-        Whether the voltages are sum and difference.
+        Whether the voltages are sum and difference instead of front and back.
     halved : bool
-        Whether a name says that these are halves.
+        Whether a name states that these are half sums or half differences.
     """
 
     gain: Mapping[str, float]
-    level: float
+    mean_sum: float
     peak: float
-    step: Mapping[str, float]
-    whole: Mapping[str, bool]
-    stated: Mapping[str, str]
+    quantisation_step: Mapping[str, float]
+    integer_valued: Mapping[str, bool]
+    stated_units: Mapping[str, str]
     summed: bool
     halved: bool = False
 
 
 @dataclass(frozen=True)
 class Scale:
-    """Units of all columns.
+    """One choice of units for all columns, with its likelihood.
 
     Parameters
     ----------
     angles : Mapping[str, str]
-        Unit by axis.
+        Unit of each axis.
     voltage : str
         Unit of both voltages.
-    full : float
-        What full supply is written as, for `pwm`.
+    full_scale : float
+        Value of full supply, for `pwm`.
     factor : float
-        2 where sum and difference are halves, else 1.
-    biased : bool
-        Whether the sum lacks its bias.
-    nats : float
-        Log-likelihood.
-    off : Mapping[str, float]
-        By how many standard deviations each scale is off what the rig file says: the axes and `hover`.
+        2 if the voltages are half sums and half differences, otherwise 1.
+    bias_removed : bool
+        Whether the sum was logged without its bias.
+    log_likelihood : float
+        Log-likelihood of this choice [nats].
+    deviation_std : Mapping[str, float]
+        Deviation from the rig file in standard deviations, by axis and for `hover`.
     """
 
     angles: Mapping[str, str]
     voltage: str
-    full: float
+    full_scale: float
     factor: float
-    biased: bool
-    nats: float
-    off: Mapping[str, float]
+    bias_removed: bool
+    log_likelihood: float
+    deviation_std: Mapping[str, float]
 
     @property
     def units(self) -> tuple[str, ...]:
-        """All that a profile says of it."""
-        return (*self.angles.values(), self.voltage, str(self.full), str(self.factor))
+        """Units and factors as a profile states them."""
+        return (*self.angles.values(), self.voltage, str(self.full_scale), str(self.factor))
 
     def volts(self, reference: Reference) -> float:
-        """Volts that one of the voltages' unit is, by the `reference`."""
-        return self.factor * volts_of(self.voltage, self.full, reference)
+        """Volts per unit of the voltage columns."""
+        return self.factor * volts_of(self.voltage, self.full_scale, reference)
 
 
-def scales(motion: Motion, reference: Reference) -> list[Scale]:
-    """All choices of units, the likeliest first."""
+def scales(motion: MeasuredMotion, reference: Reference) -> list[Scale]:
+    """List all choices of units, the most likely first."""
     ranked = []
-    fulls = [("pwm", full) for full in _FULLS]
-    voltages = [(unit, 255.0) for unit in _VOLTAGES if unit != "pwm"] + fulls
+    pwm_scales = [("pwm", full) for full in _FULL_SCALES]
+    voltages = [(unit, 255.0) for unit in _VOLTAGE_UNITS if unit != "pwm"] + pwm_scales
     kinds = list(itertools.product((1.0, 2.0), (False, True))) if motion.summed else [(1.0, False)]
     for (unit, full), (factor, biased) in itertools.product(voltages, kinds):
         volts = factor * volts_of(unit, full, reference)
-        hover = 0.0 if biased else _off(motion.level * volts, reference.hover_V, thresholds.HOVER_STD)
-        base = -0.5 * hover**2 - (_BIAS if biased else 0.0) + _said(motion.stated.get("voltage", ""), unit)
+        hover = (
+            0.0
+            if biased
+            else _deviation_std(motion.mean_sum * volts, reference.hover_V, thresholds.HOVER_STD)
+        )
+        base = (
+            -0.5 * hover**2
+            - (_MISSING_BIAS_NATS if biased else 0.0)
+            + _unit_score(motion.stated_units.get("voltage", ""), unit)
+        )
         if motion.summed and motion.halved != (factor != 1.0):
-            base -= _HALVED
-        most = _PEAKS[1] if unit in VOLTAGE_UNITS else _MOST_SHARE
-        if not _PEAKS[0] < motion.peak * volts / reference.supply_V < most:
-            base -= _PEAK
-        if biased and abs(motion.level * volts) > 0.5 * reference.hover_V:
+            base -= _HALVED_SUM_NATS
+        highest = _PLAUSIBLE_PEAK_SHARES[1] if unit in VOLTAGE_UNITS else _MAX_SHARE
+        if not _PLAUSIBLE_PEAK_SHARES[0] < motion.peak * volts / reference.supply_V < highest:
+            base -= _IMPLAUSIBLE_PEAK_NATS
+        if biased and abs(motion.mean_sum * volts) > 0.5 * reference.hover_V:
             continue
-        for units in itertools.product(_ANGLES, repeat=3):
+        for units in itertools.product(_ANGLE_UNITS, repeat=3):
             angles = dict(zip(AXES, units, strict=True))
             rad = {axis: rad_of(angles[axis], axis, reference) for axis in AXES}
             off = {
                 "hover": hover,
-                "elevation": _off(
+                "elevation": _deviation_std(
                     motion.gain["elevation"] * rad["elevation"] / volts,
                     reference.gain["elevation"],
                     thresholds.GAIN_STD["elevation"],
                 ),
-                "pitch": _off(
+                "pitch": _deviation_std(
                     motion.gain["pitch"] * rad["pitch"] / volts,
                     reference.gain["pitch"],
                     thresholds.GAIN_STD["pitch"],
                 ),
-                "travel": _off(
+                "travel": _deviation_std(
                     motion.gain["travel"] * rad["travel"] / rad["pitch"],
                     reference.gain["travel"],
                     thresholds.GAIN_STD["travel"],
@@ -152,48 +159,52 @@ def scales(motion: Motion, reference: Reference) -> list[Scale]:
             }
             nats = base - 0.5 * sum(off[axis] ** 2 for axis in AXES)
             for axis in AXES:
-                stated = motion.stated.get(axis, "")
-                nats += _said(stated, angles[axis]) + _grid(motion, axis, angles[axis], rad[axis], reference)
+                stated = motion.stated_units.get(axis, "")
+                nats += _unit_score(stated, angles[axis]) + _quantisation_score(
+                    motion, axis, angles[axis], rad[axis], reference
+                )
                 if not stated and angles[axis] != angles["elevation"]:
-                    nats -= _MIXED
+                    nats -= _MIXED_UNITS_NATS
             ranked.append(Scale(angles, unit, full, factor, biased, nats, off))
-    return sorted(ranked, key=lambda scale: -scale.nats)
+    return sorted(ranked, key=lambda scale: -scale.log_likelihood)
 
 
 def volts_of(unit: str, full: float, reference: Reference) -> float:
-    """Volts that one of a `unit` is, `full` being what full supply is written as."""
+    """Volts per `unit`; `full` is the value of full supply if the unit is ``pwm``."""
     if unit in VOLTAGE_UNITS:
         return VOLTAGE_UNITS[unit]
     return reference.supply_V / (full if unit == "pwm" else SHARES[unit])
 
 
 def rad_of(unit: str, axis: str, reference: Reference) -> float:
-    """Radians that one of a `unit` of an `axis` is."""
+    """Radians per `unit` of an `axis`."""
     return 2.0 * math.pi / reference.counts[axis] if unit == COUNT else ANGLE_UNITS[unit]
 
 
-def _off(seen: float, known: float, std: float) -> float:
-    return math.log(max(abs(seen), 1e-300) / abs(known)) / std if known else 0.0
+def _deviation_std(measured: float, reference: float, std: float) -> float:
+    return math.log(max(abs(measured), 1e-300) / abs(reference)) / std if reference else 0.0
 
 
-def _said(stated: str, unit: str) -> float:
+def _unit_score(stated: str, unit: str) -> float:
     if stated:
         return thresholds.UNIT_NATS if stated == unit else 0.0
-    return -_UNUSUAL.get(unit, 0.0)
+    return -_RARE_UNIT_NATS.get(unit, 0.0)
 
 
-def _grid(motion: Motion, axis: str, unit: str, rad: float, reference: Reference) -> float:
-    if motion.whole[axis]:
-        return 0.0 if unit == COUNT else -_GRID
+def _quantisation_score(
+    motion: MeasuredMotion, axis: str, unit: str, rad: float, reference: Reference
+) -> float:
+    if motion.integer_valued[axis]:
+        return 0.0 if unit == COUNT else -_QUANTISATION_NATS
     if unit == COUNT:
-        return -_GRID
-    step = motion.step[axis] * rad
+        return -_QUANTISATION_NATS
+    step = motion.quantisation_step[axis] * rad
     turn = 2.0 * math.pi / step if step > 0.0 else 0.0
-    return _GRID if turn and abs(turn / reference.counts[axis] - 1.0) < 0.01 else 0.0
+    return _QUANTISATION_NATS if turn and abs(turn / reference.counts[axis] - 1.0) < 0.01 else 0.0
 
 
 def is_encoder(values: Floats, reference: Reference) -> bool:
-    """Whether a column, `values`, is in steps of one of the rig's encoders, in radians or degrees."""
+    """Whether a column, `values`, is quantised by an encoder of the rig, in radians or degrees."""
     step = step_of(values)
     turns = (2.0 * math.pi, 360.0) if step > 0.0 else ()
     return any(
@@ -202,7 +213,7 @@ def is_encoder(values: Floats, reference: Reference) -> bool:
 
 
 def step_of(values: Floats) -> float:
-    """Smallest step of a column, `values`, that is in steps; 0 where it is not."""
+    """Quantisation step of a column, `values`, in its unit; 0 if it is not quantised."""
     moves = np.abs(np.diff(values[np.isfinite(values)]))
     moves = moves[moves > 1e-9 * max(1.0, float(np.ptp(values)))]
     if not moves.size:

@@ -1,4 +1,4 @@
-"""Columns on one clock, low-passed, with two derivatives: what physics is compared on."""
+"""Resample the columns of a table to even times, low-pass them and differentiate them twice."""
 
 from __future__ import annotations
 
@@ -16,15 +16,16 @@ from heli_lab.guess.thresholds import EDGE_S, CUTOFF_Hz, SAMPLE_STEP_s
 Floats = NDArray[np.float64]
 
 _EXTENDED_ROWS: Final = 15
-"""Rows by which a signal is continued at each end, turned about its last value."""
+"""Number of rows of padding at each end, reflected about the end value."""
 _SETTLED_ROWS: Final = round(16.0 / (CUTOFF_Hz * SAMPLE_STEP_s))
-"""Rows after which nothing is left of the low-pass filter's answer to one value: 1e-16 of it."""
+"""Number of rows after which the impulse response of the low-pass filter has decayed to 1e-16."""
 
 
 @dataclass(frozen=True)
 class Signal:
-    """A column, low-passed: `value`, `rate` and `acceleration`, each of shape (n,), in its own unit and
-    seconds.
+    """A low-passed column and its derivatives: `value`, `rate` and `acceleration`, each of shape (n,).
+
+    The unit is the column's, per s and per s^2.
     """
 
     value: Floats
@@ -34,18 +35,18 @@ class Signal:
 
 @dataclass(frozen=True)
 class Signals:
-    """All columns of a table that vary, on even times.
+    """Columns of a table at even times, by name.
 
     Parameters
     ----------
     t_s : ndarray (n,)
-        Times.
+        Even times [s].
     raw : Mapping[str, ndarray (n,)]
-        Values on these times, wrapped angles unwrapped, not low-passed.
+        Values at these times, unwrapped, without low-pass filter.
     filtered : Mapping[str, Signal]
-        The same, low-passed.
+        Low-passed values with their derivatives.
     inner : ndarray of bool (n,)
-        Not at the ends.
+        False for rows near both ends, where the filter has transients.
     """
 
     t_s: Floats
@@ -55,7 +56,7 @@ class Signals:
 
 
 def signals_of(table: Table, t_s: Floats, names: list[str]) -> Signals:
-    """Bring the columns `names` of a table with times `t_s` to even times, and low-pass them."""
+    """Resample the columns `names` of a table with times `t_s` [s] to even times, and low-pass them."""
     usable = np.isfinite(t_s)
     usable[usable] = np.concatenate(([True], np.diff(t_s[usable]) > 0.0))
     even_s = np.arange(t_s[usable][0], t_s[usable][-1], SAMPLE_STEP_s)
@@ -71,7 +72,7 @@ def signals_of(table: Table, t_s: Floats, names: list[str]) -> Signals:
 
 
 def filtered_signal(values: Floats) -> Signal:
-    """Low-pass a signal, `values`, without moving it in time, and take its derivatives."""
+    """Low-pass evenly sampled `values` with zero phase, and differentiate the result twice."""
     extended = np.pad(values, _EXTENDED_ROWS, mode="reflect", reflect_type="odd")
     low = _butterworth(_butterworth(extended)[::-1])[::-1][_EXTENDED_ROWS:-_EXTENDED_ROWS]
     rate = np.gradient(low, SAMPLE_STEP_s)
@@ -79,9 +80,9 @@ def filtered_signal(values: Floats) -> Signal:
 
 
 def _butterworth(values: Floats) -> Floats:
-    """Low-pass once, of fourth order, as if the first value had stood for ever.
+    """Apply a fourth-order Butterworth low-pass that is settled at the first value.
 
-    What scipy.signal calls sosfilt, by its frequency response: to import that takes longer than to guess.
+    The result equals that of scipy.signal.sosfilt, but importing scipy.signal takes longer than a guess.
     """
     count = 1 << (values.size + _SETTLED_ROWS - 1).bit_length()
     moved: Floats = np.fft.irfft(np.fft.rfft(values - values[0], count) * _response(count), count)
@@ -98,7 +99,7 @@ def _response(count: int) -> NDArray[np.complex128]:
 
 
 def unwrapped(values: Floats) -> Floats:
-    """Unwrap a column, `values`, that jumps by a turn of any unit; others are returned as they are."""
+    """Unwrap a column, `values`, that jumps by one turn in any unit; return other columns unchanged."""
     jumps = np.abs(np.diff(values))
     far = jumps[jumps > 0.5 * np.ptp(values)]
     if not far.size or np.ptp(values) == 0.0 or far.size > 0.02 * values.size:
@@ -110,8 +111,8 @@ def unwrapped(values: Floats) -> Floats:
     return values
 
 
-def late(values: Floats, lag_s: float) -> Floats:
-    """Make a signal, `values`, late by `lag_s`; its ends repeat."""
+def delay(values: Floats, lag_s: float) -> Floats:
+    """Delay evenly sampled `values` by `lag_s` [s]; the end value fills the gap."""
     rows = round(lag_s / SAMPLE_STEP_s)
     result: Floats = np.roll(values, rows)
     if rows > 0:

@@ -1,4 +1,4 @@
-"""Wrong signs and zeros of flights that are to be fitted, each by its name and with its remedy."""
+"""Find wrong signs, zeros and units of a flight before it is fitted, each with a fix."""
 
 from __future__ import annotations
 
@@ -13,59 +13,58 @@ from heli_sim.rig import Rig
 
 from heli_lab.errors import IdentifyError
 from heli_lab.guess import thresholds
-from heli_lab.guess.flown import fly_choices
-from heli_lab.guess.motion import answers, rest_of
+from heli_lab.guess.assignment import ColumnAssignment, RegressionFit
+from heli_lab.guess.axis_regression import axis_regressions, rest_elevation
 from heli_lab.guess.reference import Reference, reference_of
-from heli_lab.guess.roles import ColumnAssignment, RegressionFit
 from heli_lab.guess.scales import AXES
+from heli_lab.guess.sign_trials import try_sign_choices
 from heli_lab.guess.signals import signals_of
 
-LEAST_S: Final = 5.0
-"""Shorter flights are not looked at, s: less than five independent moments say nothing of a sign."""
+MIN_DURATION_S: Final = 5.0
+"""Shorter flights are not checked [s]: fewer than five independent samples do not decide a sign."""
 _COLUMNS: Final = ("elevation_rad", "pitch_rad", "travel_rad", "front_V", "back_V")
-_DEGREES: Final = (0.4 * 180.0 / math.pi, 2.5 * 180.0 / math.pi)
-"""Accelerations that are this many times those of the rig file, on elevation and pitch alike, are of
-degrees."""
+_DEGREES_RATIO: Final = (0.4 * 180.0 / math.pi, 2.5 * 180.0 / math.pi)
+"""Range of the ratio of measured to modelled acceleration, on elevation and pitch, for angles in degrees."""
 
 
 @dataclass(frozen=True)
 class WrongSign:
-    """What is wrong with a flight.
+    """One wrong sign, zero or unit of a flight.
 
     Parameters
     ----------
-    what : str
-        What it is, in a few words.
+    description : str
+        The evidence and its cause, in a few words.
     remedy : str
-        What to do about it.
-    turned : tuple of str
-        Axes that would have to count the other way; none where it is no sign.
+        How to correct the flight.
+    inverted_axes : tuple of str
+        Axes whose sign has to change; empty for a wrong zero or unit.
     """
 
-    what: str
+    description: str
     remedy: str
-    turned: tuple[str, ...] = ()
+    inverted_axes: tuple[str, ...] = ()
 
 
 def wrong_signs(flight: Flight, rig: Rig) -> tuple[WrongSign, ...]:
     """Find wrong signs and zeros of a flight.
 
-    A sign is wrong where an axis goes against its cause beyond doubt, and the baseline model of the rig flies
-    it clearly better the other way. An unusual rig is none of both.
+    A sign is wrong if an axis clearly accelerates against its cause, and the baseline model of the rig fits
+    clearly better with the opposite sign. An unusual rig fulfils neither condition.
 
     Parameters
     ----------
     flight : Flight
         The flight, in radians and volts.
     rig : Rig
-        What is known of the rig.
+        Parameters of the rig before the fit.
 
     Returns
     -------
     tuple of WrongSign
-        None where nothing is wrong, or nothing can be said.
+        Empty if all signs are right, or if the flight does not decide them.
     """
-    if flight.duration_s < LEAST_S:
+    if flight.duration_s < MIN_DURATION_S:
         return ()
     try:
         reference = reference_of(rig)
@@ -75,40 +74,43 @@ def wrong_signs(flight: Flight, rig: Rig) -> tuple[WrongSign, ...]:
     signals = signals_of(table, flight.t_s, list(_COLUMNS))
     if any(np.ptp(signals.raw[name]) == 0.0 for name in _COLUMNS):
         return ()
-    roles = ColumnAssignment(
+    assignment = ColumnAssignment(
         "elevation_rad", "pitch_rad", "travel_rad", ("front_V", "back_V"), False, (1.0, 1.0), 0.0, 0.0
     )
-    # Sines of an angle in degrees would say nothing.
-    degrees = _in_degrees(answers(signals, roles, reference), reference)
+    # The sine of an angle in degrees would be meaningless, so the unit is checked first.
+    degrees = _angles_in_degrees(axis_regressions(signals, assignment, reference), reference)
     if degrees is not None:
         return (degrees,)
-    explained = answers(signals, roles, reference, dict.fromkeys(AXES, 1.0))
-    suspects = _suspects(explained)
+    explained = axis_regressions(signals, assignment, reference, dict.fromkeys(AXES, 1.0))
+    suspects = _sign_suspects(explained)
     if suspects:
-        flown = {choice.name: choice.ratio for choice in fly_choices(flight, rig)}
+        error_ratios = {choice.name: choice.error_ratio for choice in try_sign_choices(flight, rig)}
         suspects = [
             sign
             for sign in suspects
-            if not flown or flown[" and ".join(sign.turned)] < thresholds.CLEARLY_WORSE
+            if not error_ratios
+            or error_ratios[" and ".join(sign.inverted_axes)] < thresholds.WRONG_SIGN_ERROR_RATIO
         ]
     up = 1.0 if explained["elevation"].gain >= 0.0 else -1.0
-    rest = rest_of(signals, "elevation_rad", math.degrees(up))
-    far = thresholds.REST_DEG + reference.rest_tolerance_deg
+    rest = rest_elevation(signals, "elevation_rad", math.degrees(up))
+    far = thresholds.REST_TOLERANCE_DEG + reference.rest_tolerance_deg
     if rest.deg is not None and rest.lowest and abs(rest.deg) < far < abs(reference.rest_deg) - far:
         suspects.append(
             WrongSign(
-                f"elevation is {rest.deg:.1f} deg where the flight rests: it was zeroed there, not at level",
-                f"add {reference.rest_deg:g} deg to it, the rig file's table: offset_deg in a profile of "
+                f"elevation is {rest.deg:.1f} deg while the flight rests: it was zeroed there, not at level",
+                f"add the rig file's table angle, {reference.rest_deg:g} deg, as offset_deg in a profile for "
                 "heli-host import",
             )
         )
     return tuple(suspects)
 
 
-def _in_degrees(explained: dict[str, RegressionFit], reference: Reference) -> WrongSign | None:
+def _angles_in_degrees(explained: dict[str, RegressionFit], reference: Reference) -> WrongSign | None:
     times = [abs(explained[axis].gain / reference.gain[axis]) for axis in ("elevation", "pitch")]
-    sure = all(explained[axis].nats > thresholds.SURE_NATS for axis in ("elevation", "pitch"))
-    if not sure or not all(_DEGREES[0] < ratio < _DEGREES[1] for ratio in times):
+    sure = all(
+        explained[axis].log_likelihood_ratio > thresholds.DECISIVE_NATS for axis in ("elevation", "pitch")
+    )
+    if not sure or not all(_DEGREES_RATIO[0] < ratio < _DEGREES_RATIO[1] for ratio in times):
         return None
     return WrongSign(
         f"elevation and pitch accelerate {times[0]:.0f} and {times[1]:.0f} times as fast as the rig can: "
@@ -117,42 +119,43 @@ def _in_degrees(explained: dict[str, RegressionFit], reference: Reference) -> Wr
     )
 
 
-def _suspects(explained: dict[str, RegressionFit]) -> list[WrongSign]:
-    """What the fewest changes would make agree."""
+def _sign_suspects(explained: dict[str, RegressionFit]) -> list[WrongSign]:
+    """Name the fewest changes of sign after which all axes follow their causes."""
     against = {
-        axis: explained[axis].gain < 0.0 and explained[axis].nats > thresholds.SURE_NATS for axis in AXES
+        axis: explained[axis].gain < 0.0 and explained[axis].log_likelihood_ratio > thresholds.DECISIVE_NATS
+        for axis in AXES
     }
     suspects = []
     if against["elevation"]:
         suspects.append(
             WrongSign(
-                "elevation falls where the voltages rise: it counts the other way",
-                "turn its sign; it is positive upwards",
+                "elevation falls when the voltages rise: it has the opposite sign",
+                "invert elevation; it is positive upwards",
                 ("elevation",),
             )
         )
     if against["pitch"] and against["travel"]:
         suspects.append(
             WrongSign(
-                "pitch falls where the front voltage rises, and travel goes against pitch: pitch counts the "
-                "other way",
-                "turn pitch's sign; it is positive when the front rotor is up",
+                "pitch falls when the front voltage rises, and travel goes against pitch: pitch has the "
+                "opposite sign",
+                "invert pitch; it is positive when the front rotor is up",
                 ("pitch",),
             )
         )
     elif against["pitch"]:
         suspects.append(
             WrongSign(
-                "pitch falls where the front voltage rises: the motors are exchanged",
-                "exchange front_V and back_V; or, if they are right, turn pitch's and travel's signs",
+                "pitch falls when the front voltage rises: the motors are exchanged",
+                "exchange front_V and back_V; if they are right, invert pitch and travel",
                 ("pitch", "travel"),
             )
         )
     elif against["travel"]:
         suspects.append(
             WrongSign(
-                "travel goes against pitch: it counts the other way",
-                "turn its sign; it accelerates positive at positive pitch",
+                "travel goes against pitch: travel has the opposite sign",
+                "invert travel; positive pitch accelerates it in positive direction",
                 ("travel",),
             )
         )

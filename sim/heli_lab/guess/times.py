@@ -1,4 +1,4 @@
-"""Which column is the time, and in which unit."""
+"""Find the time column of a table and its unit."""
 
 from __future__ import annotations
 
@@ -13,43 +13,43 @@ from heli_host.tables.units import TIME_UNITS, split_unit
 from heli_lab.guess import names
 from heli_lab.guess.signals import Floats
 
-_LEAST_RISING: Final = 0.995
-_MOST_STEP_S: Final = 0.15
-"""Nobody logs such a flight at less than 7 Hz."""
-_LEAST_STEP_S: Final = 0.0002
+_MIN_RISING_SHARE: Final = 0.995
+_MAX_STEP_S: Final = 0.15
+"""Largest step of a log [s]: logs of such flights have at least 7 Hz."""
+_MIN_STEP_S: Final = 0.0002
 
 
 @dataclass(frozen=True)
 class Clock:
-    """The time of a table.
+    """Time column of a table.
 
     Parameters
     ----------
     column : str
-        Its column; empty where there is none.
+        Name of the column; empty if the table has no times.
     unit : str
-        What it counts: `s`, `ms`, `us`, `ns` or `min`; empty where no unit fits.
+        Unit: `s`, `ms`, `us`, `ns` or `min`; empty if no unit fits.
     sure : bool
-        Whether nothing else could be meant.
-    other : str
-        What else could be meant.
+        Whether column and unit are unambiguous.
+    alternative : str
+        Other meaning of the column, or the reason why no unit fits.
     """
 
     column: str
     unit: str
     sure: bool
-    other: str = ""
+    alternative: str = ""
 
 
 def clock_of(table: Table) -> Clock:
-    """Find the time of a table."""
+    """Find the time column of a table and its unit."""
     clocks: list[tuple[float, Clock]] = []
     for name, column in table.columns.items():
         values = column.values[np.isfinite(column.values)]
         if values.size < 10:
             continue
         steps = np.diff(values)
-        if float(np.mean(steps > 0.0)) < _LEAST_RISING:
+        if float(np.mean(steps > 0.0)) < _MIN_RISING_SHARE:
             continue
         typical = float(np.median(steps))
         even = float(np.mean(np.abs(steps / typical - 1.0) < 0.5))
@@ -61,7 +61,7 @@ def clock_of(table: Table) -> Clock:
 
 
 def _unit(name: str, stated: str, step: float) -> Clock:
-    possible = [unit for unit, s in TIME_UNITS.items() if _LEAST_STEP_S <= step * s <= _MOST_STEP_S]
+    possible = [unit for unit, s in TIME_UNITS.items() if _MIN_STEP_S <= step * s <= _MAX_STEP_S]
     stated_unit = stated or split_unit(name)[1]
     if not stated_unit and set(names.words_of(name)) & {"millis"}:
         stated_unit = "ms"
@@ -72,7 +72,7 @@ def _unit(name: str, stated: str, step: float) -> Clock:
             name,
             stated_unit if possible else "",
             bool(possible),
-            f"steps of {step:g} {stated_unit} are none of a log",
+            f"steps of {step:g} {stated_unit} are implausible for a log",
         )
     if stated_unit in TIME_UNITS:
         return Clock(name, possible[0], False, f"in {stated_unit}, as its name says, with steps of {step:g}")
@@ -81,12 +81,12 @@ def _unit(name: str, stated: str, step: float) -> Clock:
         return Clock(name, possible[0] if possible else "ms", False, "it may count rows")
     if not possible:
         return Clock(name, "", False, f"steps of {step:g} fit no unit of time")
-    # One step of a log is 0.2 to 150 ms: a number fits two units at most, the larger of which is meant.
+    # A log has steps of 0.2 to 150 ms. At most two units fit, and the larger one is meant.
     return Clock(name, possible[0], not counts, "it may count rows" if counts else "")
 
 
 def times_in_s(table: Table, clock: Clock) -> Floats:
-    """Times of the rows, s."""
+    """Return the times of the rows [s], shape (n,), from the first finite one."""
     values = table.columns[clock.column].values
     first = values[np.isfinite(values)][0]
     result: Floats = (values - first) * TIME_UNITS[clock.unit]
@@ -94,7 +94,7 @@ def times_in_s(table: Table, clock: Clock) -> Floats:
 
 
 def longest_run(table: Table, t_s: Floats) -> tuple[Table, Floats]:
-    """Take the longest part of a table in which its times, `t_s`, do not begin again; with its times, s."""
+    """Return the longest part of a table in which the times `t_s` [s] do not fall, and these times."""
     known = np.flatnonzero(np.isfinite(t_s))
     falls = known[1:][np.diff(t_s[known]) < 0.0]
     edges = [0, *(int(row) for row in falls), len(t_s)]

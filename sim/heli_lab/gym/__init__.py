@@ -1,4 +1,4 @@
-"""The helicopter as an environment of Gymnasium; see the README beside this file.
+"""The helicopter as a Gymnasium environment; see README.md in this folder.
 
 Importing it registers ``HeliHover-v0``, so ``gymnasium.make("heli_lab.gym:HeliHover-v0")`` needs no import.
 """

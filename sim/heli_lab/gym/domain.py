@@ -1,4 +1,4 @@
-"""Which rigs and effects episodes are flown with (domain randomisation)."""
+"""Domain randomisation: draw the rig and the effects of each episode."""
 
 from __future__ import annotations
 
@@ -14,17 +14,22 @@ from heli_sim.rig import Rig, load_rig
 
 from heli_lab.errors import LearningError
 
-_TRIES: Final = 100
-"""Draws until the numbers are a rig that can be; of the shipped rigs nearly every first one is."""
-_LEAST: Final = 0.1
-"""Least share of its value that a number which may not be negative is drawn as: some are known no better than
-that they are small."""
+_MAX_DRAWS: Final = 100
+"""Largest number of draws until the parameters form a valid rig; for shipped rigs the first one usually
+does."""
+_MIN_SHARE: Final = 0.1
+"""Smallest drawn value of a parameter that may not be negative, over its nominal value: the tolerance of some
+parameters exceeds their value."""
 
 
 @dataclass(frozen=True)
-class Drawn:
-    """A rig and its effects, as one episode has them; `texts` are those of its effects that were drawn, as
-    command lines spell them.
+class DrawnRig:
+    """Rig and effects of one episode.
+
+    Parameters
+    ----------
+    texts : tuple of str
+        The effects from the domain in the notation of the command line, such as ``rotor_lag=0.1``.
     """
 
     rig: Rig
@@ -34,28 +39,27 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Domain:
-    """Rigs and effects that episodes draw from, each rig equally likely.
+    """Distribution of rigs and effects over episodes; each rig is equally likely.
 
     Parameters
     ----------
     rigs : tuple of str
         Names or TOML files.
     tolerances : float
-        How far a rig's numbers are off their values, in the tolerances that its file states: normally
-        distributed, cut off at one of these. 0 for the values themselves, 1 for rigs as likely as the file
-        says.
+        Scale of the parameters' deviations, in the tolerances of the rig file. The deviations are normal with
+        half a tolerance as standard deviation, clipped at one. 0 gives the nominal parameters.
     effects : Mapping of str to (float, float)
-        Effects by id, each with the range from which its first number is drawn evenly, in its own unit:
+        Range of the first parameter of each effect, in its unit; the value is drawn uniformly. An example is
         ``{"rotor_lag": (0.05, 0.15)}``.
     chance : float
-        Probability with which each of `effects` is there in an episode, 0 to 1.
+        Probability of each effect in an episode, 0 to 1.
 
     Raises
     ------
     LearningError
-        A share or a range that is none.
+        When a scale, a probability or a range is invalid.
     RigError, EffectError
-        There is no such rig or effect, or it may not have such a value.
+        When a rig or an effect is unknown, or a value of an effect is invalid.
     """
 
     rigs: tuple[str, ...] = ("makki2024",)
@@ -65,28 +69,24 @@ class Domain:
 
     def __post_init__(self) -> None:
         if not self.rigs:
-            raise LearningError("a domain without rigs", "name at least one")
+            raise LearningError("the domain has no rigs", "give at least one")
         if not (self.tolerances >= 0.0 and 0.0 <= self.chance <= 1.0):
             raise LearningError(
-                f"tolerances={self.tolerances} and chance={self.chance} cannot be",
-                "give 0 or more tolerances, and a chance from 0 to 1",
+                f"tolerances={self.tolerances} and chance={self.chance} are invalid",
+                "give tolerances of 0 or more, and a chance from 0 to 1",
             )
         for name, (low, high) in self.effects.items():
             if not low <= high:
-                raise LearningError(f"{name} from {low} to {high} is no range", "give the lower value first")
+                raise LearningError(
+                    f"{name} from {low} to {high} is not a range", "give the lower value first"
+                )
             parse_effects([f"{name}={low!r}"])
             parse_effects([f"{name}={high!r}"])
         for rig in self.rigs:
             load_rig(rig)
 
-    def draw(self, random: np.random.Generator) -> Drawn:
-        """Draw what the next episode flies with.
-
-        Parameters
-        ----------
-        random : numpy.random.Generator
-            Where chance comes from.
-        """
+    def draw(self, random: np.random.Generator) -> DrawnRig:
+        """Draw the rig and the effects of the next episode with the generator `random`."""
         rig = self._rig(random)
         texts = tuple(
             f"{name}={float(random.uniform(low, high))!r}"
@@ -95,7 +95,7 @@ class Domain:
         )
         drawn_effects = parse_effects(texts)
         names = {effect.name for effect in drawn_effects}
-        return Drawn(
+        return DrawnRig(
             rig,
             (*(rig_effect for rig_effect in effects_of(rig) if rig_effect.name not in names), *drawn_effects),
             texts,
@@ -105,16 +105,17 @@ class Domain:
         rig = load_rig(self.rigs[int(random.integers(len(self.rigs)))])
         if not self.tolerances:
             return rig
-        for _ in range(_TRIES):
+        for _ in range(_MAX_DRAWS):
             values = {}
             for name, number in rig.items():
                 share = float(np.clip(random.normal() / 2.0, -1.0, 1.0))
                 value = number.value + self.tolerances * number.tolerance * share
-                values[name] = value if rig.may_be_negative(name) else max(value, _LEAST * number.value)
+                values[name] = value if rig.may_be_negative(name) else max(value, _MIN_SHARE * number.value)
             try:
                 return rig.replace(**values)
             except RigError:
                 continue
         raise LearningError(
-            f"no draw of rig '{rig.name}' within {self.tolerances:g} tolerances can be", "give fewer"
+            f"no draw of rig '{rig.name}' within {self.tolerances:g} tolerances is valid",
+            "give fewer tolerances",
         )

@@ -1,8 +1,8 @@
-"""Policies without a learning library: a matrix of gains, found by the cross-entropy method.
+"""Optimise linear policies by the cross-entropy method, without a learning library.
 
 After Rubinstein, *The cross-entropy method for combinatorial and continuous optimization*, Methodology and
-Computing in Applied Probability 1 (1999), with the decreasing noise of Szita and Lorincz, Neural Computation
-18 (2006), without which the search stops too soon.
+Computing in Applied Probability 1 (1999). The decreasing noise of Szita and Lorincz, Neural Computation 18
+(2006), prevents the search from converging too early.
 """
 
 from __future__ import annotations
@@ -22,37 +22,35 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LinearPolicy:
-    """Actions that are gains times what is seen.
+    """Policy whose action is a gain matrix times the observation.
 
     Parameters
     ----------
     gains : ndarray (2, 8)
-        Of front and back, in actions per unit of the observation.
+        Gains of the front and back action, per unit of the observation.
     """
 
     gains: Floats
 
     def __call__(self, observation: Observation) -> Action:
-        """Choose an action for an `observation`, shape (8,): float32, shape (2,), cut off at 1."""
+        """Return the action, float32 of shape (2,) and clipped at 1, for an `observation` of shape (8,)."""
         return np.clip(self.gains @ observation, -1.0, 1.0).astype(np.float32)
 
 
 def mean_return(env: gymnasium.Env[Any, Any], policy: Callable[[Observation], Action], seeds: range) -> float:
-    """Fly an episode from each seed.
+    """Fly one episode per seed and average the returns.
 
     Parameters
     ----------
     env : gymnasium.Env
-        Where; it has to end episodes by time, as environments of `gymnasium.make` do.
+        Environment that ends episodes by time, as those of `gymnasium.make` do.
     policy : callable taking an observation, returning an action
-        What flies.
-    seeds : range
-        Seeds of the episodes.
+        The policy.
 
     Returns
     -------
     float
-        Mean sum of rewards of an episode.
+        Mean over the episodes of the sum of rewards.
     """
     total = 0.0
     for seed in seeds:
@@ -73,7 +71,7 @@ def cross_entropy(
     episodes: int = 2,
     seed: int = 1,
 ) -> LinearPolicy:
-    """Search the gains of six measured quantities: of the sum of both voltages and of their difference.
+    """Optimise a linear policy: two gains of elevation on the sum of the voltages, four on their difference.
 
     Each generation draws gains from a normal distribution, flies them, and fits the distribution to the best
     quarter. All policies of a generation fly the same episodes.
@@ -81,15 +79,15 @@ def cross_entropy(
     Parameters
     ----------
     env : gymnasium.Env
-        As in `mean_return`.
+        Environment as in `mean_return`.
     generations : int
-        How often.
+        Number of generations.
     population : int
-        Policies in each.
+        Number of policies per generation.
     episodes : int
-        Episodes that each policy flies.
+        Number of episodes per policy.
     seed : int
-        Seed of everything random.
+        Seed of the random gains.
 
     Returns
     -------
@@ -98,21 +96,21 @@ def cross_entropy(
     """
     random = np.random.default_rng(seed)
     mean, deviation = np.zeros(6), np.full(6, 2.0)
-    best = max(population // 4, 2)
+    elite_count = max(population // 4, 2)
     for generation in range(generations):
         drawn = mean + deviation * random.standard_normal((population, 6))
         seeds = range(1000 * generation, 1000 * generation + episodes)
         returns = [mean_return(env, _policy(weights), seeds) for weights in drawn]
-        chosen = drawn[np.argsort(returns)[-best:]]
-        mean = chosen.mean(axis=0)
-        # Szita and Lorincz' noise, a tenth of the first spread at the beginning and none at the end.
-        deviation = chosen.std(axis=0) + 0.2 * (1.0 - (generation + 1) / generations)
+        elite = drawn[np.argsort(returns)[-elite_count:]]
+        mean = elite.mean(axis=0)
+        # The noise of Szita and Lorincz: a tenth of the initial deviation at first, 0 at the end.
+        deviation = elite.std(axis=0) + 0.2 * (1.0 - (generation + 1) / generations)
     return _policy(mean)
 
 
-def _policy(numbers: Floats) -> LinearPolicy:
-    """Gains of elevation and its rate on both rotors, of the rest on their difference."""
-    both, apart = np.zeros(8), np.zeros(8)
-    both[[0, 3]] = numbers[:2]
-    apart[[1, 4, 2, 5]] = numbers[2:]
-    return LinearPolicy(np.vstack((both + apart, both - apart)))
+def _policy(weights: Floats) -> LinearPolicy:
+    """Build a policy: elevation and its rate act on the sum of the voltages, the rest on their difference."""
+    collective, differential = np.zeros(8), np.zeros(8)
+    collective[[0, 3]] = weights[:2]
+    differential[[1, 4, 2, 5]] = weights[2:]
+    return LinearPolicy(np.vstack((collective + differential, collective - differential)))

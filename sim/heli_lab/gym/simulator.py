@@ -1,4 +1,4 @@
-"""What an episode flies in: the plant alone, or the whole board in lockstep."""
+"""Simulators of an episode: the plant alone, or the simulated board in lockstep."""
 
 from __future__ import annotations
 
@@ -24,89 +24,90 @@ from heli_sim.sil.inprocess import InProcessTransport
 from typing_extensions import override
 
 from heli_lab.errors import LearningError
-from heli_lab.gym.domain import Drawn
+from heli_lab.gym.domain import DrawnRig
 
 Floats = npt.NDArray[np.float64]
 
 _BATCH_TICKS: Final = 4
-"""Least telemetry batch that the board offers: what is seen is at most 4 ms old."""
-_CARRIED_S, _CARRIED_STEPS = 0.5, 50
-"""How long the arm is carried to where an episode begins: at 20 deg/s, far below rates that are a fault."""
-_MOST_PLANTS: Final = 32
+"""Smallest telemetry batch of the board [ms]: observations are at most 4 ms old."""
+_CARRY_S, _CARRY_STEPS = 0.5, 50
+"""Time and steps in which the arm moves to its initial state: at most 20 deg/s, far below a fault of rate."""
+_MAX_PLANTS: Final = 32
+"""Largest number of compiled plants to keep."""
 _SETTLING_STEPS, _SETTLING_TICKS = 20, 20
-"""0.4 s in which thrusts that lag reach that of hover: seven times the longest lag seen on a rig."""
+"""Steps and their length [ms] until lagging thrusts reach hover: 0.4 s in total."""
 
 
 @dataclass(frozen=True)
-class Seen:
-    """What the encoders say at the end of a step.
+class StepResult:
+    """Measurement at the end of a step.
 
     Parameters
     ----------
     angles_rad : ndarray (3,)
-        Elevation, pitch and travel.
+        Elevation, pitch and travel, quantised by the encoders.
     flying : bool
-        False once the arm is down, an axis is at its stop, or the board no longer takes voltages.
-    why : str
-        Why it no longer flies; empty while it does.
+        False if the arm is on its table, an axis is at its stop, or the board refuses voltages.
+    reason : str
+        Reason why the flight has ended; empty while it continues.
     """
 
     angles_rad: Floats
     flying: bool = True
-    why: str = ""
+    reason: str = ""
 
 
 class Simulator(Protocol):
-    """What `HoverEnv` flies."""
+    """Simulation that `HoverEnv` controls."""
 
-    def reset(self, drawn: Drawn, state: Floats, hover_V: Floats, seed: int) -> Seen:
-        """Begin with a rig in the air.
+    def reset(self, drawn: DrawnRig, state: Floats, hover_V: Floats, seed: int) -> StepResult:
+        """Begin an episode with a rig in the air.
 
         Parameters
         ----------
-        drawn : Drawn
+        drawn : DrawnRig
             The rig and its effects.
         state : ndarray (6,)
-            Angles [rad] and rates [rad/s] to begin with.
+            Initial angles [rad] and rates [rad/s].
         hover_V : ndarray (2,)
-            Voltages that acted until now [V].
+            Front and back voltage before the episode [V]; a rotor lag starts settled at them.
         seed : int
-            Seed of what effects leave to chance.
+            Seed of random effects.
         """
         ...
 
-    def step(self, volts_V: Floats, ticks: int) -> Seen:
-        """Hold two voltages for some milliseconds.
+    def step(self, volts_V: Floats, ticks: int) -> StepResult:
+        """Apply two voltages for some milliseconds.
 
         Parameters
         ----------
         volts_V : ndarray (2,)
-            Front and back [V].
+            Front and back voltage [V].
         ticks : int
-            How long [ms].
+            Duration [ms].
         """
         ...
 
     def close(self) -> None:
-        """Let go of what it holds."""
+        """Release all resources."""
         ...
 
 
 class PlantAlone(Simulator):
-    """The equations with encoders, stops and table: as fast as can be, and no board in between."""
+    """Equations of motion with encoders, stops and table, without the board: the fastest simulation."""
 
     def __init__(self) -> None:
         self._run: dict[object, ca.Function] = {}
         self._plants: dict[object, Plant] = {}
 
     @override
-    def reset(self, drawn: Drawn, state: Floats, hover_V: Floats, seed: int) -> Seen:
+    def reset(self, drawn: DrawnRig, state: Floats, hover_V: Floats, seed: int) -> StepResult:
         model = model_named(drawn.rig.model or MultibodyModel.name, drawn.effects)
-        late = tuple(effect.values[effect.delay] for effect in drawn.effects if effect.delay)
-        # What the compiled step depends on; all other numbers are its arguments.
-        key = (model.name, tuple(effect.name for effect in model.effects), late)
+        delays_s = tuple(effect.values[effect.delay] for effect in drawn.effects if effect.delay)
+        # The compiled step depends on these only; all other quantities are its arguments.
+        key = (model.name, tuple(effect.name for effect in model.effects), delays_s)
         if key not in self._plants:
-            if len(self._plants) >= _MOST_PLANTS:
+            if len(self._plants) >= _MAX_PLANTS:
                 self._plants.clear()
                 self._run.clear()
             self._plants[key] = Plant(model, drawn.rig, seed)
@@ -124,14 +125,14 @@ class PlantAlone(Simulator):
             Plant(model, drawn.rig, seed).rest_state() if plant.extras.random else plant.rest_state()
         )
         self._state[:6] = state
-        # A thrust that lags must not begin at none.
+        # A lagging thrust must start at its hover value.
         self._settle(hover_V)
         self._state[:6] = state
-        return self._seen(self._state[:3])
+        return self._result(self._state[:3])
 
     @override
-    def step(self, volts_V: Floats, ticks: int) -> Seen:
-        return self._seen(self._advance(np.asarray(volts_V, np.float64), ticks))
+    def step(self, volts_V: Floats, ticks: int) -> StepResult:
+        return self._result(self._advance(np.asarray(volts_V, np.float64), ticks))
 
     @override
     def close(self) -> None:
@@ -145,15 +146,15 @@ class PlantAlone(Simulator):
             self._state[:6] = kept
 
     def _advance(self, volts_V: Floats, ticks: int) -> Floats:
-        """Go on by so many milliseconds; the measured angles [rad]."""
+        """Simulate some milliseconds, and return the measured angles [rad], shape (3,)."""
         run = self._ticks(ticks)
-        # CasADi reads and writes the arrays in place: its own matrices would take five times as long.
+        # CasADi reads and writes the arrays in place; calls with its own matrices take five times as long.
         buffer: Any
         buffer, evaluate = run.buffer()
-        given: tuple[Any, ...] = (self._state, volts_V, self._parameters)
+        inputs: tuple[Any, ...] = (self._state, volts_V, self._parameters)
         after, measured = np.empty(self._state.size), np.empty(3)
         outputs: tuple[Any, ...] = (after, measured)
-        for place, array in enumerate(given):
+        for place, array in enumerate(inputs):
             buffer.set_arg(place, memoryview(array))
         for place, array in enumerate(outputs):
             buffer.set_res(place, memoryview(array))
@@ -162,7 +163,9 @@ class PlantAlone(Simulator):
         return measured
 
     def _ticks(self, ticks: int) -> ca.Function:
-        """So many milliseconds in one call; without a C compiler CasADi's virtual machine does them."""
+        """Return a function that simulates some milliseconds in one call, compiled if a C compiler is
+        available.
+        """
         key = (self._key, ticks)
         if key not in self._run:
             step = self._plant.function
@@ -176,23 +179,24 @@ class PlantAlone(Simulator):
             self._run[key] = ca.Function("ticks", [x, u, p], [after, measured])
         return self._run[key]
 
-    def _seen(self, measured_rad: Floats) -> Seen:
+    def _result(self, measured_rad: Floats) -> StepResult:
         angles = np.round(measured_rad / self._rad) * self._rad
         low, high, pitch, travel = self._limits_rad
         elevation = self._state[0]
-        why = (
+        reason = (
             "the arm is on its table" if elevation <= low
             else "elevation is at its stop" if elevation >= high
             else "pitch is at its stop" if abs(self._state[1]) >= pitch
             else "travel is at its stop" if abs(self._state[2]) >= travel
             else ""
         )  # fmt: skip
-        return Seen(angles, not why, why)
+        return StepResult(angles, not reason, reason)
 
 
 class BoardInLockstep(Simulator):
-    """The flight code with its limits and faults, and the link, on simulated time; the board takes off by its
-    own law, and then takes streamed voltages.
+    """Flight code with its limits and faults, and the link, in simulated time.
+
+    The board takes off with its control law, and then applies streamed voltages.
     """
 
     def __init__(self) -> None:
@@ -200,8 +204,8 @@ class BoardInLockstep(Simulator):
         self._folder = tempfile.TemporaryDirectory(prefix="heli-gym-")
 
     @override
-    def reset(self, drawn: Drawn, state: Floats, hover_V: Floats, seed: int) -> Seen:
-        self._let_go()
+    def reset(self, drawn: DrawnRig, state: Floats, hover_V: Floats, seed: int) -> StepResult:
+        self._disconnect()
         path = Path(self._folder.name) / "rig.toml"
         write_rig(drawn.rig, path)
         options = {"rig": str(path), "seed": str(seed), "slice_ms": "1"}
@@ -213,54 +217,54 @@ class BoardInLockstep(Simulator):
         heli.session.read_interval_s = 0.001
         transport = heli.session.transport
         if not isinstance(transport, InProcessTransport):
-            raise LearningError("the board is not in this process", "leave board=... out")
+            raise LearningError("the board runs in another process", "remove the option board")
         heli.stream()
-        world, volts_V = transport.world, self._allowed(hover_V)
+        world, volts_V = transport.world, self._clip_to_limits(hover_V)
         before = world.state
-        # Carried there as by a hand, for the board takes a jump for an axis that runs away.
-        for share in np.linspace(0.0, 1.0, _CARRIED_STEPS):
-            carried = before + share * (np.array([*state, *before[6:]]) - before)
-            world.state = np.array([*carried[:3], *state[3:], *world.state[6:]])
+        # Moved gradually, because the board treats a jump as a runaway axis.
+        for share in np.linspace(0.0, 1.0, _CARRY_STEPS):
+            moved = before + share * (np.array([*state, *before[6:]]) - before)
+            world.state = np.array([*moved[:3], *state[3:], *world.state[6:]])
             heli.voltages(*volts_V)
-            heli.wait(_CARRIED_S / _CARRIED_STEPS)
-        return self._seen()
+            heli.wait(_CARRY_S / _CARRY_STEPS)
+        return self._result()
 
     @override
-    def step(self, volts_V: Floats, ticks: int) -> Seen:
-        heli = self._flown()
+    def step(self, volts_V: Floats, ticks: int) -> StepResult:
+        heli = self._connected()
         try:
-            heli.voltages(*self._allowed(volts_V), valid_s=ticks * 2e-3)
+            heli.voltages(*self._clip_to_limits(volts_V), valid_s=ticks * 2e-3)
             heli.wait(ticks * 1e-3)
         except HeliError as error:
-            return Seen(self._angles_rad(), False, error.cause)
-        return self._seen()
+            return StepResult(self._angles_rad(), False, error.cause)
+        return self._result()
 
     @override
     def close(self) -> None:
-        self._let_go()
+        self._disconnect()
         self._folder.cleanup()
 
-    def _flown(self) -> heli_host.Heli:
+    def _connected(self) -> heli_host.Heli:
         if self._heli is None:
             raise LearningError("no episode has begun", "call reset first")
         return self._heli
 
-    def _allowed(self, volts_V: Floats) -> tuple[float, float]:
-        params = self._flown().params
+    def _clip_to_limits(self, volts_V: Floats) -> tuple[float, float]:
+        params = self._connected().params
         front_V, back_V = np.clip(volts_V, params["motor_min_V"], params["motor_max_V"]).tolist()
         return front_V, back_V
 
     def _angles_rad(self) -> Floats:
-        newest = self._flown().latest
+        newest = self._connected().latest
         return np.array([newest.elevation_rad, newest.pitch_rad, newest.travel_rad])
 
-    def _seen(self) -> Seen:
-        newest = self._flown().latest
+    def _result(self) -> StepResult:
+        newest = self._connected().latest
         flying = newest.state is State.STREAMED
-        why = "" if flying else f"the board is in {newest.state}, fault {newest.fault}"
-        return Seen(self._angles_rad(), flying, why)
+        reason = "" if flying else f"the board is in {newest.state}, fault {newest.fault}"
+        return StepResult(self._angles_rad(), flying, reason)
 
-    def _let_go(self) -> None:
+    def _disconnect(self) -> None:
         if self._heli is not None:
             with contextlib.suppress(HeliError):
                 self._heli.close()

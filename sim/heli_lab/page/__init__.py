@@ -1,4 +1,4 @@
-"""Reports: one HTML page that needs no other file, from a template, and its numbers as JSON."""
+"""Write reports: a self-contained HTML page from a template, and its data as JSON."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _HERE: Final = Path(__file__).parent
 
 
 def folder_with(numbers: Mapping[str, Any], folder: str | Path) -> Path:
-    """Make the `folder` of a report, keep its `numbers` there as result.json, and return it."""
+    """Create the `folder` of a report, write `numbers` into its result.json, and return the folder."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "result.json", numbers)
@@ -20,7 +20,7 @@ def folder_with(numbers: Mapping[str, Any], folder: str | Path) -> Path:
 
 
 def write_json(path: Path, numbers: Any) -> None:
-    """Write `numbers` into the file at `path`; JSON has no infinity, so what is not finite becomes null."""
+    """Write `numbers` as JSON to `path`; infinite values and NaN become null, because JSON has neither."""
     path.write_text(json.dumps(_finite(numbers), indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
@@ -33,8 +33,14 @@ def _finite(value: Any) -> Any:
 
 
 def write_page(folder: Path, template: Path, **content: Any) -> Path:
-    """Write index.html into a `folder` from a jinja2 `template`, which extends this room's ``base.html`` and
-    is given the `content` by name; return the page. All content is escaped.
+    """Write index.html into a `folder` from a jinja2 template, and return the path of the page.
+
+    Parameters
+    ----------
+    template : Path
+        Template, which may extend ``base.html`` of this package.
+    content
+        Variables of the template, by name; they are escaped.
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 

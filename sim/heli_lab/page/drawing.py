@@ -1,6 +1,7 @@
-"""Figures turned into PNG: matplotlib holds Python's lock, so a process beside draws half of them.
+"""Render figures as PNG in this process and in a second one, because matplotlib holds Python's lock.
 
-Run as a module, this is that process: it takes figures from its standard input and answers with pictures.
+Run as a module, this file is the second process: it reads figures from standard input and writes PNG images
+to standard output.
 """
 
 from __future__ import annotations
@@ -28,8 +29,18 @@ _LENGTH: Final = struct.Struct("<q")
 
 
 class Picture:
-    """A `figure` that a `drawing` draws into the file at `path`. As text it is an address that holds the
-    whole picture as PNG, 110 dots per inch, so that a page needs no other file; who asks waits for it.
+    """Figure that is rendered into a PNG file at `path`, with 110 dots per inch.
+
+    ``str(picture)`` waits for the image and returns it as a data URL, so that a page needs no other file.
+
+    Parameters
+    ----------
+    drawing : Drawing
+        Renderer to which the figure was added.
+    figure : matplotlib.figure.Figure
+        The figure.
+    path : Path
+        The PNG file.
     """
 
     def __init__(self, drawing: Drawing, figure: Figure, path: Path) -> None:
@@ -37,7 +48,7 @@ class Picture:
         self._png = b""
 
     def keep(self, png: bytes) -> None:
-        """Write the drawn picture, a `png`, into its file, and keep it."""
+        """Write the image, a `png`, into its file, and keep it in memory."""
         self.path.write_bytes(png)
         self._png = png
 
@@ -48,27 +59,27 @@ class Picture:
 
 
 class Drawing:
-    """Figures to draw, the first ones by a process beside, the last ones here.
+    """Queue of figures: a second process renders from its beginning, this one from its end.
 
     Parameters
     ----------
-    beside : bool
-        Start that process, which is ready a second later. Where it cannot be started, or dies, all is drawn
-        here.
+    use_process : bool
+        Whether to start the second process, which takes a second. If it cannot start, or ends early, this
+        process renders all figures.
 
     Attributes
     ----------
     process : subprocess.Popen or None
-        The process beside, once it was started.
+        The second process, if it has started.
     """
 
-    def __init__(self, beside: bool = False) -> None:
+    def __init__(self, use_process: bool = False) -> None:
         self._waiting: deque[Picture] = deque()
         self._more = threading.Condition()
-        self._ended = not beside
+        self._is_closed = not use_process
         self.process: subprocess.Popen[bytes] | None = None
-        self._thread = threading.Thread(target=self._hand_over, daemon=True)
-        if beside:
+        self._thread = threading.Thread(target=self._feed_process, daemon=True)
+        if use_process:
             self._thread.start()
 
     def __enter__(self) -> Self:
@@ -82,11 +93,11 @@ class Drawing:
 
     @property
     def waiting(self) -> int:
-        """Figures that nobody draws yet."""
+        """Number of figures in the queue."""
         return len(self._waiting)
 
     def add(self, figure: Figure, path: Path) -> Picture:
-        """Have a `figure` drawn into the file at `path`; it must not be changed any more."""
+        """Queue a `figure` for the PNG file at `path`; the caller must not change it afterwards."""
         picture = Picture(self, figure, path)
         with self._more:
             self._waiting.append(picture)
@@ -94,16 +105,16 @@ class Drawing:
         return picture
 
     def finish(self) -> None:
-        """Draw what nobody draws yet, and wait for the rest."""
+        """Render the remaining figures, and wait for the second process."""
         self._draw()
         self.close()
-        # A process that died has left what it was drawing.
+        # If the second process ended early, its figure is in the queue again.
         self._draw()
 
     def close(self) -> None:
-        """End the process beside, once it has drawn what it draws."""
+        """End the second process after its current figure."""
         with self._more:
-            self._ended = True
+            self._is_closed = True
             self._more.notify()
         if self._thread.is_alive():
             self._thread.join()
@@ -112,16 +123,16 @@ class Drawing:
         while self._waiting:
             try:
                 picture = self._waiting.pop()
-            except IndexError:  # the process beside was quicker
+            except IndexError:  # the second process took it
                 return
             picture.keep(png_of(picture.figure))
 
     def _next(self) -> Picture | None:
         with self._more:
-            self._more.wait_for(lambda: self._waiting or self._ended)
+            self._more.wait_for(lambda: self._waiting or self._is_closed)
             return self._waiting.popleft() if self._waiting else None
 
-    def _hand_over(self) -> None:
+    def _feed_process(self) -> None:
         try:
             self.process = process = subprocess.Popen(
                 [sys.executable, "-m", "heli_lab.page.drawing"],
@@ -134,7 +145,7 @@ class Drawing:
             return
         assert process.stdin is not None
         assert process.stdout is not None
-        # What is left in its pipe cannot be written once it is gone.
+        # Data in its pipe cannot be written after the process has ended.
         with suppress(OSError), process:
             while (picture := self._next()) is not None:
                 try:
@@ -145,15 +156,15 @@ class Drawing:
                 except OSError:
                     png = b""
                 if not png:
-                    # Drawn here it is drawn, or what stands in the way is raised where it is told.
+                    # Render it in this process, which also raises an error to the caller.
                     self._waiting.appendleft(picture)
                     break
-            # It has nothing that could be lost, and may still be starting.
+            # The process may still be starting; it has nothing to lose.
             process.kill()
 
 
 def png_of(figure: Figure) -> bytes:
-    """Draw a `figure` as PNG, 110 dots per inch."""
+    """Render a `figure` as PNG with 110 dots per inch."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=_DPI)
     return buffer.getvalue()
@@ -165,7 +176,7 @@ def _write(pipe: IO[bytes], content: bytes) -> None:
 
 
 def _read(pipe: IO[bytes]) -> bytes:
-    """What was written at the other end; nothing where that has gone."""
+    """Read one message; return nothing if the other end is closed."""
     head = pipe.read(_LENGTH.size)
     if len(head) < _LENGTH.size:
         return b""
@@ -175,11 +186,11 @@ def _read(pipe: IO[bytes]) -> bytes:
 
 
 def serve_drawings(figures: IO[bytes], pictures: IO[bytes]) -> None:
-    """Draw `figures`, each pickled, into `pictures`, until nobody gives any."""
+    """Read pickled `figures` and write them as PNG to `pictures`, until the input ends."""
     from matplotlib.backends import backend_agg
     from matplotlib.figure import Figure
 
-    # What a first figure pays for, such as fonts, is paid for before there is one.
+    # Load fonts and other resources before the first figure arrives.
     first = Figure()
     backend_agg.FigureCanvasAgg(first)
     first.subplots().set_title("$t$")
@@ -189,5 +200,5 @@ def serve_drawings(figures: IO[bytes], pictures: IO[bytes]) -> None:
 
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for whoever gives the figures
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process handles Ctrl-C
     serve_drawings(sys.stdin.buffer, sys.stdout.buffer)

@@ -1,1 +1,1 @@
-"""The paper's bench tests, tables and figures on the simulated rig."""
+"""Reproduce the paper's bench tests, tables and figures on the simulated rig."""

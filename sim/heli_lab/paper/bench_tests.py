@@ -1,7 +1,7 @@
-"""The bench tests of section IV of the paper: which axes are locked, where it starts, what the motors get.
+"""Bench tests of section IV of the paper: locked axes, initial angles and voltages.
 
-The paper says which axes it locked and from which angles pitch was released, and no more: neither voltages
-nor lengths are in its text. They are chosen here so that the free axes move far without touching a stop.
+The paper states which axes it locked and from which angles it released pitch, but neither voltages nor
+durations. They are chosen here so that the free axes move far without reaching a stop.
 """
 
 from __future__ import annotations
@@ -23,30 +23,30 @@ Floats = npt.NDArray[np.float64]
 
 TABLE_DEG: Final = -25.0
 _HOVER_V: Final = 1.7
-# Beyond this the elevation steps end at a stop or on the table.
-_HOVER_SLACK_V: Final = 0.15
+_HOVER_TOLERANCE_V: Final = 0.15
+"""Largest deviation of the hover voltage [V]; beyond it the elevation steps end at a stop or on the table."""
 
 
 @dataclass(frozen=True)
 class BenchTest:
-    """One experiment on a rig some of whose axes are locked.
+    """Experiment on a rig with some axes locked.
 
     Parameters
     ----------
     name : str
-        What it is called in lists and records.
+        Name in lists and records.
     panel : str
-        Panel of the paper's figure that shows it.
+        Figure and panel of the paper, such as ``16 (a)``.
     locked : tuple of bool
-        Which of elevation, pitch and travel are locked throughout.
+        Whether elevation, pitch and travel are locked.
     elevation_deg : float
-        Elevation at the start; all axes are locked until then.
+        Initial elevation; all axes are locked until the test starts.
     pitch_deg : float
-        Pitch at the start.
+        Initial pitch.
     front_V, back_V : float
-        Voltages from the start on; both 0 leaves the motors off.
+        Voltages during the test; if both are 0, the motors are off.
     duration_s : float
-        Length.
+        Duration of the test.
     """
 
     name: str
@@ -73,25 +73,35 @@ TRAVEL_STEPS: Final = (
 )
 
 THRUST_V: Final[tuple[float, ...]] = (0.5, *(float(volts) for volts in range(1, 11)))
-"""Voltages of the thrust curve, Fig. 15."""
+"""Voltages of the thrust curve in Fig. 15 [V]."""
 
 
 def check_rig(rig: Rig) -> None:
-    """Refuse a rig that the voltages of these tests do not suit: IdentifyError when it hovers at others than
-    Table 2's masses do, PlantError when it cannot hover at all.
+    """Check that the voltages of these tests suit a rig.
+
+    Raises
+    ------
+    IdentifyError
+        When the rig's hover voltage differs from that of Table 2 by more than 0.15 V.
+    PlantError
+        When the rig cannot hover.
     """
     hover_V = float(np.mean(trim(MultibodyModel(), rig).volts_V))
-    if abs(hover_V - _HOVER_V) > _HOVER_SLACK_V:
+    if abs(hover_V - _HOVER_V) > _HOVER_TOLERANCE_V:
         raise IdentifyError(
-            f"the paper's tests and flights are set for hover at {_HOVER_V:g} V on each motor, rig "
-            f"'{rig.name}' hovers at {hover_V:.2f}",
-            "give makki2024 or one like it",
+            f"the paper's tests and flights need a rig that hovers at {_HOVER_V:g} V per motor, but rig "
+            f"'{rig.name}' hovers at {hover_V:.2f} V",
+            "give makki2024 or a similar rig",
         )
 
 
 def record_of(test: BenchTest, flight: Flight, rig: Rig) -> Record:
-    """Make a bench test ready for fitting: all of it counts, from the moment of release. An IdentifyError
-    when a free axis reached a stop, or time is missing.
+    """Convert the flight of a bench test into a record for fitting, from the release to its end.
+
+    Raises
+    ------
+    IdentifyError
+        When a free axis reaches a stop, or rows are missing.
     """
     angles_deg = np.rad2deg(flight.angles_rad)
     elevation_deg, pitch_deg, travel_deg = (angles_deg[:, axis] for axis in range(3))
@@ -102,8 +112,8 @@ def record_of(test: BenchTest, flight: Flight, rig: Rig) -> Record:
     )
     if hit:
         raise IdentifyError(
-            f"{test.name}: the rig '{rig.name}' reaches a stop, its numbers are too far from Table 2",
-            "give makki2024 or one like it",
+            f"{test.name}: rig '{rig.name}' reaches a stop; its parameters are too far from Table 2",
+            "give makki2024 or a similar rig",
         )
     if flight.gaps.size:
         raise IdentifyError(f"{test.name}: rows are missing", "run it again")

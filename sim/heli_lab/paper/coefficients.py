@@ -1,7 +1,7 @@
-"""P_1 to P_18 of (30): what the paper prints, how that reads, and what a rig's masses give.
+"""Coefficients P_1 to P_18 of equations (30): values printed in the paper, and values from a rig's masses.
 
-Inside, every coefficient is in rad, s and V of the sums U+ = V_f + V_b and U- = V_f - V_b. Tables 3 to 5
-print no units and do not share any; `PRINTED` says how each table reads.
+The code uses rad, s, and V of the sum U+ = V_f + V_b and the difference U- = V_f - V_b. Tables 3 to 5 print
+no units and use different ones; `PRINTED` states the unit of each coefficient.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ DEG: Final = math.degrees(1.0)
 
 @dataclass(frozen=True)
 class Printed:
-    """A coefficient as a table prints it.
+    """Coefficient as printed in a table of the paper.
 
     Parameters
     ----------
     name : str
         P_1 to P_18.
     table : int
-        3, 4 or 5.
+        Number of the table: 3, 4 or 5.
     value, tolerance : float
-        As printed.
+        Printed value and tolerance.
     unit : str
-        How the number reads best.
+        Unit in which the printed value is most plausible.
     per_si : float
-        Factor from rad, s and V of U+ and U- to that unit.
+        Factor from rad, s and V of U+ and U- to this unit.
     term : str
-        What it multiplies in (30).
+        Term of (30) that the coefficient multiplies.
     """
 
     name: str
@@ -69,8 +69,9 @@ PRINTED: Final[tuple[Printed, ...]] = (
 
 
 def printed_inertias_kg_m2(rig: Rig, elevation_rad: float = 0.0, pitch_rad: float = 0.0) -> dict[str, float]:
-    """J_theta, J_phi and J_psi [kg m2] by (27), (28) and (29) as they are printed, at `elevation_rad` and
-    `pitch_rad`.
+    """Return J_theta, J_phi and J_psi [kg m^2] by (27), (28) and (29) as printed in the paper.
+
+    They depend on the attitude, `elevation_rad` and `pitch_rad`.
     """
     v = {name: number.value for name, number in rig.items()}
     rotors, across2 = v["M_f"] + v["M_b"], v["L_h"] ** 2 + v["L_phi"] ** 2
@@ -87,9 +88,13 @@ def printed_inertias_kg_m2(rig: Rig, elevation_rad: float = 0.0, pitch_rad: floa
 
 
 def analytic(rig: Rig, corrected: bool = True) -> dict[str, float]:
-    """P_1 to P_18 from a rig's numbers, by the formulas below (30), in rad, s and V of U+ and U-. If
-    `corrected`, P_18 is left out, and P_13 and P_16 have the arm L_a that a torque of the drag (22) has; else
-    as printed.
+    """Compute P_1 to P_18 from a rig's parameters by the formulas below (30), in rad, s and V of U+ and U-.
+
+    Parameters
+    ----------
+    corrected : bool
+        If true, P_18 is 0, and P_13 and P_16 contain the lever arm L_a of the drag (22). If false, use the
+        formulas as printed.
     """
     v = {name: number.value for name, number in rig.items()}
     inertia = printed_inertias_kg_m2(rig)

@@ -1,4 +1,4 @@
-"""How far each model is from a flight when nothing is fitted: free runs with the rig file's own numbers."""
+"""Open-loop errors of models on a flight, with the parameters of the rig file and without a fit."""
 
 from __future__ import annotations
 
@@ -16,18 +16,17 @@ from heli_lab.identify.solve import solve
 
 
 @dataclass(frozen=True)
-class Distance:
-    """A model against a flight.
+class ModelError:
+    """Error of open-loop simulations of a model on a flight.
 
     Parameters
     ----------
     model : str
         Name of the model.
     rms_deg : dict of float
-        Root mean square error of free runs, for elevation, pitch and travel; each begins at the state that
-        suits it best.
+        RMS error of elevation, pitch and travel; the initial state of each window is fitted.
     normalised : float
-        Of all axes, in standard deviations of the quantisation: 1 when nothing else is left.
+        RMS error of all axes in standard deviations of the quantisation; 1 is the smallest possible value.
     """
 
     model: str
@@ -35,13 +34,19 @@ class Distance:
     normalised: float
 
 
-def distances(models: Sequence[Model], rig: Rig, flight: Flight, window_s: float = 2.0) -> list[Distance]:
-    """Predict a flight freely with each model, window by window of `window_s`; an IdentifyError when no part
-    of it is free.
+def model_errors(
+    models: Sequence[Model], rig: Rig, flight: Flight, window_s: float = 2.0
+) -> list[ModelError]:
+    """Simulate a flight open loop with each model, in windows of `window_s` [s].
+
+    Raises
+    ------
+    IdentifyError
+        When no part of the flight is in the air.
     """
     record = prepare(flight, rig)
     out = []
     for model in models:
         checked = check(solve(Problem(model, rig, [record], free=[], window_s=window_s)))
-        out.append(Distance(model.name, checked.rms_deg, checked.normalised))
+        out.append(ModelError(model.name, checked.rms_deg, checked.normalised))
     return out

@@ -1,4 +1,4 @@
-"""The paper's experiments flown on the simulated rig, through the flight code and the whole link."""
+"""Run the paper's experiments on the simulated rig, with the flight code and the link."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from heli_sim.sil.world import SilWorld
 
     from heli_lab.paper.bench_tests import BenchTest
-    from heli_lab.paper.figures_flight import Flown
+    from heli_lab.paper.figures_flight import PaperFlight
 
 _BOOT_S = 0.5
 _SETTLE_S = 1.0
-_FREE_TICKS = 20
-"""Left out after the release and before the end, where locks and voltages change at once."""
+_MARGIN_TICKS = 20
+"""Ticks that are left out after the release and before the end, where locks and voltages change together."""
 _ALL_LOCKED = [True, True, True]
 
 
@@ -34,7 +34,7 @@ elevation_deg = 0
 rate_deg_s = 15
 settle_s = 4
 """
-# The paper's text gives neither amplitudes nor times; these stay within its rig's stops.
+# The paper's text states neither amplitudes nor times; these stay within the stops of its rig.
 PLANS: Final = {
     "hover": f"""
 title = "Hover"
@@ -73,21 +73,21 @@ duration_s = 60
 
 @contextlib.contextmanager
 def board_on(plant: Plant, seed: int, elevation_deg: float) -> Iterator[tuple[Heli, SilWorld]]:
-    """Start a simulated board on a rig whose axes are locked, level in pitch.
+    """Start a simulated board on a rig with all axes locked and level pitch.
 
     Parameters
     ----------
     seed : int
-        Of the encoders' starting points.
+        Seed of the encoders' initial positions.
     elevation_deg : float
-        Where the arm is held; the board is told that this is its rest.
+        Elevation of the locked arm, which also becomes the rest elevation of the board.
 
     Yields
     ------
     Heli
-        Connected, idle.
+        Connected host; the board is idle.
     SilWorld
-        The world that it is in.
+        Simulation of board and rig.
     """
     from heli_host.heli import Heli
     from heli_host.link.session import Session
@@ -110,8 +110,12 @@ def board_on(plant: Plant, seed: int, elevation_deg: float) -> Iterator[tuple[He
 
 
 def run_bench_test(test: BenchTest, plant: Plant, seed: int = 1) -> Flight:
-    """Do one of the bench tests: every tick from the release on, time 0 at the release; the encoders'
-    starting points are drawn from the `seed`.
+    """Run a bench test, and return its flight with one row per tick; time 0 is at the release.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the encoders' initial positions.
     """
     from heli_host.declaration import Axes
     from heli_host.fly.recorder import Recorder
@@ -132,9 +136,9 @@ def run_bench_test(test: BenchTest, plant: Plant, seed: int = 1) -> Flight:
                 heli.control(Axes(0), test.front_V, test.back_V)
             world.native.locked = list(test.locked)
             # The board and the world count the same milliseconds.
-            release_tick = world.tick + _FREE_TICKS
+            release_tick = world.tick + _MARGIN_TICKS
             heli.wait(test.duration_s)
-            last_tick = world.tick - _FREE_TICKS
+            last_tick = world.tick - _MARGIN_TICKS
             if powered:
                 heli.stop()
             heli.wait(_BOOT_S)
@@ -146,8 +150,14 @@ def run_bench_test(test: BenchTest, plant: Plant, seed: int = 1) -> Flight:
 
 
 def read_thrust(plant: Plant, seed: int = 1) -> ThrustCurve:
-    """Read thrust against voltage from a scale, every axis locked, at each of the voltages of Fig. 15; the
-    encoders' starting points are drawn from the `seed`.
+    """Measure thrust over voltage with scales under the rotors, at the voltages of Fig. 15.
+
+    All axes are locked.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the encoders' initial positions.
     """
     from heli_host.declaration import Axes
     from heli_sim.bench.thrust_curve import ThrustCurve
@@ -176,21 +186,21 @@ def fly_plan(
     gains: str | None = None,
     seed: int = 1,
     on_progress: Callable[[float], None] | None = None,
-) -> Flown:
-    """Fly one of the plans behind Figs. 21 to 25; the flight is there also when a fault ended it.
+) -> PaperFlight:
+    """Fly one of the plans behind Figs. 21 to 25; a flight that ends with a fault is also returned.
 
     Parameters
     ----------
     name : str
-        A name of `PLANS`.
+        Name of the plan, a key of `PLANS`.
     label : str
-        What the flight is called in the figure.
+        Label of the flight in the figure.
     gains : str or None
-        Gains, as ``--gains`` names them; None for the board's own.
+        Gains by their name for ``--gains``; None for the board's defaults.
     seed : int
-        Of the encoders' starting points.
+        Seed of the encoders' initial positions.
     on_progress : callable, optional
-        Told the share that is done.
+        Called with the completed share of the flight, 0 to 1.
     """
     from heli_host.declaration import State
     from heli_host.fly.plan import Plan, take_off
@@ -199,15 +209,15 @@ def fly_plan(
     from heli_host.published_gains import load_gains
 
     from heli_lab.paper.bench_tests import TABLE_DEG
-    from heli_lab.paper.figures_flight import flown_by
+    from heli_lab.paper.figures_flight import closed_loop_flight
 
     plan = Plan.parse(PLANS[name], f"plan {name}", name)
     length_s = plan.duration_s + plan.start.settle_s
 
     with board_on(plant, seed, TABLE_DEG) as (heli, world), tempfile.TemporaryDirectory() as folder:
 
-        def tell(progress: Progress) -> None:
-            # Table 2 as point masses balances above the table: the axes stay locked until the loops close.
+        def report(progress: Progress) -> None:
+            # With Table 2 as point masses the arm balances above the table, so it stays locked until then.
             if progress.sample.state is State.CLOSED_LOOP:
                 world.native.locked = [False, False, False]
             if on_progress is not None:
@@ -218,8 +228,8 @@ def fly_plan(
         start_deg = np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg])
         route = take_off([plan], dict(heli.params), start_deg)
         path = Path(folder) / "flight.mcap"
-        summary = fly(heli, plan, log_path=path, on_progress=tell)
+        summary = fly(heli, plan, log_path=path, on_progress=report)
         flight = read_log(path).flight()
     closed = np.flatnonzero(flight.state == State.CLOSED_LOOP)
     start_s = float(flight.t_s[closed[0]]) if closed.size else 0.0
-    return flown_by(label, flight, route.evaluate(flight.t_s - start_s), summary.outcome)
+    return closed_loop_flight(label, flight, route.evaluate(flight.t_s - start_s), summary.outcome)

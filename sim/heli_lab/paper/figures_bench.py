@@ -1,4 +1,4 @@
-"""Counterparts of Figs. 15 to 19: thrust, pitch released, elevation and travel steps, sensitivity."""
+"""Draw Figs. 15 to 19: thrust, pitch releases, elevation and travel steps, sensitivity."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ MEASURED_COLOUR: Final = "#222222"
 MODEL_COLOUR: Final = "#d1495b"
 PRINTED_COLOUR: Final = "#0b5fa5"
 GREY_COLOUR: Final = "#8a8a8a"
-_SHOWN: Final = {3: "pitch", 4: "elevation", 5: "travel"}
-_NUMBERS: Final = {3: "16", 4: "17", 5: "18"}
+_AXIS_OF_TABLE: Final = {3: "pitch", 4: "elevation", 5: "travel"}
+_FIGURE_OF_TABLE: Final = {3: "16", 4: "17", 5: "18"}
 _PANEL_SIZE: Final = (6.4, 3.4)
-_WHOLE_s: Final = 1000.0
-_SMALL: Final = 8
+_SINGLE_WINDOW_s: Final = 1000.0
+_FONT_SIZE: Final = 8
 
 
 def thrust_figure(curve: ThrustCurve) -> Figure:
-    """Draw Fig. 15: thrust against voltage with the line through it."""
+    """Draw Fig. 15: thrust over voltage with the fitted line."""
     from matplotlib.figure import Figure
 
     line = curve.line()
@@ -64,18 +64,18 @@ def thrust_figure(curve: ThrustCurve) -> Figure:
     panel.set_xlabel("voltage of the motor [V]")
     panel.set_ylabel("thrust [N]")
     panel.grid(alpha=0.25)
-    panel.legend(fontsize=_SMALL)
+    panel.legend(fontsize=_FONT_SIZE)
     figure.suptitle("Thrust against voltage (after Fig. 15)")
     return figure
 
 
 def bench_figure(table: Table, records: Sequence[Record], rig: Rig) -> Figure:
-    """Draw one of Figs. 16 to 18: the bench tests of a table in panels (a) and (b), measured and by (30) as
-    identified from them.
+    """Draw one of Figs. 16 to 18: both bench tests of a table, measured and simulated with the identified
+    (30).
     """
     from matplotlib.figure import Figure
 
-    tests, axis = TESTS_OF_TABLE[table.number], _SHOWN[table.number]
+    tests, axis = TESTS_OF_TABLE[table.number], _AXIS_OF_TABLE[table.number]
     figure = Figure(figsize=(_PANEL_SIZE[0], 2.0 * _PANEL_SIZE[1]), layout="constrained")
     panels = figure.subplots(2, 1)
     for panel, test, record in zip(panels, tests, records, strict=True):
@@ -104,14 +104,16 @@ def bench_figure(table: Table, records: Sequence[Record], rig: Rig) -> Figure:
         )
         panel.set_ylabel(f"{axis} angle [deg]")
         panel.grid(alpha=0.25)
-        panel.legend(fontsize=_SMALL)
+        panel.legend(fontsize=_FONT_SIZE)
     panels[-1].set_xlabel("time [s]")
-    figure.suptitle(f"Measured and simulated at the {axis} axis (after Fig. {_NUMBERS[table.number]})")
+    figure.suptitle(
+        f"Measured and simulated at the {axis} axis (after Fig. {_FIGURE_OF_TABLE[table.number]})"
+    )
     return figure
 
 
 def sensitivity_figure(rig: Rig) -> Figure:
-    """Draw Fig. 19: the elevation's step response with parameters changed or neglected."""
+    """Draw Fig. 19: step responses of elevation with changed or neglected parameters."""
     from matplotlib.figure import Figure
 
     test, t_s = ELEVATION_STEPS[0], np.arange(0.0, 20.0, 0.02)
@@ -129,13 +131,13 @@ def sensitivity_figure(rig: Rig) -> Figure:
     panel.set_xlabel(f"time since the step to {test.front_V:g} V on each motor [s]")
     panel.set_ylabel("elevation angle [deg]")
     panel.grid(alpha=0.25)
-    panel.legend(fontsize=_SMALL, ncols=2)
+    panel.legend(fontsize=_FONT_SIZE, ncols=2)
     figure.suptitle("Effect of parameter variations on the elevation dynamics (after Fig. 19)")
     return figure
 
 
 def _whole_run(table: Table, record: Record, rig: Rig) -> Trace:
-    """Predict a test from its beginning to its end in one run, with what the table found."""
+    """Simulate a whole test open loop with the coefficients identified for its table."""
     fit = table.fit
     index = next(i for i, record_ in enumerate(fit.problem.records) if record_.label == record.label)
     values = {
@@ -143,5 +145,5 @@ def _whole_run(table: Table, record: Record, rig: Rig) -> Trace:
         for parameter, value in zip(fit.problem.free, fit.theta, strict=True)
         if parameter.record in (None, index)
     }
-    problem = Problem(fit.problem.model, rig, [record], free=[], window_s=_WHOLE_s, values=values)
+    problem = Problem(fit.problem.model, rig, [record], free=[], window_s=_SINGLE_WINDOW_s, values=values)
     return trace(solve(problem))

@@ -1,4 +1,4 @@
-"""Counterparts of Figs. 21 to 25: hover, the irregular path, the sines; each flown with two sets of gains."""
+"""Draw Figs. 21 to 25: hover, the irregular path and the sines, each with two sets of gains."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 
 _COLOURS: Final = (PRINTED_COLOUR, MODEL_COLOUR)
-_WIDTH, _HEIGHT, _SMALL = 7.0, 2.7, 8
-# A path that the host streams is on board a little later; and the last tick before a landing is no flight.
+_WIDTH, _HEIGHT, _FONT_SIZE = 7.0, 2.7, 8
 _END_S: Final = 0.1
+"""Time that is left out at the end [s]: a streamed path arrives late on the board, and the landing begins."""
 
 
 @dataclass(frozen=True)
-class Flown:
-    """A flight to be drawn.
+class PaperFlight:
+    """Closed-loop flight for a figure.
 
     Parameters
     ----------
     label : str
-        Which gains flew it.
+        Name of the gains.
     flight : Flight
-        Closed-loop part of a log, time 0 at the take-off.
+        Closed-loop part of a log; time 0 is the take-off.
     desired_deg : ndarray (n, 3)
-        What the plan asked of elevation, pitch and travel; pitch as its own loop was asked.
+        Planned elevation and travel, and the setpoint of the pitch loop [deg].
     outcome : str
-        ``completed``, or what ended it.
+        ``completed``, or the reason why the flight ended.
     """
 
     label: str
@@ -49,31 +49,33 @@ class Flown:
 
     @property
     def error_deg(self) -> Floats:
-        """Measured minus desired, shape (n, 3)."""
+        """Measured minus desired angles [deg], shape (n, 3)."""
         result: Floats = np.rad2deg(self.flight.angles_rad) - self.desired_deg
         return result
 
 
-def flown_by(label: str, flight: Flight, desired_deg: Floats, outcome: str) -> Flown:
-    """Cut the closed-loop part, from take-off to the end of the plan, out of a log.
+def closed_loop_flight(label: str, flight: Flight, desired_deg: Floats, outcome: str) -> PaperFlight:
+    """Return the closed-loop part of a log, from take-off to the end of the plan.
 
     Parameters
     ----------
     label : str
-        Which gains flew it.
+        Name of the gains.
     desired_deg : ndarray (n, 3)
-        Elevation, pitch and travel that the plan asked for at each row, pitch being ignored.
+        Planned elevation, pitch and travel at each row [deg]; pitch is ignored.
     outcome : str
-        How the flight ended.
+        ``completed``, or the reason why the flight ended.
 
     Raises
     ------
     IdentifyError
-        When the log holds no closed-loop flight.
+        When the log contains no closed-loop flight.
     """
     names = {name: number for number, name in flight.state_names.items()}
     if flight.state is None or flight.setpoints_rad is None:
-        raise IdentifyError(f"{label}: the log holds no states or setpoints", "record it with heli-host fly")
+        raise IdentifyError(
+            f"{label}: the log contains no states or setpoints", "record it with heli-host fly"
+        )
     rows = np.flatnonzero(flight.state == names["closed_loop"])
     if rows.size == 0:
         raise IdentifyError(
@@ -82,24 +84,24 @@ def flown_by(label: str, flight: Flight, desired_deg: Floats, outcome: str) -> F
     start_s, stop_s = float(flight.t_s[rows[0]]), float(flight.t_s[rows[-1]]) - _END_S
     cut = flight.between(start_s, stop_s)
     keep = (flight.t_s >= start_s) & (flight.t_s < stop_s)
-    wanted = desired_deg[keep].copy()
-    wanted[:, 1] = np.rad2deg(flight.setpoints_rad[keep, 1])
+    desired = desired_deg[keep].copy()
+    desired[:, 1] = np.rad2deg(flight.setpoints_rad[keep, 1])
     shifted = Flight(
         cut.t_s - start_s, cut.front_V, cut.back_V, cut.elevation_rad, cut.pitch_rad, cut.travel_rad
     )
-    return Flown(label, shifted, wanted, outcome)
+    return PaperFlight(label, shifted, desired, outcome)
 
 
-def hover_figure(flights: Sequence[Flown]) -> Figure:
-    """Draw Fig. 21: pitch, elevation and travel while hovering, on one time axis."""
+def hover_figure(flights: Sequence[PaperFlight]) -> Figure:
+    """Draw Fig. 21: pitch, elevation and travel over time at hover."""
     figure, panels = _panels(3, "Pitch, elevation and travel while hovering (after Fig. 21)")
     for panel, axis in zip(panels, (1, 0, 2), strict=True):
         _response(panel, flights, axis, desired=axis != 1)
     return figure
 
 
-def response_figure(flights: Sequence[Flown], path: str, number: int) -> Figure:
-    """Draw Fig. 22 or 24, its `number`: (a) travel and (b) elevation along the `path` of that name."""
+def response_figure(flights: Sequence[PaperFlight], path: str, number: int) -> Figure:
+    """Draw Fig. 22 or 24, by its `number`: travel and elevation along the path named `path`."""
     figure, panels = _panels(2, f"Response during flight along the {path} (after Fig. {number})")
     for letter, panel, axis in zip("ab", panels, (2, 0), strict=True):
         _response(panel, flights, axis, desired=True)
@@ -107,15 +109,17 @@ def response_figure(flights: Sequence[Flown], path: str, number: int) -> Figure:
     return figure
 
 
-def performance_figure(flights: Sequence[Flown], path: str, number: int) -> Figure:
-    """Draw Fig. 23 or 25, its `number`: how well (a) travel and (b) elevation follow that `path`."""
+def performance_figure(flights: Sequence[PaperFlight], path: str, number: int) -> Figure:
+    """Draw Fig. 23 or 25, by its `number`: tracking errors of travel and elevation along the path named
+    `path`.
+    """
     figure, panels = _panels(
         2, f"Tracking performance along the {path} (after Fig. {number})", "; take-off left out"
     )
     for letter, panel, axis in zip("ab", panels, (2, 0), strict=True):
         for flight, colour in zip(flights, _COLOURS, strict=False):
             error = flight.error_deg[:, axis]
-            aloft = flight.flight.t_s > aloft_s(flight)
+            aloft = flight.flight.t_s > take_off_end_s(flight)
             rms = float(np.sqrt(np.mean(error[aloft] ** 2))) if aloft.any() else float("nan")
             label = f"{flight.label}: {rms:.2f} deg rms"
             panel.plot(flight.flight.t_s[aloft], error[aloft], color=colour, lw=0.9, label=label)
@@ -125,23 +129,23 @@ def performance_figure(flights: Sequence[Flown], path: str, number: int) -> Figu
     return figure
 
 
-def aloft_s(flight: Flown) -> float:
-    """When the take-off is over [s]: the elevation has first reached what is desired within half a degree,
-    and a second has passed.
+def take_off_end_s(flight: PaperFlight) -> float:
+    """Return the end of the take-off [s]: one second after elevation first reaches its setpoint within 0.5
+    deg.
     """
-    level = np.abs(flight.error_deg[:, 0]) < _THERE_DEG
-    up = level & (flight.desired_deg[:, 0] > _ALOFT_DEG)
+    level = np.abs(flight.error_deg[:, 0]) < _LEVEL_TOLERANCE_DEG
+    up = level & (flight.desired_deg[:, 0] > _TAKEN_OFF_DEG)
     first = np.flatnonzero(up)
     return float(flight.flight.t_s[first[0]]) + _SETTLE_S if first.size else 0.0
 
 
-_THERE_DEG: Final = 0.5
-_ALOFT_DEG: Final = -1.0
+_LEVEL_TOLERANCE_DEG: Final = 0.5
+_TAKEN_OFF_DEG: Final = -1.0
 _SETTLE_S: Final = 1.0
 
 
 def _panels(count: int, title: str, note: str = "") -> tuple[Figure, list[Axes]]:
-    """A figure of panels over one time axis."""
+    """Create a figure of panels with a shared time axis."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(_WIDTH, count * _HEIGHT), layout="constrained")
@@ -154,10 +158,10 @@ def _panels(count: int, title: str, note: str = "") -> tuple[Figure, list[Axes]]
 def _finish(panel: Axes, label: str) -> None:
     panel.set_ylabel(label)
     panel.grid(alpha=0.25)
-    panel.legend(fontsize=_SMALL, loc="best")
+    panel.legend(fontsize=_FONT_SIZE, loc="best")
 
 
-def _response(panel: Axes, flights: Sequence[Flown], axis: int, *, desired: bool) -> None:
+def _response(panel: Axes, flights: Sequence[PaperFlight], axis: int, *, desired: bool) -> None:
     if desired:
         first = flights[0]
         panel.plot(

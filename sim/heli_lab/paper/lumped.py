@@ -1,8 +1,8 @@
-"""Equations (30) with P_1 to P_18 themselves as parameters: what the paper identified.
+"""Equations (30) with the coefficients P_1 to P_18 as parameters, as the paper identified them.
 
-Signs and shapes are those of (30), drag's psi'^2 and P_18 included; in the bench tests travel only moves
-forwards, where psi'^2 and psi' |psi'| are the same. The rotors' 1 V lies in P_1 and P_15, so the voltages
-have to stay above it.
+Signs and terms are those of (30), including the drag psi'^2 and P_18. In the bench tests travel only moves
+forwards, where psi'^2 equals psi' |psi'|. P_1 and P_15 contain the dead zone of 1 V of the rotors, so the
+voltages must stay above it.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ _UNITS: Final = {
 
 
 class Coefficients(Effect):
-    """P_1 to P_18 as parameters, in rad, s and V of U+ and U-.
+    """Coefficients P_1 to P_18 as parameters, in rad, s and V of U+ and U-.
 
     Parameters
     ----------
     values : Mapping[str, float]
-        Where a fit starts.
+        Prior means, which are also the start of a fit.
     prior_std : Mapping[str, float]
-        Standard deviations of what is known beforehand, about `values`.
+        Prior standard deviations.
     """
 
     def __init__(self, values: Mapping[str, float], prior_std: Mapping[str, float]) -> None:
@@ -55,7 +55,7 @@ class Coefficients(Effect):
 
 
 class LumpedModel(Model):
-    """The paper's (30)."""
+    """Equations (30) of the paper."""
 
     name = "lumped"
     rig_parameters = ()
@@ -68,9 +68,9 @@ class LumpedModel(Model):
         p, state = at.parameter, at.state
         theta, phi = state["elevation_rad"], state["pitch_rad"]
         travel_rate2 = state["travel_rate_rad_s"] ** 2
-        both_V, difference_V = at.volts_V[0] + at.volts_V[1], at.volts_V[0] - at.volts_V[1]
+        sum_V, difference_V = at.volts_V[0] + at.volts_V[1], at.volts_V[0] - at.volts_V[1]
         return ca.vertcat(
-            (p["P_1"] + p["P_6"] * both_V) * ca.cos(phi)
+            (p["P_1"] + p["P_6"] * sum_V) * ca.cos(phi)
             + p["P_2"] * ca.cos(theta)
             + p["P_3"] * ca.sin(theta)
             + p["P_4"] * state["elevation_rate_rad_s"]
@@ -83,6 +83,6 @@ class LumpedModel(Model):
             p["P_12"] * state["travel_rate_rad_s"]
             + p["P_13"] * travel_rate2
             + p["P_14"]
-            + (p["P_15"] + p["P_16"] * travel_rate2 + p["P_17"] * both_V + p["P_18"] * difference_V)
+            + (p["P_15"] + p["P_16"] * travel_rate2 + p["P_17"] * sum_V + p["P_18"] * difference_V)
             * ca.sin(phi),
         )

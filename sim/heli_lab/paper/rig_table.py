@@ -1,4 +1,4 @@
-"""Table 2 from the bench tests, by the multibody model, and the inertias that its masses give."""
+"""Identify the parameters of Table 2 from the bench tests with the multibody model, and compute inertias."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from heli_lab.paper.coefficients import printed_inertias_kg_m2
 from heli_lab.paper.tables import TESTS_OF_TABLE, WINDOW_S, free_axes_normalised
 
 _IDENTIFIED: Final = 0.5
-"""A number counts as identified when the tests leave less than this share of its tolerance."""
+"""A parameter is identified if half its interval is below this share of its tolerance."""
 
 PRINTED_TABLE_2: Final[Mapping[str, float]] = {
     "L_h": 0.275,
@@ -41,25 +41,25 @@ PRINTED_TABLE_2: Final[Mapping[str, float]] = {
     "J_theta": 0.8496,
     "J_psi": 0.8195,
 }
-"""Table 2, its second L_h under the name L_b."""
+"""Table 2; its second L_h is named L_b here."""
 
 
 @dataclass(frozen=True)
 class RigRow:
-    """A number of the rig.
+    """Row of the reproduced Table 2: one parameter of the rig.
 
     Parameters
     ----------
     name, unit : str
-        As in the rig file.
+        Name and unit as in the rig file.
     printed : float or None
-        As Table 2 prints it; None for what it does not hold.
+        Value printed in Table 2; None if the table does not contain the parameter.
     value, tolerance : float
-        What the rig file says.
+        Value and tolerance in the rig file.
     estimate, half : float or None
-        From the tests that identify it best, with half its 95 % interval; None when none does.
+        Estimate from the tests that identify it best, and half its 95 % interval; None if no test does.
     note : str
-        Which tests, or what the number should be.
+        Source of the estimate, or a remark on the printed value.
     """
 
     name: str
@@ -74,8 +74,13 @@ class RigRow:
 
 @dataclass(frozen=True)
 class RigTable:
-    """Table 2 beside what the bench tests give; `normalised` is the root mean square error of the multibody
-    model on the tests of Tables 3 to 5, free axes only, in standard deviations of the quantisation.
+    """Table 2 with the estimates from the bench tests.
+
+    Parameters
+    ----------
+    normalised : dict of float
+        RMS error of the multibody model on the tests of each of Tables 3 to 5, over the free axes, in
+        standard deviations of the quantisation.
     """
 
     rows: tuple[RigRow, ...]
@@ -88,22 +93,25 @@ def fit_rig(
     line: Line,
     on_progress: Callable[[float], None] | None = None,
 ) -> RigTable:
-    """Fit the multibody model's numbers to each table's bench tests; each number is from the tests that
-    identify it best.
+    """Fit the multibody model to the bench tests of each table.
+
+    Each estimate is from the tests that identify the parameter best.
 
     Parameters
     ----------
     rig : Rig
-        Values and tolerances before the tests.
+        Prior values and tolerances.
     records : Mapping of int to sequence of Record
-        The tests of each of `TESTS_OF_TABLE`.
+        Records of the tests in `TESTS_OF_TABLE`, by table.
+    line : Line
+        Line through the thrust curve of Fig. 15.
     on_progress : callable, optional
-        Told the share that is done.
+        Called with the completed share of the work, 0 to 1.
 
     Raises
     ------
     IdentifyError
-        When the tests cannot be fitted at all.
+        When the tests cannot be fitted.
     """
     best: dict[str, tuple[float, float, str]] = {
         "thrust_gain": (line.gain_N_per_V, line.gain_half, "Fig. 15"),
@@ -117,7 +125,7 @@ def fit_rig(
         free = [
             q.name
             for q in model.parameters
-            if rig[q.name].tolerance > 0.0 and q.name not in NOT_FREE and _may_show(q.name, tests)
+            if rig[q.name].tolerance > 0.0 and q.name not in NOT_FREE and _is_excited(q.name, tests)
         ]
         problem = Problem(model, rig, records[number], free=free, window_s=WINDOW_S)
         fit = solve(problem)
@@ -125,10 +133,14 @@ def fit_rig(
         for name, std in fit.std.items():
             if name in rig and (name not in best or 2.0 * std < best[name][1]):
                 best[name] = fit.values[name], 2.0 * std, f"Fig. {tests[0].panel[:2]}"
-    rows = [_row(name, rig, best) for name in (*_IN_TABLE, *_BESIDE)]
+    rows = [_row(name, rig, best) for name in (*_IN_TABLE, *_NOT_IN_TABLE)]
     inertia = printed_inertias_kg_m2(rig)
-    upright = printed_inertias_kg_m2(rig, pitch_rad=math.pi / 2)["J_theta"]
-    notes = {"J_theta": f"(27); at most {upright:.4f}, at 90 deg of pitch", "J_phi": "(28)", "J_psi": "(29)"}
+    at_90_deg = printed_inertias_kg_m2(rig, pitch_rad=math.pi / 2)["J_theta"]
+    notes = {
+        "J_theta": f"(27); at most {at_90_deg:.4f}, at 90 deg of pitch",
+        "J_phi": "(28)",
+        "J_psi": "(29)",
+    }
     rows += [
         RigRow(name, "kg m2", PRINTED_TABLE_2[name], inertia[name], 0.0, None, None, notes[name])
         for name in inertia
@@ -137,15 +149,15 @@ def fit_rig(
 
 
 _IN_TABLE: Final = tuple(name for name in PRINTED_TABLE_2 if not name.startswith("J_"))
-_BESIDE: Final = ("dead_zone", "friction_elevation", "friction_pitch", "friction_travel")
+_NOT_IN_TABLE: Final = ("dead_zone", "friction_elevation", "friction_pitch", "friction_travel")
 
 
-def _may_show(name: str, tests: Sequence[BenchTest]) -> bool:
-    """Whether a number can matter at all: motors that are off have no thrust, locked axes no friction."""
+def _is_excited(name: str, tests: Sequence[BenchTest]) -> bool:
+    """Whether the tests excite a parameter: motors that are off have no thrust, locked axes no friction."""
     locked = dict(zip(AXES, tests[0].locked, strict=True))
-    held = any(name.endswith(f"_{axis}") and on for axis, on in locked.items())
-    off = all(test.front_V == 0.0 and test.back_V == 0.0 for test in tests)
-    return not held and not (off and name in ("thrust_gain", "dead_zone"))
+    axis_locked = any(name.endswith(f"_{axis}") and is_locked for axis, is_locked in locked.items())
+    motors_off = all(test.front_V == 0.0 and test.back_V == 0.0 for test in tests)
+    return not axis_locked and not (motors_off and name in ("thrust_gain", "dead_zone"))
 
 
 def _row(name: str, rig: Rig, best: Mapping[str, tuple[float, float, str]]) -> RigRow:

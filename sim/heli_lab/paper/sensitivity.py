@@ -1,4 +1,4 @@
-"""Fig. 19: sensitivity of the elevation's step response to its parameters, P_1 to P_6 of (30)."""
+"""Sensitivity of the elevation step response to P_1 to P_6 of (30), for Fig. 19."""
 
 from __future__ import annotations
 
@@ -22,7 +22,13 @@ _NAMES: Final = ("P_1", "P_2", "P_3", "P_4", "P_6")
 
 @dataclass(frozen=True)
 class SensitivityCase:
-    """One curve of the figure: its `label`, and the `changes`, factors on coefficients; 0 neglects one."""
+    """Curve of the figure with some coefficients changed.
+
+    Parameters
+    ----------
+    changes : Mapping of str to float
+        Factors on coefficients, by name; 0 neglects a coefficient.
+    """
 
     label: str
     changes: Mapping[str, float]
@@ -36,21 +42,21 @@ CASES: Final[tuple[SensitivityCase, ...]] = (
     SensitivityCase("friction P_4 neglected", {"P_4": 0.0}),
     SensitivityCase("dead zone P_1 neglected", {"P_1": 0.0}),
 )
-"""The paper's text speaks of small changes in its cases 1 and 2, and of parameters neglected."""
+"""The paper's text mentions small changes in its cases 1 and 2, and neglected parameters."""
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """What one percent of a coefficient does.
+    """Effect of an increase of one coefficient by 1 %.
 
     Parameters
     ----------
     name : str
-        The coefficient.
+        Name of the coefficient.
     equilibrium_deg : float
-        Change of the equilibrium elevation, for + 1 %.
+        Change of the equilibrium elevation.
     rms_deg : float
-        Root mean square change of the whole response, for + 1 %.
+        RMS change of the response.
     """
 
     name: str
@@ -59,26 +65,38 @@ class Sensitivity:
 
 
 def response_deg(coefficients: Mapping[str, float], test: BenchTest, t_s: Floats) -> Floats:
-    """Elevation [deg] of (30), shape (n,), at evenly spaced times `t_s` after a step of both voltages, pitch
-    and travel locked, from the table on; no stop but the table. The `coefficients` are P_1 to P_6, in rad, s
-    and V of U+.
+    """Simulate the elevation of (30) after a step of both voltages, with pitch and travel locked.
+
+    The arm starts on its table; there is no upper stop.
+
+    Parameters
+    ----------
+    coefficients : Mapping of str to float
+        P_1 to P_6, in rad, s and V of U+.
+    t_s : ndarray (n,)
+        Evenly spaced times.
+
+    Returns
+    -------
+    ndarray (n,)
+        Elevation [deg].
     """
-    p, both_V = coefficients, test.front_V + test.back_V
+    p, sum_V = coefficients, test.front_V + test.back_V
     table = math.radians(TABLE_DEG)
 
     def rates(x: Floats) -> Floats:
-        forced = p["P_1"] + p["P_5"] + p["P_6"] * both_V
+        forced = p["P_1"] + p["P_5"] + p["P_6"] * sum_V
         return np.array(
             [x[1], forced + p["P_2"] * math.cos(x[0]) + p["P_3"] * math.sin(x[0]) + p["P_4"] * x[1]]
         )
 
     x = np.array([table, 0.0])
-    every = max(1, math.ceil((t_s[1] - t_s[0]) / _STEP_s))
-    h = float(t_s[1] - t_s[0]) / every
+    substeps = max(1, math.ceil((t_s[1] - t_s[0]) / _STEP_s))
+    h = float(t_s[1] - t_s[0]) / substeps
     out = np.empty(t_s.size)
     for row in range(t_s.size):
         out[row] = x[0]
-        for _ in range(every):
+        for _ in range(substeps):
             k1 = rates(x)
             k2 = rates(x + 0.5 * h * k1)
             k3 = rates(x + 0.5 * h * k2)
@@ -89,8 +107,12 @@ def response_deg(coefficients: Mapping[str, float], test: BenchTest, t_s: Floats
 
 
 def equilibrium_deg(coefficients: Mapping[str, float], test: BenchTest) -> float:
-    """Elevation [deg] at which thrust and gravity balance by the `coefficients` P_1 to P_6, in rad, s and V
-    of U+; not a number when nothing balances.
+    """Return the elevation [deg] at which thrust and gravity balance; NaN if there is no equilibrium.
+
+    Parameters
+    ----------
+    coefficients : Mapping of str to float
+        P_1 to P_6, in rad, s and V of U+.
     """
     p = coefficients
     forced = p["P_1"] + p["P_5"] + p["P_6"] * (test.front_V + test.back_V)
@@ -102,7 +124,7 @@ def equilibrium_deg(coefficients: Mapping[str, float], test: BenchTest) -> float
 
 
 def sensitivities(rig: Rig, test: BenchTest = ELEVATION_STEPS[0]) -> list[Sensitivity]:
-    """One percent of every coefficient, one after the other."""
+    """Increase each coefficient by 1 % separately, and sort the changes by their size."""
     base, t_s = analytic(rig), np.arange(0.0, 20.0, 0.02)
     path, rest = response_deg(base, test, t_s), equilibrium_deg(base, test)
     out = []

@@ -1,11 +1,11 @@
-"""Table 6 in every reading: whether pitch and travel are stable, and up to which lag of the thrust.
+"""Stability of pitch and travel with the gains of Table 6, for every interpretation of the table.
 
-The paper prints gains without units, and two statements of what the travel PID gives out: U_3 is a "virtual
-control signal" u_3 = sin(phi) U+ (33), so that the pitch to ask for is asin(U_3 / U+); and the cascade of
-Fig. 20 hands it on as pitch's setpoint, which with elevation and pitch in degrees and volts makes it degrees.
-(34) takes the derivative of the error, hence also of pitch's setpoint, which holds travel's rate already:
-exactly computed, that is an acceleration feedback which no encoder gives. The usual law, and the one on
-board, takes the derivative of what is measured.
+The paper prints gains without units, and defines the output of the travel PID in two ways. By (33), U_3 is a
+"virtual control signal" u_3 = sin(phi) U+, so that the pitch setpoint is asin(U_3 / U+). In the cascade of
+Fig. 20 it is the pitch setpoint itself, in degrees.
+Equation (34) differentiates the error, and hence the pitch setpoint, which already contains the travel rate.
+Computed exactly, this is a feedback of acceleration, which no encoder measures. The standard control law, and
+that of the board, differentiates the measurement.
 """
 
 from __future__ import annotations
@@ -29,38 +29,39 @@ Reading = Literal["degrees", "u3"]
 Derivative = Literal["error", "measurement"]
 READINGS: Final[tuple[Reading, ...]] = ("degrees", "u3")
 DERIVATIVES: Final[tuple[Derivative, ...]] = ("error", "measurement")
-LONGEST_LAG_s: Final = 0.4
-"""Longest thrust lag that is tried: several times what any rotor of this size shows."""
-_LAGS_s: Final = np.arange(0.001, LONGEST_LAG_s, 0.001)
+MAX_LAG_s: Final = 0.4
+"""Longest thrust lag that is checked [s]: several times that of any rotor of this size."""
+_LAGS_s: Final = np.arange(0.001, MAX_LAG_s, 0.001)
 _DEG: Final = math.degrees(1.0)
 SETTLING_STEP_DEG: Final = 15.0
-"""Step of travel's setpoint."""
+"""Step of the travel setpoint [deg]."""
 _BAND_DEG: Final = 0.5
 _STEP_s, _STEPS = 0.01, 30_000
 
 
 @dataclass(frozen=True)
 class LoopVerdict:
-    """How pitch and travel behave under one reading of Table 6.
+    """Stability and step response of pitch and travel for one interpretation of Table 6.
 
     Parameters
     ----------
     gains : str
-        ``printed``, or ``corrected``: with P and I of travel exchanged.
+        ``printed``, or ``corrected``, with P and I of travel exchanged.
     reading : str
-        ``degrees``: travel's output is the pitch setpoint in degrees; ``u3``: it is sin(phi) U+ in volts.
+        ``degrees`` if the travel PID gives the pitch setpoint in degrees, ``u3`` if it gives sin(phi) U+ in
+        volts.
     derivative : str
-        Of the ``error``, as (34) says, or of the ``measurement``.
+        Signal of the derivative: the ``error``, as in (34), or the ``measurement``.
     growth_1_per_s : float
-        Real part of the dominant pole, 1/s; negative where it decays.
+        Real part of the dominant pole; negative if it decays.
     period_s : float
-        Period of the dominant pole; infinite when it is real.
+        Period of the dominant pole; infinite if it is real.
     lag_s : float
-        Longest thrust lag that is stable; 0 when none is.
+        Longest stable thrust lag; 0 if no lag is stable.
     peak_deg : float
-        Peak of travel after a setpoint step of `SETTLING_STEP_DEG`, without limits; infinite when unstable.
+        Peak of travel after a setpoint step of `SETTLING_STEP_DEG`, without limits; infinite if unstable.
     settling_time_s : float
-        From then until travel stays within half a degree of it; infinite when unstable.
+        Time from the step until travel stays within half a degree of the setpoint; infinite if unstable.
     """
 
     gains: str
@@ -74,24 +75,34 @@ class LoopVerdict:
 
 
 def verdicts(model: Model, rig: Rig) -> list[LoopVerdict]:
-    """Close pitch and travel with Table 6 around a linearised rig, a `model` without any effect, in every
-    reading, printed gains first. A PlantError when the rig cannot hover.
+    """Analyse pitch and travel of a linearised rig with Table 6, in every interpretation, printed gains
+    first.
+
+    Parameters
+    ----------
+    model : Model
+        Equations of motion without effects.
+
+    Raises
+    ------
+    PlantError
+        When the rig cannot hover.
     """
-    plant = _Tilt.of(model, rig)
+    plant = _TiltPlant.of(model, rig)
     out = []
     for gains, reading, derivative in itertools.product(("printed", "corrected"), READINGS, DERIVATIVES):
-        law = _Law.of(gains, plant.pitch_per_unit(reading), derivative)
+        law = _TiltGains.of(gains, plant.pitch_per_unit(reading), derivative)
         closed = plant.closed(law, 0.0)
-        slowest = _slowest(closed)
-        peak_deg, settling_time_s = _step(closed) if slowest.real < 0.0 else (math.inf, math.inf)
+        dominant = _dominant_pole(closed)
+        peak_deg, settling_time_s = _step(closed) if dominant.real < 0.0 else (math.inf, math.inf)
         out.append(
             LoopVerdict(
                 gains,
                 reading,
                 derivative,
-                float(slowest.real),
-                2.0 * math.pi / abs(slowest.imag) if abs(slowest.imag) > 1e-9 else math.inf,
-                _longest_lag_s(plant, law) if slowest.real < 0.0 else 0.0,
+                float(dominant.real),
+                2.0 * math.pi / abs(dominant.imag) if abs(dominant.imag) > 1e-9 else math.inf,
+                _max_stable_lag_s(plant, law) if dominant.real < 0.0 else 0.0,
                 peak_deg,
                 settling_time_s,
             )
@@ -100,48 +111,52 @@ def verdicts(model: Model, rig: Rig) -> list[LoopVerdict]:
 
 
 @dataclass(frozen=True)
-class _Law:
-    """Gains in rad and V: pitch's in V/rad, travel's in rad/rad."""
+class _TiltGains:
+    """Gains kp, ki, kd of pitch [V/rad] and travel [rad/rad], shape (3,) each."""
 
     pitch: Floats
     travel: Floats
     of_error: bool
 
     @staticmethod
-    def of(gains: str, pitch_per_unit: float, derivative: Derivative) -> _Law:
+    def of(gains: str, pitch_per_unit: float, derivative: Derivative) -> _TiltGains:
         table = paper_gains(gains)
         pitch = np.array([table[f"pitch_{name}"] for name in ("kp", "ki", "kd")]) * _DEG
         travel = np.array([table[f"travel_{name}"] for name in ("kp", "ki", "kd")]) * pitch_per_unit
-        return _Law(pitch, travel, derivative == "error")
+        return _TiltGains(pitch, travel, derivative == "error")
 
 
 @dataclass(frozen=True)
-class _Tilt:
-    """Pitch, travel and their rates at hover, driven by U- through thrust without lag: x' = A x + B U-."""
+class _TiltPlant:
+    """Pitch, travel and their rates at hover without thrust lag: x' = A x + B U-."""
 
     A: Floats
     B: Floats
-    both_V: float
+    sum_V: float
 
     @staticmethod
-    def of(model: Model, rig: Rig) -> _Tilt:
-        at = trim(model, rig)
-        first = derivatives(model, rig, at.state, at.volts_V)
-        pick = [1, 2, 4, 5]
-        return _Tilt(
-            first.A[np.ix_(pick, pick)], first.B[pick] @ np.array([0.5, -0.5]), float(np.sum(at.volts_V))
+    def of(model: Model, rig: Rig) -> _TiltPlant:
+        hover = trim(model, rig)
+        linear = derivatives(model, rig, hover.state, hover.volts_V)
+        states = [1, 2, 4, 5]
+        return _TiltPlant(
+            linear.A[np.ix_(states, states)],
+            linear.B[states] @ np.array([0.5, -0.5]),
+            float(np.sum(hover.volts_V)),
         )
 
     def pitch_per_unit(self, reading: Reading) -> float:
-        """Radians of pitch for each radian of travel and unit of gain (output unit per degree)."""
-        # sin(phi) U+ = U_3: a volt is asin(1 / U+), near level 1 / U+ radians.
-        return 1.0 if reading == "degrees" else _DEG / self.both_V
+        """Pitch setpoint [rad] per radian of travel and unit of gain, which is an output unit per degree."""
+        # With sin(phi) U+ = U_3, one volt is asin(1 / U+), which is about 1 / U+ rad near level.
+        return 1.0 if reading == "degrees" else _DEG / self.sum_V
 
-    def closed(self, law: _Law, lag_s: float) -> Floats:
-        """State matrix: the plant, integrals of travel and of pitch's error, thrust behind a lag."""
+    def closed(self, law: _TiltGains, lag_s: float) -> Floats:
+        """Return the closed-loop state matrix: plant, integrals of travel and of the pitch error, lagging
+        thrust.
+        """
         kp, ki, kd = law.travel
         unit_rows = np.eye(7)
-        # x[:4] the plant, x[4] the integral of travel, x[5] of pitch's error, x[6] U- as thrust follows it.
+        # States: x[:4] plant, x[4] integral of travel, x[5] integral of the pitch error, x[6] lagging U-.
         setpoint = -(kp * unit_rows[1] + ki * unit_rows[4] + kd * unit_rows[3])
         error = setpoint - unit_rows[0]
         A = np.zeros((7, 7))
@@ -150,7 +165,7 @@ class _Tilt:
         differential_V = law.pitch[0] * error + law.pitch[1] * unit_rows[5] - law.pitch[2] * unit_rows[2]
         share = 0.0
         if law.of_error:
-            # The setpoint's own rate holds travel's acceleration, A[3], thrust included.
+            # The rate of the setpoint contains the travel acceleration, A[3], which depends on thrust.
             differential_V = differential_V - law.pitch[2] * (
                 kp * unit_rows[3] + ki * unit_rows[1] + kd * A[3]
             )
@@ -158,33 +173,35 @@ class _Tilt:
         if lag_s > 0.0:
             A[6] = (differential_V - unit_rows[6]) / lag_s
             return A
-        # Without lag, U- = asked, in which U- itself may appear once more.
+        # Without lag, U- equals the control output, which may depend on U- itself: solve for it.
         direct = (differential_V - share * unit_rows[6])[:6] / (1.0 - share)
         return A[:6, :6] + np.outer(A[:6, 6], direct)
 
 
-def _slowest(A: Floats) -> complex:
+def _dominant_pole(A: Floats) -> complex:
     poles = np.linalg.eigvals(A)
     return complex(poles[np.argmax(poles.real)])
 
 
 def _step(A: Floats) -> tuple[float, float]:
-    """Highest travel, deg, and settling time after a step, the derivative's kick left out."""
+    """Return peak travel [deg] and settling time [s] after a step, without the derivative kick of the
+    setpoint.
+    """
     state = np.zeros(len(A))
-    state[1] = -SETTLING_STEP_DEG  # travel, as a deviation from where it is to go
-    forward, off_deg = expm(_STEP_s * A), np.empty(_STEPS)
+    state[1] = -SETTLING_STEP_DEG  # travel as deviation from the setpoint
+    forward, deviation_deg = expm(_STEP_s * A), np.empty(_STEPS)
     for row in range(_STEPS):
-        off_deg[row] = state[1]
+        deviation_deg[row] = state[1]
         state = forward @ state
-    outside = np.flatnonzero(np.abs(off_deg) > _BAND_DEG)
+    outside = np.flatnonzero(np.abs(deviation_deg) > _BAND_DEG)
     settled = math.inf if outside[-1] == _STEPS - 1 else float(outside[-1] + 1) * _STEP_s
-    return float(off_deg.max()) + SETTLING_STEP_DEG, settled
+    return float(deviation_deg.max()) + SETTLING_STEP_DEG, settled
 
 
-def _longest_lag_s(plant: _Tilt, law: _Law) -> float:
+def _max_stable_lag_s(plant: _TiltPlant, law: _TiltGains) -> float:
     longest = 0.0
     for lag_s in _LAGS_s:
-        if _slowest(plant.closed(law, float(lag_s))).real >= 0.0:
+        if _dominant_pole(plant.closed(law, float(lag_s))).real >= 0.0:
             break
         longest = float(lag_s)
     return longest

@@ -1,8 +1,8 @@
-"""Tables 3 to 5 from the bench tests: (30) fitted to them, coefficient by coefficient, with intervals.
+"""Identify the coefficients of Tables 3 to 5 by a fit of (30) to the bench tests, with intervals.
 
-Only what a table's tests can identify is fitted. With pitch locked at 0, cos phi is 1, and P_1 and P_5 are
-one constant; with the motors off, P_11 moves nothing; two travel tests at constant voltages give one factor
-of sin phi each, for the three unknowns P_15, P_17 and P_18.
+The fit of a table includes only coefficients that its tests can identify. With pitch locked at 0, cos phi is
+1, so that only P_1 + P_5 is identifiable. With the motors off, P_11 has no effect. Two travel tests at
+constant voltages give two factors of sin phi for the three unknowns P_15, P_17 and P_18.
 """
 
 from __future__ import annotations
@@ -26,27 +26,28 @@ from heli_lab.paper.bench_tests import ELEVATION_STEPS, PITCH_RELEASES, TRAVEL_S
 from heli_lab.paper.coefficients import PRINTED, analytic
 from heli_lab.paper.lumped import Coefficients, LumpedModel
 
-# Far wider than any coefficient that a rig of this size can have: what is found comes from the tests.
 _PRIOR_STD: Final = {
     **dict.fromkeys(("P_1", "P_2", "P_3", "P_7", "P_8", "P_10", "P_14", "P_15"), 20.0),
     **dict.fromkeys(("P_4", "P_9", "P_12"), 5.0),
     **dict.fromkeys(("P_6", "P_11"), 10.0),
     **dict.fromkeys(("P_13", "P_16"), 2.0),
 }
+"""Prior standard deviations in rad, s and V: far wider than any plausible coefficient, so that the tests
+decide."""
 WINDOW_S: Final = 4.0
-"""Length of the windows that each fit predicts freely."""
+"""Length of the open-loop windows of each fit [s]."""
 
 TESTS_OF_TABLE: Final[Mapping[int, tuple[BenchTest, ...]]] = {
     3: PITCH_RELEASES,
     4: ELEVATION_STEPS,
     5: TRAVEL_STEPS,
 }
-"""The bench tests that section IV takes each table from."""
+"""Bench tests of section IV, by the table that they identify."""
 
 
 @dataclass(frozen=True)
-class _Plan:
-    """What is fitted for a table: free coefficients, those that they stand for, why some cannot be."""
+class _FitPlan:
+    """Fit of a table: free coefficients, coefficients that another one absorbs, and unidentified ones."""
 
     free: tuple[str, ...]
     absorbed: tuple[str, ...]
@@ -55,17 +56,17 @@ class _Plan:
     per_test: tuple[str, ...] = ()
 
 
-_PLANS: Final[Mapping[int, _Plan]] = {
-    3: _Plan(
+_PLANS: Final[Mapping[int, _FitPlan]] = {
+    3: _FitPlan(
         ("P_7", "P_8", "P_9", "P_10"), (), "offset_pitch", {"P_11": "not identified: the motors are off"}
     ),
-    4: _Plan(
+    4: _FitPlan(
         ("P_1", "P_2", "P_3", "P_4", "P_6"),
         ("P_5",),
         "offset_elevation",
         dict.fromkeys(("P_1", "P_5"), "identified only as P_1 + P_5: pitch is locked at 0"),
     ),
-    5: _Plan(
+    5: _FitPlan(
         ("P_12", "P_13", "P_14", "P_16", "P_15", "P_8", "P_9", "P_10", "P_11"),
         ("P_7", "P_17", "P_18"),
         "offset_pitch",
@@ -77,22 +78,22 @@ _PLANS: Final[Mapping[int, _Plan]] = {
 
 @dataclass(frozen=True)
 class TableRow:
-    """A coefficient, or a sum of some, in the unit of its table.
+    """Coefficient, or sum of coefficients, in the unit of its table.
 
     Parameters
     ----------
     name : str
-        For example P_3, or P_1 + P_5.
+        Name, such as P_3, or P_1 + P_5.
     unit : str
-        How the table's numbers read.
+        Unit of all values.
     printed, tolerance : float or None
-        As printed; None for what the table does not hold.
+        Printed value and tolerance; None if the table does not contain it.
     analytic : float
-        From the rig's masses, lengths and friction, by the formulas below (30).
+        Value from the rig's masses, lengths and friction, by the formulas below (30).
     estimate, half : float or None
-        From the bench tests, with half its 95 % interval; None where they cannot identify it.
+        Estimate from the bench tests and half its 95 % interval; None if the tests do not identify it.
     note : str
-        Why not, or where it comes from.
+        Reason why it is not identified, or the source of the estimate.
     """
 
     name: str
@@ -107,17 +108,17 @@ class TableRow:
 
 @dataclass(frozen=True)
 class Table:
-    """One of Tables 3 to 5 beside what the bench tests give.
+    """One of Tables 3 to 5 with the estimates from the bench tests.
 
     Parameters
     ----------
     number : int
-        3, 4 or 5.
+        Number of the table: 3, 4 or 5.
     rows : tuple of TableRow
-        Its coefficients, then what is identified instead of those that are not.
+        Coefficients of the table, then identifiable combinations of the others.
     normalised : float
-        Root mean square error of (30) over windows of four seconds, free axes only, in standard deviations of
-        the quantisation; 1 when nothing else is left.
+        RMS error of (30) over windows of 4 s, over the free axes, in standard deviations of the quantisation;
+        1 is the smallest possible value.
     """
 
     number: int
@@ -134,23 +135,23 @@ def fit_table(
     Parameters
     ----------
     number : int
-        3, 4 or 5.
+        Number of the table: 3, 4 or 5.
     rig : Rig
-        Gives the analytic values, from which the fit starts.
+        Rig whose analytic coefficients are the start of the fit.
     on_progress : callable, optional
-        Told the share that is done.
+        Called with the completed share of the work, 0 to 1.
 
     Raises
     ------
     IdentifyError
-        When the tests cannot be fitted at all.
+        When the tests cannot be fitted.
     """
-    by_masses, plan = analytic(rig), _PLANS[number]
-    start = by_masses | dict.fromkeys(plan.absorbed, 0.0)
+    from_masses, plan = analytic(rig), _PLANS[number]
+    start = from_masses | dict.fromkeys(plan.absorbed, 0.0)
     if number == 4:
-        start["P_1"] = by_masses["P_1"] + by_masses["P_5"]
+        start["P_1"] = from_masses["P_1"] + from_masses["P_5"]
     if number == 5:
-        start["P_15"] = _sine_factor(by_masses, TRAVEL_STEPS[0])
+        start["P_15"] = _sine_factor(from_masses, TRAVEL_STEPS[0])
     locked = TESTS_OF_TABLE[number][0].locked
     prior_std = {name: _PRIOR_STD[name] for name in plan.free}
     problem = Problem(
@@ -162,22 +163,26 @@ def fit_table(
         window_s=WINDOW_S,
     )
     fit = solve(problem, on_progress=lambda p: on_progress(p.done) if on_progress is not None else None)
-    rows = [*_printed_rows(number, plan, fit, by_masses), *_extra_rows(number, fit, by_masses)]
+    rows = [*_printed_rows(number, plan, fit, from_masses), *_extra_rows(number, fit, from_masses)]
     return Table(number, tuple(rows), free_axes_normalised(fit, locked), fit)
 
 
 def free_axes_normalised(fit: Fit, locked: tuple[bool, bool, bool]) -> float:
-    """Root mean square error of a fit over the axes (elevation, pitch, travel) that are not `locked`, in
-    standard deviations of the quantisation.
+    """Return the RMS error of a fit over the free axes, in standard deviations of the quantisation.
+
+    Parameters
+    ----------
+    locked : tuple of bool
+        Whether elevation, pitch and travel are locked.
     """
-    free = [axis for axis, held in zip(AXES, locked, strict=True) if not held]
+    free = [axis for axis, is_locked in zip(AXES, locked, strict=True) if not is_locked]
     checks = [check(fit, index) for index in range(len(fit.problem.records))]
     return math.sqrt(
         float(np.mean([check_.axis_normalised[axis] ** 2 for check_ in checks for axis in free]))
     )
 
 
-def _printed_rows(number: int, plan: _Plan, fit: Fit, by_masses: Mapping[str, float]) -> list[TableRow]:
+def _printed_rows(number: int, plan: _FitPlan, fit: Fit, from_masses: Mapping[str, float]) -> list[TableRow]:
     rows = []
     for coefficient in PRINTED:
         if coefficient.table != number:
@@ -185,7 +190,7 @@ def _printed_rows(number: int, plan: _Plan, fit: Fit, by_masses: Mapping[str, fl
         value, half = (
             (None, None)
             if coefficient.name in plan.unidentified
-            else _found(fit, coefficient.name, coefficient.per_si)
+            else _estimate_and_interval(fit, coefficient.name, coefficient.per_si)
         )
         rows.append(
             TableRow(
@@ -193,7 +198,7 @@ def _printed_rows(number: int, plan: _Plan, fit: Fit, by_masses: Mapping[str, fl
                 coefficient.unit,
                 coefficient.value,
                 coefficient.tolerance,
-                coefficient.per_si * by_masses[coefficient.name],
+                coefficient.per_si * from_masses[coefficient.name],
                 value,
                 half,
                 plan.unidentified.get(coefficient.name, ""),
@@ -202,13 +207,13 @@ def _printed_rows(number: int, plan: _Plan, fit: Fit, by_masses: Mapping[str, fl
     return rows
 
 
-def _extra_rows(number: int, fit: Fit, by_masses: Mapping[str, float]) -> list[TableRow]:
+def _extra_rows(number: int, fit: Fit, from_masses: Mapping[str, float]) -> list[TableRow]:
     printed = {coefficient.name: coefficient for coefficient in PRINTED}
     if number == 4:
         first, other = printed["P_1"], printed["P_5"]
-        total = first.per_si * (by_masses["P_1"] + by_masses["P_5"])
+        total = first.per_si * (from_masses["P_1"] + from_masses["P_5"])
         spread = math.hypot(first.tolerance, other.tolerance)
-        value = _found(fit, "P_1", first.per_si)
+        value = _estimate_and_interval(fit, "P_1", first.per_si)
         return [TableRow("P_1 + P_5", first.unit, first.value + other.value, spread, total, *value)]
     if number == 5:
         rows = [
@@ -217,15 +222,15 @@ def _extra_rows(number: int, fit: Fit, by_masses: Mapping[str, float]) -> list[T
                 "rad/s2",
                 _sine_factor({name: coefficient.value for name, coefficient in printed.items()}, test),
                 None,
-                _sine_factor(by_masses, test),
-                *_found(fit, f"P_15[{test.name}]", 1.0),
+                _sine_factor(from_masses, test),
+                *_estimate_and_interval(fit, f"P_15[{test.name}]", 1.0),
                 "P_15 + P_17 U+ + P_18 U-",
             )
             for test in TRAVEL_STEPS
         ]
         first = printed["P_11"]
         note = "of Table 3; here the motors run"
-        gain = _found(fit, "P_11", first.per_si)
+        gain = _estimate_and_interval(fit, "P_11", first.per_si)
         return [
             *rows,
             TableRow(
@@ -233,7 +238,7 @@ def _extra_rows(number: int, fit: Fit, by_masses: Mapping[str, float]) -> list[T
                 first.unit,
                 first.value,
                 first.tolerance,
-                first.per_si * by_masses["P_11"],
+                first.per_si * from_masses["P_11"],
                 *gain,
                 note,
             ),
@@ -242,9 +247,9 @@ def _extra_rows(number: int, fit: Fit, by_masses: Mapping[str, float]) -> list[T
 
 
 def _sine_factor(values: Mapping[str, float], test: BenchTest) -> float:
-    both_V, difference_V = test.front_V + test.back_V, test.front_V - test.back_V
-    return values["P_15"] + values["P_17"] * both_V + values["P_18"] * difference_V
+    sum_V, difference_V = test.front_V + test.back_V, test.front_V - test.back_V
+    return values["P_15"] + values["P_17"] * sum_V + values["P_18"] * difference_V
 
 
-def _found(fit: Fit, name: str, per_si: float) -> tuple[float, float]:
+def _estimate_and_interval(fit: Fit, name: str, per_si: float) -> tuple[float, float]:
     return per_si * fit.values[name], 2.0 * per_si * fit.std[name]

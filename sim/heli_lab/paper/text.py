@@ -1,4 +1,4 @@
-"""The paper's tables beside what was found, as lines for a terminal and as JSON."""
+"""Format the paper's tables with our estimates, for a terminal and as JSON."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from heli_sim.bench.thrust_curve import Line
     from heli_sim.plant import Plant
 
-    from heli_lab.paper.compare import Distance
+    from heli_lab.paper.compare import ModelError
     from heli_lab.paper.rig_table import RigTable
     from heli_lab.paper.table6 import LoopVerdict
     from heli_lab.paper.tables import Table
@@ -25,7 +25,7 @@ def table_lines(line: Line, by_rig: RigTable, tables: Sequence[Table]) -> list[s
         f"Fig. 15: F = {line.gain_N_per_V:.4f} +- {line.gain_half:.4f} N/V "
         f"(V - {line.dead_zone_V:.3f} +- {line.dead_zone_half:.3f} V); printed: 0.5839 (V - 1)",
         "",
-        "Table 2 (intervals hold 95 %; the bench tests are fitted by the multibody model)",
+        "Table 2 (95 % intervals; the multibody model is fitted to the bench tests)",
         f"  {'':19} {'printed':>8} {'rig file':>18} {'bench tests':>23}",
     ]
     for row in by_rig.rows:
@@ -56,20 +56,20 @@ def table_lines(line: Line, by_rig: RigTable, tables: Sequence[Table]) -> list[s
     return out
 
 
-def model_lines(distances: Sequence[Distance]) -> list[str]:
-    """Format the models' errors for a terminal."""
+def model_lines(model_errors: Sequence[ModelError]) -> list[str]:
+    """Format the open-loop errors of the models for a terminal."""
     out = [
-        "Free runs of 2 s over a multibody rig's sines, rig file's numbers, rms error",
+        "Open-loop RMS error over 2 s, on sines of a multibody rig, with the parameters of the rig file",
         f"  {'model':14} {' '.join(f'{axis:>10}' for axis in AXES)}      over the encoder's quantisation",
     ]
-    for distance in distances:
+    for distance in model_errors:
         errors = " ".join(f"{distance.rms_deg[axis]:>10.3f}" for axis in AXES)
         out.append(f"  {distance.model:14} {errors} deg  {distance.normalised:.2f}")
     return out
 
 
 def gain_lines(verdicts: dict[str, list[LoopVerdict]]) -> list[str]:
-    """Format the readings of Table 6 for a terminal."""
+    """Format the interpretations of Table 6 for a terminal."""
     reading = {"degrees": "pitch in deg", "u3": "u3 in V"}
     out = ["Table 6 on the linearised rig: are pitch and travel stable, and up to which lag (399 ms: any)?"]
     for model, rows in verdicts.items():
@@ -91,8 +91,9 @@ def gain_lines(verdicts: dict[str, list[LoopVerdict]]) -> list[str]:
 
 
 def tables_json(plant: Plant, line: Line, by_rig: RigTable, tables: Sequence[Table]) -> dict[str, Any]:
-    """Tables 2 to 5 as JSON has them: rig, model, thrust, table_2, table_3, table_4, table_5, each with its
-    rows and errors.
+    """Return Tables 2 to 5 with their errors as a JSON object.
+
+    Its keys are rig, model, thrust, table_2, table_3, table_4 and table_5.
     """
     return {
         "rig": plant.rig.name,
@@ -113,7 +114,7 @@ def tables_json(plant: Plant, line: Line, by_rig: RigTable, tables: Sequence[Tab
 
 
 def _interval(value: float | None, half: float | None) -> str:
-    """A value with two digits of its interval."""
+    """Format a value with two significant digits of half its interval."""
     if value is None or half is None:
         return "-"
     digits = max(0, 1 - math.floor(math.log10(half))) if half > 0.0 else 4

@@ -1,4 +1,4 @@
-"""The scale under each rotor behind Fig. 15; `heli_sim.bench` puts the line (31) through its readings."""
+"""Simulated scales under the rotors for Fig. 15; `heli_sim.bench` fits the line (31) to their readings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Floats = npt.NDArray[np.float64]
 
 
 class ThrustScale:
-    """A scale under each rotor of a rig that stands still, in steps of a gram."""
+    """Scales under both rotors of a locked rig, with a resolution of one gram."""
 
     def __init__(self, plant: Plant) -> None:
         model = plant.model
@@ -33,8 +33,14 @@ class ThrustScale:
         self._thrust_N = ca.Function("thrust_N", [x, u], [thrust])
 
     def read_N(self, state: Floats, volts_V: Sequence[float]) -> Floats:
-        """Read the thrust of the front and the back rotor [N], shape (2,), rounded to the scale's step, in a
-        `state` of the plant, shape (n,), with front and back voltage `volts_V` acting.
+        """Return the thrust of the front and the back rotor [N], shape (2,), rounded to the resolution.
+
+        Parameters
+        ----------
+        state : ndarray (n,)
+            State of the plant.
+        volts_V : sequence of float
+            Front and back voltage at the motors [V].
         """
         exact = np.asarray(self._thrust_N(state, np.asarray(volts_V))).ravel()
         result: Floats = np.round(exact / SCALE_N) * SCALE_N

@@ -1,16 +1,16 @@
-"""Diagnoses of several machines of one make, together."""
+"""Combine diagnoses of several rigs of one type and estimate how their parameters vary."""
 
-from heli_lab.pool.machine import Machine, read_machine
 from heli_lab.pool.population import RigPopulation, pool
 from heli_lab.pool.random_effects import RandomEffects, Share, der_simonian_laird, share
+from heli_lab.pool.rig_diagnosis import RigDiagnosis, read_rig_diagnosis
 
 __all__ = [
-    "Machine",
     "RandomEffects",
+    "RigDiagnosis",
     "RigPopulation",
     "Share",
     "der_simonian_laird",
     "pool",
-    "read_machine",
+    "read_rig_diagnosis",
     "share",
 ]

@@ -1,8 +1,8 @@
-"""Random effects: one number of several machines, each measured with its own standard error.
+"""Random-effects model of one parameter of several rigs, each estimated with its own standard error.
 
-A machine's number is the make's mean and a deviation of its own of variance tau^2, which the method of
-moments of DerSimonian and Laird (Controlled Clinical Trials 7, 1986, 177) finds from how much more the
-machines scatter than their standard errors say.
+The parameter of a rig is the mean of the rig type plus a deviation of variance tau^2. The method of moments
+of DerSimonian and Laird (Controlled Clinical Trials 7, 1986, 177) estimates tau^2 from the scatter of the
+rigs in excess of their standard errors.
 """
 
 from __future__ import annotations
@@ -14,30 +14,31 @@ from typing import Final
 import numpy as np
 
 CONFIDENCE: Final = 0.95
+"""Coverage of all intervals."""
 
 
 @dataclass(frozen=True)
 class RandomEffects:
-    """The mean of a make, and how its machines differ.
+    """Mean of a parameter over a rig type, and its variation between rigs; all in the parameter's unit.
 
     Parameters
     ----------
     mean, std : float
-        Mean of the make and its standard error.
+        Mean over the rig type and its standard error.
     tau : float
-        Standard deviation from machine to machine; 0 where they scatter no more than their errors.
+        Standard deviation between rigs; 0 if they scatter no more than their standard errors.
     q : float
-        Cochran's Q: sum of squared deviations in standard errors, about k - 1 where tau is 0.
+        Cochran's Q: sum of squared deviations in standard errors; about k - 1 for k rigs if tau is 0.
     i2 : float
-        Share of the scatter that is of the machines and not of the measurements, 0 to 1.
+        Share of the scatter that is due to differences between rigs, 0 to 1.
     interval : (float, float)
-        95 % of the mean, by Student's t and never narrower than the errors allow (Hartung and Knapp,
-        Statistics in Medicine 20, 2001, 3875).
+        95 % confidence interval of the mean by Student's t, never narrower than the standard errors allow
+        (Hartung and Knapp, Statistics in Medicine 20, 2001, 3875).
     prediction : (float, float) or None
-        95 % of another machine (Higgins, Thompson and Spiegelhalter, J. R. Statist. Soc. A 172, 2009, 137);
-        None for fewer than three machines.
+        95 % prediction interval for another rig (Higgins, Thompson and Spiegelhalter, J. R. Statist. Soc. A
+        172, 2009, 137); None for fewer than three rigs.
     machines : int
-        How many were measured.
+        Number of rigs.
     """
 
     mean: float
@@ -51,8 +52,12 @@ class RandomEffects:
 
 
 def der_simonian_laird(values: Sequence[float], stds: Sequence[float]) -> RandomEffects:
-    """Pool the `values` of one number of several machines, each with its standard error in `stds`, all above
-    0 and in the same unit.
+    """Estimate a random-effects model of one parameter.
+
+    Parameters
+    ----------
+    values, stds : sequence of float
+        Estimate of each rig and its standard error, above 0, all in the same unit.
     """
     from scipy.stats import norm, t
 
@@ -66,42 +71,42 @@ def der_simonian_laird(values: Sequence[float], stds: Sequence[float]) -> Random
     mean, std = float(weight @ value / weight.sum()), float(weight.sum() ** -0.5)
     quantile = float(norm.ppf(0.5 + CONFIDENCE / 2.0))
     if k > 1:
-        # tau is an estimate too: the normal quantile holds the mean of twelve machines in 89 % of cases only.
+        # tau is an estimate too: the normal quantile covers the mean of twelve rigs in 89 % of cases only.
         scatter = float(weight @ (value - mean) ** 2) / (k - 1)
         quantile = float(t.ppf(0.5 + CONFIDENCE / 2.0, k - 1)) * max(1.0, scatter**0.5)
-    wide = quantile * std
+    half_width = quantile * std
     prediction = None
     if k > 2:
-        far = float(t.ppf(0.5 + CONFIDENCE / 2.0, k - 2)) * (tau2 + std**2) ** 0.5
-        prediction = (mean - far, mean + far)
+        prediction_half_width = float(t.ppf(0.5 + CONFIDENCE / 2.0, k - 2)) * (tau2 + std**2) ** 0.5
+        prediction = (mean - prediction_half_width, mean + prediction_half_width)
     i2 = max(0.0, 1.0 - (k - 1) / q) if q > 0.0 else 0.0
-    return RandomEffects(mean, std, tau2**0.5, q, i2, (mean - wide, mean + wide), prediction, k)
+    return RandomEffects(mean, std, tau2**0.5, q, i2, (mean - half_width, mean + half_width), prediction, k)
 
 
 @dataclass(frozen=True)
 class Share:
-    """On how many machines something is.
+    """Share of rigs of a type that have a cause.
 
     Parameters
     ----------
-    found, seen : int
-        Machines on which it was found, and all on which it would have shown.
+    present, detectable : int
+        Number of rigs with the cause, and of all rigs whose flights could show it.
     share : float
-        One over the other.
+        Their ratio.
     interval : (float, float)
-        95 % of the share among all machines of the make, exact (Clopper and Pearson, Biometrika 26, 1934,
-        404).
+        Exact 95 % confidence interval of the share among all rigs of the type (Clopper and Pearson,
+        Biometrika 26, 1934, 404).
     """
 
-    found: int
-    seen: int
+    present: int
+    detectable: int
     share: float
     interval: tuple[float, float]
 
 
-def share(count: int, seen: int) -> Share:
-    """Estimate a share from `count` of `seen` machines, one at least."""
+def share(present: int, detectable: int) -> Share:
+    """Estimate a share from `present` of `detectable` rigs, with at least one detectable."""
     from scipy.stats import binomtest
 
-    interval = binomtest(count, seen).proportion_ci(CONFIDENCE, method="exact")
-    return Share(count, seen, count / seen, (float(interval.low), float(interval.high)))
+    interval = binomtest(present, detectable).proportion_ci(CONFIDENCE, method="exact")
+    return Share(present, detectable, present / detectable, (float(interval.low), float(interval.high)))

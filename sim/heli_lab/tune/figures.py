@@ -1,4 +1,4 @@
-"""Figure of a design: the flights on the left, every loop on every plant on the right."""
+"""Draw a design: simulated flights on the left, Nyquist curves of all loops and plants on the right."""
 
 from __future__ import annotations
 
@@ -16,15 +16,19 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_ASKED, _CORNER = "#222222", "#cccccc"
+_SETPOINT_COLOUR, _CORNER_COLOUR = "#222222", "#cccccc"
 _COLOURS: Final = ("#0b5fa5", "#d1495b", "#2a9d55", "#8a5fbf")
-_REACH: Final = 2.2
-_SMALL: Final = 8
+_AXIS_LIMIT: Final = 2.2
+_FONT_SIZE: Final = 8
 
 
 def figure_of_design(design: Design, flights: Sequence[tuple[str, Flight]]) -> Figure:
-    """Draw a `design` with the plants that it was found on, as Nyquist plots on the right; on the left angles
-    and voltages over time of `flights`, each with a label.
+    """Draw a design and flights with its gains.
+
+    Parameters
+    ----------
+    flights : sequence of (str, Flight)
+        Label and data of each flight; angles and the front motor's voltage are drawn over time.
     """
     from matplotlib.figure import Figure
 
@@ -35,15 +39,15 @@ def figure_of_design(design: Design, flights: Sequence[tuple[str, Flight]]) -> F
         rows.append(figure.add_subplot(grid[row, :2], sharex=rows[0] if rows else None))
     _draw_flights(rows, flights)
     for number, loop in enumerate(LOOPS):
-        above, aside = 2 * (number // 2), 2 + number % 2
-        axes = figure.add_subplot(grid[above : above + 2, aside])
+        row, column = 2 * (number // 2), 2 + number % 2
+        axes = figure.add_subplot(grid[row : row + 2, column])
         _draw_loop(axes, loop, design)
         if number == 0:
-            axes.legend(loc="lower right", fontsize=_SMALL)
+            axes.legend(loc="lower right", fontsize=_FONT_SIZE)
             axes.text(
-                *(-_REACH + 0.1, 0.9),
-                f"red: a disturbance grows\nmore than {design.sensitivity:g} times",
-                fontsize=_SMALL,
+                *(-_AXIS_LIMIT + 0.1, 0.9),
+                f"red: disturbances are amplified\nmore than {design.sensitivity:g} times",
+                fontsize=_FONT_SIZE,
                 va="top",
             )
     return figure
@@ -61,13 +65,13 @@ def _draw_flights(panels: Sequence[Axes], flights: Sequence[tuple[str, Flight]])
         if setpoint_rad is not None:
             label = "setpoint"
             panels[index].plot(
-                first.t_s, np.rad2deg(setpoint_rad), color=_ASKED, lw=0.9, ls="--", label=label
+                first.t_s, np.rad2deg(setpoint_rad), color=_SETPOINT_COLOUR, lw=0.9, ls="--", label=label
             )
         panels[index].set_ylabel(f"{AXES[index]} [deg]")
     panels[3].set_ylabel("front motor [V]")
     panels[3].set_xlabel("time since take-off [s]")
-    panels[0].legend(loc="lower right", fontsize=_SMALL)
-    panels[0].set_title("Flown by the flight code", loc="left", fontsize=10)
+    panels[0].legend(loc="lower right", fontsize=_FONT_SIZE)
+    panels[0].set_title("Simulated flights with the flight code", loc="left", fontsize=10)
     for axes in panels:
         axes.grid(alpha=0.25)
 
@@ -83,12 +87,12 @@ def _draw_loop(axes: Axes, loop: str, design: Design) -> None:
                 gain.real, gain.imag, color=colour, lw=1.2, zorder=3, label=f"lag {1e3 * plant.lag_s:.0f} ms"
             )
         else:
-            axes.plot(gain.real, gain.imag, color=_CORNER, lw=0.7, zorder=1)
-    turn = np.linspace(0.0, 2.0 * np.pi, 100)
+            axes.plot(gain.real, gain.imag, color=_CORNER_COLOUR, lw=0.7, zorder=1)
+    angle = np.linspace(0.0, 2.0 * np.pi, 100)
     radius = 1.0 / design.sensitivity
-    axes.fill(-1.0 + radius * np.cos(turn), radius * np.sin(turn), color="#f4b6ae", zorder=2)
-    axes.plot(-1.0, 0.0, "+", color=_ASKED, zorder=4)
-    axes.set(xlim=(-_REACH, 1.0), ylim=(-_REACH, 1.0), aspect="equal")
+    axes.fill(-1.0 + radius * np.cos(angle), radius * np.sin(angle), color="#f4b6ae", zorder=2)
+    axes.plot(-1.0, 0.0, "+", color=_SETPOINT_COLOUR, zorder=4)
+    axes.set(xlim=(-_AXIS_LIMIT, 1.0), ylim=(-_AXIS_LIMIT, 1.0), aspect="equal")
     axes.set_title(f"{loop} loop", loc="left", fontsize=10)
     axes.grid(alpha=0.25)
-    axes.tick_params(labelsize=_SMALL)
+    axes.tick_params(labelsize=_FONT_SIZE)

@@ -1,4 +1,4 @@
-"""A demanding flight to measure gains by: take-off, a step of travel and back, sines on both."""
+"""Test flight for gains in simulation: take-off, a travel step and back, sines on elevation and travel."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ _STEP_S, _SINE_S = 8.0, 60.0
 
 @dataclass(frozen=True)
 class Trial:
-    """A flight with the gains that are to be judged.
+    """Test flight with a set of gains.
 
     Parameters
     ----------
     label : str
-        What it flew on, in a few words.
+        Short description of the simulated rig, such as ``lag 120 ms``.
     flight : Flight
-        From the moment at which the loops closed, time 0.
+        The flight in closed loop; time 0 is its beginning.
     metrics : StepMetrics
         Overshoot, settling time and tracking errors.
     """
@@ -67,24 +67,25 @@ def try_gains(
     seed: int = 1,
     on_progress: Callable[[float], None] | None = None,
 ) -> Trial:
-    """Fly a set of parameters on a simulated rig, through the flight code and the whole link; there is a
-    trial also when a fault ended it.
+    """Fly a set of parameters on a simulated rig, with the flight code and the link.
+
+    A flight that ends with a fault also gives a trial; its metrics state the fault as outcome.
 
     Parameters
     ----------
     parameters : Mapping of str to float
-        The board's parameters that differ from their defaults.
+        Parameters of the board that differ from their defaults.
     label : str
-        What it flies on, in a few words.
+        Short description of the simulated rig.
     seed : int
-        Of the encoders' starting points.
+        Seed of the encoders' initial positions.
     on_progress : callable, optional
-        Told the share that is done.
+        Called with the completed share of the flight, 0 to 1.
 
     Raises
     ------
     ParameterError
-        When the board does not take one of the parameters.
+        When the board refuses one of the parameters.
     """
     from heli_host.declaration import State
     from heli_host.fly.plan import Plan, take_off
@@ -101,7 +102,7 @@ def try_gains(
     plan = Plan.parse(PLAN, "plan of the trial", "trial")
     length_s = plan.duration_s + plan.start.settle_s
 
-    def tell(progress: Progress) -> None:
+    def report(progress: Progress) -> None:
         if on_progress is not None:
             on_progress(min(1.0, progress.t_s / length_s))
 
@@ -114,7 +115,7 @@ def try_gains(
         start_deg = np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg])
         route = take_off([plan], dict(heli.params), start_deg)
         path = Path(folder) / "flight.mcap"
-        summary = fly(heli, plan, log_path=path, on_progress=tell)
+        summary = fly(heli, plan, log_path=path, on_progress=report)
         flight = read_log(path).flight()
     closed = np.flatnonzero(flight.state == State.CLOSED_LOOP)
     start_s = float(flight.t_s[closed[0]]) if closed.size else float(flight.t_s[0])

@@ -1,4 +1,4 @@
-"""From the board's parameters to gains in the units of the loops' analysis."""
+"""Convert parameters of the board into gains in the units of the loop analysis."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from heli_lab.tune.loops import CascadeGains, Pid
 
 
 def cascade_gains_of(parameters: Mapping[str, float]) -> CascadeGains:
-    """Gains in V/rad and rad/rad, as the analysis of loops takes them, of `parameters` in declared units: kp,
-    ki, kd and the filter of each axis, and maybe pitch_hold_ff.
+    """Convert `parameters` of the board, in declared units, into gains in V/rad and rad/rad.
+
+    Needed are kp, ki, kd and filter_Hz of each axis; pitch_hold_ff is optional.
     """
 
     def pid(axis: str, per: float) -> Pid:

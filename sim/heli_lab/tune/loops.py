@@ -1,9 +1,9 @@
-"""The control law's loops around linear plants: state spaces, frequency responses, margins.
+"""State spaces, frequency responses and stability margins of the control loops on linear plants.
 
-Gains are in the law's own order (kp, ki, kd), in V/rad for elevation and pitch and in rad/rad for travel. The
-derivative acts on the measured angle behind the rate filter's two poles. Pitch's setpoint is fed forward too,
-which is a part of travel's loop and none of pitch's. Encoder steps and limits are left out; sampling at 1 kHz
-counts as a delay.
+Gains (kp, ki, kd) are in V/rad for elevation and pitch, and in rad/rad for travel. The derivative acts on the
+measured angle, after the two poles of the rate filter. The pitch setpoint is also fed forward, which is part
+of the travel loop but not of the pitch loop. Quantisation and limits are neglected; sampling at 1 kHz is
+approximated by a delay.
 """
 
 from __future__ import annotations
@@ -18,29 +18,29 @@ import numpy.typing as npt
 from heli_lab.tune.plants import LinearPlant, NO_LAG_s
 
 Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
+ComplexArray = npt.NDArray[np.complex128]
 
 SAMPLING_s: Final = 0.001
-"""Half a millisecond of hold, and as much for reading, computing and the bridge's switching."""
+"""Delay of the sampled control law [s]: half a period of hold, half for reading, computing and switching."""
 FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.05, 200.0, 160)
 MARGIN_FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.02, 300.0, 1500)
-"""Where margins are looked for: two crossings within 0.64 % of a frequency are not seen."""
+"""Frequency grid of the margins: two crossings closer than 0.64 % are not resolved."""
 _BISECTIONS: Final = 30
 LOOPS: Final = ("elevation", "pitch", "travel", "differential")
-"""Where each is cut: at the collective; at the differential, travel's loop open; at the pitch setpoint,
-pitch's loop closed; at the differential with both closed."""
+"""Loops, each cut at one place: elevation at the collective; pitch at the differential, with the travel loop
+open; travel at the pitch setpoint, with the pitch loop closed; differential with both loops closed."""
 
 
 @dataclass(frozen=True)
 class Pid:
-    """One loop's gains.
+    """Gains of one PID loop.
 
     Parameters
     ----------
     kp, ki, kd : float
-        Output for each unit of error, its integral, and its rate.
+        Output per unit of the error, of its integral, and of its rate.
     filter_Hz : float
-        Cut-off of the rate filter, two poles.
+        Cut-off frequency of the rate filter, which has two poles.
     """
 
     kp: float
@@ -48,9 +48,13 @@ class Pid:
     kd: float
     filter_Hz: float
 
-    def response(self, frequency_rad_s: Floats) -> Complexes:
-        """Complex gain, shape (n,), from the measured angle to the output, sign reversed, at each
-        `frequency_rad_s`.
+    def response(self, frequency_rad_s: Floats) -> ComplexArray:
+        """Return the complex gain, shape (n,), from minus the measured angle to the output.
+
+        Parameters
+        ----------
+        frequency_rad_s : ndarray (n,)
+            Angular frequencies [rad/s].
         """
         s = 1j * frequency_rad_s
         rate = s / (1.0 + s / (2.0 * np.pi * self.filter_Hz)) ** 2
@@ -59,8 +63,13 @@ class Pid:
 
 @dataclass(frozen=True)
 class CascadeGains:
-    """The whole cascade; `pitch_hold` is the feed-forward from pitch's setpoint to the differential, V/rad,
-    which holds a tilt against masses that hang below the axis.
+    """Gains of the cascade of all three loops.
+
+    Parameters
+    ----------
+    pitch_hold : float
+        Feed-forward from the pitch setpoint to the differential [V/rad]. It holds a tilt against the moment
+        of masses below the pitch axis.
     """
 
     elevation: Pid
@@ -71,20 +80,20 @@ class CascadeGains:
 
 @dataclass(frozen=True)
 class Margin:
-    """Stability margins of one loop, all else unchanged.
+    """Stability margins of one loop, while all other loops stay unchanged.
 
     Parameters
     ----------
     gain_up, gain_down : float
-        Factor that its gain may rise and fall by; infinite and 0 where nothing happens.
+        Largest and smallest stable factor on the loop gain; infinite and 0 if there is no limit.
     phase_deg : float
-        Phase that it may lose.
+        Phase margin.
     delay_s : float
-        Delay that it may gain.
+        Delay margin.
     sensitivity : float
         Peak of 1 / |1 + L|.
     crossover_rad_s : float
-        Highest frequency at which its gain is 1.
+        Highest frequency at which |L| is 1.
     """
 
     gain_up: float
@@ -96,8 +105,9 @@ class Margin:
 
 
 def elevation_closed(plant: LinearPlant, pid: Pid) -> Floats:
-    """State matrix (6, 6) of the closed elevation loop: the plant's three states, two of the rate filter, the
-    integral of minus the elevation.
+    """Return the state matrix (6, 6) of the closed elevation loop, for a setpoint of zero.
+
+    The states are the plant's three, two of the rate filter, and the integral of minus the elevation.
     """
     closed = _with_filters(plant.elevation_A, (0,), (pid,))
     output = _output(closed.shape[0], 0, 3, pid)
@@ -108,9 +118,10 @@ def elevation_closed(plant: LinearPlant, pid: Pid) -> Floats:
 
 
 def tilt_closed(plant: LinearPlant, pitch: Pid, travel: Pid, pitch_hold: float = 0.0) -> Floats:
-    """State matrix (11, 11) of pitch and travel closed: the plant's five states, two of each rate filter
-    (pitch first), the integrals of pitch's and of travel's error, both for setpoints of zero; `pitch_hold` as
-    in `CascadeGains`.
+    """Return the state matrix (11, 11) of the closed pitch and travel loops, for setpoints of zero.
+
+    The states are the plant's five, two of each rate filter with pitch first, and the integrals of the pitch
+    and the travel error. `pitch_hold` is that of `CascadeGains`.
     """
     closed = _with_filters(plant.tilt_A, (0, 1), (pitch, travel))
     size = closed.shape[0]
@@ -120,8 +131,10 @@ def tilt_closed(plant: LinearPlant, pitch: Pid, travel: Pid, pitch_hold: float =
 
 
 def tilt_output(size: int, pitch: Pid, travel: Pid, pitch_hold: float = 0.0) -> Floats:
-    """Row, shape (`size`,), from the states of the closed loops, those of `tilt_closed` first, to the
-    differential, V for each unit, setpoints being zero; `pitch_hold` as in `CascadeGains`.
+    """Return the row, shape (`size`,), from the states to the differential [V per unit], for setpoints of
+    zero.
+
+    The first eleven states are those of `tilt_closed`. `pitch_hold` is that of `CascadeGains`.
     """
     row = (pitch.kp + pitch_hold) * _pitch_error(size, travel)
     row[0] += pitch_hold
@@ -132,15 +145,21 @@ def tilt_output(size: int, pitch: Pid, travel: Pid, pitch_hold: float = 0.0) -> 
 
 def open_loops(
     plant: LinearPlant, law: CascadeGains, frequency_rad_s: Floats = FREQUENCY_rad_s
-) -> dict[str, Complexes]:
-    """Loop gain L of every loop, shape (n,), at each `frequency_rad_s`, cut as `LOOPS` says; a Nyquist curve
-    through -1 is marginally stable.
+) -> dict[str, ComplexArray]:
+    """Return the complex loop gain L of every loop in `LOOPS`, shape (n,).
+
+    The sign convention is that of negative feedback: a Nyquist curve through -1 is marginally stable.
+
+    Parameters
+    ----------
+    frequency_rad_s : ndarray (n,)
+        Angular frequencies [rad/s].
     """
     s = 1j * frequency_rad_s
-    # The matrices have the delay of the voltages as more lag: out with that, and in with the delay itself.
+    # The matrices approximate the delay of the voltages by additional lag; replace it by the exact delay.
     lag_s = max(plant.lag_s + plant.delay_s, NO_LAG_s)
-    less_lag = (1.0 + s * lag_s) / (1.0 + s * max(lag_s - plant.delay_s, NO_LAG_s))
-    delay = less_lag * np.exp(-s * (SAMPLING_s + plant.delay_s))
+    lag_correction = (1.0 + s * lag_s) / (1.0 + s * max(lag_s - plant.delay_s, NO_LAG_s))
+    delay = lag_correction * np.exp(-s * (SAMPLING_s + plant.delay_s))
     to_elevation = delay * _response(plant.elevation_A, plant.elevation_B, 0, frequency_rad_s)
     to_pitch = delay * _response(plant.tilt_A, plant.tilt_B, 0, frequency_rad_s)
     to_travel = delay * _response(plant.tilt_A, plant.tilt_B, 1, frequency_rad_s)
@@ -158,25 +177,26 @@ def open_loops(
     }
 
 
-def peak_sensitivity(loop: Complexes) -> float:
-    """Peak sensitivity Ms: the largest 1 / |1 + L| of a gain L over frequency, `loop`, by which the closed
-    loop amplifies a disturbance.
+def peak_sensitivity(loop: ComplexArray) -> float:
+    """Return the peak sensitivity Ms, the maximum of 1 / |1 + L| over the loop gains L in `loop`.
+
+    It is the largest factor by which the closed loop amplifies a disturbance.
     """
     return float(np.max(1.0 / np.abs(1.0 + loop)))
 
 
 def margins(plant: LinearPlant, law: CascadeGains) -> dict[str, Margin]:
-    """Margins of every loop under a `law` that stabilises it; without that no margin means anything."""
+    """Return the margins of every loop; they are meaningful only if the `law` stabilises the plant."""
     grid = open_loops(plant, law, MARGIN_FREQUENCY_rad_s)
-    at_180 = _crossings(plant, law, grid, _sine)
-    at_1 = _crossings(plant, law, grid, _log_gain)
+    phase_crossings = _crossings(plant, law, grid, _sine)
+    gain_crossings = _crossings(plant, law, grid, _log_gain)
     result = {}
     for name, loop in grid.items():
-        crossed = at_180[name][1].real
+        crossed = phase_crossings[name][1].real
         gains = -1.0 / crossed[crossed < 0.0]
-        crossings, responses = at_1[name]
+        crossings, responses = gain_crossings[name]
         phases_deg = np.mod(np.degrees(np.angle(responses)), 360.0) - 180.0
-        # A phase margin is to the nearest side; what a delay costs is the way round to -180.
+        # The phase margin is the distance to -180 deg in either direction, the delay margin only downwards.
         lost_deg = np.mod(phases_deg, 360.0)
         result[name] = Margin(
             gain_up=float(np.min(gains[gains > 1.0], initial=np.inf)),
@@ -189,47 +209,50 @@ def margins(plant: LinearPlant, law: CascadeGains) -> dict[str, Margin]:
     return result
 
 
-def _sine(loop: Complexes) -> Floats:
-    """Sine of the phase: changes its sign where the loop gain is real."""
+def _sine(loop: ComplexArray) -> Floats:
+    """Return the sine of the phase; it changes sign where the loop gain is real."""
     return np.asarray(loop.imag / np.abs(loop))
 
 
-def _log_gain(loop: Complexes) -> Floats:
+def _log_gain(loop: ComplexArray) -> Floats:
     return np.asarray(np.log(np.abs(loop)))
 
 
 def _crossings(
-    plant: LinearPlant, law: CascadeGains, grid: dict[str, Complexes], value: Callable[[Complexes], Floats]
-) -> dict[str, tuple[Floats, Complexes]]:
-    """Where a value of each loop gain changes its sign, rad/s, and the loop gain there.
+    plant: LinearPlant,
+    law: CascadeGains,
+    grid: dict[str, ComplexArray],
+    value: Callable[[ComplexArray], Floats],
+) -> dict[str, tuple[Floats, ComplexArray]]:
+    """Find the frequencies at which a value of each loop gain changes sign [rad/s], and the loop gain there.
 
-    All loops are bisected at once: `control.stability_margins` interpolates by a spline of its own, a point a
-    call, and takes a hundred times as long.
+    All loops are bisected together: `control.stability_margins` interpolates one point per call and takes a
+    hundred times as long.
     """
     changes = {name: np.flatnonzero(np.diff(np.sign(value(loop)))) for name, loop in grid.items()}
-    at = np.concatenate(list(changes.values()))
-    owner = np.repeat(np.arange(len(grid)), [len(places) for places in changes.values()])
-    each = np.arange(len(at))
-    low, high = MARGIN_FREQUENCY_rad_s[at], MARGIN_FREQUENCY_rad_s[at + 1]
-    below = value(np.array(list(grid.values()))[owner, at]) < 0.0
+    interval = np.concatenate(list(changes.values()))
+    loop_index = np.repeat(np.arange(len(grid)), [len(places) for places in changes.values()])
+    column = np.arange(len(interval))
+    low, high = MARGIN_FREQUENCY_rad_s[interval], MARGIN_FREQUENCY_rad_s[interval + 1]
+    below = value(np.array(list(grid.values()))[loop_index, interval]) < 0.0
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        response = np.array(list(open_loops(plant, law, middle).values()))[owner, each]
+        response = np.array(list(open_loops(plant, law, middle).values()))[loop_index, column]
         is_low = (value(response) < 0.0) == below
         low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
     middle = 0.5 * (low + high)
-    response = np.array(list(open_loops(plant, law, middle).values()))[owner, each]
-    return {name: (middle[owner == i], response[owner == i]) for i, name in enumerate(grid)}
+    response = np.array(list(open_loops(plant, law, middle).values()))[loop_index, column]
+    return {name: (middle[loop_index == i], response[loop_index == i]) for i, name in enumerate(grid)}
 
 
 def is_stable(plant: LinearPlant, law: CascadeGains) -> bool:
-    """Whether every closed loop of a plant decays."""
+    """Whether all closed loops of a plant are stable."""
     both = (elevation_closed(plant, law.elevation), tilt_closed(plant, law.pitch, law.travel, law.pitch_hold))
     return all(float(np.linalg.eigvals(closed).real.max()) < 0.0 for closed in both)
 
 
 def _with_filters(A: Floats, measured: tuple[int, ...], pids: tuple[Pid, ...]) -> Floats:
-    """The plant, two filter states for each measured angle, and room for one integral each."""
+    """Extend A by two filter states per measured angle, and by a zero row and column for each integral."""
     count, loops = A.shape[0], len(measured)
     closed = np.zeros((count + 3 * loops, count + 3 * loops))
     closed[:count, :count] = A
@@ -242,7 +265,7 @@ def _with_filters(A: Floats, measured: tuple[int, ...], pids: tuple[Pid, ...]) -
 
 
 def _output(size: int, angle: int, first: int, pid: Pid) -> Floats:
-    """Row of P and D: from the states to the output."""
+    """Return the row from the states to the proportional and derivative output."""
     row = np.zeros(size)
     cutoff = 2.0 * np.pi * pid.filter_Hz
     row[angle] = -pid.kp
@@ -251,14 +274,14 @@ def _output(size: int, angle: int, first: int, pid: Pid) -> Floats:
 
 
 def _pitch_error(size: int, travel: Pid) -> Floats:
-    """Row from the states to pitch's error, with the pitch setpoint that travel's loop makes."""
+    """Return the row from the states to the pitch error; the travel loop gives the pitch setpoint."""
     row = _output(size, 1, 7, travel)
     row[10] = travel.ki
     row[0] -= 1.0
     return row
 
 
-def _response(A: Floats, B: Floats, output: int, frequency_rad_s: Floats) -> Complexes:
+def _response(A: Floats, B: Floats, output: int, frequency_rad_s: Floats) -> ComplexArray:
     resolvent = 1j * frequency_rad_s[:, None, None] * np.eye(len(B)) - A
     column = np.broadcast_to(B[:, None], (len(frequency_rad_s), len(B), 1))
     return np.asarray(np.linalg.solve(resolvent, column)[:, output, 0])

@@ -1,4 +1,4 @@
-"""The linear plants that one set of gains has to stabilise: the rig and the corners of its uncertainty."""
+"""Linear plants that one set of gains must stabilise: the rig and the corners of its uncertainty."""
 
 from __future__ import annotations
 
@@ -21,11 +21,9 @@ from heli_sim.rig import Rig
 
 Floats = npt.NDArray[np.float64]
 
-# A rotor without lag is one with a lag too short for any loop here to see: all plants then have the same
-# states.
 NO_LAG_s: Final = 0.004
-# Nonlinear effects, those that happen during a flight, and those that only bias a zero.
-_NOT_LINEAR: Final = (
+"""Lag of a rotor without lag: too short to matter for any loop, so that all plants have the same states."""
+_NOT_LINEARISABLE: Final = (
     "backlash",
     "coulomb_friction",
     "encoder_eccentricity",
@@ -36,26 +34,29 @@ _NOT_LINEAR: Final = (
     "thrust_step",
     "zero_offset",
 )
-_LAG_DOUBT: Final = 0.25
+"""Beginnings of the names of effects that no linear plant contains: nonlinear effects, changes during a
+flight, and biases of a zero."""
+_LAG_UNCERTAINTY: Final = 0.25
+"""Uncertainty of a stated lag, as a share of it."""
 
 
 @dataclass(frozen=True)
 class Spread:
-    """How far the rig may be from its numbers.
+    """Uncertainty of a rig's parameters for which the gains must work.
 
     Parameters
     ----------
     lag_s : tuple of float
-        Lags of the thrust behind the voltage, s.
+        Lags from voltage to thrust [s].
     thrust : float
-        Thrust gain, up and down, as a share.
+        Relative uncertainty of the thrust gain, in both directions.
     counterweight : float
-        Mass of the counterweight, up and down, as a share: 3 % halve or nearly double the thrust at hover,
-        and with it the pull that tilts travel.
+        Relative uncertainty of the counterweight's mass, in both directions. 3 % halve or nearly double the
+        thrust at hover, and with it the gain from pitch to travel.
     rotor : float
-        Mass of one rotor against the other, as a share: a constant torque on pitch.
+        Relative difference between the rotors' masses, which causes a constant torque on pitch.
     pull_rad_s2 : float
-        Acceleration of travel that a constant torque gives; measured rigs show 0.02 to 0.14 rad/s2.
+        Acceleration of travel by a constant torque [rad/s^2]; measured rigs have 0.02 to 0.14 rad/s^2.
     """
 
     lag_s: tuple[float, ...] = (0.0, 0.075, 0.15)
@@ -66,37 +67,38 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class Known:
-    """Effects of a rig as the design of its loops takes them.
+class LoopEffects:
+    """Effects of a rig, sorted by their role in the design of the loops.
 
     Parameters
     ----------
     lag_s : float or None
-        Lag of the rotors; None when no effect states it.
+        Lag of the rotors [s]; None if no effect states one.
     delay_s : float
-        Delay of the voltages.
+        Delay of the voltages [s].
     linear : tuple of Effect
-        Effects that change the linear plant otherwise; one that lags the rotors by a law of its own is among
-        them, and takes the plants' lags.
-    left_out : tuple of str
-        Names of those that no linear plant has: dry friction, backlash, what happens during a flight.
+        Other effects in the linear plants, including a lag of the rotor speed, which uses the plants' lags.
+    excluded : tuple of str
+        Names of effects that linear plants cannot contain: dry friction, backlash, changes during a flight.
     """
 
     lag_s: float | None = None
     delay_s: float = 0.0
     linear: tuple[Effect, ...] = ()
-    left_out: tuple[str, ...] = ()
+    excluded: tuple[str, ...] = ()
 
     @property
     def spread(self) -> Spread:
-        """The usual spread; about a lag that is stated, a quarter of it to either side."""
+        """Default spread; with a stated lag, the lags are that lag and a quarter less and more."""
         if self.lag_s is None:
             return Spread()
-        return Spread(lag_s=tuple(share * self.lag_s for share in (1.0 - _LAG_DOUBT, 1.0, 1.0 + _LAG_DOUBT)))
+        return Spread(
+            lag_s=tuple(share * self.lag_s for share in (1.0 - _LAG_UNCERTAINTY, 1.0, 1.0 + _LAG_UNCERTAINTY))
+        )
 
 
-def known_of(effects: Sequence[Effect]) -> Known:
-    """Sort effects by what they mean for the loops."""
+def loop_effects_of(effects: Sequence[Effect]) -> LoopEffects:
+    """Sort effects by their role in the design of the loops."""
     lag_s, delay_s = None, 0.0
     linear: list[Effect] = []
     left_out: list[str] = []
@@ -109,29 +111,32 @@ def known_of(effects: Sequence[Effect]) -> Known:
             linear.append(effect)
         elif effect.delay or isinstance(effect, RotorLag):
             continue
-        elif effect.states or effect.name.startswith(_NOT_LINEAR):
+        elif effect.states or effect.name.startswith(_NOT_LINEARISABLE):
             left_out.append(effect.name)
         else:
             linear.append(effect)
-    return Known(lag_s, delay_s, tuple(linear), tuple(left_out))
+    return LoopEffects(lag_s, delay_s, tuple(linear), tuple(left_out))
 
 
 @dataclass(frozen=True)
 class LinearPlant:
-    """A rig hovering at level, linearised. At level, elevation and the pair pitch and travel are apart.
+    """Rig linearised at level hover, where elevation decouples from pitch and travel.
 
     Parameters
     ----------
     lag_s, thrust, counterweight : float
-        Lag, and the factors on thrust gain and counterweight.
+        Lag [s], and the factors on thrust gain and counterweight mass.
     delay_s : float
-        Delay of the voltages. In the matrices it is more lag; in a frequency response it is a delay.
+        Delay of the voltages [s]. The matrices approximate it by additional lag, frequency responses are
+        exact.
     elevation_A, elevation_B : ndarray (3, 3), (3,)
-        States elevation, its rate, thrust of both rotors, or what makes it; input the collective, V.
+        State and input matrix. States: elevation, its rate, sum of the thrusts or of the rotors' states.
+        Input: the collective [V].
     tilt_A, tilt_B : ndarray (5, 5), (5,)
-        States pitch, travel, their rates, difference of the thrusts, likewise; input the differential, V.
+        State and input matrix. States: pitch, travel, their rates, difference of the thrusts or of the
+        rotors' states. Input: the differential [V].
     hover_V : float
-        Sum of both voltages above the dead zone.
+        Sum of both voltages at hover, above the dead zone [V].
     """
 
     lag_s: float
@@ -146,17 +151,17 @@ class LinearPlant:
 
     @property
     def elevation_gain(self) -> float:
-        """Acceleration for each volt of collective once the thrust has followed, rad/s2/V."""
+        """Elevation acceleration per volt of collective, after the rotors' lag [rad/s^2/V]."""
         return float(-self.elevation_A[1, 2] * self.elevation_B[2] / self.elevation_A[2, 2])
 
     @property
     def pitch_gain(self) -> float:
-        """Acceleration for each volt of differential once the thrust has followed, rad/s2/V."""
+        """Pitch acceleration per volt of differential, after the rotors' lag [rad/s^2/V]."""
         return float(-self.tilt_A[2, 4] * self.tilt_B[4] / self.tilt_A[4, 4])
 
     @property
     def travel_gain(self) -> float:
-        """Acceleration of travel for each radian of pitch, rad/s2/rad."""
+        """Travel acceleration per radian of pitch [1/s^2]."""
         return float(self.tilt_A[3, 0])
 
 
@@ -167,50 +172,50 @@ def linear_plant(
     counterweight: float = 1.0,
     *,
     model: type[Model] = MultibodyModel,
-    known: Known | None = None,
+    loop_effects: LoopEffects | None = None,
 ) -> LinearPlant:
-    """Linearise a rig at level.
+    """Linearise a rig at level hover.
 
     Parameters
     ----------
     lag_s : float
-        Lag of the thrust, s.
+        Lag from voltage to thrust [s].
     thrust : float
         Factor on the thrust gain.
     counterweight : float
         Factor on the mass of the counterweight.
     model : type of Model
-        Its equations.
-    known : Known, optional
-        Its effects; their lag is not looked at.
+        Equations of motion.
+    loop_effects : LoopEffects, optional
+        Effects of the rig. Their lag is ignored; `lag_s` is used instead.
 
     Raises
     ------
     PlantError
-        When the rig cannot hover, or hovers on so little thrust that its tilt does not move travel.
+        When the rig cannot hover, or needs so little thrust to hover that a tilt does not move travel.
     """
-    known = known if known is not None else Known()
+    loop_effects = loop_effects if loop_effects is not None else LoopEffects()
     rig = rig.replace(thrust_gain=thrust * rig["thrust_gain"].value, M_w=counterweight * rig["M_w"].value)
-    equations = _equations(model, max(lag_s + known.delay_s, NO_LAG_s), known.linear)
-    at = trim(equations, rig)
-    first = derivatives(equations, rig, at.state, at.volts_V)
-    # The two thrusts as their sum and their difference, the two voltages likewise.
+    equations = _equations(model, max(lag_s + loop_effects.delay_s, NO_LAG_s), loop_effects.linear)
+    hover = trim(equations, rig)
+    linear = derivatives(equations, rig, hover.state, hover.volts_V)
+    # Transform the two thrusts, and the two voltages, to their sum and their difference.
     states = np.eye(8)
     states[6:, 6:] = [[1.0, 1.0], [1.0, -1.0]]
-    A = states @ first.A @ np.linalg.inv(states)
-    B = states @ first.B @ np.array([[0.5, 0.5], [0.5, -0.5]])
+    A = states @ linear.A @ np.linalg.inv(states)
+    B = states @ linear.B @ np.array([[0.5, 0.5], [0.5, -0.5]])
     elevation, tilt = [0, 3, 6], [1, 2, 4, 5, 7]
-    hover_V = float(np.sum(at.volts_V) - 2.0 * rig["dead_zone"].value)
+    hover_V = float(np.sum(hover.volts_V) - 2.0 * rig["dead_zone"].value)
     if A[5, 1] <= 0.0:
         raise PlantError(
-            f"rig '{rig.name}' hovers on {hover_V:.2f} V of lift, too little to travel by when it tilts",
-            "give it less counterweight",
+            f"rig '{rig.name}' hovers on {hover_V:.2f} V of lift, too little to move travel by tilting",
+            "reduce its counterweight",
         )
     return LinearPlant(
         lag_s,
         thrust,
         counterweight,
-        known.delay_s,
+        loop_effects.delay_s,
         A[np.ix_(elevation, elevation)],
         B[elevation, 0],
         A[np.ix_(tilt, tilt)],
@@ -227,32 +232,33 @@ def _equations(model: type[Model], lag_s: float, linear: tuple[Effect, ...]) -> 
 
 
 def spread_plants(
-    rig: Rig, spread: Spread, *, model: type[Model] = MultibodyModel, known: Known | None = None
+    rig: Rig, spread: Spread, *, model: type[Model] = MultibodyModel, loop_effects: LoopEffects | None = None
 ) -> Sequence[LinearPlant]:
-    """The rig itself at every lag, in the spread's order; then its corners, at every lag, that can fly: a
-    counterweight 3 % heavier lifts some arms without any thrust.
+    """Linearise the nominal rig at every lag of the spread, then the corners of the spread at every lag.
+
+    Corners that cannot hover are left out: a counterweight 3 % heavier lifts some arms without any thrust.
 
     Parameters
     ----------
     spread : Spread
-        How far it may be from its numbers.
+        Uncertainty of the rig's parameters.
     model : type of Model
-        Its equations.
-    known : Known, optional
-        Its effects; the lags are the spread's.
+        Equations of motion.
+    loop_effects : LoopEffects, optional
+        Effects of the rig; the lags are those of the spread.
 
     Raises
     ------
     PlantError
-        When the rig itself cannot fly.
+        When the nominal rig cannot hover.
     """
     corners = itertools.product(
         spread.lag_s,
         (1.0 - spread.thrust, 1.0 + spread.thrust),
         (1.0 - spread.counterweight, 1.0 + spread.counterweight),
     )
-    plants = [linear_plant(rig, lag_s, model=model, known=known) for lag_s in spread.lag_s]
+    plants = [linear_plant(rig, lag_s, model=model, loop_effects=loop_effects) for lag_s in spread.lag_s]
     for corner in corners:
         with contextlib.suppress(PlantError):
-            plants.append(linear_plant(rig, *corner, model=model, known=known))
+            plants.append(linear_plant(rig, *corner, model=model, loop_effects=loop_effects))
     return plants

@@ -1,4 +1,4 @@
-"""Simulates many linear plants along a path at once."""
+"""Simulate many linear plants along the same path together."""
 
 from __future__ import annotations
 
@@ -11,40 +11,40 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 
 SIMULATION_STEP_s: Final = 0.04
-"""Between two points of a path; inputs are held as long."""
+"""Time between two points of a path; inputs are constant in between."""
 _BLOCK: Final = 16
-"""Points of a block: all blocks are simulated from rest at once, then one after the other from the end of the
-one before. With 250 points that is 32 steps in Python instead of 250."""
+"""Points per block. All blocks are simulated together from rest; then the final state of each block is added
+to the next. 250 points take 32 steps in Python instead of 250."""
 
 
 @dataclass(frozen=True)
-class Sampled:
-    """Plants between two points of a path, discretised exactly with inputs held.
+class DiscretePlants:
+    """Linear plants in discrete time, with inputs constant over a step of `SIMULATION_STEP_s`.
 
     Parameters
     ----------
     transition : ndarray (plants, n, n)
-        State transition matrices over `SIMULATION_STEP_s`.
+        State transition matrices over one step.
     inputs : ndarray (plants, n, m)
-        Input matrices.
+        Input matrices over one step.
     """
 
     transition: Floats
     inputs: Floats
 
-    def along(self, inputs: Floats) -> Floats:
-        """States along a path from rest, shape (times, plants, n).
+    def simulate(self, inputs: Floats) -> Floats:
+        """Simulate all plants from rest, and return the states, shape (times, plants, n).
 
         Parameters
         ----------
         inputs : ndarray (times, m)
-            The same for all plants, `SIMULATION_STEP_s` apart.
+            Inputs of every plant, in steps of `SIMULATION_STEP_s`.
         """
         count, size = self.transition.shape[:2]
         blocks = -(-len(inputs) // _BLOCK)
         padded = np.zeros((blocks * _BLOCK, inputs.shape[1]))
         padded[: len(inputs)] = inputs
-        # Of each point of all blocks, (plants, n, blocks): what its inputs so far make of rest.
+        # Zero-state response at each point of all blocks, shape (plants, n, blocks).
         forced = np.einsum("pnm,bkm->kpnb", self.inputs, padded.reshape(blocks, _BLOCK, -1))
         states = np.zeros((_BLOCK + 1, count, size, blocks))
         powers = np.empty((_BLOCK + 1, count, size, size))
@@ -52,54 +52,55 @@ class Sampled:
         for index in range(_BLOCK):
             states[index + 1] = self.transition @ states[index] + forced[index]
             powers[index + 1] = self.transition @ powers[index]
-        begin = np.empty((count, size, blocks))
+        initial = np.empty((count, size, blocks))
         state = np.zeros((count, size, 1))
         for block in range(blocks):
-            begin[:, :, block] = state[:, :, 0]
+            initial[:, :, block] = state[:, :, 0]
             state = powers[_BLOCK] @ state + states[_BLOCK, :, :, block, None]
-        states = states[:_BLOCK] + powers[:_BLOCK] @ begin
+        states = states[:_BLOCK] + powers[:_BLOCK] @ initial
         return states.transpose(3, 0, 1, 2).reshape(-1, count, size)[: len(inputs)]
 
     def step_response(self, times: int) -> Floats:
-        """Zero-state response to a step of each input, shape (plants, n, m, times).
+        """Return the zero-state response to a unit step of each input, shape (plants, n, m, times).
 
         Parameters
         ----------
         times : int
-            Number of points, `SIMULATION_STEP_s` apart; at the first, all states are 0.
+            Number of points in steps of `SIMULATION_STEP_s`; at the first, all states are 0.
         """
         count, size, width = self.inputs.shape
-        # What m steps have made, and m steps later: as much again, and what became of it meanwhile.
+        # Doubling: the response after 2 m steps is that after m steps, propagated by m steps, plus itself.
         response, power = self.inputs[..., None], self.transition
         while response.shape[3] < times:
             later = power @ response.reshape(count, size, width * response.shape[3])
             later = later.reshape(response.shape) + response[..., -1:]
             response, power = np.concatenate((response, later), axis=3), power @ power
-        at_once = np.zeros((count, size, width, 1))
-        return np.concatenate((at_once, response), axis=3)[..., :times]
+        initial = np.zeros((count, size, width, 1))
+        return np.concatenate((initial, response), axis=3)[..., :times]
 
 
-def sampled(closed: Floats, given: Floats) -> Sampled:
-    """Discretise plants.
+def discretise(closed: Floats, input_matrices: Floats) -> DiscretePlants:
+    """Discretise plants exactly for inputs that are constant over a step.
 
     Parameters
     ----------
     closed : ndarray (plants, n, n)
-        State matrices.
-    given : ndarray (plants, n, m)
-        Input matrices.
+        State matrices in continuous time.
+    input_matrices : ndarray (plants, n, m)
+        Input matrices in continuous time.
     """
-    count, size, width = given.shape
-    both = np.zeros((count, size + width, size + width))
-    both[:, :size, :size], both[:, :size, size:] = closed, given
-    step = _exponential(both * SIMULATION_STEP_s)
-    return Sampled(step[:, :size, :size], step[:, :size, size:])
+    count, size, width = input_matrices.shape
+    augmented = np.zeros((count, size + width, size + width))
+    augmented[:, :size, :size], augmented[:, :size, size:] = closed, input_matrices
+    step = _exponential(augmented * SIMULATION_STEP_s)
+    return DiscretePlants(step[:, :size, :size], step[:, :size, size:])
 
 
 def _exponential(matrices: Floats) -> Floats:
-    """Exponentials of small matrices, (n, m, m), by scaling and squaring of a Taylor series.
+    """Return the exponentials of small matrices, shape (n, m, m), by scaling and squaring of a Taylor series.
 
-    scipy's hands every matrix to a threaded solver: 3 ms instead of 0.1 for fifteen, on a busy machine.
+    scipy.linalg.expm uses a threaded solver for each matrix: 3 ms instead of 0.1 ms for fifteen matrices on a
+    busy machine.
     """
     halvings = max(0, int(np.ceil(np.log2(np.abs(matrices).sum(axis=2).max() / 0.25))))
     small = matrices / 2.0**halvings

@@ -1,6 +1,6 @@
-"""Step metrics of a flight with given gains: take-off, a step of travel and back, sines.
+"""Performance of gains in a test flight: take-off, a travel step and back, sines.
 
-Overshoot and settling time are those of `heli_host.flight.response`, from the path that was asked for.
+Overshoot and settling time are those of `heli_host.flight.response`, relative to the planned path.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Phases:
-    """When a flight did what, on its own time axis, s.
+    """Times of the phases of a test flight, on the flight's time axis [s].
 
     Parameters
     ----------
     take_off_s, step_s, back_s, sine_s, end_s : float
-        Beginning of the take-off, of the step of travel, of the step back, of the sines; end of the sines.
+        Beginning of the take-off, of the travel step, of the step back and of the sines; end of the sines.
     """
 
     take_off_s: float
@@ -38,20 +38,20 @@ class Phases:
 
 @dataclass(frozen=True)
 class StepMetrics:
-    """Performance of a set of gains in flight.
+    """Performance of a set of gains in a test flight.
 
     Parameters
     ----------
     outcome : str
-        ``completed``, or what ended the flight.
+        ``completed``, or the reason why the flight ended.
     take_off_s : float
         Settling time of the take-off; infinite if it never settles.
     overshoot_percent : float
-        Of the travel step, the worse of both ways.
+        Overshoot of the travel step, the larger one of both directions.
     settling_time_s : float
-        Of the travel step, the worse of both ways; infinite if it never settles.
+        Settling time of the travel step, the longer one of both directions; infinite if it never settles.
     travel_rms_deg, elevation_rms_deg : float
-        Tracking error along the sines.
+        RMS tracking error along the sines.
     pitch_max_deg : float
         Largest absolute pitch.
     """
@@ -68,31 +68,31 @@ class StepMetrics:
 def step_metrics(
     flight: Flight, path_deg: Callable[[Floats], Floats], phases: Phases, outcome: str
 ) -> StepMetrics:
-    """Measure a flight; infinite where it did not get so far.
+    """Measure a test flight; metrics of phases that it did not reach are infinite.
 
     Parameters
     ----------
     path_deg : callable
-        From times on the flight's axis, (n,), to elevation, pitch and travel that were asked for, (n, 3).
+        Returns the planned elevation, pitch and travel [deg], shape (n, 3), at times (n,) of the flight.
     outcome : str
-        How it ended.
+        ``completed``, or the reason why the flight ended.
     """
     t_s, angles_deg = flight.t_s, np.rad2deg(flight.angles_rad)
     elevation, pitch, travel = angles_deg.T
-    rise, there = _between(t_s, phases.take_off_s, phases.step_s), _between(t_s, phases.step_s, phases.back_s)
+    rise, step = _between(t_s, phases.take_off_s, phases.step_s), _between(t_s, phases.step_s, phases.back_s)
     back, sine = _between(t_s, phases.back_s, phases.sine_s), _between(t_s, phases.sine_s, phases.end_s)
     error_deg = angles_deg[sine] - path_deg(t_s[sine])
-    steps = ((there, phases.step_s, 0.0, TRAVEL_STEP_DEG), (back, phases.back_s, TRAVEL_STEP_DEG, 0.0))
+    steps = ((step, phases.step_s, 0.0, TRAVEL_STEP_DEG), (back, phases.back_s, TRAVEL_STEP_DEG, 0.0))
     answers = [answer_of(t_s[rows] - at_s, travel[rows], *ends) for rows, at_s, *ends in steps]
     start_deg = float(elevation[rise][0]) if rise.any() else 0.0
     take_off = answer_of(t_s[rise] - phases.take_off_s, elevation[rise], start_deg, 0.0)
     return StepMetrics(
         outcome=outcome,
         take_off_s=_settling_s(take_off),
-        overshoot_percent=max(_or_infinite(answer.overshoot_percent) for answer in answers),
+        overshoot_percent=max(_nan_to_infinite(answer.overshoot_percent) for answer in answers),
         settling_time_s=max(_settling_s(answer) for answer in answers),
-        travel_rms_deg=_or_infinite(rms(error_deg[:, 2])),
-        elevation_rms_deg=_or_infinite(rms(error_deg[:, 0])),
+        travel_rms_deg=_nan_to_infinite(rms(error_deg[:, 2])),
+        elevation_rms_deg=_nan_to_infinite(rms(error_deg[:, 0])),
         pitch_max_deg=float(np.abs(pitch).max(initial=0.0)),
     )
 
@@ -102,8 +102,8 @@ def _between(t_s: Floats, start_s: float, stop_s: float) -> npt.NDArray[np.bool_
 
 
 def _settling_s(answer: Answer) -> float:
-    return _or_infinite(answer.settling_s)
+    return _nan_to_infinite(answer.settling_s)
 
 
-def _or_infinite(value: float) -> float:
+def _nan_to_infinite(value: float) -> float:
     return math.inf if math.isnan(value) else value

@@ -1,4 +1,4 @@
-"""``heli-host campaign``: thousands of flights, fits, diagnoses or gain checks."""
+"""``heli-host campaign``: run many flights, fits, diagnoses or gain checks."""
 
 from __future__ import annotations
 
@@ -16,34 +16,39 @@ if TYPE_CHECKING:
 
 
 def campaign(
-    file: Annotated[Path, typer.Argument(metavar="CAMPAIGN.toml", help="What is done, over which settings.")],
+    file: Annotated[Path, typer.Argument(metavar="CAMPAIGN.toml", help="Task and settings of the cases.")],
     scheduler: Annotated[
         str | None,
         typer.Option(
             "--scheduler",
             metavar="ADDRESS",
-            help="Dask cluster to use, such as tcp://10.0.0.1:8786; else this machine.",
+            help="Dask cluster, such as tcp://10.0.0.1:8786.  [default: this machine]",
+            show_default=False,
         ),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="DIR", help="Where results are kept.  [default: the file's name]"),
+        typer.Option("--out", metavar="DIR", help="Folder of the results.  [default: the file's name]"),
     ] = None,
     workers: Annotated[
         int | None,
         typer.Option(
-            "--workers", metavar="N", min=1, help="Cases at once on this machine; its cores unless given."
+            "--workers",
+            metavar="N",
+            min=1,
+            help="Parallel cases on this machine.  [default: number of cores]",
         ),
     ] = None,
     retry: Annotated[
-        bool, typer.Option("--retry", help="Do those cases again that ended without a result.")
+        bool, typer.Option("--retry", help="Repeat the cases that ended without a result.")
     ] = False,
 ) -> None:
-    """Fly, fit, diagnose or check gains over rigs, effects, plans and seeds, on this machine or a cluster.
+    """Run many flights, fits, diagnoses or gain checks, here or on a cluster.
 
-    Every case leaves a JSON file and a row of the table. Whatever is killed on the way, the same command goes
-    on with the cases that had not ended. Ends with 1 if a case has no result, otherwise with 4 if a flight
-    did not end as completed.
+    The cases are all combinations of rigs, effects, plans and seeds in the campaign file.
+    Every case writes a JSON file and a row of the table. After an interruption, the same command continues
+    with the remaining cases. The exit code is 1 if a case has no result, otherwise 4 if a flight did not end
+    as completed.
 
     Example: `heli-host campaign study.toml --out study`, and on a cluster `--scheduler tcp://head:8786`
     """
@@ -59,7 +64,7 @@ def campaign(
     from heli_lab.errors import CampaignError
 
     if scheduler is not None and workers is not None:
-        raise typer.BadParameter("--workers is of this machine; a cluster has its own")
+        raise typer.BadParameter("--workers applies to this machine only; remove it, or remove --scheduler")
     loaded = load_campaign(file)
     folder = out or Path(file.stem)
     check_result_places(report=folder)
@@ -88,8 +93,8 @@ def campaign(
             )
         except KeyboardInterrupt:
             raise CampaignError(
-                f"stopped; {ended} of {len(loaded.cases)} cases have ended and are kept",
-                "the same command goes on with the others",
+                f"stopped; {ended} of {len(loaded.cases)} cases have ended and are saved",
+                "run the same command again to continue with the others",
             ) from None
     summary = summarise(loaded, rows)
     page = write_summary(loaded, summary, folder)
@@ -102,7 +107,7 @@ def campaign(
 
 
 def _cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

@@ -1,4 +1,4 @@
-"""``heli-host diagnose``: what the simulation gets wrong."""
+"""``heli-host diagnose``: find the causes of model errors in flights."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def diagnose(
         bool,
         typer.Option(
             "--with-law",
-            help="Put a law that is proposed into the rig of --out too; it flies with its effect file.",
+            help="Also write a proposed equation term into the rig of --out.",
         ),
     ] = False,
     calibrate_s: Annotated[
@@ -46,13 +46,12 @@ def diagnose(
             "--calibrate",
             metavar="SECONDS",
             min=0.0,
-            help="Free flight of each validation flight to find its zeros and torques from; the rest is "
-            "judged.  [default: 8, or a third of a short flight]",
+            help="Calibration time of each validation flight.  [default: 8, or a third of it]",
             show_default=False,
         ),
     ] = None,
     seed: Annotated[
-        int, typer.Option("--seed", metavar="N", min=0, help="Seed of the bootstrap behind the intervals.")
+        int, typer.Option("--seed", metavar="N", min=0, help="Seed of the bootstrap for the intervals.")
     ] = 0,
     budget: Annotated[
         int,
@@ -60,7 +59,7 @@ def diagnose(
             "--budget",
             metavar="N",
             min=1,
-            help="Most refits of the model; the result says whether everything was tried.",
+            help="Largest number of refits of the model.",
         ),
     ] = 80,
     resume: Annotated[
@@ -68,20 +67,21 @@ def diagnose(
         typer.Option(
             "--resume",
             metavar="FILE",
-            help="Keep what is worked out in this file, and go on from what it has.",
+            help="Save intermediate results in this file, and continue from its contents.",
         ),
     ] = None,
 ) -> None:
-    """Show what a model gets wrong in flights, name the cause, extend the model, measure the gain.
+    """Find the causes of a model's errors in flights and extend the model.
 
-    The baseline is refitted first. Every effect of the catalogue is scored; one is named if its
-    log-likelihood ratio exceeds its penalty; the flights given with --validate have no part in that, they
-    judge it. What chance alone makes is weather; what can be foretold and no effect explains is
-    `unexplained`: its law is looked for, and proposed as an effect file in the folder of --report.
+    The baseline is refitted first. Every effect of the catalogue is scored, and named as a cause if its
+    log-likelihood ratio exceeds its penalty. The flights of --validate only evaluate the error reduction.
+    Random torques count as disturbances. An error that is predictable but that no effect explains is
+    `unexplained`: an equation term is searched for it, and proposed as an effect file in the folder of
+    --report. The first seconds of each validation flight, --calibrate, give its zeros and torques.
 
     Example: `heli-host diagnose a.mcap --validate b.mcap --rig makki2024 --report why --out extended.toml`
     """
-    # Matrices here are small: more threads only wait for each other.
+    # The matrices are small, so that more BLAS threads only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from heli_host.cli.outputs import check_result_places
     from heli_host.cli.progress_bar import WorkBar
@@ -98,7 +98,7 @@ def diagnose(
     from heli_lab.page.drawing import Drawing
     from heli_lab.threads import default_thread_count, limit_malloc_arenas
 
-    # What libraries keep is no garbage: to look through it again and again took 8 % of a diagnosis.
+    # Exclude loaded libraries from garbage collection, which otherwise takes 8 % of a diagnosis.
     gc.freeze()
     limit_malloc_arenas()
     others = validate or []
@@ -108,15 +108,15 @@ def diagnose(
     kinds = catalogue(effects or ())
     result: Diagnosis | InsufficientExcitation
     written: list[Path | None] = []
-    beside = report is not None and default_thread_count() > 1
-    with WorkBar() as bar, Drawing(beside) as drawing:
+    use_process = report is not None and default_thread_count() > 1
+    with WorkBar() as bar, Drawing(use_process) as drawing:
         bar.show("reading", 0.0)
         spans = parts(start_s or (), stop_s or (), len(flights), len(others))
         read = read_flights([*flights, *others], allow_gaps)
         if not as_is:
-            bar.show("looking at signs and zeros", 0.0)
+            bar.show("checking signs and zeros", 0.0)
             refuse_wrong_signs(read, given.labels, given.rig)
-        # Handed over one by one, and not kept: ten minutes at 1 kHz are 45 MB.
+        # Flights are passed one by one and not kept: ten minutes at 1 kHz take 45 MB.
         read.reverse()
         used = (
             part_of(read.pop(), given.rig, label, span)
@@ -136,8 +136,8 @@ def diagnose(
                 resume=resume,
                 say=bar.show,
             )
-        except NotExcited as nothing:
-            result = insufficient_excitation(str(nothing), given.model, given.rig, kinds)
+        except NotExcited as error:
+            result = insufficient_excitation(str(error), given.model, given.rig, kinds)
         if out is not None and not isinstance(result, InsufficientExcitation):
             write_rig(
                 result.rig(out.stem, with_law),
@@ -162,7 +162,7 @@ def diagnose(
 
 
 def _print(result: Diagnosis | InsufficientExcitation) -> None:
-    """Print the verdict, the causes and the gain."""
+    """Print the verdict, the causes and the error reduction."""
     from heli_lab.diagnose.summary import lines, summary
 
     say(f"{result.label}: {summary(result)}", *(f"  {line}" for line in lines(result)))

@@ -1,4 +1,4 @@
-"""``heli-host identify``: the rig's numbers from flights."""
+"""``heli-host identify``: estimate a rig's parameters from flights."""
 
 from __future__ import annotations
 
@@ -22,12 +22,17 @@ def identify(
     model: option.EquationsOption = None,
     effect: Annotated[
         list[str] | None,
-        typer.Option("--effect", metavar="ID...", help="Effects to estimate as well, such as rotor_lag."),
+        typer.Option("--effect", metavar="ID...", help="Effects to estimate too, such as rotor_lag."),
     ] = None,
     effects: option.OwnEffectsOption = None,
     free: Annotated[
         list[str] | None,
-        typer.Option("--free", metavar="NAME...", help="Estimate only these; else all with a tolerance."),
+        typer.Option(
+            "--free",
+            metavar="NAME...",
+            help="Parameters to estimate.  [default: all with a tolerance]",
+            show_default=False,
+        ),
     ] = None,
     fix: Annotated[
         list[str] | None, typer.Option("--fix", metavar="NAME...", help="Do not estimate these parameters.")
@@ -36,7 +41,8 @@ def identify(
     start_s: option.FromOption = None,
     stop_s: option.ToOption = None,
     window_s: Annotated[
-        float, typer.Option("--window-s", metavar="S", min=0.5, max=30.0, help="Length of a free run.")
+        float,
+        typer.Option("--window-s", metavar="S", min=0.5, max=30.0, help="Length of the open-loop windows."),
     ] = 2.0,
     allow_gaps: option.GapsOption = False,
     as_is: option.AsIsOption = False,
@@ -46,8 +52,8 @@ def identify(
 ) -> None:
     """Estimate a rig's parameters from flights, with standard errors.
 
-    Each window of a flight is simulated from its voltages alone; the parameters with the least squared errors
-    are the result, with the tolerances of the rig file as priors. --validate tries them on other flights.
+    Each window of a flight is simulated open loop from its voltages. The estimates minimise the squared
+    errors, with the tolerances of the rig file as priors. --validate evaluates them on other flights.
 
     Example: `heli-host identify a.mcap --validate b.mcap --rig makki2024 --out mine.toml --report mine`
     """
@@ -65,13 +71,13 @@ def identify(
     data_on_stdout(json)
     check_result_places(out, json, report=report)
     given = fit_inputs(flights, others, rig, model, effects or (), effect or ())
-    beside = report is not None and default_thread_count() > 1
-    with WorkBar() as bar, Drawing(beside) as drawing:
+    use_process = report is not None and default_thread_count() > 1
+    with WorkBar() as bar, Drawing(use_process) as drawing:
         bar.show("reading", 0.0)
         spans = parts(start_s or (), stop_s or (), len(flights), len(others))
         read = read_flights([*flights, *others], allow_gaps)
         if not as_is:
-            bar.show("looking at signs and zeros", 0.0)
+            bar.show("checking signs and zeros", 0.0)
             refuse_wrong_signs(read, given.labels, given.rig)
         used = [
             part_of(flight, given.rig, label, span)
@@ -106,7 +112,7 @@ def identify(
 
 
 def _print(identification: Identification) -> None:
-    """Print estimates beside priors."""
+    """Print estimates and priors in a table."""
     from heli_lab.identify.result import rounded
 
     fit = identification.fit
@@ -114,9 +120,9 @@ def _print(identification: Identification) -> None:
     for parameter, value, std in zip(fit.problem.free, fit.theta, fit.std.values(), strict=True):
         remark = "uninformed" if parameter.name in identification.uninformed_parameters else ""
         remark = "on its bound" if parameter.name in fit.at_bound else remark
-        known = f"{parameter.prior.mean:g}", f"{2 * parameter.prior.std:g}"
+        prior = f"{parameter.prior.mean:g}", f"{2 * parameter.prior.std:g}"
         rows.append(
-            (parameter.name, rounded(value, std), rounded(2 * std, std), *known, parameter.unit, remark)
+            (parameter.name, rounded(value, std), rounded(2 * std, std), *prior, parameter.unit, remark)
         )
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     for row in rows:

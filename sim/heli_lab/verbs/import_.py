@@ -1,4 +1,4 @@
-"""``heli-host import``: flights from files of others."""
+"""``heli-host import``: convert log files of other programs into flights."""
 
 from __future__ import annotations
 
@@ -23,39 +23,42 @@ def import_(
         typer.Argument(metavar="FILE...", help="Text, .mat, .parquet, .mcap, .bag, .xlsx, folders of bags."),
     ],
     profile: Annotated[
-        Path | None, typer.Option("--profile", metavar="FILE", help="Which column is what; TOML.")
+        Path | None, typer.Option("--profile", metavar="FILE", help="Profile that assigns the columns, TOML.")
     ] = None,
     guess: Annotated[
         bool, typer.Option("--guess", help="Propose the profile from names, ranges and physics.")
     ] = False,
     out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="DIR", help="Where flights and profile go.")
+        Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for flights and profile.")
     ] = Path("imported"),
     rig: Annotated[
         str | None,
         typer.Option(
             "--rig",
             metavar="NAME|FILE",
-            help="What units, table and encoders are held against; else the shipped rig that fits best.",
+            help="Rig of the files.  [default: the shipped rig that fits best]",
+            show_default=False,
         ),
     ] = None,
     rate: Annotated[
-        float | None, typer.Option("--rate", metavar="HZ", min=1.0, help="Rows a second, without times.")
+        float | None,
+        typer.Option("--rate", metavar="HZ", min=1.0, help="Sampling rate of files without times."),
     ] = None,
     one_flight: Annotated[
         bool,
         typer.Option(
-            "--one-flight", help="The files hold one flight together: angles in one, voltages in another."
+            "--one-flight",
+            help="Merge all files into one flight, such as angles and voltages.",
         ),
     ] = False,
     anyway: Annotated[
-        bool, typer.Option("--anyway", help="Write the flights though the guess is unsure.")
+        bool, typer.Option("--anyway", help="Write the flights even if the guess is unsure.")
     ] = False,
 ) -> None:
-    """Import flights of any program: columns, units, signs and zeros by a profile, or guessed.
+    """Convert logs of other programs into flights by a given or guessed profile.
 
-    A guess is sure, or says between what it is unsure, and then writes profile and picture, but no flight:
-    correct the profile and give it with --profile.
+    A guess that is sure writes the flights, the profile and a figure. If a guess is unsure, it lists the
+    ambiguities and writes profile and figure only; correct the profile and give it with --profile.
 
     Example: `heli-host import lab1.mat lab2.mat --guess --rig quanser-course --out flights/lab`
     """
@@ -67,32 +70,36 @@ def import_(
     known = load_rig(rig) if rig is not None else None
     tables = [read_table(path) for path in files]
     if one_flight:
-        from heli_lab.guess import together
+        from heli_lab.guess import merge_tables
 
-        tables, files = [together(tables)], files[:1]
+        tables, files = [merge_tables(tables)], files[:1]
     out.mkdir(parents=True, exist_ok=True)
     if profile is not None:
         _write_flights(tables, read_profile(profile), out)
         return
     guesses = _guesses(tables, known, rate)
-    best = min(guesses, key=lambda candidate: len(candidate.doubts))
-    doubts = {doubt.what: doubt.sentence() for candidate in guesses for doubt in candidate.doubts}
-    doubts |= _differing(guesses, best, files)
-    written = _write_profile(best, list(doubts.values()), out)
+    best = min(guesses, key=lambda candidate: len(candidate.ambiguities))
+    ambiguities = {
+        ambiguity.subject: ambiguity.sentence()
+        for candidate in guesses
+        for ambiguity in candidate.ambiguities
+    }
+    ambiguities |= _differing(guesses, best, files)
+    written = _write_profile(best, list(ambiguities.values()), out)
     for path, file_guess, table in zip(files, guesses, tables, strict=True):
         written.append(_draw(file_guess, table, out / f"{_stem(path)}.png"))
         say(f"{path.name}: {'sure' if file_guess.sure else 'unsure'}")
         for sentence in file_guess.evidence:
             say(f"  {sentence}")
-    for sentence in doubts.values():
+    for sentence in ambiguities.values():
         say(sentence)
     say_files(written)
-    if doubts and not anyway:
+    if ambiguities and not anyway:
         from heli_lab.errors import UnsureGuess
 
         raise UnsureGuess(
-            f"unsure of {', '.join(doubts)}: no flight was written",
-            f"correct {out / 'profile.toml'} and import with --profile, or take it as it is with --anyway",
+            f"unsure of {', '.join(ambiguities)}: no flight was written",
+            f"correct {out / 'profile.toml'} and import with --profile, or use it unchanged with --anyway",
         )
     _write_flights(tables, best.profile, out)
 
@@ -107,24 +114,26 @@ def _guesses(tables: Sequence[Table], rig: Rig | None, rate_Hz: float | None) ->
 
 
 def _differing(guesses: Sequence[Guess], best: Guess, files: Sequence[Path]) -> dict[str, str]:
-    """Where files of one import do not agree on one profile."""
+    """Report the files whose guessed profile differs from the best one."""
     from dataclasses import replace
 
     differing = {}
     for guess, path in zip(guesses, files, strict=True):
         if replace(guess.profile, about="") != replace(best.profile, about=""):
             differing[f"one profile for all: {path.name}"] = (
-                f"unsure of one profile for all: {path.name} by itself would have another one; "
-                "import it alone to see which"
+                f"unsure of one profile for all: the profile guessed from {path.name} alone differs; "
+                "import it alone to see the difference"
             )
     return differing
 
 
-def _write_profile(best: Guess, doubts: Sequence[str], out: Path) -> list[Path]:
+def _write_profile(best: Guess, ambiguities: Sequence[str], out: Path) -> list[Path]:
     from heli_host.tables import profile_text
 
     target = out / "profile.toml"
-    lines = [f"# {line}\n" for line in (*(f"UNSURE: {doubt}" for doubt in doubts), *best.evidence)]
+    lines = [
+        f"# {line}\n" for line in (*(f"UNSURE: {ambiguity}" for ambiguity in ambiguities), *best.evidence)
+    ]
     target.write_text("".join(lines) + "\n" + profile_text(best.profile), encoding="utf-8")
     return [target]
 
@@ -132,7 +141,7 @@ def _write_profile(best: Guess, doubts: Sequence[str], out: Path) -> list[Path]:
 def _draw(guess: Guess, table: Table, path: Path) -> Path:
     from heli_host.tables import flights_of
 
-    from heli_lab.guess.picture import draw
+    from heli_lab.guess.figure import draw
 
     return draw(guess, max(flights_of(table, guess.profile), key=len), path)
 

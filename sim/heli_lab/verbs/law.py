@@ -1,4 +1,4 @@
-"""``heli-host law``: a control law of one's own, checked, flown, compared and exported."""
+"""``heli-host law``: check, fly, compare and export your own control law."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
 
     from heli_lab.law import Law
 
-app = typer.Typer(no_args_is_help=True, help="Check, fly, compare and export a control law of your own.")
+app = typer.Typer(no_args_is_help=True, help="Check, fly, compare and export your own control law.")
 
 LawArgument = Annotated[
-    Path, typer.Argument(metavar="LAW.py", help="Python file with a LAW; its code is run.")
+    Path, typer.Argument(metavar="LAW.py", help="Python file that defines LAW. Its code is executed.")
 ]
 LoadTimeoutOption = Annotated[
     float,
-    typer.Option("--load-timeout", metavar="SECONDS", min=0.1, help="Longest that the law's file may run."),
+    typer.Option("--load-timeout", metavar="SECONDS", min=0.1, help="Time limit for loading the law's file."),
 ]
-_MOST_POLES = 4
+_MAX_POLES = 4
 
 
 @app.command()
@@ -35,12 +35,14 @@ def check(
         str, typer.Option("--rig", metavar="NAME|FILE", help="Rig to close the loop around.")
     ] = DEFAULT_RIG,
     rigs: Annotated[
-        int, typer.Option("--rigs", min=0, help="Rigs to fly it on, their thrust and lag drawn.")
+        int, typer.Option("--rigs", min=0, help="Number of simulated rigs with random thrust and lag.")
     ] = 3,
     seed: SeedOption = 1,
     load_timeout: LoadTimeoutOption = FILE_LIMIT_s,
 ) -> None:
-    """Say what a law costs on the board and how stable it is, and fly it on random rigs in simulation.
+    """Report a law's cost and stability margins, and fly it in simulation.
+
+    The simulated rigs have random thrust and rotor lag.
 
     Example: `heli-host law check lqi.py --rigs 5`
     """
@@ -54,9 +56,9 @@ def check(
     say(
         f"{loaded.name}: {loaded.rate_Hz:g} Hz, {len(tape.instructions)} operations, "
         f"{len(loaded.states)} states, {len(tape.words)} words; at most {tape.cost} instructions "
-        f"a call{spread} (a tick has {LAW_TICK_COST})"
+        f"per call{spread} (limit per tick: {LAW_TICK_COST})"
     )
-    # What a bad law need not wait for.
+    # Imported here so that an invalid law is refused without this delay.
     import numpy as np
     from heli_sim.rig import load_rig
 
@@ -64,38 +66,43 @@ def check(
     from heli_lab.tune.plants import linear_plant
 
     linear = linearised(loaded, linear_plant(load_rig(rig)))
-    slow = sorted(linear.poles, key=lambda pole: -pole.real)[:_MOST_POLES]
+    slow = sorted(linear.poles, key=lambda pole: -pole.real)[:_MAX_POLES]
     poles = ", ".join(f"{pole.real:.2f}{pole.imag:+.2f}j" for pole in slow)
     say(f"{'stable' if linear.stable else 'UNSTABLE'} around level; slowest poles {poles} 1/s")
     for loop, gain, phase_deg in zip(
         ("collective", "differential"), linear.gain_up, linear.phase_deg, strict=True
     ):
         say(f"{loop:13} gain margin {gain:.2f}, phase margin {phase_deg:.0f} deg")
-    chance = np.random.default_rng(seed)
+    random = np.random.default_rng(seed)
     for number in range(rigs):
-        thrust, lag_s = float(chance.uniform(-0.1, 0.1)), float(chance.uniform(0.0, 0.1))
-        off = ";".join(f"thrust_step.{motor}={thrust:.3f}@0.001" for motor in ("front", "back"))
-        address = f"sil://?rig={rig}&seed={seed + number}&effect=rotor_lag={lag_s:.3f};{off}"
-        what = f"thrust {100 * thrust:+.0f} %, lag {1e3 * lag_s:.0f} ms"
-        say(f"rig {number + 1} ({what}): {_flown(loaded, address, 15.0)}")
+        thrust, lag_s = float(random.uniform(-0.1, 0.1)), float(random.uniform(0.0, 0.1))
+        thrust_effects = ";".join(f"thrust_step.{motor}={thrust:.3f}@0.001" for motor in ("front", "back"))
+        address = f"sil://?rig={rig}&seed={seed + number}&effect=rotor_lag={lag_s:.3f};{thrust_effects}"
+        description = f"thrust {100 * thrust:+.0f} %, lag {1e3 * lag_s:.0f} ms"
+        say(f"rig {number + 1} ({description}): {_fly_trial(loaded, address, 15.0)}")
 
 
 @app.command()
 def fly(
     law: LawArgument,
-    port: Annotated[str, typer.Option("--port", help="Serial port, or any address that connect takes.")] = "",
+    port: Annotated[str, typer.Option("--port", help="Serial port, or another address of a board.")] = "",
     board: BoardOption = None,
     seconds: Annotated[
-        float, typer.Option("--seconds", min=1.0, max=600.0, help="How long the law flies.")
+        float, typer.Option("--seconds", min=1.0, max=600.0, help="Flight time with the law [s].")
     ] = 20.0,
     log: Annotated[Path | None, typer.Option("--log", metavar="FILE", help="Log to write, .mcap.")] = None,
     plan: Annotated[
-        str, typer.Option("--plan", metavar="NAME|FILE", help="Plan to fly instead, such as sine.")
+        str,
+        typer.Option(
+            "--plan", metavar="NAME|FILE", help="Plan to fly instead of the default path, such as sine."
+        ),
     ] = "",
     seed: SeedOption = 1,
     load_timeout: LoadTimeoutOption = FILE_LIMIT_s,
 ) -> None:
-    """Fly a law on the board itself: a step of travel, then sines; without --port, in simulation.
+    """Fly a law on the board along a travel step and sines.
+
+    Without --port the flight is simulated.
 
     Example: `heli-host law fly lqi.py --board due --log lqi.mcap`
     """
@@ -103,30 +110,34 @@ def fly(
 
     address = port or f"sil://?board={board or 'native'}&seed={seed}"
     loaded = load_law(law, load_timeout)
-    say(_planned(loaded, address, plan, log) if plan else _flown(loaded, address, seconds, log))
+    say(_fly_plan(loaded, address, plan, log) if plan else _fly_trial(loaded, address, seconds, log))
 
 
 @app.command()
 def compare(
     law: Annotated[
         Path,
-        typer.Argument(metavar="A", help="Law (.py, its code is run), or log of a flight (.mcap, .csv)."),
+        typer.Argument(metavar="A", help="Law (.py, its code is executed), or flight log (.mcap, .csv)."),
     ],
     other: Annotated[
-        Path | None, typer.Argument(metavar="[B]", help="Another law, else the board's own; or another log.")
+        Path | None,
+        typer.Argument(
+            metavar="[B]", help="Another law or log.  [default: the board's control law]", show_default=False
+        ),
     ] = None,
     board: BoardOption = None,
     seconds: Annotated[
-        float, typer.Option("--seconds", min=1.0, max=600.0, help="How long each flies.")
+        float, typer.Option("--seconds", min=1.0, max=600.0, help="Flight time of each law [s].")
     ] = 30.0,
     seed: SeedOption = 1,
-    out: Annotated[
-        Path, typer.Option("--out", metavar="FILE.png", help="Figure to write: both over each other.")
-    ] = Path("compare.png"),
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.png", help="Figure of both flights.")] = Path(
+        "compare.png"
+    ),
     load_timeout: LoadTimeoutOption = FILE_LIMIT_s,
 ) -> None:
-    """Compare two logs where a law flew, or fly two laws along the same path in simulation: the numbers of
-    `heli-host plot`, and a figure.
+    """Compare two flight logs, or two laws along the same path in simulation.
+
+    Prints the metrics of `heli-host plot`, and writes a figure.
 
     Example: `heli-host law compare lqi.mcap lqr.mcap --out both.png`
     """
@@ -134,9 +145,9 @@ def compare(
 
     address = f"sil://?board={board or 'native'}&seed={seed}"
     flights = (
-        _logged(law, other)
+        _read_logs(law, other)
         if law.suffix != ".py"
-        else _flown_both(law, other, address, seconds, load_timeout)
+        else _fly_both(law, other, address, seconds, load_timeout)
     )
     say(*comparison_lines(comparison_numbers(flights)))
     write_comparison(flights, out)
@@ -149,7 +160,7 @@ def export(
     out: Annotated[Path, typer.Option("--out", metavar="FILE.c", help="File to write.")],
     load_timeout: LoadTimeoutOption = FILE_LIMIT_s,
 ) -> None:
-    """Write a law as one file of C, in single precision.
+    """Export a law as a C file in single precision.
 
     Example: `heli-host law export lqi.py --out lqi.c`
     """
@@ -160,7 +171,7 @@ def export(
     say_files((out,))
 
 
-def _planned(law: Law, address: str, plan: str, log: Path | None) -> str:
+def _fly_plan(law: Law, address: str, plan: str, log: Path | None) -> str:
     import heli_host
     from heli_host.errors import FlightAborted
     from heli_host.fly.runner import fly as fly_plan
@@ -174,22 +185,22 @@ def _planned(law: Law, address: str, plan: str, log: Path | None) -> str:
     rms = ", ".join(
         f"{axis} {error:.2f}" for axis, error in summary.rms_error_deg.items() if error is not None
     )
-    return f"{law.name} flew {plan}: rms error {rms} deg"
+    return f"{law.name} flew {plan}: RMS error {rms} deg"
 
 
-def _logged(first: Path, second: Path | None) -> dict[str, Flight]:
+def _read_logs(first: Path, second: Path | None) -> dict[str, Flight]:
     from heli_host.errors import FlightDataError
 
     from heli_lab.law.compare import flight_of_law
 
     if second is None:
-        raise FlightDataError("one log alone is nothing to compare", "name two logs, or a law (.py)")
+        raise FlightDataError("a comparison needs two logs", "give two logs, or a law (.py)")
     if first == second:
-        raise FlightDataError(f"{first} is given twice", "name two logs")
+        raise FlightDataError(f"{first} is given twice", "give two different logs")
     return {str(path): flight_of_law(path) for path in (first, second)}
 
 
-def _flown_both(
+def _fly_both(
     first: Path, second: Path | None, address: str, seconds: float, limit_s: float
 ) -> dict[str, Flight]:
     from heli_lab.law.files import load_law
@@ -206,7 +217,7 @@ def _flown_both(
     return flights
 
 
-def _flown(law: Law | None, address: str, seconds: float, log: Path | None = None) -> str:
+def _fly_trial(law: Law | None, address: str, seconds: float, log: Path | None = None) -> str:
     from heli_lab.law.trial import try_law
 
     return str(try_law(law, address, seconds, log))

@@ -1,4 +1,4 @@
-"""``heli-host paper``: the paper's bench tests, tables, gains and figures on the simulated rig."""
+"""``heli-host paper``: reproduce the paper's bench tests, tables, gains and figures in simulation."""
 
 from __future__ import annotations
 
@@ -17,26 +17,27 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from heli_lab.identify.record import Record
-    from heli_lab.paper.figures_flight import Flown
+    from heli_lab.paper.figures_flight import PaperFlight
 
 app = typer.Typer(
-    help="The paper's bench tests, tables, gains and figures on the simulated rig.", no_args_is_help=True
+    help="Reproduce the paper's bench tests, tables, gains and figures in simulation.",
+    no_args_is_help=True,
 )
 
-RigName = Annotated[str, typer.Option("--rig", metavar="NAME|FILE", help="Rig simulated.")]
-ModelName = Annotated[str, typer.Option("--model", metavar="NAME", help="Equations of motion simulated.")]
-JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="All numbers.")]
+RigName = Annotated[str, typer.Option("--rig", metavar="NAME|FILE", help="Simulated rig.")]
+ModelName = Annotated[str, typer.Option("--model", metavar="NAME", help="Simulated equations of motion.")]
+JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Results as JSON.")]
 _MODEL = "multibody"
 _DPI = 130
-# Hover of a rig whose rotors are alike would be two straight lines.
-_UNEVEN = "M_f"
+_HEAVIER_ROTOR = "M_f"
+"""Parameter increased by its tolerance in flights: with equal rotors hover would be two straight lines."""
 
 
 @app.command("tables")
 def tables(
     rig: RigName = DEFAULT_RIG, model: ModelName = _MODEL, seed: SeedOption = 1, json: JsonFile = None
 ) -> None:
-    """Print Tables 2 to 5 beside what the paper's bench tests give on the simulated rig.
+    """Print Tables 2 to 5 and estimates from simulated bench tests.
 
     Example: `heli-host paper tables --json tables.json`
     """
@@ -59,10 +60,10 @@ def tables(
         for place, number in enumerate(records):
             share = 0.1 + 0.1 * place
 
-            def tell(done: float, share: float = share, number: int = number) -> None:
+            def report(done: float, share: float = share, number: int = number) -> None:
                 bar.show(f"fitting Table {number}", share + 0.1 * done)
 
-            tables_.append(fit_table(number, plant.rig, records[number], tell))
+            tables_.append(fit_table(number, plant.rig, records[number], report))
         by_rig = fit_rig(plant.rig, records, line, lambda done: bar.show("fitting Table 2", 0.4 + 0.6 * done))
     for text in table_lines(line, by_rig, tables_):
         say(text)
@@ -72,7 +73,9 @@ def tables(
 
 @app.command("gains")
 def gains(rig: RigName = DEFAULT_RIG, json: JsonFile = None) -> None:
-    """Say whether Table 6 holds pitch and travel, in every reading, on (30) and on the multibody model.
+    """Check the stability of pitch and travel for every interpretation of Table 6.
+
+    The plants are the linearised equations (30) and the linearised multibody model.
 
     Example: `heli-host paper gains`
     """
@@ -95,9 +98,10 @@ def gains(rig: RigName = DEFAULT_RIG, json: JsonFile = None) -> None:
 
 @app.command("models")
 def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonFile = None) -> None:
-    """Measure how far the paper's equations, printed and corrected, are from a multibody rig in flight.
+    """Compare the paper's equations with a flight of a multibody rig.
 
-    Every model predicts the flight in free runs of 2 s from the rig file's own numbers; nothing is fitted.
+    Every model, printed and corrected, simulates the flight open loop over 2 s with the parameters of the rig
+    file, without a fit.
 
     Example: `heli-host paper models`
     """
@@ -106,7 +110,7 @@ def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonFile = No
     from heli_sim.model.named import MODELS, model_named
 
     from heli_lab.page import write_json
-    from heli_lab.paper.compare import distances
+    from heli_lab.paper.compare import model_errors
     from heli_lab.paper.experiments import fly_plan
     from heli_lab.paper.text import model_lines
 
@@ -115,11 +119,13 @@ def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonFile = No
     with WorkBar() as bar:
         flown = fly_plan("sine", plant, "sine", None, seed, lambda done: bar.show("flying", 0.5 * done))
         bar.show("predicting", 0.5)
-        distances_ = distances([model_named(name) for name in sorted(MODELS)], plant.rig, flown.flight)
-    for text in model_lines(distances_):
+        errors_by_model = model_errors(
+            [model_named(name) for name in sorted(MODELS)], plant.rig, flown.flight
+        )
+    for text in model_lines(errors_by_model):
         say(text)
     if json is not None:
-        write_json(json, {distance.model: asdict(distance) for distance in distances_})
+        write_json(json, {distance.model: asdict(distance) for distance in errors_by_model})
 
 
 @app.command("equations")
@@ -128,7 +134,7 @@ def equations(
         str, typer.Argument(metavar="MODEL", help="multibody, paper or paper_printed.")
     ] = _MODEL,
 ) -> None:
-    """Print a model's equations as LaTeX, from the symbols that are simulated.
+    """Print the equations of a model as LaTeX, from the symbols of the simulation.
 
     Example: `heli-host paper equations paper_printed`
     """
@@ -146,9 +152,9 @@ def figures(
     model: ModelName = _MODEL,
     seed: SeedOption = 1,
 ) -> None:
-    """Draw the counterparts of Figs. 15 to 19 and 21 to 25.
+    """Reproduce Figs. 15 to 19 and 21 to 25.
 
-    Figs. 21 to 25 are flown twice by the flight code: with the board's own gains, and with Table 6, P and I
+    The flights of Figs. 21 to 25 are simulated with the board's default gains, and with Table 6 with P and I
     of travel exchanged. Their rig has a front rotor that is heavier by its tolerance.
 
     Example: `heli-host paper figures paper-figures`
@@ -178,7 +184,9 @@ def figures(
             table = fit_table(number, plant.rig, records[number])
             write(f"fig{number + 13}.png", bench.bench_figure(table, records[number], plant.rig))
         write("fig19.png", bench.sensitivity_figure(plant.rig))
-        flights = _flights(_uneven(plant), seed, lambda stage, done: bar.show(stage, 0.35 + 0.6 * done))
+        flights = _flights(
+            _with_heavier_rotor(plant), seed, lambda stage, done: bar.show(stage, 0.35 + 0.6 * done)
+        )
         write("fig21.png", flight.hover_figure(flights["hover"]))
         for name, path, number in (("irregular", "irregular path", 22), ("sine", "sine path", 24)):
             write(f"fig{number}.png", flight.response_figure(flights[name], path, number))
@@ -201,11 +209,11 @@ def _plant(rig: str, model: str) -> Plant:
     return Plant(model_named(model), loaded)
 
 
-def _uneven(plant: Plant) -> Plant:
+def _with_heavier_rotor(plant: Plant) -> Plant:
     from heli_sim.plant import Plant
 
-    number = plant.rig[_UNEVEN]
-    return Plant(plant.model, plant.rig.replace(**{_UNEVEN: number.value + number.tolerance}))
+    number = plant.rig[_HEAVIER_ROTOR]
+    return Plant(plant.model, plant.rig.replace(**{_HEAVIER_ROTOR: number.value + number.tolerance}))
 
 
 def _records(plant: Plant, seed: int) -> dict[int, list[Record]]:
@@ -219,32 +227,34 @@ def _records(plant: Plant, seed: int) -> dict[int, list[Record]]:
     }
 
 
-def _flights(plant: Plant, seed: int, on_progress: Callable[[str, float], None]) -> dict[str, list[Flown]]:
+def _flights(
+    plant: Plant, seed: int, on_progress: Callable[[str, float], None]
+) -> dict[str, list[PaperFlight]]:
     from heli_lab.paper.experiments import PLANS, fly_plan
 
-    sets = (("own gains", None), ("Table 6, P and I of travel exchanged", "paper"))
-    out: dict[str, list[Flown]] = {}
+    sets = (("default gains", None), ("Table 6, P and I of travel exchanged", "paper"))
+    out: dict[str, list[PaperFlight]] = {}
     for place, name in enumerate(PLANS):
-        for turn, (label, wanted) in enumerate(sets):
-            before = (2 * place + turn) / (2 * len(PLANS))
+        for place_in_set, (label, gains) in enumerate(sets):
+            before = (2 * place + place_in_set) / (2 * len(PLANS))
 
-            def tell(done: float, before: float = before, name: str = name) -> None:
+            def report(done: float, before: float = before, name: str = name) -> None:
                 on_progress(f"flying {name}", before + done / (2 * len(PLANS)))
 
-            out.setdefault(name, []).append(fly_plan(name, plant, label, wanted, seed, tell))
+            out.setdefault(name, []).append(fly_plan(name, plant, label, gains, seed, report))
     return out
 
 
-def _errors_text(flight: Flown) -> str:
+def _errors_text(flight: PaperFlight) -> str:
     import numpy as np
 
-    from heli_lab.paper.figures_flight import aloft_s
+    from heli_lab.paper.figures_flight import take_off_end_s
 
-    error = flight.error_deg[flight.flight.t_s > aloft_s(flight)]
+    error = flight.error_deg[flight.flight.t_s > take_off_end_s(flight)]
     if not len(error):
         return ""
     rms = np.sqrt(np.mean(error**2, axis=0))
-    return f"; error after take-off, rms: elevation {rms[0]:.2f}, travel {rms[2]:.2f} deg"
+    return f"; RMS error after take-off: elevation {rms[0]:.2f}, travel {rms[2]:.2f} deg"
 
 
 VERB = Verb(app, "Laboratory")

@@ -1,4 +1,4 @@
-"""``heli-host pool``: diagnoses of several machines of one make, together."""
+"""``heli-host pool``: combine diagnoses of several rigs of one type."""
 
 from __future__ import annotations
 
@@ -18,26 +18,30 @@ if TYPE_CHECKING:
 def pool(
     diagnoses: Annotated[
         list[Path],
-        typer.Argument(metavar="DIAGNOSIS.json...", help="One of each machine, by diagnose --json."),
+        typer.Argument(
+            metavar="DIAGNOSIS.json...", help="Diagnosis of each rig, written by diagnose --json."
+        ),
     ],
     rig: Annotated[
         str | None,
         typer.Option(
             "--rig",
             metavar="NAME|FILE",
-            help="The rig that they were diagnosed with.  [default: by its name]",
+            help="Rig file of the diagnoses.  [default: the one they name]",
             show_default=False,
         ),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="FILE", help="The rig that a new machine begins with, TOML."),
+        typer.Option("--out", metavar="FILE", help="Write a rig file with the prior for another rig, TOML."),
     ] = None,
     json: NumbersOption = None,
 ) -> None:
-    """Tell what machines of one make have in common: numbers, how they differ, and on how many a cause is.
+    """Combine diagnoses of several rigs and estimate how their parameters vary.
 
-    What a new machine begins with is another rig file: give it to identify or diagnose as --rig.
+    The rigs must be of one type. Prints the mean of each parameter, its standard deviation between rigs, and
+    the share of rigs with each cause. With --out it also writes a rig file: the prior for another rig, to
+    identify or diagnose with --rig.
 
     Example: `heli-host pool lab1.json lab2.json lab3.json --out make.toml`
     """
@@ -48,22 +52,30 @@ def pool(
 
     from heli_lab.page import write_json
     from heli_lab.pool import pool as pooled
-    from heli_lab.pool import read_machine
+    from heli_lab.pool import read_rig_diagnosis
 
     check_result_places(out, json)
-    population = pooled([read_machine(path) for path in diagnoses])
+    population = pooled([read_rig_diagnosis(path) for path in diagnoses])
     say(*_lines(population))
     written = []
     if out is not None:
-        base = load_rig(rig or population.machines[0].rig)
-        comment = f"Found by heli-host pool from {len(population.machines)} machines."
-        write_rig(population.prior(base, out.stem), out, comment)
+        base = load_rig(rig or population.diagnoses[0].rig)
+        comment = f"Pooled by heli-host pool from {len(population.diagnoses)} rigs."
+        write_rig(population.prior_rig(base, out.stem), out, comment)
         written.append(out)
     if json is not None:
         content = {
-            "machines": [machine.label for machine in population.machines],
-            "numbers": {name: asdict(number) for name, number in population.numbers.items()},
-            "causes": {name: asdict(cause) for name, cause in population.causes.items()},
+            "machines": [diagnosis.label for diagnosis in population.diagnoses],
+            "numbers": {name: asdict(number) for name, number in population.parameters.items()},
+            "causes": {
+                name: {
+                    "found": cause.present,
+                    "seen": cause.detectable,
+                    "share": cause.share,
+                    "interval": cause.interval,
+                }
+                for name, cause in population.causes.items()
+            },
         }
         write_json(json, content)
         written.append(json)
@@ -72,24 +84,26 @@ def pool(
 
 def _lines(population: RigPopulation) -> list[str]:
     units = {
-        name: quantity.unit for machine in population.machines for name, quantity in machine.numbers.items()
+        name: quantity.unit
+        for diagnosis in population.diagnoses
+        for name, quantity in diagnosis.parameters.items()
     }
     lines = [
-        f"{len(population.machines)} machines of {population.machines[0].rig}, "
-        f"model {population.machines[0].model}"
+        f"{len(population.diagnoses)} rigs of type {population.diagnoses[0].rig}, "
+        f"model {population.diagnoses[0].model}"
     ]
     if not population.causes:
-        lines.append("  no cause on any of them")
+        lines.append("  no cause on any rig")
     for name, cause in population.causes.items():
         low, high = cause.interval
         lines.append(
-            f"  {name}: on {cause.found} of {cause.seen} machines that would show it; "
-            f"of all {100 * low:.0f} to {100 * high:.0f} %"
+            f"  {name}: on {cause.present} of {cause.detectable} rigs that could show it; "
+            f"{100 * low:.0f} to {100 * high:.0f} % of all rigs of this type"
         )
-    lines.append(f"  {'number':32}{'mean':>10}{'std error':>11}{'from machine to machine':>25}  unit")
-    for name, number in population.numbers.items():
+    lines.append(f"  {'parameter':32}{'mean':>10}{'std error':>11}{'std between rigs':>18}  unit")
+    for name, number in population.parameters.items():
         tau = f"{number.tau:.2g}" if number.machines > 1 else "unknown"
-        lines.append(f"  {name:32}{number.mean:>10.4g}{number.std:>11.2g}{tau:>25}  {units[name]}")
+        lines.append(f"  {name:32}{number.mean:>10.4g}{number.std:>11.2g}{tau:>18}  {units[name]}")
     return lines
 
 

@@ -1,4 +1,4 @@
-"""``heli-host tune``: gains for a rig."""
+"""``heli-host tune``: design gains of the control law for a rig."""
 
 from __future__ import annotations
 
@@ -18,23 +18,26 @@ if TYPE_CHECKING:
     from heli_sim.model.base import Model
     from heli_sim.rig import Rig
 
-    from heli_lab.tune import Design, Known, Margin
+    from heli_lab.tune import Design, LoopEffects, Margin
     from heli_lab.tune.flights import Trial
 
-LAG_TRIED_s = 0.12
-"""Of the second trial, where no lag is stated: rotors of this size show 0.09 to 0.15 s."""
+TRIAL_LAG_s = 0.12
+"""Rotor lag of the second test flight if no lag is stated [s]; rotors of this size have 0.09 to 0.15 s."""
 _DIGITS = 4
+"""Significant digits of the parameters."""
 
 
 def tune(
-    rig: Annotated[str, typer.Option("--rig", metavar="NAME|FILE", help="Rig to fly.")] = DEFAULT_RIG,
+    rig: Annotated[
+        str, typer.Option("--rig", metavar="NAME|FILE", help="Rig to design the gains for.")
+    ] = DEFAULT_RIG,
     model: EquationsOption = None,
     effect: Annotated[
         list[str] | None,
         typer.Option(
             "--effect",
             metavar="ID[=VALUE]",
-            help="What the rig has beyond the model, such as rotor_lag=0.12.",
+            help="Effect that the rig has in addition to the model, such as rotor_lag=0.12.",
         ),
     ] = None,
     effects: EffectFilesOption = None,
@@ -45,7 +48,7 @@ def tune(
             metavar="S",
             min=1.6,
             max=10.0,
-            help="Largest peak of 1/|1 + L| of any loop on any plant: less is calmer and slower.",
+            help="Bound on the peak of 1/|1 + L|. Lower values give slower, calmer loops.",
         ),
     ] = 3.5,
     seed: SeedOption = 1,
@@ -54,16 +57,18 @@ def tune(
     ] = None,
     json: Annotated[
         Path | None,
-        typer.Option("--json", metavar="FILE", help="Gains, margins and flights; - for standard output."),
+        typer.Option(
+            "--json", metavar="FILE", help="Gains, margins and flights as JSON, - for standard output."
+        ),
     ] = None,
     figure: Annotated[
         Path | None, typer.Option("--figure", metavar="FILE", help="Flights and loops: .png, .pdf or .svg.")
     ] = None,
 ) -> None:
-    """Design gains for a rig, say how far each loop is from instability, and fly them in the simulation.
+    """Design gains for a rig, print stability margins, and test them in simulation.
 
-    One set of gains must fly the rig and all corners of a spread around it: thrust 20 % off, a counterweight
-    3 % off, rotors that lag by 0 to 0.15 s, or by a quarter more or less than a stated rotor_lag.
+    One set of gains must fly the rig and all corners of its uncertainty: thrust ± 20 %, counterweight ± 3 %,
+    rotor lag 0 to 0.15 s, or a stated rotor_lag ± 25 %.
 
     Example: `heli-host tune --rig mine.toml --out gains.toml`, then `heli-host params restore gains.toml`
     """
@@ -77,7 +82,7 @@ def tune(
     from heli_sim.plant import Plant
     from heli_sim.rig import load_rig
 
-    from heli_lab.tune import find_gains, known_of
+    from heli_lab.tune import find_gains, loop_effects_of
     from heli_lab.tune.flights import try_gains
 
     data_on_stdout(json)
@@ -91,8 +96,8 @@ def tune(
     )
     name = model or loaded.model or DEFAULT_MODEL
     equations = model_named(name, all_effects)
-    known = known_of(all_effects)
-    tried: list[Trial] = []
+    loop_effects = loop_effects_of(all_effects)
+    flown_trials: list[Trial] = []
     with WorkBar() as bar:
         design = find_gains(
             loaded,
@@ -100,26 +105,26 @@ def tune(
             sensitivity,
             lambda what: bar.show(what, 0.05 if what.startswith("elevation") else 0.2),
             model=MODELS[name],
-            known=known,
+            loop_effects=loop_effects,
         )
         parameters = rounded_parameters(design.parameters)
         for parameter, value in parameters.items():
             checked(parameter, value)
-        trials: list[tuple[str, Model]] = [(_label(known), equations)]
-        if known.lag_s is None:
-            late = model_named(name, (*all_effects, RotorLag(LAG_TRIED_s)))
-            trials.append((f"lag {1e3 * LAG_TRIED_s:.0f} ms", late))
-        for number, (label, flown) in enumerate(trials):
+        trials: list[tuple[str, Model]] = [(_label(loop_effects), equations)]
+        if loop_effects.lag_s is None:
+            lagging = model_named(name, (*all_effects, RotorLag(TRIAL_LAG_s)))
+            trials.append((f"lag {1e3 * TRIAL_LAG_s:.0f} ms", lagging))
+        for number, (label, trial_model) in enumerate(trials):
 
-            def tell(done: float, label: str = label, number: int = number) -> None:
-                bar.show(f"flying, {label}", 0.5 + 0.5 * (number + done) / len(trials))
+            def report(done: float, label: str = label, number: int = number) -> None:
+                bar.show(f"test flight, {label}", 0.5 + 0.5 * (number + done) / len(trials))
 
-            tried.append(try_gains(Plant(flown, loaded, seed), parameters, label, seed, tell))
-    of_plants = _margins(design)
+            flown_trials.append(try_gains(Plant(trial_model, loaded, seed), parameters, label, seed, report))
+    margins_of_plants = _margins(design)
     say(
-        *_head(loaded, name, design, known),
-        *_margin_lines(design, of_plants),
-        *_flight_lines(tried),
+        *_head(loaded, name, design, loop_effects),
+        *_margin_lines(design, margins_of_plants),
+        *_flight_lines(flown_trials),
     )
     written: list[Path | None] = []
     if out is not None:
@@ -127,36 +132,40 @@ def tune(
         comment = f"heli-host tune: gains for rig {loaded.name}, model {name}{also}"
         out.write_text(parameters_text(parameters, comment), encoding="utf-8")
         written.append(out)
-    write_numbers(json, _numbers(loaded, name, design, of_plants, known, parameters, tried))
+    write_numbers(
+        json, _numbers(loaded, name, design, margins_of_plants, loop_effects, parameters, flown_trials)
+    )
     written.append(json)
     if figure is not None:
         from heli_lab.tune.figures import figure_of_design
 
-        figure_of_design(design, [(trial.label, trial.flight) for trial in tried]).savefig(figure, dpi=120)
+        figure_of_design(design, [(trial.label, trial.flight) for trial in flown_trials]).savefig(
+            figure, dpi=120
+        )
         written.append(figure)
     say_files(written)
     if out is not None:
-        say(f"fly them: heli-host params restore {out}, or heli-host fly hover --params {out}")
+        say(f"to fly with these gains: heli-host params restore {out}, or heli-host fly hover --params {out}")
 
 
 def rounded_parameters(parameters: Mapping[str, float]) -> dict[str, float]:
-    """Round `parameters` to the four digits that are worth writing."""
+    """Round `parameters` to four significant digits."""
     return {name: float(f"{value:.{_DIGITS}g}") for name, value in parameters.items()}
 
 
-def _label(known: Known) -> str:
-    return "no lag" if known.lag_s is None else f"lag {1e3 * known.lag_s:.0f} ms"
+def _label(loop_effects: LoopEffects) -> str:
+    return "no lag" if loop_effects.lag_s is None else f"lag {1e3 * loop_effects.lag_s:.0f} ms"
 
 
-def _head(rig: Rig, model: str, design: Design, known: Known) -> list[str]:
+def _head(rig: Rig, model: str, design: Design, loop_effects: LoopEffects) -> list[str]:
     lags_ms = [1e3 * plant.lag_s for plant in design.plants]
-    late = f", delay {1e3 * known.delay_s:.0f} ms" if known.delay_s else ""
+    late = f", delay {1e3 * loop_effects.delay_s:.0f} ms" if loop_effects.delay_s else ""
     lines = [
         f"rig {rig.name}, model {model}: {len(design.plants)} plants, lag {min(lags_ms):.0f} to "
         f"{max(lags_ms):.0f} ms{late}"
     ]
-    if known.left_out:
-        lines.append(f"flown, but no part of the design: {', '.join(known.left_out)}")
+    if loop_effects.excluded:
+        lines.append(f"in the test flights, but not in the design: {', '.join(loop_effects.excluded)}")
     return lines
 
 
@@ -167,17 +176,18 @@ def _margin_lines(design: Design, margins_: Sequence[Mapping[str, Margin]]) -> l
         index for index, plant in enumerate(design.plants) if plant.thrust == plant.counterweight == 1.0
     ]
     chosen = [(f"lag {1e3 * design.plants[index].lag_s:.0f} ms", [margins_[index]]) for index in nominal]
-    chosen.append(("worst of all", list(margins_)))
+    chosen.append(("worst case", list(margins_)))
     lines = [f"{'loop':13}{'plant':13}{'gain up':>9}{'down':>8}{'phase':>9}{'delay':>10}{'peak S':>8}"]
     for loop in LOOPS:
         for place, (label, margins) in enumerate(chosen):
-            some = [margin[loop] for margin in margins]
+            loop_margins = [margin[loop] for margin in margins]
             lines.append(
-                f"{loop if place == 0 else '':13}{label:13}{min(margin.gain_up for margin in some):>9.2f}"
-                f"{max(margin.gain_down for margin in some):>8.2f}"
-                f"{min(margin.phase_deg for margin in some):>5.0f} deg"
-                f"{1e3 * min(margin.delay_s for margin in some):>7.0f} ms"
-                f"{max(margin.sensitivity for margin in some):>8.2f}"
+                f"{loop if place == 0 else '':13}{label:13}"
+                f"{min(margin.gain_up for margin in loop_margins):>9.2f}"
+                f"{max(margin.gain_down for margin in loop_margins):>8.2f}"
+                f"{min(margin.phase_deg for margin in loop_margins):>5.0f} deg"
+                f"{1e3 * min(margin.delay_s for margin in loop_margins):>7.0f} ms"
+                f"{max(margin.sensitivity for margin in loop_margins):>8.2f}"
             )
     return lines
 
@@ -189,17 +199,17 @@ def _margins(design: Design) -> list[dict[str, Margin]]:
 
 
 def _flight_lines(tried: Sequence[Trial]) -> list[str]:
-    lines = ["flown by the flight code, encoders and drivers included:"]
+    lines = ["simulated test flights with the flight code, encoders and motor drivers:"]
     for trial in tried:
         metrics = trial.metrics
         if metrics.outcome != "completed":
             lines.append(f"  {trial.label}: {metrics.outcome}")
             continue
         lines.append(
-            f"  {trial.label}: level after {metrics.take_off_s:.1f} s; step of travel overshoots by "
-            f"{metrics.overshoot_percent:.0f} %, settles in {metrics.settling_time_s:.1f} s; "
-            "sines followed to "
-            f"{metrics.travel_rms_deg:.2f} deg of travel, {metrics.elevation_rms_deg:.2f} of elevation, rms"
+            f"  {trial.label}: take-off settles in {metrics.take_off_s:.1f} s; travel step: overshoot "
+            f"{metrics.overshoot_percent:.0f} %, settling time {metrics.settling_time_s:.1f} s; "
+            f"sines: RMS error {metrics.travel_rms_deg:.2f} deg in travel, "
+            f"{metrics.elevation_rms_deg:.2f} deg in elevation"
         )
     return lines
 
@@ -208,8 +218,8 @@ def _numbers(
     rig: Rig,
     model: str,
     design: Design,
-    of_plants: Sequence[Mapping[str, Margin]],
-    known: Known,
+    margins_of_plants: Sequence[Mapping[str, Margin]],
+    loop_effects: LoopEffects,
     parameters: Mapping[str, float],
     tried: Sequence[Trial],
 ) -> dict[str, Any]:
@@ -223,12 +233,12 @@ def _numbers(
             "counterweight": plant.counterweight,
             "margins": {loop: asdict(margin) for loop, margin in plant_margins.items()},
         }
-        for plant, plant_margins in zip(design.plants, of_plants, strict=True)
+        for plant, plant_margins in zip(design.plants, margins_of_plants, strict=True)
     ]
     return {
         "rig": rig.name,
         "model": model,
-        "left_out": list(known.left_out),
+        "left_out": list(loop_effects.excluded),
         "sensitivity": design.sensitivity,
         "parameters": dict(parameters),
         "plants": plants,

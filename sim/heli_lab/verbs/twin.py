@@ -1,4 +1,4 @@
-"""``heli-host twin``: whether the rig is still the rig, and if not, since when and what changed."""
+"""``heli-host twin``: detect changes of a rig with a model of it, and name their time and cause."""
 
 from __future__ import annotations
 
@@ -28,14 +28,16 @@ def twin(
         typer.Option(
             "--rig",
             metavar="NAME|FILE",
-            help=f"The rig, with its effects, or a file of --learn.  [default: {DEFAULT_RIG}]",
+            help=f"Rig with its effects, or a file from --learn.  [default: {DEFAULT_RIG}]",
             show_default=False,
         ),
     ] = DEFAULT_RIG,
     healthy: Annotated[
         list[Path] | None,
         typer.Option(
-            "--healthy", metavar="FLIGHT...", help="Flights in which nothing changed: they tell the weather."
+            "--healthy",
+            metavar="FLIGHT...",
+            help="Flights without a change, from which disturbances are estimated.",
         ),
     ] = None,
     learn: Annotated[
@@ -43,32 +45,33 @@ def twin(
         typer.Option(
             "--learn",
             metavar="FILE",
-            help="Simulate healthy flights of this rig, set the alarm by them, and write it down: "
-            "a twin's file, for --rig and for --twin of page and fly.",
+            help="Set the alarm threshold by simulated nominal flights, and write a twin file.",
         ),
     ] = None,
     hours: Annotated[
         float,
-        typer.Option("--hours", metavar="H", min=0.01, help="Free flight with one false alarm on average."),
+        typer.Option("--hours", metavar="H", min=0.01, help="Mean time in the air between false alarms [h]."),
     ] = HOURS,
     start_s: Annotated[
-        float | None, typer.Option("--from", "--from-s", metavar="S", help="Nothing before this time.")
+        float | None, typer.Option("--from", "--from-s", metavar="S", help="Ignore rows before this time.")
     ] = None,
     stop_s: Annotated[
-        float | None, typer.Option("--to", "--to-s", metavar="S", help="Nothing from this time on.")
+        float | None, typer.Option("--to", "--to-s", metavar="S", help="Ignore rows from this time on.")
     ] = None,
-    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="All numbers.")] = None,
+    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Results as JSON.")] = None,
     figure: Annotated[
-        Path | None, typer.Option("--figure", metavar="FILE", help="The evidence: .png, .pdf or .svg.")
+        Path | None,
+        typer.Option("--figure", metavar="FILE", help="Figure of the evidence: .png, .pdf or .svg."),
     ] = None,
 ) -> None:
-    """Fly a model of the rig beside flights, say when the two part, and what changed.
+    """Detect when a rig diverges from its model, and report what changed.
 
-    The same alarms at the same ticks as live, with `heli-host page --twin` or `heli-host fly --twin`.
+    --learn writes a twin file for --rig, and for --twin of page and fly. The alarms are at the same ticks as
+    live, with `heli-host page --twin` or `heli-host fly --twin`.
 
     Example: `heli-host twin flight.mcap --rig my-rig.toml --healthy monday.mcap`
     """
-    # Matrices here are small: more threads only wait for each other.
+    # The matrices are small, so that more BLAS threads only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from heli_host.cli.outputs import check_result_places
     from heli_host.cli.progress_bar import WorkBar
@@ -85,7 +88,7 @@ def twin(
     if not flights and learn is None:
         raise typer.BadParameter("give a flight, or --learn FILE")
     if learn is not None and learn.suffix.lower() != ".toml":
-        raise typer.BadParameter(f"--learn {learn} is written as TOML; give a name that ends in .toml")
+        raise typer.BadParameter(f"--learn {learn} is not a TOML file; give a name that ends in .toml")
     check_result_places(learn, json, figure=figure)
     chosen = open_rig(rig)
     others = healthy or []
@@ -102,20 +105,22 @@ def twin(
             disturbances = learn_disturbances_of_flights(chosen.model, chosen.rig, read, labels)
             chosen = replace(chosen, calibration=replace(chosen.calibration, disturbances=disturbances))
         for path in flights or ():
-            bar.show(f"beside {path.name}", 0.9)
+            bar.show(f"following {path.name}", 0.9)
             followed.append(follow_file(chosen, path, hours, start_s, stop_s))
     written = [learn] if learn is not None else []
     for flight in followed:
         say(*(f"{flight.label}: {text}" for text in flight.sentences()))
         if flight.flown_rig not in ("", chosen.rig.name, Path(chosen.name).stem):
             say(
-                f"{flight.label} is a flight of {flight.flown_rig}, "
-                f"the twin one of {chosen.rig.name}: see --rig"
+                f"{flight.label} is a flight of rig {flight.flown_rig}, "
+                f"but the twin is of rig {chosen.rig.name}; give the right one with --rig"
             )
     if others and is_calm(chosen.calibration.disturbances):
-        say("the healthy flights are calmer than a quiet room: any draught will be an alarm; give others too")
+        say(
+            "the nominal flights have almost no disturbances, so any gust will be an alarm; give more flights"
+        )
     threshold_nats = chosen.calibration.threshold_nats(hours)
-    say(f"alarm from {threshold_nats:.1f} nats on, {_rate(hours)}; {_source(chosen)}")
+    say(f"alarm threshold: {threshold_nats:.1f} nats, {_rate(hours)}; {_source(chosen)}")
     if json is not None:
         write_json(json, _numbers(chosen, followed, hours))
         written.append(json)
@@ -126,11 +131,15 @@ def twin(
 
 
 def _rate(hours: float) -> str:
-    return f"one false alarm in {hours:g} h of free flight"
+    return f"one false alarm in {hours:g} h in the air"
 
 
 def _source(chosen: TwinRig) -> str:
-    return f"weather and alarm from {chosen.calibration.source}" if chosen.calibration.source else "as given"
+    return (
+        f"disturbances and threshold from {chosen.calibration.source}"
+        if chosen.calibration.source
+        else "default disturbances"
+    )
 
 
 def _numbers(chosen: TwinRig, flights: list[Followed], hours: float) -> dict[str, Any]:

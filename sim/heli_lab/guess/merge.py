@@ -1,4 +1,4 @@
-"""Files that hold one flight together: the angles in one, the voltages in another."""
+"""Merge files that together contain one flight, such as angles in one and voltages in another."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from heli_host.tables.units import TIME_UNITS
 from heli_lab.guess.times import clock_of
 
 
-def together(tables: Sequence[Table]) -> Table:
-    """Put the columns of several files of one flight side by side, by the times that each file has.
+def merge_tables(tables: Sequence[Table]) -> Table:
+    """Merge the columns of several files of one flight by their times.
 
     Parameters
     ----------
     tables : sequence of Table
-        The files, each with a column of times, counted from the same moment.
+        The files. Each has a column of times, and all times start at the same moment.
 
     Returns
     -------
     Table
-        Named after the first file; columns have their file's place before their name.
+        Has the name of the first file; each column's name starts with the position of its file, as ``1: ``.
 
     Raises
     ------
     FlightDataError
-        When a file has no times.
+        When a file has no column of times.
     """
     columns: dict[str, Column] = {}
     for number, table in enumerate(tables, 1):
@@ -35,11 +35,12 @@ def together(tables: Sequence[Table]) -> Table:
         clock = clock_of(aligned)
         if not clock.column or not clock.unit:
             raise FlightDataError(
-                f"{table.source}: no column is the time ({clock.other})", "files of one flight need times"
+                f"{table.source}: no column is the time ({clock.alternative})",
+                "each file of one flight needs a column of times",
             )
         t_s = aligned.columns[clock.column].values * TIME_UNITS[clock.unit]
         for name, column in aligned.columns.items():
             if name != clock.column:
-                # By its place, not its file's name: a profile of one flight is that of the next.
+                # The position, not the file's name, so that the profile also fits the next flight.
                 columns[f"{number}: {name}"] = Column(column.values, column.unit, t_s)
     return Table(tables[0].source, columns, " / ".join(filter(None, (part.notes for part in tables))))

@@ -1,4 +1,4 @@
-"""All choices of signs, flown through the baseline model of the rig."""
+"""Simulate the baseline model of the rig with each choice of signs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from heli_sim.rig import Rig
 
 from heli_lab.errors import IdentifyError
 from heli_lab.guess import thresholds
-from heli_lab.guess.result import Choice
+from heli_lab.guess.result import SignChoice
 from heli_lab.guess.scales import AXES
 from heli_lab.guess.signals import Floats
 from heli_lab.identify.fit import Budget
@@ -22,45 +22,46 @@ from heli_lab.identify.record import Record, prepare
 from heli_lab.identify.solve import solve
 
 PIECE_S: Final = 2.0
-"""Pieces of which the liveliest are flown, s."""
+"""Length of the pieces into which a flight is cut [s]; the most strongly excited ones are simulated."""
 TRIAL_WINDOW_S: Final = 1.0
-"""Free runs, s: long enough for travel to follow pitch, short enough for a wrong choice not to diverge."""
+"""Length of the open-loop simulations [s]: long enough for travel to follow pitch, short enough that a wrong
+choice does not diverge."""
 EVALUATIONS: Final = 8
-"""Of the flights, with derivatives, for each choice: trim and gains come within these, and a wrong sign stays
-wrong."""
+"""Number of evaluations of the model with derivatives per choice: enough for trim and gains to converge, and
+a wrong sign stays wrong."""
 
 
-def fly_choices(flight: Flight, rig: Rig) -> tuple[Choice, ...]:
-    """Fly a flight with its signs as they are and with every other choice of the three.
+def try_sign_choices(flight: Flight, rig: Rig) -> tuple[SignChoice, ...]:
+    """Fit and simulate a flight with each of the eight choices of the three angles' signs.
 
-    The motors exchanged are pitch and travel turned round, seen in a mirror.
+    Exchanging the motors needs no choice of its own: it equals inverting pitch and travel.
 
     Returns
     -------
     tuple of Choice
-        The flight as it is first; empty where too little of it is in the air.
+        The unchanged flight is the first element. Empty if too little of the flight is in the air.
     """
     try:
-        record = _part(prepare(flight, rig))
+        record = _most_excited_part(prepare(flight, rig))
     except IdentifyError:
         return ()
     errors = {}
     for signs in itertools.product((1.0, -1.0), repeat=3):
         angles = record.angles_rad * np.array(signs)
         errors[signs] = _error_deg(replace(record, angles_rad=angles, label=f"{signs}"), rig)
-    mine = errors[1.0, 1.0, 1.0]
+    unchanged = errors[1.0, 1.0, 1.0]
     choices = []
     for signs, error in errors.items():
-        turned = [f"{axis}" for axis, sign in zip(AXES, signs, strict=True) if sign < 0.0]
-        ratio = float(np.exp(np.sum(np.log(np.maximum(error, 1e-6) / np.maximum(mine, 1e-6)))))
+        travel_nats = [f"{axis}" for axis, sign in zip(AXES, signs, strict=True) if sign < 0.0]
+        ratio = float(np.exp(np.sum(np.log(np.maximum(error, 1e-6) / np.maximum(unchanged, 1e-6)))))
         choices.append(
-            Choice(" and ".join(turned), (float(error[0]), float(error[1]), float(error[2])), ratio)
+            SignChoice(" and ".join(travel_nats), (float(error[0]), float(error[1]), float(error[2])), ratio)
         )
     return tuple(choices)
 
 
-def _part(record: Record) -> Record:
-    """The parts of a record in which pitch and elevation move most."""
+def _most_excited_part(record: Record) -> Record:
+    """Keep the parts of a record in which pitch and elevation move most."""
     rows = max(2, round(PIECE_S / record.step_s))
     pieces = [
         (first, first + rows)
@@ -71,7 +72,7 @@ def _part(record: Record) -> Record:
         return record
     moves = np.array([record.angles_rad[first:last, :2].std(axis=0) for first, last in pieces])
     rank = np.argsort(-(moves / np.maximum(moves.mean(axis=0), 1e-9)).sum(axis=1))
-    most = max(1, round(thresholds.FLOWN_S / PIECE_S))
+    most = max(1, round(thresholds.SIMULATED_S / PIECE_S))
     kept = sorted(pieces[i] for i in rank[:most])
     return replace(record, segments=tuple(kept))
 

@@ -1,4 +1,4 @@
-"""Which column is what: elevation answers the voltages' sum, pitch their difference, travel the pitch."""
+"""Assign columns to roles: the sum of the voltages drives elevation, their difference pitch, pitch travel."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from heli_lab.guess import names, thresholds
 from heli_lab.guess.reference import Reference
-from heli_lab.guess.signals import Floats, Signal, Signals, late
+from heli_lab.guess.signals import Floats, Signal, Signals, delay
 
-_EVERY: Final = 10
-"""Of the rows every so many is compared: ten a second say all that the filter leaves."""
-_MOST_COLUMNS: Final = 14
-_SAME: Final = 0.99999
+_DECIMATION: Final = 10
+"""The regressions use every tenth row: 10 Hz samples all that the low-pass filter leaves."""
+_MAX_COLUMNS: Final = 14
+_DUPLICATE_CORRELATION: Final = 0.99999
 _RATE_SCALES: Final = (
     *(1.0, 180.0 / np.pi, np.pi / 180.0),
     *(turn / counts for turn in (2.0 * np.pi, 360.0) for counts in (4096.0, 8192.0)),
@@ -26,41 +26,41 @@ _RATE_SCALES: Final = (
 
 @dataclass(frozen=True)
 class RegressionFit:
-    """An axis' acceleration, explained by a cause.
+    """Regression of an axis' acceleration on the signal that may drive it.
 
     Parameters
     ----------
-    nats : float
-        By how much the cause makes the axis likelier, less what the axis explains by itself.
+    log_likelihood_ratio : float
+        Log-likelihood with this signal minus log-likelihood with the axis' deflection and rate only [nats].
     gain : float
-        Acceleration for one unit of the cause; its sign tells which way they go.
+        Acceleration per unit of the signal, with its sign.
     lag_s : float
-        By how much the axis is late.
+        Delay from the signal to the acceleration [s].
     """
 
-    nats: float
+    log_likelihood_ratio: float
     gain: float
     lag_s: float = 0.0
 
 
 @dataclass(frozen=True)
 class ColumnAssignment:
-    """Columns by role.
+    """Columns of a table, by role.
 
     Parameters
     ----------
     elevation, pitch, travel : str
-        Columns of the angles.
+        Names of the angle columns.
     voltages : tuple of (str, str)
-        Columns of the voltages.
+        Names of the voltage columns.
     summed : bool
-        Whether these are sum and difference, not front and back.
+        Whether the voltages are sum and difference instead of front and back.
     polarity : tuple of (float, float)
-        Signs that make the voltages such as lift.
-    nats : float
-        Log-likelihood with names.
-    physics : float
-        The same without names.
+        Factors, 1 or -1, after which positive voltages lift.
+    log_likelihood : float
+        Log-likelihood of the motion and the columns' names [nats].
+    physics_log_likelihood : float
+        Log-likelihood of the motion alone [nats].
     """
 
     elevation: str
@@ -69,16 +69,16 @@ class ColumnAssignment:
     voltages: tuple[str, str]
     summed: bool
     polarity: tuple[float, float]
-    nats: float
-    physics: float
+    log_likelihood: float
+    physics_log_likelihood: float
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """All five columns."""
+        """Names of all five columns, angles first."""
         return (self.elevation, self.pitch, self.travel, *self.voltages)
 
     def same_as(self, other: ColumnAssignment) -> bool:
-        """Whether another assignment means the same, motors in either order."""
+        """Whether another assignment uses the same columns; front and back may be exchanged."""
         pair = set if not self.summed else tuple
         return (self.columns[:3], self.summed, pair(self.voltages)) == (
             other.columns[:3],
@@ -89,94 +89,109 @@ class ColumnAssignment:
 
 def explain(
     acceleration: Floats,
-    own_terms: tuple[Floats, Floats],
+    axis_terms: tuple[Floats, Floats],
     cause: Floats,
     stiffness: tuple[float, float],
     rows: NDArray[np.bool_],
 ) -> RegressionFit:
-    """Explain an axis by a cause, beside its own stiffness and damping.
+    """Regress an axis' acceleration on a cause, together with stiffness, damping and a constant.
 
     Parameters
     ----------
     acceleration : ndarray (n,)
-        Of the axis.
-    own_terms : tuple of ndarray (n,)
-        Its deflection and its rate.
+        Acceleration of the axis, in the column's unit per s^2.
+    axis_terms : tuple of ndarray (n,)
+        Deflection and rate of the axis.
     cause : ndarray (n,)
-        What may move it.
+        Signal that may drive the axis.
     stiffness : tuple of float
-        Prior of its acceleration for a deflection: mean and standard deviation, 1/s2.
+        Prior of the acceleration per deflection: mean and standard deviation [1/s^2].
     rows : ndarray of bool (n,)
-        Rows that count.
+        Rows to use.
     """
-    y = acceleration[rows][::_EVERY] - stiffness[0] * own_terms[0][rows][::_EVERY]
+    y = acceleration[rows][::_DECIMATION] - stiffness[0] * axis_terms[0][rows][::_DECIMATION]
     if len(y) < 20:
         return RegressionFit(0.0, 0.0)
     columns = np.column_stack(
-        [own_terms[0][rows][::_EVERY], own_terms[1][rows][::_EVERY], np.ones(len(y)), cause[rows][::_EVERY]]
+        [
+            axis_terms[0][rows][::_DECIMATION],
+            axis_terms[1][rows][::_DECIMATION],
+            np.ones(len(y)),
+            cause[rows][::_DECIMATION],
+        ]
     )
     spread = np.maximum(columns.std(axis=0), 1e-12)
     spread[2] = 1.0
     columns = columns / spread
     ridge = np.array([stiffness[1], 1.0, np.inf, np.inf]) * spread
-    # Thousands of these are solved for each file: of the normal equations, not of all rows.
+    # A file needs thousands of these regressions; the normal equations are built once for each.
     gram, moment, power = columns.T @ columns, columns.T @ y, float(y @ y)
     noise = float(y.var())
-    rests: list[float] = []
+    mean_squares: list[float] = []
     gain = 0.0
     for _ in range(3):
-        rests = []
+        mean_squares = []
         for count in (3, 4):
             penalised = gram[:count, :count] + np.diag(noise / ridge[:count] ** 2 + 1e-9 * len(y))
             solution = np.linalg.solve(penalised, moment[:count])
-            # At the solution, squares of residuals and penalty together.
-            rests.append((power - float(solution @ moment[:count])) / len(y))
+            # At the solution this is the sum of squared residuals and of the penalty.
+            mean_squares.append((power - float(solution @ moment[:count])) / len(y))
             gain = float(solution[-1] / spread[count - 1])
-        noise = max(rests[1], 1e-12 * float(y.var()) + 1e-300)
-    seconds = len(y) * _EVERY * thresholds.SAMPLE_STEP_s
-    independent = seconds * thresholds.INDEPENDENT_Hz
+        noise = max(mean_squares[1], 1e-12 * float(y.var()) + 1e-300)
+    seconds = len(y) * _DECIMATION * thresholds.SAMPLE_STEP_s
+    independent = seconds * thresholds.INDEPENDENT_SAMPLES_Hz
     return RegressionFit(
-        0.5 * independent * float(np.log(max(rests[0], 1e-300) / max(rests[1], 1e-300))), gain
+        0.5 * independent * float(np.log(max(mean_squares[0], 1e-300) / max(mean_squares[1], 1e-300))), gain
     )
 
 
 def free_rows(signals: Signals, name: str) -> NDArray[np.bool_]:
-    """Rows in which the column `name`, taken for the elevation, is off the level at which it begins, where it
-    begins at rest; all inner ones where it does not.
+    """Select the rows in which the arm is off its table, if the column `name` is the elevation.
+
+    Returns
+    -------
+    ndarray of bool (n,)
+        All inner rows if the column does not begin at rest.
     """
     raw = signals.raw[name]
-    rest = round(thresholds.REST_S / thresholds.SAMPLE_STEP_s)
-    start, usual = float(raw[0]), float(np.median(raw))
+    rest = round(thresholds.REST_DURATION_S / thresholds.SAMPLE_STEP_s)
+    start, typical = float(raw[0]), float(np.median(raw))
     span = float(np.ptp(raw))
-    if span == 0.0 or np.ptp(raw[:rest]) > 0.01 * span or abs(usual - start) < 0.2 * span:
+    if span == 0.0 or np.ptp(raw[:rest]) > 0.01 * span or abs(typical - start) < 0.2 * span:
         return signals.inner
-    off = (raw - start) * np.sign(usual - start) > 0.4 * abs(usual - start)
+    off = (raw - start) * np.sign(typical - start) > 0.4 * abs(typical - start)
     free: NDArray[np.bool_] = signals.inner & off
     return free
 
 
 def candidates(signals: Signals, encoders: Collection[str] = frozenset()) -> list[str]:
-    """Columns that may be an angle or a voltage: those that vary, without rates and doubles, of which
-    one of `encoders` stays.
+    """List the columns that may be an angle or a voltage.
+
+    Constant columns, rates and duplicates are left out. Of duplicates, a column in `encoders` is kept.
     """
     moving = [name for name, values in signals.raw.items() if np.ptp(values) > 0.0]
-    moving.sort(key=lambda name: (name not in encoders, not names.role_of(name), names.is_other(name)))
+    moving.sort(
+        key=lambda name: (name not in encoders, not names.role_of(name), names.is_derived_signal(name))
+    )
     kept: list[str] = []
     for name in moving:
-        if not any(_alike(signals.raw[name], signals.raw[other]) > _SAME for other in kept):
+        if not any(
+            _abs_correlation(signals.raw[name], signals.raw[other]) > _DUPLICATE_CORRELATION for other in kept
+        ):
             kept.append(name)
     rates = _rates(signals, kept) - set(encoders)
-    return [name for name in kept if name not in rates][:_MOST_COLUMNS]
+    return [name for name in kept if name not in rates][:_MAX_COLUMNS]
 
 
 def _rates(signals: Signals, columns: list[str]) -> set[str]:
-    """Columns that are the rate of a column that is none itself: the rate of travel's rate looks like pitch,
-    which moves it, and that of pitch's rate like a voltage.
+    """Find the columns that are the time derivative of a column that is not itself a derivative.
+
+    The derivative of the travel rate resembles pitch, which drives it, and that of the pitch rate a voltage.
     """
     pairs = {}
     for name, other in itertools.permutations(columns, 2):
         rate, value = signals.filtered[other].rate, signals.filtered[name].value
-        likeness = _alike(rate, value)
+        likeness = _abs_correlation(rate, value)
         if not names.role_of(name) and likeness > thresholds.RATE_MATCH**0.5 and _unit_slope(rate, value):
             pairs[name, other] = likeness
     rates: set[str] = set()
@@ -184,7 +199,7 @@ def _rates(signals: Signals, columns: list[str]) -> set[str]:
     remaining = set(columns)
     while remaining:
         open_ = {name for name in remaining if all(of in settled for first, of in pairs if first == name)}
-        if not open_:  # each is the rate of another one, as sines are: the least alike is none
+        if not open_:  # a cycle, as sines form: drop the column with the lowest correlation
             weakest = min((likeness, name) for (name, _), likeness in pairs.items() if name in remaining)[1]
             open_ = {weakest}
             pairs = {pair: similarity for pair, similarity in pairs.items() if pair[0] != weakest}
@@ -195,22 +210,20 @@ def _rates(signals: Signals, columns: list[str]) -> set[str]:
 
 
 def _unit_slope(rate: Floats, value: Floats) -> bool:
-    """Whether a `value` is a `rate` in the same unit, or in degrees or radians of another one; or counts the
-    other way, where its angle was turned later.
-    """
+    """Whether `value` is about `rate` times 1 or a factor between angle units, with either sign."""
     variance = float(rate.var())
     slope = float(np.mean((rate - rate.mean()) * (value - value.mean()))) / variance if variance else 0.0
     return any(0.6 < abs(slope) / scale < 1.5 for scale in _RATE_SCALES)
 
 
-def _alike(first: Floats, second: Floats) -> float:
+def _abs_correlation(first: Floats, second: Floats) -> float:
     if np.ptp(first) == 0.0 or np.ptp(second) == 0.0:
         return 0.0
     return abs(float(np.corrcoef(first, second)[0, 1]))
 
 
 def polarity_of(values: Floats) -> float:
-    """Sign that makes a voltage, `values`, one that lifts on the mean; 1 where the mean says nothing."""
+    """Return the sign, 1 or -1, that makes the mean of a voltage, `values`, positive; 1 if it is near 0."""
     mean = float(values.mean())
     return -1.0 if mean < 0.0 and abs(mean) > 0.5 * float(values.std()) else 1.0
 
@@ -218,16 +231,16 @@ def polarity_of(values: Floats) -> float:
 def assignments(
     signals: Signals, reference: Reference, encoders: Collection[str] = frozenset()
 ) -> list[ColumnAssignment]:
-    """All assignments of columns to roles, the likeliest first.
+    """Score assignments of columns to roles, and return them with the most likely first.
 
     Parameters
     ----------
     signals : Signals
         The columns.
     reference : Reference
-        What the rig's model says of stiffness.
+        Prior of the stiffness of elevation and pitch.
     encoders : collection of str
-        Columns in steps of an encoder: angles as measured, not as estimated or wanted.
+        Columns quantised by an encoder: measured angles, not estimates or setpoints.
     """
     candidates_ = candidates(signals, encoders)
     count = len(candidates_)
@@ -242,80 +255,92 @@ def assignments(
     sums |= {(i, j): level[i] + level[j] for i, j in pairs}
     differences: dict[tuple[int, ...], Floats] = {(i,): filtered[i].value for i in range(count)}
     differences |= {(i, j): level[i] - level[j] for i, j in pairs}
-    lifted = _table(sums, filtered, rows, reference.stiffness["elevation"])
-    pitched = _table(differences, filtered, [signals.inner] * count, reference.stiffness["pitch"])
-    turned = np.zeros((count, count))
+    elevation_nats = _log_likelihood_table(sums, filtered, rows, reference.stiffness["elevation"])
+    pitch_nats = _log_likelihood_table(
+        differences, filtered, [signals.inner] * count, reference.stiffness["pitch"]
+    )
+    travel_nats = np.zeros((count, count))
     for p, t in itertools.permutations(range(count), 2):
-        own_terms = (filtered[t].value * 0.0, filtered[t].rate)
-        turned[p, t] = explain(
-            filtered[t].acceleration, own_terms, filtered[p].value, (0.0, 0.1), signals.inner
-        ).nats
+        axis_terms = (filtered[t].value * 0.0, filtered[t].rate)
+        travel_nats[p, t] = explain(
+            filtered[t].acceleration, axis_terms, filtered[p].value, (0.0, 0.1), signals.inner
+        ).log_likelihood_ratio
     measured = thresholds.ENCODER_NATS * np.array([name in encoders for name in candidates_], float)
-    lifted = {key: nats + measured for key, nats in lifted.items()}
-    pitched = {key: nats + measured for key, nats in pitched.items()}
-    turned += measured
-    stated = _stated(candidates_)
+    elevation_nats = {key: nats + measured for key, nats in elevation_nats.items()}
+    pitch_nats = {key: nats + measured for key, nats in pitch_nats.items()}
+    travel_nats += measured
+    stated = _name_scores(candidates_)
     ranked = []
     for pair in pairs:
-        ranked += _best(candidates_, lifted[pair], pitched[pair], turned, pair, False, polarity, stated)
+        ranked += _best(
+            candidates_, elevation_nats[pair], pitch_nats[pair], travel_nats, pair, False, polarity, stated
+        )
     for pair in itertools.permutations(range(count), 2):
         ranked += _best(
-            candidates_, lifted[pair[:1]], pitched[pair[1:]], turned, pair, True, polarity, stated
+            candidates_,
+            elevation_nats[pair[:1]],
+            pitch_nats[pair[1:]],
+            travel_nats,
+            pair,
+            True,
+            polarity,
+            stated,
         )
-    return sorted(ranked, key=lambda assignment: -assignment.nats)
+    return sorted(ranked, key=lambda assignment: -assignment.log_likelihood)
 
 
-def _table(
+def _log_likelihood_table(
     causes: dict[tuple[int, ...], Floats],
     filtered: Sequence[Signal],
     rows: list[NDArray[np.bool_]],
     stiffness: tuple[float, float],
 ) -> dict[tuple[int, ...], Floats]:
-    """Nats of each column, explained by each cause at its best lag; none where a column is its own cause."""
+    """Log-likelihood ratio [nats] of each column for each cause, at its best lag; 0 for its own column."""
     table = {}
     for key, cause in causes.items():
-        lagged = [late(cause, lag_s) for lag_s in thresholds.ROLE_LAGS_S]
+        lagged = [delay(cause, lag_s) for lag_s in thresholds.ROLE_LAGS_S]
         nats = np.zeros(len(filtered))
         for index, signal in enumerate(filtered):
             if index in key:
                 continue
-            own_terms = (signal.value - signal.value.mean(), signal.rate)
+            axis_terms = (signal.value - signal.value.mean(), signal.rate)
             nats[index] = max(
-                explain(signal.acceleration, own_terms, each, stiffness, rows[index]).nats for each in lagged
+                explain(signal.acceleration, axis_terms, each, stiffness, rows[index]).log_likelihood_ratio
+                for each in lagged
             )
         table[key] = nats
     return table
 
 
-def _stated(columns: list[str]) -> dict[str, Floats]:
-    """What names count for each role, by column."""
+def _name_scores(columns: list[str]) -> dict[str, Floats]:
+    """Score of each column's name for each role [nats], shape (columns,) per role."""
     stated = {}
     for role in names.ROLES:
-        worth = np.zeros(len(columns))
+        scores = np.zeros(len(columns))
         for index, name in enumerate(columns):
             named_role = names.role_of(name)
             if named_role == role:
-                worth[index] = thresholds.NAME_NATS
+                scores[index] = thresholds.NAME_NATS
             elif named_role:
-                worth[index] = -thresholds.NAME_NATS
-            elif names.is_other(name):
-                worth[index] = -thresholds.OTHER_NATS
-        stated[role] = worth
+                scores[index] = -thresholds.NAME_NATS
+            elif names.is_derived_signal(name):
+                scores[index] = -thresholds.DERIVED_SIGNAL_NATS
+        stated[role] = scores
     return stated
 
 
 def _best(
     columns: list[str],
-    lifted: Floats,
-    pitched: Floats,
-    turned: Floats,
+    elevation_nats: Floats,
+    pitch_nats: Floats,
+    travel_nats: Floats,
     pair: tuple[int, int],
     summed: bool,
     polarity: Floats,
     stated: dict[str, Floats],
 ) -> list[ColumnAssignment]:
-    """The three likeliest choices of angles for a pair of voltages."""
-    physics = lifted[:, None, None] + pitched[None, :, None] + turned[None, :, :]
+    """Return the three most likely choices of angles for a pair of voltages."""
+    physics = elevation_nats[:, None, None] + pitch_nats[None, :, None] + travel_nats[None, :, :]
     words = (
         stated["elevation"][:, None, None] + stated["pitch"][None, :, None] + stated["travel"][None, None, :]
     )

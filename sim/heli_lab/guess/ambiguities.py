@@ -1,0 +1,292 @@
+"""Ambiguities of a guess: columns, units, signs, zeros and times that the file leaves undecided."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from heli_host.tables.units import SHARES
+from heli_sim.rig import Rig
+
+from heli_lab.guess import names, thresholds
+from heli_lab.guess.assignment import ColumnAssignment, RegressionFit
+from heli_lab.guess.axis_regression import RestElevation
+from heli_lab.guess.reference import Reference
+from heli_lab.guess.result import Ambiguity
+from heli_lab.guess.scales import AXES, MeasuredMotion, Scale
+
+
+@dataclass(frozen=True)
+class SignChanges:
+    """Changes of sign after which all axes follow the equations of motion.
+
+    Parameters
+    ----------
+    elevation, pitch, travel : float
+        Factor of the column: 1, or -1 if it has the opposite sign.
+    motors_swapped : bool
+        Whether the front and back columns are exchanged, or the difference column is back minus front.
+    """
+
+    elevation: float
+    pitch: float
+    travel: float
+    motors_swapped: bool
+
+
+def assignment_ambiguities(ranked: list[ColumnAssignment]) -> tuple[list[Ambiguity], list[str]]:
+    """List ambiguities of the columns, and state the evidence in sentences.
+
+    Parameters
+    ----------
+    ranked : list of ColumnAssignment
+        All candidate assignments, the most likely first.
+    """
+    best = ranked[0]
+    second = next((assignment for assignment in ranked if not assignment.same_as(best)), None)
+    by_physics = max(ranked, key=lambda assignment: assignment.physics_log_likelihood)
+    ambiguities = []
+    if second is not None and best.log_likelihood - second.log_likelihood < thresholds.DECISIVE_NATS:
+        ambiguities.append(
+            Ambiguity(
+                "the columns",
+                _describe(best),
+                _describe(second),
+                f"they explain the flight within {best.log_likelihood - second.log_likelihood:.1f} nats "
+                "of each other",
+            )
+        )
+    elif (
+        not by_physics.same_as(best)
+        and by_physics.physics_log_likelihood - best.physics_log_likelihood > thresholds.DECISIVE_NATS
+    ):
+        ambiguities.append(
+            Ambiguity(
+                "the columns",
+                f"{_describe(best)}, as their names say",
+                _describe(by_physics),
+                "which fits the motion; names and physics disagree",
+            )
+        )
+    margin = best.log_likelihood - second.log_likelihood if second is not None else best.log_likelihood
+    return ambiguities, [f"columns: {_describe(best)}; {margin:.0f} nats ahead of every alternative"]
+
+
+def _describe(assignment: ColumnAssignment) -> str:
+    kind = ("sum", "difference") if assignment.summed else ("front", "back")
+    labels = dict(zip((*AXES, *kind), assignment.columns, strict=True))
+    return ", ".join(f"{role} is {column}" for role, column in labels.items())
+
+
+def unit_ambiguities(
+    possible: list[Scale], motion: MeasuredMotion, reference: Reference, rig: Rig
+) -> list[Ambiguity]:
+    """List ambiguities of the units.
+
+    Parameters
+    ----------
+    possible : list of Scale
+        All choices of units, the most likely first.
+    """
+    best, ambiguities = possible[0], []
+    second = next(scale for scale in possible if scale.units != best.units)
+    if best.log_likelihood - second.log_likelihood < thresholds.DECISIVE_NATS:
+        ambiguities.append(
+            Ambiguity(
+                "the units",
+                _describe_units(best),
+                _describe_units(second),
+                f"for rig {rig.name} they differ by only "
+                f"{best.log_likelihood - second.log_likelihood:.1f} nats; state the unit in the header or "
+                "the profile",
+            )
+        )
+    for quantity, deviation_std in best.deviation_std.items():
+        if abs(deviation_std) > thresholds.MAX_DEVIATION_STD:
+            ambiguities.append(
+                Ambiguity(
+                    f"the scale of {quantity}",
+                    _describe_units(best),
+                    f"a much {'larger' if deviation_std < 0 else 'smaller'} unit",
+                    f"even the best unit is {abs(deviation_std):.1f} standard deviations from rig "
+                    f"{rig.name}; give your rig with --rig",
+                )
+            )
+    for axis in AXES:
+        stated = motion.stated_units.get(axis, "")
+        if stated and stated != best.angles[axis]:
+            ambiguities.append(
+                Ambiguity(
+                    f"{axis}'s unit",
+                    best.angles[axis],
+                    f"{stated}, as the header says",
+                    "the motion fits another unit than the header",
+                )
+            )
+    stated = motion.stated_units.get("voltage", "")
+    if stated and stated != best.voltage:
+        ambiguities.append(
+            Ambiguity(
+                "the voltages' unit",
+                best.voltage,
+                f"{stated}, as the header says",
+                "the motion fits another unit than the header",
+            )
+        )
+    if best.bias_removed:
+        ambiguities.append(
+            Ambiguity(
+                "the sum's bias",
+                f"{reference.hover_V:.2f} V, the rig file's hover voltage",
+                "another value",
+                "the sum was logged without its bias; look up the bias and set offset_V",
+            )
+        )
+    if best.voltage in SHARES:
+        full = f" of {best.full_scale:g}" if best.voltage == "pwm" else ""
+        if not stated:
+            ambiguities.append(
+                Ambiguity(
+                    "the voltages' unit",
+                    f"{best.voltage}{full}, a share of {reference.supply_V:g} V",
+                    "a share of another supply",
+                    "the file does not state it; measure the supply and set supply_V",
+                )
+            )
+    return ambiguities
+
+
+def _describe_units(scale: Scale) -> str:
+    angles = dict.fromkeys(scale.angles.values())
+    shown = (
+        next(iter(angles))
+        if len(angles) == 1
+        else ", ".join(f"{axis} in {unit}" for axis, unit in scale.angles.items())
+    )
+    full = f" of {scale.full_scale:g}" if scale.voltage == "pwm" else ""
+    halves = ", sum and difference by halves" if scale.factor != 1.0 else ""
+    return f"angles in {shown}, voltages in {scale.voltage}{full}{halves}"
+
+
+def sign_ambiguities(
+    explained: dict[str, RegressionFit], signs: SignChanges, assignment: ColumnAssignment
+) -> list[Ambiguity]:
+    """List ambiguities of the signs: weakly excited axes, and which rotor is the front one."""
+    ambiguities = []
+    for axis in AXES:
+        if explained[axis].log_likelihood_ratio < thresholds.DECISIVE_NATS:
+            ambiguities.append(
+                Ambiguity(
+                    f"{axis}'s sign",
+                    "as proposed",
+                    "the opposite",
+                    f"its cause explains only {explained[axis].log_likelihood_ratio:.1f} nats of its motion; "
+                    "log a flight that excites this axis more",
+                )
+            )
+    changed = signs.motors_swapped or signs.pitch < 0.0 or signs.travel < 0.0
+    stated = {names.role_of(column) for column in assignment.voltages} >= (
+        {"difference"} if assignment.summed else {"front", "back"}
+    )
+    motors = "the difference is back less front" if assignment.summed else "the motors' names are exchanged"
+    if changed or not stated:
+        chosen = {
+            (False, 1.0, 1.0): "front and back as proposed",
+            (False, 1.0, -1.0): "travel has the opposite sign",
+            (False, -1.0, 1.0): "pitch has the opposite sign",
+            (True, 1.0, 1.0): motors,
+        }[signs.motors_swapped, signs.pitch, signs.travel]
+        mirrored = {
+            (False, 1.0, 1.0): f"{motors}, and pitch and travel have the opposite sign",
+            (False, 1.0, -1.0): f"{motors}, and pitch has the opposite sign",
+            (False, -1.0, 1.0): f"{motors}, and travel has the opposite sign",
+            (True, 1.0, 1.0): "pitch and travel have the opposite sign",
+        }[signs.motors_swapped, signs.pitch, signs.travel]
+        ambiguities.append(
+            Ambiguity(
+                "which rotor is the front one",
+                chosen,
+                mirrored,
+                "the two are mirror images and move alike; lift the front rotor by hand: if pitch does not "
+                "rise, set mirrored = true",
+            )
+        )
+    return ambiguities
+
+
+def elevation_zero(rest: RestElevation, reference: Reference) -> tuple[float, list[Ambiguity]]:
+    """Return the angle to add to the elevation [deg], and the ambiguity of it, if there is one."""
+    table = reference.rest_deg
+    far = thresholds.REST_TOLERANCE_DEG + reference.rest_tolerance_deg
+    if rest.deg is None:
+        if abs(rest.median_deg) < 0.5 * abs(table):
+            return 0.0, []
+        return 0.0, [
+            Ambiguity(
+                "the elevation's zero",
+                f"0 as it is, with {rest.median_deg:.0f} deg in flight",
+                f"0 at rest, so {table:g} deg to add",
+                "the flight does not begin at rest; start logging while the arm is on the table",
+            )
+        ]
+    zero_at_level, zero_at_rest = abs(rest.deg - table) < far, abs(rest.deg) < far
+    if zero_at_level and rest.lowest and not zero_at_rest:
+        return 0.0, []
+    if zero_at_rest and rest.lowest and not zero_at_level:
+        return table - rest.deg, []
+    return 0.0, [
+        Ambiguity(
+            "the elevation's zero",
+            f"as it is, at rest {rest.deg:.1f} deg",
+            f"{table - rest.deg:.1f} deg to add, so that it rests at {table:g} deg",
+            "with the rig file's table angle, neither level nor rest would be 0; measure the angle at rest",
+        )
+    ]
+
+
+def lag_ambiguities(
+    explained: dict[str, RegressionFit],
+) -> tuple[dict[str, float], list[Ambiguity], list[str]]:
+    """Return the delay of each column [s], the ambiguities of these delays, and a sentence of evidence."""
+    late_s = dict.fromkeys((*AXES, "voltages"), 0.0)
+    ambiguities = []
+    lag = {axis: explained[axis].lag_s for axis in AXES}
+    if abs(lag["travel"]) > thresholds.MAX_TRAVEL_LAG_S:
+        late_s["travel"] = lag["travel"]
+        ambiguities.append(
+            Ambiguity(
+                "travel's time",
+                f"{lag['travel']:.2f} s late; the profile removes this delay",
+                "not late",
+                "it follows pitch later than a rig can; check how it is logged",
+            )
+        )
+    apart = lag["elevation"] - lag["pitch"]
+    if (
+        abs(apart) > thresholds.MAX_LAG_DIFFERENCE_S
+        and explained["elevation"].log_likelihood_ratio > thresholds.DECISIVE_NATS
+    ):
+        ambiguities.append(
+            Ambiguity(
+                "elevation's time",
+                "logged with pitch",
+                f"{apart:.2f} s later than pitch",
+                "the same rotors drive both; check how they are logged",
+            )
+        )
+    low, high = thresholds.PLAUSIBLE_LAGS_S
+    if not low <= lag["pitch"] <= high:
+        ambiguities.append(
+            Ambiguity(
+                "the voltages' time",
+                "logged with the angles",
+                f"{'late' if lag['pitch'] < low else 'early'} by about "
+                f"{abs(lag['pitch'] - 0.1):.2f} s relative to the angles",
+                "no rotor responds with such a lag",
+            )
+        )
+    sentence = (
+        f"pitch follows the voltages after {lag['pitch']:.2f} s, elevation after {lag['elevation']:.2f} s "
+        "(rotor lag, transport and logging delay; a flight cannot separate them); travel follows pitch "
+        f"after {lag['travel']:.2f} s"
+    )
+    return late_s, ambiguities, [sentence]

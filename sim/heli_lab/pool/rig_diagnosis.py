@@ -1,0 +1,131 @@
+"""Read the diagnosis of one rig, and remove the prior from its parameter estimates."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from heli_lab.errors import PoolError
+
+MIN_CAUSE_CONFIDENCE: Final = 0.9
+"""Confidence from which on a cause counts as present, 0 to 1. At least nine of ten such causes are right on
+the blind set (docs/diagnosing.md). A lower value counts causes that no rig has, a higher one misses causes
+that the flights show weakly."""
+_MIN_INFORMATION_SHARE: Final = 0.05
+"""Smallest precision from the flights over the prior's precision for which a parameter of a rig is used.
+Below it, the estimate without the prior is a difference of nearly equal numbers."""
+
+
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """Estimate or prior of one parameter of a rig.
+
+    Parameters
+    ----------
+    value, std : float
+        Value and standard error, in `unit`.
+    unit : str
+        Unit as in rig files.
+    """
+
+    value: float
+    std: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class RigDiagnosis:
+    """Diagnosis of one rig: parameter estimates and causes of model errors.
+
+    Parameters
+    ----------
+    label : str
+        Name of the rig in messages.
+    rig, model : str
+        Names of the rig file that gave the prior, and of the model.
+    parameters : Mapping of str to ParameterEstimate
+        Estimates from the flights alone, of each parameter about which they are informative.
+    priors : Mapping of str to ParameterEstimate
+        Prior of each parameter.
+    causes : Mapping of str to float
+        Diagnosed effects with their confidence, 0 to 1.
+    undetectable : tuple of str
+        Effects that the flights could not show.
+    """
+
+    label: str
+    rig: str
+    model: str
+    parameters: Mapping[str, ParameterEstimate]
+    priors: Mapping[str, ParameterEstimate]
+    causes: Mapping[str, float]
+    undetectable: tuple[str, ...]
+
+
+def read_rig_diagnosis(path: Path) -> RigDiagnosis:
+    """Read the JSON file that ``heli-host diagnose --json`` wrote to `path`.
+
+    Raises
+    ------
+    PoolError
+        When the file cannot be read, or is not a diagnosis with parameters of a rig.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise PoolError(f"{path}: {error.strerror}", "give files of heli-host diagnose --json") from None
+    except ValueError:
+        raise PoolError(f"{path} is not JSON", "give files of heli-host diagnose --json") from None
+    try:
+        return _rig_diagnosis(path, content)
+    except (KeyError, TypeError, AttributeError, ValueError):
+        raise PoolError(
+            f"{path} is not a diagnosis with parameters of a rig",
+            "give files that this version of heli-host diagnose --json wrote for flights in the air",
+        ) from None
+
+
+def _rig_diagnosis(path: Path, content: Mapping[str, Any]) -> RigDiagnosis:
+    parameters, priors = {}, {}
+    for name, entry in content["rig"]["numbers"].items():
+        prior = ParameterEstimate(
+            float(entry["prior"]["value"]), float(entry["prior"]["std"]), str(entry["unit"])
+        )
+        priors[name] = prior
+        from_flights = without_prior(float(entry["value"]), float(entry["std"]), prior)
+        if from_flights is not None:
+            parameters[name] = from_flights
+    causes = {str(cause["effect"]): float(cause["confidence"]) for cause in content["causes"]}
+    rig = content["rig"]
+    undetectable = tuple(map(str, content["undetectable"]))
+    return RigDiagnosis(
+        path.stem, str(rig["name"]), str(rig["model"]), parameters, priors, causes, undetectable
+    )
+
+
+def without_prior(value: float, std: float, prior: ParameterEstimate) -> ParameterEstimate | None:
+    """Remove the prior from an estimate, because all rigs of a type share this prior.
+
+    The posterior density is the product of the prior and the marginal likelihood of the flights. For normal
+    densities, the precision of the flights is the posterior precision minus the prior precision.
+
+    Parameters
+    ----------
+    value, std : float
+        Estimate with its standard error, in the prior's unit.
+
+    Returns
+    -------
+    ParameterEstimate or None
+        None if the flights add almost no information.
+    """
+    prior_precision = prior.std**-2.0
+    precision = std**-2.0 - prior_precision
+    if precision < _MIN_INFORMATION_SHARE * prior_precision:
+        return None
+    return ParameterEstimate(
+        (value * std**-2.0 - prior.value * prior_precision) / precision, precision**-0.5, prior.unit
+    )
