@@ -11,9 +11,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Final
 
-from heli_host.errors import RigMismatch
+from heli_host.errors import HeliError, RigMismatch
 from heli_host.parameters import spec_of
 
 ENTRY_POINT_GROUP: Final = "heli_host.rig_parameters"
@@ -107,6 +108,17 @@ def rig_parameters(rig: str) -> dict[str, float]:
         reader: RigReader = entry.load()
         return dict(reader(rig))
     return {}
+
+
+def is_known_rig(rig: str) -> bool:
+    """Return whether `rig` is a rig's name or meant as the path of a file; otherwise it is a label only."""
+    if Path(rig).suffix or Path(rig).exists() or Path(rig).name != rig:
+        return True
+    try:
+        rig_parameters(rig)
+    except HeliError:
+        return False
+    return True
 
 
 def rig_differences(

@@ -6,12 +6,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from heli_host.cli.say import say, say_files
-from heli_host.cli.simulated import DEFAULT_RIG, BoardOption, SeedOption
+from heli_host.cli.say import say, say_files, say_progress
+from heli_host.cli.simulated import (
+    DEFAULT_RIG,
+    MAX_SPEED,
+    BoardOption,
+    RigOption,
+    SeedOption,
+    sil_address,
+)
 from heli_host.cli.verb import Verb
 
 if TYPE_CHECKING:
     from heli_host.flight import Flight
+    from heli_host.heli import Heli
 
     from heli_lab.law import Law
 
@@ -79,6 +87,7 @@ def fly(
     law: LawArgument,
     port: Annotated[str, typer.Option("--port", help="Serial port, or any address that connect takes.")] = "",
     board: BoardOption = None,
+    rig: RigOption = None,
     seconds: Annotated[
         float, typer.Option("--seconds", min=1.0, max=600.0, help="How long the law flies.")
     ] = 20.0,
@@ -94,9 +103,9 @@ def fly(
     """
     from heli_lab.law.files import load_law
 
-    address = port or f"sil://?board={board or 'native'}&seed={seed}"
+    address = port or sil_address(board=board, rig=rig, seed=seed, speed=MAX_SPEED)
     found = load_law(law)
-    say(_planned(found, address, plan, log) if plan else _flown(found, address, seconds, log))
+    say(_planned(found, address, plan, log, rig) if plan else _flown(found, address, seconds, log, rig))
 
 
 @app.command()
@@ -109,6 +118,7 @@ def compare(
         Path | None, typer.Argument(metavar="[B]", help="Another law, else the board's own; or another log.")
     ] = None,
     board: BoardOption = None,
+    rig: RigOption = None,
     seconds: Annotated[
         float, typer.Option("--seconds", min=1.0, max=600.0, help="How long each flies.")
     ] = 30.0,
@@ -124,7 +134,7 @@ def compare(
     """
     from heli_host.log.comparison import comparison_lines, comparison_numbers, write_comparison
 
-    address = f"sil://?board={board or 'native'}&seed={seed}"
+    address = sil_address(board=board, rig=rig, seed=seed, speed=MAX_SPEED)
     flights = _logged(law, other) if law.suffix != ".py" else _flown_both(law, other, address, seconds)
     say(*comparison_lines(comparison_numbers(flights)))
     write_comparison(flights, out)
@@ -147,14 +157,17 @@ def export(
     say_files((out,))
 
 
-def _planned(law: Law, address: str, plan: str, log: Path | None) -> str:
+def _planned(law: Law, address: str, plan: str, log: Path | None, rig: str | None) -> str:
     import heli_host
+    from heli_host.cli.board import check_board_rig
     from heli_host.errors import FlightAborted
     from heli_host.fly.runner import fly as fly_plan
     from heli_host.guest_law import engage
 
     tape = law.tape
     with heli_host.connect(address) as heli:
+        _say_note(heli)
+        check_board_rig(heli, rig)
         summary = fly_plan(heli, plan, log_path=log, on_taken_off=lambda: engage(heli, tape))
     if not summary.completed:
         raise FlightAborted(summary.outcome.removeprefix("aborted: "))
@@ -191,10 +204,25 @@ def _flown_both(first: Path, second: Path | None, address: str, seconds: float) 
     return flights
 
 
-def _flown(law: Law | None, address: str, seconds: float, log: Path | None = None) -> str:
+def _flown(
+    law: Law | None, address: str, seconds: float, log: Path | None = None, rig: str | None = None
+) -> str:
+    from heli_host.cli.board import check_board_rig
+
     from heli_lab.law.trial import try_law
 
-    return str(try_law(law, address, seconds, log))
+    def check(heli: Heli) -> None:
+        _say_note(heli)
+        check_board_rig(heli, rig)
+
+    return str(try_law(law, address, seconds, log, check))
+
+
+def _say_note(heli: Heli) -> None:
+    from heli_host.link.transport import transport_note
+
+    if note := transport_note(heli.session.transport):
+        say_progress(note)
 
 
 VERB = Verb(app, "Laboratory")

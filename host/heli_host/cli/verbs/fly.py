@@ -47,7 +47,7 @@ def fly(
 
     Example: `heli-host fly hover sine --sil --speed 5`
     """
-    from heli_host.cli.board import board_text, clear_latched_fault, open_board
+    from heli_host.cli.board import board_text, check_board_rig, clear_latched_fault, open_board
     from heli_host.cli.outputs import check_result_places
     from heli_host.cli.progress import LiveLine
     from heli_host.cli.report import summary_lines
@@ -87,6 +87,7 @@ def fly(
         load_gains(heli.params, gains)
         if parameters:
             heli.params.restore(parameters)
+        check_board_rig(heli, rig)
         everything = log is None and json is None and figure is None
         folder = flight_folder() if log is None else log.parent
         log = log if log is not None else folder / "flight.mcap"
