@@ -189,7 +189,7 @@ class Heli(Vehicle):
         Returns
         -------
         FlightSummary
-            What was flown, how well, and what ended it.
+            What was flown, how well, and what ended it; in simulation also what contradicts the rig.
 
         Raises
         ------
@@ -198,7 +198,7 @@ class Heli(Vehicle):
         LogWriteError
             The log cannot be created; nothing has moved.
         """
-        return fly(self, plans, log_path=log)
+        return fly(self, plans, log_path=log, rig=transport_rig(self.session.transport))
 
 
 def connect(

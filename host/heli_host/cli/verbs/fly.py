@@ -56,7 +56,7 @@ def fly(
     from heli_host.fly.plan import load_plan
     from heli_host.fly.runner import Progress
     from heli_host.fly.runner import fly as fly_plans
-    from heli_host.link.transport import transport_label, transport_note
+    from heli_host.link.transport import transport_label, transport_note, transport_rig
     from heli_host.log.disk import check_new
     from heli_host.published_gains import load_gains
 
@@ -116,6 +116,7 @@ def fly(
                 figure_path=figure,
                 on_progress=show,
                 rig_name=simulated.rig_name(rig, simulated=sil),
+                rig=rig or transport_rig(transport),
                 board_name=transport_label(transport).partition(",")[0].removesuffix(" board"),
                 twin=watch,
                 land_on_change=land_on_change,
