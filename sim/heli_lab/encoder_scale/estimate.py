@@ -37,7 +37,9 @@ CLEAR_deg: Final = 8.0
 thrust. Higher: flights that stay low say nothing."""
 _LAG_s: Final = 0.05
 _LAG_STD_s: Final = 0.05
-"""Prior of the time by which thrust follows the voltage: what rotors of this size have, 0 to 0.15 s."""
+"""Prior of the lag of the rotors' thrust, of first order: what rotors of this size have, 0 to 0.15 s."""
+_LAG_STEP_s: Final = 1e-4
+"""Step of the derivative by the lag, s."""
 _ELEVATION, _PITCH, _TRAVEL = range(3)
 _ROUNDS: Final = 12
 _HALVINGS: Final = 8
@@ -123,7 +125,9 @@ class FlightInWeakForm:
             ([np.inf] * 3, [_LAG_STD_s], np.maximum(zeros_rad, 1e-6), deviations)
         )
         rows = flown_rows(flight) & (flight.elevation_rad > self._pivot[0] + np.radians(CLEAR_deg))
-        parts = parts_of(flight, rows)
+        # The lag is one of the thrust: below its dead zone a motor gives none, however low its voltage is.
+        least_V = -np.inf if rig["reverse_thrust"].value else rig["dead_zone"].value
+        parts = parts_of(flight, rows, least_V)
         self.seconds = sum(part.seconds for part in parts)
         self._parts = parts
         self._tests = [TestFunctions(part) for part in parts]
@@ -143,7 +147,8 @@ class FlightInWeakForm:
         for part, test, shown in zip(self._parts, self._tests, self._shown, strict=True):
             moved = (part.angles_rad - self._pivot - zeros) / scales
             rates = part.rates_rad_s / scales
-            volts = part.volts_V - lag_s * part.volts_rate_V_s
+            volts = part.lagged_V(lag_s)
+            volts_by_lag = (part.lagged_V(lag_s + _LAG_STEP_s) - volts) / _LAG_STEP_s
             state = np.hstack((self._pivot + moved, rates))
             along = Trajectory(part.t_s, state, volts, part.step_s, parameters)
             value, by_state, _, by_volts, *_ = self._functions.along(along)
@@ -153,7 +158,7 @@ class FlightInWeakForm:
                 values[axis].append(shown[axis] - scales[axis] * pushed)
                 by = by_state[:, row]
                 by_scales = -by[:, :3] * moved - by[:, 3:6] * rates
-                by_lag = -np.sum(by_volts[:, row] * part.volts_rate_V_s, axis=1, keepdims=True)
+                by_lag = np.sum(by_volts[:, row] * volts_by_lag, axis=1, keepdims=True)
                 by_zeros = -by[:, :2] / scales[:2]
                 # The functions give what a number takes off the rates.
                 columns = np.hstack((by_scales, by_lag, by_zeros, -value[:, row, 1:]))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 from heli_host.flight import Flight
+from scipy.signal import lfilter
 
 from heli_lab.identify.functions import Floats
 
@@ -18,6 +20,8 @@ WIDTHS_s: Final = (3.0, 1.5, 3.0)
 """Length of the test functions of elevation, pitch and travel, s. Shorter: rounding of the encoders grows as its
 inverse square. Longer: the sines of a flight average out."""
 _OVERLAP: Final = 0.5
+_LEAST_LAG_s: Final = 1e-3
+"""Lag below which there is none, s."""
 _SMOOTH_s: Final = 0.1
 """Standard deviation of the bell over which rates are smoothed, s."""
 
@@ -32,8 +36,8 @@ class Part:
         Beginning of each step.
     angles_rad, rates_rad_s : ndarray (n, 3)
         Means of the angles shown in each step, and their smoothed rates.
-    volts_V, volts_rate_V_s : ndarray (n, 2)
-        Means of the voltages, and their rates.
+    volts_V : ndarray (n, 2)
+        Means of the voltages.
     step_s : float
         Length of a step.
     """
@@ -42,7 +46,6 @@ class Part:
     angles_rad: Floats
     rates_rad_s: Floats
     volts_V: Floats
-    volts_rate_V_s: Floats
     step_s: float
 
     @property
@@ -50,9 +53,22 @@ class Part:
         """Its length, s."""
         return len(self.angles_rad) * self.step_s
 
+    def lagged_V(self, lag_s: float) -> Floats:
+        """Voltages behind a lag of first order, (n, 2), at rest before the part: their mean over each step."""
+        lag_s = max(lag_s, _LEAST_LAG_s)
+        keep = math.exp(-self.step_s / lag_s)
+        start = keep * self.volts_V[:1]
+        after, _ = lfilter([1.0 - keep], [1.0, -keep], self.volts_V, axis=0, zi=start)
+        before = np.vstack((self.volts_V[:1], after[:-1]))
+        # Within a step the lag goes on from its value before it towards that of the step's voltage.
+        share = lag_s / self.step_s * (1.0 - keep)
+        return np.asarray(self.volts_V + share * (before - self.volts_V))
 
-def parts_of(flight: Flight, rows: npt.NDArray[np.bool_]) -> list[Part]:
-    """Cut the `rows` of a flight into parts without gaps, each longer than the longest test function."""
+
+def parts_of(flight: Flight, rows: npt.NDArray[np.bool_], least_V: float) -> list[Part]:
+    """Cut the `rows` of a flight into parts without gaps, each longer than the longest test function; voltages
+    below `least_V` act like it.
+    """
     step_s = flight.step_s
     if not step_s > 0.0:
         return []
@@ -68,10 +84,10 @@ def parts_of(flight: Flight, rows: npt.NDArray[np.bool_]) -> list[Part]:
             continue
         taken = slice(start, start + count * every)
         angles = flight.angles_rad[taken].reshape(count, every, 3).mean(axis=1)
-        volts = flight.voltages_V[taken].reshape(count, every, 2).mean(axis=1)
+        volts = np.maximum(flight.voltages_V[taken], least_V).reshape(count, every, 2).mean(axis=1)
         grid_s = every * step_s
         t_s = flight.t_s[taken][::every]
-        found.append(Part(t_s, angles, _rates(angles, grid_s), volts, _rates(volts, grid_s), grid_s))
+        found.append(Part(t_s, angles, _rates(angles, grid_s), volts, grid_s))
     return found
 
 
