@@ -25,10 +25,11 @@ _SAME: Final = 1e-6
 """Relative difference of two equal numbers, one of them in single precision: rounding is 6e-8. Larger: an
 error of a count in 65536, 1.5e-5, passes."""
 _REST_deg: Final = 1.0
-"""Difference of two rest angles that counts as none, deg: what a rig's file allows, and half of what arming
-tolerates. Larger: level is wrong by more than a person sees."""
+"""Difference of two rest angles that counts as none, deg: the tolerance of a rig's file, and half of what
+arming tolerates. Larger: level is visibly wrong. Smaller: rigs within their tolerance give warnings."""
 _SUPPLY_V: Final = 0.3
-"""The same for a supply, V: what a laboratory supply or a battery wanders by. Larger: 3 % of every voltage."""
+"""The same for a supply, V: the drift of a laboratory supply or a battery. Larger: 3 % of every voltage.
+Smaller: a supply within the tolerance of a rig's file gives a warning."""
 
 
 class Part(Enum):

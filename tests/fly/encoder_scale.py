@@ -1,13 +1,14 @@
 """Fly healthy rigs and rigs with a wrong encoder, and count warnings: ``python -m tests.fly.encoder_scale``.
 
-The rigs are drawn within the tolerances of makki2024, half of them with a lag of their rotors that its file does
-not state, under disturbances of three strengths. What judges uses the nominal rig.
+The rigs are drawn within the tolerances of makki2024, half of them with a lag of their rotors that its file
+does not state, under disturbances of three strengths. What judges uses the nominal rig.
 """
 
 from __future__ import annotations
 
 import argparse
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -22,12 +23,16 @@ from heli_host.link.session import Session
 from heli_host.log.flight_file import read_flight
 from heli_lab.encoder_scale.estimate import ScaleEstimate, scales_of
 from heli_lab.encoder_scale.warning import MOST_SIGMAS, wrong_scale
+from heli_lab.tune.design import find_gains
 from heli_lab.twin.healthy_flights import in_weather
 from heli_sim.model import MultibodyModel
+from heli_sim.model.base import Model
+from heli_sim.model.effects import effects_of
 from heli_sim.model.linear import trim
+from heli_sim.model.named import model_named
 from heli_sim.model.parts import AXES
 from heli_sim.plant import Plant
-from heli_sim.rig import load_rig
+from heli_sim.rig import Rig, load_rig, rig_names
 from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import SilOptions
 from heli_sim.sil.rig_faults import RigFaults
@@ -37,9 +42,9 @@ from tests.twin.rigs import true_rig
 
 NOMINAL: Final = "makki2024"
 SCALES: Final = (0.5, 0.7, 0.9, 0.99, 1.1, 1.4, 2.0)
-HEALTHY_FROM: Final = 101
+HEALTHY_FROM: Final = 201
 WRONG_FROM: Final = 501
-"""First seeds of the rigs; the estimator was set on the seeds 1 to 4."""
+"""First seeds of the rigs; the estimator was set on the seeds 1 to 130."""
 
 
 @dataclass(frozen=True)
@@ -57,14 +62,21 @@ def fly_drawn(plan: str, seed: int, axis: int = 0, scale: float = 1.0) -> tuple[
     scales = [1.0, 1.0, 1.0]
     scales[axis] = scale
     faults = RigFaults(encoder_scales=(scales[0], scales[1], scales[2]))
-    model = in_weather(calm, weather)
-    world = SilWorld(SilOptions(seed=seed, rig_faults=faults), Plant(model, rig, seed))
+    # What the operator of this rig would have set.
+    hover_V = float(sum(trim(MultibodyModel(), rig).volts_V)) - 2.0 * rig["dead_zone"].value
+    options = SilOptions(seed=seed, rig_faults=faults)
+    return fly_one(in_weather(calm, weather), rig, plan, options, {"hover_V": hover_V})
+
+
+def fly_one(
+    model: Model, rig: Rig, plan: str, options: SilOptions, parameters: Mapping[str, float]
+) -> tuple[str, Flight]:
+    """Fly a shipped plan on a rig with parameters of the board; returns the outcome and the flight."""
+    world = SilWorld(options, Plant(model, rig, options.seed))
     session = Session(InProcessTransport(world), session_number=1)
     session.connect()
     with tempfile.TemporaryDirectory() as folder, Heli(session) as heli:
-        # What the operator of this rig would have set.
-        heli.params["hover_V"] = float(sum(trim(MultibodyModel(), rig).volts_V)) - 2.0 * rig["dead_zone"].value
-        heli.params["arm_elevation_tolerance_deg"] = 20.0
+        heli.params.restore({**parameters, "arm_elevation_tolerance_deg": 20.0})
         path = Path(folder) / "flight.mcap"
         summary = fly(heli, plan, log_path=path)
         return summary.outcome, read_flight(path)
@@ -84,7 +96,9 @@ def judged(plan: str, seed: int, axis: int = 0, scale: float = 1.0) -> Flown | N
 
 def healthy_lines(rigs: int) -> list[str]:
     """Warnings on healthy flights, by plan, and how far the estimates are from 1 in standard errors."""
-    lines = ["| plan | flights | warnings | largest distance from 1, standard errors | median standard error |"]
+    lines = [
+        "| plan | flights | warnings | largest distance from 1, standard errors | median standard error |"
+    ]
     lines.append("|---|---|---|---|---|")
     for plan in plan_names():
         flown = [one for seed in range(HEALTHY_FROM, HEALTHY_FROM + rigs) if (one := judged(plan, seed))]
@@ -129,14 +143,44 @@ def wrong_lines(rigs: int) -> list[str]:
     return lines
 
 
+def other_lines(flights: int) -> list[str]:
+    """The same on the other shipped rigs as their files have them, tuned and under disturbances."""
+    lines = []
+    for name in rig_names():
+        if name == NOMINAL:
+            continue
+        rig = load_rig(name)
+        model = model_named(rig.model or MultibodyModel.name, effects_of(rig))
+        gains = find_gains(rig).parameters
+        flown = []
+        for plan in plan_names():
+            for seed in range(HEALTHY_FROM, HEALTHY_FROM + flights):
+                *_, weather = true_rig(seed)
+                outcome, flight = fly_one(in_weather(model, weather), rig, plan, SilOptions(seed=seed), gains)
+                if np.any(flight.voltages_V):
+                    estimates = scales_of(flight, rig, model)
+                    flown.append(Flown(outcome, estimates, wrong_scale(estimates)))
+        warned = sum(one.warned is not None for one in flown)
+        most = max((one.sigmas for each in flown for one in each.estimates), default=0.0)
+        lines.append(
+            f"{name}: {len(flown)} flights, {warned} warnings, at most {most:.1f} standard errors from 1"
+        )
+        print(lines[-1], flush=True)
+    return lines
+
+
 def main() -> None:
     """Read options, fly, print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--healthy", type=int, default=30, help="healthy flights of each shipped plan")
+    parser.add_argument(
+        "--others", type=int, default=3, help="flights of each plan on each other shipped rig"
+    )
     parser.add_argument("--wrong", type=int, default=3, help="flights of each plan, axis and scale")
     asked = parser.parse_args()
     print(f"a warning needs {MOST_SIGMAS:g} standard errors; healthy flights:")
     healthy_lines(asked.healthy)
+    other_lines(asked.others)
     print("flights with one wrong encoder, by its scale: warnings that name it, of how many:")
     wrong_lines(asked.wrong)
 

@@ -1,4 +1,4 @@
-"""A simulated board starts with the counts, rest angle, supply and limits of its rig, so what it flies is true."""
+"""A simulated board starts with the counts, rest angle, supply and limits of its rig."""
 
 from __future__ import annotations
 
@@ -30,7 +30,9 @@ def rig_file(folder: Path, **values: float) -> Path:
 def on(board: str, rig: Path, **more: str) -> str:
     if board == "due" and not firmware.candidates():
         pytest.skip("no firmware is built")
-    return "sil://?" + "&".join(f"{key}={value}" for key, value in {"rig": rig, "board": board, **more}.items())
+    return "sil://?" + "&".join(
+        f"{key}={value}" for key, value in {"rig": rig, "board": board, **more}.items()
+    )
 
 
 def true_deg(heli: Heli) -> list[float]:

@@ -1,13 +1,13 @@
-"""Estimates the scale of each encoder from one flight: counts shown per count that the rig's model predicts.
+"""Estimates each encoder's scale from one flight: counts shown per count that the rig's model predicts.
 
-Let s be the scale of an encoder, m the angle that it shows, m = r + s (q - r) with the angle r at which it was
-zeroed. For a smooth test function w of compact support the model's acceleration f gives, without any
+Let s be the scale of an encoder, m the angle that it shows, m = r + s (q - r) with the angle r at which it
+was zeroed. For a smooth test function w of compact support the model's acceleration f gives, without any
 derivative of a measured angle,
 
     integral w'' m dt = s integral w f(q, dq/dt, u; p) dt + disturbances.
 
 Gravity and the thrust enter f of elevation, and the lift times the sine of pitch that of travel: so each axis
-has a scale of its own. The numbers p of the rig are estimated together with s, with the rig file's tolerances
+has a separate scale. The numbers p of the rig are estimated together with s, with the rig file's tolerances
 as their priors; a standard error of s contains what they leave open.
 """
 
@@ -33,8 +33,8 @@ from heli_lab.innovations.unknowns import TORQUE_STD_Nm
 LEAST_s: Final = 5.0
 """Flight that is enough to say something, s: some periods of the slowest test function."""
 CLEAR_deg: Final = 8.0
-"""Height above the table, deg, from which on neither it nor the air over it pushes. Lower: the table passes for
-thrust. Higher: flights that stay low say nothing."""
+"""Height above the table, deg, from which on neither it nor the air over it pushes. Lower: the table passes
+for thrust. Higher: flights that stay low say nothing."""
 _LAG_s: Final = 0.05
 _LAG_STD_s: Final = 0.05
 """Prior of the lag of the rotors' thrust, of first order: what rotors of this size have, 0 to 0.15 s."""
@@ -50,6 +50,14 @@ _LEAST_rad_s2: Final = 1e-3
 """Least standard deviation of a residual, rad/s2: what smoothing and rounding leave without disturbances."""
 _MOST_ALIKE: Final = 0.9
 """Largest correlation of neighbouring residuals that is believed: beyond it an equation term is missing."""
+_MOST_FEEDBACK: Final = 0.15
+"""Share of an axis' motion that disturbances may have, see `_feedback`. The shipped plans but hover have up
+to 0.1 in strong disturbances, hover 0.07 to 0.6. Larger: hover gives pitch half its scale, 4 standard errors
+off. Smaller: sines in strong disturbances give no scale."""
+_WORST_FEEDBACK: Final = 2.0
+"""Standard error of a scale by what `_feedback` gives, in shares of that. On 24 rigs in strong disturbances
+the estimates of sines were up to three shares too small. Smaller: false warnings. Larger: half the counts
+unseen."""
 _SMALL: Final = 1e-3
 """A change of a scale's logarithm, and a tenth of a gain in cost, at which a search ends: below any standard
 error."""
@@ -66,7 +74,7 @@ class ScaleEstimate:
     scale : float
         Counts shown per count that the model predicts.
     standard_error : float
-        Of the scale.
+        Of the scale; infinite where the flight does not move the axis enough to tell disturbances apart.
     nats : float
         How much likelier the flight is with this scale than with 1, as the logarithm of the ratio.
     """
@@ -88,7 +96,7 @@ class FlightInWeakForm:
     Parameters
     ----------
     flight : Flight
-        The flight.
+        Any flight of a board, gaps allowed.
     rig : Rig
         Numbers and tolerances.
     model : Model
@@ -131,14 +139,16 @@ class FlightInWeakForm:
         self.seconds = sum(part.seconds for part in parts)
         self._parts = parts
         self._tests = [TestFunctions(part) for part in parts]
-        self._shown = [test.second_derivative(part.angles_rad) for test, part in zip(self._tests, parts, strict=True)]
+        self._shown = [
+            test.second_derivative(part.angles_rad) for test, part in zip(self._tests, parts, strict=True)
+        ]
 
     def shown(self, axis: int) -> Floats:
-        """Mean accelerations of the angle that an axis' encoder shows [rad/s2]."""
+        """Mean accelerations of the angle that the encoder of an `axis` (0 to 2) shows [rad/s2]."""
         return np.concatenate([one[axis] for one in self._shown])
 
     def residuals(self, unknowns: Floats) -> tuple[list[Floats], list[Floats]]:
-        """Residuals of each axis [rad/s2] and their derivatives by the unknowns, (rows, unknowns)."""
+        """Residuals of each axis [rad/s2] and their derivatives by the `unknowns`, (rows, unknowns)."""
         scales, lag_s, zeros = np.exp(unknowns[:3]), unknowns[3], np.array([*unknowns[4:6], 0.0])
         parameters = self._parameters.copy()
         parameters[self._places] = unknowns[6:]
@@ -182,11 +192,16 @@ def scales_of(flight: Flight, rig: Rig, model: Model) -> tuple[ScaleEstimate, ..
     Parameters
     ----------
     flight : Flight
-        The flight.
+        Any flight of a board, gaps allowed.
     rig : Rig
-        What is known of the rig.
+        Numbers and tolerances: what is known beforehand.
     model : Model
         Its equations.
+
+    Returns
+    -------
+    tuple of ScaleEstimate
+        For elevation, pitch and travel.
     """
     known = FlightInWeakForm(flight, rig, model)
     if known.seconds < LEAST_s:
@@ -203,14 +218,19 @@ def _estimate(known: FlightInWeakForm, noise: Floats, axis: int, fits: tuple[_Fi
     start[[one for one in range(3) if one != axis]] = 0.0
     best = min((_fit(known, noise, (axis,), one) for one in (start, without.unknowns)), key=lambda f: f.cost)
     scale = float(np.exp(best.unknowns[axis]))
-    error = scale * float(np.hypot(np.sqrt(best.covariance[0, 0]), _feedback(known, joint, axis)))
+    share = _feedback(known, joint, axis)
+    error = float(np.hypot(scale * np.sqrt(best.covariance[0, 0]), _WORST_FEEDBACK * max(scale, 1.0) * share))
+    if share > _MOST_FEEDBACK:
+        error = np.inf
     return ScaleEstimate(AXES[axis], scale, error, 0.5 * (without.cost - best.cost))
 
 
 def _feedback(known: FlightInWeakForm, joint: _Fit, axis: int) -> float:
-    """How far, as a share of it, a scale may be off because the control law answers disturbances: what drives
-    the axis is then no accident of them. It is at most the mean square of the disturbances over that of what the
-    model says drives the axis. In hover nothing else moves pitch, and travel shows a quarter of its scale.
+    """How far, as a share of it, a scale may be wrong because the control law answers disturbances.
+
+    Least squares take what drives an axis for independent of the disturbances, and a law makes it depend on
+    them. The error is of the order of the mean square of the disturbances over that of what drives the axis.
+    In hover nothing else moves pitch, and travel shows a quarter of its scale.
 
     Travel shows in its own equation only, pitch in that of travel too. Elevation's scale comes from the weight
     of the arm, which no law answers.
@@ -226,8 +246,8 @@ def _feedback(known: FlightInWeakForm, joint: _Fit, axis: int) -> float:
 
 
 def _noise(known: FlightInWeakForm) -> tuple[Floats, _Fit]:
-    """Standard deviation of each axis' residuals, (3,), with all scales free, so that a wrong scale is none of
-    it; neighbours that are alike count as fewer. And the last fit.
+    """Standard deviation of each axis' residuals, (3,), and the last fit: with all scales free, so that
+    a wrong scale is no part of it. Neighbours that are alike count as fewer.
     """
     noise, unknowns = np.full(3, _FIRST_rad_s2), known.mean
     for _ in range(_NOISE_ROUNDS):

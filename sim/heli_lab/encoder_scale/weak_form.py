@@ -17,8 +17,8 @@ GRID_s: Final = 0.02
 """Step of the grid, s. Twice as long: blurred rates put scales off by 2 %, twice as much. Half: twice the
 time of a fit."""
 WIDTHS_s: Final = (3.0, 1.5, 3.0)
-"""Length of the test functions of elevation, pitch and travel, s. Shorter: rounding of the encoders grows as its
-inverse square. Longer: the sines of a flight average out."""
+"""Length of the test functions of elevation, pitch and travel, s. Shorter: rounding of the encoders grows as
+its inverse square. Longer: the sines of a flight average out."""
 _OVERLAP: Final = 0.5
 _LEAST_LAG_s: Final = 1e-3
 """Lag below which there is none, s."""
@@ -54,7 +54,9 @@ class Part:
         return len(self.angles_rad) * self.step_s
 
     def lagged_V(self, lag_s: float) -> Floats:
-        """Voltages behind a lag of first order, (n, 2), at rest before the part: their mean over each step."""
+        """Voltages behind a lag of first order with the time constant `lag_s`, (n, 2), at rest before the
+        part: their mean over each step.
+        """
         lag_s = max(lag_s, _LEAST_LAG_s)
         keep = math.exp(-self.step_s / lag_s)
         start = keep * self.volts_V[:1]
@@ -66,8 +68,8 @@ class Part:
 
 
 def parts_of(flight: Flight, rows: npt.NDArray[np.bool_], least_V: float) -> list[Part]:
-    """Cut the `rows` of a flight into parts without gaps, each longer than the longest test function; voltages
-    below `least_V` act like it.
+    """Cut the `rows` of a flight into parts without gaps, each longer than the longest test function;
+    voltages below `least_V` act like it.
     """
     step_s = flight.step_s
     if not step_s > 0.0:
@@ -97,7 +99,7 @@ def _rates(values: Floats, step_s: float) -> Floats:
     bell /= bell.sum()
     padded = np.pad(values, ((reach, reach), (0, 0)), mode="edge")
     smooth = np.column_stack([np.convolve(column, bell, mode="valid") for column in padded.T])
-    return np.gradient(smooth, step_s, axis=0)
+    return np.asarray(np.gradient(smooth, step_s, axis=0))
 
 
 class TestFunctions:
@@ -128,11 +130,13 @@ class TestFunctions:
             self._starts.append(np.arange(0, len(part.angles_rad) - count + 1, hop))
 
     def second_derivative(self, angles_rad: Floats) -> list[Floats]:
-        """Mean second derivative of each axis' angle, weighted by its test functions: one array an axis."""
+        """Mean second derivative of each axis' angle, `angles_rad` of shape (n, 3), weighted by its test
+        functions: one array per axis.
+        """
         return [_apply(self._bent[i], self._starts[i], angles_rad[:, i]) for i in range(3)]
 
     def mean(self, axis: int, values: Floats) -> Floats:
-        """Weighted means of `values`, (n,) or (n, k), with the test functions of an axis."""
+        """Weighted means of `values`, (n,) or (n, k), with the test functions of an `axis`, 0 to 2."""
         return _apply(self._weights[axis], self._starts[axis], values)
 
 

@@ -16,8 +16,8 @@ SUPPLY: Final = "supply"
 
 
 SCALES: Final = {f"encoder_scale_{axis}": axis for axis in AXES}
-"""Stand for the counts of an encoder per turn, by number and axis. From its onset on an encoder adds a share of
-each turn to what it shows; until then it was right, so its angle does not jump."""
+"""Stand for the counts of an encoder per turn, by number and axis. From its onset on an encoder adds a share
+of each turn to what it shows; until then it was right, so its angle does not jump."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,8 @@ class Change:
         Effect of the catalogue, or what a step of it is called.
     numbers : tuple of str
         Parameters of the extended model by which it is a derivative, one or two; `SUPPLY` for a share of both
-        voltages, one of `SCALES` for a share of an encoder's counts. Of several in one entry, joined by ``+``, each changes alike.
+        voltages, one of `SCALES` for a share of an encoder's counts. Of several in one entry, joined by
+        ``+``, each changes alike.
     grows : bool
         Whether it grows with the time since its onset, at a constant rate.
     one_way : bool

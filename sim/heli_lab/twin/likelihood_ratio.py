@@ -118,7 +118,7 @@ class LikelihoodRatio:
         return np.asarray(np.maximum(block - self._onset, -1.0)[self._column_of])
 
     def onset_blocks(self, column: int) -> Integers:
-        """Block of each onset of a column, (onsets,); -1 where none is."""
+        """Block of each onset of a `column` of the sensitivities, (onsets,); -1 where none is."""
         onset = self._onset[self._column_of[column]]
         return np.where(np.isfinite(onset), onset, -1.0).astype(np.int64)
 

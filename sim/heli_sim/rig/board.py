@@ -12,7 +12,7 @@ from heli_sim.rig.rig import Rig, load_rig
 
 _SPECS: Final = {spec.name: spec for spec in PARAMS}
 _INSIDE_STOP_deg: Final = {"elevation_max": 1.0, "pitch_max": 5.0, "travel_max": 5.0}
-"""How far inside a stop the board cuts the motors, deg: what lies between the declared limits and the stops of
+"""How far inside a stop the board cuts the motors, deg: the distance of the declared limits from the stops of
 the paper's rig. Less: the arm hits the stop before the motors are off. More: it cannot fly where it could."""
 _SETPOINT_INSIDE_deg: Final = 10.0
 """The same for the setpoint of pitch, which has to be below its limit or the board does not arm."""
@@ -39,7 +39,8 @@ def parameters_of(rig: Rig) -> dict[str, float]:
         spec = _SPECS[name]
         if not spec.min <= value <= spec.max:
             raise RigError(
-                f"rig '{rig.name}' needs {name} = {value:g}, and the board takes {spec.min:g} to {spec.max:g}",
+                f"rig '{rig.name}' needs {name} = {value:g}, "
+                f"and the board takes {spec.min:g} to {spec.max:g}",
                 "correct the rig's file",
             )
     most = {f"{name}_deg": rig[name].value - inside for name, inside in _INSIDE_STOP_deg.items()}
@@ -65,7 +66,12 @@ def in_simulation(rig: Rig) -> dict[str, float]:
 
 
 def rig_parameters(name_or_path: str) -> dict[str, float]:
-    """Return the parameters that the rig with a name of `rig_names`, or in a TOML file, determines.
+    """Return the parameters that a rig determines, by its name or file; see `parameters_of`.
+
+    Parameters
+    ----------
+    name_or_path : str
+        A name of `rig_names`, or the path of a TOML file.
 
     Raises
     ------
@@ -76,7 +82,9 @@ def rig_parameters(name_or_path: str) -> dict[str, float]:
 
 
 def set_from_rig_text(rig: str, values: Mapping[str, float]) -> str:
-    """Say in one line which parameters a simulated board took from the rig of a name; empty for none."""
+    """Say in one line which parameters, `values` by name, a simulated board took from the `rig` of this name;
+    empty for none.
+    """
     if not values:
         return ""
     listed = ", ".join(

@@ -102,7 +102,7 @@ class NativeBoard:
         """Do nothing: this board writes its file by itself."""
 
     def fill_flash(self, flash: bytes) -> None:
-        """Put pages, as `heli_sim.sil.flash_pages.saved` makes them, into the flash before the first start."""
+        """Put `flash`, as `heli_sim.sil.flash_pages.saved` makes it, in before the board's first start."""
         self.sim.flash = flash
 
 
@@ -152,7 +152,7 @@ class EmulatedDue:
         return self.sim.due.uart_overruns
 
     def fill_flash(self, flash: bytes) -> None:
-        """Put pages, as `heli_sim.sil.flash_pages.saved` makes them, into the flash before the first start."""
+        """Put `flash`, as `heli_sim.sil.flash_pages.saved` makes it, in before the board's first start."""
         self.sim.due.load(_PAGES_AT, flash[:_PAGES_BYTES])
 
     def keep_flash(self) -> None:

@@ -105,8 +105,8 @@ def parse_url(url: str) -> SilOptions:
     url : str
         The address. ``stall`` and ``unplug`` take start:length in seconds, several with commas between them;
         ``stop_switch`` and ``supply_out`` too, and ``encoder_out`` behind an axis, as in ``pitch:15``; these
-        last where the length is left out. ``encoder_scale`` takes axis:scale, as in ``travel:0.5``. ``effect`` takes effects, ``effects`` files of them, several with
-        semicolons between them.
+        last where the length is left out. ``encoder_scale`` takes axis:scale, as in ``travel:0.5``.
+        ``effect`` takes effects, ``effects`` files of them, several with semicolons between them.
 
     Raises
     ------

@@ -15,7 +15,6 @@ from heli_sim import _native
 from heli_sim.errors import OptionError
 from heli_sim.sil.spans import During, edges_of, next_edge
 
-
 _MOST_SCALE: Final = 16.0
 """Largest scale of an encoder: discs of 1000 to 16000 lines are sold."""
 
