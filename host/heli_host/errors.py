@@ -16,6 +16,7 @@
     ├── ImageError              a file that is not this release's firmware for the Due
     ├── UploaderError           bossac is missing, or cannot be used
     ├── ParameterError          unknown name, value out of range, damaged dump
+    ├── RigMismatch             the board's counts or directions contradict the rig that it is said to fly
     ├── SetpointError           a target outside the limits in force on the board
     ├── ControllerError         a Python control law raised, or returned no two finite voltages
     ├── BadLaw              a law that cannot run on a board, or is not written as one
@@ -252,6 +253,10 @@ class UploaderError(HeliError):
 
 class ParameterError(HeliError):
     """An unknown parameter, a value out of its range, or a damaged parameter dump."""
+
+
+class RigMismatch(HeliError):
+    """Counts per turn or directions on the board contradict the rig."""
 
 
 class SetpointError(HeliError):

@@ -10,8 +10,14 @@ from heli_host.declaration import BAUD
 from heli_host.fly.runner import PlanLike, fly
 from heli_host.guest_law import LawReport, fly_law, set_parameter, upload
 from heli_host.link.session import HANDSHAKE_TIMEOUT_S, RECONNECT_TIMEOUT_S, Session
-from heli_host.link.transport import open_transport, transport_label, transport_rig
+from heli_host.link.transport import (
+    open_transport,
+    transport_label,
+    transport_rig,
+    transport_rig_parameters,
+)
 from heli_host.log.summary import FlightSummary
+from heli_host.rig_check import check_rig
 from heli_host.tape import LawLike, Tape, tape_of
 from heli_host.telemetry_view import HISTORY_S
 from heli_host.vehicle import Vehicle
@@ -35,7 +41,16 @@ class Heli(Vehicle):
         return f"<Heli on {transport.url} ({what}{', rig ' + rig if rig else ''}): {newest}>"
 
     def arm(self) -> None:
-        """As `heli_host.vehicle.Vehicle.arm`; a board that was reset gets the law again that it had."""
+        """As `heli_host.vehicle.Vehicle.arm`; a board that was reset gets the law again that it had.
+
+        Raises
+        ------
+        RigMismatch
+            The board is simulated, and its counts or directions contradict its rig.
+        CommandRefused
+            As for a vehicle.
+        """
+        check_rig(transport_rig_parameters(self.session.transport), self.params, simulated=True)
         if self._tape is not None and self.session.counters.restarts != self._tape_restarts:
             self.load_law(self._tape)
         super().arm()
@@ -189,7 +204,7 @@ class Heli(Vehicle):
         Returns
         -------
         FlightSummary
-            What was flown, how well, and what ended it.
+            What was flown, how well, and what ended it; in simulation also what contradicts the rig.
 
         Raises
         ------
@@ -198,7 +213,7 @@ class Heli(Vehicle):
         LogWriteError
             The log is there already, or cannot be created; nothing has moved.
         """
-        return fly(self, plans, log_path=log, overwrite=overwrite)
+        return fly(self, plans, log_path=log, overwrite=overwrite, rig=transport_rig(self.session.transport))
 
 
 def connect(

@@ -57,6 +57,9 @@ def test_a_duty_near_one_is_simply_on() -> None:
 def test_the_supply_of_the_rig_scales_what_acts() -> None:
     rig = load_rig("makki2024").replace(supply=6.0)
     host = Host(SilWorld(SilOptions(), Plant(PaperModel(), rig)))
+    host.hello()
+    # The board starts with the supply of its rig; this one is set to another.
+    assert host.order(ParamSetMessage, Param.SUPPLY_V, 12.0).result == Result.OK
     host.drive(3.0, 2.0)
     assert host.world.native.volts_V == pytest.approx([1.5, 1.0], abs=0.003)
 

@@ -81,6 +81,40 @@ def open_board(port: str | None, sil: str | None = None) -> Iterator[Heli]:
         yield heli
 
 
+def check_board_rig(heli: Heli, rig: str | None) -> None:
+    """Compare the parameters of a board with the rig that it flies; print a warning for each difference.
+
+    Parameters
+    ----------
+    heli : Heli
+        Connected, with the parameters to fly with. A simulated board knows its rig.
+    rig : str or None
+        Rig of a real board, a name or a file; a name that no rig has is a label, which is said.
+
+    Raises
+    ------
+    RigMismatch
+        Counts per turn, or in simulation a direction, contradict the rig.
+    HeliError
+        The rig's file is missing, or not complete and valid.
+    """
+    from heli_host.cli.say import say, say_progress
+    from heli_host.link.transport import transport_rig_parameters
+    from heli_host.rig_check import check_rig, is_known_rig, rig_parameters
+
+    stated = transport_rig_parameters(heli.session.transport)
+    simulated = bool(stated)
+    if rig is not None and not simulated:
+        if not is_known_rig(rig):
+            say_progress(f"rig {rig} is a label, not a rig file: the board's parameters are not compared")
+            return
+        stated = rig_parameters(rig)
+    for difference in check_rig(stated, heli.params, simulated=simulated):
+        # A simulated board starts with its rig's numbers: there somebody has just set the parameter.
+        fix = "" if simulated else f"; heli-host params set {difference.parameter} {difference.rig:g} --save"
+        say(f"warning: {difference}{fix}")
+
+
 def clear_latched_fault(heli: Heli) -> None:
     """Clear a fault that an earlier flight has left; no fault is no error.
 

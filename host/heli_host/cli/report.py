@@ -25,5 +25,6 @@ def summary_lines(summary: FlightSummary) -> list[str]:
         f"{summary.ticks_logged} ticks logged, {summary.ticks_lost} lost; {link.get('frames_bad', 0)} bad "
         f"frames, {link.get('retries', 0)} retries, {link.get('reconnects', 0)} reconnects",
         *(f"note: {note}" for note in summary.notes),
+        *(f"warning: {finding.text}" for finding in summary.findings),
     ]
     return [printable(line) for line in lines]

@@ -13,6 +13,7 @@ import numpy as np
 
 from heli_host.declaration import AXES
 from heli_host.errors import LogError, PlanError
+from heli_host.flight_checks import check_flight
 from heli_host.fly.interrupts import Interrupts
 from heli_host.fly.pilot import Pilot, Progress
 from heli_host.fly.plan import Plan, load_plan, take_off
@@ -41,6 +42,7 @@ def fly(
     figure_path: str | Path | None = None,
     on_progress: Callable[[Progress], None] | None = None,
     rig_name: str = "",
+    rig: str = "",
     board_name: str = "",
     twin: TwinWatch | None = None,
     land_on_change: bool = False,
@@ -69,6 +71,9 @@ def fly(
         Called in this thread about twenty times a second.
     rig_name : str
         Name of the rig, for the log.
+    rig : str
+        Name or file of the rig that the finished flight is checked against, such as for an encoder with other
+        counts; empty for no check.
     board_name : str
         What the board is, for the log, where it cannot know: an emulated Due takes itself for a Due.
     on_taken_off : callable, optional
@@ -139,6 +144,8 @@ def fly(
     summary = replace(summarise(log), outcome=outcome, log=str(log_path) if log_path else "")
     if recorder.error is not None and str(recorder.error) not in summary.outcome:
         summary = replace(summary, notes=(*summary.notes, str(recorder.error)))
+    if rig and len(log.ticks):
+        summary = replace(summary, findings=check_flight(log.flight(), rig))
     if json_path is not None:
         summary.write_json(json_path)
     if figure_path is not None:

@@ -12,7 +12,7 @@ import errno
 import os
 import select
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -420,6 +420,23 @@ def transport_rig(transport: Transport) -> str:
         Name or file of the rig; empty where nothing is said.
     """
     return str(getattr(transport, "rig", ""))
+
+
+def transport_rig_parameters(transport: Transport) -> Mapping[str, float]:
+    """Return the parameters that the rig of a simulated board determines.
+
+    Parameters
+    ----------
+    transport : Transport
+        Any transport; one may have them in an attribute ``rig_parameters``.
+
+    Returns
+    -------
+    Mapping of str to float
+        Values by parameter; empty for hardware.
+    """
+    stated: Mapping[str, float] = getattr(transport, "rig_parameters", {})
+    return stated
 
 
 def transport_note(transport: Transport) -> str:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from heli_host.errors import LogWriteError
 from heli_host.flight import Flight
 from heli_host.flight.flown import flown_rows, led_rows
 from heli_host.flight.response import rms
+from heli_host.flight_checks import FlightFinding
 from heli_host.log.reader import Log
 from heli_host.log.writer import DISK_BLOCKED, TICKS_DROPPED
 
@@ -58,6 +59,8 @@ class FlightSummary:
         What is wrong with the log, if anything.
     log : str
         Path of the log.
+    findings : tuple of FlightFinding
+        What of the flight contradicts its rig.
     """
 
     outcome: str
@@ -73,6 +76,7 @@ class FlightSummary:
     events: tuple[Mapping[str, Any], ...] = ()
     notes: tuple[str, ...] = ()
     log: str = ""
+    findings: tuple[FlightFinding, ...] = ()
 
     @property
     def completed(self) -> bool:
@@ -94,6 +98,7 @@ class FlightSummary:
             "link": dict(self.link),
             "events": [dict(event) for event in self.events],
             "notes": list(self.notes),
+            "findings": [asdict(finding) for finding in self.findings],
             "log": self.log,
         }
 

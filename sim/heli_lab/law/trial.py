@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -53,7 +55,13 @@ class LawTrial:
         )
 
 
-def try_law(law: Law | None, address: str, seconds: float, log: Path | None = None) -> LawTrial:
+def try_law(
+    law: Law | None,
+    address: str,
+    seconds: float,
+    log: Path | None = None,
+    on_connected: Callable[[heli_host.Heli], object] = lambda heli: None,
+) -> LawTrial:
     """Fly a law on a board.
 
     Parameters
@@ -66,6 +74,8 @@ def try_law(law: Law | None, address: str, seconds: float, log: Path | None = No
         How long [s].
     log : Path or None
         Log to write.
+    on_connected : callable taking Heli
+        Called before anything moves, to check the board; what it raises ends the trial.
 
     Raises
     ------
@@ -74,12 +84,20 @@ def try_law(law: Law | None, address: str, seconds: float, log: Path | None = No
     """
     with tempfile.TemporaryDirectory() as folder:
         path = log if log is not None else Path(folder) / "trial.mcap"
-        report = _fly(law, address, seconds, path)
+        report = _fly(law, address, seconds, path, on_connected)
         return LawTrial(report, flight_of_law(path))
 
 
-def _fly(law: Law | None, address: str, seconds: float, log: Path) -> LawReport | None:
-    with heli_host.connect(address, land_on_exit=True) as heli, Recorder(heli, log) as recorder:
+def _fly(
+    law: Law | None,
+    address: str,
+    seconds: float,
+    log: Path,
+    on_connected: Callable[[heli_host.Heli], object],
+) -> LawReport | None:
+    with heli_host.connect(address, land_on_exit=True) as heli, contextlib.ExitStack() as stack:
+        on_connected(heli)
+        recorder = stack.enter_context(Recorder(heli, log))
         heli.take_off()
         heli.setpoint(elevation_deg=0.0, travel_deg=0.0)
         start = heli.latest.tick if law is None else engage(heli, law.tape)

@@ -15,6 +15,11 @@ SUPPLY: Final = "supply"
 """Stands for the voltages of both motors among the numbers that a change is a derivative by."""
 
 
+SCALES: Final = {f"encoder_scale_{axis}": axis for axis in AXES}
+"""Stand for the counts of an encoder per turn, by number and axis. From its onset on an encoder adds a share
+of each turn to what it shows; until then it was right, so its angle does not jump."""
+
+
 @dataclass(frozen=True)
 class Change:
     """Something that is otherwise from a moment on.
@@ -25,7 +30,8 @@ class Change:
         Effect of the catalogue, or what a step of it is called.
     numbers : tuple of str
         Parameters of the extended model by which it is a derivative, one or two; `SUPPLY` for a share of both
-        voltages. Of several in one entry, joined by ``+``, each changes alike.
+        voltages, one of `SCALES` for a share of an encoder's counts. Of several in one entry, joined by
+        ``+``, each changes alike.
     grows : bool
         Whether it grows with the time since its onset, at a constant rate.
     non_negative : bool
@@ -89,6 +95,17 @@ def _all() -> tuple[Change, ...]:
         )
         for axis in AXES
     )
+    scales = tuple(
+        Change(
+            f"encoder_scale.{axis}",
+            (number,),
+            (0.5,),  # a decoder that counts one edge of two, or a disc with half the lines
+            "1",
+            f"the {axis} encoder counts {{}} more than its counts per turn",
+            f"the {axis} encoder counts {{}} fewer than its counts per turn",
+        )
+        for number, axis in SCALES.items()
+    )
     cables = tuple(
         Change(
             f"cable_spring.{axis}",
@@ -129,6 +146,7 @@ def _all() -> tuple[Change, ...]:
         ),
         *frictions,
         *zeros,
+        *scales,
         *cables,
     )
 
@@ -158,4 +176,4 @@ def changes_of(model: Model) -> tuple[Change, ...]:
 def free_numbers(changes: Sequence[Change]) -> tuple[str, ...]:
     """Parameters of the extended model by which the changes are derivatives."""
     every = (name for change in changes for entry in change.numbers for name in entry.split("+"))
-    return tuple(dict.fromkeys(name for name in every if name != SUPPLY))
+    return tuple(dict.fromkeys(name for name in every if name != SUPPLY and name not in SCALES))

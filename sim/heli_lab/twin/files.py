@@ -15,7 +15,7 @@ from heli_sim.rig import Rig, load_rig
 from heli_lab.errors import TwinError
 from heli_lab.twin.calibration import QUIET, Calibration, Tail, parse_calibration
 
-USUAL: Final = Calibration(QUIET, Tail(3.75, 145.0, 1.03, 29), "a quiet room")
+USUAL: Final = Calibration(QUIET, Tail(5.37, 145.0, 1.0, 29), "a quiet room")
 """For a rig of which nothing was learned: the tail of simulated flights of the rig makki2024 in that
 weather."""
 

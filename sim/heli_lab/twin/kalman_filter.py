@@ -32,7 +32,7 @@ from heli_lab.innovations import (
     _kalman,
 )
 from heli_lab.innovations.parameter_vector import TORQUE_STD_Nm
-from heli_lab.twin.changes import SUPPLY, Change, changes_of, extended, free_numbers
+from heli_lab.twin.changes import SCALES, SUPPLY, Change, changes_of, extended, free_numbers
 from heli_lab.twin.likelihood_ratio import ONSETS, Innovation
 
 ZEROS: Final = ("offset_elevation", "offset_pitch")
@@ -104,6 +104,11 @@ class TwinModel:
         self.weights: Floats = self._weights()
         """What a unit of each number of each change is of the numbers that the model is differentiated by,
         shape (numbers + 1, columns); the last row is the supply."""
+        entries = [entry for change in self.changes for entry in change.numbers]
+        self.scales = [
+            (column, AXES.index(SCALES[entry])) for column, entry in enumerate(entries) if entry in SCALES
+        ]
+        """Column of each encoder's scale among the numbers of the changes, and its axis."""
         tolerances = [rig[name].tolerance for name in ZEROS]
         self.zero_tolerance_rad: Floats = np.deg2rad(tolerances)
 
@@ -113,7 +118,8 @@ class TwinModel:
         weights = np.zeros((len(free) + 1, len(columns)))
         for column, entry in enumerate(columns):
             for name in entry.split("+"):
-                weights[len(free) if name == SUPPLY else free.index(name), column] = 1.0
+                if name not in SCALES:
+                    weights[len(free) if name == SUPPLY else free.index(name), column] = 1.0
         return weights
 
     def _symbols(self, model: Model) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
@@ -282,7 +288,13 @@ class KalmanFilter:
         self._drive = np.zeros_like(self._drive)
 
     def update(
-        self, t_s: float, measured_rad: Floats, samples: int, volts_V: Floats, amount: Floats
+        self,
+        t_s: float,
+        measured_rad: Floats,
+        samples: int,
+        volts_V: Floats,
+        amount: Floats,
+        onset_rad: Floats,
     ) -> Innovation:
         """Take a measurement in, one axis after the other.
 
@@ -298,6 +310,8 @@ class KalmanFilter:
             Voltages.
         amount : ndarray (columns, onsets)
             How much of each change there is by then: 1, or its age.
+        onset_rad : ndarray (scales, onsets)
+            For each of the twin's `scales`, the angle of its axis at each onset.
         """
         twin, nx = self.twin, self._nx
         angles, c, by_free = twin.measure(twin.at(t_s, self.state, volts_V, self.step_s))
@@ -305,6 +319,10 @@ class KalmanFilter:
         direct = np.zeros((3, twin.weights.shape[0]))
         direct[:, :-1] = by_free[0]
         shown = direct @ twin.weights
+        turned = {
+            axis: (column, (self.mean[axis] - onset_rad[row]) * amount[column])
+            for row, (column, axis) in enumerate(twin.scales)
+        }
         speed = np.abs(self.mean[3:6])
         crossings = np.minimum(speed * self.step_s / self._count_rad, 1.0)
         # An angle that stays within a count tells the same again and again.
@@ -327,6 +345,8 @@ class KalmanFilter:
             scale = total**-0.5
             value[axis] = (surprise[axis] - row @ change) * scale
             projection = (row @ moved).reshape(columns, onsets) + shown[axis][:, None] * amount
+            column, counted = turned[axis]
+            projection[column] += counted
             projection *= scale
             sensitivity[axis] = projection
             change += gain * (scale * value[axis])

@@ -33,6 +33,8 @@ for as much more time. Shorter: a size has no time to become known."""
 ONSETS: Final = RECENT + KEPT
 WINDOW_s: Final = (KEPT + 1) * RECENT * BLOCK_s
 """How far back the window reaches, s."""
+WINDOW_BLOCKS: Final = (KEPT + 2) * RECENT
+"""The same in blocks, and half a second more."""
 MIN_ZERO_SHIFT_COUNTS: Final = 2.0
 """Jump of an encoder's zero from which on it is believed, counts. Smaller: an angle that dwells at the
 border of a count looks like a jump by one. Larger: lost edges stay unseen."""
@@ -117,6 +119,11 @@ class LikelihoodRatio:
     def ages(self, block: int) -> Floats:
         """Blocks since each onset at the end of number `block`, (columns, onsets); below 0 where none is."""
         return np.asarray(np.maximum(block - self._onset, -1.0)[self._column_of])
+
+    def onset_blocks(self, column: int) -> Integers:
+        """Block of each onset of a `column` of the sensitivities, (onsets,); -1 where none is."""
+        onset = self._onset[self._column_of[column]]
+        return np.where(np.isfinite(onset), onset, -1.0).astype(np.int64)
 
     def begin_onset(self, block: int, moved: Floats) -> None:
         """Let a change begin after block number `block`; one that is half a second old is kept if it is the

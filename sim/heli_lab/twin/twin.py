@@ -16,7 +16,7 @@ from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.free_flight import FreeFlight
 from heli_lab.twin.ghost import Ghost
 from heli_lab.twin.kalman_filter import ZEROS, KalmanFilter, TwinModel, start_state
-from heli_lab.twin.likelihood_ratio import RECENT, ChangeCandidate, LikelihoodRatio
+from heli_lab.twin.likelihood_ratio import RECENT, WINDOW_BLOCKS, ChangeCandidate, LikelihoodRatio
 from heli_lab.twin.samples import Samples, Step, Stepper
 
 NAMED_AFTER_s: Final = 3.0
@@ -127,6 +127,8 @@ class Twin:
         self._kalman: KalmanFilter | None = None
         self._ratio = LikelihoodRatio(model.changes, count_rad)
         self._latest_nats: deque[float] = deque([-math.inf] * LASTS_BLOCKS, LASTS_BLOCKS)
+        self._angles_rad: Floats = np.zeros((WINDOW_BLOCKS + math.ceil(NAMED_AFTER_s / BLOCK_s) + 1, 3))
+        """Angles at the ends of the blocks that an onset may be of, by number modulo its length."""
         self._began = self._blocks = 0
         self._alarm_block: int | None = None
         self._named = False
@@ -218,9 +220,12 @@ class Twin:
         kalman.move(ages_s, ratio.grows)
         if step.measured_rad is not None:
             amount = np.where(ages_s > 0.0, 1.0, 0.0)
-            innovation = kalman.update(since_s, step.measured_rad, step.samples, volts_V, amount)
+            innovation = kalman.update(
+                since_s, step.measured_rad, step.samples, volts_V, amount, self._onset_rad()
+            )
             self._latest_nats.append(ratio.take(innovation))
             self.evidence_nats = min(self._latest_nats)
+        self._angles_rad[block % len(self._angles_rad)] = kalman.state[:3]
         if self.keeps:
             self.evidence_history.append((t_s, self.evidence_nats))
         if self._alarm_block is None:
@@ -234,6 +239,16 @@ class Twin:
         fresh = self._alarm_block is None or block - self._alarm_block < RECENT
         if fresh and block * self.block_s >= BEGINS_AFTER_s:
             ratio.begin_onset(block, kalman.moved)
+
+    def _onset_rad(self) -> Floats:
+        """Angle of its axis at each onset of an encoder's scale, (scales, onsets)."""
+        kept = len(self._angles_rad)
+        return np.array(
+            [
+                self._angles_rad[self._ratio.onset_blocks(column) % kept, axis]
+                for column, axis in self.model.scales
+            ]
+        )
 
     def _wait(self, index: int, why: str) -> Iterator[TwinEvent]:
         if self._kalman is None:

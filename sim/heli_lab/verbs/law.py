@@ -6,13 +6,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from heli_host.cli.say import say, say_files
-from heli_host.cli.simulated import DEFAULT_RIG, BoardOption, SeedOption
+from heli_host.cli.say import say, say_files, say_progress
+from heli_host.cli.simulated import (
+    DEFAULT_RIG,
+    MAX_SPEED,
+    BoardOption,
+    RigOption,
+    SeedOption,
+    sil_address,
+)
 from heli_host.cli.verb import Verb
 from heli_host.laws import FILE_LIMIT_s
 
 if TYPE_CHECKING:
     from heli_host.flight import Flight
+    from heli_host.heli import Heli
 
     from heli_lab.law import Law
 
@@ -87,6 +95,7 @@ def fly(
     law: LawArgument,
     port: Annotated[str, typer.Option("--port", help="Serial port, or another address of a board.")] = "",
     board: BoardOption = None,
+    rig: RigOption = None,
     seconds: Annotated[
         float, typer.Option("--seconds", min=1.0, max=600.0, help="Flight time with the law [s].")
     ] = 20.0,
@@ -108,9 +117,11 @@ def fly(
     """
     from heli_lab.law.files import load_law
 
-    address = port or f"sil://?board={board or 'native'}&seed={seed}"
+    address = port or sil_address(board=board, rig=rig, seed=seed, speed=MAX_SPEED)
     loaded = load_law(law, load_timeout)
-    say(_fly_plan(loaded, address, plan, log) if plan else _fly_trial(loaded, address, seconds, log))
+    say(
+        _fly_plan(loaded, address, plan, log, rig) if plan else _fly_trial(loaded, address, seconds, log, rig)
+    )
 
 
 @app.command()
@@ -126,6 +137,7 @@ def compare(
         ),
     ] = None,
     board: BoardOption = None,
+    rig: RigOption = None,
     seconds: Annotated[
         float, typer.Option("--seconds", min=1.0, max=600.0, help="Flight time of each law [s].")
     ] = 30.0,
@@ -143,7 +155,7 @@ def compare(
     """
     from heli_host.log.comparison import comparison_lines, comparison_numbers, write_comparison
 
-    address = f"sil://?board={board or 'native'}&seed={seed}"
+    address = sil_address(board=board, rig=rig, seed=seed, speed=MAX_SPEED)
     flights = (
         _read_logs(law, other)
         if law.suffix != ".py"
@@ -171,14 +183,17 @@ def export(
     say_files((out,))
 
 
-def _fly_plan(law: Law, address: str, plan: str, log: Path | None) -> str:
+def _fly_plan(law: Law, address: str, plan: str, log: Path | None, rig: str | None) -> str:
     import heli_host
+    from heli_host.cli.board import check_board_rig
     from heli_host.errors import FlightAborted
     from heli_host.fly.runner import fly as fly_plan
     from heli_host.guest_law import engage
 
     tape = law.tape
     with heli_host.connect(address) as heli:
+        _say_note(heli)
+        check_board_rig(heli, rig)
         summary = fly_plan(heli, plan, log_path=log, on_taken_off=lambda: engage(heli, tape))
     if not summary.completed:
         raise FlightAborted(summary.outcome.removeprefix("aborted: "))
@@ -217,10 +232,25 @@ def _fly_both(
     return flights
 
 
-def _fly_trial(law: Law | None, address: str, seconds: float, log: Path | None = None) -> str:
+def _fly_trial(
+    law: Law | None, address: str, seconds: float, log: Path | None = None, rig: str | None = None
+) -> str:
+    from heli_host.cli.board import check_board_rig
+
     from heli_lab.law.trial import try_law
 
-    return str(try_law(law, address, seconds, log))
+    def check(heli: Heli) -> None:
+        _say_note(heli)
+        check_board_rig(heli, rig)
+
+    return str(try_law(law, address, seconds, log, check))
+
+
+def _say_note(heli: Heli) -> None:
+    from heli_host.link.transport import transport_note
+
+    if note := transport_note(heli.session.transport):
+        say_progress(note)
 
 
 VERB = Verb(app, "Laboratory")

@@ -101,6 +101,10 @@ class NativeBoard:
     def keep_flash(self) -> None:
         """Do nothing: this board writes its file by itself."""
 
+    def fill_flash(self, flash: bytes) -> None:
+        """Put `flash`, as `heli_sim.sil.flash_pages.saved` makes it, in before the board's first start."""
+        self.sim.flash = flash
+
 
 class EmulatedDue:
     """The ELF that is flashed, on an emulated Due.
@@ -146,6 +150,10 @@ class EmulatedDue:
     def bytes_lost(self) -> int:
         """Bytes from the host that the board had no room for."""
         return self.sim.due.uart_overruns
+
+    def fill_flash(self, flash: bytes) -> None:
+        """Put `flash`, as `heli_sim.sil.flash_pages.saved` makes it, in before the board's first start."""
+        self.sim.due.load(_PAGES_AT, flash[:_PAGES_BYTES])
 
     def keep_flash(self) -> None:
         """Write the parameter pages to their file, if the program has changed them."""

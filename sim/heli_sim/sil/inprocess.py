@@ -45,7 +45,8 @@ class InProcessTransport:
         self.world = world
         self._written = bytearray()
         self.label = label
-        self.rig = world.rig.name
+        self.rig = world.rig_source
+        self.rig_parameters = world.rig_parameters
         self.note = note
         self._closed = False
         self._speed = world.options.speed

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from typing import Final
 from urllib.parse import parse_qsl, urlsplit
 
+from heli_host.declaration import AXES
+
 from heli_sim.errors import OptionError
 from heli_sim.sil.faults import FaultPlan
 from heli_sim.sil.rig_faults import RigFaults
@@ -17,7 +19,7 @@ _KEYS: Final = (
     *("board", "elf", "rig", "seed", "speed", "slice_ms", "flash", "reset_on_open"),
     *("process", "model", "effect", "effects"),
     *("flip", "drop", "double", "stall", "unplug"),
-    *("encoder_out", "stop_switch", "supply_out"),
+    *("encoder_out", "encoder_scale", "stop_switch", "supply_out"),
 )
 
 NATIVE: Final = "native"
@@ -103,8 +105,8 @@ def parse_url(url: str) -> SilOptions:
     url : str
         The address. ``stall`` and ``unplug`` take start:length in seconds, several with commas between them;
         ``stop_switch`` and ``supply_out`` too, and ``encoder_out`` behind an axis, as in ``pitch:15``; these
-        last where the length is left out. ``effect`` takes effects, ``effects`` files of them, several with
-        semicolons between them.
+        last where the length is left out. ``encoder_scale`` takes axis:scale, as in ``travel:0.5``.
+        ``effect`` takes effects, ``effects`` files of them, several with semicolons between them.
 
     Raises
     ------
@@ -160,8 +162,19 @@ def parse_options(values: dict[str, str]) -> SilOptions:
             encoders_out=parse_encoders_out("encoder_out", _listed(values, "encoder_out")),
             stop_switch=parse_times("stop_switch", _listed(values, "stop_switch")),
             supply_out=parse_times("supply_out", _listed(values, "supply_out")),
+            encoder_scales=_scales("encoder_scale", _listed(values, "encoder_scale")),
         ),
     )
+
+
+def _scales(key: str, texts: Sequence[str]) -> tuple[float, float, float]:
+    scales = dict.fromkeys(AXES, 1.0)
+    for text in texts:
+        axis, _, scale = text.partition(":")
+        if axis not in scales:
+            raise OptionError(f"no encoder is called '{axis}'", f"axes are: {', '.join(AXES)}")
+        scales[axis] = _number(key, scale)
+    return scales["elevation"], scales["pitch"], scales["travel"]
 
 
 def _listed(values: dict[str, str], key: str) -> list[str]:

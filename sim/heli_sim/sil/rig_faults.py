@@ -1,16 +1,22 @@
-"""What goes wrong on the rig: an encoder's plug that falls off, the stop switch, a supply that is off."""
+"""What goes wrong on the rig: an encoder's plug that falls off or a wrong encoder, the stop switch, a supply
+that is off.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Final, Protocol
 
 from heli_host.declaration import AXES
 
 from heli_sim import _native
 from heli_sim.errors import OptionError
 from heli_sim.sil.spans import During, edges_of, next_edge
+
+_MOST_SCALE: Final = 16.0
+"""Largest scale of an encoder: discs of 1000 to 16000 lines are sold."""
 
 
 class _SimBoard(Protocol):
@@ -29,21 +35,31 @@ class RigFaults:
         The hardware stop input is active.
     supply_out : tuple of During
         The motors have no supply: the board drives, and nothing turns.
+    encoder_scales : tuple of float
+        Counts of each encoder per count that the rig's file states, from the start on: 0.5 is an encoder
+        with half the counts, -1 one that is wired backwards. Nothing reports them to the board.
 
     Raises
     ------
     OptionError
-        When there is no such axis.
+        When there is no such axis, or a scale is 0 or not finite.
     """
 
     encoders_out: tuple[tuple[str, During], ...] = ()
     stop_switch: tuple[During, ...] = ()
     supply_out: tuple[During, ...] = ()
+    encoder_scales: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
         for axis, _ in self.encoders_out:
             if axis not in AXES:
                 raise OptionError(f"no encoder is called '{axis}'", f"axes are: {', '.join(AXES)}")
+        for scale in self.encoder_scales:
+            if not (math.isfinite(scale) and 0.0 < abs(scale) <= _MOST_SCALE):
+                raise OptionError(
+                    f"an encoder's scale of {scale:g} is out of range",
+                    f"give a number from -{_MOST_SCALE:g} to {_MOST_SCALE:g}, but not 0",
+                )
 
     def next_edge(self, tick: int) -> int:
         """First tick after `tick` at which something begins or ends.

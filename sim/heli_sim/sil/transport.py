@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 from urllib.parse import parse_qsl, urlsplit
 
 from heli_host.errors import LinkLost
 from heli_host.link.transport import SerialTransport
 from typing_extensions import override
 
+from heli_sim.rig import load_rig
+from heli_sim.rig.board import parameters_of, set_from_rig_text
 from heli_sim.sil.boards import choose
 from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import parse_url
 from heli_sim.sil.process import SilProcess
-from heli_sim.sil.world import SilWorld
+from heli_sim.sil.world import SilWorld, set_from_rig
 
 
 class ProcessTransport(SerialTransport):
@@ -29,10 +33,20 @@ class ProcessTransport(SerialTransport):
         How it came to be that board, if that is worth a sentence.
     rig : str
         Name or file of the rig that it flies.
+    rig_parameters : Mapping of str to float
+        Parameters of the board that the rig determines.
     """
 
-    def __init__(self, process: SilProcess, label: str, note: str = "", rig: str = "") -> None:
+    def __init__(
+        self,
+        process: SilProcess,
+        label: str,
+        note: str = "",
+        rig: str = "",
+        rig_parameters: Mapping[str, float] = MappingProxyType({}),
+    ) -> None:
         super().__init__(process.url)
+        self.rig_parameters = rig_parameters
         self.label = label
         self.note = note
         self.rig = rig
@@ -63,7 +77,7 @@ class ProcessTransport(SerialTransport):
 
     @override
     def reopen(self) -> ProcessTransport:
-        return ProcessTransport(self._process, self.label, self.note, self.rig)
+        return ProcessTransport(self._process, self.label, self.note, self.rig, self.rig_parameters)
 
 
 def open_transport(url: str) -> InProcessTransport | ProcessTransport:
@@ -82,10 +96,19 @@ def open_transport(url: str) -> InProcessTransport | ProcessTransport:
     """
     options = parse_url(url)
     choice = choose(options.board, options.elf)
-    note = f"no emulated Due: {choice.reason}" if choice.reason else ""
+    no_due = f"no emulated Due: {choice.reason}" if choice.reason else ""
     if options.process:
         values = dict(parse_qsl(urlsplit(url).query))
         values |= {"board": choice.name, "elf": choice.elf, "process": "0"}
-        return ProcessTransport(SilProcess(options=values), choice.text, note, options.rig)
-    resolved = replace(options, board=choice.name, elf=choice.elf)
-    return InProcessTransport(SilWorld(resolved), url, choice.text, note)
+        rig = load_rig(options.rig)
+        note = _joined(no_due, set_from_rig_text(rig.name, set_from_rig(options, rig)))
+        return ProcessTransport(
+            SilProcess(options=values), choice.text, note, options.rig, parameters_of(rig)
+        )
+    world = SilWorld(replace(options, board=choice.name, elf=choice.elf))
+    note = _joined(no_due, set_from_rig_text(world.rig.name, world.set_from_rig))
+    return InProcessTransport(world, url, choice.text, note)
+
+
+def _joined(*texts: str) -> str:
+    return "; ".join(filter(None, texts))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -12,15 +13,26 @@ from heli_sim import _native
 from heli_sim.due.errors import BoardStopped
 from heli_sim.plant import Plant
 from heli_sim.rig import Rig
+from heli_sim.rig.board import in_simulation, parameters_of
 from heli_sim.sil.arm_support import support_arm
 from heli_sim.sil.boards import make_board, resolved
 from heli_sim.sil.faults import FaultyStream
+from heli_sim.sil.flash_pages import saved
 from heli_sim.sil.options import SilOptions
 from heli_sim.sil.plant_factory import plant_of
 
 # Counters of the encoders stand anywhere at power-up.
 _OFFSET_COUNTS: Final = 50_000.0
 ERASING_BAUD: Final = 1200
+
+
+def set_from_rig(options: SilOptions, rig: Rig) -> dict[str, float]:
+    """Parameters that a simulated board takes from its rig instead of the defaults; none if `options` name a
+    flash file that exists, whose parameters hold.
+    """
+    if options.flash_file and Path(options.flash_file).exists():
+        return {}
+    return in_simulation(rig)
 
 
 class SilWorld:
@@ -37,7 +49,7 @@ class SilWorld:
     Raises
     ------
     RigError
-        When the rig cannot be read.
+        When the rig cannot be read, or its board cannot be set to its counts, rest angle or supply.
     EffectError
         When an effect is unknown or has a value that it may not have.
     PlantError
@@ -56,9 +68,22 @@ class SilWorld:
         self.rig: Rig = self.plant.rig
         random = np.random.default_rng(options.seed)
         per_rad = self.rig["encoder_counts"].value / (2.0 * np.pi)
-        counts_per_rad = [per_rad, per_rad, per_rad * self.rig["encoder_travel_ratio"].value]
+        scales = options.rig_faults.encoder_scales
+        counts_per_rad = [
+            per_rad * scales[0],
+            per_rad * scales[1],
+            per_rad * scales[2] * self.rig["encoder_travel_ratio"].value,
+        ]
         self.board = make_board(options, options.seed if boot_seed is None else boot_seed)
         """The board; its ``sim`` is what the world drives."""
+        self.rig_source = options.rig if plant is None else self.rig.name
+        """Name or file of the rig."""
+        self.rig_parameters: Mapping[str, float] = parameters_of(self.rig)
+        """Parameters of the board that the rig determines."""
+        self.set_from_rig: Mapping[str, float] = set_from_rig(options, self.rig)
+        """Those that the board starts with instead of its defaults."""
+        if self.set_from_rig:
+            self.board.fill_flash(saved(self.set_from_rig))
         self.native = _native.World(
             self.plant.native_step(),
             self.plant.rest_state().tolist(),

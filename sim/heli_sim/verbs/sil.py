@@ -78,12 +78,16 @@ def sil(
     """
     if (pty, tcp, rfc2217).count(None) != 2:
         raise typer.BadParameter("give one of --pty PATH, --tcp HOST:PORT and --rfc2217 HOST:PORT")
+    from heli_sim.rig import load_rig
+    from heli_sim.rig.board import in_simulation, set_from_rig_text
     from heli_sim.sil.boards import choose
     from heli_sim.sil.options import SilOptions, parse_encoders_out, parse_times
     from heli_sim.sil.rehearsal import HELP
     from heli_sim.sil.rig_faults import RigFaults
     from heli_sim.sil.server import is_local, run_server
 
+    flown_rig = load_rig(rig or simulated.DEFAULT_RIG)
+    set_parameters = set_from_rig_text(flown_rig.name, in_simulation(flown_rig))
     choice = choose(simulated.which_board(board, elf), str(elf) if elf is not None else "")
     options = SilOptions(
         rig=rig or simulated.DEFAULT_RIG,
@@ -107,6 +111,8 @@ def sil(
         what = "simulated board" if not choice.elf else choice.text
         flown = " with ".join(filter(None, (options.rig, ", ".join(options.effects))))
         say(f"{what} on {url}, rig {flown}, {pace}; Ctrl-C ends it")
+        if set_parameters:
+            say(set_parameters)
         if words_fd is not None:
             say(f"to rehearse, type: {HELP}")
         if not is_local(url):

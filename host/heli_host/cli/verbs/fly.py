@@ -66,7 +66,7 @@ def fly(
 
     Example: `heli-host fly hover sine --sil --speed 5`
     """
-    from heli_host.cli.board import board_text, clear_latched_fault, open_board
+    from heli_host.cli.board import board_text, check_board_rig, clear_latched_fault, open_board
     from heli_host.cli.outputs import check_result_places
     from heli_host.cli.progress import LiveLine
     from heli_host.cli.report import summary_lines
@@ -75,7 +75,7 @@ def fly(
     from heli_host.fly.plan import load_plan
     from heli_host.fly.runner import Progress
     from heli_host.fly.runner import fly as fly_plans
-    from heli_host.link.transport import transport_label, transport_note
+    from heli_host.link.transport import transport_label, transport_note, transport_rig
     from heli_host.log.blind import Truth, truth_path
     from heli_host.log.disk import check_new
     from heli_host.published_gains import load_gains
@@ -121,6 +121,7 @@ def fly(
         load_gains(heli.params, gains)
         if parameters:
             heli.params.restore(parameters)
+        check_board_rig(heli, rig)
         everything = log is None and json is None and figure is None
         folder = flight_folder() if log is None else log.parent
         log = log if log is not None else folder / "flight.mcap"
@@ -152,6 +153,7 @@ def fly(
                 figure_path=figure,
                 on_progress=show,
                 rig_name="" if blind else simulated.rig_name(rig, simulated=sil),
+                rig=rig or transport_rig(transport),
                 board_name=transport_label(transport).partition(",")[0].removesuffix(" board"),
                 twin=watch,
                 land_on_change=land_on_change,

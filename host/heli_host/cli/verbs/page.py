@@ -119,7 +119,7 @@ def _fly(
     host: str,
     http_port: int,
 ) -> None:
-    from heli_host.cli.board import board_text, open_board
+    from heli_host.cli.board import board_text, check_board_rig, open_board
     from heli_host.fly.recorder import Recorder
     from heli_host.link.transport import transport_label, transport_note
     from heli_host.page.cockpit import Cockpit
@@ -132,6 +132,7 @@ def _fly(
             say(note)
         text = board_text(heli)
         say(text)
+        check_board_rig(heli, rig)
 
         def new_recorder(flown: Sequence[Plan], duration_s: float) -> Recorder:
             return Recorder(

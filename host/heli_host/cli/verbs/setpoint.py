@@ -54,7 +54,7 @@ def setpoint(
         raise typer.BadParameter("give at least one of --elevation-deg, --travel-deg and --pitch-deg")
     if "pitch" in targets_deg and "travel" in targets_deg:
         raise typer.BadParameter("give --travel-deg or --pitch-deg: flying to a travel needs the pitch")
-    from heli_host.cli.board import clear_latched_fault, open_board
+    from heli_host.cli.board import check_board_rig, clear_latched_fault, open_board
     from heli_host.declaration import Axes
     from heli_host.errors import LogWriteError
     from heli_host.fly.recorder import Recorder
@@ -67,6 +67,7 @@ def setpoint(
     axes = Axes.ELEVATION | Axes.PITCH if "pitch" in targets_deg else ALL_AXES
     with contextlib.ExitStack() as stack:
         heli = stack.enter_context(open_board(port, sil_address(rig=rig, speed=speed) if sil else None))
+        check_board_rig(heli, rig)
         check_setpoint(targets_deg, heli.params)
         if clear_fault:
             clear_latched_fault(heli)

@@ -1,0 +1,68 @@
+"""Checks of a finished flight against its rig; from whoever knows models.
+
+Nothing here knows a model. A package that does offers a function in the entry-point group
+``heli_host.flight_checks``, which takes a flight and the name or file of its rig and returns findings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING, Final
+
+from heli_host.errors import HeliError
+
+if TYPE_CHECKING:
+    from heli_host.flight import Flight
+
+ENTRY_POINT_GROUP: Final = "heli_host.flight_checks"
+
+
+@dataclass(frozen=True)
+class FlightFinding:
+    """Something of a finished flight that contradicts its rig.
+
+    Parameters
+    ----------
+    name : str
+        Which number, such as ``travel_encoder_scale``.
+    value, standard_error : float
+        What the flight gives for it.
+    text : str
+        For a person.
+    """
+
+    name: str
+    value: float
+    standard_error: float
+    text: str
+
+
+FlightCheck = Callable[["Flight", str], Sequence[FlightFinding]]
+
+
+def check_flight(flight: Flight, rig: str) -> tuple[FlightFinding, ...]:
+    """Check a flight against its rig.
+
+    Parameters
+    ----------
+    flight : Flight
+        A finished flight.
+    rig : str
+        Name of its rig, or path of the file; a name that no package knows is a label, and checks nothing.
+
+    Returns
+    -------
+    tuple of FlightFinding
+        Empty for a healthy flight, and if no installed package offers checks.
+    """
+    found: list[FlightFinding] = []
+    for entry in entry_points(group=ENTRY_POINT_GROUP):
+        check: FlightCheck = entry.load()
+        # A check that cannot be made must not cost the summary of a flight.
+        try:
+            found += check(flight, rig)
+        except (HeliError, ArithmeticError, ValueError):
+            continue
+    return tuple(found)

@@ -1,0 +1,1 @@
+"""Finds an encoder whose counts per turn are wrong, in one finished flight."""

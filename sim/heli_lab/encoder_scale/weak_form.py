@@ -1,0 +1,145 @@
+"""Parts of a flight on a coarse grid, and smooth test functions that integrate the equations over them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from heli_host.flight import Flight
+from scipy.signal import lfilter
+
+from heli_lab.identify.functions import Floats
+
+GRID_s: Final = 0.02
+"""Step of the grid, s. Twice as long: blurred rates put scales off by 2 %, twice as much. Half: twice the
+time of a fit."""
+WIDTHS_s: Final = (3.0, 1.5, 3.0)
+"""Length of the test functions of elevation, pitch and travel, s. Shorter: rounding of the encoders grows as
+its inverse square. Longer: the sines of a flight average out."""
+_OVERLAP: Final = 0.5
+_LEAST_LAG_s: Final = 1e-3
+"""Lag below which there is none, s."""
+_SMOOTH_s: Final = 0.1
+"""Standard deviation of the bell over which rates are smoothed, s."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """Consecutive steps of free flight.
+
+    Parameters
+    ----------
+    t_s : ndarray (n,)
+        Beginning of each step.
+    angles_rad, rates_rad_s : ndarray (n, 3)
+        Means of the angles shown in each step, and their smoothed rates.
+    volts_V : ndarray (n, 2)
+        Means of the voltages.
+    step_s : float
+        Length of a step.
+    """
+
+    t_s: Floats
+    angles_rad: Floats
+    rates_rad_s: Floats
+    volts_V: Floats
+    step_s: float
+
+    @property
+    def seconds(self) -> float:
+        """Its length, s."""
+        return len(self.angles_rad) * self.step_s
+
+    def lagged_V(self, lag_s: float) -> Floats:
+        """Voltages behind a lag of first order with the time constant `lag_s`, (n, 2), at rest before the
+        part: their mean over each step.
+        """
+        lag_s = max(lag_s, _LEAST_LAG_s)
+        keep = math.exp(-self.step_s / lag_s)
+        start = keep * self.volts_V[:1]
+        after, _ = lfilter([1.0 - keep], [1.0, -keep], self.volts_V, axis=0, zi=start)
+        before = np.vstack((self.volts_V[:1], after[:-1]))
+        # Within a step the lag goes on from its value before it towards that of the step's voltage.
+        share = lag_s / self.step_s * (1.0 - keep)
+        return np.asarray(self.volts_V + share * (before - self.volts_V))
+
+
+def parts_of(flight: Flight, rows: npt.NDArray[np.bool_], least_V: float) -> list[Part]:
+    """Cut the `rows` of a flight into parts without gaps, each longer than the longest test function;
+    voltages below `least_V` act like it.
+    """
+    step_s = flight.step_s
+    if not step_s > 0.0:
+        return []
+    every = max(1, round(GRID_s / step_s))
+    usable = rows & np.isfinite(flight.angles_rad).all(axis=1) & np.isfinite(flight.voltages_V).all(axis=1)
+    broken = np.ones(len(usable), bool)
+    broken[1:] = (np.diff(flight.t_s) > 1.5 * step_s) | (usable[1:] != usable[:-1])
+    starts = np.flatnonzero(broken)
+    parts = []
+    for start, stop in zip(starts, [*starts[1:], len(usable)], strict=True):
+        count = (stop - start) // every
+        if not usable[start] or count * every * step_s < max(WIDTHS_s):
+            continue
+        chosen = slice(start, start + count * every)
+        angles = flight.angles_rad[chosen].reshape(count, every, 3).mean(axis=1)
+        volts = np.maximum(flight.voltages_V[chosen], least_V).reshape(count, every, 2).mean(axis=1)
+        grid_s = every * step_s
+        t_s = flight.t_s[chosen][::every]
+        parts.append(Part(t_s, angles, _rates(angles, grid_s), volts, grid_s))
+    return parts
+
+
+def _rates(values: Floats, step_s: float) -> Floats:
+    reach = max(1, round(3.0 * _SMOOTH_s / step_s))
+    bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step_s / _SMOOTH_s) ** 2)
+    bell /= bell.sum()
+    padded = np.pad(values, ((reach, reach), (0, 0)), mode="edge")
+    smooth = np.column_stack([np.convolve(column, bell, mode="valid") for column in padded.T])
+    return np.asarray(np.gradient(smooth, step_s, axis=0))
+
+
+class TestFunctions:
+    """Test functions w(t) = c (1 - x^2)^4, |x| < 1, with integral 1, at even distances over a part; one width
+    for each axis.
+    """
+
+    __test__ = False
+
+    def __init__(self, part: Part) -> None:
+        self._weights: list[Floats] = []
+        self._bent: list[Floats] = []
+        self._starts: list[npt.NDArray[np.int64]] = []
+        for width_s in WIDTHS_s:
+            count = round(width_s / part.step_s)
+            x = (np.arange(count) + 0.5) / count * 2.0 - 1.0
+            scale = 2.0 / width_s
+            w = (1.0 - x**2) ** 4
+            bent = scale**2 * (-8.0 * (1.0 - x**2) ** 3 + 48.0 * x**2 * (1.0 - x**2) ** 2)
+            # On a grid these two have to be a function and its second derivative to the second order of the
+            # angle: a constant and a slope give nothing, and t^2 / 2 gives 1.
+            bent -= bent.mean()
+            t_s = x / scale
+            unit = float(bent @ (0.5 * t_s**2))
+            self._weights.append(w / w.sum())
+            self._bent.append(bent / unit)
+            hop = max(1, round(_OVERLAP * count))
+            self._starts.append(np.arange(0, len(part.angles_rad) - count + 1, hop))
+
+    def second_derivative(self, angles_rad: Floats) -> list[Floats]:
+        """Mean second derivative of each axis' angle, `angles_rad` of shape (n, 3), weighted by its test
+        functions: one array per axis.
+        """
+        return [_apply(self._bent[i], self._starts[i], angles_rad[:, i]) for i in range(3)]
+
+    def mean(self, axis: int, values: Floats) -> Floats:
+        """Weighted means of `values`, (n,) or (n, k), with the test functions of an `axis`, 0 to 2."""
+        return _apply(self._weights[axis], self._starts[axis], values)
+
+
+def _apply(weights: Floats, starts: npt.NDArray[np.int64], values: Floats) -> Floats:
+    windows = np.lib.stride_tricks.sliding_window_view(values, len(weights), axis=0)[starts]
+    return np.asarray(windows @ weights)

@@ -1,0 +1,94 @@
+"""Parameters of the board that a rig determines; the entry point ``heli_host.rig_parameters``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from heli_host.declaration import PARAMS
+
+from heli_sim.errors import RigError
+from heli_sim.rig.rig import Rig, load_rig
+
+_SPECS: Final = {spec.name: spec for spec in PARAMS}
+_INSIDE_STOP_deg: Final = {"elevation_max": 1.0, "pitch_max": 5.0, "travel_max": 5.0}
+"""How far inside a stop the board cuts the motors, deg: the distance of the declared limits from the stops of
+the paper's rig. Less: the arm hits the stop before the motors are off. More: it cannot fly where it could."""
+_SETPOINT_INSIDE_deg: Final = 10.0
+"""The same for the setpoint of pitch, which has to be below its limit or the board does not arm."""
+
+
+def parameters_of(rig: Rig) -> dict[str, float]:
+    """Return the parameters that a rig determines: counts per turn, rest angle, supply, and upper limits.
+
+    Raises
+    ------
+    RigError
+        The board cannot be set to one of them.
+    """
+    counts = rig["encoder_counts"].value
+    supply_V = rig["supply"].value
+    exact = {
+        "elevation_counts_per_rev": counts,
+        "pitch_counts_per_rev": counts,
+        "travel_counts_per_rev": counts * rig["encoder_travel_ratio"].value,
+        "elevation_rest_deg": rig["elevation_min"].value,
+        "supply_V": supply_V,
+    }
+    for name, value in exact.items():
+        spec = _SPECS[name]
+        if not spec.min <= value <= spec.max:
+            raise RigError(
+                f"rig '{rig.name}' needs {name} = {value:g}, "
+                f"and the board takes {spec.min:g} to {spec.max:g}",
+                "correct the rig's file",
+            )
+    most = {f"{name}_deg": rig[name].value - inside for name, inside in _INSIDE_STOP_deg.items()}
+    most |= {"motor_max_V": supply_V, "pitch_setpoint_max_deg": rig["pitch_max"].value - _SETPOINT_INSIDE_deg}
+    return exact | {name: min(max(value, _SPECS[name].min), _SPECS[name].max) for name, value in most.items()}
+
+
+def in_simulation(rig: Rig) -> dict[str, float]:
+    """Return the parameters of a simulated board that differ from the declared defaults: counts, rest angle
+    and supply are the rig's, and limits beyond its stops are brought inside.
+
+    Raises
+    ------
+    RigError
+        The board cannot be set to one of them.
+    """
+    stated = parameters_of(rig)
+    upper = {"elevation_max_deg", "pitch_max_deg", "travel_max_deg", "motor_max_V", "pitch_setpoint_max_deg"}
+    wanted = {
+        name: min(value, _SPECS[name].default) if name in upper else value for name, value in stated.items()
+    }
+    return {name: value for name, value in wanted.items() if value != _SPECS[name].default}
+
+
+def rig_parameters(name_or_path: str) -> dict[str, float]:
+    """Return the parameters that a rig determines, by its name or file; see `parameters_of`.
+
+    Parameters
+    ----------
+    name_or_path : str
+        A name of `rig_names`, or the path of a TOML file.
+
+    Raises
+    ------
+    RigError
+        There is no such rig, its file is not a complete and valid one, or no board can be set to it.
+    """
+    return parameters_of(load_rig(name_or_path))
+
+
+def set_from_rig_text(rig: str, values: Mapping[str, float]) -> str:
+    """Say in one line which parameters, `values` by name, a simulated board took from the `rig` of this name;
+    empty for none.
+    """
+    if not values:
+        return ""
+    listed = ", ".join(
+        f"{name} {value:g}{' ' + _SPECS[name].unit if _SPECS[name].unit else ''}"
+        for name, value in values.items()
+    )
+    return f"parameters set from rig {rig}: {listed}"

@@ -1,0 +1,24 @@
+"""The flash pages of a board whose parameters were saved, as firmware/core/params/README.md lays them out."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Mapping
+from typing import Final
+
+from heli_host.declaration import LINK_HASH, PARAMS
+
+_SET_BYTES: Final = 512
+_MAGIC: Final = 0x5048
+_FORMAT: Final = 1
+_FLASH_BYTES: Final = 2048
+
+
+def saved(values: Mapping[str, float]) -> bytes:
+    """Return the flash of a board on which these `values` were saved once, and else the declared defaults."""
+    numbers = [values.get(spec.name, spec.default) for spec in PARAMS]
+    head = struct.pack("<HBBII", _MAGIC, _FORMAT, len(PARAMS), LINK_HASH, 1)
+    page = (head + struct.pack(f"<{len(numbers)}f", *numbers)).ljust(_SET_BYTES - 4, b"\xff")
+    page += struct.pack("<I", zlib.crc32(page))
+    return (page + page).ljust(_FLASH_BYTES, b"\xff")

@@ -1,0 +1,106 @@
+"""Verbs that fly compare rig and board: they refuse a wrong scale, and warn of the rest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from heli_host.log.reader import read_log
+from heli_sim.rig import load_rig, write_rig
+from heli_sim.sil.process import SilProcess
+
+from tests.cli.terminal import PATIENCE_S, Terminal, process
+
+pytestmark = pytest.mark.medium
+LAW = Path(__file__).parents[2] / "docs/laws/lqi.py"
+FLY = ("fly", "short.toml", "--sil", "--speed", "max", "--rig", "mine.toml", "--log", "a.mcap")
+PLAN = """
+title = "Short"
+[start]
+elevation_deg = -10
+rate_deg_s = 15
+settle_s = 0.5
+[[segment]]
+kind = "hold"
+duration_s = 1
+"""
+
+
+def write_mine(folder: Path, **values: float) -> None:
+    write_rig(load_rig("makki2024").replace(**{"encoder_travel_ratio": 0.5, **values}), folder / "mine.toml")
+    (folder / "short.toml").write_text(PLAN)
+
+
+def test_fly_sets_a_simulated_board_from_the_rig_and_says_so(terminal: Terminal, tmp_path: Path) -> None:
+    write_mine(tmp_path, supply=9.0)
+    ended = terminal(*FLY)
+    assert ended.code == 0, ended.err
+    assert "parameters set from rig makki2024: travel_counts_per_rev 2048 count, supply_V 9 V" in ended.out
+    log = read_log(tmp_path / "a.mcap")
+    assert (log.parameters["travel_counts_per_rev"], log.parameters["supply_V"]) == (2048.0, 9.0)
+
+
+def test_fly_refuses_parameters_with_another_scale(terminal: Terminal, tmp_path: Path) -> None:
+    write_mine(tmp_path)
+    (tmp_path / "p.toml").write_text("[parameters]\ntravel_counts_per_rev = 4096\n")
+    ended = terminal(*FLY, "--params", "p.toml")
+    assert ended.code == 2
+    assert "travel_counts_per_rev is 4096 count, but the rig has 2048 count" in ended.err
+    assert not (tmp_path / "a.mcap").exists()
+
+
+def test_fly_warns_of_another_supply_and_flies(terminal: Terminal, tmp_path: Path) -> None:
+    write_mine(tmp_path, encoder_travel_ratio=1.0)
+    (tmp_path / "p.toml").write_text("[parameters]\nsupply_V = 13\n")
+    ended = terminal(*FLY, "--params", "p.toml")
+    assert ended.code == 0, ended.err
+    assert "warning: supply_V is 13 V, but the rig has 12 V" in ended.out
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["fly short.toml", "setpoint --take-off --travel-deg 5", f"law fly {LAW}"],
+    ids=["fly", "setpoint", "law fly"],
+)
+def test_on_a_port_a_wrong_scale_is_refused_with_the_command(
+    terminal: Terminal, tmp_path: Path, words: str
+) -> None:
+    write_mine(tmp_path, elevation_min=-23.0)
+    with SilProcess() as sil:
+        ended = terminal(*words.split(), "--port", sil.url, "--rig", "mine.toml")
+    assert ended.code == 2
+    assert "travel_counts_per_rev is 4096 count, but the rig has 2048 count" in ended.err
+    assert "heli-host params set travel_counts_per_rev 2048 --save" in ended.err
+
+
+def test_a_page_refuses_a_wrong_scale_before_it_is_served(tmp_path: Path) -> None:
+    write_mine(tmp_path)
+    with (
+        SilProcess() as sil,
+        process(tmp_path, "page", "--port", sil.url, "--rig", "mine.toml") as page,
+    ):
+        # Without the refusal it serves until Ctrl-C.
+        _, err = page.communicate(timeout=PATIENCE_S)
+    assert page.returncode == 2
+    assert "travel_counts_per_rev is 4096 count, but the rig has 2048 count" in err
+
+
+def test_on_a_port_a_name_that_no_rig_has_is_a_label(terminal: Terminal, tmp_path: Path) -> None:
+    write_mine(tmp_path)
+    with SilProcess() as sil:
+        ended = terminal(*f"fly short.toml --port {sil.url} --rig lab-7 --log a.mcap".split())
+        missing = terminal(*f"fly short.toml --port {sil.url} --rig lab-7.toml --log b.mcap".split())
+    assert ended.code == 0, ended.err
+    assert "rig lab-7 is a label, not a rig file" in ended.out
+    assert missing.code == 2 and "no rig 'lab-7.toml'" in missing.err
+
+
+def test_law_fly_flies_the_rig_that_is_named(terminal: Terminal, tmp_path: Path) -> None:
+    write_mine(tmp_path)
+    ended = terminal(*f"law fly {LAW} --rig mine.toml --seconds 3 --log a.mcap".split())
+    assert ended.code == 0, ended.err
+    assert "parameters set from rig makki2024: travel_counts_per_rev 2048 count" in ended.out
+    log = read_log(tmp_path / "a.mcap")
+    assert log.parameters["travel_counts_per_rev"] == 2048.0
+    assert np.isfinite(log.flight().travel_rad).all()

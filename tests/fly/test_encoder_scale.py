@@ -1,0 +1,144 @@
+"""A finished flight says which encoder counts otherwise than the rig's model predicts, and is else silent."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+
+import heli_host
+import numpy as np
+import pytest
+from heli_host.cli import run
+from heli_host.flight import Flight
+from heli_host.log.flight_file import read_flight
+from heli_lab.encoder_scale.estimate import ScaleEstimate, scales_of
+from heli_lab.encoder_scale.warning import check_flight, warning_text, wrong_scale
+from heli_lab.encoder_scale.weak_form import Part, TestFunctions
+from heli_sim.model import MultibodyModel
+from heli_sim.rig import load_rig
+
+from tests.fly.encoder_scale import judged
+from tests.running.long import samples
+
+pytestmark = pytest.mark.slow
+PLAN = """
+title = "Short"
+[start]
+elevation_deg = 0
+rate_deg_s = 12
+settle_s = 1
+[[segment]]
+kind = "sine"
+travel_amplitude_deg = 15
+travel_period_s = 13
+elevation_amplitude_deg = 4
+elevation_period_s = 8
+duration_s = 26
+"""
+
+
+@cache
+def flown(scale: str) -> Path:
+    """Fly a short plan by the command line, with a scale for an encoder; returns the folder of its files."""
+    folder = Path(mkdtemp())
+    (folder / "short.toml").write_text(PLAN)
+    plan, log, summary = (str(folder / name) for name in ("short.toml", "flight.mcap", "summary.json"))
+    run(["fly", plan, "--port", f"sil://?encoder_scale={scale}", "--log", log, "--json", summary])
+    return folder
+
+
+def flight_of(scale: str) -> Flight:
+    return read_flight(flown(scale) / "flight.mcap", allow_gaps=True)
+
+
+def estimate_of(axis: str, scale: str) -> ScaleEstimate:
+    found = scales_of(flight_of(scale), load_rig("makki2024"), MultibodyModel())
+    return next(one for one in found if one.axis == axis)
+
+
+@pytest.mark.parametrize(("axis", "scale"), [("travel", 0.5), ("pitch", 0.8), ("elevation", 0.85)])
+def test_a_wrong_scale_is_measured_and_named(axis: str, scale: float) -> None:
+    (finding,) = check_flight(flight_of(f"{axis}:{scale:g}"), "makki2024")
+    assert finding.name == f"{axis}_encoder_scale"
+    assert abs(finding.value - scale) < 3.0 * finding.standard_error < 0.15
+    assert f"check {axis}_counts_per_rev" in finding.text
+
+
+def test_the_summary_and_the_last_lines_have_the_warning(capsys: pytest.CaptureFixture[str]) -> None:
+    flown.cache_clear()
+    folder = flown("travel:0.5")
+    said = capsys.readouterr().out
+    (finding,) = json.loads((folder / "summary.json").read_text())["findings"]
+    assert f"warning: {finding['text']}" in said
+    assert finding["text"].startswith(f"travel encoder: it counts {finding['value']:.2f}"[:-1])
+    assert set(finding) == {"name", "value", "standard_error", "text"}
+
+
+def test_right_scales_give_no_finding() -> None:
+    assert json.loads((flown("travel:1") / "summary.json").read_text())["findings"] == []
+    for axis in ("elevation", "pitch", "travel"):
+        one = estimate_of(axis, "travel:1")
+        assert one.sigmas < 2.0 and one.standard_error < 0.2
+
+
+def test_flights_from_python_are_checked_too(tmp_path: Path) -> None:
+    (tmp_path / "short.toml").write_text(PLAN)
+    with heli_host.connect("sil://?encoder_scale=travel:0.6") as heli:
+        summary = heli.fly(tmp_path / "short.toml")
+    assert [finding.name for finding in summary.findings] == ["travel_encoder_scale"]
+
+
+def test_drawn_rigs_with_right_encoders_give_no_warning() -> None:
+    for seed in range(901, 901 + samples(30, 1)):
+        for plan in ("step", "sine"):
+            one = judged(plan, seed)
+            assert one is None or one.warned is None, (plan, seed)
+
+
+def test_a_hover_says_nothing_of_travel() -> None:
+    (folder := Path(mkdtemp()) / "hover.toml").write_text(PLAN.split("[[segment]]", maxsplit=1)[0] + HOLD)
+    with heli_host.connect("sil://?encoder_scale=travel:0.5") as heli:
+        assert heli.fly(folder).findings == ()
+
+
+HOLD = """
+[[segment]]
+kind = "hold"
+duration_s = 8
+"""
+
+
+def test_the_likeliest_of_several_axes_is_named() -> None:
+    def one(axis: str, scale: float, error: float, nats: float) -> ScaleEstimate:
+        return ScaleEstimate(axis, scale, error, nats)
+
+    found = wrong_scale([one("elevation", 0.8, 0.01, 20.0), one("travel", 0.5, 0.02, 90.0)])
+    assert found is not None and found.axis == "travel"
+    # Far from 1 by its own error only, and near by it but no likelier than 1.
+    assert wrong_scale([one("pitch", 0.2, 0.3, 80.0), one("travel", 0.5, 0.02, 1.0)]) is None
+    assert "it counts 0.498 ± 0.008 (1 standard error)" in warning_text(one("travel", 0.4981, 0.0083, 90.0))
+    assert "it counts 0.50 ± 0.03 (1 standard error)" in warning_text(one("travel", 0.5, 0.03, 90.0))
+
+
+def test_test_functions_give_means_and_second_derivatives() -> None:
+    step_s = 0.02
+    t_s = np.arange(500, dtype=np.float64) * step_s
+    angles = np.column_stack((0.5 * 0.3 * t_s**2, 1.0 + 2.0 * t_s, np.sin(0.5 * t_s)))
+    part = Part(t_s, angles, np.zeros((500, 3)), np.ones((500, 2)), step_s)
+    functions = TestFunctions(part)
+    found = functions.second_derivative(angles)
+    assert found[0] == pytest.approx(0.3, abs=1e-9)
+    assert found[1] == pytest.approx(0.0, abs=1e-9)
+    assert found[2] == pytest.approx(functions.mean(2, -0.25 * np.sin(0.5 * t_s)), abs=2e-4)
+    assert part.lagged_V(0.1) == pytest.approx(1.0)
+
+
+def test_a_lag_is_the_mean_of_its_response_over_each_step() -> None:
+    step_s, lag_s = 0.02, 0.1
+    volts = np.repeat([[1.0], [2.0]], [10, 190], axis=0)
+    part = Part(np.linspace(0.0, 199 * step_s, 200), np.zeros((200, 3)), np.zeros((200, 3)), volts, step_s)
+    fine_s = np.arange(190 * 200) * step_s / 200 + 0.5 * step_s / 200
+    wanted = (2.0 - np.exp(-fine_s / lag_s)).reshape(190, 200).mean(axis=1)
+    assert part.lagged_V(lag_s)[10:, 0] == pytest.approx(wanted, abs=1e-5)
