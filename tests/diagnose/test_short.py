@@ -91,13 +91,13 @@ def test_flight_in_which_nothing_flies_is_answered_and_writes_no_rig(terminal: T
     assert not Path("found.toml").exists()
 
 
-def test_validation_flight_that_shows_nothing_is_left_out_and_said_to_be(terminal: Terminal) -> None:
+def test_validation_flight_that_shows_nothing_is_skipped_with_a_caution(terminal: Terminal) -> None:
     write_csv(flights()[0], "a.csv")
     write_csv(on_table(), "b.csv")
     _, numbers = answered(terminal, "a.csv", "--validate", "b.csv")
     assert numbers["verdict"] == "explained"
     assert [caution.partition(":")[0] for caution in numbers["cautions"]] == [
-        "left out",
+        "not used",
         "no flight was held out",
     ]
     assert "fitted flights" in numbers["gain"]["metric"]

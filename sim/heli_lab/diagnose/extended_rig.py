@@ -33,8 +33,6 @@ def extended_rig(
         Name of the rig.
     fit : Fit
         The model with the effects on the fitted flights.
-    kinds : Mapping[str, EffectKind]
-        Catalogue by effect id.
     causes : Mapping[str, Values]
         Parameters of each effect, by effect id.
     term : ProposedTerm or None
@@ -67,8 +65,6 @@ def effect_values(fit: Fit, kind: EffectKind, start: Mapping[str, float]) -> Val
     ----------
     fit : Fit
         The model with the effect.
-    kind : EffectKind
-        The effect.
     start : Mapping[str, float]
         Values of parameters that were not estimated, by full name.
     """

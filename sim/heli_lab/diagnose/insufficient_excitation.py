@@ -53,8 +53,6 @@ def insufficient_excitation(
     ----------
     why : str
         Message of `NotExcited`.
-    kinds : Mapping[str, EffectKind]
-        Catalogue by effect id.
     """
     return InsufficientExcitation(
         why,

@@ -73,8 +73,6 @@ class Diagnosis:
         Verdict, extended model, its free runs over all flights, and what it leaves.
     held_out : HeldOutEvaluation
         Free-run errors before and after on the held-out flights.
-    kinds : Mapping[str, EffectKind]
-        Catalogue by effect id.
     undetectable : tuple of str
         Effects that would not be significant in these flights at their typical size.
     unidentifiable : tuple of str

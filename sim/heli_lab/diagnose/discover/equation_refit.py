@@ -69,8 +69,6 @@ class EquationRefits:
 
     Parameters
     ----------
-    comparison : ModelComparison
-        The flights.
     base : Hypothesis
         The model with the named causes.
     name : str

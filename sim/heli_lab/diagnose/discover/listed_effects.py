@@ -27,12 +27,8 @@ class ListedEffects:
 
     Parameters
     ----------
-    comparison : ModelComparison
-        The flights.
     base : Hypothesis
         The model with the named causes, without the equation.
-    kinds : Mapping[str, EffectKind]
-        Catalogue by effect id.
     say : callable
         Called with the present step in words.
     """

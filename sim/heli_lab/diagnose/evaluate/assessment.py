@@ -46,12 +46,8 @@ def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, Effe
 
     Parameters
     ----------
-    comparison : ModelComparison
-        The flights.
     search : Search
         The result.
-    kinds : Mapping[str, EffectKind]
-        Catalogue by effect id.
     """
     train, held_out = comparison.train, comparison.held_out
     # Parameters from a few seconds are too uncertain for a residual analysis on another flight.

@@ -19,8 +19,6 @@ def undetectable_effects(screened: Sequence[Scored], kinds: Mapping[str, EffectK
     ----------
     screened : sequence of Scored
         Score test of each effect about the final model.
-    kinds : Mapping[str, EffectKind]
-        Catalogue by effect id.
 
     Returns
     -------

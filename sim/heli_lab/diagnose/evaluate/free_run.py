@@ -103,15 +103,11 @@ def free_run(
 
     Parameters
     ----------
-    model : Model
-        The model with its effects.
     rig : Rig
         Parameters that `values` lacks, and tolerances from which the constants' priors follow.
     values : Mapping[str, float]
         Parameters by name, as fitted to other flights. Those of the constants are means of their priors, see
         `flight_constants`.
-    record : Record
-        The flight.
     calibrate_s : float
         Duration of free flight to calibrate on; with 0 the whole flight is predicted with `values`.
     threads : int, optional
@@ -192,8 +188,6 @@ def calibration_s(record: Record, requested_s: float | None = None) -> float:
 
     Parameters
     ----------
-    record : Record
-        The flight.
     requested_s : float, optional
         Requested duration; `CALIBRATE_s` by default.
 

@@ -63,8 +63,6 @@ def evaluate_hypothesis(
 
     Parameters
     ----------
-    hypothesis : Hypothesis
-        The model.
     comparison : ModelComparison
         The flights, and the seed of the bootstrap.
     runs_before : sequence of FreeRun

@@ -56,8 +56,6 @@ def judge(
     after : Prediction
         Free runs of the extended model. If their errors are at the quantisation, whatever remains is too
         small to matter, however significant it is.
-    kinds : Mapping[str, EffectKind]
-        Catalogue by effect id.
     absent : bool
         Whether the fit estimated a term of the baseline as zero, which is a cause too.
     """
@@ -104,8 +102,6 @@ def confidence(cause: Cause, unexplained: bool = False) -> float:
 
     Parameters
     ----------
-    cause : Cause
-        The cause with its evidence.
     unexplained : bool
         Whether something unexplained remains, which the cause may imitate; the confidence is less then.
     """

@@ -178,12 +178,8 @@ def discriminating_experiment(
 
     Parameters
     ----------
-    pair : Pair
-        The hypotheses.
     comparison : ModelComparison
         Model and rig.
-    kinds : Mapping[str, EffectKind]
-        Catalogue by effect id.
     enough : float
         Log-likelihood ratio at which two hypotheses are distinguished, nats.
 
@@ -231,8 +227,6 @@ def informative_experiment(
         Ids of the effects.
     baseline : Hypothesis
         The refitted baseline, with which the plan is simulated.
-    kinds : Mapping[str, EffectKind]
-        Catalogue by effect id.
     """
     wanted = [kinds[id_] for id_ in undetectable]
     flight = compose_experiment(reason, {segment_for(kind) for kind in wanted})

@@ -30,10 +30,6 @@ def propose_experiment(
 
     Parameters
     ----------
-    comparison : ModelComparison
-        The flights.
-    kinds : Mapping[str, EffectKind]
-        Catalogue by effect id.
     undetectable : sequence of str
         Ids of effects that these flights would not show.
 

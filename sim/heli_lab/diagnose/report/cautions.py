@@ -12,7 +12,7 @@ def cautions(result: Diagnosis) -> list[str]:
     lines = [f"not used: {why}" for why in result.skipped]
     held_out = result.assessment.after.held_out_fit
     if held_out is None:
-        lines.append("no flight was held out, so nothing here is confirmed; give one to --validate")
+        lines.append("no flight was held out: nothing here is confirmed; give one to --validate")
     else:
         lines += _held_out(result, sum(record.used_s for record in held_out.problem.records))
     lines += [prior_conflict_sentence(conflict) for conflict in result.prior_conflicts]

@@ -21,13 +21,6 @@ class Acceptance:
 
     A candidate is accepted if its log-likelihood ratio exceeds its penalty by `MIN_MARGIN`, its size is
     significant, and the moment at which it acts, if it has one, is within the free flight.
-
-    Parameters
-    ----------
-    comparison : ModelComparison
-        The flights.
-    kinds : Mapping[str, EffectKind]
-        Catalogue by effect id.
     """
 
     comparison: ModelComparison
@@ -80,8 +73,6 @@ def is_significant(
         The model with the effect.
     candidate : Candidate
         The effect; one that the catalogue lacks counts as significant.
-    kinds : Mapping[str, EffectKind]
-        Catalogue by effect id.
     name : str, optional
         The parameter to test, by full name; any of the effect's sizes by default.
     """

@@ -20,12 +20,6 @@ class BackwardElimination:
 
     Parameters
     ----------
-    comparison : ModelComparison
-        The flights, and the refits on them.
-    acceptance : Acceptance
-        Penalties and significance.
-    progress : Progress
-        Reports each step and limits the work.
     baseline : Hypothesis
         The model without any cause.
     rounds : sequence of Round

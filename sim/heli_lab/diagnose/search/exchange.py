@@ -19,12 +19,6 @@ def exchange(
 
     Parameters
     ----------
-    comparison : ModelComparison
-        The flights.
-    acceptance : Acceptance
-        Penalties and catalogue.
-    progress : Progress
-        Limits the refits.
     final : Hypothesis
         The model that forward selection ended with.
     """

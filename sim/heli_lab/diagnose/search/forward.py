@@ -28,12 +28,6 @@ class ForwardSelection:
 
     Parameters
     ----------
-    comparison : ModelComparison
-        The flights, and the refits on them.
-    acceptance : Acceptance
-        Decides about each refit.
-    progress : Progress
-        Reports each step and limits the work.
     removable : sequence of EffectKind
         Terms of the baseline that may be removed.
     rounds : list of Round
@@ -191,8 +185,6 @@ def refit_on_grid(
 
     Parameters
     ----------
-    comparison : ModelComparison
-        The flights.
     acceptance : Acceptance
         Knows the penalty and the grids of the catalogue.
     base : Hypothesis
@@ -227,8 +219,6 @@ def resting_friction(
         The present model.
     screening : Screening
         Scores about it; shows when each axis rests.
-    kinds : Mapping[str, EffectKind]
-        Catalogue by effect id.
     known : collection of str
         Effects that were refitted already.
     """
