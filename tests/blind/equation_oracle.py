@@ -13,13 +13,9 @@ import casadi as ca
 import numpy as np
 from heli_host.flight import Flight
 from heli_lab.diagnose import Diagnosis
-from heli_lab.diagnose.candidate import Candidate, typical_candidate
-from heli_lab.diagnose.effect_contribution import accelerations
-from heli_lab.diagnose.equation_discovery import NAME
-from heli_lab.diagnose.error_reduction import judgement
-from heli_lab.diagnose.free_run import free_runs
-from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
-from heli_lab.diagnose.prediction import predict
+from heli_lab.diagnose.discover import NAME, accelerations
+from heli_lab.diagnose.evaluate import compare_free_runs, free_runs, predict
+from heli_lab.diagnose.search import Candidate, Hypothesis, ModelComparison, typical_candidate
 from heli_lab.identify import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effect import Effect, Operands, Stage
@@ -140,7 +136,7 @@ def judged_law(case: DisturbedCase, flights: tuple[Flight, Flight], refits: int 
         "causes": [one.candidate.id for one in found.verdict.causes],
         "channel": None,
         "expression": None,
-        "seconds": found.seconds,
+        "seconds": found.effort.seconds,
     }
     unlisted = [one for one in case.hidden(0) if isinstance(one, Unlisted)]
     if proposed is not None:
@@ -180,10 +176,10 @@ def _over_told(
     comparison: ModelComparison, found: Diagnosis, case: DisturbedCase, hidden: Unlisted, axis: int
 ) -> float:
     """Held-out error over 2 s with the proposed law over that of the fit told the law."""
-    assert found.proposed_term is not None
+    assert found.proposal is not None
     told = Candidate("told_law", told_effect(hidden), ("told_law_size",))
     reached = told_errors_deg(comparison, [*listed(name for name, _ in case.effects), told])
-    return found.proposed_term.gains[_AXES[axis]].after_deg / reached[_AXES[axis]]
+    return found.proposal.evaluation.reductions[_AXES[axis]].after_deg / reached[_AXES[axis]]
 
 
 def listed(names: Iterable[str]) -> list[Candidate]:
@@ -196,9 +192,9 @@ def told_errors_deg(comparison: ModelComparison, candidates: Sequence[Candidate]
     """Held-out errors over 2 s by axis of a fit that is told what is hidden."""
     start = {name: value for one in candidates for name, value in one.effect.values.items()}
     hypothesis = comparison.refit(candidates, start, comparison.refit([]))
-    fit = predict(hypothesis.candidates, hypothesis.estimate, comparison.train, comparison.held_out).fit
+    fit = predict(hypothesis.estimate, comparison.train, comparison.held_out).fit
     runs = free_runs(fit, comparison.held_out)
-    return {axis: one.after_deg for axis, one in judgement(runs, runs, 0).horizons["2"].items()}
+    return {axis: one.after_deg for axis, one in compare_free_runs(runs, runs, 0).horizons["2"].items()}
 
 
 __all__ = ["judged_law", "law_torque_Nm", "listed", "told_effect", "told_errors_deg", "true_torque_Nm"]

@@ -7,7 +7,7 @@ from typing import Any
 
 from heli_host.flight import Flight
 from heli_lab.campaign.works import DEFAULTS, fly
-from heli_lab.diagnose.model_comparison import ModelComparison
+from heli_lab.diagnose.search import ModelComparison
 from heli_lab.identify import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
@@ -52,7 +52,8 @@ def judged_in_place(
     rest = listed(one for one, _ in case.effects[:-1])
     without, told = (told_errors_deg(comparison, [*rest, *more]) for more in ([], listed([name])))
     axis = max(told, key=lambda one: without[one] / told[one])
-    gains = found.judgement.horizons["2"] if proposed is None else proposed.gains
+    proposal = found.proposal
+    gains = found.error_reductions if proposal is None else proposal.evaluation.reductions
     answer: dict[str, Any] = {
         "verdict": found.label,
         "causes": [one.candidate.id for one in found.verdict.causes],
@@ -62,7 +63,7 @@ def judged_in_place(
         "told_deg": told[axis],
         "found_deg": gains[axis].after_deg,
         "share": (without[axis] - gains[axis].after_deg) / (without[axis] - told[axis]),
-        "seconds": found.seconds,
+        "seconds": found.effort.seconds,
     }
     if proposed is not None:
         path = folder / case.name / "proposed.py"

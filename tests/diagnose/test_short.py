@@ -60,7 +60,7 @@ def test_three_seconds_name_nothing_wrong_and_say_what_they_cannot_show(terminal
     # The lag is plain even in three seconds, for the flight held out confirms it; nothing else may be named.
     assert {cause["effect"] for cause in numbers["causes"]} <= {"rotor_lag"}
     asked = numbers["next_flight"]
-    assert "3 s of free flight show too little" in asked["why"]
+    assert "3 s of free flight are too short" in asked["why"]
     assert "Simulated on this rig, it shows" in asked["why"]
     Plan.parse(asked["plan"], "plan").check()
     assert "next flight: " in ended.out
@@ -87,17 +87,17 @@ def test_flight_in_which_nothing_flies_is_answered_and_writes_no_rig(terminal: T
     assert set(numbers["undetectable"]) < set(catalogue())
     assert "thrust_gain" in numbers["unidentifiable"]
     Plan.parse(numbers["next_flight"]["plan"], "plan").check()
-    assert ended.out.startswith("ambiguous: Nothing can be said")
+    assert ended.out.startswith("ambiguous: These flights do not show what the model lacks")
     assert not Path("found.toml").exists()
 
 
-def test_validation_flight_that_shows_nothing_is_left_out_and_said_to_be(terminal: Terminal) -> None:
+def test_validation_flight_that_shows_nothing_is_skipped_with_a_caution(terminal: Terminal) -> None:
     write_csv(flights()[0], "a.csv")
     write_csv(on_table(), "b.csv")
     _, numbers = answered(terminal, "a.csv", "--validate", "b.csv")
     assert numbers["verdict"] == "explained"
     assert [caution.partition(":")[0] for caution in numbers["cautions"]] == [
-        "left out",
+        "not used",
         "no flight was held out",
     ]
     assert "fitted flights" in numbers["gain"]["metric"]

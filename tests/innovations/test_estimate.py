@@ -6,9 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from heli_lab.diagnose.candidate import Candidate, typical_candidate
-from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
-from heli_lab.diagnose.screening import Screening
+from heli_lab.diagnose.search import Candidate, Hypothesis, ModelComparison, Screening, typical_candidate
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 

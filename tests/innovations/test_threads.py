@@ -10,11 +10,9 @@ import time
 
 import numpy as np
 import pytest
-from heli_lab.diagnose.candidate import spline_candidates
-from heli_lab.diagnose.equation_discovery.grammar import groups
-from heli_lab.diagnose.equation_discovery.scoring import Courses, score
-from heli_lab.diagnose.model_comparison import ModelComparison
-from heli_lab.diagnose.screening import Screening
+from heli_lab.diagnose.discover.grammar import groups
+from heli_lab.diagnose.discover.scoring import TermSignals, score
+from heli_lab.diagnose.search import ModelComparison, Screening, spline_candidates
 from heli_lab.threads import Prefetcher, default_thread_count, parallel_map, using_threads
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
@@ -115,7 +113,7 @@ def test_estimates_and_scores_are_the_same_with_one_thread_and_with_two() -> Non
             screening = Screening(estimate)
             gains = [one.log_likelihood_gain for one in screening.splines()]
             gains += [one.log_likelihood_gain for one in screening.effects(KINDS)]
-            references = Courses(screening)
+            references = TermSignals(screening)
             equations = score(screening, references, groups(references.spans)[:400])
             gains += [one.log_likelihood_gain for one in equations]
             information = screening.spline_information(

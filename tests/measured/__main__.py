@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from heli_lab.diagnose import diagnose, to_json
-from heli_lab.diagnose.free_run import HORIZONS
+from heli_lab.diagnose.evaluate import HORIZONS
 from heli_sim.model import MultibodyModel
 from heli_sim.model.parts import AXES
 from heli_sim.rig import load_rig

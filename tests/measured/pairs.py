@@ -10,8 +10,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 from heli_host.log.flight_file import read_flight
-from heli_lab.diagnose.error_reduction import ErrorReduction, error_reduction, judgement
-from heli_lab.diagnose.free_run import HORIZONS, FreeRun, free_run, free_runs
+from heli_lab.diagnose.evaluate import HORIZONS, ErrorReduction, FreeRun, compare_free_runs, free_runs
+from heli_lab.diagnose.evaluate.error_reduction import error_reduction
+from heli_lab.diagnose.evaluate.free_run import free_run
 from heli_lab.identify import Fit, Problem, Record, prepare, solve, trace
 from heli_lab.identify.free import flight_constants
 from heli_lab.identify.residual_noise import floored_mean_square
@@ -126,7 +127,7 @@ def told(
         fit = fitted(effects, teaches, starts)
         (run,) = free_runs(fit, [judges])
         before = found[0].run if found else run
-        found.append(Told(effects, fit, judges, run, judgement([before], [run]).horizons))
+        found.append(Told(effects, fit, judges, run, compare_free_runs([before], [run]).horizons))
     return found
 
 

@@ -22,9 +22,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from heli_lab.diagnose.free_run import FreeRun, free_runs
-from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
-from heli_lab.diagnose.prediction import predict
+from heli_lab.diagnose.evaluate import FreeRun, free_runs, predict
+from heli_lab.diagnose.search import Hypothesis, ModelComparison
 from heli_lab.identify import Record, prepare
 from heli_lab.pool import pool
 from heli_lab.pool.rig_diagnosis import ParameterEstimate, RigDiagnosis, without_prior
@@ -158,7 +157,7 @@ def compare_pair(number: int) -> dict[str, Any]:
         ("as_drawn", drawn, MultibodyModel(effects_of(drawn))),
     ):
         hypothesis = ModelComparison(trial_model, rig, [train], []).refit([])
-        fit = predict((), hypothesis.estimate, [train], ()).fit
+        fit = predict(hypothesis.estimate, [train], ()).fit
         for name, other in others.items():
             (run,) = free_runs(fit, [other])
             held_out = judges[name].held_out_estimate(hypothesis)

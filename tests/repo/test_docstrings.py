@@ -1,8 +1,9 @@
 """Every public function, class and argument of all packages is documented, in numpydoc.
 
-An argument is documented by an entry of its own, by its name in backticks in the sentences above the entries,
-by the method which is overridden, or by its type: a class of these packages says itself what it is. An entry
-must tell more than the name and the type beside it: a unit, a shape, a range or a meaning.
+An argument is documented by an entry of its own, by its name in backticks in the sentences above the
+entries, or by the method that is overridden. It needs no entry if its name and its type say everything: its
+type is a class of these packages, or it is a number whose name ends in a unit, a path, or a seed. An entry
+must say more than the name and the type: a unit, a shape, a range or a meaning.
 """
 
 from __future__ import annotations
@@ -13,11 +14,15 @@ import pkgutil
 import re
 from collections.abc import Callable, Iterator
 from enum import Enum
+from pathlib import Path
 from types import ModuleType
 from typing import Any, get_type_hints
 
+import numpy as np
+import numpy.typing as npt
 import pytest
 
+Floats = npt.NDArray[np.float64]
 PACKAGES = ("heli_host", "heli_sim", "heli_lab")
 GENERATED = {"heli_host.declaration"}
 SECTION = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
@@ -120,6 +125,19 @@ def explained_by_type(thing: Any) -> set[str]:
     return found
 
 
+def explained_by_name(thing: Any) -> set[str]:
+    """Arguments that are never None and whose name and type say everything: ``stop_s: float``,
+    ``path: Path``.
+    """
+    function = vars(thing).get("__init__") if inspect.isclass(thing) else thing
+    annotations = getattr(function, "__annotations__", {})
+    return {
+        argument
+        for argument, annotation in annotations.items()
+        if SAYS_EVERYTHING.fullmatch(f"{argument}: {annotation}")
+    }
+
+
 def entries(doc: str) -> Iterator[tuple[str, str, str]]:
     """Name, type and text of every entry of the sections on arguments."""
     headers = list(SECTION.finditer(doc))
@@ -161,6 +179,10 @@ SMALL_WORDS = frozenset(
         "on",
     ]
 )
+SAYS_EVERYTHING = re.compile(
+    r"\w+_(s|us|Hz|rad|deg|rad_s|rad_s2|deg_s|V|N|Nm|m|kg): float|(path|folder): (str \| )?Path|seed: int"
+)
+"""Name and type of arguments that need no entry."""
 UNIT = re.compile(r"\[[^]]+\]|, [A-Za-z/ 0-9%]+\.")
 OUR_CLASSES = {
     name
@@ -177,7 +199,7 @@ def test_public_thing_is_documented(where: str) -> None:
     own = inspect.cleandoc(thing.__doc__ or "")
     docs = [doc for doc in (own, *overridden(where, thing)) if doc]
     assert docs, f"{where} has no docstring"
-    missing = arguments(thing) - explained_by_type(thing)
+    missing = arguments(thing) - explained_by_type(thing) - explained_by_name(thing)
     for doc in docs:
         missing -= documented_arguments(doc)
     assert not missing, f"{where} does not document {', '.join(sorted(missing))}"
@@ -188,6 +210,20 @@ def test_public_thing_is_documented(where: str) -> None:
 def test_an_entry_that_repeats_its_name_is_noticed() -> None:
     doc = "Do.\n\nParameters\n----------\nfit : Fit\n    The fit.\nwindow_s : float\n    Length of a run.\n"
     assert [tells_something(*entry) for entry in entries(doc)] == [False, True]
+
+
+def test_an_argument_whose_name_and_type_say_everything_needs_no_entry() -> None:
+    def fly(duration_s: float, front_V: float, path: Path, folder: str | Path, seed: int) -> None: ...
+
+    assert arguments(fly) - explained_by_name(fly) == set()
+
+
+def test_an_argument_whose_name_or_type_leaves_a_question_needs_an_entry() -> None:
+    def fly(
+        duration: float, stop_s: float | None, times_s: Floats, path: str, mode: str, seeds: int
+    ) -> None: ...
+
+    assert arguments(fly) - explained_by_name(fly) == arguments(fly)
 
 
 def test_an_undocumented_argument_is_noticed() -> None:

@@ -94,7 +94,7 @@ def test_a_wheel_has_pages_rigs_and_plans_and_no_tests(tmp_path: Path) -> None:
         "heli_host/py.typed",
         "heli_sim/rig/quanser-course.toml",
         "heli_sim/fmu/sources/rig.c",
-        "heli_lab/diagnose/report.html",
+        "heli_lab/diagnose/report/report.html",
         "heli_lab/identify/report.html",
     ):
         assert file in files

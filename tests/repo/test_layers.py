@@ -60,6 +60,31 @@ WRONG = {
         "from heli_lab.tune import loops",
         "heli_lab.identify.windows -> heli_lab.tune.loops",
     ),
+    "diagnosis: ": Wrong(
+        "sim/heli_lab/diagnose/search/exchange.py",
+        "from heli_lab.diagnose import evaluate",
+        "heli_lab.diagnose.search.exchange -> heli_lab.diagnose.evaluate",
+    ),
+    "search of a diagnosis": Wrong(
+        "sim/heli_lab/twin/changes.py",
+        "from heli_lab.diagnose.search import screening",
+        "heli_lab.twin.changes -> heli_lab.diagnose.search.screening",
+    ),
+    "evaluation of a diagnosis": Wrong(
+        "sim/heli_lab/diagnose/report/sentences.py",
+        "from heli_lab.diagnose.evaluate import verdict",
+        "heli_lab.diagnose.report.sentences -> heli_lab.diagnose.evaluate.verdict",
+    ),
+    "discovery of a diagnosis": Wrong(
+        "sim/heli_lab/diagnose/report/sentences.py",
+        "from heli_lab.diagnose.discover import terms",
+        "heli_lab.diagnose.report.sentences -> heli_lab.diagnose.discover.terms",
+    ),
+    "report of a diagnosis": Wrong(
+        "sim/heli_lab/verbs/diagnose.py",
+        "from heli_lab.diagnose.report import page",
+        "heli_lab.verbs.diagnose -> heli_lab.diagnose.report.page",
+    ),
     "verbs do not know": Wrong(
         "host/heli_host/cli/verbs/plot.py",
         "from heli_host.cli.verbs import info",

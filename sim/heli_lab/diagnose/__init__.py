@@ -1,10 +1,10 @@
-"""Shows what a model lacks, names it, and measures what naming it gains."""
+"""Diagnosis: finds what a model lacks, names the cause, and measures what an extension of the model gains."""
 
 from __future__ import annotations
 
+from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation, insufficient_excitation
+from heli_lab.diagnose.report import summary, to_json
 from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.run import diagnose
-from heli_lab.diagnose.serialize import to_json
-from heli_lab.diagnose.summary import summary
 
-__all__ = ["Diagnosis", "diagnose", "summary", "to_json"]
+__all__ = ["Diagnosis", "InsufficientExcitation", "diagnose", "insufficient_excitation", "summary", "to_json"]

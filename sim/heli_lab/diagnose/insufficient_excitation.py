@@ -1,4 +1,4 @@
-"""The result for flights without excitation: what cannot be known from them, and the experiment proposed."""
+"""Result for flights without excitation: nothing can be said about them, and an experiment is proposed."""
 
 from __future__ import annotations
 
@@ -10,25 +10,27 @@ from heli_sim.model.base import Model
 from heli_sim.model.effects import EffectKind
 from heli_sim.rig import Rig
 
-from heli_lab.diagnose.experiment_design import ExperimentDesign, compose_experiment
+from heli_lab.diagnose.experiment import ExperimentDesign, compose_experiment
 from heli_lab.identify.free import free_parameters
 
 _LABEL: Final = "ambiguous"
-"""Without excitation every effect, and none, is equally likely."""
+"""Without excitation all effects, and none, are equally likely."""
 
 
 @dataclass(frozen=True)
 class InsufficientExcitation:
-    """A diagnosis of flights in which nothing is excited.
+    """Result of a diagnosis of flights that excite nothing.
 
     Parameters
     ----------
     why : str
-        Why they are not, with the remedy.
+        What is wrong with the flights, and how to fix it.
     undetectable : tuple of str
-        Effects that may be there or not: all that the model could have.
+        Ids of all effects that the model may have.
     unidentifiable : tuple of str
-        Parameters of the rig that are not identified: all that are free.
+        Names of all free parameters of the rig.
+    next_flight : ExperimentDesign
+        Proposed experiment.
     """
 
     why: str
@@ -38,17 +40,23 @@ class InsufficientExcitation:
 
     @property
     def label(self) -> str:
-        """The verdict."""
+        """The verdict, ``ambiguous``."""
         return _LABEL
 
 
 def insufficient_excitation(
     why: str, model: Model, rig: Rig, kinds: Mapping[str, EffectKind]
 ) -> InsufficientExcitation:
-    """Make the result for flights without excitation; `why` is the message of `NotExcited`."""
+    """Make the result for flights without excitation.
+
+    Parameters
+    ----------
+    why : str
+        Message of `NotExcited`.
+    """
     return InsufficientExcitation(
         why,
         tuple(sorted(id_ for id_, kind in kinds.items() if kind.suits(model))),
         tuple(parameter.quantity for parameter in free_parameters(model, rig, None, {})),
-        compose_experiment("Of a rig that does not fly nothing can be learned.", ()),
+        compose_experiment("A rig that does not fly shows nothing.", ()),
     )

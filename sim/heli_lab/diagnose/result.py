@@ -1,7 +1,4 @@
-"""The result of a diagnosis as data, and the extended rig that can be flown.
-
-`summary.py` puts it in sentences, `serialize.py` in JSON, `report.py` on a page.
-"""
+"""Result of a diagnosis as data; the `report` package writes it as sentences, JSON, figures and a page."""
 
 from __future__ import annotations
 
@@ -9,121 +6,123 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
 
-from heli_sim.model.effects import EffectKind, effect_numbers
+from heli_sim.model.effects import EffectKind
 from heli_sim.model.parts import AXES
-from heli_sim.rig import Number, Rig
+from heli_sim.rig import Rig
 
-from heli_lab.diagnose.absent_terms import AbsentTerm
-from heli_lab.diagnose.cause_parameters import reported_std
-from heli_lab.diagnose.equation_discovery import ProposedTerm
-from heli_lab.diagnose.error_reduction import ErrorReduction, HeldOutComparison
-from heli_lab.diagnose.experiment_design import ExperimentDesign
-from heli_lab.diagnose.failing_regimes import FailingRegimes, failing_regimes
-from heli_lab.diagnose.model_comparison import Hypothesis
-from heli_lab.diagnose.prediction import Prediction
-from heli_lab.diagnose.prior_conflict import PriorConflict, prior_conflicts, tried_without
-from heli_lab.diagnose.residual_analysis import ResidualAnalysis
-from heli_lab.diagnose.search_record import Search
-from heli_lab.diagnose.spline_curve import SplineCurve, spline_curve_of
-from heli_lab.diagnose.spline_term import SplineTerm
-from heli_lab.diagnose.thresholds import FEW_WINDOWS, CALIBRATE_s
-from heli_lab.diagnose.verdict import Verdict
-from heli_lab.identify.result import Identification
+from heli_lab.diagnose.discover import ProposedTerm, SplineCurve, spline_curve_of
+from heli_lab.diagnose.evaluate import (
+    Assessment,
+    CauseParameter,
+    ErrorReduction,
+    FailingRegions,
+    HeldOutEvaluation,
+    HypothesisEvaluation,
+    PriorConflict,
+    Verdict,
+    cause_parameters,
+    failing_regions,
+    prior_conflicts,
+    tried_without,
+)
+from heli_lab.diagnose.experiment import ExperimentDesign
+from heli_lab.diagnose.extended_rig import extended_rig
+from heli_lab.diagnose.search import Search, SplineTerm
 
-METRIC: Final = "2 s free-run rms on the validation flights, deg"
+
+@dataclass(frozen=True)
+class Proposal:
+    """A proposed equation and its evaluation.
+
+    Parameters
+    ----------
+    term : ProposedTerm
+        The equation.
+    evaluation : HypothesisEvaluation
+        Free runs of the model with it, compared with the baseline's.
+    """
+
+    term: ProposedTerm
+    evaluation: HypothesisEvaluation
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Work of a diagnosis.
+
+    Parameters
+    ----------
+    refits : int
+        Refits of the model: the work independent of the computer.
+    seconds : float
+        Time taken on this computer.
+    """
+
+    refits: int
+    seconds: float
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Everything that a diagnosis found.
+    """Result of a diagnosis.
 
     Parameters
     ----------
-    residual_analysis : ResidualAnalysis
-        What the final model still lacks.
-    extended : Hypothesis
-        The model with the causes of the catalogue alone, as the extended rig flies it.
-    before, after : Prediction
-        Free runs of the refitted baseline and of the extended model, over all flights.
-    judgement : HeldOutComparison
-        Free runs before and after on the flights held out, calibrated.
-    spline_gains : Mapping[str, ErrorReduction]
-        Errors over 2 s without anything and with the spline terms too that stand for causes outside the
-        catalogue, by axis; empty without any.
-    absent : tuple of AbsentTerm
-        Terms of the baseline whose parameters the fit estimated as zero.
+    search : Search
+        Baseline, final model, causes with their evidence, and all rounds of the search.
+    assessment : Assessment
+        Verdict, extended model, its free runs over all flights, and what it leaves.
+    held_out : HeldOutEvaluation
+        Free-run errors before and after on the held-out flights.
     undetectable : tuple of str
-        Effects that would not be significant in these flights at a typical size.
+        Effects that would not be significant in these flights at their typical size.
     unidentifiable : tuple of str
         Parameters of the rig that these flights do not identify.
     skipped : tuple of str
-        Why each flight without excitation was left out.
+        Why each flight without excitation was not used.
     next_flight : ExperimentDesign or None
-        An experiment that would tell more.
-    seconds : float
-        Time taken.
-    calibrate_s : float or None
-        Free flight of each validation flight to calibrate on, where it was asked for.
-    refits : int
-        Refits of the model: the work that it took, on any computer.
-    proposed_term : ProposedTerm or None
-        The law of what no effect of the catalogue explains, where one was found and confirmed.
+        Experiment that would answer what these flights leave open.
+    proposal : Proposal or None
+        Equation of what no effect of the catalogue explains; None if there is none or none was confirmed.
+    effort : Effort
+        Refits and time.
     """
 
     search: Search
-    verdict: Verdict
-    residual_analysis: ResidualAnalysis
-    extended: Hypothesis
-    before: Prediction
-    after: Prediction
-    judgement: HeldOutComparison
-    spline_gains: Mapping[str, ErrorReduction]
-    absent: tuple[AbsentTerm, ...]
+    assessment: Assessment
+    held_out: HeldOutEvaluation
     kinds: Mapping[str, EffectKind]
     undetectable: tuple[str, ...]
     unidentifiable: tuple[str, ...]
     skipped: tuple[str, ...]
     next_flight: ExperimentDesign | None
-    seconds: float
-    calibrate_s: float | None = None
-    refits: int = 0
-    proposed_term: ProposedTerm | None = None
-
-    @cached_property
-    def failing(self) -> FailingRegimes:
-        """Where the refitted baseline fails, and where the model with the causes does; with a proposed law
-        where the model with the causes fails, and where it does with the law.
-        """
-        proposed = self.proposed_term
-        splines = [spline.candidate.id.split(":") for spline in self.search.rounds[0].splines]
-        best = [(channel, on) for _, channel, on in splines if channel.startswith("torque")]
-        channel, on = best[0] if best else (f"torque.{self.residual_analysis.axis}", "")
-        if proposed is not None:
-            equation = proposed.discovery
-            return failing_regimes(
-                equation.base.estimate,
-                equation.hypothesis.estimate,
-                proposed.reference.axis,
-                proposed.reference.on,
-            )
-        axis = channel.partition(".")[2]
-        return failing_regimes(self.search.baseline.estimate, self.extended.estimate, axis, on)
+    proposal: Proposal | None
+    effort: Effort
 
     @property
-    def gains(self) -> Mapping[str, ErrorReduction]:
-        """Errors over 2 s before and after, by axis."""
-        return self.judgement.horizons["2"]
+    def verdict(self) -> Verdict:
+        """Verdict with its causes."""
+        return self.assessment.verdict
 
     @property
     def label(self) -> str:
-        """The verdict."""
+        """``explained``, ``cause_found``, ``ambiguous`` or ``unexplained``."""
         return self.verdict.label
 
     @property
+    def proposed_term(self) -> ProposedTerm | None:
+        """Proposed equation, if there is one."""
+        return self.proposal.term if self.proposal else None
+
+    @property
+    def error_reductions(self) -> Mapping[str, ErrorReduction]:
+        """Free-run errors over 2 s before and after, by axis, on the held-out flights."""
+        return self.held_out.reductions
+
+    @property
     def curves(self) -> list[SplineCurve]:
-        """The spline terms in the place of causes outside the catalogue, the strongest first."""
+        """Spline terms in the place of causes that the catalogue lacks, the strongest first."""
         effects = (cause.candidate.effect for cause in self.verdict.unlisted)
         return [
             spline_curve_of(effect, self.search.final.estimate)
@@ -131,111 +130,65 @@ class Diagnosis:
             if isinstance(effect, SplineTerm)
         ]
 
-    @property
-    def random_torque(self) -> dict[str, tuple[float, float, str]]:
-        """Parameters of the random torque, value, standard error and unit; empty when there is none."""
-        if not self.verdict.gust:
-            return {}
-        axis = AXES.index(self.residual_analysis.axis)
-        disturbances = self.residual_analysis.disturbances
-        sigma_Nm, correlation_time_s = (
-            float(disturbances.fast_std_Nm[axis]),
-            float(disturbances.correlation_time_s[axis]),
-        )
-        seconds = sum(record.used_s for record in self.before.fit.problem.records)
-        relative = 1.0 / math.sqrt(2.0 * max(seconds / (2.0 * correlation_time_s), 2.0))
-        prefix = f"random_torque_{AXES[axis]}"
-        return {
-            f"{prefix}_Nm": (sigma_Nm, sigma_Nm * relative, "N m"),
-            f"{prefix}_s": (correlation_time_s, 2.0 * correlation_time_s * relative, "s"),
-        }
+    @cached_property
+    def failing(self) -> FailingRegions:
+        """Regions in which the baseline and the extended model fail; with a proposed equation, the extended
+        model without and with it.
+        """
+        term = self.proposed_term
+        if term is not None:
+            base, hypothesis = term.discovery.base, term.discovery.hypothesis
+            return failing_regions(base.estimate, hypothesis.estimate, term.trace.axis, term.trace.on)
+        splines = [spline.candidate.id.split(":") for spline in self.search.rounds[0].splines]
+        torques = [(channel, on) for _, channel, on in splines if channel.startswith("torque")]
+        channel, on = torques[0] if torques else (f"torque.{self.assessment.residual_analysis.axis}", "")
+        axis = channel.partition(".")[2]
+        return failing_regions(self.search.baseline.estimate, self.assessment.extended.estimate, axis, on)
 
     @cached_property
     def prior_conflicts(self) -> tuple[PriorConflict, ...]:
-        """Numbers of the rig that the extended model has far from what its file says, and what they are
-        without that.
+        """Parameters of the rig whose estimate is far from the rig file's prior, each with its estimate
+        without that prior.
         """
-        return tried_without(prior_conflicts(self.after.fit), self.extended.estimate)
+        return tried_without(prior_conflicts(self.assessment.after.fit), self.assessment.extended.estimate)
 
     @property
-    def cautions(self) -> list[str]:
-        """What weakens the result, a line each; empty when nothing does."""
-        cautions = [f"left out: {why}" for why in self.skipped]
-        held_out = self.after.held_out_fit
-        if held_out is None:
-            cautions.append("no flight was held out: nothing here is confirmed; give one to --validate")
-        else:
-            cautions += self._cautions_of_judgement(sum(record.used_s for record in held_out.problem.records))
-        cautions += [pull.sentence for pull in self.prior_conflicts]
-        if not self.search.complete:
-            cautions.append("the work allowed ran out before everything was tried; give more with --budget")
-        return cautions
-
-    def _cautions_of_judgement(self, seconds: float) -> list[str]:
-        """What weakens the comparison on the flights held out, of so many seconds of free flight."""
-        asked_s = CALIBRATE_s if self.calibrate_s is None else self.calibrate_s
-        runs = self.judgement.after
-        cautions = []
-        if sum(len(run.errors["2"].rows) for run in runs) < FEW_WINDOWS:
-            cautions.append(f"only {seconds:.0f} s were held out: too few for the intervals of the ratios")
-        cautions += [
-            f"{run.label} is short: its zeros and torques are calibrated on {run.calibrated_s:.1f} s of it, "
-            f"not on {asked_s:g}"
-            for run in runs
-            # A sample is not worth a line.
-            if run.calibrated_s < 0.99 * asked_s
-        ]
-        return cautions
-
-    def rig(self, name: str, with_law: bool = False) -> Rig:
-        """Make the extended rig `name`, of the refitted parameters and the causes with theirs, ready for
-        `heli-host sil|fly --rig`; `with_law` adds the proposed law where there is one, whose effect file has
-        to be given beside it.
-        """
-        if with_law and self.proposed_term is not None:
-            return self._rig_with_law(name, self.proposed_term)
-        rig = Identification(self.after.fit, (), (), (), ()).rig(name)
-        labels = ", ".join(record.label for record in self.after.fit.problem.records)
-        source = f"found by heli-host diagnose from {labels}"
-        effects: dict[str, Mapping[str, Number]] = dict(rig.effects)
-        for cause in self.verdict.causes:
-            effects[cause.effect] = effect_numbers(
-                self.kinds[cause.effect],
-                {key: number.value for key, number in cause.parameters.items()},
-                {key: 2.0 * number.std for key, number in cause.parameters.items()},
-                source,
-            )
-        if self.verdict.gust:
-            numbers = self.random_torque
-            id_ = f"random_torque.{self.residual_analysis.axis}"
-            effects[id_] = effect_numbers(
-                self.kinds[id_],
-                {key: value for key, (value, _, _) in numbers.items()},
-                {key: 2.0 * std for key, (_, std, _) in numbers.items()},
-                source,
-            )
-        return Rig(rig.name, rig.description, rig.numbers, effects, rig.model)
-
-    def _rig_with_law(self, name: str, proposed: ProposedTerm) -> Rig:
-        rig = Identification(proposed.prediction.fit, (), (), (), ()).rig(name)
-        labels = ", ".join(record.label for record in self.after.fit.problem.records)
-        source = f"found by heli-host diagnose from {labels}"
-        effects: dict[str, Mapping[str, Number]] = dict(rig.effects)
-        fit = proposed.prediction.fit
-        for candidate in proposed.discovery.hypothesis.candidates[:-1]:
-            kind = self.kinds[candidate.id]
-            std = reported_std(fit, kind)
-            known = {q.name: fit.values.get(q.name, candidate.effect.values[q.name]) for q in kind.parameters}
-            effects[candidate.id] = effect_numbers(
-                kind, known, {n: 2.0 * std.get(n, 0.0) for n in known}, source
-            )
-        effects[proposed.discovery.effect.name] = {
-            what: Number(value, unit, 2.0 * error, source)
-            for what, (value, error, unit) in proposed.discovery.values.items()
+    def random_torque(self) -> dict[str, dict[str, CauseParameter]]:
+        """Parameters of the random torque by full name, by effect id; empty if there is none."""
+        if not self.verdict.random_torque:
+            return {}
+        residual = self.assessment.residual_analysis
+        axis = AXES.index(residual.axis)
+        std_Nm = float(residual.disturbances.fast_std_Nm[axis])
+        correlation_time_s = float(residual.disturbances.correlation_time_s[axis])
+        seconds = sum(record.used_s for record in self.assessment.before.fit.problem.records)
+        relative = 1.0 / math.sqrt(2.0 * max(seconds / (2.0 * correlation_time_s), 2.0))
+        prefix = f"random_torque_{residual.axis}"
+        return {
+            f"random_torque.{residual.axis}": {
+                f"{prefix}_Nm": CauseParameter(std_Nm, std_Nm * relative, "N m"),
+                f"{prefix}_s": CauseParameter(correlation_time_s, 2.0 * correlation_time_s * relative, "s"),
+            }
         }
-        return Rig(rig.name, rig.description, rig.numbers, effects, rig.model)
 
-    @property
-    def metric(self) -> str:
-        """What the gains measure, with its unit."""
-        return METRIC if self.after.held_out_fit else METRIC.replace("validation", "fitted")
+    def rig(self, name: str, with_term: bool = False) -> Rig:
+        """Make the extended rig for ``heli-host sil`` and ``fly``: refitted parameters and causes.
+
+        Parameters
+        ----------
+        name : str
+            Name of the rig.
+        with_term : bool
+            Whether to add the proposed equation, if there is one. The rig then needs its effect file.
+        """
+        if with_term and self.proposal is not None:
+            fit, term = self.proposal.evaluation.prediction.fit, self.proposal.term
+            named = {
+                candidate.id: cause_parameters(fit, self.kinds[candidate.id], candidate.effect.values)
+                for candidate in term.discovery.hypothesis.candidates[:-1]
+            }
+            return extended_rig(name, fit, self.kinds, named, term)
+        causes = {cause.effect: cause.parameters for cause in self.verdict.causes}
+        return extended_rig(
+            name, self.assessment.after.fit, self.kinds, {**causes, **self.random_torque}, None
+        )

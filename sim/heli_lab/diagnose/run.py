@@ -1,4 +1,6 @@
-"""Diagnosis from beginning to end: flights in, causes and an extended model out."""
+"""A diagnosis from beginning to end: search, assessment, equation, evaluation on held-out flights, next
+flight.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,6 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,30 +16,20 @@ from heli_sim.model.base import Model
 from heli_sim.model.effects import EffectKind, catalogue
 from heli_sim.rig import Rig
 
-from heli_lab.diagnose.absent_terms import AbsentTerm, absent_terms
-from heli_lab.diagnose.detectability import undetectable_effects, unidentifiable_parameters
-from heli_lab.diagnose.equation_discovery import ProposedTerm, propose_term
-from heli_lab.diagnose.error_reduction import ErrorReduction, judgement
-from heli_lab.diagnose.estimate_cache import EstimateCache, fingerprint
-from heli_lab.diagnose.experiment_design import (
-    ExperimentDesign,
-    Pair,
-    compose_experiment,
-    discriminating_experiment,
-    informative_experiment,
+from heli_lab.diagnose.discover import discover, proposed_term
+from heli_lab.diagnose.evaluate import (
+    Assessment,
+    HeldOutEvaluation,
+    assess,
+    calibration_s,
+    evaluate_held_out,
+    evaluate_hypothesis,
+    undetectable_effects,
+    unidentifiable_parameters,
 )
-from heli_lab.diagnose.free_run import calibration_s, free_runs
-from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
-from heli_lab.diagnose.prediction import Prediction, predict
-from heli_lab.diagnose.residual_analysis import ResidualAnalysis, residual_analysis
-from heli_lab.diagnose.result import Diagnosis
-from heli_lab.diagnose.screening import Screening
-from heli_lab.diagnose.search import search
-from heli_lab.diagnose.search_record import Search
-from heli_lab.diagnose.spline_curve import spline_curve_of
-from heli_lab.diagnose.spline_term import SplineTerm
-from heli_lab.diagnose.thresholds import AMBIGUOUS, MANY_UNDETECTABLE, SHORT_s
-from heli_lab.diagnose.verdict import Verdict, judge
+from heli_lab.diagnose.experiment import propose_experiment
+from heli_lab.diagnose.result import Diagnosis, Effort, Proposal
+from heli_lab.diagnose.search import EstimateCache, ModelComparison, Search, fingerprint, search
 from heli_lab.errors import IdentifyError, NotExcited
 from heli_lab.identify import Record, prepare
 from heli_lab.threads import using_threads
@@ -61,262 +52,183 @@ def diagnose(
     resume: Path | None = None,
     say: Callable[[str, float], None] | None = None,
 ) -> Diagnosis:
-    """Find what a model lacks.
+    """Find what a model lacks, and measure what an extension of the model gains.
 
     Parameters
     ----------
     model : Model
-        The model, with effects that are known beforehand.
+        The model, with effects that are known to be present.
     rig : Rig
         Start values and priors of its parameters.
     flights, validation : iterable of Flight or Record
-        Flights to fit, and others to judge. They are taken one by one, and of each only the record is kept.
+        Flights to fit, and held-out flights for the evaluation. Flights are read one by one, and only the
+        prepared record of each is kept.
     kinds : Mapping[str, EffectKind], optional
-        The catalogue; the package's own where not given.
+        Catalogue by effect id; the package's own by default.
     labels : sequence of str, optional
-        Names of the flights, those to fit first; others are numbered.
+        Names of the flights, fitted flights first. Flights without a name are numbered.
     start_s, stop_s : float, optional
-        Use only this part of the flights to fit.
+        Part of the fitted flights to use.
     seed : int
         Seed of the bootstrap behind the intervals.
     refits : float
-        Limit of the work: refits after which no further cause is looked for; the result says whether
-        everything was tried.
+        Refits of the model after which no further cause is tried.
     calibrate_s : float, optional
-        Free flight of each validation flight that its zeros and torques are estimated from before the rest is
-        judged, at most a third of it; `CALIBRATE_s` where not given.
+        Duration of each held-out flight's beginning from which its zeros and constant torques are estimated,
+        at most a third of its free flight; `CALIBRATE_s` by default.
     threads : int, optional
-        Threads for candidates, windows and disturbances; `default_thread_count` where not given. The
-        result does not depend on it.
+        Number of threads; `default_thread_count` by default. The result does not depend on it.
     resume : Path, optional
-        File that keeps what was worked out; a search that ended early goes on from it, and ends as one that
-        never stopped.
+        File that keeps the estimates. A diagnosis that was interrupted continues from it, and has the same
+        result as one that was not.
     say : callable, optional
-        Called with what is being done, and the share of the work that is done, 0 to 1.
+        Called with the present step in words, and with the share of the work that is done, 0 to 1.
+
+    Returns
+    -------
+    Diagnosis
+        `label` is the verdict:
+
+        - ``explained``: these flights show nothing that the model lacks; what remains are disturbances. -
+        ``cause_found``: `verdict.causes` explain what the baseline lacks. - ``ambiguous``: other effects fit
+        equally well; `next_flight` is an experiment that distinguishes them. - ``unexplained``: something is
+        missing that no effect of the catalogue explains; `curves` shows it as
+          spline terms, and `proposal` is an equation for it, if one was confirmed.
+
+        `error_reductions` has free-run errors before and after by axis, `held_out` at all horizons. `rig`
+        makes the extended rig. `search` and `assessment` hold the evidence. `to_json`, `summary` and
+        `heli_lab.diagnose.report.write_report` write the result for programs and readers.
 
     Raises
     ------
     NotExcited
-        When nothing flies in the flights to fit; `insufficient_excitation` makes the result for it.
+        If nothing flies in any of the flights to fit; `insufficient_excitation` makes a result for this case.
     IdentifyError
-        When a flight cannot be used, or is given both to fit and to validate, or `calibrate_s` leaves
-        nothing of one to judge, or the file to `resume` is of
-        another search.
+        If a flight cannot be used, or is given both to fit and to validate, if `calibrate_s` leaves nothing
+        of a flight to evaluate, or if `resume` is a file of another search.
     """
     with using_threads(threads):
         started_s = time.perf_counter()
-        tell = say or (lambda _what, _share: None)
+        report = say or (lambda _step, _share: None)
         every = catalogue() if kinds is None else dict(kinds)
         given = tuple(labels or ())
         names = itertools.chain(given, (f"flight {n}" for n in itertools.count(1 + len(given))))
-        train, lost = _ready(flights, names, rig, start_s, stop_s)
+        train, skipped = _prepared(flights, names, rig, start_s, stop_s)
         if not train:
-            raise lost[0]
-        held_out, lost_held = _ready(validation, names, rig, None, None)
-        _refuse_twins(train, held_out)
+            raise skipped[0]
+        held_out, skipped_held_out = _prepared(validation, names, rig, None, None)
+        _refuse_duplicates(train, held_out)
         for record in held_out:
             calibration_s(record, calibrate_s)
         kept = EstimateCache(resume, fingerprint(model, rig, [*train, *held_out])) if resume else None
         comparison = ModelComparison(model, rig, train, held_out, seed=seed, kept=kept)
         known = {effect.name for effect in model.effects}
-        tried = {id_: kind for id_, kind in every.items() if _candidate(kind, model, known)}
-        reached = _searched(comparison, tried, every, every.values(), tell, refits)
-        if reached.verdict.label == "unexplained" and any(
-            cause.candidate.id in every and every[cause.candidate.id].override
-            for cause in reached.verdict.causes
-        ):
-            # What is missing takes the place of a term that the rig states closely: where something is, no
-            # such term is said to be absent.
-            reached = _searched(comparison, tried, every, (), tell, refits)
-        search_result, verdict = reached.search, reached.verdict
-        before, after = reached.before, reached.after
-        undetectable = undetectable_effects(search_result.rounds[-1].screened, every)
-        runs_before = free_runs(before.fit, held_out, calibrate_s)
-        runs_after = runs_before if after is before else free_runs(after.fit, held_out, calibrate_s)
-        spline_gains: Mapping[str, ErrorReduction] = {}
-        if verdict.unlisted:
-            final = predict(search_result.final.candidates, search_result.final.estimate, train, held_out)
-            spline_gains = judgement(runs_before, free_runs(final.fit, held_out, calibrate_s), seed).horizons[
-                "2"
-            ]
-        proposed: ProposedTerm | None = None
-        if verdict.label == "unexplained" and comparison.fits < refits:
-            tell("looking for the law of what is missing", 0.92)
-            curve = search_result.final if verdict.unlisted else None
-            proposed = propose_term(
-                comparison, reached.extended, curve, tried, runs_before, calibrate_s, seed, refits, tell
+        tried = {id_: kind for id_, kind in every.items() if _is_candidate(kind, model, known)}
+        result, assessment = _search_and_assess(comparison, tried, every, report, refits)
+        undetectable = undetectable_effects(result.rounds[-1].screened, every)
+        evaluation = evaluate_held_out(comparison, result, assessment, calibrate_s)
+        proposal = None
+        if assessment.verdict.label == "unexplained" and comparison.fits < refits:
+            report("searching for an equation of what is missing", 0.92)
+            proposal = _propose(
+                comparison, result, assessment, evaluation, tried, calibrate_s, refits, report
             )
+        next_flight = propose_experiment(comparison, result, assessment, every, undetectable)
         return Diagnosis(
-            search_result,
-            verdict,
-            reached.remaining,
-            reached.extended,
-            before,
-            after,
-            judgement(runs_before, runs_after, seed),
-            spline_gains,
-            reached.absent,
+            result,
+            assessment,
+            evaluation,
             every,
             undetectable,
-            tuple(unidentifiable_parameters(search_result.baseline.estimate)),
-            tuple(str(loss) for loss in (*lost, *lost_held)),
-            _next(comparison, verdict, search_result, reached.extended, every, undetectable),
-            time.perf_counter() - started_s,
-            calibrate_s,
-            comparison.fits,
-            proposed,
+            unidentifiable_parameters(result.baseline.estimate),
+            tuple(str(why) for why in (*skipped, *skipped_held_out)),
+            next_flight,
+            proposal,
+            Effort(comparison.fits, time.perf_counter() - started_s),
         )
 
 
-@dataclass(frozen=True)
-class _Reached:
-    """What a search found, and what the verdict rests on."""
-
-    search: Search
-    remaining: ResidualAnalysis
-    extended: Hypothesis
-    before: Prediction
-    after: Prediction
-    absent: tuple[AbsentTerm, ...]
-    verdict: Verdict
-
-
-def _searched(
+def _search_and_assess(
     comparison: ModelComparison,
     tried: Mapping[str, EffectKind],
     every: Mapping[str, EffectKind],
-    removable: Iterable[EffectKind],
-    tell: Callable[[str, float], None],
+    say: Callable[[str, float], None],
     refits: float,
-) -> _Reached:
-    search_result = search(comparison, tried, removable=tuple(removable), say=tell, refits=refits)
-    tell("looking at what remains", 0.9)
-    train, held_out = comparison.train, comparison.held_out
-    # Numbers from a few seconds are too uncertain to be held against another flight.
-    enough = bool(held_out) and sum(record.used_s for record in train) > SHORT_s
-    judged = [Screening(comparison.held_out_estimate(search_result.final))] if enough else []
-    remaining = residual_analysis([search_result.screening, *judged])
-    extended = _extended(comparison, search_result)
-    before = predict((), search_result.baseline.estimate, train, held_out)
-    after = (
-        before
-        if extended is search_result.baseline
-        else predict(extended.candidates, extended.estimate, train, held_out)
+) -> tuple[Search, Assessment]:
+    """Search with terms of the baseline that may be removed; again without them if something stays
+    unexplained.
+    """
+
+    def attempt(removable: Iterable[EffectKind]) -> tuple[Search, Assessment]:
+        result = search(comparison, tried, removable=tuple(removable), say=say, refits=refits)
+        say("analysing what remains", 0.9)
+        return result, assess(comparison, result, every)
+
+    result, assessment = attempt(every.values())
+    ids = {cause.candidate.id for cause in assessment.verdict.causes}
+    removed = any(id_ in every and every[id_].override for id_ in ids)
+    if removed and assessment.verdict.label == "unexplained":
+        # An unlisted cause may imitate the absence of a tightly specified term: with one, none is removed.
+        return attempt(())
+    return result, assessment
+
+
+def _propose(
+    comparison: ModelComparison,
+    result: Search,
+    assessment: Assessment,
+    evaluation: HeldOutEvaluation,
+    tried: Mapping[str, EffectKind],
+    calibrate_s: float | None,
+    refits: float,
+    say: Callable[[str, float], None],
+) -> Proposal | None:
+    """Search for an equation of what is missing, and evaluate the model with it."""
+    discovery = discover(
+        comparison,
+        assessment.extended,
+        curve=result.final if assessment.verdict.unlisted else None,
+        kinds=tried,
+        refits=refits,
+        say=lambda step: say(step, 0.94),
     )
-    absent = tuple(absent_terms(after.fit, comparison.rig, every))
-    verdict = judge(search_result, remaining, after, every, bool(absent))
-    return _Reached(search_result, remaining, extended, before, after, absent, verdict)
+    if discovery is None:
+        return None
+    runs_before = evaluation.extension.before
+    reduced = evaluate_hypothesis(discovery.hypothesis, comparison, runs_before, calibrate_s)
+    return Proposal(proposed_term(discovery), reduced)
 
 
-def _candidate(kind: EffectKind, model: Model, known: set[str]) -> bool:
-    """Whether an effect is searched for; a removed term whose parameter is free shows in the fit itself."""
+def _is_candidate(kind: EffectKind, model: Model, known: set[str]) -> bool:
+    """Whether the search tries an effect. The fit itself shows the absence of a term with a free
+    parameter.
+    """
     if not kind.suits(model) or kind.id in known or kind.noise_inputs:
         return False
     return not kind.baseline or (not kind.override and model.name != "multibody")
 
 
-def _next(
-    comparison: ModelComparison,
-    verdict: Verdict,
-    search_result: Search,
-    extended: Hypothesis,
-    kinds: Mapping[str, EffectKind],
-    undetectable: Sequence[str],
-) -> ExperimentDesign | None:
-    """The experiment that would tell more, where these flights left something open."""
-    pair = _pair(comparison, verdict, search_result, extended) if verdict.label == "ambiguous" else None
-    if pair is not None:
-        return discriminating_experiment(pair, comparison, kinds, AMBIGUOUS)
-    if verdict.label == "unexplained":
-        on = {cause.candidate.id.rpartition(":")[2] for cause in verdict.unlisted}
-        parts = {part for part in ("travel", "elevation", "time") if any(part in name for name in on)}
-        parts |= {"motors"} if any("thrust" in name for name in on) or not on else set()
-        curves = [
-            spline_curve_of(effect, search_result.final.estimate)
-            for effect in (cause.candidate.effect for cause in verdict.unlisted)
-            if isinstance(effect, SplineTerm)
-        ]
-        covered = " and ".join(
-            f"{curve.on} only from {curve.place[0]:.3g} to {curve.place[-1]:.3g} {curve.place_unit}"
-            for curve in curves
-        )
-        reason = "What is missing should be seen over a wider range"
-        return compose_experiment(
-            f"{reason}: these flights have {covered}." if covered else f"{reason}.", parts
-        )
-    seconds = sum(record.used_s for record in comparison.train)
-    if seconds < SHORT_s or len(undetectable) > MANY_UNDETECTABLE:
-        which = ", ".join(undetectable) or "small effects"
-        return informative_experiment(
-            f"{seconds:.0f} s of free flight show too little to tell about {which}.",
-            undetectable,
-            search_result.baseline,
-            kinds,
-        )
-    return None
-
-
-def _pair(
-    comparison: ModelComparison, verdict: Verdict, search_result: Search, extended: Hypothesis
-) -> Pair | None:
-    """The least certain cause and its closest alternative, both fitted in the place of the same effect."""
-    unclear = [cause for cause in verdict.causes if cause.ambiguous_with]
-    if not unclear:
-        return None
-    least_certain = min(unclear, key=lambda cause: cause.alternatives[0].log_likelihood_ratio)
-    alternative = least_certain.alternatives[0]
-    refit = next(
-        (
-            refit
-            for tried in search_result.rounds
-            if tried.taken == least_certain.candidate.id
-            for refit in tried.refits
-            if refit.candidate.id == alternative.id
-        ),
-        None,
-    )
-    if refit is None:
-        return None
-    rest = [candidate for candidate in extended.candidates if candidate.id != least_certain.candidate.id]
-    second = refit.hypothesis
-    if rest:
-        second = comparison.refit([*rest, refit.candidate], second.values, extended)
-    return Pair(
-        extended, second, (least_certain.candidate.id, alternative.id), alternative.log_likelihood_ratio
-    )
-
-
-def _extended(comparison: ModelComparison, search_result: Search) -> Hypothesis:
-    """The final model without spline terms, which no simulator flies."""
-    named = [candidate for candidate in search_result.final.candidates if not candidate.is_spline]
-    if len(named) == len(search_result.final.candidates):
-        return search_result.final
-    if not named:
-        return search_result.baseline
-    return comparison.refit(named, None, search_result.final)
-
-
-def _ready(
+def _prepared(
     flights: Iterable[Flight | Record],
     labels: Iterator[str],
     rig: Rig,
     start_s: float | None,
     stop_s: float | None,
 ) -> tuple[list[Record], list[NotExcited]]:
-    """Flights that can be fitted, and what is wrong with those without excitation."""
-    records, lost = [], []
+    """Flights prepared for fitting, and why others without excitation are skipped."""
+    records, skipped = [], []
     for flight, label in zip(flights, labels, strict=False):
         if isinstance(flight, Record):
             records.append(flight)
             continue
         try:
             records.append(prepare(flight, rig, label, start_s=start_s, stop_s=stop_s))
-        except NotExcited as nothing:
-            lost.append(nothing)
-    return records, lost
+        except NotExcited as why:
+            skipped.append(why)
+    return records, skipped
 
 
-def _refuse_twins(train: Sequence[Record], held_out: Sequence[Record]) -> None:
+def _refuse_duplicates(train: Sequence[Record], held_out: Sequence[Record]) -> None:
     for record in train:
         for other in held_out:
             if np.array_equal(record.angles_rad, other.angles_rad):

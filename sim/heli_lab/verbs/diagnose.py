@@ -16,8 +16,7 @@ from heli_host.cli.verb import Verb
 from heli_lab import fit_options as option
 
 if TYPE_CHECKING:
-    from heli_lab.diagnose import Diagnosis
-    from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
+    from heli_lab.diagnose import Diagnosis, InsufficientExcitation
 
 
 def diagnose(
@@ -33,7 +32,7 @@ def diagnose(
     report: option.ReportOption = None,
     json: option.NumbersOption = None,
     out: option.FoundRigOption = None,
-    with_law: Annotated[
+    with_term: Annotated[
         bool,
         typer.Option(
             "--with-law",
@@ -88,11 +87,9 @@ def diagnose(
     from heli_sim.model.effects import catalogue
     from heli_sim.rig import write_rig
 
+    from heli_lab.diagnose import InsufficientExcitation, insufficient_excitation, summary, to_json
     from heli_lab.diagnose import diagnose as find
-    from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation, insufficient_excitation
     from heli_lab.diagnose.report import write_effect_file, write_insufficient_excitation, write_report
-    from heli_lab.diagnose.serialize import to_json
-    from heli_lab.diagnose.summary import summary
     from heli_lab.errors import NotExcited
     from heli_lab.fit_inputs import fit_inputs, part_of, parts, read_flights, refuse_wrong_signs
     from heli_lab.page.drawing import Drawing
@@ -140,7 +137,7 @@ def diagnose(
             result = insufficient_excitation(str(error), given.model, given.rig, kinds)
         if out is not None and not isinstance(result, InsufficientExcitation):
             write_rig(
-                result.rig(out.stem, with_law),
+                result.rig(out.stem, with_term),
                 out,
                 f"Found by heli-host diagnose, model {given.model.name}. {summary(result)}",
             )
@@ -152,7 +149,7 @@ def diagnose(
             else:
                 written.append(write_report(result, report, drawing))
         if not isinstance(result, InsufficientExcitation) and result.proposed_term is not None:
-            place = report or (out.parent if out is not None and with_law else None)
+            place = report or (out.parent if out is not None and with_term else None)
             if place is not None:
                 written.append(write_effect_file(result, place))
         write_numbers(json, to_json(result))
@@ -163,7 +160,7 @@ def diagnose(
 
 def _print(result: Diagnosis | InsufficientExcitation) -> None:
     """Print the verdict, the causes and the error reduction."""
-    from heli_lab.diagnose.summary import lines, summary
+    from heli_lab.diagnose.report import lines, summary
 
     say(f"{result.label}: {summary(result)}", *(f"  {line}" for line in lines(result)))
 

@@ -1,0 +1,30 @@
+"""Discovery of what the catalogue lacks: equations, spline terms as curves, and the missing torque along
+flights.
+"""
+
+from heli_lab.diagnose.discover.discovery import Discovery
+from heli_lab.diagnose.discover.effect_contribution import accelerations
+from heli_lab.diagnose.discover.equation import CHANNELS, NAME
+from heli_lab.diagnose.discover.missing import MissingTerm, missing_term
+from heli_lab.diagnose.discover.notation import expression, latex
+from heli_lab.diagnose.discover.proposal import ProposedTerm, proposed_term
+from heli_lab.diagnose.discover.spline_curve import SplineCurve, spline_curve_of
+from heli_lab.diagnose.discover.symbolic_regression import discover
+from heli_lab.diagnose.discover.terms import SYMBOLS
+
+__all__ = [
+    "CHANNELS",
+    "NAME",
+    "SYMBOLS",
+    "Discovery",
+    "MissingTerm",
+    "ProposedTerm",
+    "SplineCurve",
+    "accelerations",
+    "discover",
+    "expression",
+    "latex",
+    "missing_term",
+    "proposed_term",
+    "spline_curve_of",
+]

@@ -1,0 +1,44 @@
+"""Acceleration that an effect contributes along a flight."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from heli_lab.identify.functions import Floats
+from heli_lab.innovations import AlongTrajectory, Estimate
+
+
+def accelerations(estimate: Estimate, name: str, index: int = 0) -> tuple[Floats, Floats]:
+    """Compute the acceleration that an effect contributes along the filtered trajectory of a flight.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        The model with the effect.
+    name : str
+        Name of the effect.
+    index : int
+        Index of the flight.
+
+    Returns
+    -------
+    t_s : ndarray (n,)
+        Times since the first sample of the flight.
+    change_rad_s2 : ndarray (n, 3)
+        Acceleration of elevation, pitch and travel with the effect less that without it; zero for a delay and
+        for an effect on measurements.
+    """
+    linear = estimate.filtered().linearised_flights[index]
+    model = linear.model
+    less = type(model)(tuple(effect for effect in model.effects if effect.name != name))
+    x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
+    t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
+    states = [state.name for state in model.states]
+    names = [quantity.name for quantity in model.parameters]
+    x_less = ca.vertcat(*(x[states.index(state.name)] for state in less.states))
+    p_less = ca.vertcat(*(p[names.index(q.name)] for q in less.parameters))
+    change = model.dynamics(x, u, p, t)[3:6] - less.dynamics(x_less, u, p_less, t)[3:6]
+    function = ca.Function("change", [x, u, t, p], [ca.densify(change)])
+    (result,) = AlongTrajectory(function)(linear.trajectory)
+    return linear.trajectory.t_s, np.ascontiguousarray(result[:, :, 0])

@@ -1,0 +1,204 @@
+"""A proposed equation: parameters, confidence, the range of the flights in which it matters, and its effect
+file.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from heli_sim.model.parts import AXES
+
+from heli_lab.diagnose.discover.discovery import Discovery
+from heli_lab.diagnose.discover.effect_contribution import accelerations
+from heli_lab.diagnose.discover.equation import Equation
+from heli_lab.diagnose.discover.notation import effect_file, sentence
+from heli_lab.diagnose.discover.scoring import TermSignals
+from heli_lab.diagnose.discover.terms import SYMBOLS
+from heli_lab.diagnose.search import Screening
+from heli_lab.diagnose.thresholds import (
+    CONFIDENCE_NATS,
+    EQUATION_MAX_UNCONFIRMED,
+    EQUATION_SUPPORT_SHARE,
+    HELD_OUT_NATS,
+    MAX_CONFIDENCE,
+)
+from heli_lab.identify.functions import Floats
+
+
+@dataclass(frozen=True)
+class SupportedRange:
+    """Part of the fitted flights in which an equation matters on one channel.
+
+    Parameters
+    ----------
+    channel : str
+        Channel on which it acts.
+    rms, largest : float
+        Root mean square and largest value of its terms less their mean, in the channel's unit.
+    ranges : Mapping[str, (float, float)]
+        For each quantity of the equation, 5 % and 95 % quantiles over the time in which the terms are at
+        least half of their largest value, SI units.
+    share : float
+        Share of the flight time in which they are, 0 to 1.
+    """
+
+    channel: str
+    rms: float
+    largest: float
+    ranges: Mapping[str, tuple[float, float]]
+    share: float
+
+
+@dataclass(frozen=True)
+class TermTrace:
+    """Torque of an equation along a flight, and the torque that the model without it lacks.
+
+    Parameters
+    ----------
+    label, axis : str
+        Name of the flight, and axis about which the equation acts most.
+    t_s : ndarray (n,)
+        Times since the first sample of the flight.
+    term_Nm, missing_Nm, std_Nm : ndarray (n,)
+        Torque of the equation; smoothed torque that the model without it lacks, and its standard error; both
+        torques less their means.
+    on, unit : str
+        First quantity that the equation depends on, and its unit.
+    value : ndarray (n,)
+        Values of the quantity.
+    """
+
+    label: str
+    axis: str
+    t_s: Floats
+    term_Nm: Floats
+    missing_Nm: Floats
+    std_Nm: Floats
+    on: str
+    unit: str
+    value: Floats
+
+
+@dataclass(frozen=True)
+class ProposedTerm:
+    """An equation proposed for what no effect of the catalogue explains.
+
+    Parameters
+    ----------
+    discovery : Discovery
+        The equation, its evidence and its rivals.
+    supported : tuple of SupportedRange
+        Where in the fitted flights it matters, by channel.
+    trace : TermTrace
+        The equation along the first held-out flight, or along the first fitted flight if none is held out.
+    """
+
+    discovery: Discovery
+    supported: tuple[SupportedRange, ...]
+    trace: TermTrace
+
+    @property
+    def equation(self) -> Equation:
+        """The terms."""
+        return self.discovery.equation
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Values of the parameters, by name without prefix."""
+        return {name: value for name, (value, _, _) in self.discovery.values.items()}
+
+    @property
+    def confidence(self) -> float:
+        """Probability, 0 to 1, that the form is right: it grows with the lead over no equation and over the
+        closest rival, and with the log-likelihood ratio on the held-out flights.
+        """
+        discovery = self.discovery
+        rivals = [rival.log_likelihood_ratio for rival in discovery.rivals]
+        margin = max(0.0, min([discovery.train - discovery.penalty, *rivals]))
+        probability = 1.0 - 0.5 * math.exp(-margin / CONFIDENCE_NATS)
+        if discovery.held_out is None:
+            return min(EQUATION_MAX_UNCONFIRMED, probability)
+        probability /= 1.0 + math.exp(-discovery.held_out / HELD_OUT_NATS)
+        return float(min(MAX_CONFIDENCE, probability))
+
+    def effect_file(self, head: str) -> str:
+        """Write the equation as an effect file; `head` is its docstring."""
+        return effect_file(self.discovery.effect, self.discovery.values, head)
+
+    @property
+    def sentence(self) -> str:
+        """The equation with values and units, such as ``torque.pitch = 0.05*elevation N m``."""
+        return sentence(self.equation, self.numbers)
+
+
+def proposed_term(discovery: Discovery) -> ProposedTerm:
+    """Propose the equation of a `discovery`: evaluate it along the flights."""
+    return ProposedTerm(discovery, supported_ranges(discovery), term_trace(discovery))
+
+
+def term_trace(discovery: Discovery) -> TermTrace:
+    """Evaluate the equation of a `discovery` along a flight."""
+    without, with_equation = discovery.elsewhere or (
+        discovery.base.estimate,
+        discovery.hypothesis.estimate,
+    )
+    label = with_equation.references[0].record.label
+    term_s, change = accelerations(with_equation, discovery.effect.name)
+    signals = TermSignals(Screening(with_equation))
+    torque = signals.linearised_flights[0].torque_for(change)
+    axis = int(np.argmax(torque.std(axis=0)))
+    t_s, missing, std = without.filtered().smoothed_torques(
+        without.disturbances, np.zeros(len(without.theta))
+    )[0]
+    term_Nm = np.interp(t_s, term_s, torque[:, axis])
+    on = discovery.equation.terms[0].term.quantities[-1]
+    value = signals.quantity(0, on)
+    value = value if value.ndim == 1 else value.mean(axis=1)
+    return TermTrace(
+        label,
+        AXES[axis],
+        t_s,
+        term_Nm - term_Nm.mean(),
+        missing[:, axis] - missing[:, axis].mean(),
+        std[:, axis],
+        on,
+        str(SYMBOLS[on].unit),
+        np.interp(t_s, term_s, value),
+    )
+
+
+def supported_ranges(discovery: Discovery) -> tuple[SupportedRange, ...]:
+    """Find where in the fitted flights the equation of a `discovery` matters, by channel."""
+    signals = TermSignals(Screening(discovery.hypothesis.estimate))
+    flights = range(len(signals.linearised_flights))
+    result = []
+    for channel in discovery.equation.channels:
+        size = np.concatenate([np.abs(_along(discovery, signals, i, channel)).max(axis=1) for i in flights])
+        largest = float(np.quantile(size, 0.99))
+        there = size >= EQUATION_SUPPORT_SHARE * largest
+        names = dict.fromkeys(
+            q for term in discovery.equation.terms if term.channel == channel for q in term.term.quantities
+        )
+        ranges = {}
+        for name in names:
+            every = [signals.quantity(i, name) for i in flights]
+            values = np.concatenate([value if value.ndim == 1 else value.mean(axis=1) for value in every])
+            low, high = np.quantile(values[there], [0.05, 0.95])
+            ranges[name] = (float(low), float(high))
+        rms = float(np.sqrt(np.mean(size**2)))
+        result.append(SupportedRange(channel, rms, largest, ranges, float(there.mean())))
+    return tuple(result)
+
+
+def _along(discovery: Discovery, signals: TermSignals, index: int, channel: str) -> Floats:
+    """Values of the terms on a channel along a flight less their mean, (n, 1), or (n, 2) rotor by rotor."""
+    total: Floats = np.zeros((1, 1))
+    values = discovery.values
+    for i, term in enumerate(discovery.equation.terms):
+        if term.channel == channel:
+            signal = signals.values(index, discovery.with_numbers(i))
+            total = total + values[discovery.equation.coefficient(i)][0] * signal
+    return np.asarray(total - total.mean(axis=0), float)

@@ -1,0 +1,76 @@
+"""Estimated spline terms as curves in display units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from heli_lab.diagnose.search import KNOTS, QUANTITIES, SplineTerm, bspline_basis
+from heli_lab.diagnose.wording import SHOWN, channel_in_words, quantity_in_words
+from heli_lab.identify.functions import Floats
+from heli_lab.innovations import Estimate
+
+_DRAWN: Final = 200
+"""Points of a drawn curve."""
+
+
+@dataclass(frozen=True)
+class SplineCurve:
+    """A torque, a share of the thrust or an angle as a curve over one quantity.
+
+    Parameters
+    ----------
+    channel : str
+        Channel on which it acts, such as ``torque.pitch``.
+    on : str
+        Quantity that it depends on, such as ``elevation``.
+    quantity, value, std : ndarray (n,)
+        The quantity over its range in the fitted flights, the curve less its mean, and its standard error.
+    quantity_unit, value_unit : str
+        Display units: degrees, mN m, per cent.
+    """
+
+    channel: str
+    on: str
+    quantity: Floats
+    value: Floats
+    std: Floats
+    quantity_unit: str
+    value_unit: str
+
+    @property
+    def what(self) -> str:
+        """Sentence with the range of the quantity and of the values."""
+        where = f"{channel_in_words(self.channel)} by {quantity_in_words(self.on)}"
+        return (
+            f"{where}, covered from {self.quantity[0]:.3g} to {self.quantity[-1]:.3g} {self.quantity_unit}: "
+            f"{self.value.min():.2g} to {self.value.max():.2g} {self.value_unit}"
+        )
+
+
+def spline_curve_of(effect: SplineTerm, estimate: Estimate) -> SplineCurve:
+    """Evaluate a spline term, an `effect` of the model of an `estimate`, with its estimated coefficients."""
+    low, step = effect.values[f"{effect.name}_low"], effect.values[f"{effect.name}_step"]
+    place = np.linspace(low, low + step * (KNOTS - 3), _DRAWN)
+    weights = bspline_basis(place, low, step)
+    # A constant torque, thrust or angle is a parameter of the rig already: only the variation is the curve.
+    weights -= weights.mean(axis=0)
+    names = list(estimate.parameter_vector.names)
+    columns = [names.index(f"{effect.name}_{i}") for i in range(KNOTS)]
+    covariance = estimate.covariance[np.ix_(columns, columns)]
+    variance = np.einsum("ni,ij,nj->n", weights, covariance, weights)
+    unit = next(q.unit for q in effect.parameters if q.name == f"{effect.name}_0")
+    on_unit = QUANTITIES[effect.on][1]
+    factor, value_unit = SHOWN.get(unit, (1.0, unit))
+    on_factor, quantity_unit = SHOWN.get(on_unit, (1.0, on_unit))
+    return SplineCurve(
+        effect.channel,
+        effect.on,
+        on_factor * place,
+        factor * (weights @ estimate.theta[columns]),
+        factor * np.sqrt(np.maximum(variance, 0.0)),
+        quantity_unit,
+        value_unit,
+    )

@@ -1,0 +1,322 @@
+"""Terms of equations: products of functions of angles, rates, thrusts and voltages, in several notations.
+
+A term is evaluated along a flight (NumPy) and in a model (CasADi), and written for readers (SymPy, LaTeX)
+and for a simulator (Python). All notations follow from one table of functions and one table of quantities.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import casadi as ca
+from heli_sim.model.base import Operands
+from heli_sim.model.parts import AXES
+
+from heli_lab.diagnose.discover.units import NONE, Unit
+
+_Value = Any
+"""A casadi.SX or a numpy array."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity that a term may depend on.
+
+    Parameters
+    ----------
+    value : callable
+        Returns its expression for operands of the model; shape (2, 1), front and back, if each rotor has its
+        own.
+    unit : Unit
+        SI unit, from which units of coefficients follow.
+    latex : str
+        LaTeX symbol.
+    python : str
+        Python expression in an effect file, with the operands ``at``.
+    kind : str
+        ``angle``, ``rate``, ``thrust``, ``voltage`` or ``time``.
+    near_zero : float
+        Absolute value, in its unit, below which its sign is smoothed.
+    each : bool
+        Whether each rotor has its own.
+    """
+
+    value: Callable[[Operands], ca.SX]
+    unit: Unit
+    latex: str
+    python: str
+    kind: str
+    near_zero: float = 0.0
+    each: bool = False
+
+
+def _state(name: str) -> Callable[[Operands], ca.SX]:
+    return lambda at: at.state[name]
+
+
+_GREEK: Final = (r"\theta", r"\phi", r"\psi")
+_REST_rad_s: Final = 0.02
+"""Rate below which the sign of a rate is not known: about two encoder counts within the filter's memory.
+Smaller: stiffer than a simulator's step allows. Larger: friction without a corner."""
+_STILL_N: Final = 0.05
+_STILL_V: Final = 0.05
+
+SYMBOLS: Final[Mapping[str, Quantity]] = {
+    **{
+        axis: Quantity(
+            _state(f"{axis}_rad"), Unit.parse("rad"), latex, f'at.state["{axis}_rad"]', "angle", 0.02
+        )
+        for axis, latex in zip(AXES, _GREEK, strict=True)
+    },
+    **{
+        f"{axis}_rate": Quantity(
+            _state(f"{axis}_rate_rad_s"),
+            Unit.parse("rad/s"),
+            rf"\dot{{{latex}}}",
+            f'at.state["{axis}_rate_rad_s"]',
+            "rate",
+            _REST_rad_s,
+        )
+        for axis, latex in zip(AXES, _GREEK, strict=True)
+    },
+    "thrust": Quantity(
+        lambda at: at.thrust_N[0] + at.thrust_N[1],
+        Unit.parse("N"),
+        "(F_f + F_b)",
+        "(at.thrust_N[0] + at.thrust_N[1])",
+        "thrust",
+        _STILL_N,
+    ),
+    "thrust_difference": Quantity(
+        lambda at: at.thrust_N[0] - at.thrust_N[1],
+        Unit.parse("N"),
+        "(F_f - F_b)",
+        "(at.thrust_N[0] - at.thrust_N[1])",
+        "thrust",
+        _STILL_N,
+    ),
+    "own_thrust": Quantity(
+        lambda at: at.thrust_N, Unit.parse("N"), "F", "at.thrust_N", "thrust", _STILL_N, each=True
+    ),
+    "other_thrust": Quantity(
+        lambda at: ca.vertcat(at.thrust_N[1], at.thrust_N[0]),
+        Unit.parse("N"),
+        r"F_{\mathrm{other}}",
+        "ca.vertcat(at.thrust_N[1], at.thrust_N[0])",
+        "thrust",
+        _STILL_N,
+        each=True,
+    ),
+    "own_voltage": Quantity(
+        lambda at: at.volts_V, Unit.parse("V"), "V", "at.volts_V", "voltage", _STILL_V, each=True
+    ),
+    "voltage": Quantity(
+        lambda at: at.volts_V[0] + at.volts_V[1],
+        Unit.parse("V"),
+        "(V_f + V_b)",
+        "(at.volts_V[0] + at.volts_V[1])",
+        "voltage",
+        _STILL_V,
+    ),
+    "time": Quantity(lambda at: at.time_s, Unit.parse("s"), "t", "at.time_s", "time"),
+}
+"""Quantities that a term may depend on, by symbol."""
+
+
+@dataclass(frozen=True)
+class Form:
+    """A shape of function, of one quantity.
+
+    Parameters
+    ----------
+    value : callable
+        Returns its value for a module (numpy or casadi), the quantity and the function's parameters.
+    sympy, latex, python : str
+        Notations, with ``{x}`` for the quantity and ``{NAME}`` for a parameter.
+    power : int or None
+        Power of the quantity's unit that its unit is; None for a pure number.
+    numbers : tuple of str
+        Names of its parameters.
+    pure : bool
+        Whether the quantity must be an angle.
+    """
+
+    value: Callable[..., _Value]
+    sympy: str
+    latex: str
+    python: str
+    power: int | None
+    numbers: tuple[str, ...] = ()
+    pure: bool = False
+
+
+FORMS: Final[Mapping[str, Form]] = {
+    "linear": Form(lambda _m, x: x, "{x}", "{x}", "{x}", 1),
+    "square": Form(lambda _m, x: x * x, "{x}**2", "{x}^2", "{x} ** 2", 2),
+    "cube": Form(lambda _m, x: x * x * x, "{x}**3", "{x}^3", "{x} ** 3", 3),
+    "abs": Form(lambda m, x: m.fabs(x), "Abs({x})", "|{x}|", "ca.fabs({x})", 1),
+    "signed_square": Form(lambda m, x: x * m.fabs(x), "{x}*Abs({x})", "{x} |{x}|", "{x} * ca.fabs({x})", 2),
+    "sign": Form(
+        lambda m, x, width: m.tanh(x / width),
+        "tanh({x}/{width})",
+        r"\tanh({x} / {width})",
+        "ca.tanh({x} / {width})",
+        None,
+        ("width",),
+    ),
+    "sin": Form(
+        lambda m, x, k: m.sin(k * x),
+        "sin({k}*{x})",
+        r"\sin({k}\,{x})",
+        "ca.sin({k} * {x})",
+        None,
+        ("k",),
+        pure=True,
+    ),
+    "cos": Form(
+        lambda m, x, k: m.cos(k * x),
+        "cos({k}*{x})",
+        r"\cos({k}\,{x})",
+        "ca.cos({k} * {x})",
+        None,
+        ("k",),
+        pure=True,
+    ),
+    "bump": Form(
+        lambda m, x, place, width: m.exp(-0.5 * ((x - place) / width) ** 2),
+        "exp(-(({x} - {place})/{width})**2/2)",
+        r"\exp(-(({x} - {place})/{width})^2/2)",
+        "ca.exp(-0.5 * (({x} - {place}) / {width}) ** 2)",
+        None,
+        ("place", "width"),
+    ),
+    "beyond": Form(
+        lambda m, x, slack: m.fmax(x - slack, 0.0) - m.fmax(-x - slack, 0.0),
+        "(Max({x} - {slack}, 0) - Max(-{x} - {slack}, 0))",
+        r"[\max({x} - {slack}, 0) - \max(-{x} - {slack}, 0)]",
+        "(ca.fmax({x} - {slack}, 0) - ca.fmax(-{x} - {slack}, 0))",
+        1,
+        ("slack",),
+    ),
+}
+"""Functions of which terms are products, by name."""
+
+MEMORIES: Final = ("", "lag", "washout")
+"""The quantity itself, the quantity behind a first-order lag, or the difference of the two (lag less
+quantity)."""
+
+
+@dataclass(frozen=True)
+class Factor:
+    """A factor of a term: a function of one quantity.
+
+    Parameters
+    ----------
+    form : str
+        Function, a key of `FORMS`.
+    quantity : str
+        Quantity, a key of `SYMBOLS`.
+    numbers : tuple of (str, float)
+        Parameters of the function, and ``s``, the time constant of a lag in seconds.
+    memory : str
+        One of `MEMORIES`.
+
+    Raises
+    ------
+    ValueError
+        If the function is a sine or cosine and the quantity is no angle.
+    """
+
+    form: str
+    quantity: str
+    numbers: tuple[tuple[str, float], ...] = ()
+    memory: str = ""
+
+    def __post_init__(self) -> None:
+        if FORMS[self.form].pure and not SYMBOLS[self.quantity].unit.is_number:
+            raise ValueError(f"{self.form} of {self.quantity} [{SYMBOLS[self.quantity].unit}]")
+
+    @property
+    def unit(self) -> Unit:
+        """SI unit."""
+        power = FORMS[self.form].power
+        return NONE if power is None else SYMBOLS[self.quantity].unit ** power
+
+    @property
+    def each(self) -> bool:
+        """Whether each rotor has its own."""
+        return SYMBOLS[self.quantity].each
+
+    def value(self, module: Any, x: _Value, numbers: Mapping[str, Any] | None = None) -> _Value:
+        """Evaluate the function.
+
+        Parameters
+        ----------
+        module : module
+            ``numpy`` or ``casadi``.
+        x : ndarray or SX
+            Values of the quantity, lag included.
+        numbers : Mapping[str, Any], optional
+            Parameters by name that replace the factor's own.
+        """
+        given = {**dict(self.numbers), **(numbers or {})}
+        form = FORMS[self.form]
+        return form.value(module, x, *(given[name] for name in form.numbers))
+
+    def number_unit(self, name: str) -> Unit:
+        """Unit of the parameter `name`."""
+        if name == "s":
+            return Unit.parse("s")
+        return NONE if name == "k" else SYMBOLS[self.quantity].unit
+
+    def written(self, notation: str, symbols: Mapping[str, str], x: str | None = None) -> str:
+        """Write the factor.
+
+        Parameters
+        ----------
+        notation : str
+            ``sympy``, ``latex`` or ``python``.
+        symbols : Mapping[str, str]
+            Text for each parameter, by name.
+        x : str, optional
+            Text for the quantity with its lag, which Python has no function for.
+        """
+        quantity = SYMBOLS[self.quantity]
+        if x is None:
+            x = {"sympy": self.quantity, "latex": quantity.latex, "python": quantity.python}[notation]
+            if self.memory and notation == "sympy":
+                x = f"{self.memory}({x}, {symbols['s']})"
+            elif self.memory and notation == "latex":
+                lag = rf"{x}_{{{symbols['s']}}}"
+                x = lag if self.memory == "lag" else rf"({lag} - {x})"
+        return str(getattr(FORMS[self.form], notation)).format(x=x, **symbols)
+
+
+@dataclass(frozen=True)
+class Term:
+    """A product of `factors`; 1 if there are none."""
+
+    factors: tuple[Factor, ...]
+
+    @property
+    def unit(self) -> Unit:
+        """SI unit."""
+        unit = NONE
+        for factor in self.factors:
+            unit = unit * factor.unit
+        return unit
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """Quantities that it depends on, each once."""
+        return tuple(dict.fromkeys(factor.quantity for factor in self.factors))
+
+    @property
+    def key(self) -> str:
+        """The term as text, with values of its inner parameters."""
+        return "*".join(
+            factor.written("sympy", {name: f"{value:.4g}" for name, value in factor.numbers})
+            for factor in self.factors
+        )

@@ -1,0 +1,111 @@
+"""Terms of the baseline that the rig does not have: the fit estimates their parameters as zero."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from heli_sim.model.effects import EffectKind
+from heli_sim.rig import Rig
+
+from heli_lab.diagnose import thresholds
+from heli_lab.identify import Fit
+
+
+@dataclass(frozen=True)
+class AbsentTerm:
+    """A term of the baseline that the rig does not have.
+
+    Parameters
+    ----------
+    id : str
+        Id in the catalogue, such as ``removed.friction.travel``.
+    share, std : float
+        Share of the term that is absent, 0 to 1, and its standard error.
+    confidence : float
+        Posterior probability that the term is absent, see `absence_probability`.
+    z_from_zero : float
+        Distance of its parameter from 0 in standard errors; the largest if it has several parameters.
+    z_from_rig : float
+        Distance of its parameter from the rig file's value in standard errors; the smallest of several.
+    """
+
+    id: str
+    share: float
+    std: float
+    confidence: float
+    z_from_zero: float
+    z_from_rig: float
+
+
+def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectKind]) -> tuple[AbsentTerm, ...]:
+    """Find terms whose parameters are zero within their standard errors.
+
+    Parameters
+    ----------
+    fit : Fit
+        The final model on the fitted flights.
+    rig : Rig
+        Nominal values of the parameters.
+    kinds : Mapping[str, EffectKind]
+        Catalogue by effect id; kinds that remove a term are tested.
+
+    Returns
+    -------
+    tuple of AbsentTerm
+        Terms that are absent with a probability of `ABSENT_MIN_CONFIDENCE` and more, the most probable first.
+    """
+    values, reported_std = fit.values, fit.std
+    terms = []
+    for id_, kind in kinds.items():
+        names = [name for name in kind.override if name in values and rig[name].value > 0.0]
+        if not kind.baseline or not names:
+            continue
+        numbers = [
+            (
+                0.0 if name in fit.at_bound else values[name] / rig[name].value,
+                reported_std[name] / rig[name].value,
+            )
+            for name in names
+        ]
+        confidence = math.prod(absence_probability(value, std) for value, std in numbers)
+        if confidence < thresholds.ABSENT_MIN_CONFIDENCE:
+            continue
+        share, std = 1.0 - numbers[0][0], max(numbers[0][1], thresholds.ABSENT_MIN_STD)
+        terms.append(
+            AbsentTerm(
+                id_,
+                min(max(share, 0.0), 1.0),
+                std,
+                confidence,
+                max(abs(value) / max(std, thresholds.ABSENT_MIN_STD) for value, std in numbers),
+                min((1.0 - value) / max(std, thresholds.ABSENT_MIN_STD) for value, std in numbers),
+            )
+        )
+    return tuple(sorted(terms, key=lambda term: -term.confidence))
+
+
+def absence_probability(value: float, std: float) -> float:
+    """Return the posterior probability that a parameter is zero; the alternative is log-normal about the rig
+    file's value.
+
+    Parameters
+    ----------
+    value, std : float
+        Estimate and standard error, in units of the rig file's value.
+
+    Returns
+    -------
+    float
+        Probability, at most `MAX_CONFIDENCE`.
+    """
+    std = max(std, thresholds.ABSENT_MIN_STD)
+    there = np.geomspace(1e-3, 1e3, 4001)
+    likely = np.exp(-0.5 * (np.log(there) / thresholds.PRESENT_LOG_STD) ** 2)
+    likely /= likely.sum()
+    # The normal densities' common factor cancels.
+    absent = math.exp(-0.5 * min((value / std) ** 2, 1e3)) * thresholds.ABSENT_PRIOR
+    present = float(likely @ np.exp(-0.5 * ((value - there) / std) ** 2)) * (1.0 - thresholds.ABSENT_PRIOR)
+    return min(thresholds.MAX_CONFIDENCE, absent / max(absent + present, 1e-300))

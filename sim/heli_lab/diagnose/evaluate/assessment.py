@@ -1,0 +1,72 @@
+"""Assessment of a search: what the model with the causes leaves and predicts, and the verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from heli_sim.model.effects import EffectKind
+
+from heli_lab.diagnose.evaluate.absent_terms import AbsentTerm, absent_terms
+from heli_lab.diagnose.evaluate.prediction import Prediction, predict
+from heli_lab.diagnose.evaluate.residual_analysis import ResidualAnalysis, residual_analysis
+from heli_lab.diagnose.evaluate.verdict import Verdict, judge
+from heli_lab.diagnose.search import Hypothesis, ModelComparison, Screening, Search
+from heli_lab.diagnose.thresholds import SHORT_s
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """Assessment of a search.
+
+    Parameters
+    ----------
+    residual_analysis : ResidualAnalysis
+        What the final model leaves.
+    extended : Hypothesis
+        The model with the causes of the catalogue, without spline terms: the one that a simulator can fly.
+    before, after : Prediction
+        Free runs of the refitted baseline and of the extended model over all flights.
+    absent : tuple of AbsentTerm
+        Terms of the baseline whose parameters the fit estimated as zero.
+    verdict : Verdict
+        The verdict and its causes.
+    """
+
+    residual_analysis: ResidualAnalysis
+    extended: Hypothesis
+    before: Prediction
+    after: Prediction
+    absent: tuple[AbsentTerm, ...]
+    verdict: Verdict
+
+
+def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, EffectKind]) -> Assessment:
+    """Assess the result of a search.
+
+    Parameters
+    ----------
+    search : Search
+        The result.
+    """
+    train, held_out = comparison.train, comparison.held_out
+    # Parameters from a few seconds are too uncertain for a residual analysis on another flight.
+    enough = bool(held_out) and sum(record.used_s for record in train) > SHORT_s
+    others = [Screening(comparison.held_out_estimate(search.final))] if enough else []
+    residual = residual_analysis([search.screening, *others])
+    extended = without_splines(comparison, search)
+    before = predict(search.baseline.estimate, train, held_out)
+    after = before if extended is search.baseline else predict(extended.estimate, train, held_out)
+    absent = absent_terms(after.fit, comparison.rig, kinds)
+    verdict = judge(search, residual, after, kinds, bool(absent))
+    return Assessment(residual, extended, before, after, absent, verdict)
+
+
+def without_splines(comparison: ModelComparison, search: Search) -> Hypothesis:
+    """Refit the final model of a `search` without its spline terms, which no simulator flies."""
+    named = [candidate for candidate in search.final.candidates if not candidate.is_spline]
+    if len(named) == len(search.final.candidates):
+        return search.final
+    if not named:
+        return search.baseline
+    return comparison.refit(named, None, search.final)

@@ -1,0 +1,83 @@
+"""Parameters of a cause with standard errors, from the free run of the extended model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from heli_sim.model.effects import EffectKind
+from heli_sim.model.parts import AXES
+
+from heli_lab.diagnose.thresholds import MIN_STD_COUNTS, MIN_STD_SHARE, TIME_STD_FACTOR
+from heli_lab.identify import Fit
+
+
+@dataclass(frozen=True)
+class CauseParameter:
+    """An estimated parameter of a cause.
+
+    Parameters
+    ----------
+    value, std : float
+        Estimate and standard error, in `unit`.
+    unit : str
+        SI unit; ``1`` for a parameter without one.
+    """
+
+    value: float
+    std: float
+    unit: str
+
+
+def cause_parameters(fit: Fit, kind: EffectKind, start: Mapping[str, float]) -> dict[str, CauseParameter]:
+    """Parameters of an effect by full name, as they are reported.
+
+    Parameters
+    ----------
+    fit : Fit
+        The model with the effect.
+    kind : EffectKind
+        The effect's entry in the catalogue.
+    start : Mapping[str, float]
+        Values of parameters that were not estimated, by full name.
+    """
+    std = reported_std(fit, kind)
+    return {
+        q.name: CauseParameter(fit.values.get(q.name, start[q.name]), std.get(q.name, 0.0), q.unit)
+        for q in kind.parameters
+    }
+
+
+def reported_std(fit: Fit, kind: EffectKind) -> dict[str, float]:
+    """Compute standard errors that are not finer than what flights resolve.
+
+    Voltages are held over a sample, so a time constant or delay is uncertain by a part of a sample, and by
+    what a controller answers within a step. Steps blur what acts within them, so a size is uncertain by a
+    share of itself. What lies between an axis and its encoder is seen in whole counts only.
+
+    Parameters
+    ----------
+    fit : Fit
+        Estimates with standard errors.
+    kind : EffectKind
+        The effect; it determines which parameters are sizes, and on what they act.
+
+    Returns
+    -------
+    dict
+        Standard error by parameter name.
+    """
+    record = fit.problem.records[0]
+    part, _, axis = kind.acts_on.partition(".")
+    errors = {}
+    for parameter in fit.problem.free:
+        least = 0.0
+        if parameter.unit == "s":
+            least = 0.5 * record.step_s
+        elif parameter.unit == "rad" and part == "measurement" and axis in AXES:
+            least = MIN_STD_COUNTS * float(record.count_rad[AXES.index(axis)])
+        std = fit.std[parameter.name] * (TIME_STD_FACTOR if parameter.unit == "s" else 1.0)
+        blurred = MIN_STD_SHARE * fit.values[parameter.name] if parameter.name in kind.size else 0.0
+        errors[parameter.name] = math.hypot(std, least, blurred)
+    return errors

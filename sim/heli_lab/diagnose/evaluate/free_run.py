@@ -1,0 +1,254 @@
+"""Free runs of a model on another flight: constants of the flight from its beginning, the rest predicted.
+
+Encoders are zeroed and cables are laid again before each flight. Encoder zeros and one constant torque per
+axis are therefore estimated from the first seconds of the flight, in free runs as `identify` fits them;
+nothing else is. The rest is predicted over windows of 2 s and over their halves and quarters: the same
+samples at each horizon.
+
+Each window starts from the state that fits it best, so this is no forecast. Rates are not measured, and a
+state estimated from the past alone carries the model's error over that past into the horizon: on measured
+flights, errors of such forecasts are 2 to 17 times as large, before and after an extension of the model.
+With fitted initial states the rest is the model's error within the horizon.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from heli_sim.model.base import Model
+from heli_sim.rig import Prior, Rig
+
+from heli_lab.diagnose.thresholds import CALIBRATE_SHARE, CALIBRATE_s
+from heli_lab.errors import IdentifyError
+from heli_lab.identify import Fit, Problem, Record, solve, trace
+from heli_lab.identify.free import flight_constants
+from heli_lab.identify.functions import Floats
+from heli_lab.identify.thresholds import LEAST_SEGMENT_S
+
+HORIZONS: Final[Mapping[str, int]] = {"0.5": 4, "1": 2, "2": 1}
+"""Horizons [s], as the JSON names them, and into how many parts each divides a window of 2 s."""
+
+_WINDOW_s: Final = 2.0
+_STEP_s: Final = 0.004
+"""Integration step. With 10 ms, fits of effects that change within milliseconds, such as dry friction,
+fail."""
+
+
+@dataclass(frozen=True)
+class WindowErrors:
+    """Squared errors of free runs at one horizon, summed over each window of 2 s.
+
+    The windows are the same at all horizons, because a bootstrap must resample nearly independent units.
+
+    Parameters
+    ----------
+    squares_rad2 : ndarray (w, 3)
+        Sum of squared errors of each axis.
+    rows : ndarray (w,)
+        Number of samples of each window.
+    """
+
+    squares_rad2: Floats
+    rows: Floats
+
+    @property
+    def rms_deg(self) -> Floats:
+        """Root mean square error of each axis, shape (3,)."""
+        result: Floats = np.rad2deg(np.sqrt(self.squares_rad2.sum(axis=0) / self.rows.sum()))
+        return result
+
+
+@dataclass(frozen=True)
+class FreeRun:
+    """Prediction of a flight by a model, after constants of the flight were calibrated on its beginning.
+
+    Parameters
+    ----------
+    label : str
+        Name of the flight.
+    calibrated_s, evaluated_s : float
+        Duration of free flight used for the calibration, and predicted after it.
+    constants : Mapping[str, (float, float)]
+        Calibrated zeros and torques by parameter name: value and standard error, in the rig file's units;
+        empty if nothing was calibrated.
+    priors : Mapping[str, Prior]
+        Priors of the constants.
+    errors : Mapping[str, WindowErrors]
+        Errors by horizon, a key of `HORIZONS`.
+    fit : Fit
+        The predicted part in windows of 2 s, for `heli_lab.identify.trace`; only initial states were fitted.
+    """
+
+    label: str
+    calibrated_s: float
+    evaluated_s: float
+    constants: Mapping[str, tuple[float, float]]
+    priors: Mapping[str, Prior]
+    errors: Mapping[str, WindowErrors]
+    fit: Fit
+
+
+def free_run(
+    model: Model,
+    rig: Rig,
+    values: Mapping[str, float],
+    record: Record,
+    calibrate_s: float = CALIBRATE_s,
+    threads: int | None = None,
+) -> FreeRun:
+    """Calibrate constants of a flight on its beginning, and predict the rest.
+
+    Parameters
+    ----------
+    rig : Rig
+        Parameters that `values` lacks, and tolerances from which the constants' priors follow.
+    values : Mapping[str, float]
+        Parameters by name, as fitted to other flights. Those of the constants are means of their priors, see
+        `flight_constants`.
+    calibrate_s : float
+        Duration of free flight to calibrate on; with 0 the whole flight is predicted with `values`.
+    threads : int, optional
+        Threads of the simulation, see `Problem`.
+    """
+    names = [quantity.name for quantity in model.parameters]
+    known = {**dict(zip(names, map(float, model.parameter_values(rig)), strict=True)), **values}
+    first, rest = _split(record, calibrate_s)
+    priors = flight_constants(model, rig, known)
+    calibrated: dict[str, tuple[float, float]] = {}
+    if first.segments:
+        fit = solve(
+            _problem(model, rig, known, first, priors, threads), robust=False, scatter=False, warm_start=True
+        )
+        calibrated = {name: (value, fit.std[name]) for name, value in fit.values.items()}
+        known |= fit.values
+    # Equal bounds hold the constants: with the same free parameters the compiled kernel is reused.
+    held = {name: Prior(known[name], prior.std, known[name], known[name]) for name, prior in priors.items()}
+    problem = _problem(model, rig, known, rest, held, threads)
+    windows = [rows for _, rows in problem.windows(0)]
+    fits = {
+        key: solve(problem.with_split_windows(parts), robust=False, scatter=False, warm_start=True)
+        for key, parts in HORIZONS.items()
+    }
+    return FreeRun(
+        record.label,
+        first.used_s,
+        rest.used_s,
+        calibrated,
+        priors if calibrated else {},
+        {key: _errors(fit, windows) for key, fit in fits.items()},
+        fits["2"],
+    )
+
+
+def free_runs(
+    fit: Fit, validation: Sequence[Record], calibrate_s: float | None = None
+) -> tuple[FreeRun, ...]:
+    """Predict flights with fitted parameters.
+
+    Parameters
+    ----------
+    fit : Fit
+        The model and its parameters.
+    validation : sequence of Record
+        Flights to predict, each after a calibration; if there is none, the fitted flights are predicted with
+        their fitted constants.
+    calibrate_s : float, optional
+        Duration to calibrate on, limited by `calibration_s`.
+    """
+    problem = fit.problem
+    names = [quantity.name for quantity in problem.model.parameters]
+    parameters = [problem.parameters(fit.theta, index) for index in range(len(problem.records))]
+    if not validation:
+        return tuple(
+            free_run(
+                problem.model,
+                problem.rig,
+                dict(zip(names, map(float, flight_values), strict=True)),
+                record,
+                0.0,
+                problem.threads,
+            )
+            for flight_values, record in zip(parameters, problem.records, strict=True)
+        )
+    # The prior mean of a constant of another flight is its mean over the fitted flights.
+    values = dict(zip(names, map(float, np.mean(parameters, axis=0)), strict=True))
+    return tuple(
+        free_run(
+            problem.model, problem.rig, values, record, calibration_s(record, calibrate_s), problem.threads
+        )
+        for record in validation
+    )
+
+
+def calibration_s(record: Record, requested_s: float | None = None) -> float:
+    """Limit the duration of a calibration to `CALIBRATE_SHARE` of a flight's free flight.
+
+    Parameters
+    ----------
+    requested_s : float, optional
+        Requested duration; `CALIBRATE_s` by default.
+
+    Raises
+    ------
+    IdentifyError
+        If the requested duration is negative, or leaves nothing to predict.
+    """
+    most_s = CALIBRATE_SHARE * record.used_s
+    if requested_s is None:
+        return min(CALIBRATE_s, most_s)
+    if not requested_s >= 0.0:
+        raise IdentifyError(f"{requested_s:g} s to calibrate on", "give 0 or more to --calibrate")
+    if requested_s > record.used_s - LEAST_SEGMENT_S:
+        raise IdentifyError(
+            f"{requested_s:g} s to calibrate on leave nothing of the {record.used_s:.3g} s of free flight in "
+            f"{record.label}",
+            f"give {most_s:.2g} or less to --calibrate, or a longer flight to --validate",
+        )
+    return min(requested_s, most_s)
+
+
+def _problem(
+    model: Model,
+    rig: Rig,
+    values: Mapping[str, float],
+    record: Record,
+    priors: Mapping[str, Prior],
+    threads: int | None,
+) -> Problem:
+    return Problem(
+        model,
+        rig,
+        [record],
+        free=tuple(priors),
+        per_flight=tuple(priors),
+        window_s=_WINDOW_s,
+        step_s=_STEP_s,
+        priors=priors,
+        values=values,
+        threads=threads,
+    )
+
+
+def _split(record: Record, seconds: float) -> tuple[Record, Record]:
+    """The first seconds of free flight, and the rest; pieces of the rest that are too short are dropped."""
+    remaining = round(seconds / record.step_s)
+    first, rest = [], []
+    for start, stop in record.segments:
+        cut = min(stop, start + remaining)
+        remaining -= cut - start
+        first += [(start, cut)] if cut > start else []
+        rest += [(cut, stop)] if stop > cut else []
+    least = round(LEAST_SEGMENT_S / record.step_s)
+    rest = [(start, stop) for start, stop in rest if stop - start >= least] or rest
+    return replace(record, segments=tuple(first)), replace(record, segments=tuple(rest))
+
+
+def _errors(fit: Fit, windows: Sequence[int]) -> WindowErrors:
+    """Squared errors summed over windows of so many rows, whatever the horizon of the runs."""
+    seen = trace(fit)
+    squares = (seen.residual * seen.sigma_rad) ** 2
+    first = np.concatenate(([0], np.cumsum(windows)[:-1]))
+    return WindowErrors(np.add.reduceat(squares, first, axis=0), np.array(windows, float))

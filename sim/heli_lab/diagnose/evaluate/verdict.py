@@ -1,0 +1,156 @@
+"""Verdict and confidence of a diagnosis, from the evidence of the search and of the residual analysis."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from heli_sim.model.effects import EffectKind
+from heli_sim.model.parts import AXES
+
+from heli_lab.diagnose import thresholds
+from heli_lab.diagnose.evaluate.cause_parameters import CauseParameter, cause_parameters
+from heli_lab.diagnose.evaluate.prediction import Prediction
+from heli_lab.diagnose.evaluate.residual_analysis import ResidualAnalysis
+from heli_lab.diagnose.search import Cause, Search
+from heli_lab.identify import Fit
+
+
+@dataclass(frozen=True)
+class NamedCause(Cause):
+    """A cause that the verdict names; its attributes have the names of the JSON.
+
+    Parameters
+    ----------
+    candidate, train, held_out, penalty, alternatives
+        As in `Cause`, which also has ``effect`` and ``ambiguous_with``.
+    parameters : Mapping[str, CauseParameter]
+        By full name, such as ``rotor_lag_s``: ``value``, ``std`` and ``unit``.
+    confidence : float
+        Probability that the cause is named correctly, 0 to 1.
+    sentence : str
+        The cause with its parameters in a sentence, without its full stop.
+    equation : str
+        What the effect adds to the model, in LaTeX.
+    """
+
+    parameters: Mapping[str, CauseParameter]
+    confidence: float
+    sentence: str
+    equation: str
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Verdict of a diagnosis.
+
+    Parameters
+    ----------
+    label : str
+        ``explained``, ``cause_found``, ``ambiguous`` or ``unexplained``.
+    causes : tuple of NamedCause
+        Effects of the catalogue, the strongest first.
+    unlisted : tuple of Cause
+        Spline terms in the place of causes that the catalogue lacks, the strongest first.
+    random_torque : bool
+        Whether a random torque acts about a single axis, unlike the disturbances that every rig has.
+    """
+
+    label: str
+    causes: tuple[NamedCause, ...]
+    unlisted: tuple[Cause, ...]
+    random_torque: bool
+
+
+def judge(
+    search: Search,
+    residual: ResidualAnalysis,
+    after: Prediction,
+    kinds: Mapping[str, EffectKind],
+    absent: bool,
+) -> Verdict:
+    """Decide the verdict.
+
+    Parameters
+    ----------
+    search : Search
+        Causes and spline terms of the final model.
+    residual : ResidualAnalysis
+        What the final model leaves.
+    after : Prediction
+        Free runs of the extended model. If their errors are at the quantisation, whatever remains is too
+        small to matter, however significant it is.
+    absent : bool
+        Whether the fit estimated a term of the baseline as zero, which is a cause too.
+    """
+    effects = tuple(cause for cause in search.causes if not cause.candidate.is_spline)
+    unlisted = tuple(cause for cause in search.causes if cause.candidate.is_spline)
+    visible = max(after.train.total, after.held_out.total) > thresholds.NOISE_FLOOR
+    random = visible and not unlisted and not residual.dependences and has_random_torque(residual, kinds)
+    unexplained = visible and bool(unlisted or residual.dependences)
+    causes = tuple(_named(cause, kinds[cause.effect], after.fit, unexplained) for cause in effects)
+    if unexplained:
+        return Verdict("unexplained", causes, unlisted, False)
+    if causes:
+        unclear = any(cause.ambiguous_with for cause in causes)
+        return Verdict("ambiguous" if unclear else "cause_found", causes, (), random)
+    return Verdict("cause_found" if random or absent else "explained", (), (), random)
+
+
+def _named(cause: Cause, kind: EffectKind, fit: Fit, unexplained: bool) -> NamedCause:
+    parameters = cause_parameters(fit, kind, cause.candidate.effect.values)
+    return NamedCause(
+        cause.candidate,
+        cause.train,
+        cause.held_out,
+        cause.penalty,
+        cause.alternatives,
+        parameters,
+        confidence(cause, unexplained),
+        kind.describe(
+            {name: number.value for name, number in parameters.items()},
+            {name: number.std for name, number in parameters.items()},
+        ),
+        kind.equation,
+    )
+
+
+def has_random_torque(residual: ResidualAnalysis, kinds: Mapping[str, EffectKind]) -> bool:
+    """Whether the fast disturbance is significant about one axis only, and of notable size and correlation
+    time; `kinds` is the catalogue, which has its typical size.
+    """
+    order, axis = np.sort(residual.gains), AXES.index(residual.axis)
+    kind = kinds.get(f"random_torque.{residual.axis}")
+    min_Nm = thresholds.RANDOM_TORQUE_MIN_SHARE * kind.typical[kind.size[0]] if kind else math.inf
+    return bool(
+        order[-1] > thresholds.RANDOM_TORQUE_NATS > order[-2]
+        and residual.disturbances.fast_std_Nm[axis] > min_Nm
+        and residual.disturbances.correlation_time_s[axis] > thresholds.RANDOM_TORQUE_MIN_CORRELATION_s
+    )
+
+
+def confidence(cause: Cause, unexplained: bool = False) -> float:
+    """Return the probability, 0 to 1, that a cause is named correctly.
+
+    It grows with the lead over no cause and over the closest alternative, and with the log-likelihood ratio
+    on the held-out flights.
+
+    Parameters
+    ----------
+    unexplained : bool
+        Whether something unexplained remains, which the cause may imitate; the confidence is less then.
+    """
+    margin = min(
+        [
+            cause.train - cause.penalty,
+            *(alternative.log_likelihood_ratio for alternative in cause.alternatives),
+        ]
+    )
+    probability = 1.0 - 0.5 * math.exp(-max(margin, 0.0) / thresholds.CONFIDENCE_NATS)
+    if cause.held_out is not None:
+        # A ratio of 0 nats on flights that had no part in the choice: by these alone, even odds.
+        probability *= 1.0 / (1.0 + math.exp(-cause.held_out / thresholds.HELD_OUT_NATS))
+    factor = thresholds.CONFIDENCE_FACTOR_UNEXPLAINED if unexplained else 1.0
+    return float(min(thresholds.MAX_CONFIDENCE, probability) * factor)

@@ -1,0 +1,104 @@
+"""The next experiment: what to fly if a diagnosis is ambiguous, unexplained, or rests on little data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from heli_sim.model.effects import EffectKind
+
+from heli_lab.diagnose.discover import spline_curve_of
+from heli_lab.diagnose.evaluate import Assessment
+from heli_lab.diagnose.experiment.design import (
+    ExperimentDesign,
+    Pair,
+    compose_experiment,
+    discriminating_experiment,
+    informative_experiment,
+)
+from heli_lab.diagnose.search import ModelComparison, Search, SplineTerm
+from heli_lab.diagnose.thresholds import AMBIGUOUS, MANY_UNDETECTABLE, SHORT_s
+
+
+def propose_experiment(
+    comparison: ModelComparison,
+    search: Search,
+    assessment: Assessment,
+    kinds: Mapping[str, EffectKind],
+    undetectable: Sequence[str],
+) -> ExperimentDesign | None:
+    """Propose the next flight.
+
+    Parameters
+    ----------
+    undetectable : sequence of str
+        Ids of effects that these flights would not show.
+
+    Returns
+    -------
+    ExperimentDesign or None
+        None if these flights leave nothing open.
+    """
+    label = assessment.verdict.label
+    pair = _closest_pair(comparison, search, assessment) if label == "ambiguous" else None
+    if pair is not None:
+        return discriminating_experiment(pair, comparison, kinds, AMBIGUOUS)
+    if label == "unexplained":
+        return _wider_range(search, assessment)
+    seconds = sum(record.used_s for record in comparison.train)
+    if seconds < SHORT_s or len(undetectable) > MANY_UNDETECTABLE:
+        which = ", ".join(undetectable) or "small effects"
+        return informative_experiment(
+            f"{seconds:.0f} s of free flight are too short to show {which}.",
+            undetectable,
+            search.baseline,
+            kinds,
+        )
+    return None
+
+
+def _wider_range(search: Search, assessment: Assessment) -> ExperimentDesign:
+    """A flight over a wider range of the quantities on which the missing part depends."""
+    unlisted = assessment.verdict.unlisted
+    on = {cause.candidate.id.rpartition(":")[2] for cause in unlisted}
+    parts = {part for part in ("travel", "elevation", "time") if any(part in name for name in on)}
+    parts |= {"motors"} if any("thrust" in name for name in on) or not on else set()
+    curves = [
+        spline_curve_of(effect, search.final.estimate)
+        for effect in (cause.candidate.effect for cause in unlisted)
+        if isinstance(effect, SplineTerm)
+    ]
+    covered = " and ".join(
+        f"{curve.on} only from {curve.quantity[0]:.3g} to {curve.quantity[-1]:.3g} {curve.quantity_unit}"
+        for curve in curves
+    )
+    reason = "What is missing should be seen over a wider range"
+    return compose_experiment(f"{reason}: these flights have {covered}." if covered else f"{reason}.", parts)
+
+
+def _closest_pair(comparison: ModelComparison, search: Search, assessment: Assessment) -> Pair | None:
+    """The least certain cause and its closest alternative, fitted together with the same other causes."""
+    unclear = [cause for cause in assessment.verdict.causes if cause.ambiguous_with]
+    if not unclear:
+        return None
+    least_certain = min(unclear, key=lambda cause: cause.alternatives[0].log_likelihood_ratio)
+    alternative = least_certain.alternatives[0]
+    refit = next(
+        (
+            refit
+            for round_ in search.rounds
+            if round_.accepted_id == least_certain.candidate.id
+            for refit in round_.refits
+            if refit.candidate.id == alternative.id
+        ),
+        None,
+    )
+    if refit is None:
+        return None
+    extended = assessment.extended
+    rest = [candidate for candidate in extended.candidates if candidate.id != least_certain.candidate.id]
+    second = refit.hypothesis
+    if rest:
+        second = comparison.refit([*rest, refit.candidate], second.values, extended)
+    return Pair(
+        extended, second, (least_certain.candidate.id, alternative.id), alternative.log_likelihood_ratio
+    )

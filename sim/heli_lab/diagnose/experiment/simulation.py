@@ -1,0 +1,124 @@
+"""Simulated experiments: the flight code flies a plan on the simulated board, with the estimated rig."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from heli_host.errors import HeliError
+from heli_host.flight import Flight
+from heli_host.fly.plan import Plan
+from heli_host.fly.runner import fly
+from heli_host.fly.tracking import NOT_TRACKED
+from heli_host.heli import Heli
+from heli_host.link.session import Session
+from heli_host.log.flight_file import read_flight
+from heli_sim.errors import SimError
+from heli_sim.model.linear import trim
+from heli_sim.plant import Plant
+from heli_sim.sil.inprocess import InProcessTransport
+from heli_sim.sil.options import SilOptions
+from heli_sim.sil.world import SilWorld
+
+from heli_lab.diagnose.search import Hypothesis, ModelComparison
+from heli_lab.identify import Record, prepare
+from heli_lab.innovations import Estimate
+
+_DECIMATION: Final = 2
+"""The board logs every millisecond; fits of every second sample are equally good and take half the time."""
+
+
+def simulate_experiment(estimate: Estimate, plan: str, seed: int = 0) -> Record | None:
+    """Fly a plan on the simulated rig.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        Model, effects and parameters of the rig.
+    plan : str
+        The plan as TOML.
+    seed : int
+        Seed of the encoders' start positions.
+
+    Returns
+    -------
+    Record or None
+        The flight, prepared for fitting; None if this rig cannot fly the plan.
+    """
+    parameter_vector = estimate.parameter_vector
+    model = parameter_vector.model
+    values = {
+        parameter.quantity: float(value)
+        for parameter, value in zip(parameter_vector.free, estimate.theta, strict=True)
+        if parameter.record is None
+    }
+    rig = parameter_vector.rig.replace(
+        **{name: value for name, value in values.items() if name in parameter_vector.rig}
+    )
+    effects = tuple(
+        replace(effect, values={name: values.get(name, was) for name, was in effect.values.items()})
+        for effect in model.effects
+    )
+    try:
+        plant = Plant(type(model)(effects), rig, seed)
+        volts_V = trim(type(model)(), rig).volts_V
+        world = SilWorld(SilOptions(seed=seed), plant)
+        session = Session(InProcessTransport(world))
+        session.connect()
+        with tempfile.TemporaryDirectory() as folder, Heli(session) as heli:
+            # Parameters that the operator of this rig sets: hover voltage, and tolerance of the arm at rest.
+            heli.params["hover_V"] = float(sum(volts_V)) - 2.0 * rig["dead_zone"].value
+            heli.params["arm_elevation_tolerance_deg"] = 20.0
+            path = Path(folder) / "flight.mcap"
+            summary = fly(heli, Plan.parse(plan, "next flight"), log_path=path)
+            # The effect itself may keep an axis from its setpoint; such a flight is informative.
+            flown = summary.completed or summary.outcome.startswith(NOT_TRACKED)
+            if not flown and "landing" not in summary.outcome:
+                return None
+            return prepare(_thinned(read_flight(path)), rig, "simulated")
+    except (HeliError, SimError):
+        return None
+
+
+def expected_log_likelihood_ratio(
+    truth: Hypothesis, alternative: Hypothesis, comparison: ModelComparison, plan: str, seed: int = 0
+) -> float | None:
+    """Simulate a plan under one hypothesis, and compare both hypotheses on that flight.
+
+    Parameters
+    ----------
+    truth, alternative : Hypothesis
+        The hypothesis that is simulated, and its alternative. All parameters of both are refitted with the
+        rig's priors, so that only the new flight counts.
+    comparison : ModelComparison
+        Model, rig and seed.
+    plan : str
+        The plan as TOML.
+    seed : int
+        Seed of the encoders' start positions.
+
+    Returns
+    -------
+    float or None
+        Log-likelihood ratio of the truth over the alternative, nats; None if the plan cannot be flown or
+        fitted.
+    """
+    record = simulate_experiment(truth.estimate, plan, seed)
+    if record is None:
+        return None
+    new = ModelComparison(comparison.model, comparison.rig, [record], (), seed=comparison.seed)
+    try:
+        more = new.refit(truth.candidates, truth.values)
+        less = new.refit(alternative.candidates, alternative.values)
+    except SimError:
+        return None
+    return more.log_likelihood - less.log_likelihood
+
+
+def _thinned(flight: Flight) -> Flight:
+    rows = len(flight) // _DECIMATION * _DECIMATION
+    mean_V = flight.voltages_V[:rows].reshape(-1, _DECIMATION, 2).mean(axis=1)
+    kept = slice(0, rows, _DECIMATION)
+    return Flight(flight.t_s[kept], mean_V[:, 0], mean_V[:, 1], *flight.angles_rad[kept].T)

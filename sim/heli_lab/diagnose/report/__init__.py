@@ -1,0 +1,21 @@
+"""Report of a diagnosis: sentences, JSON, figures and pages."""
+
+from heli_lab.diagnose.report.page import (
+    missing_terms,
+    write_effect_file,
+    write_insufficient_excitation,
+    write_report,
+)
+from heli_lab.diagnose.report.sentences import lines, summary, title
+from heli_lab.diagnose.report.serialize import to_json
+
+__all__ = [
+    "lines",
+    "missing_terms",
+    "summary",
+    "title",
+    "to_json",
+    "write_effect_file",
+    "write_insufficient_excitation",
+    "write_report",
+]

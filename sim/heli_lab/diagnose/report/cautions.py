@@ -1,0 +1,56 @@
+"""Cautions: what weakens a diagnosis."""
+
+from __future__ import annotations
+
+from heli_lab.diagnose.evaluate import PriorConflict
+from heli_lab.diagnose.result import Diagnosis
+from heli_lab.diagnose.thresholds import FEW_WINDOWS
+
+
+def cautions(result: Diagnosis) -> list[str]:
+    """List what weakens a `result`, in sentences without full stops; empty if nothing does."""
+    lines = [f"not used: {why}" for why in result.skipped]
+    held_out = result.assessment.after.held_out_fit
+    if held_out is None:
+        lines.append("no flight was held out: nothing here is confirmed; give one to --validate")
+    else:
+        lines += _held_out(result, sum(record.used_s for record in held_out.problem.records))
+    lines += [prior_conflict_sentence(conflict) for conflict in result.prior_conflicts]
+    if not result.search.complete:
+        lines.append("the limit of refits ended the search before everything was tried; raise --budget")
+    return lines
+
+
+def _held_out(result: Diagnosis, seconds: float) -> list[str]:
+    """What weakens the comparison on held-out flights of so many seconds of free flight."""
+    requested_s = result.held_out.requested_s
+    runs = result.held_out.extension.after
+    lines = []
+    if sum(len(run.errors["2"].rows) for run in runs) < FEW_WINDOWS:
+        lines.append(f"only {seconds:.0f} s were held out: too few for the intervals of the ratios")
+    lines += [
+        f"{run.label} is short: its zeros and torques are calibrated on {run.calibrated_s:.1f} s of it, "
+        f"not on {requested_s:g}"
+        for run in runs
+        # A difference of a sample is not worth a line.
+        if run.calibrated_s < 0.99 * requested_s
+    ]
+    return lines
+
+
+def prior_conflict_sentence(conflict: PriorConflict) -> str:
+    """Describe a `conflict` in a sentence without its full stop."""
+    unit = "" if conflict.unit == "1" else f" {conflict.unit}"
+    prior = conflict.prior
+    text = (
+        f"{conflict.name} is estimated as {conflict.value:.3g}{unit}, {abs(conflict.deviations):.1f} "
+        f"standard deviations from its prior, {prior.mean:.3g} \N{PLUS-MINUS SIGN} {prior.std:.2g}{unit} "
+        "(1 standard deviation): either the prior is wrong, or the parameter replaces what the model lacks"
+    )
+    freed = conflict.freed
+    if freed is None:
+        return text
+    return (
+        f"{text}; these flights alone give {freed.value:.3g} \N{PLUS-MINUS SIGN} {freed.std:.2g}{unit} "
+        f"(1 standard error), and are more likely by {freed.log_likelihood_gain:.0f} nats"
+    )

@@ -1,0 +1,284 @@
+"""Figures behind a diagnosis: the whole flight, missing torques, scores, curves.
+
+Margins are set by hand, because matplotlib's own layout takes as long as the rest of the report.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from heli_sim.model.parts import AXES
+
+from heli_lab.diagnose.discover import SplineCurve, accelerations
+from heli_lab.diagnose.result import Diagnosis
+from heli_lab.diagnose.search import Round
+from heli_lab.diagnose.wording import channel_in_words, quantity_in_words, readable_id
+from heli_lab.identify import Fit, Trace, trace
+from heli_lab.identify.functions import Floats
+from heli_lab.innovations import Estimate
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+BEFORE, AFTER = "#d1495b", "#0b5fa5"
+MEASURED: Final = "#30343a"
+"""Colours of the baseline, the extended model and the measurement in all figures."""
+MAX_ROUNDS: Final = 4
+"""Rounds that are drawn; the table has all."""
+_MAX_POINTS: Final = 5000
+_EQUATION_POINTS: Final = 12.0
+
+
+def figure_of_flight(before: Fit, after: Fit) -> Figure:
+    """Draw the flight of the fits `before` and `after`: measured and simulated angles, and their errors."""
+    from matplotlib.figure import Figure
+
+    old, new = trace(before), trace(after)
+    figure = Figure(figsize=(11, 9))
+    panels = figure.subplots(6, 1, sharex=True, height_ratios=[2, 1.2, 2, 1.2, 2, 1.2])
+    figure.subplots_adjust(0.075, 0.06, 0.87, 0.95, hspace=0.12)
+    keep = slice(None, None, max(1, len(old.t_s) // _MAX_POINTS))
+    for axis in range(3):
+        above, below = panels[2 * axis], panels[2 * axis + 1]
+        above.plot(
+            old.t_s[keep], _deg(old.measured_rad, axis, keep), ".", ms=1.8, color=MEASURED, label="measured"
+        )
+        above.plot(*_broken(old, axis), color=BEFORE, lw=1.0, label="simulated before")
+        above.plot(*_broken(new, axis), color=AFTER, lw=1.0, label="simulated after")
+        above.set_ylabel(f"{AXES[axis]} [deg]")
+        for drawn, color in ((old, BEFORE), (new, AFTER)):
+            error = np.rad2deg(drawn.residual[:, axis] * drawn.sigma_rad[axis])
+            below.plot(drawn.t_s[keep], error[keep], color=color, lw=0.7, label=f"rms {_rms(error):.3g}")
+        below.set_ylabel("error [deg]")
+        _beside(below)
+        for panel in (above, below):
+            panel.grid(alpha=0.25)
+    _beside(panels[0])
+    panels[-1].set_xlabel("time [s]; the simulation restarts every 2 s, from the state that fits best")
+    figure.suptitle(f"{old.label}: measured against simulated", fontsize=11)
+    return figure
+
+
+def figure_of_windows(before: Fit, after: Fit) -> Figure:
+    """Draw the window of the largest error of the fit `before` on each axis, with the fit `after`, one panel
+    each.
+    """
+    from matplotlib.figure import Figure
+
+    old, new = trace(before), trace(after)
+    figure = Figure(figsize=(11, 3.4))
+    panels = figure.subplots(1, 3)
+    figure.subplots_adjust(0.06, 0.22, 0.98, 0.92, wspace=0.18)
+    for axis, panel in enumerate(panels):
+        worst = max(old.windows, key=lambda part: float(np.mean(old.residual[part, axis] ** 2)))
+        t_s = old.t_s[worst]
+        panel.plot(
+            t_s, np.rad2deg(old.measured_rad[worst, axis]), ".", ms=3, color=MEASURED, label="measured"
+        )
+        panel.plot(t_s, np.rad2deg(old.predicted_rad[worst, axis]), color=BEFORE, lw=1.3, label="before")
+        panel.plot(t_s, np.rad2deg(new.predicted_rad[worst, axis]), color=AFTER, lw=1.3, label="after")
+        errors_deg = [
+            np.rad2deg(_rms(drawn.residual[worst, axis]) * drawn.sigma_rad[axis]) for drawn in (old, new)
+        ]
+        title = f"{AXES[axis]}: rms {errors_deg[0]:.3g} deg before, {errors_deg[1]:.3g} after"
+        panel.set_title(title, fontsize=9)
+        panel.set_xlabel("time [s]")
+        panel.grid(alpha=0.25)
+    panels[0].set_ylabel("angle [deg]")
+    lines, names = panels[0].get_legend_handles_labels()
+    figure.legend(lines, names, loc="lower center", ncols=3, fontsize=8, frameon=False)
+    return figure
+
+
+def figure_of_torque(diagnosis: Diagnosis) -> Figure:
+    """Draw the missing torque about each axis before and after, over time and as a spectrum."""
+    from matplotlib.figure import Figure
+
+    before, after = (
+        _torque(prediction.estimate)
+        for prediction in (diagnosis.search.baseline, diagnosis.assessment.extended)
+    )
+    figure = Figure(figsize=(11, 6.5))
+    panels = figure.subplots(3, 2, width_ratios=[2.4, 1])
+    figure.subplots_adjust(0.07, 0.08, 0.98, 0.91, wspace=0.12, hspace=0.35)
+    for axis in range(3):
+        for (t_s, torque_Nm), color, label in ((before, BEFORE, "before"), (after, AFTER, "after")):
+            value_mNm = 1e3 * torque_Nm[:, axis]
+            text = f"{label}: rms {_rms(value_mNm):.3g} mN m"
+            panels[axis, 0].plot(*_with_gaps(t_s, value_mNm), color=color, lw=0.7, label=text)
+            panels[axis, 1].loglog(*_spectrum(t_s, value_mNm), color=color, lw=0.9)
+        panels[axis, 0].set_ylabel(f"{AXES[axis]} [mN m]")
+        _above(panels[axis, 0])
+        for panel in panels[axis]:
+            panel.grid(alpha=0.25)
+    figure.suptitle("torque about each axis that the model lacks, and its spectrum", fontsize=11)
+    panels[0, 1].set_title("[mN m / sqrt(Hz)]", fontsize=8)
+    panels[2, 0].set_xlabel("time [s]")
+    panels[2, 1].set_xlabel("frequency [Hz]")
+    return figure
+
+
+def figure_of_ranking(rounds: tuple[Round, ...]) -> Figure:
+    """Draw the scores of the candidates, one panel per round; narrow bars are gains of refits."""
+    from matplotlib.figure import Figure
+
+    shown = rounds[:MAX_ROUNDS]
+    height = 2.9 * len(shown)
+    figure = Figure(figsize=(11, height))
+    panels: Floats = np.atleast_1d(figure.subplots(len(shown), 1))
+    figure.subplots_adjust(0.32, 0.5 / height, 0.98, 1.0 - 0.3 / height, hspace=0.4)
+    for number, (round_, panel) in enumerate(zip(shown, panels, strict=True), 1):
+        _rank(round_, number, panel)
+    panels[-1].set_xlabel("log-likelihood ratio [nats]; grey: score test, blue: refitted", fontsize=9)
+    return figure
+
+
+def _rank(round_: Round, number: int, panel: Axes) -> None:
+    refits = {refit.candidate.id: refit for refit in round_.refits}
+    every = sorted((*round_.screened[:7], *round_.splines[:3]), key=lambda scored: scored.log_likelihood_gain)
+    names = [readable_id(scored.candidate.id) for scored in every]
+    place = np.arange(len(every))
+    gains = [max(scored.log_likelihood_gain, 0.1) for scored in every]
+    panel.barh(place, gains, color="#dddddd", label="score test")
+    for row, scored in enumerate(every):
+        refit = refits.get(scored.candidate.id)
+        if refit is not None:
+            color = AFTER if scored.candidate.id == round_.accepted_id else "#8fb3d1"
+            panel.barh(row, max(refit.gain, 0.1), height=0.4, color=color)
+            text = f"  {refit.gain:.0f} refitted"
+            panel.text(
+                max(scored.log_likelihood_gain, refit.gain, 1.0),
+                row,
+                text,
+                va="center",
+                fontsize=7,
+            )
+    panel.set_xscale("log")
+    most = max([*gains, *(refit.gain for refit in refits.values())])
+    panel.set_xlim(1.0, max(10.0, 5.0 * most))
+    panel.set_yticks(place, names, fontsize=8)
+    outcome = f"accepted: {readable_id(round_.accepted_id)}" if round_.accepted_id else "nothing accepted"
+    panel.set_title(f"round {number}: {outcome}", fontsize=10, loc="left")
+
+
+def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
+    """Draw the acceleration that each cause contributes along the first fitted flight; None without
+    causes.
+    """
+    from matplotlib.figure import Figure
+
+    if not diagnosis.verdict.causes:
+        return None
+    figure = Figure(figsize=(11, 5.5))
+    panels = figure.subplots(3, 1, sharex=True)
+    figure.subplots_adjust(0.08, 0.09, 0.98, 0.9, hspace=0.3)
+    for number, cause in enumerate(diagnosis.verdict.causes):
+        t_s, change = accelerations(diagnosis.assessment.extended.estimate, cause.candidate.id)
+        for axis, panel in enumerate(panels):
+            degrees = np.rad2deg(change[:, axis])
+            size = f"rms {_rms(degrees):.3g} deg/s$^2$" if degrees.any() else "no acceleration"
+            text = f"{cause.candidate.id}: {size}"
+            panel.plot(t_s, degrees, lw=0.7, color=f"C{number}", label=text)
+    for axis, panel in enumerate(panels):
+        panel.set_ylabel(f"{AXES[axis]} [deg/s$^2$]")
+        panel.grid(alpha=0.25)
+        _above(panel)
+    figure.suptitle("acceleration that each cause contributes in the fitted flight", fontsize=11)
+    panels[-1].set_xlabel("time [s]")
+    return figure
+
+
+def figure_of_curves(curves: Sequence[SplineCurve]) -> Figure:
+    """Draw spline terms in the place of causes that the catalogue lacks, one panel per curve, with two
+    standard errors.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 3.4))
+    panels = np.atleast_1d(figure.subplots(1, len(curves)))
+    figure.subplots_adjust(0.08, 0.16, 0.98, 0.92, wspace=0.25)
+    for curve, panel in zip(curves, panels, strict=True):
+        low, high = curve.value - 2.0 * curve.std, curve.value + 2.0 * curve.std
+        panel.fill_between(curve.quantity, low, high, color=AFTER, alpha=0.2, lw=0)
+        panel.plot(curve.quantity, curve.value, color=AFTER)
+        panel.set_xlabel(f"{quantity_in_words(curve.on)} [{curve.quantity_unit}]")
+        panel.set_ylabel(f"{channel_in_words(curve.channel)} [{curve.value_unit}]", fontsize=9)
+        panel.grid(alpha=0.25)
+    return figure
+
+
+def figure_of_latex(latex: str) -> Figure | None:
+    """Typeset an equation in `latex` (without dollar signs); None if matplotlib cannot."""
+    from matplotlib.figure import Figure
+    from matplotlib.mathtext import MathTextParser
+
+    text = "$" + latex.replace("\\boldsymbol", "\\mathbf") + "$"
+    try:
+        width, height, depth, *_ = MathTextParser("path").parse(text, dpi=72)
+    except ValueError:
+        return None
+    scale = _EQUATION_POINTS / 10.0 / 72.0
+    figure = Figure(figsize=(width * scale + 0.1, (height + depth) * scale + 0.1))
+    figure.text(0.5, 0.5, text, ha="center", va="center", fontsize=_EQUATION_POINTS)
+    return figure
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _beside(panel: Axes) -> None:
+    """Legend to the right of a panel."""
+    panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.03), fontsize=8, frameon=False)
+
+
+def _above(panel: Axes) -> None:
+    """Legend in a line above a panel."""
+    place = (1.0, 0.97)
+    panel.legend(loc="lower right", bbox_to_anchor=place, ncols=4, fontsize=8, frameon=False)
+
+
+def _deg(angles_rad: Floats, axis: int, keep: slice) -> Floats:
+    result: Floats = np.rad2deg(angles_rad[keep, axis])
+    return result
+
+
+def _broken(drawn: Trace, axis: int) -> tuple[Floats, Floats]:
+    """A prediction with a gap between windows."""
+    t_s: list[Floats] = []
+    values: list[Floats] = []
+    for window in drawn.windows:
+        step = max(1, len(drawn.t_s) // _MAX_POINTS)
+        part = slice(window.start, window.stop, step)
+        t_s += [drawn.t_s[part], drawn.t_s[window.stop - 1 : window.stop]]
+        values += [np.rad2deg(drawn.predicted_rad[part, axis]), np.array([np.nan])]
+    return np.concatenate(t_s), np.concatenate(values)
+
+
+def _torque(estimate: Estimate) -> tuple[Floats, Floats]:
+    """Times and smoothed disturbance torques about the three axes of the first fitted flight."""
+    t_s, torque_Nm, _ = estimate.filtered().smoothed_torques(
+        estimate.disturbances, np.zeros(len(estimate.theta))
+    )[0]
+    return t_s, torque_Nm
+
+
+def _with_gaps(t_s: Floats, value: Floats) -> tuple[Floats, Floats]:
+    """The same with a gap wherever samples are missing."""
+    after = np.flatnonzero(np.diff(t_s) > 1.5 * np.median(np.diff(t_s))) + 1
+    return np.insert(t_s, after, np.nan), np.insert(value, after, np.nan)
+
+
+def _spectrum(t_s: Floats, value: Floats) -> tuple[Floats, Floats]:
+    step_s = float(np.median(np.diff(t_s)))
+    size = min(len(value), 1 << 10)
+    parts = [value[i : i + size] for i in range(0, len(value) - size + 1, size // 2)]
+    window = np.hanning(size)
+    power = np.mean([np.abs(np.fft.rfft((p - p.mean()) * window)) ** 2 for p in parts], axis=0)
+    density: Floats = np.sqrt(2.0 * power * step_s / np.sum(window**2)).astype(np.float64)
+    frequency: Floats = np.fft.rfftfreq(size, step_s).astype(np.float64)
+    keep = (frequency > 0.0) & (frequency < 20.0)
+    return frequency[keep], np.maximum(density[keep], 1e-6)

@@ -1,0 +1,155 @@
+"""Findings of a diagnosis as lists, dicts and numbers, for its JSON and its sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from heli_sim.model.parts import AXES
+
+from heli_lab.diagnose.evaluate import (
+    CauseParameter,
+    ErrorReduction,
+    ResidualAnalysis,
+    correlates,
+)
+from heli_lab.diagnose.result import Diagnosis
+from heli_lab.diagnose.thresholds import CONFIDENCE_FACTOR_UNEXPLAINED, CONFIDENCE_RANDOM_TORQUE
+
+
+def causes(result: Diagnosis) -> list[dict[str, Any]]:
+    """List the causes, the strongest first: effect, parameters, confidence, sentence, equation, evidence and
+    alternatives of each.
+    """
+    return [*_effects(result), *_random_torque(result), *_absent_terms(result)]
+
+
+def _effects(result: Diagnosis) -> list[dict[str, Any]]:
+    return [
+        {
+            "effect": cause.effect,
+            "parameters": _parameters(cause.parameters),
+            "confidence": round(cause.confidence, 3),
+            "sentence": cause.sentence,
+            "equation": cause.equation,
+            "evidence": {
+                "log_likelihood_ratio_train": cause.train,
+                "log_likelihood_ratio_held_out": cause.held_out,
+                "penalty": cause.penalty,
+                "alternatives": {other.id: other.log_likelihood_ratio for other in cause.alternatives},
+            },
+            "ambiguous_with": list(cause.ambiguous_with),
+        }
+        for cause in result.verdict.causes
+    ]
+
+
+def _random_torque(result: Diagnosis) -> list[dict[str, Any]]:
+    return [
+        {
+            "effect": id_,
+            "parameters": _parameters(values),
+            "confidence": CONFIDENCE_RANDOM_TORQUE,
+            "sentence": result.kinds[id_].describe(
+                {key: number.value for key, number in values.items()},
+                {key: number.std for key, number in values.items()},
+            ),
+            "equation": result.kinds[id_].equation,
+            "evidence": {"log_likelihood_ratio": float(result.assessment.residual_analysis.gains.max())},
+            "ambiguous_with": [],
+        }
+        for id_, values in result.random_torque.items()
+    ]
+
+
+def _absent_terms(result: Diagnosis) -> list[dict[str, Any]]:
+    factor = CONFIDENCE_FACTOR_UNEXPLAINED if result.label == "unexplained" else 1.0
+    found = []
+    for term in result.assessment.absent:
+        kind = result.kinds[term.id]
+        (name,) = kind.size
+        found.append(
+            {
+                "effect": term.id,
+                "parameters": _parameters({name: CauseParameter(term.share, term.std, "1")}),
+                "confidence": round(term.confidence * factor, 3),
+                "sentence": kind.describe({name: term.share}, {name: term.std}),
+                "equation": kind.equation,
+                "evidence": {
+                    "standard_errors_from_zero": term.z_from_zero,
+                    "standard_errors_from_rig": term.z_from_rig,
+                },
+                "ambiguous_with": [],
+            }
+        )
+    return found
+
+
+def unexplained(result: Diagnosis) -> dict[str, Any] | None:
+    """Describe what no effect explains: axis, dependences, share of the variance; None if everything is
+    explained.
+    """
+    if result.label != "unexplained":
+        return None
+    residual = result.assessment.residual_analysis
+    if not result.verdict.unlisted:
+        # The same quantity may be listed as a spline and as a linear term.
+        named = list(dict.fromkeys(dependence.what for dependence in residual.dependences))
+        channel = named[0].split(" on ")[0].rpartition(".")[2]
+        axis = channel if channel in AXES else residual.axis
+        return {
+            "axis": axis,
+            "correlates_with": named,
+            "share_of_variance": round(residual.predictable_share, 4),
+            "log_likelihood_gain": residual.dependences[0].log_likelihood_gain,
+        }
+    strongest = result.verdict.unlisted[0]
+    _, channel, on = strongest.candidate.id.split(":")
+    first = next(r for r in result.search.rounds if r.accepted_id == strongest.candidate.id)
+    others = [name for name in correlates(first.splines) if name != f"{channel} on {on}"]
+    where = channel.rpartition(".")[2]
+    axis = where if where in AXES else ("pitch" if where == "difference" else "elevation")
+    reductions = result.held_out.splines
+    return {
+        "axis": axis,
+        "channel": channel,
+        "correlates_with": [f"{channel} on {on}", *others],
+        "share_of_variance": round(max(0.0, 1.0 - reductions[axis].ratio ** 2), 4),
+        "log_likelihood_gain": strongest.train,
+        "splines": [cause.candidate.id.removeprefix("spline:") for cause in result.verdict.unlisted],
+        "gain_with_splines": gains(reductions),
+    }
+
+
+def disturbances(analysis: ResidualAnalysis) -> dict[str, dict[str, float]]:
+    """Write the disturbances about each axis: size and correlation time of the fast part, size of the slow
+    part, and log-likelihood ratio.
+    """
+    estimated = analysis.disturbances
+    return {
+        axis: {
+            "fast_std_Nm": float(estimated.fast_std_Nm[i]),
+            "correlation_time_s": float(estimated.correlation_time_s[i]),
+            "slow_std_Nm": float(estimated.slow_std_Nm[i]),
+            "log_likelihood_ratio": float(analysis.gains[i]),
+        }
+        for i, axis in enumerate(AXES)
+    }
+
+
+def gains(reductions: Mapping[str, ErrorReduction]) -> dict[str, dict[str, Any]]:
+    """Write error `reductions` by axis: errors before and after in degrees, ratio and its 95 % interval."""
+    return {
+        axis: {
+            "before": reduction.before_deg,
+            "after": reduction.after_deg,
+            "ratio": reduction.ratio,
+            "interval95": list(reduction.interval95),
+        }
+        for axis, reduction in reductions.items()
+    }
+
+
+def _parameters(parameters: Mapping[str, CauseParameter]) -> dict[str, dict[str, float | str]]:
+    return {name: asdict(parameter) for name, parameter in parameters.items()}

@@ -1,0 +1,396 @@
+"""The report of a diagnosis: one self-contained HTML page, and its figures as PNG."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from heli_sim.model.parts import AXES
+
+from heli_lab.diagnose.discover import MissingTerm, missing_term
+from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
+from heli_lab.diagnose.report import equation_figures, figures
+from heli_lab.diagnose.report.result_figures import (
+    figure_of_gain,
+    figure_of_missing_terms,
+    figure_of_prediction,
+)
+from heli_lab.diagnose.report.sentences import disturbances_in_words, summary, title
+from heli_lab.diagnose.report.serialize import proposal_json, to_json
+from heli_lab.diagnose.result import Diagnosis
+from heli_lab.diagnose.wording import SHOWN, dependence_in_words, readable_id
+from heli_lab.identify import trace
+from heli_lab.identify.result import rounded
+from heli_lab.page import folder_with, write_page
+from heli_lab.page.drawing import Drawing, Picture
+
+_WHEN: Final = ("before", "after")
+_Kept = Callable[[str, Any], Picture | None]
+_PAGE: Final = Path(__file__).with_name("report.html")
+_DOTS: Final = (
+    "Each grey dot is 40 ms of the fitted flights; black dots are means. A Kalman smoother estimates the "
+    "missing torque after the cause was removed from the model, with all other parameters unchanged. The "
+    "equation of the cause has no part in that estimate."
+)
+_POINTS: Final = (
+    "Points are a smooth curve that is estimated in the place of the cause, with two standard errors. The "
+    "equation of the cause has no part in that estimate."
+)
+_NOTHING_FLEW: Final = Path(__file__).with_name("insufficient_excitation.html")
+
+
+def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | None = None) -> Path:
+    """Write a report: index.html, result.json, figures as PNG, and the effect file of a proposed equation.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        The result.
+    folder : str or Path
+        Folder to write into; it is made if it is missing.
+    drawing : Drawing, optional
+        Draws the figures, in a second process if it has one.
+
+    Returns
+    -------
+    Path
+        The page.
+    """
+    drawing = drawing or Drawing()
+    numbers = to_json(diagnosis)
+    folder = folder_with(numbers, folder)
+    held_out = diagnosis.held_out.extension
+    before, after = held_out.before[0].fit, held_out.after[0].fit
+    size = figures.figure_of_size(diagnosis)
+    terms = missing_terms(diagnosis)
+    curves = diagnosis.curves
+    extended = before is not after
+
+    def kept(name: str, figure: Any) -> Picture | None:
+        return None if figure is None else drawing.add(figure, folder / f"{name}.png")
+
+    if diagnosis.proposal is not None:
+        write_effect_file(diagnosis, folder)
+    return write_page(
+        folder,
+        _PAGE,
+        title=title(diagnosis),
+        label=diagnosis.label,
+        extended=extended,
+        sentence=numbers["sentence"],
+        cautions=[_sentence(caution) for caution in numbers["cautions"]],
+        cause=_cause(terms, kept),
+        judged="a flight that no fit used"
+        if diagnosis.assessment.after.held_out_fit
+        else "the fitted flight",
+        prediction=kept("prediction", figure_of_prediction(before, after, _axis(diagnosis, terms))),
+        gain={
+            "address": kept("gain", figure_of_gain(held_out.horizons, extended)),
+            "rows": _gain(numbers["gain"]["axis"]),
+        },
+        causes=[_cause_rows(cause, kept) for cause in numbers["causes"]],
+        unknown=_unknown(numbers["unexplained"]),
+        curves=kept("curves", figures.figure_of_curves(curves)) if curves else None,
+        disturbances=_disturbances(diagnosis, numbers),
+        equation=_equation(diagnosis, kept),
+        regions=kept("regions", equation_figures.figure_of_failing_regions(diagnosis.failing)),
+        torque=kept("torque", figures.figure_of_torque(diagnosis)),
+        ranking={
+            "address": kept("ranking", figures.figure_of_ranking(diagnosis.search.rounds)),
+            "rows": _ranking(numbers["ranking"]),
+            "more": _more_rounds(diagnosis),
+        },
+        next_flight=numbers["next_flight"],
+        windows=kept("windows", figures.figure_of_windows(before, after)),
+        flight=kept("flight", figures.figure_of_flight(before, after)),
+        size=kept("size", size),
+        calibration=_calibration(numbers["gain"]["calibration"]),
+        residual=_residual(numbers["residual"]),
+        used=_used(numbers["flights"]),
+        took=f"It took {numbers['refits']} refits of the model, {numbers['seconds_taken']:.0f} s here.",
+    )
+
+
+def write_effect_file(diagnosis: Diagnosis, folder: str | Path) -> Path:
+    """Write the effect file of the proposed equation of a `diagnosis`, which must have one, as
+    ``proposed.py`` into a `folder`, which is made if it is missing; return the file.
+    """
+    assert diagnosis.proposed_term is not None
+    labels = ", ".join(record.label for record in diagnosis.assessment.after.fit.problem.records)
+    head = f"Equation proposed by heli-host diagnose from {labels} for what no effect explains."
+    path = Path(folder) / "proposed.py"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(diagnosis.proposed_term.effect_file(head), encoding="utf-8")
+    return path
+
+
+def write_insufficient_excitation(result: InsufficientExcitation, folder: str | Path) -> Path:
+    """Write the page of a `result` without excitation, and result.json, into a `folder`, which is made if it
+    is missing; return the page.
+    """
+    numbers = to_json(result)
+    return write_page(
+        folder_with(numbers, folder),
+        _NOTHING_FLEW,
+        title="These flights excite nothing",
+        sentence=summary(result),
+        undetectable=result.undetectable,
+        unidentifiable=result.unidentifiable,
+        next_flight=numbers["next_flight"],
+    )
+
+
+def missing_terms(diagnosis: Diagnosis) -> list[MissingTerm]:
+    """Compute what the model lacks without each of the two strongest causes of a `diagnosis`, spline terms
+    first. A random torque and an absent term have no such figure.
+    """
+    verdict = diagnosis.verdict
+    terms = []
+    for cause in (*verdict.unlisted, *verdict.causes)[:2]:
+        whole = diagnosis.search.final if cause.candidate.is_spline else diagnosis.assessment.extended
+        terms.append(missing_term(whole.estimate, cause.candidate))
+    return terms
+
+
+def _axis(diagnosis: Diagnosis, terms: Sequence[MissingTerm]) -> str:
+    """The axis whose angle is drawn: with the most visible error reduction, or where something is missing."""
+    seen = trace(diagnosis.held_out.extension.before[0].fit)
+    extended = diagnosis.assessment.extended.candidates
+    ranges_deg = dict(zip(AXES, np.rad2deg(np.ptp(seen.measured_rad, axis=0)), strict=True))
+
+    def shows(axis: str) -> float:
+        """Error reduction, or the error if no model was extended, as a share of the picture."""
+        reduction = diagnosis.error_reductions[axis]
+        after_deg = reduction.after_deg if extended else 0.0
+        return float((reduction.before_deg - after_deg) / max(ranges_deg[axis], 1e-9))
+
+    return terms[0].axis if terms and not extended else max(AXES, key=shows)
+
+
+def _cause(terms: Sequence[MissingTerm], kept: _Kept) -> dict[str, Any] | None:
+    if not terms:
+        return None
+    return {
+        "address": kept("cause", figure_of_missing_terms(terms)),
+        "meaning": "; ".join(f"missing {term.what} about {term.axis} over {term.on}" for term in terms),
+        "caption": " ".join(
+            [
+                *(_caption(term) for term in terms),
+                _DOTS if any(term.what == "torque" for term in terms) else _POINTS,
+            ]
+        ),
+    }
+
+
+def _caption(term: MissingTerm) -> str:
+    name = readable_id(term.id)
+    return f"{name}: its equation explains {100 * max(term.share, 0.0):.0f} % of the variance."
+
+
+def _equation(diagnosis: Diagnosis, kept: _Kept) -> dict[str, Any] | None:
+    """The proposed equation with its figure."""
+    if diagnosis.proposal is None:
+        return None
+    proposed = diagnosis.proposal.term
+    numbers, discovery = proposal_json(diagnosis.proposal), proposed.discovery
+    confirmed = (
+        "no other flight confirms it"
+        if discovery.held_out is None
+        else f"{discovery.held_out:.0f} on held-out flights"
+    )
+    return {
+        "sentence": proposed.sentence,
+        "evidence": f"Confidence {proposed.confidence:.2f}: log-likelihood ratio {discovery.train:.0f} nats "
+        f"on the fitted flights, {confirmed}, the best of {discovery.tried} terms.",
+        "address": kept("equation", equation_figures.figure_of_equation(proposed)),
+        "rows": [
+            # A dimensionless parameter is shown as it is, not in per cent.
+            [name, f"{number['value']:g}", ""]
+            if number["unit"] == "1" and not number["std"]
+            else [name, _plus_minus(number, number["unit"]), _shown_unit(number["unit"])]
+            for name, number in numbers["numbers"].items()
+        ],
+        "rivals": [[rival.key, f"{rival.log_likelihood_ratio:.0f}"] for rival in discovery.rivals],
+        "gain": _gain(numbers["gain"]),
+    }
+
+
+def _gain(gain: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
+    return [
+        [
+            axis,
+            f"{reduction['before']:.3g}",
+            f"{reduction['after']:.3g}",
+            f"{reduction['ratio']:.2f}",
+            f"{reduction['interval95'][0]:.2f} to {reduction['interval95'][1]:.2f}",
+        ]
+        for axis, reduction in gain.items()
+    ]
+
+
+def _calibration(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Constants that were calibrated on the beginning of each validation flight."""
+    return [
+        {
+            "rows": [
+                [
+                    name,
+                    *(
+                        _plus_minus(n, n["unit"])
+                        for m in (flight["before"], flight["after"])
+                        for n in _pair(m[name])
+                    ),
+                    _shown_unit(number["unit"]),
+                ]
+                for name, number in flight["after"].items()
+            ],
+            "note": f"{flight['flight']}: zeros and constant torques from its first "
+            f"{flight['calibrated_s']:.1f} s of free flight; "
+            f"the next {flight['evaluated_s']:.1f} s are evaluated.",
+        }
+        for flight in flights
+        if flight["after"]
+    ]
+
+
+def _pair(number: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    return {**number["prior"], "unit": number["unit"]}, number
+
+
+def _plus_minus(number: Mapping[str, Any], unit: str) -> str:
+    factor, _ = SHOWN.get(unit, (1.0, unit))
+    value, std = factor * number["value"], factor * number["std"]
+    return f"{rounded(value, std)} ± {rounded(std, std) if std else 'fixed'}"
+
+
+def _shown_unit(unit: str) -> str:
+    return SHOWN.get(unit, (1.0, unit))[1]
+
+
+def _cause_rows(cause: dict[str, Any], kept: _Kept) -> dict[str, Any]:
+    others = ", ".join(cause["ambiguous_with"])
+    evidence = ", ".join(
+        f"{name.replace('_', ' ')} {value:.3g}"
+        for name, value in cause["evidence"].items()
+        if isinstance(value, float)
+    )
+    equation = figures.figure_of_latex(cause["equation"])
+    return {
+        "effect": cause["effect"],
+        "confidence": f"{cause['confidence']:.2f}",
+        "sentence": _capital(cause["sentence"]),
+        "unclear": f" These flights do not distinguish it from {others}." if others else "",
+        "latex": cause["equation"],
+        "equation": kept(f"equation-{cause['effect']}", equation),
+        "rows": [
+            [name, _plus_minus(n, n["unit"]), _shown_unit(n["unit"])]
+            for name, n in cause["parameters"].items()
+        ],
+        "evidence": f"Evidence: {evidence}.",
+    }
+
+
+def _residual(residual: dict[str, Any]) -> dict[str, Any]:
+    role = "held_out" if "held_out" in residual["white"] else "train"
+    correlation = residual["correlation"][role]
+    rows = [
+        [
+            axis,
+            *(f"{errors[when]:.3f}" for when in _WHEN),
+            *(f"{correlation[when][axis]:.2f}" for when in _WHEN),
+            "yes" if residual["white"][role]["after"][axis] else "no",
+        ]
+        for axis, errors in residual["axis"].items()
+    ]
+    whole = residual["normalised"]
+    rows.append(["all", *(f"{whole[when]:.3f}" for when in _WHEN), "", "", ""])
+    rows.append(["all, held out", *(f"{whole[f'held_out_{when}']:.3f}" for when in _WHEN), "", "", ""])
+    where = "held-out" if role == "held_out" else "fitted"
+    innovations = residual["innovations"]
+    worst = max(abs(value) for values in innovations["autocorrelation"].values() for value in values)
+    return {
+        "rows": rows,
+        "note": "Root mean square error in the fitted flight in standard deviations of the quantisation: 1 "
+        f"if nothing is missing. Autocorrelation over 0.1 s in the {where} flight; white if it is within "
+        "three standard deviations of that of white noise. Innovations (one-step prediction errors) have an "
+        f"autocorrelation of at most {worst:.2f} over "
+        f"{innovations['lags_s'][0]:.2g} to {innovations['lags_s'][-1]:.2g} s; white noise would stay below "
+        f"{innovations['bound']:.2f}.",
+    }
+
+
+def _unknown(missing: dict[str, Any] | None) -> dict[str, Any] | None:
+    if missing is None:
+        return None
+    return {
+        "said": f"No effect of the catalogue explains a part of the motion about {missing['axis']} that can "
+        f"be predicted: log-likelihood ratio {missing['log_likelihood_gain']:.0f} nats. It may be, the most "
+        "likely first:",
+        "depends": [_capital(dependence_in_words(dependence)) for dependence in missing["correlates_with"]],
+        "gain": _gain(missing.get("gain_with_splines", {})),
+    }
+
+
+def _disturbances(diagnosis: Diagnosis, numbers: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "said": f"Disturbances, torques that no model predicts: {disturbances_in_words(diagnosis)}.",
+        "rows": [
+            [
+                axis,
+                f"{1e3 * values['fast_std_Nm']:.2g}",
+                f"{values['correlation_time_s']:.2g}",
+                f"{1e3 * values['slow_std_Nm']:.2g}",
+                f"{values['log_likelihood_ratio']:.0f}",
+            ]
+            for axis, values in numbers["disturbances"].items()
+        ],
+    }
+
+
+def _ranking(ranking: Sequence[dict[str, Any]]) -> list[list[str]]:
+    def cell(value: float | None) -> str:
+        return "" if value is None else f"{value:.0f}"
+
+    return [
+        [
+            f"{round_['round']}: {readable_id(round_['candidate'])}"
+            f"{' (accepted)' if round_['taken'] else ''}",
+            cell(round_["score"]),
+            cell(round_["train"]),
+            cell(round_["penalty"]),
+        ]
+        for round_ in ranking
+        if round_["train"] is not None or round_["score"] > 3.0
+    ]
+
+
+def _more_rounds(diagnosis: Diagnosis) -> str:
+    more = len(diagnosis.search.rounds) - figures.MAX_ROUNDS
+    return f" {more} later rounds are in the table." if more > 0 else ""
+
+
+def _used(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    used = []
+    for flight in flights:
+        role = "fitted" if flight["role"] == "train" else "held out"
+        spans = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in flight["used"])
+        notes = "".join(f" {note}." for note in flight["notes"])
+        used.append(
+            {
+                "said": f"{flight['flight']}, {role}: {flight['seconds_used']:.1f} s used ({spans}).{notes}",
+                "left_out": [
+                    [f"{c['from_s']:.2f}", f"{c['to_s']:.2f}", c["why"]] for c in flight["left_out"]
+                ],
+            }
+        )
+    return used
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _sentence(text: str) -> str:
+    return f"{_capital(text)}."

@@ -1,0 +1,221 @@
+"""The main figures of a diagnosis: the cause, the prediction, the error reduction."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from heli_sim.model.parts import AXES
+
+from heli_lab.diagnose.discover import MissingTerm
+from heli_lab.diagnose.evaluate import ErrorReduction
+from heli_lab.diagnose.report.figures import AFTER, BEFORE, MEASURED
+from heli_lab.identify import Fit, Trace, trace
+from heli_lab.identify.functions import Floats
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_BINS: Final = 24
+"""Number of means over equal parts of the dots: fewer hide a bend, more show noise."""
+_TAIL: Final = 0.003
+"""Share of the dots at each end that may be outside the picture, so that outliers do not flatten the rest."""
+_EXCERPT_s: Final = 40.0
+"""Longest part of a prediction that is drawn: in a longer one, runs of 2 s are not visible."""
+_MAX_DOTS: Final = 4000
+
+
+def figure_of_missing_terms(terms: Sequence[MissingTerm]) -> Figure:
+    """Draw the missing torques or angles of `terms` over the quantities that they depend on, one row per
+    cause: before, with the equation of the cause, on the left; after, with the cause in the model, on the
+    right.
+    """
+    from matplotlib.figure import Figure
+
+    rows = len(terms)
+    figure = Figure(figsize=(11, 4.1 * rows))
+    panels = figure.subplots(rows, 2, sharey="row", squeeze=False)
+    high = 4.1 * rows
+    figure.subplots_adjust(0.085, 0.62 / high, 0.985, 1.0 - 0.42 / high, wspace=0.05, hspace=0.42)
+    for term, (before, after) in zip(terms, panels, strict=True):
+        noun = f"torque about {term.axis}" if term.what == "torque" else f"angle of the {term.axis} encoder"
+        _dots(before, term.missing, term)
+        _dots(after, term.remaining, term)
+        quantity, value = (
+            _binned(term.quantity, term.contribution, 4 * _BINS)
+            if term.what == "torque"
+            else (term.quantity, term.contribution)
+        )
+        before.plot(quantity, value, color=AFTER, lw=2.2, label="equation of the cause")
+        before.set_title(f"before: {noun} that the model lacks", fontsize=10.5, color=BEFORE, loc="left")
+        after.set_title(
+            "after: what remains with the cause in the model", fontsize=10.5, color=AFTER, loc="left"
+        )
+        before.set_ylabel(f"{noun} [{term.unit}]", fontsize=10)
+        for panel in (before, after):
+            panel.axhline(0.0, color="#9aa0a6", lw=0.8, zorder=0)
+            panel.set_xlabel(f"{term.on} [{term.on_unit}]", fontsize=10)
+            panel.grid(alpha=0.25)
+        wide = 2.0 * term.std if term.what == "angle" else np.zeros(1)
+        shown = np.concatenate((term.missing - wide, term.missing + wide, term.remaining, term.contribution))
+        low, top = np.quantile(shown, [_TAIL, 1.0 - _TAIL])
+        margin = 0.12 * (top - low)
+        before.set_ylim(min(low, value.min()) - margin, max(top, value.max()) + margin)
+        ends = np.quantile(term.quantity, [_TAIL, 1.0 - _TAIL])
+        for panel in (before, after):
+            panel.set_xlim(*(ends + np.array([-0.03, 0.03]) * np.ptp(ends)))
+        before.legend(loc="best", fontsize=9, framealpha=0.85)
+    return figure
+
+
+def _dots(panel: Axes, value: Floats, term: MissingTerm) -> None:
+    quantity = term.quantity
+    if term.what == "angle":
+        panel.errorbar(
+            quantity,
+            value,
+            2.0 * term.std,
+            fmt="o",
+            ms=4,
+            lw=1,
+            color=MEASURED,
+            label="from the flights",
+        )
+        return
+    keep = slice(None, None, max(1, len(quantity) // _MAX_DOTS))
+    panel.plot(quantity[keep], value[keep], ".", ms=2.5, color="#b4b9bf", rasterized=True)
+    panel.plot(*_binned(quantity, value, _BINS), "o", ms=5, color=MEASURED, label="from the flights, means")
+
+
+def _binned(quantity: Floats, value: Floats, bins: int) -> tuple[Floats, Floats]:
+    """Means over `bins` parts of equally many dots."""
+    parts = np.array_split(np.argsort(quantity), min(bins, len(quantity)))
+    return np.array([quantity[part].mean() for part in parts]), np.array(
+        [value[part].mean() for part in parts]
+    )
+
+
+def figure_of_prediction(before: Fit, after: Fit, first: str) -> Figure:
+    """Draw free runs of 2 s: the angle of an axis, and the errors of all three axes.
+
+    Parameters
+    ----------
+    before, after : Fit
+        Fits of the baseline and of the extended model to the same flight; only one curve if they are the
+        same. Of a long flight, the part with the largest errors of the baseline is drawn.
+    first : str
+        The axis whose angle is drawn.
+    """
+    from matplotlib.figure import Figure
+
+    old, new = trace(before), trace(after)
+    order = sorted(range(3), key=lambda axis: AXES[axis] != first)
+    keep = _excerpt(old, order[0])
+    t_s = old.t_s[keep]
+    figure = Figure(figsize=(11, 7.2))
+    panels = figure.subplots(4, 1, sharex=True, height_ratios=[2.4, 1.3, 1.0, 1.0])
+    figure.subplots_adjust(0.085, 0.075, 0.985, 0.955, hspace=0.13)
+    angle = panels[0]
+    measured = np.rad2deg(old.measured_rad[keep, order[0]])
+    angle.plot(t_s, measured, ".", ms=2.2, color=MEASURED, label="measured")
+    models = [(old, BEFORE, "baseline"), (new, AFTER, "extended")][: 1 if before is after else 2]
+    for run, color, label in models:
+        for window in (w for w in run.windows if w.start >= keep.start and w.stop <= keep.stop):
+            name = label if window.start == keep.start else None
+            angle.plot(
+                run.t_s[window],
+                np.rad2deg(run.predicted_rad[window, order[0]]),
+                color=color,
+                lw=1.1,
+                label=name,
+            )
+            for panel, axis in zip(panels[1:], order, strict=True):
+                error_deg = np.rad2deg(run.predicted_rad[window, axis] - run.measured_rad[window, axis])
+                panel.plot(run.t_s[window], error_deg, color=color, lw=0.9)
+    angle.set_ylabel(f"{AXES[order[0]]} [deg]", fontsize=10)
+    for panel, axis in zip(panels[1:], order, strict=True):
+        panel.axhline(0.0, color="#9aa0a6", lw=0.8, zorder=0)
+        panel.set_ylabel(f"{AXES[axis]}\nerror [deg]", fontsize=9)
+    for panel in panels:
+        panel.grid(alpha=0.25)
+        panel.margins(x=0.01)
+    figure.legend(
+        *angle.get_legend_handles_labels(),
+        loc="upper right",
+        ncols=3,
+        fontsize=9,
+        frameon=False,
+        markerscale=4,
+    )
+    angle.set_title(f"{old.label}, predicted in runs of 2 s", fontsize=10.5, loc="left")
+    panels[-1].set_xlabel("time of the flight [s]", fontsize=10)
+    return figure
+
+
+def _excerpt(drawn: Trace, axis: int) -> slice:
+    """Consecutive windows, of at most `_EXCERPT_s` in total, with the largest error of an axis."""
+    spans = [
+        (drawn.t_s[a.start], drawn.t_s[b.stop - 1], a.start, b.stop)
+        for a in drawn.windows
+        for b in drawn.windows
+    ]
+    fits = [(a, b) for start_s, stop_s, a, b in spans if 0.0 < stop_s - start_s <= _EXCERPT_s]
+    if not fits:
+        return slice(drawn.windows[0].start, drawn.windows[0].stop)
+    squares = np.concatenate(([0.0], np.cumsum(drawn.residual[:, axis] ** 2)))
+    return slice(*max(fits, key=lambda span: float(squares[span[1]] - squares[span[0]])))
+
+
+def figure_of_gain(horizons: Mapping[str, Mapping[str, ErrorReduction]], extended: bool) -> Figure:
+    """Draw free-run errors before and after by horizon, one panel per axis, with 95 % intervals of their
+    ratio.
+
+    Parameters
+    ----------
+    horizons : Mapping[str, Mapping[str, ErrorReduction]]
+        Error reductions by horizon and axis.
+    extended : bool
+        Whether there is an extended model; otherwise only errors of the baseline are drawn.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 3.5))
+    panels = figure.subplots(1, 3)
+    figure.subplots_adjust(0.065, 0.155, 0.985, 0.86, wspace=0.18)
+    place = np.arange(len(horizons))
+    for axis, panel in zip(AXES, panels, strict=True):
+        measured = [horizon[axis] for horizon in horizons.values()]
+        before = np.array([reduction.before_deg for reduction in measured])
+        after = np.array([reduction.after_deg for reduction in measured])
+        ends = before * np.array([reduction.interval95 for reduction in measured]).T
+        panel.bar(place - (0.18 if extended else 0.0), before, 0.32, color=BEFORE, label="baseline")
+        panel.set_xticks(place, [f"{key} s" for key in horizons])
+        panel.set_title(axis, fontsize=10.5)
+        panel.set_xlabel("length of the free run", fontsize=9)
+        panel.grid(axis="y", alpha=0.25)
+        panel.set_axisbelow(True)
+        if not extended:
+            continue
+        panel.bar(place + 0.18, after, 0.32, color=AFTER, label="extended")
+        whiskers = np.abs(ends - after)
+        panel.errorbar(
+            place + 0.18, after, whiskers, fmt="none", ecolor=MEASURED, elinewidth=1.2, capsize=3.5
+        )
+        top = np.maximum(before, np.maximum(after, ends[1]))
+        highest = float(top.max())
+        for where, height, reduction in zip(place, top, measured, strict=True):
+            panel.text(
+                where,
+                height + 0.03 * highest,
+                f"\N{MULTIPLICATION SIGN} {reduction.ratio:.2f}",
+                ha="center",
+                fontsize=10,
+            )
+        panel.set_ylim(0.0, 1.2 * highest or 1.0)
+    panels[0].set_ylabel("rms error [deg]", fontsize=10)
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="upper right", ncols=2, fontsize=9, frameon=False
+    )
+    return figure

@@ -1,0 +1,147 @@
+"""A diagnosis in sentences, for a terminal and for a page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from heli_lab.diagnose.evaluate import ErrorReduction
+from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
+from heli_lab.diagnose.report import findings
+from heli_lab.diagnose.report.cautions import cautions
+from heli_lab.diagnose.result import Diagnosis, Proposal
+from heli_lab.diagnose.thresholds import CONFIDENCE_NATS, REPORT_DISTURBANCE_NATS, REPORT_RATIO
+from heli_lab.diagnose.wording import dependence_in_words
+
+METRIC: Final = "2 s free-run rms on the validation flights, deg"
+"""What the error reductions measure if flights are held out."""
+
+
+def title(result: Diagnosis) -> str:
+    """Write the verdict as a headline that claims no more than `summary` does."""
+    named = [cause["effect"] for cause in findings.causes(result)]
+    return {
+        "explained": "Nothing is missing that these flights show",
+        "cause_found": f"Cause{'s' if len(named) > 1 else ''} found: {', '.join(named)}",
+        "ambiguous": "Cause found, but not distinguished from others",
+        "unexplained": "Something unknown is missing" + (", perhaps with known causes" if named else ""),
+    }[result.label]
+
+
+def summary(result: Diagnosis | InsufficientExcitation) -> str:
+    """Write the result in a sentence or two: the same on the page, on a terminal and in the JSON."""
+    if isinstance(result, InsufficientExcitation):
+        return f"These flights do not show what the model lacks: {result.why}."
+    cut = (
+        "" if result.search.complete else " The limit of refits ended the search before everything was tried."
+    )
+    return _verdict(result) + cut
+
+
+def _verdict(result: Diagnosis) -> str:
+    label = result.label
+    causes = findings.causes(result)
+    held_out = result.assessment.after.held_out_fit
+    where = "flights that no fit used" if held_out else "the fitted flights"
+    remaining = f" What remains are disturbances: {disturbances_in_words(result)}."
+    if label == "explained":
+        return (
+            "Nothing is missing that these flights could show: the errors of the refitted baseline on "
+            f"{where} cannot be predicted.{remaining}"
+        )
+    if label in ("cause_found", "ambiguous"):
+        text = "; ".join(cause["sentence"] for cause in causes)
+        others = sorted({other for cause in causes for other in cause["ambiguous_with"]})
+        unclear = f" These flights do not distinguish it from {', '.join(others)}." if others else ""
+        return f"{text[:1].upper()}{text[1:]}.{unclear}{remaining}"
+    missing = findings.unexplained(result) or {}
+    text = (
+        "Something is missing that no effect of the catalogue explains: "
+        f"{dependence_in_words(missing['correlates_with'][0])} predicts the motion about {missing['axis']} "
+        f"(log-likelihood ratio {missing['log_likelihood_gain']:.0f} nats)."
+    )
+    if causes:
+        perhaps = "; ".join(f"{cause['sentence']} (confidence {cause['confidence']:.2f})" for cause in causes)
+        text += f" Together with it, perhaps: {perhaps}."
+    return text
+
+
+def disturbances_in_words(result: Diagnosis) -> str:
+    """List the significant fast disturbances with their size and correlation time."""
+    parts = [
+        f"{1e3 * values['fast_std_Nm']:.2g} mN m about {axis} "
+        f"with a correlation time of {values['correlation_time_s']:.1g} s"
+        for axis, values in findings.disturbances(result.assessment.residual_analysis).items()
+        if values["log_likelihood_ratio"] > REPORT_DISTURBANCE_NATS
+    ]
+    return ", ".join(parts) or "none that is significant"
+
+
+def lines(result: Diagnosis | InsufficientExcitation) -> list[str]:
+    """List the numbers behind the summary, one line each."""
+    if isinstance(result, InsufficientExcitation):
+        return [
+            f"undetectable effects: {', '.join(result.undetectable)}",
+            f"unidentifiable parameters: {', '.join(result.unidentifiable)}",
+            f"next flight: {result.next_flight.why}",
+        ]
+    lines = []
+    for cause in findings.causes(result):
+        others = cause["ambiguous_with"]
+        unclear = f"; not distinguished from {', '.join(others)}" if others else ""
+        lines.append(f"{cause['effect']} (confidence {cause['confidence']:.2f}{unclear})")
+    lines.append(f"{metric(result)}, before and after, and their ratio:")
+    for axis, reduction in result.error_reductions.items():
+        low, high = reduction.interval95
+        lines.append(
+            f"  {axis:9}  {reduction.before_deg:<7.3g} {reduction.after_deg:<7.3g} {reduction.ratio:.2f} "
+            f"({low:.2f} to {high:.2f})"
+        )
+    lines += [f"a curve in its place: {curve.what}" for curve in result.curves]
+    lines += _reductions(result.held_out.splines)
+    if result.proposal is not None:
+        lines += proposal_lines(result.proposal)
+    elif result.label == "unexplained":
+        lines.append("no equation of a few terms explains it and is confirmed by another flight")
+    if result.next_flight is not None:
+        lines.append(f"next flight: {result.next_flight.why}")
+    elif result.undetectable:
+        lines.append(f"these flights would not show at a typical size: {', '.join(result.undetectable)}")
+    return lines + cautions(result)
+
+
+def metric(result: Diagnosis) -> str:
+    """Name what the error reductions measure, with its unit."""
+    return METRIC if result.assessment.after.held_out_fit else METRIC.replace("validation", "fitted")
+
+
+def proposal_lines(proposal: Proposal) -> list[str]:
+    """Describe a proposed equation, one line per fact."""
+    term, discovery = proposal.term, proposal.term.discovery
+    confirmed = (
+        "no other flight confirms it"
+        if discovery.held_out is None
+        else f"{discovery.held_out:.0f} on held-out flights"
+    )
+    lines = [
+        f"proposed equation: {term.sentence} (confidence {term.confidence:.2f}; "
+        f"{discovery.train:.0f} nats on the fitted flights, {confirmed})"
+    ]
+    for name, (value, std, unit) in discovery.values.items():
+        error = f" \N{PLUS-MINUS SIGN} {std:.2g}" if std else ""
+        lines.append(f"  {name} = {value:.4g}{error} {'' if unit == '1' else unit}".rstrip())
+    close = [rival.key for rival in discovery.rivals if rival.log_likelihood_ratio < CONFIDENCE_NATS]
+    if close:
+        lines.append(f"  nearly as likely on these flights: {'; '.join(close)}")
+    lines += _reductions(proposal.evaluation.reductions)
+    if discovery.superfluous:
+        lines.append(f"  not needed any more with it: {', '.join(discovery.superfluous)}")
+    return lines
+
+
+def _reductions(reductions: Mapping[str, ErrorReduction]) -> list[str]:
+    return [
+        f"  with it {axis} has an error of {reduction.after_deg:.3g} deg, ratio {reduction.ratio:.2f}"
+        for axis, reduction in reductions.items()
+        if reduction.ratio < REPORT_RATIO
+    ]

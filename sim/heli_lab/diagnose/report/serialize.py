@@ -1,0 +1,307 @@
+"""A diagnosis as JSON for other programs; docs/diagnosing.md describes the keys."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+from heli_sim.model.parts import AXES
+
+from heli_lab.diagnose.discover import CHANNELS, SYMBOLS, ProposedTerm, expression, latex
+from heli_lab.diagnose.evaluate import HORIZONS, FailingRegions, FreeRun, PriorConflict, ResidualAnalysis
+from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
+from heli_lab.diagnose.report.cautions import cautions
+from heli_lab.diagnose.report.findings import causes, disturbances, gains, unexplained
+from heli_lab.diagnose.report.sentences import METRIC, metric, summary
+from heli_lab.diagnose.result import Diagnosis, Proposal
+from heli_lab.diagnose.search import QUANTITIES
+from heli_lab.diagnose.thresholds import FALSE_DISCOVERY_RATE
+from heli_lab.identify import check
+
+
+def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
+    """Write a `result` as lists, dicts and numbers: verdict, causes, residual, gain, unexplained,
+    next_flight and more. Numbers are null if the flights excite nothing.
+    """
+    if isinstance(result, InsufficientExcitation):
+        return _of_insufficient_excitation(result)
+    experiment = result.next_flight
+    return {
+        "verdict": result.label,
+        "sentence": summary(result),
+        "causes": causes(result),
+        "rig": rig_numbers(result),
+        "residual": _residual(result),
+        "disturbances": disturbances(result.assessment.residual_analysis),
+        "gain": _gain(result),
+        "unexplained": unexplained(result),
+        "proposed_term": proposal_json(result.proposal) if result.proposal else None,
+        "failing_regions": _failing_regions(result.failing),
+        "next_flight": {"why": experiment.why, "plan": experiment.plan} if experiment else None,
+        "undetectable": list(result.undetectable),
+        "unidentifiable": list(result.unidentifiable),
+        "prior_conflicts": [_prior_conflict(conflict) for conflict in result.prior_conflicts],
+        "cautions": cautions(result),
+        "flights": _flights(result),
+        "ranking": _ranking(result),
+        "refits": result.effort.refits,
+        "seconds_taken": result.effort.seconds,
+        "complete": result.search.complete,
+    }
+
+
+def _of_insufficient_excitation(result: InsufficientExcitation) -> dict[str, Any]:
+    unknown = {"before": None, "after": None}
+    gains = {axis: {**unknown, "ratio": None, "interval95": None} for axis in AXES}
+    return {
+        "verdict": result.label,
+        "sentence": summary(result),
+        "causes": [],
+        "rig": None,
+        "residual": {"axis": dict.fromkeys(AXES, unknown), "normalised": unknown, "white": {}},
+        "gain": {
+            "metric": METRIC,
+            "axis": gains,
+            "horizons": {key: {"axis": gains} for key in HORIZONS},
+            "calibration": [],
+        },
+        "unexplained": None,
+        "proposed_term": None,
+        "failing_regions": None,
+        "next_flight": {"why": result.next_flight.why, "plan": result.next_flight.plan},
+        "why": result.why,
+        "undetectable": list(result.undetectable),
+        "unidentifiable": list(result.unidentifiable),
+        "prior_conflicts": [],
+        "cautions": [],
+        "flights": [],
+        "ranking": [],
+        "complete": True,
+    }
+
+
+def rig_numbers(result: Diagnosis) -> dict[str, Any]:
+    """Write the parameters of the extended rig that all flights share, each with its prior."""
+    estimate = result.assessment.extended.estimate
+    std = estimate.covariance.diagonal() ** 0.5
+    return {
+        "name": estimate.parameter_vector.rig.name,
+        "model": estimate.parameter_vector.model.name,
+        "numbers": {
+            parameter.name: {
+                "value": float(value),
+                "std": float(error),
+                "prior": {"value": parameter.prior.mean, "std": parameter.prior.std},
+                "unit": parameter.unit,
+            }
+            for parameter, value, error in zip(
+                estimate.parameter_vector.free, estimate.theta, std, strict=True
+            )
+            if parameter.record is None
+        },
+    }
+
+
+def proposal_json(proposal: Proposal) -> dict[str, Any]:
+    """Write a proposed equation with its evidence and its gain."""
+    term, discovery, equation = proposal.term, proposal.term.discovery, proposal.term.equation
+    symbols = {q for equation_term in equation.terms for q in equation_term.term.quantities}
+    first, *further = (_channel(term, channel) for channel in equation.channels)
+    return {
+        "effect": discovery.effect.name,
+        **first,
+        "further_channels": further,
+        "symbols": {name: str(SYMBOLS[name].unit) for name in sorted(symbols)},
+        "latex": latex(equation),
+        "numbers": {
+            name: {"value": value, "std": std, "unit": unit}
+            for name, (value, std, unit) in discovery.values.items()
+        },
+        "confidence": round(term.confidence, 3),
+        "sentence": term.sentence,
+        "evidence": {
+            "log_likelihood_ratio_train": discovery.train,
+            "log_likelihood_ratio_held_out": discovery.held_out,
+            "log_likelihood_ratio_of_curves": discovery.curve,
+            "penalty": discovery.penalty,
+            "terms_tried": discovery.tried,
+        },
+        "rivals": [
+            {"term": rival.key, "log_likelihood_ratio": rival.log_likelihood_ratio}
+            for rival in discovery.rivals
+        ],
+        "superfluous": list(discovery.superfluous),
+        "matters": [
+            {
+                "channel": supported.channel,
+                "rms": supported.rms,
+                "largest": supported.largest,
+                "share_of_time": supported.share,
+                "ranges": {name: list(span) for name, span in supported.ranges.items()},
+            }
+            for supported in term.supported
+        ],
+        "gain": gains(proposal.evaluation.reductions),
+    }
+
+
+def _channel(term: ProposedTerm, channel: str) -> dict[str, str]:
+    return {
+        "channel": channel,
+        "unit": CHANNELS[channel][0],
+        "expression": expression(term.equation, channel),
+        "expression_with_numbers": expression(term.equation, channel, term.numbers),
+    }
+
+
+def _failing_regions(regions: FailingRegions) -> dict[str, Any]:
+    """Cells of the plane in which the model fails, before and after."""
+    return {
+        "axis": regions.axis,
+        "x": regions.x,
+        "y": regions.y,
+        "units": [QUANTITIES[regions.x][1], QUANTITIES[regions.y][1]],
+        "false_discovery_rate": FALSE_DISCOVERY_RATE,
+        **{
+            name: {
+                "share_of_time": test.share,
+                "missing_torque_rms_Nm": test.rms_Nm,
+                "cells": [
+                    {
+                        "x": [float(regions.x_edges[i]), float(regions.x_edges[i + 1])],
+                        "y": [float(regions.y_edges[j]), float(regions.y_edges[j + 1])],
+                        "standard_deviations": float(test.z[i, j]),
+                    }
+                    for i, j in zip(*test.fails.nonzero(), strict=True)
+                ],
+            }
+            for name, test in (("before", regions.before), ("after", regions.after))
+        },
+    }
+
+
+def _prior_conflict(conflict: PriorConflict) -> dict[str, Any]:
+    return {
+        "parameter": conflict.name,
+        "value": conflict.value,
+        "std": conflict.std,
+        "prior": {"value": conflict.prior.mean, "std": conflict.prior.std},
+        "deviations": conflict.deviations,
+        "unit": conflict.unit,
+        "without_prior": asdict(conflict.freed) if conflict.freed else None,
+    }
+
+
+def _residual(result: Diagnosis) -> dict[str, Any]:
+    """Normalised errors before and after, by axis and in total, and whether they are white."""
+    before, after = result.assessment.before, result.assessment.after
+    white, correlation = {}, {}
+    for role, before_fit, after_fit in (
+        ("train", before.fit, after.fit),
+        ("held_out", before.held_out_fit, after.held_out_fit),
+    ):
+        if before_fit is not None and after_fit is not None:
+            checks = {"before": check(before_fit), "after": check(after_fit)}
+            white[role] = {when: whiteness.white for when, whiteness in checks.items()}
+            correlation[role] = {when: whiteness.correlation for when, whiteness in checks.items()}
+    return {
+        "axis": {
+            axis: {
+                "before": float(before.train.axes[i]),
+                "after": float(after.train.axes[i]),
+            }
+            for i, axis in enumerate(AXES)
+        },
+        "normalised": {
+            "before": before.train.total,
+            "after": after.train.total,
+            "held_out_before": before.held_out.total,
+            "held_out_after": after.held_out.total,
+        },
+        "white": white,
+        "correlation": correlation,
+        "innovations": _innovations(result.assessment.residual_analysis),
+    }
+
+
+def _innovations(analysis: ResidualAnalysis) -> dict[str, Any]:
+    """Autocorrelation of the innovations, its bound for white noise, and what predicts them."""
+    return {
+        "lags_s": list(analysis.lags_s),
+        "autocorrelation": {axis: analysis.autocorrelation[:, i].tolist() for i, axis in enumerate(AXES)},
+        "bound": analysis.bound,
+        "predicted_by": [dependence.what for dependence in analysis.dependences],
+    }
+
+
+def _flights(result: Diagnosis) -> list[dict[str, Any]]:
+    """Parts of the flights that were used, and why others were not."""
+    flights = []
+    before = result.assessment.before
+    for role, fit in (("train", before.fit), ("held_out", before.held_out_fit)):
+        for record in fit.problem.records if fit is not None else ():
+            flights.append(
+                {
+                    "flight": record.label,
+                    "role": role,
+                    "seconds_used": record.used_s,
+                    "used": [[float(record.t_s[a]), float(record.t_s[b - 1])] for a, b in record.segments],
+                    "left_out": [{"from_s": c.start_s, "to_s": c.stop_s, "why": c.why} for c in record.cuts],
+                    "notes": list(record.notes),
+                }
+            )
+    return flights
+
+
+def _ranking(result: Diagnosis) -> list[dict[str, Any]]:
+    """The candidates of each round with their scores."""
+    rows = []
+    for number, round_ in enumerate(result.search.rounds, 1):
+        tried = {refit.candidate.id: refit for refit in round_.refits}
+        for scored in (*round_.screened[:8], *round_.splines[:3]):
+            refit = tried.get(scored.candidate.id)
+            rows.append(
+                {
+                    "round": number,
+                    "candidate": scored.candidate.id,
+                    "score": scored.log_likelihood_gain,
+                    "train": refit.gain if refit else None,
+                    "penalty": refit.penalty if refit else None,
+                    "taken": scored.candidate.id == round_.accepted_id,
+                }
+            )
+    return rows
+
+
+def _gain(result: Diagnosis) -> dict[str, Any]:
+    """Free-run errors before and after at each horizon, and the calibrated constants."""
+    extension = result.held_out.extension
+    return {
+        "metric": metric(result),
+        "axis": gains(result.error_reductions),
+        "horizons": {key: {"axis": gains(horizon)} for key, horizon in extension.horizons.items()},
+        "calibration": [
+            {
+                "flight": after.label,
+                "calibrated_s": after.calibrated_s,
+                "evaluated_s": after.evaluated_s,
+                "before": _constants(before),
+                "after": _constants(after),
+            }
+            for before, after in zip(extension.before, extension.after, strict=True)
+        ],
+    }
+
+
+def _constants(run: FreeRun) -> dict[str, dict[str, Any]]:
+    """Calibrated zeros and torques: value, standard error, prior and unit of each."""
+    units = {quantity.name: quantity.unit for quantity in run.fit.problem.model.parameters}
+    return {
+        name: {
+            "value": value,
+            "std": std,
+            "prior": {"value": run.priors[name].mean, "std": run.priors[name].std},
+            "unit": units[name],
+        }
+        for name, (value, std) in run.constants.items()
+    }

@@ -1,0 +1,47 @@
+"""Search for the causes of what a model lacks: candidates, score tests, refits, stepwise selection."""
+
+from heli_lab.diagnose.search.candidate import Candidate, Scored, typical_candidate
+from heli_lab.diagnose.search.estimate_cache import EstimateCache, fingerprint
+from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, Refit, Round
+from heli_lab.diagnose.search.model_comparison import ModelComparison, RefitSpec
+from heli_lab.diagnose.search.regressors import ExtendedModel, spline_candidates
+from heli_lab.diagnose.search.screening import Screening, coefficient_std, score_of
+from heli_lab.diagnose.search.splines import (
+    KNOTS,
+    QUANTITIES,
+    SplineTerm,
+    bspline_basis,
+    knot_span,
+    quantity_values,
+    spline_term,
+)
+from heli_lab.diagnose.search.stepwise import Search, search
+
+__all__ = [
+    "KNOTS",
+    "QUANTITIES",
+    "Alternative",
+    "Candidate",
+    "Cause",
+    "EstimateCache",
+    "ExtendedModel",
+    "Hypothesis",
+    "ModelComparison",
+    "Refit",
+    "RefitSpec",
+    "Round",
+    "Scored",
+    "Screening",
+    "Search",
+    "SplineTerm",
+    "bspline_basis",
+    "coefficient_std",
+    "fingerprint",
+    "knot_span",
+    "quantity_values",
+    "score_of",
+    "search",
+    "spline_candidates",
+    "spline_term",
+    "typical_candidate",
+]

@@ -1,0 +1,89 @@
+"""Statistics of a search: what a candidate must gain, and when its size is significant."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from heli_sim.model.effects.kind import EffectKind
+
+from heli_lab.diagnose import thresholds
+from heli_lab.diagnose.search.candidate import Candidate, Scored
+from heli_lab.diagnose.search.hypothesis import Hypothesis, Refit
+from heli_lab.diagnose.search.model_comparison import ModelComparison
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """Decides whether a refitted candidate belongs into the model.
+
+    A candidate is accepted if its log-likelihood ratio exceeds its penalty by `MIN_MARGIN`, its size is
+    significant, and the moment at which it acts, if it has one, is within the free flight.
+    """
+
+    comparison: ModelComparison
+    kinds: Mapping[str, EffectKind]
+
+    def penalty(self, candidate: Candidate, grid_points: int = 0) -> float:
+        """Complexity penalty in nats: BIC for the candidate's parameters, and the logarithm of the number of
+        tests, to which `grid_points` of the candidate's own grid are added.
+        """
+        free = len(candidate.effect.priors) + sum(
+            1 for name in candidate.grid if name not in candidate.effect.priors
+        )
+        weight = thresholds.SPLINE_COEFFICIENT_WEIGHT if candidate.is_spline else 1.0
+        tests = thresholds.CANDIDATES_TRIED + grid_points
+        return 0.5 * weight * free * math.log(self.comparison.rows) + math.log(tests)
+
+    def accepts(self, refit: Refit) -> bool:
+        """Whether a refitted candidate may be added to the model."""
+        if refit.margin <= thresholds.MIN_MARGIN:
+            return False
+        if refit.candidate.is_spline:
+            return True
+        return self.comparison.in_flight(refit.hypothesis) and self.is_significant(refit, refit.candidate)
+
+    def is_significant(self, refit: Refit, candidate: Candidate) -> bool:
+        """Whether the size of a candidate of `refit` differs from zero: by its standard error (Wald test),
+        or, where a likelihood is one-sided and the Wald test fails, by the log-likelihood ratio.
+        """
+        clear = refit.margin > thresholds.WALD_OVERRIDE_NATS
+        return clear or candidate.is_spline or is_significant(refit.hypothesis, candidate, self.kinds)
+
+    def worth_a_refit(self, screened: Sequence[Scored]) -> list[Scored]:
+        """Candidates whose score leaves a chance that a refit is accepted, in their order."""
+        return [
+            scored
+            for scored in screened
+            if thresholds.EXPECTED_REFIT_GAIN * scored.log_likelihood_gain
+            > self.penalty(scored.candidate, scored.tried) + thresholds.MIN_MARGIN
+        ]
+
+
+def is_significant(
+    hypothesis: Hypothesis, candidate: Candidate, kinds: Mapping[str, EffectKind], name: str | None = None
+) -> bool:
+    """Whether a size of an effect differs from its neutral value by two standard errors (Wald test).
+
+    Parameters
+    ----------
+    hypothesis : Hypothesis
+        The model with the effect.
+    candidate : Candidate
+        The effect; one that the catalogue lacks counts as significant.
+    name : str, optional
+        The parameter to test, by full name; any of the effect's sizes by default.
+    """
+    kind = kinds.get(candidate.id)
+    if kind is None:
+        return True
+    parameter_vector, estimate = hypothesis.estimate.parameter_vector, hypothesis.estimate
+    std = dict(zip(parameter_vector.names, np.sqrt(np.diag(estimate.covariance)), strict=True))
+    values = hypothesis.values
+    sizes = [size for size in ([name] if name else kind.size) if size in values]
+    neutral = kind.neutral
+    return not sizes or any(
+        abs(values[size] - neutral[size]) > thresholds.SIGNIFICANT_STD_ERRORS * std[size] for size in sizes
+    )

@@ -1,0 +1,169 @@
+"""Backward elimination: drop causes that are no longer needed, and measure the evidence of the others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from heli_lab.diagnose import thresholds
+from heli_lab.diagnose.search.acceptance import Acceptance
+from heli_lab.diagnose.search.candidate import Candidate, compatible
+from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, Refit, Round
+from heli_lab.diagnose.search.model_comparison import ModelComparison, RefitSpec
+from heli_lab.diagnose.search.progress import Progress
+from heli_lab.threads import parallel_map
+
+
+@dataclass
+class BackwardElimination:
+    """Removes causes from the model that forward selection ended with.
+
+    Parameters
+    ----------
+    baseline : Hypothesis
+        The model without any cause.
+    rounds : sequence of Round
+        The rounds of the forward selection.
+    """
+
+    comparison: ModelComparison
+    acceptance: Acceptance
+    progress: Progress
+    baseline: Hypothesis
+    rounds: Sequence[Round]
+
+    def eliminate(self, final: Hypothesis) -> tuple[Hypothesis, list[Cause]]:
+        """Return the model `final` with the causes alone that are needed and that held-out flights do not
+        contradict, and the evidence of each cause, the strongest first.
+        """
+        final, without = self._needed(final)
+        held_out = self._held_out(final, without)
+        against = min(held_out, key=lambda id_: held_out[id_], default=None)
+        if against is not None and held_out[against] < thresholds.HELD_OUT_AGAINST:
+            return self.eliminate(self.restore_displaced(final, against, without[against]))
+        causes = [
+            Cause(
+                candidate,
+                final.log_likelihood - without[candidate.id].log_likelihood,
+                held_out.get(candidate.id),
+                self.acceptance.penalty(candidate),
+                self._alternatives(final, candidate, without[candidate.id]),
+            )
+            for candidate in final.candidates
+        ]
+        return final, sorted(causes, key=lambda cause: -cause.train)
+
+    def restore_displaced(self, final: Hypothesis, against: str, less: Hypothesis) -> Hypothesis:
+        """Return the model without a cause that held-out flights contradict, and with what that had
+        displaced.
+
+        A spline may have followed a peculiarity of one flight. The causes before its round come back, and the
+        best accepted effect of its round.
+
+        Parameters
+        ----------
+        final : Hypothesis
+            The model with the cause.
+        against : str
+            Id of the cause.
+        less : Hypothesis
+            The model without it.
+        """
+        round_ = next((round_ for round_ in self.rounds if round_.accepted_id == against), None)
+        gone = next(candidate for candidate in final.candidates if candidate.id == against)
+        if not gone.is_spline or round_ is None:
+            return less
+        displaced = list(round_.base.candidates)
+        displaced += [refit.candidate for refit in round_.refits if self.acceptance.accepts(refit)][:1]
+        back = [
+            candidate for candidate in displaced if not candidate.is_spline and candidate.id not in less.ids
+        ]
+        if not back:
+            return less
+        start = {**round_.base.values, **less.values}
+        return self.comparison.refit([*less.candidates, *back], start, less)
+
+    def _needed(self, final: Hypothesis) -> tuple[Hypothesis, dict[str, Hypothesis]]:
+        """The model with the causes alone that are needed, and by each of their ids the model without it."""
+        while True:
+            every = final.candidates
+            rests = {cause.id: [other for other in every if other is not cause] for cause in every}
+            without: dict[str, Hypothesis] = {}
+            less = final
+            with self.comparison.prefetch(RefitSpec(rest, {}, final) for rest in rests.values() if rest):
+                for number, candidate in enumerate(every):
+                    self.progress.check(candidate.id, number, len(every))
+                    rest = rests[candidate.id]
+                    less = self.comparison.refit(rest, None, final) if rest else self.baseline
+                    gain = final.log_likelihood - less.log_likelihood
+                    refit = Refit(final, gain, self.acceptance.penalty(candidate), 0.0)
+                    if refit.margin <= thresholds.MIN_MARGIN or not self.acceptance.is_significant(
+                        refit, candidate
+                    ):
+                        break
+                    without[candidate.id] = less
+            if len(without) == len(every):
+                return final, without
+            final = less
+
+    def _held_out(self, final: Hypothesis, without: Mapping[str, Hypothesis]) -> dict[str, float]:
+        """Log-likelihood ratio of each cause on the held-out flights, nats, by id."""
+        if not self.comparison.held_out or not without:
+            return {}
+        every = parallel_map(self.comparison.held_out_estimate, [final, *without.values()])
+        whole, *less = (estimate.log_likelihood for estimate in every)
+        return {id_: whole - log_likelihood for id_, log_likelihood in zip(without, less, strict=True)}
+
+    def _alternatives(
+        self, final: Hypothesis, candidate: Candidate, less: Hypothesis
+    ) -> tuple[Alternative, ...]:
+        """Other effects in the place of a cause of the final model, the closest first."""
+        if candidate.is_spline:
+            return ()
+        round_ = next((round_ for round_ in self.rounds if round_.accepted_id == candidate.id), None)
+        if round_ is None:
+            return ()
+        rest = [other for other in final.candidates if other is not candidate]
+        likely = self._likely_alternatives(final, rest, round_)
+        ratios: dict[str, float] = {}
+        specs = [RefitSpec([*rest, refit.candidate], refit.hypothesis.values, less) for refit in likely]
+        with self.comparison.prefetch(specs[: thresholds.ALTERNATIVES] if rest else ()):
+            for refit in likely:
+                if len(ratios) >= thresholds.ALTERNATIVES or (rest and not self.progress.refits_left()):
+                    break
+                other = refit.hypothesis
+                if rest:
+                    other = self.comparison.refit([*rest, refit.candidate], refit.hypothesis.values, less)
+                if not self.comparison.in_flight(other):
+                    continue
+                ahead = final.log_likelihood - other.log_likelihood
+                ratios[refit.candidate.id] = (
+                    ahead + self.acceptance.penalty(refit.candidate) - self.acceptance.penalty(candidate)
+                )
+        return tuple(
+            Alternative(id_, ratio) for id_, ratio in sorted(ratios.items(), key=lambda item: item[1])
+        )
+
+    def _likely_alternatives(
+        self, final: Hypothesis, rest: Sequence[Candidate], round_: Round
+    ) -> list[Refit]:
+        """Refits of a round that may be tried together with the other causes `rest`, the best score first."""
+        kinds = self.acceptance.kinds
+        best = max(refit.score for refit in round_.refits)
+
+        def possible(refit: Refit) -> bool:
+            if refit.score < thresholds.ALTERNATIVE_SHARE * best:
+                return False
+            # A removed term of the baseline is in no catalogue and excludes nothing.
+            kind = kinds.get(refit.candidate.id)
+            return kind is None or all(
+                compatible(kind, kinds[other.id]) for other in rest if other.id in kinds
+            )
+
+        return [
+            refit
+            for refit in sorted(round_.refits, key=lambda refit: -refit.score)
+            if refit.candidate.id not in final.ids
+            and not refit.candidate.is_spline
+            and (not rest or possible(refit))
+        ]

@@ -1,0 +1,100 @@
+"""Terms of the baseline that may be absent although the rig file specifies their parameters tightly.
+
+A parameter with a wide prior, such as a friction, is estimated as zero if its term is absent. A narrow
+prior, such as that of a pendulum's length, prevents this: the model is refitted without the term, in
+competition with the effects that may be tried in its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+from heli_sim.model.effects import EffectKind
+from heli_sim.rig import Prior, Rig
+
+from heli_lab.diagnose import thresholds
+from heli_lab.diagnose.search.candidate import Candidate
+from heli_lab.diagnose.search.model_comparison import ModelComparison
+from heli_lab.diagnose.search.screening import Screening
+
+_WHOLE: Final = Prior(1.0, 0.03, 0.0, 1.0)
+"""Prior of the share of a term that is absent: all of it. With a wider prior, a share of the term would
+replace a parameter that is merely wrong."""
+_ANY_SHARE: Final = Prior(0.0, 1.0, 0.0, 1.0)
+_START_SHARE: Final = 0.99
+"""Just inside the bound of that prior."""
+
+
+@dataclass(frozen=True)
+class RemovedTerm:
+    """A term of the baseline that the model is to be refitted without.
+
+    Parameters
+    ----------
+    candidate : Candidate
+        The removal of the term as an effect.
+    start : Mapping[str, float]
+        Parameter values to refit from, by full name.
+    log_likelihood_gain : float
+        Gain that the score test predicts, nats.
+    """
+
+    candidate: Candidate
+    start: Mapping[str, float]
+    log_likelihood_gain: float
+
+
+def tightly_specified(kind: EffectKind, rig: Rig) -> bool:
+    """Whether a `rig` file gives the parameters of a term such narrow priors that no fit estimates them as
+    zero; False if the rig does not have the term.
+
+    Parameters
+    ----------
+    kind : EffectKind
+        The removal of the term.
+    """
+    return bool(kind.override) and all(
+        name in rig and 0.0 < rig[name].tolerance < thresholds.TIGHT_TOLERANCE * rig[name].value
+        for name in kind.override
+    )
+
+
+def tightly_specified_terms(
+    comparison: ModelComparison, kinds: Iterable[EffectKind], screening: Screening
+) -> list[RemovedTerm]:
+    """Find tightly specified terms that the score test removes nearly as a whole.
+
+    Parameters
+    ----------
+    comparison : ModelComparison
+        The model and the rig.
+    kinds : iterable of EffectKind
+        Kinds of the catalogue; those that remove a term are tested.
+    screening : Screening
+        Scores about the present estimate.
+    """
+    known = {effect.name for effect in screening.estimate.parameter_vector.model.effects}
+    removals = [
+        kind
+        for kind in kinds
+        if kind.baseline
+        and kind.id not in known
+        and kind.suits(comparison.model)
+        and tightly_specified(kind, comparison.rig)
+    ]
+    shares = [
+        Candidate(kind.id, replace(kind.make(), priors={kind.size[0]: _ANY_SHARE}), kind.size)
+        for kind in removals
+    ]
+    low, high = thresholds.ABSENT_SHARE_RANGE
+    terms = []
+    for kind, (gain, coefficients, _) in zip(removals, screening.score(shares), strict=True):
+        if gain < thresholds.ABSENT_MIN_NATS or not low < coefficients[0] < high:
+            continue
+        (name,) = kind.size
+        candidate = Candidate(kind.id, replace(kind.make({name: 1.0}), priors={name: _WHOLE}), (name,))
+        start = {number: comparison.rig[number].value for number in kind.override}
+        terms.append(RemovedTerm(candidate, {**start, name: _START_SHARE}, gain))
+    return terms

@@ -1,0 +1,112 @@
+"""Candidates of the search: an effect of the catalogue, or a spline term, at one point of its grid."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from heli_sim.model.base import Effect
+from heli_sim.model.effect import Stage
+from heli_sim.model.effects.kind import EffectKind
+
+from heli_lab.identify.functions import Floats
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect or spline term that may be added to the model, at one point of its grid.
+
+    Parameters
+    ----------
+    id : str
+        Id of the effect, or ``spline:CHANNEL:QUANTITY``.
+    effect : Effect
+        The effect with the parameter values at which its influence is computed.
+    linear_parameters : tuple of str
+        Parameters that enter linearly; each gives one regressor. If there is none, the only regressor is the
+        difference between the effect at these values and no effect.
+    grid : Mapping[str, float]
+        Values of the parameters in which the likelihood is multimodal, by full name.
+    """
+
+    id: str
+    effect: Effect
+    linear_parameters: tuple[str, ...]
+    grid: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def neutral(self) -> dict[str, float]:
+        """Values of its sizes at which it has practically no influence, within the priors' bounds,
+        by full name.
+        """
+        sizes = self.linear_parameters or tuple(self.effect.priors)[:1]
+        values = {}
+        for name in sizes:
+            prior = self.effect.priors[name]
+            values[name] = float(np.clip(0.0, prior.low + 1e-6 * prior.std, prior.high))
+        return values
+
+    @property
+    def is_spline(self) -> bool:
+        """Whether it is a spline term, not an effect of the catalogue."""
+        return self.id.startswith("spline:")
+
+    def start_values(self, coefficients: Floats) -> dict[str, float]:
+        """Start values of a fit, by full name, within the priors' bounds; `coefficients` are those that a
+        score test estimates, shape (g,).
+        """
+        values = {**self.effect.values}
+        if self.linear_parameters:
+            for name, change in zip(self.linear_parameters, coefficients, strict=True):
+                values[name] += float(change)
+        for name, prior in self.effect.priors.items():
+            margin = 1e-3 * prior.std
+            values[name] = float(np.clip(values[name], prior.low + margin, prior.high - margin))
+        return values
+
+
+def typical_candidate(kind: EffectKind) -> Candidate:
+    """Make an effect of this `kind` with its typical size, as a start of a refit."""
+    return Candidate(kind.id, kind.make(kind.typical), kind.size)
+
+
+@dataclass(frozen=True)
+class Scored:
+    """Score test of a candidate at the best point of its grid.
+
+    Parameters
+    ----------
+    candidate : Candidate
+        The candidate at that point.
+    log_likelihood_gain : float
+        Gain that the score test predicts, nats, with all other parameters refitted and the disturbances
+        unchanged.
+    coefficients, std : ndarray (g,)
+        Coefficients of its regressors, and their standard errors.
+    tried : int
+        Number of points of the grid that were tried.
+    """
+
+    candidate: Candidate
+    log_likelihood_gain: float
+    coefficients: Floats
+    std: Floats
+    tried: int
+
+
+def effect_candidates(kind: EffectKind, seconds: float) -> list[Candidate]:
+    """Lay out the grid of an effect of this `kind` over a flight of so many `seconds`."""
+    scan = kind.grid_values(seconds)
+    candidates = []
+    for point in itertools.product(*scan.values()):
+        grid = dict(zip(scan, point, strict=True))
+        values = kind.neutral if kind.size else kind.typical
+        candidates.append(Candidate(kind.id, kind.make({**values, **grid}), kind.size, grid))
+    return candidates
+
+
+def compatible(kind: EffectKind, other: EffectKind) -> bool:
+    """Whether one model may have both effects `kind` and `other`: never two equations for the rotors' lag."""
+    return kind.goes_with(other) and not (kind.stage == other.stage == Stage.LAG)

@@ -1,0 +1,136 @@
+"""Grids of the effects' nonlinear parameters, for the score tests."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from heli_sim.model.effects.kind import EffectKind
+from heli_sim.model.parts import AXES
+
+from heli_lab.diagnose.search.candidate import Candidate, effect_candidates
+from heli_lab.identify.functions import Floats
+from heli_lab.innovations import DisturbanceModel, InnovationsModel
+
+_JUMP_s: Final = 1.0
+"""Time before and after a moment over which torques are averaged to find a jump: longer than a step response
+of the filter, shorter than slow disturbances."""
+_JUMPS: Final = 3
+"""Moments of jumps that are added to a grid. Fewer: of two steps the smaller is missed. More: time."""
+_PEAKS: Final = 4
+"""Frequencies that are tried on each axis: the highest peaks of the missing torque's spectrum. Fewer: a
+periodic torque is missed among larger disturbances. More: time."""
+_MIN_Hz, _MAX_Hz = 0.03, 12.0
+"""Below, a period is longer than half a minute of flight; above, the arm hardly moves."""
+_MAX_GRID: Final = 16
+"""Points of a parameter's grid before the neighbourhood of the best point is refined."""
+_SIZES: Final = (0.2, 0.6, 1.2)
+"""Shares of the typical size at which an effect with own states or a delay is tried: it is not linear in its
+size."""
+
+
+@dataclass
+class EffectGrids:
+    """Lays out the grid of an effect over flights, with points where the missing torque suggests them.
+
+    Parameters
+    ----------
+    filtered : InnovationsModel
+        The present model along the flights.
+    disturbances : DisturbanceModel
+        Its disturbances, as which the torques that it lacks are smoothed.
+    seconds : float
+        Duration of the longest flight.
+    """
+
+    filtered: InnovationsModel
+    disturbances: DisturbanceModel
+    seconds: float
+
+    def candidates(self, kind: EffectKind) -> list[Candidate]:
+        """Lay out the grid of an effect, at several sizes if it is not linear in its size."""
+        frequency = next((q.name for q in kind.parameters if q.unit == "Hz" and q.name in kind.grid), None)
+        if frequency is not None:
+            peaks = self._peaks(kind.acts_on.rpartition(".")[2])
+            numbers = tuple(
+                replace(number, grid=peaks) if kind.full(number.what) == frequency else number
+                for number in kind.numbers
+            )
+            candidates = effect_candidates(replace(kind, numbers=numbers), self.seconds)
+        else:
+            candidates = effect_candidates(_thinned(kind, self.seconds, self._jumps), self.seconds)
+        if kind.states or kind.delay:
+            candidates = [
+                Candidate(candidate.id, kind.make(_scaled(kind, candidate, share)), (), candidate.grid)
+                for candidate in candidates
+                for share in _SIZES
+            ]
+        return candidates
+
+    @cached_property
+    def _smoothed(self) -> tuple[Floats, Floats]:
+        """Times in the first flight, (m,), and smoothed disturbance torques there, (m, 3)."""
+        t_s, torque_Nm, _ = self.filtered.smoothed_torques(self.disturbances, np.zeros(self.filtered.size))[0]
+        return t_s, torque_Nm
+
+    @cached_property
+    def _jumps(self) -> tuple[float, ...]:
+        """Moments at which the mean of these torques changes most, over all axes. A disturbance with a
+        correlation time of seconds hides a step from a score at a moment one second away.
+        """
+        t_s, torque_Nm = self._smoothed
+        width = max(1, round(_JUMP_s / float(np.median(np.diff(t_s)))))
+        if len(t_s) < 4 * width:
+            return ()
+        sums = np.vstack((np.zeros(3), np.cumsum(torque_Nm, axis=0)))
+        means = (sums[width:] - sums[:-width]) / width
+        jump = np.abs(means[width:] - means[:-width])
+        height = (jump / (jump.std(axis=0) + 1e-12)).max(axis=1)
+        jumps = []
+        for _ in range(_JUMPS):
+            top = int(np.argmax(height))
+            jumps.append(float(t_s[top + width]))
+            height[max(0, top - 2 * width) : top + 2 * width] = -1.0
+        return tuple(jumps)
+
+    def _peaks(self, axis: str) -> tuple[float, ...]:
+        """Frequencies of the highest peaks in the spectrum of these torques about an axis."""
+        index = AXES.index(axis)
+        t_s, torque_Nm = self._smoothed
+        value = torque_Nm[:, index]
+        step_s = float(np.median(np.diff(t_s)))
+        frequency_Hz = np.fft.rfftfreq(4 * len(value), step_s)
+        power = np.abs(np.fft.rfft((value - value.mean()) * np.hanning(len(value)), 4 * len(value)))
+        # The spectrum of a disturbance falls with frequency: peaks are measured against that.
+        power *= np.hypot(1.0, 2 * np.pi * frequency_Hz * self.disturbances.correlation_time_s[index])
+        power[(frequency_Hz < _MIN_Hz) | (frequency_Hz > _MAX_Hz)] = 0.0
+        top = [i for i in range(1, len(power) - 1) if power[i] >= power[i - 1] and power[i] > power[i + 1]]
+        top.sort(key=lambda i: -power[i])
+        return tuple(float(frequency_Hz[i]) for i in top[:_PEAKS]) or (0.5,)
+
+
+def _thinned(kind: EffectKind, seconds: float, jumps: tuple[float, ...]) -> EffectKind:
+    """The effect with coarser grids, with `jumps` in the grid of a moment; the best point's neighbourhood is
+    refined later.
+    """
+    scan = kind.grid_values(seconds)
+
+    def thin(what: str) -> tuple[float, ...]:
+        values = scan[kind.full(what)]
+        thinned = values[:: -(-len(values) // _MAX_GRID)]
+        return tuple(sorted({*thinned, *jumps})) if what == "at_s" else thinned
+
+    numbers = tuple(
+        number if number.grid is None else replace(number, grid=thin(number.what)) for number in kind.numbers
+    )
+    return replace(kind, numbers=numbers)
+
+
+def _scaled(kind: EffectKind, candidate: Candidate, share: float) -> Mapping[str, float]:
+    return {
+        **candidate.effect.values,
+        **{name: share * kind.typical[name] for name in kind.size},
+    }

@@ -1,0 +1,207 @@
+"""Cache of the estimates of a search, in a file, so that an interrupted search can be resumed.
+
+A search is deterministic: it needs the same estimates in the same order every time. The file therefore holds
+estimates by a digest of everything that they depend on, and no position of the search.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import json
+import threading
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import heli_sim.model
+import numpy as np
+from heli_sim.model.base import Effect, Model
+from heli_sim.rig import Rig
+
+import heli_lab.identify
+import heli_lab.innovations
+from heli_lab.diagnose.search.candidate import Candidate
+from heli_lab.errors import IdentifyError
+from heli_lab.identify import Record
+from heli_lab.innovations import (
+    DisturbanceModel,
+    Estimate,
+    ModelFunctions,
+    ParameterVector,
+    ReferenceTrajectory,
+)
+
+_DISTURBANCES: Final = ("fast_std_Nm", "correlation_time_s", "slow_std_Nm", "quantisation", "curvature")
+
+
+class EstimateCache:
+    """Estimates by key, in memory and optionally in a file of one JSON object per line.
+
+    Parameters
+    ----------
+    path : Path, optional
+        File to read and to append to; it is made if it is missing.
+    of : str
+        `fingerprint` of everything that the estimates of a search share.
+
+    Raises
+    ------
+    IdentifyError
+        If the file has another fingerprint, or is not a file of a search.
+    """
+
+    def __init__(self, path: Path | None = None, of: str = "") -> None:
+        self._path = path
+        self._known: dict[str, Mapping[str, Any]] = {}
+        self.refit_spec: set[str] = set()
+        """Keys that this search has used."""
+        self._writing = threading.Lock()
+        if path is None:
+            return
+        if not path.exists() or not path.stat().st_size:
+            path.write_text(json.dumps({"search_of": of}) + "\n", encoding="utf-8")
+            return
+        self._read(path, of)
+
+    def _read(self, path: Path, of: str) -> None:
+        try:
+            first, *lines = path.read_text(encoding="utf-8").splitlines()
+            head = json.loads(first)["search_of"]
+        except (ValueError, KeyError, TypeError):
+            raise IdentifyError(
+                f"{path} is not a --resume file", "give another name to --resume, and it is made"
+            ) from None
+        if head != of:
+            raise IdentifyError(
+                f"{path} is from a search with other flights, another rig, model or program version",
+                "give another name to --resume, or the same flights, rig, model and effects",
+            )
+        whole = 0
+        for line in lines:
+            try:
+                entry = json.loads(line)
+                self._known[entry["key"]] = entry
+            except (ValueError, KeyError):
+                break
+            whole += 1
+        # An interrupted search may have written a part of its last line.
+        if whole < len(lines):
+            path.write_text("\n".join([first, *lines[:whole]]) + "\n", encoding="utf-8")
+
+    def estimate(
+        self,
+        key: str,
+        parameter_vector: ParameterVector,
+        references: Sequence[ReferenceTrajectory],
+        functions: ModelFunctions,
+        work_out: Callable[[], Estimate],
+        record_use: bool = True,
+    ) -> Estimate:
+        """Look up an estimate, or compute and keep it; threads may do so at the same time for different keys.
+
+        Parameters
+        ----------
+        key : str
+            `cache_key` of the estimate.
+        parameter_vector, references, functions
+            Free parameters, reference trajectories and model functions of the estimate.
+        work_out : callable
+            Computes it.
+        record_use : bool
+            False if it is prefetched, before the search needs it.
+        """
+        if record_use:
+            self.refit_spec.add(key)
+        known = self._known.get(key)
+        if known is not None:
+            disturbances: dict[str, Any] = {
+                name: None if value is None else np.array(value)
+                for name, value in known["disturbances"].items()
+            }
+            return Estimate(
+                parameter_vector,
+                np.array(known["theta"]),
+                np.array(known["covariance"]),
+                known["log_likelihood"],
+                DisturbanceModel(**disturbances),
+                known["converged"],
+                tuple(references),
+                functions,
+            )
+        estimate = work_out()
+        self._known[key] = kept = {
+            "key": key,
+            "theta": estimate.theta.tolist(),
+            "covariance": estimate.covariance.tolist(),
+            "log_likelihood": float(estimate.log_likelihood),
+            "disturbances": {name: _listed(getattr(estimate.disturbances, name)) for name in _DISTURBANCES},
+            "converged": bool(estimate.converged),
+        }
+        if self._path is not None:
+            with self._writing, self._path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(kept) + "\n")
+        return estimate
+
+
+def _listed(value: Any) -> Any:
+    return None if value is None else np.asarray(value).tolist()
+
+
+def cache_key(
+    what: str, candidates: Iterable[Candidate], start: Mapping[str, float], warm_start: Estimate | None
+) -> str:
+    """Digest of what an estimate depends on in addition to the `fingerprint`.
+
+    Parameters
+    ----------
+    what : str
+        Which flights: ``train`` or ``held out``.
+    candidates : iterable of Candidate
+        Candidates with all their values.
+    start : Mapping[str, float]
+        Start values by name.
+    warm_start : Estimate or None
+        Estimate whose parameters and disturbances to start from.
+    """
+    digest = hashlib.sha256(what.encode())
+    for candidate in candidates:
+        known = candidate.id, sorted(candidate.effect.values.items()), sorted(candidate.effect.priors.items())
+        digest.update(repr((*known, _equations(candidate.effect))).encode())
+    digest.update(repr(sorted((name, float(value)) for name, value in start.items())).encode())
+    if warm_start is not None:
+        digest.update(repr((warm_start.parameter_vector.names, warm_start.log_likelihood)).encode())
+        digest.update(np.ascontiguousarray(warm_start.theta).tobytes())
+        for name in _DISTURBANCES:
+            value = getattr(warm_start.disturbances, name)
+            digest.update(b"none" if value is None else np.ascontiguousarray(value).tobytes())
+    return digest.hexdigest()
+
+
+def _equations(effect: Effect) -> str:
+    """Source code of an effect, which may be in a user's effect file."""
+    try:
+        return inspect.getsource(type(effect))
+    except (OSError, TypeError):
+        return type(effect).__qualname__
+
+
+def fingerprint(model: Model, rig: Rig, records: Iterable[Record]) -> str:
+    """Digest of what all estimates of a search share: `model`, `rig`, flights (`records`), the
+    estimation code.
+    """
+    digest = hashlib.sha256()
+    for room in (heli_sim.model, heli_lab.identify, heli_lab.innovations):
+        for path in sorted(Path(str(room.__file__)).parent.rglob("*.py")):
+            digest.update(path.read_bytes())
+    effects = [(effect.name, sorted(effect.values.items())) for effect in model.effects]
+    digest.update(repr((model.name, effects)).encode())
+    numbers = [
+        (name, quantity.value, quantity.tolerance, quantity.unit) for name, quantity in sorted(rig.items())
+    ]
+    digest.update(repr(numbers).encode())
+    for record in records:
+        digest.update(repr((record.label, record.segments)).encode())
+        for array in (record.t_s, record.angles_rad, record.voltages_V):
+            digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()

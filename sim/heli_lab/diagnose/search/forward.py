@@ -1,0 +1,263 @@
+"""Forward selection: score all candidates about the current estimate, refit the best, accept the best of
+these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+from heli_sim.model.effects.kind import EffectKind
+from heli_sim.model.parts import AXES
+
+from heli_lab.diagnose import thresholds
+from heli_lab.diagnose.search.acceptance import Acceptance
+from heli_lab.diagnose.search.baseline_terms import RemovedTerm, tightly_specified_terms
+from heli_lab.diagnose.search.candidate import Candidate, Scored, compatible, typical_candidate
+from heli_lab.diagnose.search.hypothesis import Hypothesis, Refit, Round
+from heli_lab.diagnose.search.model_comparison import ModelComparison, RefitSpec
+from heli_lab.diagnose.search.progress import Progress
+from heli_lab.diagnose.search.screening import Screening
+
+
+@dataclass
+class ForwardSelection:
+    """Adds causes to a model, one per round, until no candidate is accepted.
+
+    Parameters
+    ----------
+    removable : sequence of EffectKind
+        Terms of the baseline that may be removed.
+    rounds : list of Round
+        The rounds so far.
+    """
+
+    comparison: ModelComparison
+    acceptance: Acceptance
+    progress: Progress
+    removable: Sequence[EffectKind]
+    rounds: list[Round] = field(default_factory=list)
+
+    @property
+    def kinds(self) -> Mapping[str, EffectKind]:
+        """Catalogue by effect id."""
+        return self.acceptance.kinds
+
+    def select(self, hypothesis: Hypothesis) -> tuple[Hypothesis, Screening, bool]:
+        """Add causes to a `hypothesis`.
+
+        Returns
+        -------
+        Hypothesis
+            The model with all accepted causes.
+        Screening
+            Scores of all candidates about that model.
+        bool
+            False if a limit, and not a lack of candidates, ended the selection.
+        """
+        while True:
+            number = len(self.rounds)
+            self.progress.round(number)
+            screening = Screening(hypothesis.estimate)
+            known = [self.kinds[id_] for id_ in hypothesis.ids if id_ in self.kinds]
+            remaining = [
+                kind for kind in self.kinds.values() if all(compatible(kind, present) for present in known)
+            ]
+            screened = screening.effects(remaining)
+            splines = screening.splines(number)
+            full = len(hypothesis.candidates) >= thresholds.MAX_CAUSES or not self.progress.refits_left()
+            refits: list[Refit] = []
+            accepted: Refit | None = None
+            absent = [] if full else tightly_specified_terms(self.comparison, self.removable, screening)
+            screening.release()
+            if not full:
+                refits, accepted = self._choose(hypothesis, screening, screened, splines, absent)
+            accepted_id = accepted.candidate.id if accepted else ""
+            self.rounds.append(Round(hypothesis, tuple(screened), tuple(splines), tuple(refits), accepted_id))
+            if accepted is None:
+                return hypothesis, screening, not full and self.progress.refits_left()
+            self.progress.accepted += 1
+            hypothesis = accepted.hypothesis
+
+    def _choose(
+        self,
+        base: Hypothesis,
+        screening: Screening,
+        screened: Sequence[Scored],
+        splines: Sequence[Scored],
+        absent: Sequence[RemovedTerm],
+    ) -> tuple[list[Refit], Refit | None]:
+        """All refits of a round, the largest margin first, and the accepted one."""
+        refits, likely = self._refit_effects(base, screening, screened)
+        best_score = max((scored.log_likelihood_gain for scored in screened), default=0.0)
+        for term in absent:
+            if (
+                self.progress.refits_left()
+                and term.candidate.id not in base.ids
+                and term.log_likelihood_gain > thresholds.SHORTLIST_SHARE * best_score
+            ):
+                refits.append(self._refit_without(base, term))
+        best = self._best(refits)
+        spline = splines[0] if splines else None
+        needed = max(thresholds.SPLINE_MIN, best.margin if best else 0.0)
+        promised = thresholds.EXPECTED_REFIT_GAIN * spline.log_likelihood_gain if spline else 0.0
+        if spline is not None and promised > needed and self.progress.refits_left():
+            spline_refit = self._refit(base, spline)
+            if spline_refit.margin > needed:
+                refits += self._refit_same_channel(base, spline, screened, likely)
+                best = self._best(refits)
+            refits.append(spline_refit)
+            lead = spline_refit.margin - (best.margin if best else 0.0)
+            if lead > max(thresholds.SPLINE_MIN, thresholds.SPLINE_MARGIN * spline_refit.margin):
+                best = spline_refit
+        return sorted(refits, key=lambda refit: -refit.margin), best
+
+    def _best(self, refits: Sequence[Refit]) -> Refit | None:
+        accepted = [refit for refit in refits if self.acceptance.accepts(refit)]
+        return max(accepted, key=lambda refit: refit.margin, default=None)
+
+    def _refit_effects(
+        self, base: Hypothesis, screening: Screening, screened: Sequence[Scored]
+    ) -> tuple[list[Refit], list[Scored]]:
+        """Refits of the effects with the best scores, and those effects."""
+        remaining, likely, refits = self.acceptance.worth_a_refit(screened), list[Scored](), list[Refit]()
+        # A high score that no refit confirms, such as that of an encoder at rest, must not end the round.
+        while remaining and self._best(refits) is None:
+            share = thresholds.SHORTLIST_SHARE * remaining[0].log_likelihood_gain
+            some = [scored for scored in remaining if scored.log_likelihood_gain >= share][
+                : thresholds.SHORTLIST
+            ]
+            with self._ahead(base, some):
+                refits += [self._refit(base, scored) for scored in some if self.progress.refits_left()]
+            likely += some
+            remaining = remaining[len(some) :]
+        if self._best(refits) is None:
+            dry = resting_friction(base, screening, self.kinds, {scored.candidate.id for scored in likely})
+            refits += [self._refit(base, scored) for scored in dry if self.progress.refits_left()]
+            likely += dry
+        return refits, likely
+
+    def _refit_same_channel(
+        self, base: Hypothesis, spline: Scored, screened: Sequence[Scored], likely: Sequence[Scored]
+    ) -> list[Refit]:
+        """Refits of further effects on a spline's channel: the spline displaces a listed effect only after
+        that was refitted over its grid.
+        """
+        channel = spline.candidate.id.split(":")[1]
+        known = {scored.candidate.id for scored in likely}
+        like = [
+            scored
+            for scored in screened
+            if scored.candidate.id not in known and _acts_on(self.kinds[scored.candidate.id], channel)
+        ]
+        like = [
+            scored for scored in like[: thresholds.SAME_CHANNEL_REFITS] if scored.log_likelihood_gain > 0.0
+        ]
+        with self._ahead(base, like):
+            return [self._refit(base, scored) for scored in like if self.progress.refits_left()]
+
+    def _refit_without(self, base: Hypothesis, term: RemovedTerm) -> Refit:
+        less = self.comparison.refit([*base.candidates, term.candidate], term.start, base)
+        gain = less.log_likelihood - base.log_likelihood
+        return Refit(less, gain, self.acceptance.penalty(term.candidate), term.log_likelihood_gain)
+
+    def _refit(self, base: Hypothesis, scored: Scored) -> Refit:
+        self.progress.trial(scored.candidate.id, len(self.rounds))
+        return refit_on_grid(self.comparison, self.acceptance, base, scored)
+
+    @contextmanager
+    def _ahead(self, base: Hypothesis, shortlist: Sequence[Scored]) -> Iterator[None]:
+        """Work ahead on the first attempt with each of a `shortlist`."""
+        first = [(scored, _grid_neighbours(scored, self.kinds)[0][0]) for scored in shortlist]
+        with self.comparison.prefetch(
+            RefitSpec([*base.candidates, candidate], candidate.start_values(scored.coefficients), base)
+            for scored, candidate in first
+        ):
+            yield
+
+
+def refit_on_grid(
+    comparison: ModelComparison, acceptance: Acceptance, base: Hypothesis, scored: Scored
+) -> Refit:
+    """Refit a model with one more candidate; of a parameter that no refit moves, search the grid.
+
+    Parameters
+    ----------
+    acceptance : Acceptance
+        Knows the penalty and the grids of the catalogue.
+    base : Hypothesis
+        The model before.
+    scored : Scored
+        The candidate at the best point of its grid by score; the search goes up and down from there as long
+        as the likelihood grows.
+    """
+    (first,), *directions = _grid_neighbours(scored, acceptance.kinds)
+    best = comparison.refit([*base.candidates, first], first.start_values(scored.coefficients), base)
+    for further in directions:
+        for candidate in further:
+            start = {**best.values, **{n: candidate.effect.values[n] for n in candidate.grid}}
+            hypothesis = comparison.refit([*base.candidates, candidate], start, base)
+            if hypothesis.log_likelihood <= best.log_likelihood:
+                break
+            best = hypothesis
+    gain = best.log_likelihood - base.log_likelihood
+    penalty = acceptance.penalty(scored.candidate, scored.tried)
+    return Refit(best, gain, penalty, scored.log_likelihood_gain)
+
+
+def resting_friction(
+    base: Hypothesis, screening: Screening, kinds: Mapping[str, EffectKind], known: Collection[str]
+) -> list[Scored]:
+    """Propose dry friction of typical size for axes that rest for long: a score test linearises, and friction
+    that holds an axis has no derivative.
+
+    Parameters
+    ----------
+    base : Hypothesis
+        The present model.
+    screening : Screening
+        Scores about it; shows when each axis rests.
+    known : collection of str
+        Effects that were refitted already.
+    """
+    references = [linear.reference for linear in screening.filtered.linearised_flights]
+    resting = np.concatenate([reference.at_rest[reference.rows] for reference in references]).mean(axis=0)
+    proposals = []
+    for axis, share in zip(AXES, resting, strict=True):
+        id_ = f"coulomb_friction.{axis}"
+        if share > thresholds.MIN_REST_SHARE and id_ in kinds and id_ not in {*base.ids, *known}:
+            candidate = typical_candidate(kinds[id_])
+            none = np.zeros(len(candidate.linear_parameters))
+            proposals.append(Scored(candidate, 0.0, none, none, 1))
+    return proposals
+
+
+def _grid_neighbours(scored: Scored, kinds: Mapping[str, EffectKind]) -> list[list[Candidate]]:
+    """The candidate itself; then, if only a grid searches one of its parameters, the candidates at larger
+    values, and those at smaller values, each list from the nearest on.
+    """
+    candidate, kind = scored.candidate, kinds.get(scored.candidate.id)
+    fixed = [name for name in candidate.grid if name not in candidate.effect.priors]
+    if kind is None or len(fixed) != 1:
+        return [[candidate]]
+    (name,) = fixed
+    values = kind.grid_values(1.0)[name]
+    nearest = int(np.argmin(np.abs(np.array(values) - candidate.grid[name])))
+    return [
+        [
+            Candidate(
+                candidate.id,
+                kind.make({**candidate.effect.values, name: value}),
+                candidate.linear_parameters,
+                {**candidate.grid, name: value},
+            )
+            for value in some
+        ]
+        for some in ((values[nearest],), values[nearest + 1 :], values[:nearest][::-1])
+    ]
+
+
+def _acts_on(kind: EffectKind, channel: str) -> bool:
+    return kind.acts_on == channel or (channel.startswith("thrust") and kind.acts_on in ("thrust", "input"))

@@ -1,0 +1,317 @@
+"""Screening: score tests of all candidates about one estimate, effects on their grids, and spline terms."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from heli_sim.model.effects.kind import EffectKind
+
+from heli_lab.diagnose.search.candidate import Candidate, Scored
+from heli_lab.diagnose.search.effect_grids import EffectGrids
+from heli_lab.diagnose.search.regressors import ChangeFunctions, Regressors, spline_candidates
+from heli_lab.diagnose.search.splines import KNOTS, SplineTerm
+from heli_lab.diagnose.thresholds import REFINE_MIN_NATS
+from heli_lab.identify.functions import Floats
+from heli_lab.innovations import Estimate
+from heli_lab.innovations.arrowhead import solve_arrowhead
+from heli_lab.threads import default_thread_count, parallel_map
+
+_BATCH_NUMBERS: Final = 1_250_000
+"""Floating-point numbers of the regressors that a thread filters together, 10 MB: 32 regressors of a flight
+of one minute. Memory and time depend on it, the result does not."""
+_BISECTIONS: Final = 6
+"""How often the distance of a grid is halved about its best point: to a sixty-fourth."""
+_DIFFERENCE_STD: Final = 0.5
+"""Prior standard deviation of the coefficient of a regressor that is the effect at a given size."""
+
+
+Score = tuple[float, Floats, Floats]
+"""Result of a score test: gain in nats, coefficients, standard errors of the coefficients."""
+
+
+class Screening:
+    """Score tests of candidates: the gain of the log-likelihood if a candidate were added to a model, to
+    first order, with all free parameters refitted and the disturbances unchanged.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        The model, estimated on the flights.
+    threads : int, optional
+        Number of threads; `default_thread_count` by default. Scores do not depend on it.
+    """
+
+    def __init__(self, estimate: Estimate, threads: int | None = None) -> None:
+        self.estimate = estimate
+        self.filtered = filtered = estimate.filtered()
+        disturbances = estimate.disturbances
+        functions = ChangeFunctions(filtered.linearised_flights[0].model)
+        self.regressors = tuple(Regressors(linear, functions) for linear in filtered.linearised_flights)
+        self.seconds = max(float(model.trajectory.t_s[-1]) for model in filtered.linearised_flights)
+        self._grids = EffectGrids(filtered, disturbances, self.seconds)
+        rows = max(model.rows for model in filtered.linearised_flights)
+        threads = default_thread_count() if threads is None else threads
+        batch = _BATCH_NUMBERS // (rows * filtered.linearised_flights[0].states)
+        self.batch = max(KNOTS, batch)
+        """Number of regressors that are filtered together, one flight after the other."""
+        # On a long flight, a single batch needs more memory than that.
+        self.threads = threads if batch >= KNOTS else 1
+        self._innovations = innovations = filtered.innovations_by_flight(disturbances)
+        parameter_vector = estimate.parameter_vector
+        self.measurements = sum(len(flight) for flight in innovations.flights)
+        self._arrowhead = innovations.information() + np.diag(parameter_vector.std**-2.0), innovations.own
+        offset = parameter_vector.std**-2.0 * (estimate.theta - parameter_vector.mean)
+        self._error = innovations.left(self._solved(innovations.score() - offset))
+
+    def release(self) -> None:
+        """Free the memory of cached signals, 0.2 GB for ten minutes of flight; they are computed
+        again when needed.
+        """
+        for linear, maker in zip(self.filtered.linearised_flights, self.regressors, strict=True):
+            linear.release()
+            maker.release()
+
+    def effects(self, kinds: Iterable[EffectKind]) -> list[Scored]:
+        """Score the effects `kinds`, each at the best point of its grid, the highest score first."""
+        places = {kind.id: (kind, self._grids.candidates(kind)) for kind in kinds}
+        flat = [candidate for _, candidates in places.values() for candidate in candidates]
+        scores = iter(self.score(flat))
+        scored = [(kind, some, [next(scores) for _ in some]) for kind, some in places.values()]
+        scored_ = parallel_map(lambda arguments: _best_on_grid(self, *arguments), scored, self.threads)
+        return sorted(
+            (scored_effect for scored_effect in scored_ if scored_effect is not None),
+            key=lambda scored_effect: -scored_effect.log_likelihood_gain,
+        )
+
+    def splines(self, number: int = 0) -> list[Scored]:
+        """Score all spline terms, the highest score first; `number` distinguishes spline terms of
+        one model.
+        """
+        candidates = spline_candidates(self.filtered.linearised_flights, number)
+        self._prepare(candidates)
+        scored_ = [
+            Scored(candidate, *score, 1)
+            for candidate, score in zip(candidates, self.score(candidates), strict=True)
+        ]
+        return sorted(scored_, key=lambda scored_spline: -scored_spline.log_likelihood_gain)
+
+    def score(self, candidates: Sequence[Candidate]) -> list[Score]:
+        """Score each of the `candidates` by itself, in their order."""
+        groups: list[list[Candidate]] = []
+        width = self.batch
+        for candidate in candidates:
+            size = max(1, len(candidate.linear_parameters))
+            if width + size > self.batch:
+                groups.append([])
+                width = 0
+            groups[-1].append(candidate)
+            width += size
+        return [score for scores in parallel_map(self._score_group, groups, self.threads) for score in scores]
+
+    def score_signals(
+        self, signals: Iterable[tuple[Floats, Floats | None]], sizes: Sequence[int], priors: Sequence[Floats]
+    ) -> list[Score]:
+        """Score candidates by the signals of their regressors.
+
+        Parameters
+        ----------
+        signals : iterable of (ndarray, ndarray or None)
+            For each flight, changes of the rates, (n, states, s), and of the measured angles, (n, 3, s) or
+            None, by the regressors of all candidates along the last axis.
+        sizes : sequence of int
+            Number of regressors of each candidate.
+        priors : sequence of ndarray (g,)
+            Prior standard deviations of each candidate's coefficients about 0.
+        """
+        return [
+            score_of(*part, std) for part, std in zip(self.information(signals, sizes), priors, strict=True)
+        ]
+
+    def information(
+        self, signals: Iterable[tuple[Floats, Floats | None]], sizes: Sequence[int]
+    ) -> list[tuple[Floats, Floats]]:
+        """Compute Fisher information, (g, g), and score, (g,), of each candidate's coefficients over all
+        flights, with the free parameters projected out; `signals` and `sizes` as in `score_signals`.
+        """
+        return self.projected(self.filtered.regressors(self.estimate.disturbances, signals), sizes)
+
+    def projected(self, regressors: Iterable[Floats], sizes: Sequence[int]) -> list[tuple[Floats, Floats]]:
+        """Compute Fisher information and score from derivatives of the innovations.
+
+        Parameters
+        ----------
+        regressors : iterable of ndarray (m, s)
+            For each flight, derivatives of the innovations to the coefficients of all candidates.
+        sizes : sequence of int
+            Number of regressors of each candidate.
+
+        Returns
+        -------
+        list of (ndarray (g, g), ndarray (g,))
+            Fisher information and score of each candidate, with the free parameters projected out.
+        """
+        parts = [slice(high - size, high) for size, high in zip(sizes, np.cumsum(sizes), strict=True)]
+        width = sum(sizes)
+        raw = [np.zeros((size, size)) for size in sizes]
+        score, own_score = np.zeros(width), np.zeros(self._innovations.size)
+        mixed = np.zeros((self._innovations.size, width))
+        for only, nuisance, columns, error in zip(
+            regressors, self._innovations.flights, self._innovations.columns, self._error, strict=True
+        ):
+            mixed[columns] += nuisance[:, 1:].T @ only
+            own_score[columns] += nuisance[:, 1:].T @ error
+            score += only.T @ error
+            for number, part in enumerate(parts):
+                raw[number] += only[:, part].T @ only[:, part]
+        fitted = self._solved(mixed)
+        score -= fitted.T @ own_score
+        results = []
+        for total, part in zip(raw, parts, strict=True):
+            information = total - mixed[:, part].T @ fitted[:, part]
+            results.append((0.5 * (information + information.T), score[part]))
+        return results
+
+    def _solved(self, right: Floats) -> Floats:
+        """Solution of the normal equations of the free parameters for a right-hand side."""
+        return solve_arrowhead(self._arrowhead[0], right, self._arrowhead[1])
+
+    def spline_information(self, candidates: Sequence[Candidate]) -> list[tuple[Floats, Floats]]:
+        """Compute Fisher information and score of each of the spline terms `candidates`, as
+        `information` does.
+        """
+        self._prepare(candidates)
+        every = self.batch // KNOTS
+        groups = [candidates[low : low + every] for low in range(0, len(candidates), every)]
+        return [
+            information
+            for group_information in parallel_map(self._spline_group, groups, self.threads)
+            for information in group_information
+        ]
+
+    def _prepare(self, candidates: Iterable[Candidate]) -> None:
+        """Compute what spline terms of a channel share before threads need it."""
+        first: dict[str, SplineTerm] = {}
+        for candidate in candidates:
+            if isinstance(candidate.effect, SplineTerm):
+                first.setdefault(candidate.effect.channel, candidate.effect)
+        parallel_map(
+            lambda term: [maker.influence(term) for maker in self.regressors],
+            list(first.values()),
+            self.threads,
+        )
+
+    def _spline_group(self, group: Sequence[Candidate]) -> list[tuple[Floats, Floats]]:
+        signals = (signals_of(maker, group) for maker in self.regressors)
+        return self.information(signals, [len(candidate.linear_parameters) for candidate in group])
+
+    def _score_group(self, candidates: Sequence[Candidate]) -> list[Score]:
+        sizes = [max(1, len(candidate.linear_parameters)) for candidate in candidates]
+        signals = (signals_of(maker, candidates) for maker in self.regressors)
+        return self.score_signals(signals, sizes, [coefficient_std(candidate) for candidate in candidates])
+
+
+def score_of(information: Floats, score: Floats, prior_std: Floats) -> Score:
+    """Carry out a score test with normal priors about 0.
+
+    Parameters
+    ----------
+    information : ndarray (g, g)
+        Fisher information of the coefficients.
+    score : ndarray (g,)
+        Derivatives of the log-likelihood to the coefficients.
+    prior_std : ndarray (g,)
+        Prior standard deviations of the coefficients.
+
+    Returns
+    -------
+    Score
+        Gain in nats, coefficients and their standard errors.
+    """
+    covariance = np.linalg.pinv(information + np.diag(prior_std**-2.0), hermitian=True)
+    coefficients = covariance @ score
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return float(0.5 * score @ coefficients), coefficients, std
+
+
+def signals_of(maker: Regressors, candidates: Sequence[Candidate]) -> tuple[Floats, Floats | None]:
+    """Changes of rates and measured angles by `candidates` in the flight of a `maker`, along the
+    last axis.
+    """
+    pairs = [maker.signals(candidate) for candidate in candidates]
+    if len(pairs) == 1:
+        return pairs[0]
+    rates = np.concatenate([rates_ for rates_, _ in pairs], axis=2)
+    if all(angles_ is None for _, angles_ in pairs):
+        return rates, None
+    shape = len(rates), 3
+    return rates, np.concatenate(
+        [np.zeros((*shape, r.shape[2])) if angles_ is None else angles_ for r, angles_ in pairs], axis=2
+    )
+
+
+def coefficient_std(candidate: Candidate) -> Floats:
+    """Prior standard deviations of a candidate's coefficients about 0, shape (g,)."""
+    if not candidate.linear_parameters:
+        return np.array([_DIFFERENCE_STD])
+    return np.array([candidate.effect.priors[name].std for name in candidate.linear_parameters])
+
+
+def _possible(candidate: Candidate, coefficients: Floats) -> bool:
+    """Whether the priors allow the signs of the coefficients that a score test estimates."""
+    for name, change in zip(candidate.linear_parameters, coefficients, strict=False):
+        prior = candidate.effect.priors[name]
+        if prior.low >= 0.0 and change + candidate.effect.values[name] <= 0.0:
+            return False
+    return bool(candidate.linear_parameters) or float(coefficients[0]) > 0.0
+
+
+def _best_on_grid(
+    screening: Screening, kind: EffectKind, candidates: Sequence[Candidate], scores: Sequence[Score]
+) -> Scored | None:
+    """The best point of an effect's grid, refined; None if the priors forbid the signs at all points."""
+    allowed = [
+        (gain, number)
+        for number, (candidate, (gain, coefficients, _)) in enumerate(zip(candidates, scores, strict=True))
+        if _possible(candidate, coefficients)
+    ]
+    if not allowed:
+        return None
+    best = Scored(candidates[max(allowed)[1]], *scores[max(allowed)[1]], len(candidates))
+    if best.candidate.grid and len(candidates) > 1 and best.log_likelihood_gain > REFINE_MIN_NATS:
+        best = _refined(screening, kind, candidates, best)
+    return best
+
+
+def _refined(screening: Screening, kind: EffectKind, candidates: Sequence[Candidate], best: Scored) -> Scored:
+    """Halve the grid's distance about its best point, in parameters with three values and more."""
+    for name in best.candidate.grid:
+        values = sorted({tried.grid[name] for tried in candidates})
+        prior = kind.priors.get(name)
+        if len(values) < 3 or prior is None:
+            continue
+        gaps = np.diff(values)
+        place = int(np.argmin(np.abs(np.array(values) - best.candidate.grid[name])))
+        step = float(gaps[min(place, len(gaps) - 1)])
+        if name.endswith("Hz"):
+            step = 0.25 / screening.seconds
+        for _ in range(_BISECTIONS):
+            step *= 0.5
+            candidate = best.candidate
+            neighbours = [
+                Candidate(
+                    candidate.id,
+                    kind.make({**candidate.effect.values, name: value}),
+                    candidate.linear_parameters,
+                    {**candidate.grid, name: value},
+                )
+                for value in (candidate.grid[name] - step, candidate.grid[name] + step)
+                if prior.low <= value <= prior.high
+            ]
+            best = replace(best, tried=best.tried + len(neighbours))
+            for other, (gain, coefficients, std) in zip(neighbours, screening.score(neighbours), strict=True):
+                if gain > best.log_likelihood_gain and _possible(other, coefficients):
+                    best = Scored(other, gain, coefficients, std, best.tried)
+    return best

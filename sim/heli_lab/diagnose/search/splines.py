@@ -1,0 +1,216 @@
+"""Spline terms: alternative hypotheses without an equation, for causes that the catalogue lacks.
+
+A spline term lets a torque, the thrust or a measured angle depend on one quantity as a cubic B-spline. A
+listed effect must predict at least as well as such a curve. If a curve is much better, the catalogue lacks
+the cause, and the curve is reported instead.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import casadi as ca
+import numpy as np
+from heli_sim.model.base import Effect, Model, Operands
+from heli_sim.model.parts import AXES
+from heli_sim.model.parts import thrust_N as static_thrust_N
+from heli_sim.rig.quantity import Prior, Quantity
+
+from heli_lab.identify.functions import Floats
+from heli_lab.innovations import AlongTrajectory, Trajectory
+
+KNOTS: Final = 8
+"""Basis functions of a curve: fewer do not follow a kink or bump, more have a higher penalty."""
+_TAIL: Final = 0.005
+"""Share of the flight beyond each end of the curve, where it is constant, so that few samples do not stretch
+it."""
+# Prior standard deviations of a coefficient: about what holds the arm up, and what no machine exceeds.
+# Smaller: large unlisted effects are not followed. Larger: coefficients with few samples diverge.
+_TORQUE_Nm: Final = 0.3
+_SHARE: Final = 0.2
+_ANGLE_rad: Final = 0.02
+
+_UNITS: Final = {
+    "torque": ("N m", _TORQUE_Nm),
+    "thrust": ("1", _SHARE),
+    "measurement": ("rad", _ANGLE_rad),
+}
+
+_Expression = Callable[[Operands], ca.SX]
+
+
+def _state(name: str) -> _Expression:
+    return lambda at: at.state[name]
+
+
+def _static(at: Operands) -> ca.SX:
+    p = at.parameter
+    return static_thrust_N(at.volts_V, p["thrust_gain"], p["dead_zone"], p["reverse_thrust"])
+
+
+QUANTITIES: Final[Mapping[str, tuple[_Expression, str]]] = {
+    "elevation": (_state("elevation_rad"), "rad"),
+    "pitch": (_state("pitch_rad"), "rad"),
+    "travel": (_state("travel_rad"), "rad"),
+    "elevation_rate": (_state("elevation_rate_rad_s"), "rad/s"),
+    "pitch_rate": (_state("pitch_rate_rad_s"), "rad/s"),
+    "travel_rate": (_state("travel_rate_rad_s"), "rad/s"),
+    "thrust": (lambda at: ca.sum1(_static(at)), "N"),
+    "thrust_difference": (lambda at: _static(at)[0] - _static(at)[1], "N"),
+    "front_thrust": (lambda at: _static(at)[0], "N"),
+    "back_thrust": (lambda at: _static(at)[1], "N"),
+    "time": (lambda at: at.time_s, "s"),
+}
+"""Quantities that a spline term may depend on, by name: expression and unit."""
+
+SPLINE_CHANNELS: Final = (
+    *(f"torque.{axis}" for axis in AXES),
+    *("thrust.both", "thrust.difference"),
+    *(f"measurement.{axis}" for axis in AXES),
+)
+"""Channels on which a spline term may act."""
+
+
+@dataclass(frozen=True)
+class SplineTerm(Effect):
+    """A smooth dependence of one channel on one quantity.
+
+    Parameters
+    ----------
+    name, parameters, values, states, priors, delay, stage
+        Inherited from `Effect`; set by `spline_term`.
+    noise_inputs, measured_as, direction_of, multimodal
+        Inherited from `Effect`; empty.
+    channel : str
+        Channel, one of `SPLINE_CHANNELS`: ``torque`` in N m, ``thrust`` as a share, ``measurement`` in rad.
+    on : str
+        Quantity, a key of `QUANTITIES`.
+    """
+
+    channel: str = ""
+    on: str = ""
+
+    def _curve(self, at: Operands) -> ca.SX:
+        p = at.parameter
+        place = 1.0 + (QUANTITIES[self.on][0](at) - p[f"{self.name}_low"]) / p[f"{self.name}_step"]
+        place = ca.fmin(ca.fmax(place, 1.0), KNOTS - 2.0)
+        return sum((p[f"{self.name}_{i}"] * bspline(place - i) for i in range(KNOTS)), ca.SX(0))
+
+    def torque_Nm(self, at: Operands) -> ca.SX:
+        """Torque of the curve about its axis [N m], shape (3, 1); see `Effect.torque_Nm`."""
+        kind, where = self.channel.split(".")
+        return ca.vertcat(*(self._curve(at) if kind == "torque" and where == axis else 0 for axis in AXES))
+
+    def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
+        """Thrust scaled by the curve [N], shape (2, 1); see `Effect.thrust_N`."""
+        kind, where = self.channel.split(".")
+        if kind != "thrust":
+            return thrust_N
+        share = self._curve(at)
+        return thrust_N * ca.vertcat(1 + share, 1 + share if where == "both" else 1 - share)
+
+    def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
+        """Measured angles with the curve added [rad], shape (3, 1); see `Effect.measured_rad`."""
+        kind, where = self.channel.split(".")
+        if kind != "measurement":
+            return angles_rad
+        return angles_rad + ca.vertcat(*(self._curve(at) if where == axis else 0 for axis in AXES))
+
+
+def bspline(distance: ca.SX) -> ca.SX:
+    """Cubic B-spline with knots at distance 1: 2/3 at `distance` 0 from its centre, 0 beyond distance 2."""
+    outer = ca.fmax(2.0 - ca.fabs(distance), 0.0)
+    inner = ca.fmax(1.0 - ca.fabs(distance), 0.0)
+    return (outer**3 - 4.0 * inner**3) / 6.0
+
+
+def spline_term(channel: str, on: str, low: float, step: float, number: int = 0) -> SplineTerm:
+    """Make a spline term with all coefficients at 0.
+
+    Parameters
+    ----------
+    channel : str
+        Channel, one of `SPLINE_CHANNELS`.
+    on : str
+        Quantity, a key of `QUANTITIES`.
+    low, step : float
+        Start of the curve, at the centre of its second basis function, and distance of the knots, in the
+        quantity's unit.
+    number : int
+        Distinguishes spline terms of one model.
+    """
+    name = f"spline{number}"
+    unit, std = _UNITS[channel.partition(".")[0]]
+    coefficients = [Quantity(f"{name}_{i}", unit, f"coefficient {i} of the curve") for i in range(KNOTS)]
+    span = [
+        Quantity(f"{name}_low", QUANTITIES[on][1], "second knot of the curve, where it begins"),
+        Quantity(f"{name}_step", QUANTITIES[on][1], "distance of its knots"),
+    ]
+    return SplineTerm(
+        name,
+        parameters=(*coefficients, *span),
+        values={q.name: 0.0 for q in coefficients} | {f"{name}_low": low, f"{name}_step": step},
+        priors={q.name: Prior(0.0, std) for q in coefficients},
+        channel=channel,
+        on=on,
+    )
+
+
+def knot_span(values: Floats) -> tuple[float, float]:
+    """Place the knots of a curve over the range of a quantity's `values`, shape (n,).
+
+    Returns
+    -------
+    low, step : float
+        Second knot, and distance of the knots.
+    """
+    low, high = np.quantile(values, [_TAIL, 1.0 - _TAIL])
+    step = max(float(high - low), 1e-9) / (KNOTS - 3)
+    return float(low), step
+
+
+def bspline_basis(values: Floats, low: float, step: float) -> Floats:
+    """Evaluate the B-spline basis of a curve.
+
+    Parameters
+    ----------
+    values : ndarray (n,)
+        Values of the quantity.
+    low, step : float
+        Second knot and distance of the knots, from `knot_span`.
+
+    Returns
+    -------
+    ndarray (n, KNOTS)
+        Values of the basis functions; each row sums to 1.
+    """
+    place = np.clip(1.0 + (values - low) / step, 1.0, KNOTS - 2.0)
+    distance = np.abs(place[:, None] - np.arange(KNOTS))
+    result: Floats = (np.maximum(2.0 - distance, 0.0) ** 3 - 4.0 * np.maximum(1.0 - distance, 0.0) ** 3) / 6.0
+    return result
+
+
+def quantity_values(model: Model, trajectory: Trajectory) -> dict[str, Floats]:
+    """Evaluate all `QUANTITIES` of a `model` along a `trajectory`; shape (n,) each, by name."""
+    x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
+    t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
+    at = model.operands(x, u, p, t)
+    values = ca.vertcat(*(evaluation(at) for evaluation, _ in QUANTITIES.values()))
+    (result,) = AlongTrajectory(ca.Function("quantities", [x, u, t, p], [ca.densify(values)]))(trajectory)
+    return dict(zip(QUANTITIES, result[:, :, 0].T, strict=True))
+
+
+def channel_quantity_pairs() -> list[tuple[str, str]]:
+    """List the spline terms that are tried, as pairs of channel and quantity."""
+
+    # The controller feeds the quantisation error back: a measurement that depends on thrust would be
+    # significant in any flight. One that depends on its own axis' rate is read late or early: half a sample
+    # of that is in any log.
+    def tried(channel: str, on: str) -> bool:
+        _, _, axis = channel.partition("measurement.")
+        return not axis or not ("thrust" in on or on == f"{axis}_rate")
+
+    return [pair for pair in itertools.product(SPLINE_CHANNELS, QUANTITIES) if tried(*pair)]

@@ -1,0 +1,90 @@
+"""Stepwise search for causes: forward selection on the fitted flights, then exchange and elimination.
+
+Each round scores all candidates about the current estimate, refits the best, and accepts one whose
+log-likelihood ratio exceeds its BIC penalty. A spline term (`splines.py`) competes in every round. If it
+beats every effect refitted over its grid, the cause is not in the catalogue: the spline stays in its place,
+and the search goes on. Held-out flights do not choose causes; they only remove what they contradict.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from heli_sim.model.effects.kind import EffectKind
+
+from heli_lab.diagnose.search.acceptance import Acceptance
+from heli_lab.diagnose.search.backward import BackwardElimination
+from heli_lab.diagnose.search.exchange import exchange
+from heli_lab.diagnose.search.forward import ForwardSelection
+from heli_lab.diagnose.search.hypothesis import Cause, Hypothesis, Round
+from heli_lab.diagnose.search.model_comparison import ModelComparison
+from heli_lab.diagnose.search.progress import Progress
+from heli_lab.diagnose.search.screening import Screening
+
+
+@dataclass(frozen=True)
+class Search:
+    """Result of a search.
+
+    Parameters
+    ----------
+    baseline : Hypothesis
+        The refitted model without causes.
+    final : Hypothesis
+        The model with all causes, spline terms included.
+    causes : tuple of Cause
+        Effects and spline terms of the final model with their evidence, the strongest first.
+    rounds : tuple of Round
+        Rounds of the forward selection.
+    screening : Screening
+        Scores of candidates about the final model.
+    complete : bool
+        False if the limit of refits ended the search.
+    """
+
+    baseline: Hypothesis
+    final: Hypothesis
+    causes: tuple[Cause, ...]
+    rounds: tuple[Round, ...]
+    screening: Screening
+    complete: bool
+
+
+def search(
+    comparison: ModelComparison,
+    kinds: Mapping[str, EffectKind],
+    *,
+    removable: Sequence[EffectKind] = (),
+    say: Callable[[str, float], None] | None = None,
+    refits: float = math.inf,
+) -> Search:
+    """Search for the causes of what a model lacks.
+
+    Parameters
+    ----------
+    comparison : ModelComparison
+        The model and the flights.
+    kinds : Mapping[str, EffectKind]
+        Effects that may be added, by id.
+    removable : sequence of EffectKind
+        Kinds that remove a term of the baseline whose parameters the rig file specifies tightly.
+    say : callable, optional
+        Called with the present step in words, and with the share of the diagnosis that is done, 0 to 1.
+    refits : float
+        Refits after which no further cause is tried. The elimination needs one more for each cause. If the
+        limit ends the search, the causes so far are the result.
+    """
+    progress = Progress(comparison, say or (lambda _step, _share: None), refits)
+    acceptance = Acceptance(comparison, kinds)
+    progress.baseline()
+    baseline = comparison.refit([])
+    forward = ForwardSelection(comparison, acceptance, progress, removable)
+    selected, screening, complete = forward.select(baseline)
+    exchanged = exchange(comparison, acceptance, progress, selected)
+    backward = BackwardElimination(comparison, acceptance, progress, baseline, forward.rounds)
+    final, causes = backward.eliminate(exchanged)
+    if final is not selected:
+        screening = Screening(final.estimate)
+    return Search(baseline, final, tuple(causes), tuple(forward.rounds), screening, complete)

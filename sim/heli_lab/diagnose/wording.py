@@ -1,0 +1,53 @@
+"""Channels and quantities in words, and display units."""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+import numpy as np
+
+SHOWN: Final = {
+    "rad": (180.0 / np.pi, "deg"),
+    "rad/s": (180.0 / np.pi, "deg/s"),
+    "N m": (1e3, "mN m"),
+    "1": (100.0, "%"),
+}
+"""Factor from an SI unit to the display unit, and its name."""
+
+_CHANNELS: Final = {
+    "thrust.both": "a share of both thrusts",
+    "thrust.difference": "an imbalance of the thrusts",
+}
+
+
+def channel_in_words(channel: str) -> str:
+    """Write a `channel` such as ``torque.pitch`` in words: ``a torque about pitch``."""
+    kind, _, axis = channel.partition(".")
+    known = {"torque": f"a torque about {axis}", "measurement": f"an error of the {axis} encoder"}
+    return _CHANNELS.get(channel) or known.get(kind, channel)
+
+
+def quantity_in_words(quantity: str) -> str:
+    """Write the name of a `quantity` such as ``travel_rate`` in words: ``travel rate``."""
+    return re.sub(r"\btimes\b", "\N{MULTIPLICATION SIGN}", quantity.replace("_", " "))
+
+
+def dependence_in_words(dependence: str) -> str:
+    """Write a `dependence`, ``CHANNEL on QUANTITY``, in words: ``a torque about pitch that depends on travel
+    rate``.
+    """
+    channel, _, quantity = dependence.partition(" on ")
+    return f"{channel_in_words(channel)} that depends on {quantity_in_words(quantity)}"
+
+
+def readable_id(candidate: str) -> str:
+    """Write the id of a `candidate` in words: ``any torque about pitch by travel rate`` for a spline term;
+    the id of an effect is unchanged.
+    """
+    kind, _, rest = candidate.partition(":")
+    if kind != "spline":
+        return candidate
+    channel, _, quantity = rest.partition(":")
+    words = channel_in_words(channel).removeprefix("a ").removeprefix("an ")
+    return f"any {words} by {quantity_in_words(quantity)}"

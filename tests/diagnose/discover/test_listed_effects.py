@@ -1,0 +1,82 @@
+"""An equation is dropped if an effect of the catalogue is equivalent."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import cast
+
+import pytest
+from heli_lab.diagnose.discover.equation import Equation, EquationTerm, equation_effect
+from heli_lab.diagnose.discover.listed_effects import ListedEffects
+from heli_lab.diagnose.discover.terms import Factor, Term
+from heli_lab.diagnose.search import Candidate, Hypothesis, ModelComparison, typical_candidate
+from heli_lab.identify import prepare
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import catalogue
+from heli_sim.rig import load_rig
+
+from tests.diagnose.hidden import flights
+
+pytestmark = pytest.mark.diagnosis
+
+KINDS = catalogue()
+PENALTY = 10.0
+
+
+def equivalent_effect(hidden: str, equation: Equation, *ids: str, unlisted: bool = False) -> list[str | None]:
+    """Effects equivalent to an `equation` in a flight with `hidden` effects, each of `ids` a catalogue."""
+    rig = load_rig("makki2024")
+    flight = flights(hidden, unlisted=unlisted)[0]
+    comparison = ModelComparison(MultibodyModel(), rig, [prepare(flight, rig, "fit")], [])
+    base = comparison.refit([])
+    effect = equation_effect(equation, dict.fromkeys(equation.coefficients, 0.1))
+    warm_start = comparison.refit(
+        [Candidate(effect.name, effect, tuple(effect.priors))], {**effect.values, **base.values}, base
+    )
+    assert warm_start.log_likelihood > base.log_likelihood + 50.0 + PENALTY
+    return [
+        ListedEffects(comparison, base, {one: KINDS[one]}, lambda _: None).equivalent_effect(
+            equation, warm_start, PENALTY
+        )
+        for one in ids
+    ]
+
+
+@pytest.mark.slow
+def test_listed_effect_of_the_same_form_is_equivalent() -> None:
+    equation = Equation((EquationTerm("torque.travel", Term((Factor("linear", "travel"),))),))
+    found = equivalent_effect(
+        "cable_spring.travel=0.1", equation, "coulomb_friction.pitch", "cable_spring.travel"
+    )
+    assert found == [None, "cable_spring.travel"]
+
+
+@pytest.mark.slow
+def test_equation_is_dropped_while_a_stronger_listed_effect_is_missing() -> None:
+    equation = Equation((EquationTerm("torque.pitch", Term((Factor("linear", "elevation"),))),))
+    found = equivalent_effect("cable_spring.travel=0.3", equation, "cable_spring.travel", unlisted=True)
+    assert found == ["cable_spring.travel"]
+
+
+@pytest.mark.parametrize(
+    ("equation_nats", "effect_nats", "both_nats", "stays"),
+    [
+        (100.0, 80.0, 104.0, True),
+        (100.0, 80.0, 130.0, True),
+        (100.0, 80.0, 94.0, False),  # With the effect, the equation adds 14 nats and needs 16.
+        (80.0, 100.0, 130.0, False),  # The effect adds more to the equation than the reverse.
+    ],
+)
+def test_equation_stays_that_adds_more_to_an_effect_than_the_reverse(
+    equation_nats: float, effect_nats: float, both_nats: float, stays: bool
+) -> None:
+    def made(nats: float) -> Hypothesis:
+        return cast(Hypothesis, SimpleNamespace(log_likelihood=nats, values={}, candidates=("equation",)))
+
+    comparison = SimpleNamespace(
+        rows=1500, held_out=(), refit=lambda candidates, start, warm_start: made(both_nats)
+    )
+    base = cast(Hypothesis, SimpleNamespace(candidates=(), log_likelihood=0.0))
+    listed = ListedEffects(cast(ModelComparison, comparison), base, KINDS, lambda _: None)
+    effect = typical_candidate(KINDS["input_delay"])
+    assert listed.encompasses(made(equation_nats), made(effect_nats), effect, PENALTY) is stays

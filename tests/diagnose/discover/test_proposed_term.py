@@ -1,0 +1,294 @@
+"""The law of what is on no list is found, confirmed, drawn, written and flown; or there is none."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+from heli_host.log.table import write_csv
+from heli_lab.diagnose import to_json
+from heli_lab.diagnose.discover import discover
+from heli_lab.diagnose.discover.equation import Equation, EquationTerm, Group, equation_effect
+from heli_lab.diagnose.discover.equation_refit import EquationRefits, RefittedEquation
+from heli_lab.diagnose.discover.scoring import ScoredGroup, TermSignals, score
+from heli_lab.diagnose.discover.symbolic_regression import EquationSearch, free_name
+from heli_lab.diagnose.discover.terms import Factor, Term
+from heli_lab.diagnose.evaluate import failing_regions
+from heli_lab.diagnose.evaluate.regions import false_discoveries
+from heli_lab.diagnose.search import ExtendedModel, Hypothesis, ModelComparison, Screening, score_of
+from heli_lab.diagnose.thresholds import FALSE_DISCOVERY_RATE
+from heli_lab.identify import prepare
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import effects_of
+from heli_sim.model.parts import AXES
+from heli_sim.rig import load_rig, write_rig
+from scipy.special import ndtr
+
+from tests.cli.terminal import Terminal
+from tests.diagnose.hidden import flights
+from tests.diagnose.test_causes import diagnosed
+
+pytestmark = pytest.mark.diagnosis
+
+HIDDEN_Nm_per_rad = 0.05
+
+
+def test_equation_is_found_with_its_coefficient_and_confirmed() -> None:
+    found = diagnosed(unlisted=True)
+    assert found.label == "unexplained"
+    proposed = found.proposed_term
+    assert proposed is not None
+    assert [one.key for one in proposed.equation.terms] == ["torque.pitch: elevation"]
+    ((value, std, unit),) = proposed.discovery.values.values()
+    assert unit == "N m/rad"
+    assert abs(value - HIDDEN_Nm_per_rad) < 3.0 * std < 0.1 * HIDDEN_Nm_per_rad
+    assert proposed.discovery.held_out is not None
+    assert proposed.discovery.held_out > 50.0
+    assert found.proposal is not None
+    assert found.proposal.evaluation.reductions["pitch"].ratio < 0.2
+    assert np.corrcoef(proposed.trace.term_Nm, proposed.trace.missing_Nm)[0, 1] > 0.9
+
+
+def test_the_json_has_the_keys_that_were_promised() -> None:
+    numbers = json.loads(json.dumps(to_json(diagnosed(unlisted=True)), allow_nan=False))
+    equation = numbers["proposed_term"]
+    assert (equation["channel"], equation["unit"]) == ("torque.pitch", "N m")
+    assert equation["expression"] == "c1_Nm_per_rad*elevation"
+    assert equation["symbols"] == {"elevation": "rad"}
+    assert equation["numbers"].keys() == {"c1_Nm_per_rad"}
+    assert equation["rivals"] == sorted(equation["rivals"], key=lambda one: one["log_likelihood_ratio"])
+    assert 0.5 < equation["confidence"] < 1.0
+    (matters,) = equation["matters"]
+    assert 0.0 < matters["rms"] < matters["largest"]
+    fails = numbers["failing_regions"]
+    assert (fails["axis"], fails["x"], fails["false_discovery_rate"]) == (
+        "pitch",
+        "elevation",
+        FALSE_DISCOVERY_RATE,
+    )
+    assert fails["before"]["share_of_time"] > 0.5
+    assert fails["after"]["share_of_time"] < 0.1
+
+
+def test_nothing_hidden_and_a_listed_cause_have_no_equation() -> None:
+    for found in (diagnosed(), diagnosed("rotor_lag=0.06")):
+        assert to_json(found)["proposed_term"] is None
+
+
+def test_rig_has_the_equation_on_request_and_flies_with_its_effect_file(
+    terminal: Terminal, tmp_path: Path
+) -> None:
+    found = diagnosed(unlisted=True)
+    proposed = found.proposed_term
+    assert proposed is not None
+    assert found.rig("extended").effects == {}
+    path = tmp_path / "proposed.py"
+    path.write_text(proposed.effect_file("From a test."), encoding="utf-8")
+    write_rig(found.rig("with_term", with_term=True), tmp_path / "with_term.toml")
+    (effect,) = effects_of(load_rig(tmp_path / "with_term.toml"), (path,))
+    assert list(effect.values.values()) == pytest.approx(list(proposed.numbers.values()))
+    plan = "title = 'Up'\n[[segment]]\nkind = 'hold'\nduration_s = 1.0\n"
+    (tmp_path / "up.toml").write_text(plan)
+    flown = {}
+    for name, more in {
+        "without": (),
+        "with": ("--effects", path, "--effect", "proposed_term"),
+        "in_rig": ("--rig", "with_term.toml", "--effects", path),
+    }.items():
+        ended = terminal("fly", "up.toml", "--sil", *more, "--speed", "max", "--log", f"{name}.mcap")
+        assert ended.code == 0, ended.err
+        flown[name] = Path(f"{name}.mcap").read_bytes()
+    assert len({*flown.values()}) == 3
+
+
+def test_equation_that_a_held_out_flight_contradicts_is_dropped() -> None:
+    fit, _ = flights(unlisted=True)
+    rig = load_rig("makki2024")
+    train = prepare(fit, rig, "fit")
+    # The held-out flight is one of a rig without the equation.
+    other = prepare(flights()[1], rig, "other")
+    comparison = ModelComparison(MultibodyModel(), rig, [train], [other])
+    assert discover(comparison, comparison.refit([])) is None
+
+
+def test_second_equation_gets_another_name() -> None:
+    assert free_name(()) == "proposed_term"
+    assert free_name(("proposed_term", "rotor_lag")) == "proposed_term_2"
+    assert free_name(("proposed_term", "proposed_term_2")) == "proposed_term_3"
+    equation = Equation((EquationTerm("torque.pitch", Term((Factor("linear", "elevation"),))),))
+    two = [
+        equation_effect(equation, dict.fromkeys(equation.coefficients, 1.0), name=name)
+        for name in ("one", "two")
+    ]
+    assert len(MultibodyModel(tuple(two)).parameters) == len(MultibodyModel().parameters) + 2
+
+
+def scored_as(channel: str, quantity: str, nats: float) -> ScoredGroup:
+    group = Group((EquationTerm(channel, Term((Factor("linear", quantity),))),), 1)
+    return ScoredGroup(group, nats, np.ones(1), (1.0,))
+
+
+def equation_search(base: Hypothesis) -> EquationSearch:
+    """A search that has tried a hundred terms of one factor; it refits nothing."""
+    comparison = cast(ModelComparison, SimpleNamespace(rows=1000))
+    return EquationSearch(EquationRefits(comparison, base, "proposed_term", {1: 100}), lambda _: None)
+
+
+def test_encoder_errors_leave_finalists_for_a_torque_of_less_score() -> None:
+    search = equation_search(cast(Hypothesis, SimpleNamespace(ids=())))
+    on_encoders = [scored_as(f"measurement.{axis}", axis, 80.0 + i) for i, axis in enumerate(AXES)]
+    chosen = search.finalists([*on_encoders, scored_as("torque.pitch", "travel", 40.0)])
+    channels = [one.group.terms[0].channel for one in chosen]
+    assert channels == ["measurement.travel", "measurement.pitch", "torque.pitch"]
+
+
+def test_terms_hidden_by_a_slow_disturbance_are_scored_without_it() -> None:
+    proposed = diagnosed(unlisted=True).proposed_term
+    assert proposed is not None
+    base = proposed.discovery.base
+    equation, encoder = (
+        scored_as(f"{kind}.pitch", "elevation", 0.0).group for kind in ("torque", "measurement")
+    )
+    signals = TermSignals(Screening(base.estimate))
+    fast_std_Nm = base.estimate.disturbances.fast_std_Nm
+    calm, drifting = (
+        replace(base.estimate.disturbances, slow_std_Nm=fast_std_Nm * [0.5, times, 0.5], curvature=None)
+        for times in (0.5, 30.0)
+    )
+    assert equation_search(base).slow_finalists(base, calm, signals, [equation, encoder]) == []
+    (beside,) = score(Screening(replace(base.estimate, disturbances=drifting)), signals, [equation])
+    (slow,) = equation_search(base).slow_finalists(base, drifting, signals, [equation, encoder])
+    assert slow.group is equation
+    assert slow.log_likelihood_gain > 1.2 * beside.log_likelihood_gain
+
+
+def test_scores_of_all_channels_are_those_of_the_effect_itself() -> None:
+    rig = load_rig("makki2024")
+    comparison = ModelComparison(MultibodyModel(), rig, [prepare(flights()[0], rig, "fit")], [])
+    screening = Screening(comparison.refit([]).estimate)
+    signals = TermSignals(screening)
+    share = Factor("linear", "own_thrust")
+    every = [
+        EquationTerm("torque.travel", Term((Factor("signed_square", "travel_rate"),))),
+        EquationTerm("thrust.difference", Term((share, Factor("linear", "travel_rate")))),
+        EquationTerm("thrust.back", Term((share, Factor("sin", "travel", (("k", 2.0),))))),
+        EquationTerm("voltage.both", Term((Factor("square", "own_voltage"),))),
+        EquationTerm("measurement.pitch", Term((Factor("linear", "travel"),))),
+    ]
+    for one in every:
+        (scored,) = score(screening, signals, [Group((one,), 1)])
+        equation = Equation((one,))
+        effect = equation_effect(equation, dict(zip(equation.coefficients, scored.prior_std, strict=True)))
+        linear = tuple(f"proposed_term_{name}" for name in equation.coefficients)
+        extended = ExtendedModel(MultibodyModel(), effect, linear)
+        (flight,) = signals.linearised_flights
+        rates, _ = extended.run(flight.trajectory, effect.values)
+        _, angles = extended.run(flight.nodes, effect.values)
+        parts = screening.information([(rates, angles if np.any(angles) else None)], [1])
+        gain, coefficients, _ = score_of(*parts[0], np.array(scored.prior_std))
+        assert scored.log_likelihood_gain == pytest.approx(gain, rel=1e-6), one.key
+        assert scored.coefficients == pytest.approx(coefficients, rel=1e-6)
+
+
+def test_false_discoveries_are_those_of_benjamini_and_hochberg() -> None:
+    p = np.array([0.001, 0.008, 0.039, 0.041, 0.042, 0.06, 0.074, 0.205, 0.212, 0.216])
+    assert false_discoveries(p).tolist() == [True, True, *[False] * 8]
+    # A larger one below its line carries all smaller ones along.
+    assert false_discoveries(np.array([0.03, 0.04, 0.035])).tolist() == [True, True, True]
+    assert not false_discoveries(np.array([0.2, 0.5])).any()
+    assert not false_discoveries(np.zeros(0)).any()
+
+
+def test_a_right_model_fails_nowhere_in_95_percent_of_all_cases() -> None:
+    estimate = diagnosed().search.baseline.estimate
+    screening = Screening(estimate)
+    rng = np.random.default_rng(1)
+    # Where the model is right its innovations are white: all but their drawing is as it is in a diagnosis.
+    rows = screening.measurements
+    inside = [
+        (one.trajectory.state[:, 0] > low) & (one.trajectory.state[:, 0] <= low + 0.04)
+        for one in screening.filtered.linearised_flights
+        for low in np.arange(-0.16, 0.16, 0.04)
+    ]
+    cells = np.column_stack([one for one in inside if one.sum() > 60]).astype(float)
+    only = list(screening.filtered.torque_regressors(estimate.disturbances, 1, [cells]))
+    (nuisance,) = (one[:, 1:] for one in screening._innovations.flights)
+    alarms = 0
+    for _ in range(200):
+        white = rng.standard_normal(rows)
+        screening._error = [white - nuisance @ screening._solved(nuisance.T @ white)]
+        parts = screening.projected(only, [1] * cells.shape[1])
+        z = np.array([gradient[0] / np.sqrt(information[0, 0]) for information, gradient in parts])
+        p = 2.0 * ndtr(-np.abs(z))
+        alarms += bool(false_discoveries(p).any())
+    # 5 % of 200 are 10; three standard deviations more are 19.
+    assert alarms <= 19
+
+
+def test_a_region_in_which_nothing_is_missing_is_not_outlined() -> None:
+    found = diagnosed(unlisted=True)
+    proposed = found.proposed_term
+    assert proposed is not None
+    equation = proposed.discovery
+    regimes = failing_regions(equation.base.estimate, equation.hypothesis.estimate, "travel")
+    assert regimes.after.share < 0.1
+
+
+def test_command_writes_equation_and_effect_file(
+    terminal: Terminal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The search itself is what the tests above have done.
+    found = diagnosed(unlisted=True)
+    monkeypatch.setattr("heli_lab.diagnose.diagnose", lambda *_args, **_more: found)
+    paths = tmp_path / "a.csv.gz", tmp_path / "b.csv.gz"
+    for flight, path in zip(flights(unlisted=True), paths, strict=True):
+        write_csv(flight, path)
+    files = ("--report", "why", "--json", "why.json", "--out", "with_term.toml", "--with-law")
+    ended = terminal("diagnose", paths[0], "--validate", paths[1], "--rig", "makki2024", *files)
+    assert ended.code == 0, ended.err
+    assert "proposed equation: torque.pitch = 0.0" in ended.out
+    assert "why/proposed.py" in ended.out
+    assert {"equation.png", "regions.png", "proposed.py"} <= {path.name for path in Path("why").iterdir()}
+    assert "proposed_term" in Path("with_term.toml").read_text()
+    page = Path("why/index.html").read_text(encoding="utf-8")
+    assert "Proposed equation" in page
+
+
+def test_sine_and_cosine_of_a_wave_share_their_whole_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    equation = Equation(
+        tuple(
+            EquationTerm("torque.elevation", Term((Factor(form, "travel", (("k", 2.0),)),)))
+            for form in ("sin", "cos")
+        )
+    )
+    effect = equation_effect(equation, dict.fromkeys(equation.coefficients, 0.1))
+    # The weaker of the two says little about its period.
+    theta = np.array([0.03, 0.02, 2.02, 2.6])
+    names = [f"{effect.prefix}_{name}" for name in ("c1_Nm", "c2_Nm", "k1", "k2")]
+    assert set(names) == set(effect.priors)
+    estimate = SimpleNamespace(
+        parameter_vector=SimpleNamespace(names=names),
+        theta=theta,
+        covariance=np.diag([1e-6, 1e-6, 0.02**2, 0.4**2]),
+    )
+    found = SimpleNamespace(
+        candidates=[SimpleNamespace(effect=effect)],
+        estimate=estimate,
+        values=dict(zip(names, theta, strict=True)),
+        log_likelihood=100.0,
+        ids=(),
+    )
+    base = cast(Hypothesis, SimpleNamespace(ids=(), candidates=(), values={}, log_likelihood=0.0))
+    refits = equation_search(base).refits
+    monkeypatch.setattr(refits, "prior_std", lambda equation, _: dict.fromkeys(equation.coefficients, 0.1))
+    monkeypatch.setattr(refits, "refit", lambda spec: SimpleNamespace(log_likelihood=99.0, spec=spec))
+    refitted = RefittedEquation(equation, cast(Hypothesis, found), 20.0, Group(equation.terms, 2))
+    whole = refits.with_whole_periods(refitted, cast(TermSignals, None))
+    assert whole.held == {"k1", "k2"}
+    start = whole.hypothesis.spec.start  # type: ignore[attr-defined]
+    assert [start[f"{effect.prefix}_{name}"] for name in ("k1", "k2")] == [2.0, 2.0]

@@ -1,0 +1,152 @@
+"""Terms of a proposed law are the same in all their notations, and their units fit together."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from heli_lab.diagnose.discover.equation import (
+    NAME,
+    Equation,
+    EquationTerm,
+    equation_effect,
+    rotor_signs,
+)
+from heli_lab.diagnose.discover.grammar import groups, tried_up_to
+from heli_lab.diagnose.discover.notation import effect_file, expression
+from heli_lab.diagnose.discover.terms import FORMS, SYMBOLS, Factor, Term
+from heli_lab.diagnose.discover.units import Unit
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import RotorLag, catalogue
+from heli_sim.rig import load_rig
+from hypothesis import given
+from hypothesis import strategies as st
+
+SPANS = dict.fromkeys(SYMBOLS, (-1.0, 1.2))
+EVERY = groups(SPANS)
+FIRST_OF_FORM = {
+    factor.form: one for one in reversed(EVERY) for term in one.terms for factor in term.term.factors
+}
+OF_EACH_SORT = (
+    *EVERY[::97],
+    *FIRST_OF_FORM.values(),
+    *(one for one in EVERY if any(f.memory for term in one.terms for f in term.term.factors)),
+)[:76]
+
+
+def state_of(size: int, seed: int) -> list[float]:
+    return list(np.random.default_rng(seed).uniform(-0.6, 0.6, size))
+
+
+@given(st.tuples(*(st.integers(-3, 3) for _ in range(5))))
+def test_a_unit_is_read_back_as_it_was_written(exponents: tuple[int, ...]) -> None:
+    unit = Unit(exponents)
+    assert Unit.parse(str(unit)) == unit
+
+
+@pytest.mark.parametrize(
+    ("channel", "factors", "unit"),
+    [
+        ("torque.pitch", (Factor("linear", "elevation"),), "N m/rad"),
+        ("torque.travel", (Factor("signed_square", "travel_rate"),), "N m s2/rad2"),
+        ("torque.elevation", (Factor("sin", "travel", (("k", 2.0),)),), "N m"),
+        ("thrust.both", (Factor("linear", "own_thrust"), Factor("linear", "travel_rate")), "s/rad"),
+        ("thrust.front", (Factor("linear", "own_thrust"),), "1"),
+        ("measurement.pitch", (Factor("square", "travel"),), "1/rad"),
+    ],
+)
+def test_a_coefficient_has_the_unit_that_makes_its_channel_of_its_term(
+    channel: str, factors: tuple[Factor, ...], unit: str
+) -> None:
+    assert str(EquationTerm(channel, Term(factors)).coefficient_unit) == unit
+
+
+@pytest.mark.parametrize("quantity", ["travel_rate", "thrust", "own_voltage", "time"])
+def test_there_is_no_sine_of_what_is_no_angle(quantity: str) -> None:
+    with pytest.raises(ValueError, match="sin of"):
+        Factor("sin", quantity, (("k", 1.0),))
+
+
+def test_every_function_is_tried() -> None:
+    assert FIRST_OF_FORM.keys() == FORMS.keys()
+
+
+def test_thousands_of_terms_are_tried_on_every_kind_of_channel_and_none_twice() -> None:
+    keys = [one.key for one in EVERY]
+    assert len(keys) == len(set(keys)) > 2000
+    assert {one.terms[0].channel.partition(".")[0] for one in EVERY} == {
+        "torque",
+        "thrust",
+        "voltage",
+        "measurement",
+    }
+    counts = tried_up_to(EVERY)
+    assert list(counts.values()) == sorted(counts.values())
+    assert max(counts.values()) == len(EVERY)
+    assert all(len(one.terms) <= 2 and len(one.terms[0].term.factors) <= 3 for one in EVERY)
+
+
+@pytest.mark.medium
+def test_what_sympy_reads_is_what_is_computed_along_a_flight() -> None:
+    import sympy
+
+    numbers = np.random.default_rng(1).uniform(0.2, 1.0, len(SYMBOLS))
+    values = dict(zip(SYMBOLS, numbers, strict=True))
+    for group in OF_EACH_SORT:
+        equation = Equation(group.terms)
+        known = dict.fromkeys(equation.coefficients, 0.7) | {
+            name: v for _, _, _, name, v, _ in equation.inner()
+        }
+        channel = equation.channels[0]
+        names = {name: sympy.Symbol(name) for name in (*values, *known)}
+        # A copy behind a lag of something that holds still is that itself.
+        local = {**names, "lag": lambda x, _s: x, "washout": lambda _x, _s: sympy.Integer(0)}
+        read = sympy.sympify(expression(equation, channel), locals=local).subs({**values, **known})
+        wanted = 0.0
+        for one in equation.terms:
+            term = 0.7
+            for factor in one.term.factors:
+                still = 0.0 if factor.memory == "washout" else values[factor.quantity]
+                term *= float(factor.value(np, still))
+            wanted += term
+        assert float(read) == pytest.approx(wanted, rel=1e-9, abs=1e-12), group.key
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("number", range(0, len(OF_EACH_SORT), 6))
+def test_what_the_written_file_flies_is_what_was_fitted(number: int, tmp_path: Path) -> None:
+    # Two groups of different channels in one law, beside a lag of the rotors.
+    first, second = OF_EACH_SORT[number], OF_EACH_SORT[-1 - number]
+    equation = Equation(tuple(dict.fromkeys((*first.terms, *second.terms))))
+    effect = equation_effect(equation, dict.fromkeys(equation.coefficients, 1.0))
+    values = {**effect.values}
+    for i, name in enumerate(equation.coefficients):
+        values[f"{NAME}_{name}"] = 0.1 + 0.03 * i
+    numbers = {
+        q.name.removeprefix(f"{NAME}_"): (values[q.name], 0.01 if q.name in effect.priors else 0.0, q.unit)
+        for q in effect.parameters
+    }
+    path = tmp_path / "proposed.py"
+    path.write_text(effect_file(effect, numbers, "From a test."), encoding="utf-8")
+    kind = catalogue((path,))[NAME]
+    lag = catalogue()["rotor_lag"]
+    results = []
+    for made in (effect, kind.make(kind.typical)):
+        model = MultibodyModel((made, lag.make(lag.typical)))
+        rig = load_rig("makki2024")
+        p = [values.get(q.name, rig[q.name].value if q.name in rig else 0.1) for q in model.parameters]
+        x, u = ca.SX(state_of(len(model.states), 3)), ca.SX([2.1, 2.4])
+        both = (model.dynamics, model.measurement)
+        values_there = [ca.evalf(one(x, u, ca.SX(p), ca.SX(1.5))) for one in both]
+        results.append(np.concatenate([np.asarray(one).ravel() for one in values_there]))
+    np.testing.assert_allclose(results[0], results[1], rtol=1e-6, atol=1e-9)
+    assert issubclass(type(lag.make()), RotorLag)
+
+
+@pytest.mark.parametrize(
+    ("channel", "signs"), [("thrust.both", (1, 1)), ("thrust.difference", (1, -1)), ("voltage.back", (0, 1))]
+)
+def test_a_channel_of_the_rotors_acts_on_those_that_it_names(channel: str, signs: tuple[int, int]) -> None:
+    assert rotor_signs(channel) == signs

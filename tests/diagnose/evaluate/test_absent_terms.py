@@ -1,0 +1,117 @@
+"""Terms that the baseline has and the rig has not are named."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import pytest
+from heli_lab.diagnose import Diagnosis, diagnose, summary, to_json
+from heli_lab.diagnose.evaluate import predict
+from heli_lab.diagnose.evaluate.absent_terms import absence_probability, absent_terms
+from heli_lab.diagnose.evaluate.prediction import Prediction
+from heli_lab.diagnose.search import Hypothesis, ModelComparison, Screening
+from heli_lab.diagnose.search.baseline_terms import tightly_specified_terms
+from heli_lab.identify import prepare
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import catalogue, effects_of
+from heli_sim.rig import load_rig
+
+from tests.diagnose.hidden import WHOLE_S, flights
+from tests.running.long import samples
+
+pytestmark = pytest.mark.diagnosis
+
+KINDS = catalogue()
+
+
+@cache
+def tried(effect: str) -> tuple[ModelComparison, Hypothesis]:
+    """Refit the baseline to flights of a rig that lacks a term."""
+    rig = load_rig("makki2024")
+    # Whether a pendulum is there at all shows in 34 s, and not in half of them.
+    fit, held_out = flights(effect, seconds=WHOLE_S)
+    comparison = ModelComparison(
+        MultibodyModel(), rig, [prepare(fit, rig, "fit")], [prepare(held_out, rig, "held out")]
+    )
+    return comparison, comparison.refit([])
+
+
+def free_run(effect: str) -> Prediction:
+    """Free runs of that baseline."""
+    comparison, baseline = tried(effect)
+    return predict(baseline.estimate, comparison.train, ())
+
+
+@cache
+def diagnosed(effect: str) -> Diagnosis:
+    """Diagnose flights of a rig that lacks a term; few candidates, to be quick."""
+    fit, held_out = flights(effect)
+    few = {id_: kind for id_, kind in KINDS.items() if kind.baseline or id_ in ("rotor_lag", "axis_tilt")}
+    return diagnose(
+        MultibodyModel(), load_rig("makki2024"), [fit], [held_out], kinds=few, labels=["fit", "held out"]
+    )
+
+
+@pytest.mark.parametrize("axis", ["travel", "elevation", "pitch"][: samples(3, 1)])
+def test_friction_that_is_not_there_is_named_by_the_fit_itself(axis: str) -> None:
+    comparison, _ = tried(f"removed.friction.{axis}=1")
+    (term,) = absent_terms(free_run(f"removed.friction.{axis}=1").fit, comparison.rig, KINDS)
+    assert term.id == f"removed.friction.{axis}"
+    assert abs(term.share - 1.0) < 3.0 * term.std
+    assert term.confidence > 0.9
+    assert term.z_from_zero < 3.0
+    assert term.z_from_rig > 10.0
+
+
+def test_pendulum_that_the_rig_states_closely_scores_as_absent() -> None:
+    comparison, baseline = tried("removed.pendulum.elevation=1")
+    found = tightly_specified_terms(comparison, KINDS.values(), Screening(baseline.estimate))
+    best = max(found, key=lambda term: term.log_likelihood_gain)
+    assert best.candidate.id == "removed.pendulum.elevation"
+    assert best.log_likelihood_gain > 15.0
+    less = comparison.refit([best.candidate], best.start, baseline)
+    assert less.log_likelihood > baseline.log_likelihood + 100.0
+
+
+def test_pendulum_that_is_plainly_absent_is_named_by_the_fit_however_closely_it_was_stated() -> None:
+    comparison, _ = tried("removed.pendulum.pitch=1")
+    names = [one.id for one in absent_terms(free_run("removed.pendulum.pitch=1").fit, comparison.rig, KINDS)]
+    assert names == ["removed.pendulum.pitch"]
+
+
+def test_other_causes_take_no_term_away() -> None:
+    comparison, _ = tried("rotor_lag=0.06")
+    assert absent_terms(free_run("rotor_lag=0.06").fit, comparison.rig, KINDS) == ()
+
+
+@pytest.mark.parametrize("term", ["friction.travel", "pendulum.elevation"][: samples(2, 1)])
+def test_removed_term_is_the_cause_with_its_share_and_flies_in_the_extended_rig(term: str) -> None:
+    found = diagnosed(f"removed.{term}=1")
+    numbers = to_json(found)
+    assert numbers["verdict"] == "cause_found"
+    (cause,) = numbers["causes"]
+    assert cause["effect"] == f"removed.{term}"
+    (share,) = cause["parameters"].values()
+    assert share["value"] == pytest.approx(1.0, abs=0.02)
+    assert cause["confidence"] > 0.9
+    assert "is not there" in summary(found)
+    rig = found.rig("extended")
+    taken = {effect.name: effect.values for effect in effects_of(rig)}
+    assert taken.keys() == ({f"removed.{term}"} if term.startswith("pendulum") else set())
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "low", "high"),
+    [
+        (0.0, 0.02, 0.98, 0.99),
+        (0.04, 0.02, 0.9, 0.99),
+        (0.0, 0.5, 0.0, 0.4),
+        (0.1, 0.02, 0.0, 0.1),
+        (0.5, 0.05, 0.0, 0.01),
+        (1.0, 0.01, 0.0, 1e-6),
+    ],
+)
+def test_term_is_absent_only_if_its_parameter_is_zero_within_a_small_error(
+    value: float, std: float, low: float, high: float
+) -> None:
+    assert low <= absence_probability(value, std) <= high

@@ -1,0 +1,186 @@
+"""Another flight of a rig: its zeros and torques from its beginning, its rest predicted at three horizons."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pytest
+from heli_host.flight import Flight
+from heli_lab.diagnose.evaluate import HORIZONS, FreeRun, calibration_s
+from heli_lab.diagnose.evaluate.error_reduction import error_reduction
+from heli_lab.diagnose.evaluate.free_run import WindowErrors, free_run
+from heli_lab.errors import IdentifyError
+from heli_lab.identify import Record, prepare
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import parse_effects
+from heli_sim.rig import Rig, load_rig
+
+from tests.diagnose.hidden import MADE_BY
+from tests.identify.made import flown, thinned
+from tests.running.kept import FLOWN, KEPT
+
+pytestmark = pytest.mark.diagnosis
+
+TODAY: Final = {"torque_pitch": 0.008, "torque_travel": 0.03}
+"""What cables do on the day of the flight, N m."""
+ZEROS_deg: Final = {"offset_elevation": 0.7, "offset_pitch": -0.4}
+"""Where the encoders were zeroed on it."""
+LAG_s: Final = 0.06
+
+
+def the_rig() -> Rig:
+    """The rig as other flights of it have shown it, its zeros known to a degree."""
+    rig = load_rig("makki2024").replace(thrust_gain=0.62, friction_travel=0.05)
+    numbers = dict(rig.numbers)
+    for name in ZEROS_deg:
+        numbers[name] = replace(numbers[name], tolerance=2.0)
+    return replace(rig, numbers=numbers)
+
+
+def _flown() -> Flight:
+    lag = MultibodyModel(parse_effects([f"rotor_lag={LAG_s}"]))
+    return thinned(flown(the_rig().replace(**TODAY), 14, 26.0, lag), 2)
+
+
+@cache
+def that_day() -> Record:
+    """A flight with a lag in it, on a day with torques and zeros of its own."""
+    made_by = (*MADE_BY, Path(__file__))
+    record = prepare(KEPT("another day", _flown, made_by=made_by, rooms=FLOWN), the_rig(), "that day")
+    return replace(record, angles_rad=record.angles_rad + np.deg2rad([*ZEROS_deg.values(), 0.0]))
+
+
+@cache
+def predicted(*effects: str, calibrate_s: float = 8.0) -> FreeRun:
+    """Predict the flight with these effects."""
+    return free_run(MultibodyModel(parse_effects(effects)), the_rig(), {}, that_day(), calibrate_s)
+
+
+RIGHT: Final = f"rotor_lag={LAG_s}"
+
+
+def test_first_seconds_give_the_zeros_and_torques_of_that_day() -> None:
+    found = predicted(RIGHT).constants
+    assert found.keys() == {"torque_elevation", *TODAY, *ZEROS_deg}
+    for name, truth in {**TODAY, **ZEROS_deg}.items():
+        value, std = found[name]
+        # The board takes the arm to lie at its rest when it zeroes: a part of a count is the flight's own.
+        slack = 0.09 if name in ZEROS_deg else 0.0
+        assert abs(value - truth) < 3.0 * std + slack, name
+    assert abs(found["torque_pitch"][0]) > 10.0 * found["torque_pitch"][1]
+
+
+def test_with_them_only_quantisation_is_left_of_the_rest_and_without_them_much_more() -> None:
+    quantisation_deg = np.rad2deg(that_day().sigma_rad)
+    for key in HORIZONS:
+        assert np.all(predicted(RIGHT).errors[key].rms_deg < 1.05 * quantisation_deg)
+    uncalibrated = predicted(RIGHT, calibrate_s=0.0)
+    assert uncalibrated.constants == {}
+    assert uncalibrated.errors["2"].rms_deg[1] > 5.0 * quantisation_deg[1]
+
+
+def test_no_horizon_hides_a_lag_in_zeros_or_torques_and_errors_grow_with_it() -> None:
+    pitch_deg = [predicted().errors[key].rms_deg[1] for key in ("0.5", "1", "2")]
+    right_deg = [predicted(RIGHT).errors[key].rms_deg[1] for key in ("0.5", "1", "2")]
+    assert pitch_deg == sorted(pitch_deg)
+    assert all(wrong > 2.0 * right for wrong, right in zip(pitch_deg, right_deg, strict=True))
+
+
+def test_horizons_are_judged_on_the_same_samples_after_the_beginning() -> None:
+    run, record = predicted(RIGHT), that_day()
+    rows = [run.errors[key].rows for key in HORIZONS]
+    assert all(np.array_equal(rows[0], other) for other in rows)
+    assert rows[0].sum() * record.step_s == pytest.approx(run.evaluated_s, abs=0.1)
+    assert run.calibrated_s == pytest.approx(8.0, abs=0.01)
+    assert run.calibrated_s + run.evaluated_s == pytest.approx(record.used_s)
+    begin = record.t_s[record.segments[0][0]]
+    assert run.fit.problem.records[0].t_s[run.fit.problem.grid(0, True, run.fit.theta).rows[0]] == (
+        pytest.approx(begin + 8.0, abs=0.01)
+    )
+
+
+def _swinging(record: Record, rows: slice) -> Record:
+    """Pitch swings by a degree, unexplained, in some rows."""
+    angles = record.angles_rad.copy()
+    angles[rows, 1] += np.deg2rad(1.0) * np.sin(5.0 * record.t_s[rows])
+    return replace(record, angles_rad=angles)
+
+
+def test_what_is_judged_takes_no_part_in_the_calibration() -> None:
+    record = that_day()
+    model = MultibodyModel(parse_effects([RIGHT]))
+    cut = record.segments[0][0] + round(8.0 / record.step_s)
+    run = free_run(model, the_rig(), {}, _swinging(record, slice(cut, None)))
+    assert run.constants == predicted(RIGHT).constants
+    assert run.errors["2"].rms_deg[1] > 0.3
+    beginning = free_run(model, the_rig(), {}, _swinging(record, slice(0, cut)))
+    assert beginning.constants != predicted(RIGHT).constants
+
+
+def test_values_found_on_other_flights_are_the_means_of_the_priors() -> None:
+    found = {"rotor_lag_s": LAG_s, "torque_pitch": 0.008, "offset_elevation": 0.5}
+    run = free_run(MultibodyModel(parse_effects(["rotor_lag=0.02"])), the_rig(), found, that_day())
+    assert run.priors["torque_pitch"].mean == 0.008
+    assert run.priors["offset_elevation"].mean == 0.5
+    assert run.errors["2"].rms_deg[1] == pytest.approx(predicted(RIGHT).errors["2"].rms_deg[1], rel=0.02)
+
+
+def _cut(record: Record, seconds: float) -> Record:
+    start = record.segments[0][0]
+    return replace(record, segments=((start, start + round(seconds / record.step_s)),))
+
+
+def test_two_thirds_of_a_flight_are_judged_however_short_it_is() -> None:
+    record = that_day()
+    assert calibration_s(record) == 8.0
+    assert calibration_s(record, 3.0) == 3.0
+    assert calibration_s(record, 0.0) == 0.0
+    assert calibration_s(_cut(record, 12.0)) == pytest.approx(4.0)
+    assert calibration_s(_cut(record, 12.0), 8.0) == pytest.approx(4.0)
+    assert calibration_s(_cut(record, 1.5)) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("asked_s", "said"),
+    [
+        (-1.0, r"-1 s to calibrate on; give 0 or more"),
+        (float("nan"), "give 0 or more"),
+        (12.0, r"leave nothing of the 12 s of free flight in that day; give 4 or less to --calibrate"),
+    ],
+)
+def test_more_than_a_flight_leaves_is_refused_with_what_it_leaves(asked_s: float, said: str) -> None:
+    with pytest.raises(IdentifyError, match=said):
+        calibration_s(_cut(that_day(), 12.0), asked_s)
+
+
+def test_flight_in_pieces_is_calibrated_on_its_first_seconds_of_free_flight() -> None:
+    record = that_day()
+    start, stop = record.segments[0]
+    piece = [round(at / record.step_s) for at in (3.0, 5.0, 8.0, 20.0)]
+    segments = ((start, start + piece[0]), (start + piece[1], start + piece[2]), (start + piece[3], stop))
+    run = free_run(
+        MultibodyModel(parse_effects([RIGHT])), the_rig(), {}, replace(record, segments=segments), 5.0
+    )
+    assert run.calibrated_s == pytest.approx(5.0)
+    # What the cut leaves of the second piece, a second, is judged with the third.
+    assert run.fit.problem.records[0].segments == (
+        (start + piece[1] + round(2.0 / record.step_s), start + piece[2]),
+        (start + piece[3], stop),
+    )
+
+
+def test_gain_that_all_windows_share_is_sure_and_one_that_a_single_window_makes_is_not() -> None:
+    rows, typical_candidate = np.full(12, 1000.0), np.ones((12, 3))
+    shared = error_reduction(
+        [WindowErrors(typical_candidate, rows)], [WindowErrors(0.25 * typical_candidate, rows)]
+    )["pitch"]
+    assert shared.interval95 == pytest.approx((shared.ratio, shared.ratio))
+    gusty = typical_candidate.copy()
+    gusty[0] = 100.0
+    single = error_reduction([WindowErrors(gusty, rows)], [WindowErrors(typical_candidate, rows)])["pitch"]
+    assert single.ratio < shared.ratio
+    assert single.interval95[1] == pytest.approx(1.0)

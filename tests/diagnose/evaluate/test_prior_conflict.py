@@ -1,0 +1,49 @@
+"""Estimates of a parameter that the rig file has wrong, with and without its prior."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from heli_lab.diagnose.evaluate import predict, prior_conflicts, tried_without
+from heli_lab.diagnose.report.cautions import prior_conflict_sentence
+from heli_lab.diagnose.search import ModelComparison
+from heli_lab.identify import prepare
+from heli_sim.model import MultibodyModel
+from heli_sim.rig import Rig, load_rig
+
+from tests.diagnose.hidden import flights
+
+pytestmark = pytest.mark.diagnosis
+
+FRICTION = 0.05
+"""Of travel [N m s/rad], as `flights` flies it."""
+
+
+def sure_of(value: float) -> Rig:
+    """A rig whose file states the friction of travel closely."""
+    rig = load_rig("makki2024")
+    number = replace(rig["friction_travel"], value=value, tolerance=0.1 * value)
+    return Rig(rig.name, rig.description, {**rig.numbers, "friction_travel": number}, rig.effects, rig.model)
+
+
+def test_a_number_that_a_closely_stated_wrong_one_holds_back_is_right_without_its_prior() -> None:
+    fit, _ = flights()
+    rig = sure_of(2.0 * FRICTION)
+    comparison = ModelComparison(MultibodyModel(), rig, [prepare(fit, rig, "fit")], [])
+    estimate = comparison.refit([]).estimate
+    pulls = prior_conflicts(predict(estimate, comparison.train, ()).fit)
+    (found,) = [one for one in tried_without(pulls, estimate) if one.name == "friction_travel"]
+    assert found.freed is not None
+    assert abs(found.freed.value - FRICTION) < 3.0 * found.freed.std < 0.01
+    assert found.freed.value < found.value < 2.0 * FRICTION
+    assert found.freed.log_likelihood_gain > 30.0
+    assert "these flights alone give 0.0" in prior_conflict_sentence(found)
+
+
+def test_nothing_pulled_is_nothing_tried() -> None:
+    fit, _ = flights()
+    rig = load_rig("makki2024")
+    comparison = ModelComparison(MultibodyModel(), rig, [prepare(fit, rig, "fit")], [])
+    estimate = comparison.refit([]).estimate
+    assert tried_without(prior_conflicts(predict(estimate, comparison.train, ()).fit), estimate) == ()

@@ -1,0 +1,85 @@
+"""The flight that a diagnosis asks for tells what the flights given could not."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import pytest
+from heli_host.flight import Flight
+from heli_host.fly.plan import Plan
+from heli_lab.diagnose import Diagnosis, diagnose, to_json
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import catalogue, parse_effects
+from heli_sim.rig import load_rig
+
+from tests.identify.made import flown_by_plan, thinned
+from tests.running.long import LONG, samples
+
+pytestmark = pytest.mark.diagnosis
+
+LAG_s = 0.006
+GENTLE = """title = "Gentle"
+
+[start]
+elevation_deg = 0
+rate_deg_s = 8
+settle_s = 2
+
+[[segment]]
+kind = "sine"
+travel_amplitude_deg = 8
+travel_period_s = {period_s}
+elevation_amplitude_deg = 4
+elevation_period_s = 9
+duration_s = {duration_s}
+excite = {{ signal = "multisine", front_V = 0.1, back_V = 0.1, start_Hz = 0.1, stop_Hz = 1 }}
+"""
+
+
+def lagging(plan: str, seed: int) -> Flight:
+    """Fly a plan on a rig whose rotors lag a little."""
+    model = MultibodyModel(parse_effects([f"rotor_lag={LAG_s}"]))
+    return thinned(flown_by_plan(load_rig("makki2024"), seed, Plan.parse(plan, "plan"), model), 2)
+
+
+@cache
+def gentle(duration_s: int) -> tuple[Flight, Flight]:
+    """Two flights that hardly shake the motors."""
+    first, second = (GENTLE.format(period_s=period_s, duration_s=duration_s) for period_s in (14, 11))
+    return lagging(first, 1), lagging(second, 2)
+
+
+@cache
+def unclear() -> dict[str, Any]:
+    """What two gentle flights tell; short ones, except in `make long`."""
+    fit, held_out = gentle(samples(30, 18))
+    return to_json(among_two([fit], [held_out]))
+
+
+def among_two(flights: list[Flight], validation: list[Flight]) -> Diagnosis:
+    """Diagnose with a lag and a delay alone on the list."""
+    kinds = {id_: kind for id_, kind in catalogue().items() if id_ in ("rotor_lag", "input_delay")}
+    return diagnose(MultibodyModel(), load_rig("makki2024"), flights, validation, kinds=kinds)
+
+
+def test_gentle_flights_leave_lag_and_delay_open_and_another_is_asked_for() -> None:
+    assert unclear()["verdict"] == "ambiguous"
+    (cause,) = unclear()["causes"]
+    assert {cause["effect"], *cause["ambiguous_with"]} == {"rotor_lag", "input_delay"}
+    asked = unclear()["next_flight"]
+    assert "their log-likelihoods differ by" in asked["why"]
+    assert "this plan alone gives a log-likelihood ratio of" in asked["why"]
+    assert Plan.parse(asked["plan"], "asked").segments
+
+
+@pytest.mark.skipif(not LONG, reason="skipped: 40 s of CPU, in make long")
+def test_the_flight_asked_for_settles_it() -> None:
+    _, held_out = gentle(30)
+    clear = to_json(among_two([lagging(unclear()["next_flight"]["plan"], 3)], [held_out]))
+    assert clear["verdict"] == "cause_found"
+    (cause,) = clear["causes"]
+    assert cause["effect"] == "rotor_lag"
+    assert cause["ambiguous_with"] == []
+    found = cause["parameters"]["rotor_lag_s"]
+    assert abs(found["value"] - LAG_s) < 3.0 * found["std"]

@@ -1,0 +1,53 @@
+"""Acceptance of candidates: friction that no score shows, and sizes that the Wald test misses."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+from heli_lab.diagnose.search import Hypothesis, ModelComparison, Refit, Screening, typical_candidate
+from heli_lab.diagnose.search.acceptance import Acceptance
+from heli_lab.diagnose.search.forward import resting_friction
+from heli_sim.model.effects import catalogue
+
+pytestmark = pytest.mark.diagnosis
+
+KINDS = catalogue()
+
+
+def dry_friction(resting: list[float], *, there: tuple[str, ...] = ()) -> list[str]:
+    """Ids of the frictions that are proposed if the axes rest for these shares of the time."""
+    at_rest = np.arange(100)[:, None] < 100 * np.array(resting)
+    reference = SimpleNamespace(at_rest=at_rest, rows=np.arange(100))
+    screening = SimpleNamespace(
+        filtered=SimpleNamespace(linearised_flights=[SimpleNamespace(reference=reference)])
+    )
+    base = cast(Hypothesis, SimpleNamespace(ids=there))
+    found = resting_friction(base, cast(Screening, screening), KINDS, ())
+    for one in found:
+        assert one.candidate.start_values(one.coefficients) == pytest.approx(KINDS[one.candidate.id].typical)
+    return [one.candidate.id for one in found]
+
+
+def test_friction_of_typical_size_is_proposed_for_axes_that_rest() -> None:
+    assert dry_friction([0.9, 0.1, 0.2]) == ["coulomb_friction.elevation"]
+    assert dry_friction([0.9, 0.1, 0.7]) == ["coulomb_friction.elevation", "coulomb_friction.travel"]
+    assert dry_friction([0.9, 0.1, 0.7], there=("coulomb_friction.elevation",)) == ["coulomb_friction.travel"]
+    assert dry_friction([0.3, 0.1, 0.2]) == []
+
+
+def test_a_clear_log_likelihood_ratio_overrides_the_wald_test() -> None:
+    kind = KINDS["coulomb_friction.elevation"]
+    size = kind.size[0]
+    estimate = SimpleNamespace(
+        parameter_vector=SimpleNamespace(names=[size]),
+        covariance=np.array([[0.05**2]]),
+        theta=np.array([0.03]),
+    )
+    hypothesis = cast(Hypothesis, SimpleNamespace(estimate=estimate, values={size: 0.03}))
+    candidate = typical_candidate(kind)
+    acceptance = Acceptance(cast(ModelComparison, None), KINDS)
+    assert acceptance.is_significant(Refit(hypothesis, 1300.0, 11.0, 0.0), candidate)
+    assert not acceptance.is_significant(Refit(hypothesis, 30.0, 11.0, 0.0), candidate)

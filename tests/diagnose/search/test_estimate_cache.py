@@ -1,0 +1,65 @@
+"""What a search keeps: refused where it is of another search, whole after it was cut anywhere."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from heli_lab.diagnose.search import EstimateCache, fingerprint
+from heli_lab.errors import IdentifyError
+from heli_lab.identify import Record, prepare
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import parse_effects
+from heli_sim.rig import load_rig
+
+from tests.diagnose.hidden import hovering
+
+pytestmark = pytest.mark.medium
+
+
+def _record() -> Record:
+    return prepare(hovering(4.0), load_rig("makki2024"), "still")
+
+
+def test_digest_tells_flights_rigs_models_and_parts_apart() -> None:
+    rig, record = load_rig("makki2024"), _record()
+    start, stop = record.segments[0]
+    others = (
+        (MultibodyModel(), rig, [record]),
+        (MultibodyModel(parse_effects(["rotor_lag=0.05"])), rig, [record]),
+        (MultibodyModel(), rig.replace(thrust_gain=0.5), [record]),
+        (MultibodyModel(), rig, [replace(record, angles_rad=record.angles_rad + 1e-9)]),
+        (MultibodyModel(), rig, [replace(record, segments=((start, stop - 1),))]),
+        (MultibodyModel(), rig, [record, record]),
+    )
+    digests = [fingerprint(*one) for one in others]
+    assert len(set(digests)) == len(digests)
+    assert fingerprint(*others[0]) == digests[0]
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b'{"search_of": "other"}\n', "is from a search with other flights"),
+        (b"t_s,front_V\n0,1\n", "is not a --resume file"),
+        (b"[1, 2]\n", "is not a --resume file"),
+        (b"\xff\xfe\n", "is not a --resume file"),
+    ],
+)
+def test_file_of_something_else_is_refused_and_left_as_it_is(
+    tmp_path: Path, content: bytes, said: str
+) -> None:
+    (tmp_path / "kept").write_bytes(content)
+    with pytest.raises(IdentifyError, match=said):
+        EstimateCache(tmp_path / "kept", "mine")
+    assert (tmp_path / "kept").read_bytes() == content
+
+
+def test_line_that_was_cut_is_dropped_and_what_stands_before_it_stays(tmp_path: Path) -> None:
+    path = tmp_path / "kept"
+    EstimateCache(path, "mine")
+    head = path.read_bytes()
+    path.write_bytes(head + b'{"key": "a"}\n{"key": "b", "the')
+    EstimateCache(path, "mine")
+    assert path.read_bytes() == head + b'{"key": "a"}\n'

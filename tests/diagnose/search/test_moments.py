@@ -1,0 +1,117 @@
+"""Stepwise search: a step hidden by disturbances, effects that a spline displaced, parameters on a grid."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+from heli_lab.diagnose.search import (
+    Candidate,
+    Hypothesis,
+    ModelComparison,
+    Refit,
+    Round,
+    Scored,
+    Screening,
+    spline_term,
+    typical_candidate,
+)
+from heli_lab.diagnose.search.acceptance import Acceptance
+from heli_lab.diagnose.search.backward import BackwardElimination
+from heli_lab.diagnose.search.forward import refit_on_grid
+from heli_lab.diagnose.search.progress import Progress
+from heli_lab.identify import prepare
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import catalogue
+from heli_sim.rig import load_rig
+
+from tests.diagnose.hidden import flights
+
+pytestmark = pytest.mark.diagnosis
+
+KINDS = catalogue()
+MOMENT_s = 13.7
+
+
+@pytest.mark.slow
+def test_a_step_hidden_by_disturbances_is_scored_where_the_torque_jumps() -> None:
+    rig = load_rig("makki2024")
+    record = prepare(flights(f"counterweight_shift=0.009@{MOMENT_s}")[0], rig, "fit")
+    base = ModelComparison(MultibodyModel(), rig, [record], []).refit([])
+    slow = base.estimate.disturbances
+    assert slow.slow_std_Nm[0] > 0.01 or slow.fast_std_Nm[0] > 0.01
+    (found,) = Screening(base.estimate).effects([KINDS["counterweight_shift"]])
+    assert found.candidate.grid["counterweight_shift_at_s"] == pytest.approx(MOMENT_s, abs=0.3)
+    assert found.log_likelihood_gain > 30.0
+
+
+def hypothesis(candidates: list[Candidate]) -> Hypothesis:
+    """Some causes, without an estimate."""
+    return cast(
+        Hypothesis,
+        SimpleNamespace(
+            candidates=tuple(candidates),
+            ids=tuple(one.id for one in candidates),
+            values={one.id: float(n) for n, one in enumerate(candidates)},
+        ),
+    )
+
+
+def test_effects_come_back_if_held_out_flights_contradict_a_spline() -> None:
+    first, second, third = (
+        typical_candidate(KINDS[id_]) for id_ in ("rotor_lag", "encoder_eccentricity.travel", "axis_tilt")
+    )
+    made = spline_term("measurement.travel", "travel", -1.0, 0.25, 1)
+    spline = Candidate("spline:measurement.travel:travel", made, tuple(made.priors))
+    asked: list[list[str]] = []
+
+    def refit(candidates: list[Candidate], start: dict[str, float], warm_start: Hypothesis) -> Hypothesis:
+        asked.append([one.id for one in candidates])
+        assert start.keys() >= {second.id}
+        return hypothesis(candidates)
+
+    listed = Refit(hypothesis([first, second, third]), 40.0, 10.0, 30.0)
+    bases = [hypothesis([]), hypothesis([first]), hypothesis([first, second])]
+    refits = (Refit(hypothesis([spline]), 99.0, 10.0, 99.0), listed)
+    rounds = [
+        Round(bases[0], (), (), (), first.id),
+        Round(bases[1], (), (), (), second.id),
+        Round(bases[2], (), (), refits, spline.id),
+    ]
+    comparison = cast(ModelComparison, SimpleNamespace(refit=refit))
+    acceptance = cast(Acceptance, SimpleNamespace(accepts=lambda candidate: candidate is listed))
+    backward = BackwardElimination(comparison, acceptance, cast(Progress, None), bases[0], rounds)
+    final, less = hypothesis([first, spline]), hypothesis([first])
+    found = backward.restore_displaced(final, spline.id, less)
+    assert asked == [[first.id, second.id, third.id]]
+    assert found.ids == (first.id, second.id, third.id)
+    # A cause that is no spline is dropped, and nothing comes in its place.
+    assert backward.restore_displaced(final, first.id, hypothesis([spline])).ids == (spline.id,)
+    assert len(asked) == 1
+    assert np.isfinite(list(found.values.values())).all()
+
+
+def test_grid_parameter_is_refitted_on_both_sides_of_the_best_score() -> None:
+    kind = KINDS["encoder_eccentricity.travel"]
+    order = kind.full("order")
+    gain = {1.0: 182.0, 2.0: 125.0}
+    asked: list[float] = []
+
+    def refit(candidates: list[Candidate], start: dict[str, float], warm_start: Hypothesis) -> Hypothesis:
+        asked.append(candidates[-1].effect.values[order])
+        found = hypothesis(candidates)
+        found.log_likelihood = gain[asked[-1]]  # type: ignore[misc]
+        return found
+
+    second = Candidate(kind.id, kind.make({order: 2.0}), kind.size, {order: 2.0})
+    comparison = cast(ModelComparison, SimpleNamespace(refit=refit))
+    acceptance = cast(Acceptance, SimpleNamespace(kinds=KINDS, penalty=lambda candidate, tried: 10.0))
+    base = hypothesis([])
+    base.log_likelihood = 0.0  # type: ignore[misc]
+    scored = Scored(second, 48.0, np.full(2, 0.01), np.ones(2), 2)
+    found = refit_on_grid(comparison, acceptance, base, scored)
+    assert asked == [2.0, 1.0]
+    assert found.candidate.effect.values[order] == 1.0
+    assert found.gain == 182.0
