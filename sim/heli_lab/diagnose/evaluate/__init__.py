@@ -4,7 +4,6 @@ show.
 
 from heli_lab.diagnose.evaluate.absent_terms import AbsentTerm
 from heli_lab.diagnose.evaluate.assessment import Assessment, assess
-from heli_lab.diagnose.evaluate.cause_parameters import CauseParameter, cause_parameters, reported_std
 from heli_lab.diagnose.evaluate.detectability import undetectable_effects, unidentifiable_parameters
 from heli_lab.diagnose.evaluate.error_reduction import ErrorReduction, compare_free_runs
 from heli_lab.diagnose.evaluate.free_run import HORIZONS, FreeRun, calibration_s, free_runs
@@ -17,6 +16,7 @@ from heli_lab.diagnose.evaluate.held_out import (
 from heli_lab.diagnose.evaluate.prediction import predict
 from heli_lab.diagnose.evaluate.prior_conflict import PriorConflict, prior_conflicts, tried_without
 from heli_lab.diagnose.evaluate.regions import FailingRegions, RegionTest, failing_regions
+from heli_lab.diagnose.evaluate.reported import CauseParameter, cause_parameters, reported_std
 from heli_lab.diagnose.evaluate.residual_analysis import ResidualAnalysis, correlates
 from heli_lab.diagnose.evaluate.verdict import NamedCause, Verdict, confidence
 

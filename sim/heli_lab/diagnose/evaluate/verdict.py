@@ -11,8 +11,8 @@ from heli_sim.model.effects import EffectKind
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose import thresholds
-from heli_lab.diagnose.evaluate.cause_parameters import CauseParameter, cause_parameters
 from heli_lab.diagnose.evaluate.prediction import Prediction
+from heli_lab.diagnose.evaluate.reported import CauseParameter, cause_parameters
 from heli_lab.diagnose.evaluate.residual_analysis import ResidualAnalysis
 from heli_lab.diagnose.search import Cause, Search
 from heli_lab.identify import Fit
