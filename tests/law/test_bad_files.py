@@ -177,4 +177,4 @@ def test_c_that_cannot_be_written_is_one_line(terminal: Terminal) -> None:
 def test_a_log_without_a_law_is_one_line(terminal: Terminal) -> None:
     Path("a.csv").write_text("t_s,front_V,back_V,elevation_rad,pitch_rad,travel_rad\n")
     assert "a.csv" in refusal(terminal("law", "compare", "a.csv", "b.csv"), code=FILE)
-    assert "name two logs" in refusal(terminal("law", "compare", "a.csv"), code=FILE)
+    assert "give two logs" in refusal(terminal("law", "compare", "a.csv"), code=FILE)

@@ -45,7 +45,9 @@ def mean_return(env: gymnasium.Env[Any, Any], policy: Callable[[Observation], Ac
     env : gymnasium.Env
         Environment that ends episodes by time, as those of `gymnasium.make` do.
     policy : callable taking an observation, returning an action
-        The policy.
+        Controller of all episodes.
+    seeds : range
+        One seed of the environment per episode.
 
     Returns
     -------

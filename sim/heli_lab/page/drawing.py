@@ -38,7 +38,7 @@ class Picture:
     drawing : Drawing
         Renderer to which the figure was added.
     figure : matplotlib.figure.Figure
-        The figure.
+        Figure, which must stay unchanged.
     path : Path
         The PNG file.
     """

@@ -26,6 +26,8 @@ class SensitivityCase:
 
     Parameters
     ----------
+    label : str
+        Text in the legend.
     changes : Mapping of str to float
         Factors on coefficients, by name; 0 neglects a coefficient.
     """
