@@ -221,11 +221,17 @@ void Core::log_law(link::Sample& sample) {
     sample.raw[static_cast<std::size_t>(channel)] = value;
   };
   law::Recovery& recovery = guest_.recovery();
-  // Where the board's own law has no axis to fly, there is nothing to take in hand.
-  if (recovery.active() && supervisor_.axes() == 0U) {
+  // Where the board's own law has no axis to fly, there is nothing to take in hand; and nothing may
+  // keep a landing from descending.
+  if (supervisor_.axes() == 0U ||
+      (recovery.returns() && supervisor_.state() != State::closed_loop)) {
     recovery.stop();
   }
   guest_.settle();
+  // While the arm is thrown about, elevation may stand for half a second at the top of its swing.
+  if (recovery.active() && !recovery.returns()) {
+    supervisor_.restart_tracking();
+  }
   const auto move = [this, &recovery, &tell](std::size_t axis, Channel channel, Wire per_unit) {
     if (recovery.active() && recovery.moves(axis)) {
       supervisor_.go_on_from(axis, recovery.setpoint_rad(axis));

@@ -41,6 +41,8 @@ class Supervisor {
   Quantity setpoint_rad(std::size_t axis) const { return setpoints_.angle_rad(axis); }
   // The setpoint goes on to its target from there.
   void go_on_from(std::size_t axis, Quantity angle_rad) { setpoints_.go_on_from(axis, angle_rad); }
+  // What the axes did until now says nothing of them.
+  void restart_tracking() { tracking_.restart(); }
   // Whether a law of the host's flies and has told where to; those setpoints are only logged.
   bool follows() const { return follows_ && state_ == State::streamed; }
   Quantity following_rad(std::size_t axis) const { return following_rad_[axis]; }

@@ -21,12 +21,21 @@ constexpr Quantity kCalm_rad_s[kAxisCount] = {degrees(6.0F), degrees(40.0F), deg
 constexpr Quantity kLevel_rad = degrees(10.0F);
 constexpr std::uint32_t kCalm_ticks = 300;
 // Whoever keeps moving for longer is in no law's hand; the supervisor watches the setpoint again.
-constexpr std::uint32_t kMost_ticks = 3000;
+constexpr std::uint32_t kMostStop_ticks = 3000;
 
 // The cascade overshoots a step by a quarter: by less than a degree of elevation from here.
 constexpr Quantity kNear_rad[kAxisCount] = {degrees(3.0F), Quantity{}, degrees(6.0F)};
 // Lift that is this far from what carries the arm moves it by 6 deg/s in 0.4 s.
 constexpr Quantity kCarries_V = Quantity::of(0.5F);
+
+// Travel is back: its setpoint stands, and the arm nearly. From 175 degrees away that takes 13 s.
+constexpr Quantity kArrives_rad_s = degrees(1.0F);
+constexpr std::uint32_t kMostReturn_ticks = 20000;
+// Elevation waits where the rotors have this share of their lift at level: with 0.3 of it, a return
+// over 30 degrees lifts the arm by 2, with 0.4 not at all (nominal rig).
+constexpr float kTiltingShare = 0.4F;
+// 5 degrees a second, to there.
+constexpr Quantity kRise_rad = degrees(0.005F);
 
 // As far below the limit as a setpoint has to be.
 constexpr float kMargin_deg = 2.0F;
@@ -49,40 +58,77 @@ RecoveryLimits recovery_limits_of(const params::Params& params) {
   RecoveryLimits l{};
   l.elevation_least_rad = degrees(params.get(Param::elevation_rest_deg));
   l.elevation_most_rad = degrees(params.get(Param::elevation_max_deg) - kMargin_deg);
+  const float slope = params.get(Param::hover_slope);
+  const float tilting_deg =
+      slope > 0.0F ? (kTiltingShare - 1.0F) * params.get(Param::hover_V) / slope : -90.0F;
+  l.tilting_least_rad = control::clamp(degrees(tilting_deg), l.elevation_least_rad, Quantity{});
   return l;
 }
 
 void Recovery::update(ControlInput& in, Quantity lift_V, Quantity tilt_V,
                       const RecoveryLimits& limits) {
-  const bool calm = at_rest(in);
   if (!begun_) {
     begun_ = true;
+    returns_ = false;
     ticks_ = 0;
     calm_ticks_ = 0;
     for (bool& moves : moves_) {
       moves = false;
     }
-    active_ = !(calm && is_near(in, kElevation) && is_near(in, kTravel) &&
+    active_ = !(at_rest(in) && is_near(in, kElevation) && is_near(in, kTravel) &&
                 magnitude(lift_V) < kCarries_V && magnitude(tilt_V) < kCarries_V);
   }
+  if (active_) {
+    ++ticks_;
+    active_ = returns_ ? return_travel(in, limits) : stop_arm(in, limits);
+  }
+}
+
+bool Recovery::calm_for_long(bool calm) {
   calm_ticks_ = calm ? calm_ticks_ + 1U : 0U;
-  active_ = active_ && calm_ticks_ <= kCalm_ticks && ticks_ < kMost_ticks;
-  if (!active_) {
-    return;
+  return calm_ticks_ > kCalm_ticks;
+}
+
+void Recovery::move(ControlInput& in, std::size_t axis, Quantity setpoint_rad) {
+  moves_[axis] = true;
+  setpoint_rad_[axis] = setpoint_rad;
+  in.setpoint_rad[axis] = setpoint_rad;
+  in.setpoint_rate_rad_s[axis] = Quantity{};
+  in.setpoint_acceleration_rad_s2[axis] = Quantity{};
+}
+
+bool Recovery::stop_arm(ControlInput& in, const RecoveryLimits& limits) {
+  if (calm_for_long(at_rest(in)) || ticks_ > kMostStop_ticks) {
+    returns_ = moves_[kTravel];
+    moves_[kElevation] = false;
+    moves_[kTravel] = false;
+    calm_ticks_ = 0;
+    return returns_;
   }
-  ++ticks_;
-  setpoint_rad_[kElevation] = control::clamp(in.angle_rad[kElevation], limits.elevation_least_rad,
-                                             limits.elevation_most_rad);
-  setpoint_rad_[kTravel] = in.angle_rad[kTravel];
-  for (const std::size_t axis : {kElevation, kTravel}) {
-    moves_[axis] = moves_[axis] || !is_near(in, axis);
-    if (!moves_[axis]) {
-      continue;
-    }
-    in.setpoint_rad[axis] = setpoint_rad_[axis];
-    in.setpoint_rate_rad_s[axis] = Quantity{};
-    in.setpoint_acceleration_rad_s2[axis] = Quantity{};
+  if (moves_[kElevation] || !is_near(in, kElevation)) {
+    move(in, kElevation,
+         control::clamp(in.angle_rad[kElevation], limits.elevation_least_rad,
+                        limits.elevation_most_rad));
   }
+  if (moves_[kTravel] || !is_near(in, kTravel)) {
+    move(in, kTravel, in.angle_rad[kTravel]);
+  }
+  return true;
+}
+
+bool Recovery::return_travel(ControlInput& in, const RecoveryLimits& limits) {
+  const bool there = magnitude(in.setpoint_rate_rad_s[kTravel]) < kArrives_rad_s &&
+                     magnitude(in.rate_rad_s[kTravel]) < kArrives_rad_s && is_near(in, kTravel);
+  if (calm_for_long(there) || ticks_ > kMostReturn_ticks) {
+    return false;
+  }
+  const Quantity setpoint_rad = in.setpoint_rad[kElevation];
+  if (setpoint_rad < limits.tilting_least_rad) {
+    const Quantity higher_rad = setpoint_rad + kRise_rad;
+    move(in, kElevation,
+         higher_rad < limits.tilting_least_rad ? higher_rad : limits.tilting_least_rad);
+  }
+  return true;
 }
 
 }  // namespace heli::law

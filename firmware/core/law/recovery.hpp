@@ -3,7 +3,9 @@
 // By then the setpoint that the other law was to follow may be far away. To the cascade that is a
 // step, of which it overshoots a quarter: from 16 degrees on into the upper limit. So an axis
 // that has left its setpoint gets one where the arm is, until the arm is at rest. From there the
-// supervisor's setpoint goes on to the host's target, at the rates that any setpoint has.
+// supervisor's setpoint goes on to the host's target, at the rates that any setpoint has. Where
+// travel has to, elevation waits where the rotors have lift enough to tilt: lower, the tilt itself
+// lifts the arm, by 15 degrees at -24, and further on slow rotors.
 #pragma once
 
 #include <cstdint>
@@ -21,6 +23,7 @@ using control::Quantity;
 struct RecoveryLimits {
   Quantity elevation_least_rad;
   Quantity elevation_most_rad;
+  Quantity tilting_least_rad;  // elevation at which the rotors may still tilt
 };
 
 RecoveryLimits recovery_limits_of(const params::Params& params);
@@ -42,13 +45,22 @@ class Recovery {
               const RecoveryLimits& limits);
   // True in its first tick.
   bool begins() const { return active_ && ticks_ == 1U; }
+  // Whether the arm is at rest, and elevation waits for travel.
+  bool returns() const { return returns_; }
   // Whether it has replaced the supervisor's setpoint of an axis, and by which.
   bool moves(std::size_t axis) const { return moves_[axis]; }
   Quantity setpoint_rad(std::size_t axis) const { return setpoint_rad_[axis]; }
 
  private:
+  // A tick of each part; false where it has ended.
+  bool stop_arm(control::ControlInput& in, const RecoveryLimits& limits);
+  bool return_travel(control::ControlInput& in, const RecoveryLimits& limits);
+  void move(control::ControlInput& in, std::size_t axis, Quantity setpoint_rad);
+  bool calm_for_long(bool calm);
+
   bool active_ = false;
   bool begun_ = false;
+  bool returns_ = false;
   std::uint32_t ticks_ = 0;
   std::uint32_t calm_ticks_ = 0;
   bool moves_[kAxisCount] = {};
