@@ -82,7 +82,7 @@ def test_a_single_count_to_and_fro_is_no_motion(step_counts: int) -> None:
         if k % 20 == 0:
             harness.setpoint(pitch_deg=12.0)
         swing = 4 * COUNT_DEG * (k // 10 % 2)
-        harness.move(elevation_deg=swing, pitch_deg=COUNT_DEG * step_counts * (k % 2))
+        harness.move(elevation_deg=swing, pitch_deg=COUNT_DEG * step_counts * (k // 3 % 2))
         harness.tick()
     assert harness.motors_off == (step_counts == 1)
 

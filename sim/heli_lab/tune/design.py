@@ -52,6 +52,7 @@ _OVERSHOOT_WEIGHT: Final = 0.5
 _LATE_WEIGHT: Final = 30.0  # what is left when the path has ended is what a step is judged by
 _BOUND_WEIGHT: Final = 30.0
 _UNSTABLE: Final = 1e3
+_PARAMETERS: Final = {spec.name: spec for spec in PARAMS}
 
 
 @dataclass(frozen=True)
@@ -213,6 +214,7 @@ def _design_elevation(
         "elevation_acceleration_ff": float(np.radians(acceleration_ff)),
         "elevation_slew_deg_s": ELEVATION_SLEW_DEG_S,
         "elevation_acceleration_deg_s2": acceleration_deg_s2,
+        "elevation_gain": own.elevation_gain,
     }
 
 
@@ -297,8 +299,17 @@ def _design_tilt(
             "travel_acceleration_deg_s2": acceleration_deg_s2,
             "pitch_setpoint_max_deg": PITCH_SETPOINT_MAX_DEG,
             "differential_max_V": differential_max_V,
+            "pitch_gain": own.pitch_gain,
+            "travel_gain": own.travel_gain,
+            "travel_motion_deg": _travel_motion_deg(own.travel_gain),
         },
     )
+
+
+def _travel_motion_deg(gain: float) -> float:
+    """Tilt that must move travel: what turns this rig as the declared tilt turns the declared rig."""
+    declared = _PARAMETERS["travel_motion_deg"].default * _PARAMETERS["travel_gain"].default
+    return max(declared / gain, _PARAMETERS["travel_motion_deg"].min)
 
 
 def _differential_max_V(rig: Rig, hover_V: float) -> float:
