@@ -36,6 +36,7 @@ _CLOSED: Final = (State.CLOSED_LOOP, State.HOLD, State.LANDING)
 _STOP_MARGIN_DEG: Final = 0.05
 _KINDS: Final = {"elevation": (0, 250), "pitch": (1, 250), "travel": (2, 510), "supply": (0, 60)}
 _LATEST_S: Final = 40.0
+_HEALTHY: Final = 420
 _INERTIA_kg_m2: Final = 0.8195
 """Of travel, J_psi of the paper: makes a torque of an acceleration."""
 
@@ -298,11 +299,13 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=29)
     given = parser.parse_args()
     if given.what == "healthy":
-        flights = list(false_alarms(round(given.share * 400), given.seed))
-        alarms = [one for one in flights if one.tracking_fault]
-        for one in alarms:
-            print(one.tracking_fault, dataclasses.asdict(one), flush=True)
-        print(f"{len(flights)} healthy flights, {len(alarms)} false alarms")
+        flights = alarms = 0
+        for one in false_alarms(round(given.share * _HEALTHY), given.seed):
+            flights += 1
+            if one.tracking_fault:
+                alarms += 1
+                print(dataclasses.asdict(one), flush=True)
+        print(f"{flights} healthy flights, {alarms} false alarms")
         return
     print(f"{HEAD}\n|---|---|---|---|---|---|---|")
     late: list[Seen] = []

@@ -25,8 +25,8 @@ void Balance::restart(const BalanceLimits& limits) {
   width_ = limits.width;
 }
 
-void Balance::update(Quantity angle_rad, Quantity drive, std::int32_t moved_counts,
-                     const BalanceLimits& limits) {
+void Balance::update(Quantity angle_rad, Quantity rate_rad_s, Quantity drive,
+                     std::int32_t moved_counts, const BalanceLimits& limits) {
   const Quantity turned = limits.drive_per_rad * angle_rad;
   if (!running_) {
     running_ = true;
@@ -35,27 +35,61 @@ void Balance::update(Quantity angle_rad, Quantity drive, std::int32_t moved_coun
     stay();
   }
   const Quantity balance = fast_ - turned;
-  fast_ += part(slow_ - balance - balance, kShift);
-  slow_ += part(drive - balance, kShift);
+  // Parts first: their differences need no saturation.
+  fast_ += Quantity::from_raw((slow_.raw() >> kShift) - (balance.raw() >> (kShift - 1)));
+  slow_ += Quantity::from_raw((drive.raw() >> kShift) - (balance.raw() >> kShift));
   ++same_way_updates_;
-  if (moved_counts != 0) {
-    stay();
-    const bool up = moved_counts > 0;
-    if (up != up_) {
-      up_ = up;
-      same_way_updates_ = 0;
-      next_update_ = kKnown_updates;
-    } else if (same_way_updates_ >= next_update_) {
-      next_update_ = same_way_updates_ + kLearnEvery_updates;
-      learn(balance, up);
-    }
+  if (moved_counts == 0) {
+    integrate(drive, limits);
     return;
   }
-  const Quantity beyond = excess(drive, limits);
-  if ((beyond.raw() ^ rate_.raw()) < 0 || beyond == Quantity{}) {
-    stay();
+  const bool up = moved_counts > 0;
+  stay();
+  coast(rate_rad_s, up, limits);
+  if (up != up_) {
+    up_ = up;
+    same_way_updates_ = 0;
+    next_update_ = kKnown_updates;
+  } else if (same_way_updates_ >= next_update_) {
+    next_update_ = same_way_updates_ + kLearnEvery_updates;
+    learn(balance, up);
   }
-  rate_ += part(beyond, kShift);
+}
+
+// An axis cannot stop at once: it goes on at the rate that it had, until friction has stopped it.
+void Balance::coast(Quantity rate_rad_s, bool up, const BalanceLimits& limits) {
+  const Quantity forth_rad_s = up ? rate_rad_s : -rate_rad_s;
+  if (forth_rad_s > limits.noise_rad_s) {
+    coasts_ = true;
+    const Quantity sure_rad_s = rate_rad_s - part(rate_rad_s, kUncertain);
+    rate_ = limits.speed_per_rad_s * sure_rad_s;
+  }
+}
+
+void Balance::integrate(Quantity drive, const BalanceLimits& limits) {
+  const auto [low, high] = range();
+  const Quantity above = drive - high;
+  const Quantity below = low - drive;
+  if (coasts_) {
+    // Friction that this rig may have brakes it, whatever the flight has shown of it so far.
+    const Quantity brake =
+        (limits.width > width_ ? limits.width - width_ : Quantity{}) + limits.margin;
+    const bool forth = rate_ > Quantity{};
+    rate_ += part(forth ? above - brake : brake - below, kShift);
+    if ((rate_ > Quantity{}) != forth) {
+      stay();
+    }
+  } else {
+    const Quantity most = above > below ? above : below;
+    const Quantity sure = most - part(most, kUncertain) - limits.margin;
+    const bool forth = above > below;
+    if (sure <= Quantity{} || (forth ? rate_ < Quantity{} : rate_ > Quantity{})) {
+      stay();
+    }
+    if (sure > Quantity{}) {
+      rate_ += part(forth ? sure : -sure, kShift);
+    }
+  }
   moved_ += part(rate_, kShift);
 }
 
@@ -66,18 +100,10 @@ void Balance::learn(Quantity balance, bool up) {
   width_ = apart > kept ? apart : kept;
 }
 
-Quantity Balance::excess(Quantity drive, const BalanceLimits& limits) const {
+Balance::Range Balance::range() const {
   const bool in_order = balance_[0] < balance_[1];
-  const Quantity low = in_order ? balance_[0] : balance_[1];
-  const Quantity high = in_order ? balance_[1] : balance_[0];
-  const Quantity above = drive - high - width_;
-  if (above > Quantity{}) {
-    const Quantity sure = above - part(above, kUncertain) - limits.margin;
-    return sure > Quantity{} ? sure : Quantity{};
-  }
-  const Quantity below = low - width_ - drive;
-  const Quantity sure = below - part(below, kUncertain) - limits.margin;
-  return sure > Quantity{} ? -sure : Quantity{};
+  return {(in_order ? balance_[0] : balance_[1]) - width_,
+          (in_order ? balance_[1] : balance_[0]) + width_};
 }
 
 }  // namespace heli::flight

@@ -20,10 +20,12 @@ inline constexpr std::uint32_t kTrackingSlots = 4;
 
 // A drive is in volts of lift for elevation and pitch, and in rad of pitch for travel.
 struct BalanceLimits {
-  Gain drive_per_rad;   // the drive that turns the axis by one radian in T squared
-  Quantity width;       // half of the range of drives that may hold it, before it has moved
-  Quantity margin;      // of that range: noise of the observer, and what friction varies by
-  Quantity moved_most;  // excess drive, integrated twice over the time in units of T
+  Gain drive_per_rad;    // the drive that turns the axis by one radian in T squared
+  Quantity width;        // half of the range of drives that may hold it, before it has moved
+  Quantity margin;       // of that range: noise of the observer, and what friction varies by
+  Quantity moved_most;   // excess drive, integrated twice over the time in units of T
+  Gain speed_per_rad_s;  // of the integrated drive, per rate of the axis
+  Quantity noise_rad_s;  // of a measured rate: what one count shows
 };
 
 class Balance {
@@ -42,18 +44,27 @@ class Balance {
     stay();
   }
   // `moved_counts` since the last update with a motion: 0 while the axis is still.
-  void update(Quantity angle_rad, Quantity drive, std::int32_t moved_counts,
+  void update(Quantity angle_rad, Quantity rate_rad_s, Quantity drive, std::int32_t moved_counts,
               const BalanceLimits& limits);
   // How far the axis must have moved since it last counted, as `moved_most`.
   Quantity moved() const { return control::magnitude(moved_); }
 
  private:
+  // Drives that may hold the axis.
+  struct Range {
+    Quantity low;
+    Quantity high;
+  };
+
   void stay() {
+    coasts_ = false;
     rate_ = Quantity{};
     moved_ = Quantity{};
   }
+  void coast(Quantity rate_rad_s, bool up, const BalanceLimits& limits);
   void learn(Quantity balance, bool up);
-  Quantity excess(Quantity drive, const BalanceLimits& limits) const;
+  void integrate(Quantity drive, const BalanceLimits& limits);
+  Range range() const;
 
   // The observer: a second-order low-pass with two poles at -1/T.
   Quantity fast_;
@@ -64,6 +75,7 @@ class Balance {
   Quantity moved_;
   std::uint32_t same_way_updates_ = 0;
   std::uint32_t next_update_ = 0;
+  bool coasts_ = false;
   bool up_ = false;
   bool running_ = false;
 };

@@ -56,15 +56,41 @@ std::uint32_t updates_of(float seconds) {
   return (ticks_of(seconds) + kTrackingSlots - 1U) / kTrackingSlots;
 }
 
-// `gain`: acceleration per drive. A drive of `most` for `motion_s` integrates twice to half of
-// most * motion_s^2.
-BalanceLimits balance_limits_of(std::size_t axis, float gain, float most, float motion_s) {
-  const float times = motion_s / Balance::kTime_s;
+struct Names {
+  Param gain;
+  Param motion;
+  Param motion_s;
+};
+constexpr Names kNames[kAxisCount] = {
+    {Param::elevation_gain, Param::elevation_motion_V, Param::motion_s},
+    {Param::pitch_gain, Param::pitch_motion_V, Param::motion_s},
+    {Param::travel_gain, Param::travel_motion_deg, Param::travel_motion_s}};
+
+// A rate jumps at each count by the count times the filter's bandwidth, here in counts per turn.
+// Two such jumps in a row are a motion.
+constexpr float kRateNoise = 2.0F * 2.0F * control::kPi * 2.0F * control::kPi;
+
+// The drive that must move the axis, held for motion_s, integrates twice to half of their product
+// with motion_s.
+BalanceLimits balance_limits_of(const params::Params& params, std::size_t axis) {
+  const Names& name = kNames[axis];
+  const float unit = axis == kTravel ? kRadPerDeg : 1.0F;
+  const float most = params.get(name.motion) * unit;
+  const float times = params.get(name.motion_s) / Balance::kTime_s;
+  const float drive_per_rad = 1.0F / (params.get(name.gain) * Balance::kTime_s * Balance::kTime_s);
   BalanceLimits limits{};
-  limits.drive_per_rad = Gain::of(1.0F / (gain * Balance::kTime_s * Balance::kTime_s));
+  limits.drive_per_rad = Gain::of(drive_per_rad);
   limits.width = Quantity::of(kShares[axis].width * most);
   limits.margin = Quantity::of(kShares[axis].margin * most);
   limits.moved_most = Quantity::of(0.5F * most * times * times);
+  limits.speed_per_rad_s = Gain::of(drive_per_rad * Balance::kTime_s);
+  // Only travel coasts: nothing pulls it back. The others are driven hard, and noticed by that.
+  if (axis == kTravel) {
+    limits.noise_rad_s = Quantity::of(kRateNoise * params.get(Param::travel_filter_Hz) /
+                                      control::magnitude(params.get(Param::travel_counts_per_rev)));
+  } else {
+    limits.noise_rad_s = Quantity::from_raw(INT32_MAX);
+  }
   return limits;
 }
 
@@ -89,15 +115,10 @@ TrackingLimits tracking_limits_of(const params::Params& params) {
   l.following_updates = updates_of(params.get(Param::following_s));
   l.drive_max[kElevation] = Quantity::of(params.get(Param::elevation_motion_V));
   l.drive_max[kPitch] = Quantity::of(params.get(Param::pitch_motion_V));
-  const float motion_s = params.get(Param::motion_s);
-  l.motion_updates = updates_of(motion_s);
-  l.balance[kElevation] = balance_limits_of(kElevation, params.get(Param::elevation_gain),
-                                            params.get(Param::elevation_motion_V), motion_s);
-  l.balance[kPitch] = balance_limits_of(kPitch, params.get(Param::pitch_gain),
-                                        params.get(Param::pitch_motion_V), motion_s);
-  l.balance[kTravel] = balance_limits_of(kTravel, params.get(Param::travel_gain),
-                                         params.get(Param::travel_motion_deg) * kRadPerDeg,
-                                         params.get(Param::travel_motion_s));
+  l.motion_updates = updates_of(params.get(Param::motion_s));
+  for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
+    l.balance[axis] = balance_limits_of(params, axis);
+  }
   l.dead_zone = control::DeadZone::of(params.get(Param::dead_zone_V));
   l.table_rad = rad(Param::elevation_rest_deg) + kTable_rad;
   l.hover_V = Quantity::of(params.get(Param::hover_V));
@@ -137,7 +158,8 @@ Verdict Tracking::check(const Tracked& tracked, const TrackingLimits& limits) {
     const Quantity free = i == kElevation ? drive - limits.hover_V_per_rad * seen.angle_rad[i]
                           : i == kPitch   ? drive - limits.pitch_V_per_rad * seen.angle_rad[i]
                                           : drive;
-    axis.balance.update(seen.angle_rad[i], free, still ? 0 : moved, limits.balance[i]);
+    axis.balance.update(seen.angle_rad[i], seen.rate_rad_s[i], free, still ? 0 : moved,
+                        limits.balance[i]);
   } else {
     axis.balance.pause();
   }
