@@ -80,8 +80,9 @@ HEALTHY: Final[Mapping[str, Flown]] = {
     "friction, course": Flown("quanser-course", "quanser-course", _FRICTION),
     "friction, identified": Flown("makki2024-identified", "makki2024-identified", _FRICTION),
     "friction and pull": Flown(effects=_FRICTION, pull_rad_s2=0.05),
-    "friction everywhere": Flown(
-        effects=f"{_FRICTION};coulomb_friction.elevation;coulomb_friction.pitch"
+    "friction everywhere": Flown(effects=f"{_FRICTION};coulomb_friction.elevation;coulomb_friction.pitch"),
+    "much friction everywhere": Flown(
+        effects=f"{_FRICTION};coulomb_friction.elevation=0.08;coulomb_friction.pitch=0.02"
     ),
     "cable": Flown(effects="cable_spring.travel"),
     "play": Flown(effects="backlash.travel"),
@@ -257,7 +258,10 @@ def _judged(
     return Seen(case, outcome, acted_s, away_deg, bool(touched.any()))
 
 
-HEAD: Final = "| fails in flight | flights | reported | within, at worst | axis off by, at worst | stop touched | never reported, off by at most |"
+HEAD: Final = (
+    "| fails in flight | flights | reported | within, at worst | axis off by, at worst | stop touched "
+    "| never reported, off by at most |"
+)
 
 
 def row(kind: str, seen: Sequence[Seen]) -> str:

@@ -61,7 +61,7 @@ def told() -> dict[str, list[float]]:
     lines = DOCUMENT.read_text(encoding="utf-8").splitlines()
     begin = lines.index(HEAD) + 2
     rows = lines[begin : next(k for k in range(begin, len(lines)) if not lines[k].startswith("|"))]
-    return {row.split(" ")[2].removesuffix("'"): [float(x) for x in re.findall(r"[\d.]+", row)] for row in rows}
+    return {row.split(" ")[2]: [float(x) for x in re.findall(r"[\d.]+", row)] for row in rows}
 
 
 @pytest.mark.slow
