@@ -4,7 +4,7 @@ function d = heli_declaration()
 % Written by firmware/generate.py from firmware/link.toml. Do not edit.
 
 d.link_version = '1.3';
-d.link_hash = uint32(721706516);
+d.link_hash = uint32(88437033);
 d.protocol = 1;
 d.baud = 250000;
 d.tick_us = 1000;
@@ -235,6 +235,9 @@ d.parameters = {
   'motion_s', 's', 0.1, 10, 0.5
   'travel_motion_deg', 'deg', 0.5, 90, 8
   'travel_motion_s', 's', 0.1, 30, 1
+  'elevation_gain', 'rad/(s2 V)', 0.02, 10, 0.485
+  'pitch_gain', 'rad/(s2 V)', 0.1, 100, 2.97
+  'travel_gain', '1/s2', 0.05, 100, 0.5
   'law_jump_max_V', 'V', 0.1, 48, 2.5
   'law_envelope', '', 0.2, 1, 0.8
   'arm_rate_max_deg_s', 'deg/s', 0.1, 100, 3
@@ -270,7 +273,7 @@ d.faults = {
   16, 'encoder_overload', 'edges of an encoder came faster than the board counts, so that its angle is wrong', 'look for noise on its lines, a missing ground or pull-up; then zero the axis'
   17, 'elevation_motionless', 'the collective changed by enough to move the arm, and elevation did not count', 'check the elevation encoder''s plug, the motors'' supply and enable lines; a heavier rig needs its own hover_V (tune)'
   18, 'pitch_motionless', 'the voltages'' difference changed by enough to tilt the short arm, and pitch did not count', 'check the pitch encoder''s plug, then that both rotors push'
-  19, 'travel_motionless', 'pitch tilted by enough to turn the arm, and travel did not count', 'check the travel encoder''s plug, then what holds the arm'
+  19, 'travel_motionless', 'pitch tilted by enough and for long enough to turn the arm, and travel did not count; value: how far it must have turned, in deg', 'check the travel encoder''s plug, then what holds the arm'
   20, 'not_at_rest', 'the arm does not rest on the table', 'let it rest on the table and zero it'
   21, 'moving', 'an axis is moving', 'wait until everything is still'
   22, 'link_not_alive', 'no recent frame from the host', 'keep the session open while arming'

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-LINK_HASH = 0x2B045E14
+LINK_HASH = 0x05457129
 LINK_VERSION = "1.3"
 FIRMWARE_VERSION = "0.1.0"
 PROTOCOL = 1
@@ -250,7 +250,7 @@ class Fault(IntEnum):
     ENCODER_OVERLOAD = 16  # edges of an encoder came faster than the board counts, so that its angle is wrong
     ELEVATION_MOTIONLESS = 17  # the collective changed by enough to move the arm, and elevation did not count
     PITCH_MOTIONLESS = 18  # the voltages' difference changed by enough to tilt the short arm, and pitch did not count
-    TRAVEL_MOTIONLESS = 19  # pitch tilted by enough to turn the arm, and travel did not count
+    TRAVEL_MOTIONLESS = 19  # pitch tilted by enough and for long enough to turn the arm, and travel did not count; value: how far it must have turned, in deg
     NOT_AT_REST = 20  # the arm does not rest on the table
     MOVING = 21  # an axis is moving
     LINK_NOT_ALIVE = 22  # no recent frame from the host
@@ -322,21 +322,24 @@ class Param(IntEnum):
     ELEVATION_MOTION_V = 52  # V: change of both voltages' sum, dead zones apart, that must move elevation within motion_s; at take-off, beyond hover_V
     PITCH_MOTION_V = 53  # V: change of front minus back, dead zones apart, that must move pitch within motion_s
     MOTION_S = 54  # s: how long a driven elevation or pitch may stay within a count
-    TRAVEL_MOTION_DEG = 55  # deg: change of pitch that must move travel within travel_motion_s
-    TRAVEL_MOTION_S = 56  # s: how long travel may stay within a count while pitch tilts
-    LAW_JUMP_MAX_V = 57  # V: change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link
-    LAW_ENVELOPE = 58  # : share of the angle and rate limits, and of the following errors, beyond which it takes over
-    ARM_RATE_MAX_DEG_S = 59  # deg/s: arming needs every axis slower than this
-    ARM_ELEVATION_TOLERANCE_DEG = 60  # deg: arming needs the elevation this close to rest
-    ARM_PITCH_TOLERANCE_DEG = 61  # deg: arming needs the pitch this close to level
-    SETPOINT_HOLD_S = 62  # s: without a fresh setpoint for this long the board holds level
-    SETPOINT_LAND_S = 63  # s: without a fresh setpoint for this long the board lands
-    LANDING_RATE_DEG_S = 64  # deg/s: descent of the elevation setpoint while landing
-    LANDING_TIMEOUT_S = 65  # s: landing takes at most this long; then motors off with a fault
-    VOLTAGE_VALID_MAX_MS = 66  # ms: a streamed voltage acts at most this long, whatever its sender asked for
-    EXCITATION_MAX_V = 67  # V: largest amplitude that excite accepts
-    EXCITATION_MAX_S = 68  # s: longest duration that excite accepts
-    TELEMETRY_BATCH_TICKS = 69  # tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
+    TRAVEL_MOTION_DEG = 55  # deg: pitch beyond the balanced one that must move travel within travel_motion_s
+    TRAVEL_MOTION_S = 56  # s: with travel_motion_deg: a smaller excess is tolerated for longer, by its double integral over time
+    ELEVATION_GAIN = 57  # rad/(s2 V): acceleration of elevation per volt of the sum: thrust gain k L_a / J_theta; judges what elevation must have moved by
+    PITCH_GAIN = 58  # rad/(s2 V): acceleration of pitch per volt of front minus back: k L_h / J_phi; judges what pitch must have moved by
+    TRAVEL_GAIN = 59  # 1/s2: acceleration of travel per radian of pitch at hover: thrust that carries the arm, times L_a / J_psi; judges what travel must have moved by
+    LAW_JUMP_MAX_V = 60  # V: change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link
+    LAW_ENVELOPE = 61  # : share of the angle and rate limits, and of the following errors, beyond which it takes over
+    ARM_RATE_MAX_DEG_S = 62  # deg/s: arming needs every axis slower than this
+    ARM_ELEVATION_TOLERANCE_DEG = 63  # deg: arming needs the elevation this close to rest
+    ARM_PITCH_TOLERANCE_DEG = 64  # deg: arming needs the pitch this close to level
+    SETPOINT_HOLD_S = 65  # s: without a fresh setpoint for this long the board holds level
+    SETPOINT_LAND_S = 66  # s: without a fresh setpoint for this long the board lands
+    LANDING_RATE_DEG_S = 67  # deg/s: descent of the elevation setpoint while landing
+    LANDING_TIMEOUT_S = 68  # s: landing takes at most this long; then motors off with a fault
+    VOLTAGE_VALID_MAX_MS = 69  # ms: a streamed voltage acts at most this long, whatever its sender asked for
+    EXCITATION_MAX_V = 70  # V: largest amplitude that excite accepts
+    EXCITATION_MAX_S = 71  # s: longest duration that excite accepts
+    TELEMETRY_BATCH_TICKS = 72  # tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -532,21 +535,24 @@ PARAMS: tuple[ParamSpec, ...] = (
     ParamSpec(52, "elevation_motion_V", "V", 0.1, 48.0, 1.2, False, False, True, "change of both voltages' sum, dead zones apart, that must move elevation within motion_s; at take-off, beyond hover_V"),
     ParamSpec(53, "pitch_motion_V", "V", 0.1, 48.0, 0.5, False, False, True, "change of front minus back, dead zones apart, that must move pitch within motion_s"),
     ParamSpec(54, "motion_s", "s", 0.1, 10.0, 0.5, False, False, True, "how long a driven elevation or pitch may stay within a count"),
-    ParamSpec(55, "travel_motion_deg", "deg", 0.5, 90.0, 8.0, False, False, True, "change of pitch that must move travel within travel_motion_s"),
-    ParamSpec(56, "travel_motion_s", "s", 0.1, 30.0, 1.0, False, False, True, "how long travel may stay within a count while pitch tilts"),
-    ParamSpec(57, "law_jump_max_V", "V", 0.1, 48.0, 2.5, False, False, True, "change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link"),
-    ParamSpec(58, "law_envelope", "", 0.2, 1.0, 0.8, False, False, True, "share of the angle and rate limits, and of the following errors, beyond which it takes over"),
-    ParamSpec(59, "arm_rate_max_deg_s", "deg/s", 0.1, 100.0, 3.0, False, False, True, "arming needs every axis slower than this"),
-    ParamSpec(60, "arm_elevation_tolerance_deg", "deg", 0.1, 60.0, 2.0, False, False, True, "arming needs the elevation this close to rest"),
-    ParamSpec(61, "arm_pitch_tolerance_deg", "deg", 0.1, 60.0, 10.0, False, False, True, "arming needs the pitch this close to level"),
-    ParamSpec(62, "setpoint_hold_s", "s", 0.05, 5.0, 0.5, False, False, True, "without a fresh setpoint for this long the board holds level"),
-    ParamSpec(63, "setpoint_land_s", "s", 0.1, 30.0, 2.0, False, False, True, "without a fresh setpoint for this long the board lands"),
-    ParamSpec(64, "landing_rate_deg_s", "deg/s", 0.5, 60.0, 8.0, False, False, False, "descent of the elevation setpoint while landing"),
-    ParamSpec(65, "landing_timeout_s", "s", 1.0, 60.0, 12.0, False, False, True, "landing takes at most this long; then motors off with a fault"),
-    ParamSpec(66, "voltage_valid_max_ms", "ms", 5.0, 500.0, 100.0, False, False, True, "a streamed voltage acts at most this long, whatever its sender asked for"),
-    ParamSpec(67, "excitation_max_V", "V", 0.0, 12.0, 2.0, False, False, True, "largest amplitude that excite accepts"),
-    ParamSpec(68, "excitation_max_s", "s", 1.0, 600.0, 120.0, False, False, True, "longest duration that excite accepts"),
-    ParamSpec(69, "telemetry_batch_ticks", "tick", 4.0, 32.0, 20.0, False, True, False, "ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data"),
+    ParamSpec(55, "travel_motion_deg", "deg", 0.5, 90.0, 8.0, False, False, True, "pitch beyond the balanced one that must move travel within travel_motion_s"),
+    ParamSpec(56, "travel_motion_s", "s", 0.1, 30.0, 1.0, False, False, True, "with travel_motion_deg: a smaller excess is tolerated for longer, by its double integral over time"),
+    ParamSpec(57, "elevation_gain", "rad/(s2 V)", 0.02, 10.0, 0.485, False, False, False, "acceleration of elevation per volt of the sum: thrust gain k L_a / J_theta; judges what elevation must have moved by"),
+    ParamSpec(58, "pitch_gain", "rad/(s2 V)", 0.1, 100.0, 2.97, False, False, False, "acceleration of pitch per volt of front minus back: k L_h / J_phi; judges what pitch must have moved by"),
+    ParamSpec(59, "travel_gain", "1/s2", 0.05, 100.0, 0.5, False, False, False, "acceleration of travel per radian of pitch at hover: thrust that carries the arm, times L_a / J_psi; judges what travel must have moved by"),
+    ParamSpec(60, "law_jump_max_V", "V", 0.1, 48.0, 2.5, False, False, True, "change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link"),
+    ParamSpec(61, "law_envelope", "", 0.2, 1.0, 0.8, False, False, True, "share of the angle and rate limits, and of the following errors, beyond which it takes over"),
+    ParamSpec(62, "arm_rate_max_deg_s", "deg/s", 0.1, 100.0, 3.0, False, False, True, "arming needs every axis slower than this"),
+    ParamSpec(63, "arm_elevation_tolerance_deg", "deg", 0.1, 60.0, 2.0, False, False, True, "arming needs the elevation this close to rest"),
+    ParamSpec(64, "arm_pitch_tolerance_deg", "deg", 0.1, 60.0, 10.0, False, False, True, "arming needs the pitch this close to level"),
+    ParamSpec(65, "setpoint_hold_s", "s", 0.05, 5.0, 0.5, False, False, True, "without a fresh setpoint for this long the board holds level"),
+    ParamSpec(66, "setpoint_land_s", "s", 0.1, 30.0, 2.0, False, False, True, "without a fresh setpoint for this long the board lands"),
+    ParamSpec(67, "landing_rate_deg_s", "deg/s", 0.5, 60.0, 8.0, False, False, False, "descent of the elevation setpoint while landing"),
+    ParamSpec(68, "landing_timeout_s", "s", 1.0, 60.0, 12.0, False, False, True, "landing takes at most this long; then motors off with a fault"),
+    ParamSpec(69, "voltage_valid_max_ms", "ms", 5.0, 500.0, 100.0, False, False, True, "a streamed voltage acts at most this long, whatever its sender asked for"),
+    ParamSpec(70, "excitation_max_V", "V", 0.0, 12.0, 2.0, False, False, True, "largest amplitude that excite accepts"),
+    ParamSpec(71, "excitation_max_s", "s", 1.0, 600.0, 120.0, False, False, True, "longest duration that excite accepts"),
+    ParamSpec(72, "telemetry_batch_ticks", "tick", 4.0, 32.0, 20.0, False, True, False, "ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data"),
 )
 
 FAULTS: tuple[FaultSpec, ...] = (
@@ -568,7 +574,7 @@ FAULTS: tuple[FaultSpec, ...] = (
     FaultSpec(16, "encoder_overload", "trip", None, "edges of an encoder came faster than the board counts, so that its angle is wrong", "look for noise on its lines, a missing ground or pull-up; then zero the axis"),
     FaultSpec(17, "elevation_motionless", "trip", "elevation_motion_V", "the collective changed by enough to move the arm, and elevation did not count", "check the elevation encoder's plug, the motors' supply and enable lines; a heavier rig needs its own hover_V (tune)"),
     FaultSpec(18, "pitch_motionless", "trip", "pitch_motion_V", "the voltages' difference changed by enough to tilt the short arm, and pitch did not count", "check the pitch encoder's plug, then that both rotors push"),
-    FaultSpec(19, "travel_motionless", "land", "travel_motion_deg", "pitch tilted by enough to turn the arm, and travel did not count", "check the travel encoder's plug, then what holds the arm"),
+    FaultSpec(19, "travel_motionless", "land", "travel_motion_deg", "pitch tilted by enough and for long enough to turn the arm, and travel did not count; value: how far it must have turned, in deg", "check the travel encoder's plug, then what holds the arm"),
     FaultSpec(20, "not_at_rest", "check", "arm_elevation_tolerance_deg", "the arm does not rest on the table", "let it rest on the table and zero it"),
     FaultSpec(21, "moving", "check", "arm_rate_max_deg_s", "an axis is moving", "wait until everything is still"),
     FaultSpec(22, "link_not_alive", "check", "setpoint_hold_s", "no recent frame from the host", "keep the session open while arming"),

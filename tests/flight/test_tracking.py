@@ -82,7 +82,7 @@ def test_a_single_count_to_and_fro_is_no_motion(step_counts: int) -> None:
         if k % 20 == 0:
             harness.setpoint(pitch_deg=12.0)
         swing = 4 * COUNT_DEG * (k // 10 % 2)
-        harness.move(elevation_deg=swing, pitch_deg=COUNT_DEG * step_counts * (k % 2))
+        harness.move(elevation_deg=swing, pitch_deg=COUNT_DEG * step_counts * (k // 3 % 2))
         harness.tick()
     assert harness.motors_off == (step_counts == 1)
 
@@ -104,6 +104,76 @@ def test_a_travel_that_does_not_count_while_the_arm_tilts_is_landed_without_it_a
     assert harness.state is State.FAULT and harness.motors_off
     assert harness.arm().result == Result.BAD_STATE
     assert harness.ask(d.ClearFaultMessage(0)).result == Result.OK
+
+
+def balanced() -> Harness:
+    """A board that flies level, in a test that holds elevation and pitch itself: only travel is watched."""
+    harness = Harness(tracked=True)
+    for name in ("elevation_motion_V", "pitch_motion_V"):
+        harness.set(name, 48.0)
+    harness.arm()
+    harness.glide(ELEVATION, 0.0, 100.0)
+    harness.close_loops()
+    return harness
+
+
+def turn(harness: Harness, ticks: int, *, pitch_deg: float, rate_deg_s: float = 0.0) -> None:
+    """Tilt the arm, and let travel turn at a rate."""
+    harness.glide(PITCH, pitch_deg, 100.0)
+    travel_deg = harness.angles_deg[TRAVEL]
+    for k in range(ticks):
+        if k % 20 == 0:
+            harness.setpoint(travel_deg=harness.angles_deg[TRAVEL])
+        harness.move(travel_deg=travel_deg + rate_deg_s * k / 1000.0)
+        harness.tick()
+
+
+def test_a_small_tilt_that_winds_up_slowly_must_turn_the_arm_too() -> None:
+    harness = balanced()
+    for step in range(18):
+        turn(harness, 400, pitch_deg=0.4 * step)
+    assert harness.state is State.EMERGENCY_LANDING
+    assert tripped(harness) == (Fault.TRAVEL_MOTIONLESS, Trigger.TRAVEL_LOST)
+
+
+@pytest.mark.parametrize("pitch_deg", [-12.0, 5.0])
+def test_a_tilt_that_balances_a_constant_torque_is_no_fault(pitch_deg: float) -> None:
+    harness = balanced()
+    for rate_deg_s in (0.5, -0.5, 0.5, -0.5):
+        turn(harness, 3000, pitch_deg=pitch_deg, rate_deg_s=rate_deg_s)
+    turn(harness, 20_000, pitch_deg=pitch_deg)
+    assert harness.state is State.CLOSED_LOOP
+
+
+def test_an_arm_that_stops_by_its_tilt_and_is_level_then_is_no_fault() -> None:
+    harness = balanced()
+    for tenth in range(20):
+        turn(harness, 100, pitch_deg=-13.0, rate_deg_s=5.0 - 0.25 * tenth)
+    turn(harness, 5000, pitch_deg=0.0)
+    assert harness.state is State.CLOSED_LOOP
+
+
+@pytest.mark.parametrize("stops", ["at once", "evenly"])
+def test_travel_that_stops_at_once_in_a_turn_is_landed_without_it(stops: str) -> None:
+    harness = balanced()
+    turn(harness, 1500, pitch_deg=0.0, rate_deg_s=8.0)
+    for tenth in range(20 if stops == "evenly" else 0):
+        turn(harness, 100, pitch_deg=-10.0, rate_deg_s=8.0 - 0.4 * tenth)
+    turn(harness, 1000, pitch_deg=0.0)
+    assert harness.state is (State.CLOSED_LOOP if stops == "evenly" else State.EMERGENCY_LANDING)
+
+
+@pytest.mark.parametrize("doubtful", [False, True])
+def test_a_landing_does_not_close_a_doubtful_travel(doubtful: bool) -> None:
+    harness = balanced()
+    turn(harness, 1000, pitch_deg=0.0)
+    turn(harness, 1900, pitch_deg=5.0 if doubtful else 2.0)
+    assert harness.state is State.CLOSED_LOOP
+    harness.ask(d.LandMessage(0))
+    harness.tick(10)
+    assert harness.state is (State.EMERGENCY_LANDING if doubtful else State.LANDING)
+    if doubtful:
+        assert tripped(harness) == (Fault.TRAVEL_MOTIONLESS, Trigger.TRAVEL_LOST)
 
 
 @pytest.mark.parametrize(

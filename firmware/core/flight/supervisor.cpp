@@ -337,11 +337,12 @@ void Supervisor::check_tracking() {
     return;
   }
   const std::uint8_t closed = axes();
-  Tracked tracked{*seen_, {}, closed, state_ == State::streamed ? kAllAxes : closed};
+  Tracked tracked{*seen_, {}, closed, state_ == State::streamed ? kAllAxes : closed, false};
   tracked.setpoint_rad[kElevation] = setpoints_.angle_rad(kElevation);
   tracked.setpoint_rad[kPitch] = seen_->pitch_setpoint_rad;
   tracked.setpoint_rad[kTravel] = setpoints_.angle_rad(kTravel);
-  if (descends(state_)) {
+  tracked.descends = descends(state_);
+  if (tracked.descends) {
     // Landing aims below the table and has a time limit of its own.
     tracked.closed = static_cast<std::uint8_t>(closed & ~link::axes::elevation);
   }

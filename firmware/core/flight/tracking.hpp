@@ -1,7 +1,7 @@
 // Whether the arm does what it is driven to do: following errors, and drives without motion.
 //
 // A plug that falls off an encoder makes no illegal transition, and a rotor without thrust none
-// either: the counts just stop. What tells it is that they should not have.
+// either: the counts just stop. The drive shows that they should not have.
 #pragma once
 
 #include <cstdint>
@@ -9,6 +9,7 @@
 #include "board.hpp"
 #include "control/fixed.hpp"
 #include "control/mixer.hpp"
+#include "flight/balance.hpp"
 #include "flight/limits.hpp"
 #include "flight/observation.hpp"
 #include "params/params.hpp"
@@ -21,11 +22,14 @@ struct TrackingLimits {
   // Of the drive: volts of lift for elevation (both rotors) and pitch (front minus back), and the
   // pitch angle, in rad, for travel.
   Quantity drive_max[kAxisCount];
-  std::uint32_t motion_ticks[kAxisCount] = {};
-  std::uint32_t following_ticks = 0;
+  BalanceLimits balance[kAxisCount];
+  std::uint32_t motion_updates = 0;
+  std::uint32_t following_updates = 0;
   control::DeadZone dead_zone;
-  Quantity table_rad;  // below this elevation the table may carry the arm
-  Quantity hover_V;    // lift that carries it; up to there nothing need move on the table
+  Quantity table_rad;    // below this elevation the table may carry the arm
+  Gain hover_V_per_rad;  // by which the lift changes that carries the arm
+  Gain pitch_V_per_rad;  // by which the difference changes that holds a tilt
+  Quantity hover_V;      // lift that carries it; up to there nothing need move on the table
 };
 
 TrackingLimits tracking_limits_of(const params::Params& params);
@@ -36,15 +40,15 @@ struct Tracked {
   Quantity setpoint_rad[kAxisCount];  // that the control law followed
   std::uint8_t closed = 0;            // link::axes bits: axes held to a setpoint
   std::uint8_t driven = 0;            // and axes that must move when driven
+  bool descends = false;  // a doubt about travel is a fault then: landing would close it
 };
 
 class Tracking {
  public:
   // Forgets all: motors were off.
-  void restart() { started_ = false; }
+  void restart() { started_ = 0; }
 
-  // The first axis that does not do what it should; elevation and pitch come before travel, because
-  // they decide whether the arm can still land.
+  // Whether the axis whose turn it is in this tick does what it should.
   Verdict check(const Tracked& tracked, const TrackingLimits& limits);
 
  private:
@@ -53,12 +57,13 @@ class Tracking {
     Quantity average;        // of the drive, over the last half second
     Quantity drive;          // that average when it last moved
     bool forth = false;      // which way it was driven from there
-    std::uint32_t driven_ticks = 0;
-    std::uint32_t error_ticks = 0;
+    std::uint32_t driven_updates = 0;
+    std::uint32_t error_updates = 0;
+    Balance balance;
   };
 
   Axis axes_[kAxisCount];
-  bool started_ = false;
+  std::uint8_t started_ = 0;  // link::axes bits
 };
 
 }  // namespace heli::flight

@@ -9,7 +9,7 @@
 
 namespace heli::link {
 
-inline constexpr std::uint32_t kLinkHash = 0x2b045e14U;
+inline constexpr std::uint32_t kLinkHash = 0x05457129U;
 inline constexpr std::uint8_t kLinkMajor = 1;
 inline constexpr std::uint8_t kLinkMinor = 3;
 inline constexpr std::uint8_t kFirmwareMajor = 0;
@@ -210,7 +210,7 @@ enum class Fault : std::uint8_t {
   encoder_overload = 16,  // trip: edges of an encoder came faster than the board counts, so that its angle is wrong
   elevation_motionless = 17,  // trip: the collective changed by enough to move the arm, and elevation did not count
   pitch_motionless = 18,  // trip: the voltages' difference changed by enough to tilt the short arm, and pitch did not count
-  travel_motionless = 19,  // land: pitch tilted by enough to turn the arm, and travel did not count
+  travel_motionless = 19,  // land: pitch tilted by enough and for long enough to turn the arm, and travel did not count; value: how far it must have turned, in deg
   not_at_rest = 20,  // check: the arm does not rest on the table
   moving = 21,  // check: an axis is moving
   link_not_alive = 22,  // check: no recent frame from the host
@@ -277,23 +277,26 @@ enum class Param : std::uint8_t {
   elevation_motion_V = 52,  // V: change of both voltages' sum, dead zones apart, that must move elevation within motion_s; at take-off, beyond hover_V
   pitch_motion_V = 53,  // V: change of front minus back, dead zones apart, that must move pitch within motion_s
   motion_s = 54,  // s: how long a driven elevation or pitch may stay within a count
-  travel_motion_deg = 55,  // deg: change of pitch that must move travel within travel_motion_s
-  travel_motion_s = 56,  // s: how long travel may stay within a count while pitch tilts
-  law_jump_max_V = 57,  // V: change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link
-  law_envelope = 58,  // : share of the angle and rate limits, and of the following errors, beyond which it takes over
-  arm_rate_max_deg_s = 59,  // deg/s: arming needs every axis slower than this
-  arm_elevation_tolerance_deg = 60,  // deg: arming needs the elevation this close to rest
-  arm_pitch_tolerance_deg = 61,  // deg: arming needs the pitch this close to level
-  setpoint_hold_s = 62,  // s: without a fresh setpoint for this long the board holds level
-  setpoint_land_s = 63,  // s: without a fresh setpoint for this long the board lands
-  landing_rate_deg_s = 64,  // deg/s: descent of the elevation setpoint while landing
-  landing_timeout_s = 65,  // s: landing takes at most this long; then motors off with a fault
-  voltage_valid_max_ms = 66,  // ms: a streamed voltage acts at most this long, whatever its sender asked for
-  excitation_max_V = 67,  // V: largest amplitude that excite accepts
-  excitation_max_s = 68,  // s: longest duration that excite accepts
-  telemetry_batch_ticks = 69,  // tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
+  travel_motion_deg = 55,  // deg: pitch beyond the balanced one that must move travel within travel_motion_s
+  travel_motion_s = 56,  // s: with travel_motion_deg: a smaller excess is tolerated for longer, by its double integral over time
+  elevation_gain = 57,  // rad/(s2 V): acceleration of elevation per volt of the sum: thrust gain k L_a / J_theta; judges what elevation must have moved by
+  pitch_gain = 58,  // rad/(s2 V): acceleration of pitch per volt of front minus back: k L_h / J_phi; judges what pitch must have moved by
+  travel_gain = 59,  // 1/s2: acceleration of travel per radian of pitch at hover: thrust that carries the arm, times L_a / J_psi; judges what travel must have moved by
+  law_jump_max_V = 60,  // V: change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link
+  law_envelope = 61,  // : share of the angle and rate limits, and of the following errors, beyond which it takes over
+  arm_rate_max_deg_s = 62,  // deg/s: arming needs every axis slower than this
+  arm_elevation_tolerance_deg = 63,  // deg: arming needs the elevation this close to rest
+  arm_pitch_tolerance_deg = 64,  // deg: arming needs the pitch this close to level
+  setpoint_hold_s = 65,  // s: without a fresh setpoint for this long the board holds level
+  setpoint_land_s = 66,  // s: without a fresh setpoint for this long the board lands
+  landing_rate_deg_s = 67,  // deg/s: descent of the elevation setpoint while landing
+  landing_timeout_s = 68,  // s: landing takes at most this long; then motors off with a fault
+  voltage_valid_max_ms = 69,  // ms: a streamed voltage acts at most this long, whatever its sender asked for
+  excitation_max_V = 70,  // V: largest amplitude that excite accepts
+  excitation_max_s = 71,  // s: longest duration that excite accepts
+  telemetry_batch_ticks = 72,  // tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
 };
-inline constexpr std::size_t kParamCount = 70;
+inline constexpr std::size_t kParamCount = 73;
 
 struct ParamInfo {
   float min;
@@ -361,6 +364,9 @@ inline constexpr ParamInfo kParams[kParamCount] = {
     {0.1F, 10.0F, 0.5F, false, false, true},  // motion_s
     {0.5F, 90.0F, 8.0F, false, false, true},  // travel_motion_deg
     {0.1F, 30.0F, 1.0F, false, false, true},  // travel_motion_s
+    {0.02F, 10.0F, 0.485F, false, false, false},  // elevation_gain
+    {0.1F, 100.0F, 2.97F, false, false, false},  // pitch_gain
+    {0.05F, 100.0F, 0.5F, false, false, false},  // travel_gain
     {0.1F, 48.0F, 2.5F, false, false, true},  // law_jump_max_V
     {0.2F, 1.0F, 0.8F, false, false, true},  // law_envelope
     {0.1F, 100.0F, 3.0F, false, false, true},  // arm_rate_max_deg_s

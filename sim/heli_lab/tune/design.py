@@ -55,6 +55,7 @@ _FINAL_ERROR_WEIGHT: Final = 30.0
 """Weight of the squared error after the end of the path, by which users judge a step."""
 _BOUND_WEIGHT: Final = 30.0
 _UNSTABLE_COST: Final = 1e3
+_PARAMETERS: Final = {spec.name: spec for spec in PARAMS}
 
 
 @dataclass(frozen=True)
@@ -220,6 +221,7 @@ def _design_elevation(
         "elevation_acceleration_ff": float(np.radians(acceleration_ff)),
         "elevation_slew_deg_s": ELEVATION_SLEW_DEG_S,
         "elevation_acceleration_deg_s2": acceleration_deg_s2,
+        "elevation_gain": nominal.elevation_gain,
     }
 
 
@@ -311,8 +313,17 @@ def _design_tilt(
             "travel_acceleration_deg_s2": acceleration_deg_s2,
             "pitch_setpoint_max_deg": PITCH_SETPOINT_MAX_DEG,
             "differential_max_V": differential_max_V,
+            "pitch_gain": nominal.pitch_gain,
+            "travel_gain": nominal.travel_gain,
+            "travel_motion_deg": _travel_motion_deg(nominal.travel_gain),
         },
     )
+
+
+def _travel_motion_deg(gain: float) -> float:
+    """Tilt that must move travel: what turns this rig as the declared tilt turns the declared rig."""
+    declared = _PARAMETERS["travel_motion_deg"].default * _PARAMETERS["travel_gain"].default
+    return max(declared / gain, _PARAMETERS["travel_motion_deg"].min)
 
 
 def _differential_max_V(rig: Rig, hover_V: float) -> float:

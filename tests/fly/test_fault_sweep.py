@@ -1,0 +1,75 @@
+"""A share of the sweep: a dead encoder has a name before the arm is far off, and a healthy rig has none."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.firmware.built import built_elf
+from tests.fly.fault_sweep import HEAD, LEFT_DEG, Case, flown, swept
+from tests.running.long import LONG, samples
+
+pytest.importorskip("heli_sim._native", reason="skipped: the simulation is not built")
+
+DOCUMENT = Path("docs/flying.md")
+TRAVEL = (
+    Case("paper", "drift", "travel", 10.5),
+    Case("paper", "sine", "travel", 64.5),
+    Case("course", "sine", "travel", 20.3),
+    Case("identified", "step", "travel", 10.0),
+)
+# Where an arm without its encoder touched its upper stop, or took longest to be noticed.
+OTHERS = (Case("paper", "sine", "elevation", 57.0), Case("paper", "sine", "pitch", 45.75))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", TRAVEL, ids=lambda case: f"{case.rig}-{case.plan}")
+def test_a_dead_travel_encoder_is_named_before_travel_is_far_off(case: Case) -> None:
+    seen = flown(case)
+    assert seen.tracking_fault == "travel_motionless"
+    assert seen.away_deg < LEFT_DEG
+    assert not seen.stop
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", OTHERS, ids=lambda case: str(case.kind))
+def test_an_axis_without_its_encoder_is_stopped_before_its_stop(case: Case) -> None:
+    seen = flown(case)
+    assert seen.tracking_fault == f"{case.kind}_motionless"
+    assert not seen.stop
+
+
+@pytest.mark.emulated
+def test_the_emulated_due_names_a_dead_travel_encoder_as_soon_as_the_native_board() -> None:
+    native, due = flown(TRAVEL[0]), flown(TRAVEL[0], "due", str(built_elf()))
+    assert due.tracking_fault == "travel_motionless"
+    assert due.acted_s == pytest.approx(native.acted_s, abs=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "case", [Case("friction", "drift"), Case("play and friction", "identify")], ids=lambda case: str(case.rig)
+)
+def test_dry_friction_and_play_are_not_taken_for_a_dead_encoder(case: Case) -> None:
+    assert flown(case).outcome == "completed"
+
+
+def told() -> dict[str, list[float]]:
+    """Numbers of the table's rows, by what fails."""
+    lines = DOCUMENT.read_text(encoding="utf-8").splitlines()
+    begin = lines.index(HEAD) + 2
+    rows = lines[begin : next(k for k in range(begin, len(lines)) if not lines[k].startswith("|"))]
+    return {row.split(" ")[2]: [float(x) for x in re.findall(r"[\d.]+", row)] for row in rows}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["elevation", "pitch", "travel"])
+def test_a_flight_of_the_sweep_is_within_the_worst_that_the_document_tells(kind: str) -> None:
+    count, _, within_s, off_deg, *_ = told()[kind]
+    for case in [*swept(kind, int(count))][: samples(int(count), 4)][0 if LONG else 2 :]:
+        seen = flown(case)
+        if seen.reported:
+            assert seen.acted_s <= within_s + 0.05
+            assert seen.away_deg <= off_deg + 0.5
