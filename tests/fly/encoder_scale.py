@@ -109,7 +109,8 @@ def healthy_lines(rigs: int) -> list[str]:
             mine = [one.estimates[place] for one in said]
             most = max((one.sigmas for one in mine), default=0.0)
             error = float(np.median([one.standard_error for one in mine])) if mine else np.nan
-            cells.append((f"{axis} {most:.1f}", f"{axis} {error:.3f}"))
+            shown = f"{error:.3f}" if np.isfinite(error) else "not visible"
+            cells.append((f"{axis} {most:.1f}", f"{axis} {shown}"))
         lines.append(
             f"| {plan} | {len(flown)} | {warned} | {', '.join(a for a, _ in cells)} "
             f"| {', '.join(b for _, b in cells)} |"

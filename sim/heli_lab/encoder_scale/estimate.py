@@ -238,8 +238,8 @@ def _feedback(known: FlightInWeakForm, joint: _Fit, axis: int) -> float:
     them. The error is of the order of the mean square of the disturbances over that of what drives the axis.
     In hover nothing else moves pitch, and travel shows a quarter of its scale.
 
-    Travel is in its own equation only, pitch in that of travel too. Elevation's scale comes from the weight
-    of the arm, which no law answers.
+    Travel shows in its own equation only, pitch in that of travel too. Elevation's scale comes from the
+    weight of the arm, which no law answers.
     """
     if axis == _ELEVATION:
         return 0.0
