@@ -43,8 +43,8 @@ LEAST_deg, MOST_deg = -25.0, 22.0
 # The table is at -25 degrees, the upper stop at +25 (makki2024.toml); where they are is known to a degree.
 STOP_deg: Final = 24.0
 PITCH_STOP_deg: Final = 50.0
-# From lower a law may put the arm on the table: motors off, or lift by bang-bang, with a lag of 0.12 s
-# (-12.1, -11.8 and -7.8 degrees in 774 flights).
+# From lower a law may put the arm on the table: motors off, or lift by bang-bang, on rotors that lag by
+# 0.12 s (-12.1, -11.8 and -7.8 degrees in 774 flights).
 ROOM_deg: Final = -7.5
 # The slowest of the cascade's loops, travel's integral, takes as long to let go: 20 s after a takeover that
 # left travel 25 degrees away, 6 are left of them, after 40 s none.
