@@ -286,10 +286,16 @@ def test_sine_and_cosine_of_a_wave_share_their_whole_number(monkeypatch: pytest.
         ids=(),
     )
     work = discoverer(cast(Hypothesis, SimpleNamespace(ids=(), candidates=(), values={}, log_likelihood=0.0)))
-    monkeypatch.setattr(work, "stds", lambda equation, references: dict.fromkeys(equation.coefficients, 0.1))
-    monkeypatch.setattr(work, "refit", lambda asked: SimpleNamespace(log_likelihood=99.0, refit_spec=asked))
+    monkeypatch.setattr(
+        work, "reported_std", lambda equation, references: dict.fromkeys(equation.coefficients, 0.1)
+    )
+    monkeypatch.setattr(
+        work,
+        "refit",
+        lambda equation, std, start, *rest: SimpleNamespace(log_likelihood=99.0, start=start),
+    )
     tried = _Tried(equation, cast(Hypothesis, found), 20.0, Group(equation.terms, 2))
     whole = work.whole(tried, cast(Courses, None))
     assert whole.held == {"k1", "k2"}
-    start = whole.hypothesis.refit_spec.start  # type: ignore[attr-defined]
-    assert [start[f"{effect.prefix}_{name}"] for name in ("k1", "k2")] == [2.0, 2.0]
+    start = whole.hypothesis.start  # type: ignore[attr-defined]
+    assert [start[name] for name in ("k1", "k2")] == [2.0, 2.0]

@@ -56,8 +56,8 @@ class EstimateCache:
     def __init__(self, path: Path | None = None, of: str = "") -> None:
         self._path = path
         self._known: dict[str, Mapping[str, Any]] = {}
-        self.refit_spec: set[str] = set()
-        """Keys that were asked for in this search."""
+        self.used_keys: set[str] = set()
+        """Keys whose estimates this search has used."""
         self._writing = threading.Lock()
         if path is None:
             return
@@ -98,7 +98,6 @@ class EstimateCache:
         references: Sequence[ReferenceTrajectory],
         functions: ModelFunctions,
         work_out: Callable[[], Estimate],
-        record_use: bool = True,
     ) -> Estimate:
         """Look up the estimate of a `key`, or `work_out` and keep it; several threads may, of other keys.
 
@@ -111,11 +110,8 @@ class EstimateCache:
             Those of the estimate.
         work_out : callable
             Makes it.
-        record_use : bool
-            False where it is made before anybody asks for it.
         """
-        if record_use:
-            self.refit_spec.add(key)
+        self.used_keys.add(key)
         known = self._known.get(key)
         if known is not None:
             disturbances: dict[str, Any] = {

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -26,7 +25,6 @@ from heli_lab.innovations import (
     estimate,
     kinematic_filter,
 )
-from heli_lab.threads import Prefetcher
 
 _FOLLOWED: Final = 2
 """Times that the course is followed anew by the baseline's own filter: after the second it moves by less than
@@ -34,9 +32,6 @@ a hundredth of the quantisation (simulated and field flights, 2026-11)."""
 _OTHER_WEATHER_NATS: Final = 20.0
 """Gain over the hypothesis before from which on the weather is looked for afresh. By judgement: a cause of
 six standard deviations. Higher: what a cause leaves is measured against the weather that stood for it."""
-_MOST_ROWS_AHEAD: Final = 9000
-"""Measurements up to which two refits are worked out at once: six minutes of flight. A refit of ten minutes
-takes 0.15 GB."""
 _WORSE_NATS: Final = 0.1
 """Log-likelihood by which a larger model may stay behind one that it contains, by rounding."""
 
@@ -68,25 +63,6 @@ class Hypothesis:
     def values(self) -> dict[str, float]:
         """Free parameters by name."""
         return dict(zip(self.estimate.parameter_vector.names, map(float, self.estimate.theta), strict=True))
-
-
-@dataclass(frozen=True)
-class RefitSpec:
-    """A refit that will be asked for: arguments of `ModelComparison.refit`.
-
-    Parameters
-    ----------
-    candidates : sequence of Candidate
-        The effects.
-    start : Mapping[str, float]
-        Values to start from by name.
-    warm_start : Hypothesis, optional
-        A hypothesis to start from.
-    """
-
-    candidates: Sequence[Candidate]
-    start: Mapping[str, float]
-    warm_start: Hypothesis | None
 
 
 class ModelComparison:
@@ -127,7 +103,6 @@ class ModelComparison:
         self._kept = kept or EstimateCache()
         self.train, self.held_out = tuple(train), tuple(held_out)
         self.fits = 0
-        self._ahead = Prefetcher()
         self._best: dict[frozenset[str], Hypothesis] = {}
         """The likeliest hypothesis of each set of effects that was estimated."""
 
@@ -176,7 +151,7 @@ class ModelComparison:
             A hypothesis whose parameters and weather to start from. Where this one contains it, it is never
             less likely: else the estimate begins again from there.
         """
-        used_count = len(self._kept.refit_spec)
+        used_count = len(self._kept.used_keys)
         hypothesis = self._estimate(candidates, start or {}, warm_start)
         if warm_start is not None and not set(warm_start.ids) <= {candidate.id for candidate in candidates}:
             # Fewer effects than before: what these were once with is the better place to begin.
@@ -195,7 +170,7 @@ class ModelComparison:
             hypothesis = max(
                 hypothesis, again, key=lambda candidate_hypothesis: candidate_hypothesis.log_likelihood
             )
-        self.fits += len(self._kept.refit_spec) > used_count
+        self.fits += len(self._kept.used_keys) > used_count
         key = frozenset(candidate.id for candidate in candidates)
         best = self._best.get(key)
         if (
@@ -223,31 +198,12 @@ class ModelComparison:
         known = [hypothesis for key, hypothesis in self._best.items() if key <= ids]
         return max(known, key=lambda hypothesis: hypothesis.log_likelihood, default=None)
 
-    @contextmanager
-    def prefetch(self, refits: Iterable[RefitSpec]) -> Iterator[None]:
-        """Have a second thread work ahead on `refits` that this block asks for in this order; not where two
-        refits at once would take too much memory.
-        """
-        if self.rows > _MOST_ROWS_AHEAD:
-            yield
-            return
-        works = {
-            _key(*spec): partial(self._estimate, *spec, record_use=False)
-            for spec in ((spec.candidates, spec.start, spec.warm_start) for spec in refits)
-        }
-        with self._ahead.working(works):
-            yield
-
     def _estimate(
         self,
         candidates: Sequence[Candidate],
         start: Mapping[str, float],
         warm_start: Hypothesis | None,
-        record_use: bool = True,
     ) -> Estimate:
-        key = _key(candidates, start, warm_start)
-        if record_use:
-            self._ahead.wait_for(key)
         model = type(self.model)((*self.model.effects, *(candidate.effect for candidate in candidates)))
         parameter_vector = ParameterVector(model, self.rig, self.train)
         functions = ModelFunctions(model, parameter_vector.quantities)
@@ -260,12 +216,11 @@ class ModelComparison:
         )
         theta = np.clip(theta, *parameter_vector.bounds)
         return self._kept.estimate(
-            key,
+            cache_key("train", candidates, start, warm_start.estimate if warm_start else None),
             parameter_vector,
             self.references,
             functions,
             lambda: self._worked_out(parameter_vector, functions, theta, warm_start),
-            record_use,
         )
 
     def _worked_out(
@@ -312,10 +267,6 @@ class ModelComparison:
                 parameter_vector, self.held_out_courses, functions, parameter_vector.start, disturbances
             ),
         )
-
-
-def _key(candidates: Sequence[Candidate], start: Mapping[str, float], warm_start: Hypothesis | None) -> str:
-    return cache_key("train", candidates, start, warm_start.estimate if warm_start else None)
 
 
 def _grids(candidates: Sequence[Candidate]) -> list[tuple[str, tuple[tuple[str, float], ...]]]:

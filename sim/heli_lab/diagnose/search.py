@@ -9,8 +9,7 @@ place, so that the search can go on beside it. Held-out flights have no part in 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -22,7 +21,7 @@ from heli_sim.model.parts import AXES
 from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.absent_terms import tightly_specified_terms
 from heli_lab.diagnose.candidate import Candidate, typical_candidate
-from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison, RefitSpec
+from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
 from heli_lab.diagnose.screening import Scored, Screening
 from heli_lab.diagnose.search_record import Alternative, Cause, Refit, Round, Search
 from heli_lab.threads import parallel_map
@@ -74,16 +73,6 @@ class _Searcher:
             self.penalty(scored_candidate.candidate, scored_candidate.tried),
             scored_candidate.log_likelihood_gain,
         )
-
-    @contextmanager
-    def _ahead(self, base: Hypothesis, shortlist: Sequence[Scored]) -> Iterator[None]:
-        """Work ahead on the first attempt with each of a `shortlist`."""
-        first = [(scored, self._on_grid(scored)[0][0]) for scored in shortlist]
-        with self.comparison.prefetch(
-            RefitSpec([*base.candidates, candidate], candidate.start_values(scored.coefficients), base)
-            for scored, candidate in first
-        ):
-            yield
 
     def _on_grid(self, scored: Scored) -> list[list[Candidate]]:
         """The candidate; then, where only a grid searches a parameter, those at its larger and at its smaller
@@ -180,8 +169,7 @@ class _Searcher:
             some = [scored for scored in remaining if scored.log_likelihood_gain >= share][
                 : thresholds.SHORTLIST
             ]
-            with self._ahead(base, some):
-                refits += [refit(scored) for scored in some if self.refits_left()]
+            refits += [refit(scored) for scored in some if self.refits_left()]
             likely += some
             remaining = remaining[len(some) :]
         if not any(self._accepted(refit_) for refit_ in refits):
@@ -217,8 +205,7 @@ class _Searcher:
                 like = [
                     scored for scored in like[: thresholds.LIKE_REFITTED] if scored.log_likelihood_gain > 0.0
                 ]
-                with self._ahead(base, like):
-                    more = [refit(scored) for scored in like if self.refits_left()]
+                more = [refit(scored) for scored in like if self.refits_left()]
                 refits += more
                 accepted += [refit_ for refit_ in more if self._accepted(refit_)]
                 best = max(accepted, key=lambda refit_: refit_.margin, default=None)
@@ -312,20 +299,18 @@ class _Searcher:
         """The model with the causes alone that are needed, and by each of their ids the model without it."""
         while True:
             every = final.candidates
-            rests = {cause.id: [other for other in every if other is not cause] for cause in every}
             without: dict[str, Hypothesis] = {}
             less = final
-            with self.comparison.prefetch(RefitSpec(rest, {}, final) for rest in rests.values() if rest):
-                for number, candidate in enumerate(every):
-                    share = 0.75 + 0.1 * number / len(every)
-                    self.say(f"checking whether {candidate.id} is needed", share)
-                    rest = rests[candidate.id]
-                    less = self.comparison.refit(rest, None, final) if rest else self.baseline
-                    gain = final.log_likelihood - less.log_likelihood
-                    refit = Refit(final, gain, self.penalty(candidate), 0.0)
-                    if refit.margin <= thresholds.MIN_MARGIN or not self._told(refit, candidate):
-                        break
-                    without[candidate.id] = less
+            for number, candidate in enumerate(every):
+                share = 0.75 + 0.1 * number / len(every)
+                self.say(f"checking whether {candidate.id} is needed", share)
+                rest = [other for other in every if other is not candidate]
+                less = self.comparison.refit(rest, None, final) if rest else self.baseline
+                gain = final.log_likelihood - less.log_likelihood
+                refit = Refit(final, gain, self.penalty(candidate), 0.0)
+                if refit.margin <= thresholds.MIN_MARGIN or not self._told(refit, candidate):
+                    break
+                without[candidate.id] = less
             if len(without) == len(every):
                 return final, without
             final = less
@@ -366,18 +351,16 @@ class _Searcher:
             and (not rest or beside_the_rest(refit))
         ]
         ratios: dict[str, float] = {}
-        specs = [RefitSpec([*rest, refit_.candidate], refit_.hypothesis.values, less) for refit_ in likely]
-        with self.comparison.prefetch(specs[: thresholds.ALTERNATIVES] if rest else ()):
-            for refit in likely:
-                if len(ratios) >= thresholds.ALTERNATIVES or (rest and not self.refits_left()):
-                    break
-                other = refit.hypothesis
-                if rest:
-                    other = self.comparison.refit([*rest, refit.candidate], refit.hypothesis.values, less)
-                if not self.comparison.in_flight(other):
-                    continue
-                ahead = final.log_likelihood - other.log_likelihood
-                ratios[refit.candidate.id] = ahead + self.penalty(refit.candidate) - self.penalty(candidate)
+        for refit in likely:
+            if len(ratios) >= thresholds.ALTERNATIVES or (rest and not self.refits_left()):
+                break
+            other = refit.hypothesis
+            if rest:
+                other = self.comparison.refit([*rest, refit.candidate], refit.hypothesis.values, less)
+            if not self.comparison.in_flight(other):
+                continue
+            ratio = final.log_likelihood - other.log_likelihood
+            ratios[refit.candidate.id] = ratio + self.penalty(refit.candidate) - self.penalty(candidate)
         return tuple(
             Alternative(id_, ratio) for id_, ratio in sorted(ratios.items(), key=lambda item: item[1])
         )

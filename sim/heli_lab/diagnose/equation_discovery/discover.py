@@ -23,7 +23,7 @@ from heli_lab.diagnose.equation_discovery.discovery import Discovery, Rival
 from heli_lab.diagnose.equation_discovery.equation import NAME, Equation, equation_effect
 from heli_lab.diagnose.equation_discovery.grammar import Group, groups, tried_up_to
 from heli_lab.diagnose.equation_discovery.scoring import Courses, ScoredGroup, coefficient_std, score
-from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison, RefitSpec
+from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
 from heli_lab.diagnose.screening import Screening
 from heli_lab.diagnose.thresholds import (
     AMBIGUOUS,
@@ -79,15 +79,15 @@ class _Discoverer:
         rest = sum(EQUATION_NEAR_REST for term in group.terms if _on_own_rate(term.channel, term.term.key))
         return 0.5 * free * math.log(self.comparison.rows) + math.log(self.tried[group.size]) + rest
 
-    def refit_spec(
+    def refit(
         self,
         equation: Equation,
         reported_std: Mapping[str, float],
         start: Mapping[str, float],
         warm_start: Hypothesis,
         held: frozenset[str] = frozenset(),
-    ) -> RefitSpec:
-        """The refit of a law beside the causes that were named."""
+    ) -> Hypothesis:
+        """Estimate the model with an equation in addition to the causes that were named."""
         effect = equation_effect(equation, reported_std, dict.fromkeys(held), self.name)
         values = {f"{effect.prefix}_{name}": value for name, value in start.items()}
         fixed = {n: v for n, v in values.items() if n in effect.values and n not in effect.priors}
@@ -95,11 +95,7 @@ class _Discoverer:
         linear = tuple(f"{effect.prefix}_{name}" for name in equation.coefficients)
         text = f"law:{equation.key}" + "".join(f" [{n}={start[n]:g}]" for n in sorted(held))
         candidate = Candidate(text, effect, linear)
-        return RefitSpec([*self.base.candidates, candidate], values, warm_start)
-
-    def refit(self, spec: RefitSpec) -> Hypothesis:
-        """Estimate the model with a law."""
-        return self.comparison.refit(spec.candidates, spec.start, spec.warm_start)
+        return self.comparison.refit([*self.base.candidates, candidate], values, warm_start)
 
     def round(self, known: _Tried | None, disturbances: DisturbanceModel) -> _Tried | None:
         """One more group of terms beside those known; None where none is worth what it pays."""
@@ -117,22 +113,19 @@ class _Discoverer:
             *self.finalists(score(screening, references, every)),
         ):
             scored.setdefault(scored_group.group.key, scored_group)
-        likely = [
-            (scored_group, equation, self.begun(scored_group, equation, known, references))
-            for scored_group in scored.values()
-            if (equation := self.law_of(scored_group, known)) is not None
-        ]
-        with self.comparison.prefetch(spec for *_, spec in likely[:EQUATION_FINALISTS]):
-            for scored_group, equation, spec in likely:
-                if kept >= EQUATION_FINALISTS:
-                    break
-                self.say(f"trying {scored_group.group.key}")
-                made = self.tried_one(scored_group, equation, spec, known)
-                gain = made.hypothesis.log_likelihood - warm_start.log_likelihood
-                kept += gain >= LAW_KEPT_SHARE * scored_group.log_likelihood_gain
-                rivals[scored_group.group.key] = gain - (made.penalty - (known.penalty if known else 0.0))
-                if best is None or made.margin > best.margin:
-                    best = made
+        for scored_group in scored.values():
+            equation = self.law_of(scored_group, known)
+            if equation is None:
+                continue
+            if kept >= EQUATION_FINALISTS:
+                break
+            self.say(f"trying {scored_group.group.key}")
+            made = self.tried_one(scored_group, equation, known, references)
+            gain = made.hypothesis.log_likelihood - warm_start.log_likelihood
+            kept += gain >= LAW_KEPT_SHARE * scored_group.log_likelihood_gain
+            rivals[scored_group.group.key] = gain - (made.penalty - (known.penalty if known else 0.0))
+            if best is None or made.margin > best.margin:
+                best = made
         before = warm_start.log_likelihood - (known.penalty if known else 0.0)
         if best is None or best.margin - before <= MIN_MARGIN:
             return None
@@ -185,10 +178,10 @@ class _Discoverer:
         terms = (*(known.equation.terms if known else ()), *scored_group.group.terms)
         return Equation(terms) if len(set(terms)) == len(terms) else None
 
-    def begun(
+    def tried_one(
         self, scored_group: ScoredGroup, equation: Equation, known: _Tried | None, references: Courses
-    ) -> RefitSpec:
-        """The refit of a law, from what the score says of its last group of terms."""
+    ) -> _Tried:
+        """Refit an equation, starting from the score of its last group of terms."""
         start = _values(known) if known else {}
         first = len(equation.terms) - len(scored_group.group.terms)
         for i, value in enumerate(scored_group.coefficients):
@@ -196,14 +189,9 @@ class _Discoverer:
         held = known.held if known else frozenset()
         # From the weather that the known terms leave: beside them that of the base stands for them once more.
         warm_start = known.hypothesis if known else self.base
-        return self.refit_spec(equation, self.reported_std(equation, references), start, warm_start, held)
-
-    def tried_one(
-        self, scored_group: ScoredGroup, equation: Equation, spec: RefitSpec, known: _Tried | None
-    ) -> _Tried:
-        held = known.held if known else frozenset()
+        hypothesis = self.refit(equation, self.reported_std(equation, references), start, warm_start, held)
         penalty = self.penalty(scored_group.group, equation, held) + (known.penalty if known else 0.0)
-        return _Tried(equation, self.refit(spec), penalty, scored_group.group, held)
+        return _Tried(equation, hypothesis, penalty, scored_group.group, held)
 
     def reported_std(self, equation: Equation, references: Courses) -> dict[str, float]:
         """Prior standard deviations of a law's coefficients."""
@@ -254,9 +242,7 @@ class _Discoverer:
         if gone in group.terms:
             group = Group(tuple(term for term in group.terms if term != gone), group.size)
         hypothesis = self.refit(
-            self.refit_spec(
-                equation, self.reported_std(equation, references), renamed, self.base, frozenset(held)
-            )
+            equation, self.reported_std(equation, references), renamed, self.base, frozenset(held)
         )
         return _Tried(equation, hypothesis, penalty, group, frozenset(held))
 
@@ -280,7 +266,7 @@ class _Discoverer:
         held = of.held | frozenset(fixed)
         start = {**_values(of), **fixed}
         hypothesis = self.refit(
-            self.refit_spec(of.equation, self.reported_std(of.equation, references), start, self.base, held)
+            of.equation, self.reported_std(of.equation, references), start, self.base, held
         )
         penalty = of.penalty - 0.5 * len(fixed) * math.log(self.comparison.rows)
         made = _Tried(of.equation, hypothesis, penalty, of.group, held)
