@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from heli_host.arrays import Floats
 from heli_lab.diagnose import Diagnosis, diagnose, to_json
-from heli_lab.identify.functions import Floats
 from heli_lab.innovations import _kalman
 from heli_lab.innovations.evaluate import AlongTrajectory, Trajectory
 from heli_sim.model import MultibodyModel

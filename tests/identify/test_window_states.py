@@ -7,9 +7,9 @@ import pickle
 
 import numpy as np
 import pytest
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_lab.identify import Budget, Problem, check, prepare, solve, validate
-from heli_lab.identify.functions import Floats
 from heli_lab.identify.initial_states import alternative_states, initial_state_guess
 from heli_lab.identify.levenberg_marquardt import LevenbergMarquardt
 from heli_lab.identify.window_states import refine_states, restart_states, window_cost

@@ -9,9 +9,9 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_lab.identify import Record, prepare
-from heli_lab.identify.functions import Floats
 from heli_lab.innovations import ModelFunctions, ParameterVector, estimate, kinematic_filter
 from heli_lab.pool.machine import Estimate, by_flights_alone
 from heli_sim.model import MultibodyModel

@@ -10,6 +10,7 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.base import Effect, Model
 from heli_sim.model.effects.kind import EffectKind
 
@@ -22,7 +23,6 @@ from heli_lab.diagnose.spline_term import (
     quantity_values,
     spline_term,
 )
-from heli_lab.identify.functions import Floats
 from heli_lab.innovations import (
     EFFECT_SUBSTEPS,
     AlongTrajectory,

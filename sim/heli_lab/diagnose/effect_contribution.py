@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+from heli_host.arrays import Floats
 
-from heli_lab.identify.functions import Floats
 from heli_lab.innovations import AlongTrajectory, Estimate
 
 

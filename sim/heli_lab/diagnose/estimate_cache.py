@@ -15,13 +15,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import heli_sim.model
 import numpy as np
 from heli_sim.model.base import Effect, Model
 from heli_sim.rig import Rig
 
-import heli_lab.identify
-import heli_lab.innovations
+from heli_lab.code_digest import code_digest
 from heli_lab.diagnose.candidate import Candidate
 from heli_lab.errors import IdentifyError
 from heli_lab.identify import Record
@@ -33,6 +31,8 @@ from heli_lab.innovations import (
     ReferenceTrajectory,
 )
 
+_ESTIMATED_BY: Final = ("heli_sim.model", "heli_lab.identify", "heli_lab.innovations")
+"""Packages whose code, compiled code included, an estimate depends on."""
 _DISTURBANCES: Final = ("fast_std_Nm", "correlation_time_s", "slow_std_Nm", "quantisation", "curvature")
 
 
@@ -177,10 +177,7 @@ def _equations(effect: Effect) -> str:
 
 def fingerprint(model: Model, rig: Rig, records: Iterable[Record]) -> str:
     """Digest of what all of a search share: `model`, `rig`, flights (`records`), the code that estimates."""
-    digest = hashlib.sha256()
-    for room in (heli_sim.model, heli_lab.identify, heli_lab.innovations):
-        for path in sorted(Path(str(room.__file__)).parent.rglob("*.py")):
-            digest.update(path.read_bytes())
+    digest = hashlib.sha256(code_digest(packages=_ESTIMATED_BY).encode())
     effects = [(effect.name, sorted(effect.values.items())) for effect in model.effects]
     digest.update(repr((model.name, effects)).encode())
     numbers = [

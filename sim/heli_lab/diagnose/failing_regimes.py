@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.screening import Screening
 from heli_lab.diagnose.spline_term import QUANTITIES, quantity_values
 from heli_lab.diagnose.thresholds import FALSE_DISCOVERY_RATE
-from heli_lab.identify.functions import Floats
 from heli_lab.innovations import Estimate
 
 if TYPE_CHECKING:
@@ -165,16 +165,6 @@ def failing_regimes(before: Estimate, after: Estimate, axis: str, first: str = "
     return FailingRegimes(axis, first, second, edges[first], edges[second], then, now)
 
 
-def false_discoveries(p: Floats, rate: float = FALSE_DISCOVERY_RATE) -> Booleans:
-    """Choose, of tests with p-values `p`, shape (n,), those that count at a false discovery `rate`."""
-    order = np.argsort(p)
-    under = p[order] <= rate * np.arange(1, len(p) + 1) / max(len(p), 1)
-    count = int(np.nonzero(under)[0].max()) + 1 if under.any() else 0
-    chosen = np.zeros(len(p), bool)
-    chosen[order[:count]] = True
-    return chosen
-
-
 def _values(screening: Screening) -> dict[str, Floats]:
     every = [
         quantity_values(linear.model, linear.trajectory) for linear in screening.filtered.linearised_flights
@@ -229,14 +219,18 @@ def _regimes(
     screening: Screening, estimate: Estimate, axis: str, x: str, y: str, edges: Mapping[str, Floats]
 ) -> Regimes:
     """Test the cells by a screening; what the model lacks there comes from its own estimate."""
+    # It takes most of a second to import.
+    from scipy.stats import false_discovery_control
+
     values = _values(screening)
     place = _number(values[x], edges[x]) * _CELLS + _number(values[y], edges[y])
     z = _scores(screening, axis, place, _CELLS**2)
     tested = np.nonzero(np.isfinite(z))[0]
     fails = np.zeros(_CELLS**2, bool)
-    # Of standard normal numbers; scipy.special takes longer to import than a diagnosis has for all of this.
-    chances = [math.erfc(abs(score) / math.sqrt(2.0)) for score in z[tested]]
-    fails[tested] = false_discoveries(np.array(chances))
+    # Two-sided p-values of standard normal scores; by the procedure of Benjamini and Hochberg.
+    p_values = [math.erfc(abs(score) / math.sqrt(2.0)) for score in z[tested]]
+    if p_values:
+        fails[tested] = false_discovery_control(p_values) <= FALSE_DISCOVERY_RATE
     smoothed = screening.filtered.smoothed_torques(estimate.disturbances, np.zeros(len(estimate.theta)))
     moments = []
     for linear, (_, torque_Nm, _) in zip(screening.filtered.linearised_flights, smoothed, strict=True):

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.result import Diagnosis
@@ -16,7 +17,6 @@ from heli_lab.diagnose.search_record import Round
 from heli_lab.diagnose.spline_curve import SplineCurve
 from heli_lab.diagnose.words import channel_in_words, quantity_in_words, readable_id
 from heli_lab.identify import Fit, Trace, trace
-from heli_lab.identify.functions import Floats
 from heli_lab.innovations import Estimate
 
 if TYPE_CHECKING:

@@ -15,6 +15,7 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.base import Model
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Prior
@@ -32,7 +33,6 @@ from heli_lab.diagnose.spline_term import (
     spline_term,
 )
 from heli_lab.diagnose.words import SHOWN, quantity_in_words
-from heli_lab.identify.functions import Floats
 from heli_lab.innovations import (
     AlongTrajectory,
     Estimate,

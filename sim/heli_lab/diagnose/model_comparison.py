@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.base import Model
 from heli_sim.rig import Rig
 
@@ -15,7 +16,6 @@ from heli_lab.diagnose.candidate import Candidate
 from heli_lab.diagnose.estimate_cache import EstimateCache, cache_key
 from heli_lab.diagnose.thresholds import EVENT_EDGE_s
 from heli_lab.identify import Record
-from heli_lab.identify.functions import Floats
 from heli_lab.innovations import (
     BLOCK_s,
     Estimate,

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 
 from heli_lab.diagnose.candidate import Candidate
+from heli_lab.estimation.long_run_variance import autocovariance, newey_west_variance
 from heli_lab.identify import Fit, Problem, Record, solve
-from heli_lab.identify.functions import Floats
-from heli_lab.identify.residual_noise import autocovariance, floored_mean_square
+from heli_lab.identify.residual_noise import floored_mean_square
 from heli_lab.identify.thresholds import LEAST_VARIANCE
 from heli_lab.innovations import Estimate
 
@@ -207,8 +208,7 @@ def errors(fit: Fit) -> Errors:
         step_s = grid.inputs.step_s
     together = np.concatenate(means)
     covariance = autocovariance(together, slices, max(1, round(_LONGEST_LAG_s / step_s)))
-    taper = 1.0 - np.arange(len(covariance)) / len(covariance)
-    long_run = 2.0 * (taper[:, None] * covariance).sum(axis=0) - covariance[0]
+    long_run = newey_west_variance(covariance)
     effective_fraction = np.clip(covariance[0] / np.maximum(long_run, 1e-12), 0.0, 1.0)
     samples = np.concatenate(every)
     return Errors(

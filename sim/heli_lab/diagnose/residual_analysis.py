@@ -14,13 +14,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.candidate import spline_candidates
 from heli_lab.diagnose.screening import Scored, Screening, coefficient_std, score_of
 from heli_lab.diagnose.spline_term import quantity_values
 from heli_lab.diagnose.thresholds import CORRELATE_MIN, CORRELATE_SHARE
-from heli_lab.identify.functions import Floats
 from heli_lab.innovations import BLOCK_s, DisturbanceModel, LinearisedFlight
 
 _MAX_CORRELATES: Final = 4

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.effects.kind import EffectKind
 from heli_sim.model.parts import AXES
 
@@ -19,9 +20,8 @@ from heli_lab.diagnose.candidate import (
     spline_candidates,
 )
 from heli_lab.diagnose.spline_term import KNOTS, SplineTerm
-from heli_lab.identify.functions import Floats
+from heli_lab.estimation.arrowhead import solve_arrowhead
 from heli_lab.innovations import Estimate
-from heli_lab.innovations.arrowhead import solve_arrowhead
 from heli_lab.threads import default_thread_count, parallel_map
 
 _BATCH_NUMBERS: Final = 1_250_000

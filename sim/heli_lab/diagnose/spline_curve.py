@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 
 from heli_lab.diagnose.spline_term import KNOTS, QUANTITIES, SplineTerm, bspline_basis
 from heli_lab.diagnose.words import SHOWN, channel_in_words, quantity_in_words
-from heli_lab.identify.functions import Floats
 from heli_lab.innovations import Estimate
 
 _DRAWN: Final = 200

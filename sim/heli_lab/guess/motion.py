@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from heli_host.arrays import Floats
 
 from heli_lab.guess import thresholds
 from heli_lab.guess.reference import Reference
 from heli_lab.guess.roles import ColumnAssignment, RegressionFit, explain, free_rows
 from heli_lab.guess.scales import AXES
-from heli_lab.guess.signals import Floats, Signals, filtered_signal, late
+from heli_lab.guess.signals import Signals, filtered_signal, late
 
 
 def answers(

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from numpy.typing import NDArray
 
 from heli_lab.guess import names, thresholds
 from heli_lab.guess.reference import Reference
-from heli_lab.guess.signals import Floats, Signal, Signals, late
+from heli_lab.guess.signals import Signal, Signals, late
 
 _EVERY: Final = 10
 """Of the rows every so many is compared: ten a second say all that the filter leaves."""

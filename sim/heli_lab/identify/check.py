@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_sim.model.parts import AXES
 
 from heli_lab.identify.fit import Fit
 from heli_lab.identify.free import PER_FLIGHT
-from heli_lab.identify.functions import Floats
 from heli_lab.identify.problem import Problem
 from heli_lab.identify.record import Record
 from heli_lab.identify.residual_noise import correlation_at, normalised

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
 from heli_lab.identify.check import Trace
-from heli_lab.identify.functions import Floats
 from heli_lab.identify.result import Identification
 
 if TYPE_CHECKING:

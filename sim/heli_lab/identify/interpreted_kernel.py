@@ -7,9 +7,10 @@ from collections.abc import Mapping
 
 import casadi as ca
 import numpy as np
+from heli_host.arrays import Floats, Integers
 from typing_extensions import override
 
-from heli_lab.identify.functions import Floats, Functions, Inputs, Integers
+from heli_lab.identify.functions import Functions, Inputs
 from heli_lab.identify.windows import Kernel
 
 

@@ -12,15 +12,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from heli_host.arrays import Floats, Integers
 
+from heli_lab.estimation.bounded_solve import bounded_solve
 from heli_lab.identify import thresholds
 from heli_lab.identify.fit import Budget, Progress
-from heli_lab.identify.functions import Floats, Integers
 from heli_lab.identify.grid import Grid
 from heli_lab.identify.initial_states import alternative_states, initial_state_guess
 from heli_lab.identify.problem import Evaluation, Problem
 from heli_lab.identify.residual_noise import floor_axes, long_run_variance, window_weights
-from heli_lab.identify.schur import bounded_solve, eliminate_states
+from heli_lab.identify.schur import eliminate_states
 from heli_lab.identify.window_states import refine_states, restart_states, window_cost
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_sim.model.base import Model
 from heli_sim.rig import Prior, Rig
@@ -15,7 +16,6 @@ from heli_sim.rig import Prior, Rig
 from heli_lab.errors import IdentifyError
 from heli_lab.identify import thresholds
 from heli_lab.identify.free import PER_FLIGHT, FreeParameter, free_parameters
-from heli_lab.identify.functions import Floats
 from heli_lab.identify.grid import Grid, make_grid, window_starts
 from heli_lab.identify.kernel import kernel
 from heli_lab.identify.record import Record, prepare
@@ -146,10 +146,6 @@ class Problem:
         self._kernel_free = tuple(parameter.quantity for parameter in (*shared, *local))
         self.threads = threads
         self.kernel = kernel(model, self._kernel_free, threads)
-        self._one_way = "reverse_thrust" not in names or not self.base[names.index("reverse_thrust")]
-        self._one_way &= "reverse_thrust" not in self.names
-        self._one_way &= not any(effect.pushes_below_dead_zone for effect in model.effects)
-        self._dead_zone = names.index("dead_zone")
         self._grids: dict[tuple[int, bool], tuple[object, Grid]] = {}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -364,4 +360,4 @@ class Problem:
             zone.
         """
         delay = None if self._delay is None else (self.model.delay, float(parameters[self._delay]))
-        return delay, float(parameters[self._dead_zone]) if self._one_way else None
+        return delay, self.model.dead_zone_V(parameters, self.names)

@@ -9,13 +9,13 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
 from heli_lab.errors import IdentifyError, NotExcited
 from heli_lab.identify import thresholds
-from heli_lab.identify.functions import Floats
 
 ON_GROUND: Final = frozenset({"idle", "armed", "fault"})
 """States of the board's supervisor in which the motors are off."""

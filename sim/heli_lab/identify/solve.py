@@ -7,11 +7,11 @@ import time
 from collections.abc import Callable, Mapping
 
 import numpy as np
+from heli_host.arrays import Floats
 
 from heli_lab.errors import IdentifyError
 from heli_lab.identify import thresholds
 from heli_lab.identify.fit import Budget, Fit, Progress
-from heli_lab.identify.functions import Floats
 from heli_lab.identify.levenberg_marquardt import LevenbergMarquardt, Point
 from heli_lab.identify.problem import Problem
 from heli_lab.identify.uncertainty import quantisation_scatter, timing_variance

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from heli_host.arrays import Floats
 
-from heli_lab.identify.functions import Floats
 from heli_lab.identify.problem import Problem
 from heli_lab.identify.thresholds import COMBINATION_WEIGHT, DITHER_PHASES, UNINFORMED
 

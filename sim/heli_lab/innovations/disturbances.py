@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-
-from heli_lab.identify.functions import Floats
+from heli_host.arrays import Floats
 
 SLOW_CORRELATION_TIME_s: Final = 15.0
 """Correlation time of the slow drift. Set, because a flight of a minute does not tell it: a quarter of one.

@@ -15,9 +15,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 
-from heli_lab.identify.functions import Floats
-from heli_lab.innovations.arrowhead import invert_arrowhead, solve_arrowhead
+from heli_lab.estimation.arrowhead import invert_arrowhead
+from heli_lab.estimation.bounded_solve import bounded_solve
 from heli_lab.innovations.disturbances import DisturbanceModel, maximise
 from heli_lab.innovations.innovations_model import Innovations, InnovationsModel
 from heli_lab.innovations.linearised_flight import LinearisedFlight, ModelFunctions
@@ -108,18 +109,7 @@ def solve(
     gradient = innovations.score() - precision * offset
     value = innovations.log_likelihoods.sum() - 0.5 * (offset @ (precision * offset))
     low, high = parameter_vector.bounds
-    move = np.zeros(len(theta))
-    free = np.ones(len(theta), bool)
-    for _ in range(len(theta) + 1):
-        rest = gradient - information[:, ~free] @ move[~free]
-        # What is held meets nothing, and moves by nothing.
-        held = np.where(free[:, None] & free, information, np.diag(np.where(free, 0.0, 1.0)))
-        move[free] = solve_arrowhead(held, np.where(free, rest, 0.0), per_flight)[free]
-        over = free & ((theta + move < low) | (theta + move > high))
-        if not over.any():
-            break
-        move[over] = (np.clip(theta + move, low, high) - theta)[over]
-        free &= ~over
+    move = bounded_solve(information, gradient, low - theta, high - theta, per_flight)
     covariance = invert_arrowhead(information, per_flight)
     return move, covariance, float(value)
 

@@ -12,9 +12,9 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
+from heli_host.arrays import Floats
 
 from heli_lab.errors import IdentifyError
-from heli_lab.identify.functions import Floats
 from heli_lab.innovations import _straight_line
 
 _BY_CASADI: Final = {

@@ -8,10 +8,10 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats, Integers
 
-from heli_lab.identify.functions import Floats, Integers
+from heli_lab.estimation.arrowhead import per_flight_columns
 from heli_lab.innovations import _kalman
-from heli_lab.innovations.arrowhead import per_flight_columns
 from heli_lab.innovations.disturbances import DisturbanceModel
 from heli_lab.innovations.linearised_flight import Blocks, LinearisedFlight
 from heli_lab.innovations.reference_trajectory import ReferenceTrajectory

@@ -20,10 +20,10 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
+from heli_host.arrays import Floats, Integers
 from heli_sim.model.base import Effect, Model
 from heli_sim.model.parts import AXES
 
-from heli_lab.identify.functions import Floats, Integers
 from heli_lab.identify.grid import make_grid
 from heli_lab.innovations import _kalman
 from heli_lab.innovations.evaluate import EFFECT_SUBSTEPS, AlongTrajectory, EffectStates, Trajectory
@@ -246,18 +246,13 @@ class LinearisedFlight:
         names = functions.names
         model = self.model
         delay = (model.delay, float(parameters[names.index(model.delay)])) if model.delay else None
-        dead_zone = float(parameters[names.index("dead_zone")])
-        non_negative = (
-            not parameters[names.index("reverse_thrust")] and "reverse_thrust" not in functions.free
-        )
-        non_negative &= not any(effect.pushes_below_dead_zone for effect in model.effects)
         count = len(reference.predicted)
         grid = make_grid(
             reference.record,
             [(0, count * reference.every)],
             reference.every,
             delay=delay,
-            dead_zone_V=dead_zone if non_negative else None,
+            dead_zone_V=model.dead_zone_V(parameters, functions.free),
         )
         t_s = np.asarray((np.arange(count) + 0.5) * h, float)
         after = np.vstack((reference.predicted[1:], reference.predicted[-1:]))

@@ -9,13 +9,13 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.base import Model
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Prior, Rig
 
 from heli_lab.identify import Record
 from heli_lab.identify.free import PER_FLIGHT, FreeParameter, free_parameters, rig_prior
-from heli_lab.identify.functions import Floats
 
 TORQUE_STD_Nm: Final = dict(zip((f"torque_{axis}" for axis in AXES), (0.02, 0.01, 0.01), strict=True))
 """Prior standard deviation of the constant torque about each axis that every flight has of its own: what an

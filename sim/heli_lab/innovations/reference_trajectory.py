@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Flags, Floats, Integers
 
 from heli_lab.identify import Record
-from heli_lab.identify.functions import Flags, Floats, Integers
 from heli_lab.innovations import _kalman
 
 STEP_s: Final = 0.01

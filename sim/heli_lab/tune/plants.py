@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_sim.errors import PlantError
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Model
@@ -18,8 +18,6 @@ from heli_sim.model.effect import Effect
 from heli_sim.model.effects import RotorLag, RotorSpeedLag
 from heli_sim.model.linear import derivatives, trim
 from heli_sim.rig import Rig
-
-Floats = npt.NDArray[np.float64]
 
 # A rotor without lag is one with a lag too short for any loop here to see: all plants then have the same
 # states.

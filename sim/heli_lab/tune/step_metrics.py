@@ -12,10 +12,9 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_host.flight.response import Answer, answer_of, rms
-
-Floats = npt.NDArray[np.float64]
 
 STEP_DEG: Final = 15.0
 

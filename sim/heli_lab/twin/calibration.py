@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from heli_host.arrays import Floats
 
 from heli_lab.errors import TwinError
-from heli_lab.identify.functions import Floats
 from heli_lab.innovations import DisturbanceModel
 from heli_lab.twin.likelihood_ratio import WINDOW_s
 

@@ -18,12 +18,12 @@ from typing import Final
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_sim.model.base import Effect, Model
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 from scipy.special import erf
 
-from heli_lab.identify.functions import Floats
 from heli_lab.innovations import (
     AlongTrajectory,
     DisturbanceModel,
@@ -86,9 +86,8 @@ class TwinModel:
         self.parameters: Floats = more.parameter_values(rig)
         names = self.functions.names
         self.delay_s = float(self.parameters[names.index(more.delay)]) if more.delay else 0.0
-        pushes = any(effect.pushes_below_dead_zone for effect in more.effects)
-        non_negative = not self.parameters[names.index("reverse_thrust")] and not pushes
-        self.least_V = float(self.parameters[names.index("dead_zone")]) if non_negative else -np.inf
+        dead_zone_V = more.dead_zone_V(self.parameters)
+        self.least_V = -np.inf if dead_zone_V is None else dead_zone_V
         """Voltage below which a motor does nothing."""
         self.states = len(more.states)
         self.frictions = [

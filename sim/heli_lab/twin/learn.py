@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_host.errors import FlightAborted
 from heli_host.flight import Flight
 from heli_sim.model.base import Model
@@ -16,7 +17,6 @@ from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
 from heli_lab.identify import Record, prepare
-from heli_lab.identify.functions import Floats
 from heli_lab.innovations import DisturbanceModel, ModelFunctions, ParameterVector, estimate, kinematic_filter
 from heli_lab.innovations.linearised_flight import BLOCK_s
 from heli_lab.twin.calibration import QUIET, Calibration, Tail, fit_tail

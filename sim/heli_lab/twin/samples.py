@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from heli_host.arrays import Floats, Integers
 
-from heli_lab.identify.functions import Floats, Integers
 from heli_lab.innovations.reference_trajectory import STEP_s
 
 BRIDGED_s: Final = 0.04

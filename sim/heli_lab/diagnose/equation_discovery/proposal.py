@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.effects import EffectKind
 from heli_sim.model.parts import AXES
 
@@ -29,7 +30,6 @@ from heli_lab.diagnose.thresholds import (
     LAW_UNCONFIRMED,
     MAX_CONFIDENCE,
 )
-from heli_lab.identify.functions import Floats
 
 _MATTERS: Final = 0.5
 """Share of a law's largest value from which on a moment counts as one at which it matters."""

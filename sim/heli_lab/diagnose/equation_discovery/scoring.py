@@ -10,6 +10,7 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.candidate import ExtendedModel
@@ -17,7 +18,6 @@ from heli_lab.diagnose.equation_discovery.equation import Equation, EquationTerm
 from heli_lab.diagnose.equation_discovery.grammar import Group
 from heli_lab.diagnose.equation_discovery.terms import QUANTITIES, Factor, Term
 from heli_lab.diagnose.screening import Screening, score_of
-from heli_lab.identify.functions import Floats
 from heli_lab.innovations import AlongTrajectory, LinearisedFlight, Trajectory
 from heli_lab.threads import parallel_map
 

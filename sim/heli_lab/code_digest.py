@@ -1,4 +1,4 @@
-"""The digest of the code that computes a campaign: results of other code are other results."""
+"""The digest of the code that computes a result: results of other code are other results."""
 
 from __future__ import annotations
 
@@ -16,25 +16,28 @@ _ENDS: Final = (".py", ".toml", ".so", ".pyd", ".hpp", ".cpp", ".h")
 """Sources, rigs and plans, and what is compiled. Pages and documents compute nothing."""
 
 
-def code_digest(works: Iterable[str] = ()) -> str:
-    """Digest all files of these packages, and of the packages of the functions `works` (as
-    ``package.module:function``), that can change a number, with Python's version: 16 letters.
+def code_digest(works: Iterable[str] = (), packages: Iterable[str] = PACKAGES) -> str:
+    """Digest all files of `packages`, and of the packages of the functions `works` (as
+    ``package.module:function``), that can change a number, with Python's version: 16 letters. What is
+    compiled counts, not its sources: they may be newer.
 
     Raises
     ------
     ImportError
-        When a package of `works` is not installed here.
+        When a package is not installed here.
     """
+    packages = tuple(packages)
     names = {work.partition(":")[0].rpartition(".")[0] or work.partition(":")[0] for work in works}
     others = sorted(name for name in names if name.partition(".")[0] not in PACKAGES)
     digest = hashlib.sha256(f"{sys.version_info[:2]}".encode())
-    for package in (*PACKAGES, *others):
-        digest.update(_package_digest(package))
+    for package in (*packages, *others):
+        digest.update(package_digest(package))
     return digest.hexdigest()[:16]
 
 
 @cache
-def _package_digest(package: str) -> bytes:
+def package_digest(package: str) -> bytes:
+    """Digest a `package`, installed here; read once."""
     digest = hashlib.sha256(package.encode())
     for name, path in sorted(_files(package)):
         digest.update(name.encode())
