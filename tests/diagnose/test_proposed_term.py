@@ -158,9 +158,9 @@ def test_where_drift_stands_for_what_is_missing_terms_are_scored_without_it() ->
         scored_as(f"{kind}.pitch", "elevation", 0.0).group for kind in ("torque", "measurement")
     )
     references = Courses(Screening(base.estimate))
-    fast_std_Nm = base.estimate.disturbances.fast_std_Nm
+    fast_std_Nm = base.estimate.disturbances.fast_std
     calm, drifting = (
-        replace(base.estimate.disturbances, slow_std_Nm=fast_std_Nm * [0.5, times, 0.5], curvature=None)
+        replace(base.estimate.disturbances, slow_std=fast_std_Nm * [0.5, times, 0.5], curvature=None)
         for times in (0.5, 30.0)
     )
     assert discoverer(base).slow(base, calm, references, [equation, encoder]) == []
@@ -210,7 +210,7 @@ def test_a_model_that_is_right_fails_nowhere_in_nineteen_weathers_of_twenty() ->
         for low in np.arange(-0.16, 0.16, 0.04)
     ]
     cells = np.column_stack([one for one in inside if one.sum() > 60]).astype(float)
-    only = list(screening.filtered.torque_regressors(estimate.disturbances, 1, [cells]))
+    only = list(screening.filtered.disturbance_regressors(estimate.disturbances, 1, [cells]))
     (nuisance,) = (one[:, 1:] for one in screening._innovations.flights)
     alarms = 0
     for _ in range(200):

@@ -63,7 +63,7 @@ def test_thrust_is_the_square_of_the_speed_reached_whatever_the_voltage(form: st
         np.testing.assert_allclose(found, under_N(thrust_N), rtol=1e-12)
 
 
-def test_the_square_touches_the_straight_line_at_its_pivot() -> None:
+def test_the_square_touches_the_expression_vm_at_its_pivot() -> None:
     def above_rad_s2(volts_V: float) -> float:
         both_V = np.full(2, volts_V)
         more = accelerations(["rotor_speed_lag"], both_V, both_V) - accelerations([], [], both_V)

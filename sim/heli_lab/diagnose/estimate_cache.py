@@ -22,18 +22,13 @@ from heli_sim.rig import Rig
 from heli_lab.code_digest import code_digest
 from heli_lab.diagnose.candidate import Candidate
 from heli_lab.errors import IdentifyError
+from heli_lab.estimation import DisturbanceModel, Estimate, ModelFunctions, ReferenceTrajectory
 from heli_lab.identify import Record
-from heli_lab.innovations import (
-    DisturbanceModel,
-    Estimate,
-    ModelFunctions,
-    ParameterVector,
-    ReferenceTrajectory,
-)
+from heli_lab.identify.flight_model import RigParameters
 
-_ESTIMATED_BY: Final = ("heli_sim.model", "heli_lab.identify", "heli_lab.innovations")
+_ESTIMATED_BY: Final = ("heli_sim.model", "heli_lab.identify", "heli_lab.estimation")
 """Packages whose code, compiled code included, an estimate depends on."""
-_DISTURBANCES: Final = ("fast_std_Nm", "correlation_time_s", "slow_std_Nm", "quantisation", "curvature")
+_DISTURBANCES: Final = ("fast_std", "correlation_time_s", "slow_std", "quantisation", "curvature")
 
 
 class EstimateCache:
@@ -94,7 +89,7 @@ class EstimateCache:
     def estimate(
         self,
         key: str,
-        parameter_vector: ParameterVector,
+        parameter_vector: RigParameters,
         references: Sequence[ReferenceTrajectory],
         functions: ModelFunctions,
         work_out: Callable[[], Estimate],

@@ -22,7 +22,7 @@ from heli_sim.model.parts import AXES
 from heli_lab.diagnose.screening import Screening
 from heli_lab.diagnose.spline_term import QUANTITIES, quantity_values
 from heli_lab.diagnose.thresholds import FALSE_DISCOVERY_RATE
-from heli_lab.innovations import Estimate
+from heli_lab.estimation import Estimate
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -167,7 +167,8 @@ def failing_regimes(before: Estimate, after: Estimate, axis: str, first: str = "
 
 def _values(screening: Screening) -> dict[str, Floats]:
     every = [
-        quantity_values(linear.model, linear.trajectory) for linear in screening.filtered.linearised_flights
+        quantity_values(linear.model.source, linear.trajectory)
+        for linear in screening.filtered.linearised_flights
     ]
     return {name: np.concatenate([values[name] for values in every]) for name in _PLANES}
 
@@ -207,7 +208,7 @@ def _scores(screening: Screening, axis: str, place: npt.NDArray[np.int64], count
     for low in range(0, len(visited), screening.batch):
         some = visited[low : low + screening.batch]
         inside = np.asarray(place[:, None] == some[None, :], float)
-        only = screening.filtered.torque_regressors(
+        only = screening.filtered.disturbance_regressors(
             screening.estimate.disturbances, AXES.index(axis), np.split(inside, lengths)
         )
         parts = screening.projected(only, [1] * len(some))
@@ -231,11 +232,11 @@ def _regimes(
     p_values = [math.erfc(abs(score) / math.sqrt(2.0)) for score in z[tested]]
     if p_values:
         fails[tested] = false_discovery_control(p_values) <= FALSE_DISCOVERY_RATE
-    smoothed = screening.filtered.smoothed_torques(estimate.disturbances, np.zeros(len(estimate.theta)))
+    smoothed = screening.filtered.smoothed_disturbances(estimate.disturbances, np.zeros(len(estimate.theta)))
     moments = []
     for linear, (_, torque_Nm, _) in zip(screening.filtered.linearised_flights, smoothed, strict=True):
         rows = np.concatenate([blocks.rows for blocks in linear.blocks])
-        at = quantity_values(linear.model, linear.trajectory)
+        at = quantity_values(linear.model.source, linear.trajectory)
         axis_torque_Nm = torque_Nm[:, AXES.index(axis)]
         moments.append(Moments(at[x][rows], at[y][rows], axis_torque_Nm - axis_torque_Nm.mean()))
     every = np.concatenate([moment.torque_Nm for moment in moments])

@@ -16,8 +16,8 @@ from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.search_record import Round
 from heli_lab.diagnose.spline_curve import SplineCurve
 from heli_lab.diagnose.words import channel_in_words, quantity_in_words, readable_id
+from heli_lab.estimation import Estimate
 from heli_lab.identify import Fit, Trace, trace
-from heli_lab.innovations import Estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -265,7 +265,7 @@ def _broken(drawn: Trace, axis: int) -> tuple[Floats, Floats]:
 
 def _torque(estimate: Estimate) -> tuple[Floats, Floats]:
     """Times and torques by chance about the three axes of the first flight fitted."""
-    t_s, torque_Nm, _ = estimate.filtered().smoothed_torques(
+    t_s, torque_Nm, _ = estimate.filtered().smoothed_disturbances(
         estimate.disturbances, np.zeros(len(estimate.theta))
     )[0]
     return t_s, torque_Nm

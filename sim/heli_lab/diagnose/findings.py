@@ -113,9 +113,9 @@ def disturbances(analysis: ResidualAnalysis) -> dict[str, dict[str, float]]:
     disturbances = analysis.disturbances
     return {
         axis: {
-            "fast_std_Nm": float(disturbances.fast_std_Nm[i]),
+            "fast_std_Nm": float(disturbances.fast_std[i]),
             "correlation_time_s": float(disturbances.correlation_time_s[i]),
-            "slow_std_Nm": float(disturbances.slow_std_Nm[i]),
+            "slow_std_Nm": float(disturbances.slow_std[i]),
             "log_likelihood_ratio": float(analysis.gains[i]),
         }
         for i, axis in enumerate(AXES)

@@ -33,15 +33,9 @@ from heli_lab.diagnose.spline_term import (
     spline_term,
 )
 from heli_lab.diagnose.words import SHOWN, quantity_in_words
-from heli_lab.innovations import (
-    AlongTrajectory,
-    Estimate,
-    LinearisedFlight,
-    ModelFunctions,
-    ParameterVector,
-    Trajectory,
-)
-from heli_lab.innovations.estimate import estimate_disturbances
+from heli_lab.estimation import AlongTrajectory, Estimate, LinearisedFlight, Trajectory
+from heli_lab.estimation.estimate import estimate_disturbances
+from heli_lab.identify.flight_model import RigParameters, model_functions
 
 _FOLLOWS: Final = 0.8
 """Share of a law's variance that a smooth curve of one quantity must follow for the law to be drawn over that
@@ -165,11 +159,11 @@ def _without(estimate: Estimate, name: str) -> Estimate:
     full = estimate.parameter_vector
     model = type(full.model)(tuple(effect for effect in full.model.effects if effect.name != name))
     records = [reference.record for reference in estimate.references]
-    parameter_vector = ParameterVector(model, full.rig, records)
+    parameter_vector = RigParameters(model, full.rig, records)
     values = dict(zip(full.names, estimate.theta, strict=True))
     start = zip(parameter_vector.names, parameter_vector.start, strict=True)
     theta = np.array([values.get(parameter, value) for parameter, value in start])
-    functions = ModelFunctions(model, parameter_vector.quantities)
+    functions = model_functions(model, parameter_vector.quantities)
     less = replace(
         estimate,
         parameter_vector=parameter_vector,
@@ -190,13 +184,13 @@ def _held(estimate: Estimate, names: Iterable[str]) -> Estimate:
     values = dict(zip(full.names, map(float, estimate.theta), strict=True))
     known = {name: values[name] for name in names if name in values}
     records = [reference.record for reference in estimate.references]
-    parameter_vector = ParameterVector(full.model, full.rig, records, fixed=known)
+    parameter_vector = RigParameters(full.model, full.rig, records, fixed=known)
     return replace(
         estimate,
         parameter_vector=parameter_vector,
         theta=np.array([values[parameter] for parameter in parameter_vector.names]),
         covariance=np.diag(parameter_vector.std**2),
-        functions=ModelFunctions(full.model, parameter_vector.quantities),
+        functions=model_functions(full.model, parameter_vector.quantities),
     )
 
 
@@ -212,7 +206,7 @@ def _torque_by_chance(estimate: Estimate) -> tuple[Floats, Floats]:
     """Torques about the three axes, (k, 3) over all flights, that stand for what a model lacks, and their
     standard errors.
     """
-    smoothed = estimate.filtered().smoothed_torques(estimate.disturbances, np.zeros(len(estimate.theta)))
+    smoothed = estimate.filtered().smoothed_disturbances(estimate.disturbances, np.zeros(len(estimate.theta)))
     return np.concatenate([values for _, values, _ in smoothed]), np.concatenate(
         [values for _, _, values in smoothed]
     )
@@ -221,11 +215,11 @@ def _torque_by_chance(estimate: Estimate) -> tuple[Floats, Floats]:
 def _torque_of_law(with_: LinearisedFlight, without: LinearisedFlight) -> Floats:
     """Torque about each axis that does what an effect does, along the course, shape (n, 3)."""
     change = _accelerations(with_) - _accelerations(without)
-    return without.torque_for(change)
+    return without.disturbance_for(change)
 
 
 def _accelerations(linear: LinearisedFlight) -> Floats:
-    return _along(linear.model, linear.trajectory, lambda *at: linear.model.dynamics(*at)[3:6])
+    return _along(linear.model.source, linear.trajectory, lambda *at: linear.model.source.dynamics(*at)[3:6])
 
 
 def _along(model: Model, trajectory: Trajectory, of: Callable[..., ca.SX]) -> Floats:
@@ -240,7 +234,7 @@ def _quantities(linear: LinearisedFlight) -> dict[str, Floats]:
     """Quantities that a law may go with, shape (n,), by name: those of spline terms, and how fast the thrust
     changes, which is what a lag and a delay go with.
     """
-    values = quantity_values(linear.model, linear.trajectory)
+    values = quantity_values(linear.model.source, linear.trajectory)
     for name, time_s in itertools.product(("thrust", "thrust_difference"), _LAGS_s):
         late = _lagged(values[name], linear.trajectory.step_s / time_s)
         values[f"change of {name} within {time_s:g} s"] = values[name] - late
@@ -293,13 +287,13 @@ def _missing_angle(estimate: Estimate, less: Estimate, cause: Candidate) -> Miss
     screenings = Screening(less), Screening(_held(estimate, cause.effect.values))
     linearised_flights = screenings[1].filtered.linearised_flights
     equations = [
-        _along(linear.model, linear.nodes, linear.model.measurement)
-        - _along(other.model, other.nodes, other.model.measurement)
+        _along(linear.model.source, linear.nodes, linear.model.source.measurement)
+        - _along(other.model.source, other.nodes, other.model.measurement)
         for linear, other in zip(linearised_flights, screenings[0].filtered.linearised_flights, strict=True)
     ]
     equation = np.concatenate(equations)
     axis = int(np.argmax(equation.std(axis=0)))
-    places = [quantity_values(linear.model, linear.nodes) for linear in linearised_flights]
+    places = [quantity_values(linear.model.source, linear.nodes) for linear in linearised_flights]
     place, on, on_unit = _best_place(places, equation[:, axis], cause)
     name = next((n for n in places[0] if quantity_in_words(n) == on), AXES[axis])
     place = np.concatenate([quantities[name] for quantities in places])

@@ -15,16 +15,9 @@ from heli_sim.rig import Rig
 from heli_lab.diagnose.candidate import Candidate
 from heli_lab.diagnose.estimate_cache import EstimateCache, cache_key
 from heli_lab.diagnose.thresholds import EVENT_EDGE_s
+from heli_lab.estimation import BLOCK_s, Estimate, ModelFunctions, ReferenceTrajectory, estimate
 from heli_lab.identify import Record
-from heli_lab.innovations import (
-    BLOCK_s,
-    Estimate,
-    ModelFunctions,
-    ParameterVector,
-    ReferenceTrajectory,
-    estimate,
-    kinematic_filter,
-)
+from heli_lab.identify.flight_model import RigParameters, kinematic_filter, model_functions
 
 _FOLLOWED: Final = 2
 """Times that the course is followed anew by the baseline's own filter: after the second it moves by less than
@@ -124,8 +117,8 @@ class ModelComparison:
 
     def _followed(self, records: Sequence[Record]) -> tuple[ReferenceTrajectory, ...]:
         references = tuple(kinematic_filter(record) for record in records)
-        parameter_vector = ParameterVector(self.model, self.rig, records)
-        functions = ModelFunctions(self.model, parameter_vector.quantities)
+        parameter_vector = RigParameters(self.model, self.rig, records)
+        functions = model_functions(self.model, parameter_vector.quantities)
         disturbances, theta = None, parameter_vector.start
         for _ in range(_FOLLOWED):
             estimate_ = estimate(parameter_vector, references, functions, theta, disturbances)
@@ -205,8 +198,8 @@ class ModelComparison:
         warm_start: Hypothesis | None,
     ) -> Estimate:
         model = type(self.model)((*self.model.effects, *(candidate.effect for candidate in candidates)))
-        parameter_vector = ParameterVector(model, self.rig, self.train)
-        functions = ModelFunctions(model, parameter_vector.quantities)
+        parameter_vector = RigParameters(model, self.rig, self.train)
+        functions = model_functions(model, parameter_vector.quantities)
         known = {**(warm_start.values if warm_start else {}), **start}
         theta = np.array(
             [
@@ -225,7 +218,7 @@ class ModelComparison:
 
     def _worked_out(
         self,
-        parameter_vector: ParameterVector,
+        parameter_vector: RigParameters,
         functions: ModelFunctions,
         theta: Floats,
         warm_start: Hypothesis | None,
@@ -253,10 +246,10 @@ class ModelComparison:
             for parameter, value in zip(trained.parameter_vector.free, trained.theta, strict=True)
             if parameter.record is None
         }
-        parameter_vector = ParameterVector(
+        parameter_vector = RigParameters(
             trained.parameter_vector.model, self.rig, self.held_out, fixed=shared
         )
-        functions = ModelFunctions(trained.parameter_vector.model, parameter_vector.quantities)
+        functions = model_functions(trained.parameter_vector.model, parameter_vector.quantities)
         disturbances = replace(trained.disturbances, curvature=None)
         return self._kept.estimate(
             cache_key("held out", hypothesis.candidates, shared, trained),

@@ -10,11 +10,11 @@ import numpy as np
 from heli_host.arrays import Floats
 
 from heli_lab.diagnose.candidate import Candidate
+from heli_lab.estimation import Estimate
 from heli_lab.estimation.long_run_variance import autocovariance, newey_west_variance
 from heli_lab.identify import Fit, Problem, Record, solve
 from heli_lab.identify.residual_noise import floored_mean_square
 from heli_lab.identify.thresholds import LEAST_VARIANCE
-from heli_lab.innovations import Estimate
 
 _LONGEST_LAG_s: Final = 0.5
 """Lags of the autocovariance in the long-run variance: a quarter of a window. Longer ones are too noisy."""

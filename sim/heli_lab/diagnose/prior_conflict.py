@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from heli_sim.rig import Prior
 
+from heli_lab.estimation import Estimate
+from heli_lab.estimation import estimate as estimated
+from heli_lab.estimation.parameter_vector import Prior
 from heli_lab.identify import Fit
-from heli_lab.innovations import Estimate
-from heli_lab.innovations.estimate import estimate as estimated
 
 FAR_STD: Final = 3.0
 """Standard deviations of its prior from which on a number is said to be pulled: by chance one of twenty

@@ -21,7 +21,7 @@ from heli_lab.diagnose.candidate import spline_candidates
 from heli_lab.diagnose.screening import Scored, Screening, coefficient_std, score_of
 from heli_lab.diagnose.spline_term import quantity_values
 from heli_lab.diagnose.thresholds import CORRELATE_MIN, CORRELATE_SHARE
-from heli_lab.innovations import BLOCK_s, DisturbanceModel, LinearisedFlight
+from heli_lab.estimation import BLOCK_s, DisturbanceModel, LinearisedFlight
 
 _MAX_CORRELATES: Final = 4
 """Length of a list for people."""
@@ -166,9 +166,9 @@ def weather_gains(screening: Screening) -> Floats:
     disturbances, filtered = screening.estimate.disturbances, screening.filtered
     less = [
         DisturbanceModel(
-            np.where(gone, _NO_TORQUE_Nm, disturbances.fast_std_Nm),
+            np.where(gone, _NO_TORQUE_Nm, disturbances.fast_std),
             disturbances.correlation_time_s,
-            np.where(gone, _NO_TORQUE_Nm, disturbances.slow_std_Nm),
+            np.where(gone, _NO_TORQUE_Nm, disturbances.slow_std),
             disturbances.quantisation,
         )
         for gone in np.eye(3, dtype=bool)
@@ -223,7 +223,9 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
             torques_Nm = [np.hstack([curves[place] for curves in group]) for place in flights]
             by_axis = [
                 screening.projected(
-                    screening.filtered.torque_regressors(screening.estimate.disturbances, axis, torques_Nm),
+                    screening.filtered.disturbance_regressors(
+                        screening.estimate.disturbances, axis, torques_Nm
+                    ),
                     sizes,
                 )
                 for axis in range(len(AXES))
@@ -271,7 +273,7 @@ def correlates(splines: Sequence[Scored]) -> list[str]:
 
 def _functions(linearised_flights: Sequence[LinearisedFlight]) -> dict[str, list[Floats]]:
     """Quantities, products of two, past thrusts, and rates near rest: (n, s) for each flight."""
-    quantities = [quantity_values(linear.model, linear.trajectory) for linear in linearised_flights]
+    quantities = [quantity_values(linear.model.source, linear.trajectory) for linear in linearised_flights]
     centre, scale = {}, {}
     for name in _PRODUCTS:
         together = np.concatenate([values[name] for values in quantities])

@@ -166,7 +166,7 @@ class Diagnosis:
         axis = AXES.index(self.residual_analysis.axis)
         disturbances = self.residual_analysis.disturbances
         sigma_Nm, correlation_time_s = (
-            float(disturbances.fast_std_Nm[axis]),
+            float(disturbances.fast_std[axis]),
             float(disturbances.correlation_time_s[axis]),
         )
         seconds = sum(record.used_s for record in self.before.fit.problem.records)

@@ -20,8 +20,8 @@ from heli_lab.diagnose.candidate import (
     spline_candidates,
 )
 from heli_lab.diagnose.spline_term import KNOTS, SplineTerm
+from heli_lab.estimation import Estimate
 from heli_lab.estimation.arrowhead import solve_arrowhead
-from heli_lab.innovations import Estimate
 from heli_lab.threads import default_thread_count, parallel_map
 
 _BATCH_NUMBERS: Final = 1_250_000
@@ -86,7 +86,7 @@ class Screening:
         self.estimate = estimate
         self.filtered = filtered = estimate.filtered()
         disturbances = estimate.disturbances
-        functions = ChangeFunctions(filtered.linearised_flights[0].model)
+        functions = ChangeFunctions(filtered.linearised_flights[0].model.source)
         self.regressors = tuple(Regressors(linear, functions) for linear in filtered.linearised_flights)
         self.seconds = max(float(model.trajectory.t_s[-1]) for model in filtered.linearised_flights)
         rows = max(model.rows for model in filtered.linearised_flights)
@@ -99,9 +99,12 @@ class Screening:
         self._innovations = innovations = filtered.innovations_by_flight(disturbances)
         parameter_vector = estimate.parameter_vector
         self.measurements = sum(len(flight) for flight in innovations.flights)
-        self._bordered = innovations.information() + np.diag(parameter_vector.std**-2.0), innovations.own
+        self._bordered = (
+            innovations.information() + np.diag(parameter_vector.std**-2.0),
+            innovations.per_flight,
+        )
         offset = parameter_vector.std**-2.0 * (estimate.theta - parameter_vector.mean)
-        self._error = innovations.left(self._solved(innovations.score() - offset))
+        self._error = innovations.after(self._solved(innovations.score() - offset))
 
     def release(self) -> None:
         """Give back what scoring keeps: 0.2 GB of ten minutes; it is made again when asked for."""
@@ -317,7 +320,7 @@ class Screening:
     @cached_property
     def _smoothed(self) -> tuple[Floats, Floats]:
         """Times in the first flight, (m,), and torques there that weather stands for, (m, 3)."""
-        t_s, torque_Nm, _ = self.filtered.smoothed_torques(
+        t_s, torque_Nm, _ = self.filtered.smoothed_disturbances(
             self.estimate.disturbances, np.zeros(len(self.estimate.theta))
         )[0]
         return t_s, torque_Nm

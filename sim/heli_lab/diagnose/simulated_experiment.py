@@ -23,8 +23,8 @@ from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
 
 from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
+from heli_lab.estimation import Estimate
 from heli_lab.identify import Record, prepare
-from heli_lab.innovations import Estimate
 
 _DECIMATION: Final = 2
 """The board logs each millisecond; fits are as good with every second one, in half the time."""

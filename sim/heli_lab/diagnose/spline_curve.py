@@ -10,7 +10,7 @@ from heli_host.arrays import Floats
 
 from heli_lab.diagnose.spline_term import KNOTS, QUANTITIES, SplineTerm, bspline_basis
 from heli_lab.diagnose.words import SHOWN, channel_in_words, quantity_in_words
-from heli_lab.innovations import Estimate
+from heli_lab.estimation import Estimate
 
 _DRAWN: Final = 200
 """Points that a curve is drawn with."""

@@ -20,7 +20,7 @@ from heli_sim.model.parts import AXES
 from heli_sim.model.parts import thrust_N as static_thrust_N
 from heli_sim.rig.quantity import Prior, Quantity
 
-from heli_lab.innovations import AlongTrajectory, Trajectory
+from heli_lab.estimation import AlongTrajectory, Trajectory
 
 KNOTS: Final = 8
 """Basis functions of a curve. By judgement: fewer follow no kink or bump, more pay a higher penalty."""

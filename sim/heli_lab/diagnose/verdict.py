@@ -81,7 +81,7 @@ def gust_alone(remaining: ResidualAnalysis, kinds: Mapping[str, EffectKind]) -> 
     return bool(
         order[-1] > thresholds.GUST_MIN
         and order[-2] < thresholds.GUST_BESIDE
-        and remaining.disturbances.fast_std_Nm[axis] > least_Nm
+        and remaining.disturbances.fast_std[axis] > least_Nm
         and remaining.disturbances.correlation_time_s[axis] > thresholds.GUST_LEAST_s
     )
 

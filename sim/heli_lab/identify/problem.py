@@ -11,11 +11,12 @@ import numpy as np
 from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_sim.model.base import Model
-from heli_sim.rig import Prior, Rig
+from heli_sim.rig import Rig
 
 from heli_lab.errors import IdentifyError
+from heli_lab.estimation.parameter_vector import FreeParameter, Prior
 from heli_lab.identify import thresholds
-from heli_lab.identify.free import PER_FLIGHT, FreeParameter, free_parameters
+from heli_lab.identify.free import PER_FLIGHT, free_parameters
 from heli_lab.identify.grid import Grid, make_grid, window_starts
 from heli_lab.identify.kernel import kernel
 from heli_lab.identify.record import Record, prepare

@@ -73,6 +73,21 @@ class Record:
         return self.count_rad / math.sqrt(12.0)
 
     @property
+    def outputs(self) -> Floats:
+        """The angles, as `estimation.Recording` names them, shape (n, 3), rad."""
+        return self.angles_rad
+
+    @property
+    def inputs(self) -> Floats:
+        """The voltages, as `estimation.Recording` names them, shape (n, 2), V."""
+        return self.voltages_V
+
+    @property
+    def resolution(self) -> Floats:
+        """The encoders' counts, as `estimation.Recording` names them, shape (3,), rad."""
+        return self.count_rad
+
+    @property
     def used_s(self) -> float:
         """Seconds in free flight."""
         return sum(stop - start for start, stop in self.segments) * self.step_s

@@ -21,7 +21,7 @@ from heli_host.arrays import Floats, Integers
 from heli_sim.model.parts import AXES
 from scipy.special import log_ndtr, logsumexp
 
-from heli_lab.innovations.linearised_flight import BLOCK_s
+from heli_lab.estimation import BLOCK_s
 from heli_lab.twin.changes import Change
 
 RECENT: Final = 12

@@ -38,7 +38,7 @@ from heli_lab.diagnose.thresholds import (
     MIN_MARGIN,
     NOTHING_STD_ERRORS,
 )
-from heli_lab.innovations import DisturbanceModel
+from heli_lab.estimation import DisturbanceModel
 
 _NO_DRIFT_Nm: Final = 2e-5
 """As good as none, while covariances stay regular."""
@@ -143,11 +143,11 @@ class _Discoverer:
         """The best where drift stands for what is missing: a law of slow quantities, such as travel, is worth
         next to nothing beside a drift as large as itself. They are those of a weather without that drift.
         """
-        drifts = disturbances.slow_std_Nm > disturbances.fast_std_Nm
+        drifts = disturbances.slow_std > disturbances.fast_std
         if not drifts.any():
             return []
         still = replace(
-            disturbances, slow_std_Nm=np.where(drifts, _NO_DRIFT_Nm, disturbances.slow_std_Nm), curvature=None
+            disturbances, slow_std=np.where(drifts, _NO_DRIFT_Nm, disturbances.slow_std), curvature=None
         )
         acting = [group for group in every if not group.terms[0].channel.startswith("measurement")]
         scored = score(Screening(replace(warm_start.estimate, disturbances=still)), references, acting)

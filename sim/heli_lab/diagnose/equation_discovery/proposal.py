@@ -286,9 +286,9 @@ def course_of(discovery: Discovery) -> TermTrace:
     law_s, change = accelerations(beside, discovery.effect.name)
     references = Courses(Screening(beside))
     linear = references.linearised_flights[0]
-    torque = linear.torque_for(change)
+    torque = linear.disturbance_for(change)
     axis = int(np.argmax(torque.std(axis=0)))
-    t_s, missing, std = without.filtered().smoothed_torques(
+    t_s, missing, std = without.filtered().smoothed_disturbances(
         without.disturbances, np.zeros(len(without.theta))
     )[0]
     equation = np.interp(t_s, law_s, torque[:, axis])

@@ -18,7 +18,7 @@ from heli_lab.diagnose.equation_discovery.equation import Equation, EquationTerm
 from heli_lab.diagnose.equation_discovery.grammar import Group
 from heli_lab.diagnose.equation_discovery.terms import QUANTITIES, Factor, Term
 from heli_lab.diagnose.screening import Screening, score_of
-from heli_lab.innovations import AlongTrajectory, LinearisedFlight, Trajectory
+from heli_lab.estimation import AlongTrajectory, LinearisedFlight, Trajectory
 from heli_lab.threads import parallel_map
 
 _LARGEST: Final[Mapping[str, float]] = {
@@ -137,7 +137,7 @@ class Courses:
                 effect = equation_effect(
                     equation, dict.fromkeys(equation.coefficients, 1.0), name="unit_term"
                 )
-                self._extended[channel] = ExtendedModel(linear.model, effect, tuple(effect.priors))
+                self._extended[channel] = ExtendedModel(linear.model.source, effect, tuple(effect.priors))
             extended = self._extended[channel]
             rates, angles = extended.run(linear.trajectory, extended.effect.values)
             self._influences[index, channel] = angles if channel.startswith("measurement") else rates
@@ -218,7 +218,7 @@ def _regressors(
     kind, _, where = channel.partition(".")
     if kind == "torque":
         torques = [np.concatenate([by_flight[i] for by_flight in values], axis=1) for i in flights]
-        return screening.filtered.torque_regressors(disturbances, AXES.index(where), torques)
+        return screening.filtered.disturbance_regressors(disturbances, AXES.index(where), torques)
     signals: list[tuple[Floats, Floats | None]] = []
     for i in flights:
         columns = np.concatenate(
@@ -248,7 +248,7 @@ def coefficient_std(term: EquationTerm, rms: float) -> float:
 
 def _quantities(linear: LinearisedFlight, trajectory: Trajectory) -> dict[str, Floats]:
     """Values of every quantity along a course, (n,), or (n, 2) for what each rotor has of its own."""
-    model = linear.model
+    model = linear.model.source
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
     at = model.driven(x, u, p, t)

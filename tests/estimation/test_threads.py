@@ -19,7 +19,7 @@ from heli_lab.threads import default_thread_count, parallel_map, using_threads
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 
-from tests.innovations.made import RIG, windy
+from tests.estimation.made import RIG, windy
 
 KINDS = [catalogue()[name] for name in ("rotor_lag", "periodic_torque.pitch", "thrust_step.front")]
 
