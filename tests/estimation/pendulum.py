@@ -70,13 +70,13 @@ class Run:
 def run(seed: int, seconds: float = 20.0) -> Run:
     """Push the cart by a multisine, in random forces and torques, and read two encoders."""
     rng, count = np.random.default_rng(seed), round(seconds / STEP_s)
-    t_s = np.arange(count) * STEP_s
+    t_s = np.asarray(np.arange(count) * STEP_s, float)
     frequencies, phases = 2 * np.pi * np.linspace(0.1, 2.5, 12), rng.uniform(0, 2 * np.pi, 12)
     noise, size = np.zeros((count, 2)), (0.08, 0.004)
     for k in range(1, count):
         noise[k] = 0.98 * noise[k - 1] + (1 - 0.98**2) ** 0.5 * rng.normal(0.0, size)
 
-    def motor_N(t: Floats | float) -> Floats:
+    def motor_N(t: Any) -> Floats:
         return np.asarray(0.9 * np.sin(np.multiply.outer(t, frequencies) + phases).sum(axis=-1))
 
     def rates(t: float, x: Floats) -> Floats:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from heli_host.arrays import Floats
-
 import os
 import subprocess
 import sys
@@ -11,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.arrays import Floats
 from heli_sim import _native, compiled
 from heli_sim.model import Model, PaperModel
 from heli_sim.plant import Plant
@@ -21,7 +20,6 @@ from tests.plant.toys import (
     WIDE,
     ConstantTorque,
     FirstOrderLag,
-    Floats,
     fly,
     paper_rig,
     rates_function,

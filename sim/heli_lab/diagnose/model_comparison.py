@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
-import numpy as np
 from heli_host.arrays import Floats
 from heli_sim.model.base import Model
 from heli_sim.rig import Rig
@@ -201,13 +200,7 @@ class ModelComparison:
         parameter_vector = RigParameters(model, self.rig, self.train)
         functions = model_functions(model, parameter_vector.quantities)
         known = {**(warm_start.values if warm_start else {}), **start}
-        theta = np.array(
-            [
-                known.get(parameter.name, value)
-                for parameter, value in zip(parameter_vector.free, parameter_vector.start, strict=True)
-            ]
-        )
-        theta = np.clip(theta, *parameter_vector.bounds)
+        theta = parameter_vector.started_from(known)
         return self._kept.estimate(
             cache_key("train", candidates, start, warm_start.estimate if warm_start else None),
             parameter_vector,

@@ -226,5 +226,5 @@ def _prior_penalty(fit: Fit) -> float:
     problem = fit.problem
     effect_names = {name for effect in problem.model.effects for name in effect.priors}
     rig = np.array([parameter.quantity not in effect_names for parameter in problem.free], bool)
-    off = ((fit.theta - problem.prior_mean) / problem.prior_std)[rig]
+    off = ((fit.theta - problem.parameter_vector.mean) / problem.parameter_vector.std)[rig]
     return float(0.5 * (off @ off))

@@ -76,7 +76,7 @@ class ActingInputs:
 def mean_inputs(
     recording: Recording, every: int, count: int, parameters: Floats, free: Collection[str]
 ) -> ActingInputs:
-    """Average inputs that act as they were recorded; other `acting_inputs` of a model have the same arguments.
+    """Average inputs that act as they were recorded; the `acting_inputs` of a model in general.
 
     Parameters
     ----------

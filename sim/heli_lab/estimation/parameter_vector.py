@@ -107,6 +107,8 @@ class ParameterVector:
         For each flight, which free parameters it depends on, in the order of `quantities`.
     mean, std : ndarray (f,)
         Of the priors.
+    values : ndarray (p,)
+        As given.
     """
 
     def __init__(
@@ -127,7 +129,7 @@ class ParameterVector:
             for parameter in per_flight
         ]
         self._names = {name: place for place, name in enumerate(parameters)}
-        self._values = values.copy()
+        self.values = values.copy()
         self.quantities = tuple(parameter.quantity for parameter in (*shared, *per_flight))
         self._set_free((*shared, *local), len(labels))
 
@@ -169,7 +171,7 @@ class ParameterVector:
     @property
     def start(self) -> Floats:
         """Values to start from, within the bounds; shape (f,)."""
-        result: Floats = np.clip(self._values[self._place], *self.bounds)
+        result: Floats = np.clip(self.values[self._place], *self.bounds)
         return result
 
     def started_from(self, values: Mapping[str, float]) -> Floats:
@@ -182,7 +184,7 @@ class ParameterVector:
         """Complete free parameters `theta`, shape (f,), to all those of the model, shape (p,), for the flight
         of number `index`.
         """
-        full = self._values.copy()
+        full = self.values.copy()
         columns = self.columns[index]
         full[self._place[columns]] = theta[columns]
         return full

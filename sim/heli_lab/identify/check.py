@@ -144,7 +144,10 @@ def validate(fit: Fit, flights: Sequence[Flight | Record], labels: Sequence[str]
         window_s=problem.window_s,
         step_s=problem.step_s,
         priors=local,
-        values=dict(zip((q.name for q in problem.model.parameters), problem.base, strict=True)) | shared,
+        values=dict(
+            zip((q.name for q in problem.model.parameters), problem.parameter_vector.values, strict=True)
+        )
+        | shared,
         state_std=problem.state_std_by_name,
     )
     return solve(held_out, robust=False, scatter=False)

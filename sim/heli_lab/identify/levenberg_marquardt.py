@@ -134,7 +134,7 @@ class LevenbergMarquardt:
 
     def _cost(self, point: Point) -> float:
         problem = self.problem
-        prior = (point.theta - problem.prior_mean) / problem.prior_std
+        prior = (point.theta - problem.parameter_vector.mean) / problem.parameter_vector.std
         total = float(prior @ prior)
         total += float(sum(self._window_cost(point, index).sum() for index in range(len(point.evaluations))))
         return total if math.isfinite(total) else math.inf
@@ -245,11 +245,13 @@ class LevenbergMarquardt:
         """A damped Gauss-Newton step, the standard errors, and the cost that the step is to save."""
         problem = self.problem
         information, gradient, follow, gain = self.reduced(point, thresholds.STATE_DAMPING * self.damping)
-        weight = 1.0 / problem.prior_std**2
-        right = gradient + weight * (problem.prior_mean - point.theta)
+        weight = 1.0 / problem.parameter_vector.std**2
+        right = gradient + weight * (problem.parameter_vector.mean - point.theta)
         # Damped in units of the priors: weak combinations of known numbers may move that far and no more.
         matrix = information + np.diag((1.0 + self.damping) * weight)
-        limits = [np.where(self.frozen, 0.0, bound - point.theta) for bound in problem.bounds]
+        limits = [
+            np.where(self.frozen, 0.0, bound - point.theta) for bound in problem.parameter_vector.bounds
+        ]
         move = bounded_solve(matrix, right, *limits)
         states = [
             start + free - np.einsum("wsf,f->ws", slave, move[columns])
