@@ -127,7 +127,9 @@ def test_a_fit_keeps_voltages_in_the_dead_zone_where_the_rotors_push_there() -> 
         for texts in (["rotor_lag"], ["rotor_speed_lag"])
     )
     first = slice(0, 100)
-    low_V = [one.grid(0, False, one.parameter_vector.start).inputs.mean_V[first, 0].min() for one in (lifted, kept)]
+    low_V = [
+        one.grid(0, False, one.parameter_vector.start).inputs.mean_V[first, 0].min() for one in (lifted, kept)
+    ]
     assert low_V == pytest.approx([1.0, 0.5])
 
 
