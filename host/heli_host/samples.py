@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from heli_host.arrays import Floats
 from heli_host.declaration import CHANNELS, Channel, ChannelArrays, ChannelValues, State
-from heli_host.link.channels import Floats, is_whole, numbers, rad_per_count
+from heli_host.link.channels import is_whole, numbers, rad_per_count
 from heli_host.link.clock import TICK_S
 from heli_host.link.telemetry import CHANNEL_COUNT, Ticks
 from heli_host.views import AngleViews, shares

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from heli_host.arrays import Floats
 from heli_host.declaration import AXES
 
 if TYPE_CHECKING:
     import pandas
 
-Floats = NDArray[np.float64]
 
 RATE_WINDOW_S: Final = 0.1
 """Length of the parabolas that a rate is read from [s]. An encoder of 4096 counts a revolution leaves 0.1

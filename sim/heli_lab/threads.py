@@ -1,13 +1,13 @@
-"""Parallel work in threads: filters, compiled programs and array arithmetic release Python's lock."""
+"""Parallel maps on threads: filters, compiled programs and array arithmetic release Python's lock."""
 
 from __future__ import annotations
 
 import ctypes
 import os
-import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from functools import cache
 from typing import Final, TypeVar
 
@@ -16,32 +16,19 @@ _ARENA_MAX: Final = -8
 _T = TypeVar("_T")
 _Item = TypeVar("_Item")
 
-
-class _ThreadState(threading.local):
-    is_worker = False
-    """Whether this is a worker thread of `parallel_map`, which starts no further threads."""
-    threads: int | None = None
-    is_other_busy: Callable[[], bool] | None = None
-    """Returns whether the other thread of a `Prefetcher` is busy; None outside of one."""
-
-    @property
-    def is_serial(self) -> bool:
-        """Whether this thread must not start further threads."""
-        return self.is_worker or (self.is_other_busy is not None and self.is_other_busy())
-
-
-_state = _ThreadState()
+_thread_count: ContextVar[int | None] = ContextVar("thread_count", default=None)
+"""Threads of a `using_threads` block, None outside; 1 in the threads of a pool, which start no others."""
 
 
 def default_thread_count() -> int:
-    """Return the default number of threads: two, or one if ``OMP_NUM_THREADS`` is 1.
+    """Return the default number of threads: that of the `using_threads` block, otherwise two, or one if
+    ``OMP_NUM_THREADS`` is 1.
 
     That setting states that other processes use the other cores.
     """
-    if _state.is_serial:
-        return 1
-    if _state.threads is not None:
-        return _state.threads
+    threads = _thread_count.get()
+    if threads is not None:
+        return threads
     return 1 if os.environ.get("OMP_NUM_THREADS") == "1" else 2
 
 
@@ -59,17 +46,16 @@ def limit_malloc_arenas() -> None:
 @contextmanager
 def using_threads(threads: int | None) -> Iterator[None]:
     """Set the default number of `threads`, 1 or more, inside of this block; None changes nothing."""
-    before = _state.threads
-    _state.threads = before if threads is None else threads
+    token = _thread_count.set(_thread_count.get() if threads is None else threads)
     try:
         yield
     finally:
-        _state.threads = before
+        _thread_count.reset(token)
 
 
 @cache
 def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads, initializer=lambda: setattr(_state, "is_worker", True))
+    return ThreadPoolExecutor(threads, initializer=_thread_count.set, initargs=(1,))
 
 
 def parallel_map(work: Callable[[_Item], _T], items: Sequence[_Item], threads: int | None = None) -> list[_T]:
@@ -87,67 +73,6 @@ def parallel_map(work: Callable[[_Item], _T], items: Sequence[_Item], threads: i
         Number of threads, 1 or more; by default `default_thread_count`.
     """
     threads = default_thread_count() if threads is None else threads
-    if threads == 1 or len(items) < 2 or _state.is_serial:
+    if threads == 1 or len(items) < 2 or _thread_count.get() == 1:
         return [work(item) for item in items]
     return list(_pool(threads).map(work, items))
-
-
-class Prefetcher:
-    """Second thread that computes independent tasks in reverse order, while the caller needs them in order.
-
-    The two threads meet in the middle. While one of them is idle, `parallel_map` in the other uses both
-    cores.
-    """
-
-    def __init__(self) -> None:
-        self._pending: dict[str, Future[object]] = {}
-        self._is_awaited = threading.Event()
-
-    @contextmanager
-    def working(self, tasks: Mapping[str, Callable[[], object]]) -> Iterator[None]:
-        """Start `tasks`, by key, in the second thread; the end of the block waits for all that have started.
-
-        With a single thread, nothing is computed in advance.
-        """
-        if default_thread_count() < 2 or len(tasks) < 2 or _state.is_other_busy is not None:
-            yield
-            return
-        threads = default_thread_count()
-        self._pending = {
-            key: _second_thread().submit(self._run_task, task, threads)
-            for key, task in reversed(list(tasks.items()))
-        }
-        _state.is_other_busy = lambda: self.is_busy
-        try:
-            yield
-        finally:
-            # Wait for every task, even if one of them raises.
-            with ExitStack() as stack:
-                stack.callback(setattr, _state, "is_other_busy", None)
-                for key in self._pending:
-                    stack.callback(self.wait_for, key)
-
-    def wait_for(self, key: str) -> None:
-        """Wait for the task of a `key` if it has started, and raise its exception; cancel it otherwise."""
-        task = self._pending.pop(key, None)
-        if task is not None and not task.cancel():
-            self._is_awaited.set()
-            try:
-                task.result()
-            finally:
-                self._is_awaited.clear()
-
-    @property
-    def is_busy(self) -> bool:
-        """Whether the second thread has unfinished tasks."""
-        return any(not task.done() for task in self._pending.values())
-
-    def _run_task(self, task: Callable[[], object], threads: int) -> object:
-        _state.is_other_busy = lambda: not self._is_awaited.is_set()
-        with using_threads(threads):
-            return task()
-
-
-@cache
-def _second_thread() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(1)

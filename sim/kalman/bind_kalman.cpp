@@ -1,12 +1,12 @@
 // The filter and the smoother for Python.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
-#include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
+#include <nanobind/stl/vector.h>
 
-#include <array>
 #include <stdexcept>
 #include <utility>
+#include <vector>
 
 #include "kalman.hpp"
 
@@ -29,32 +29,34 @@ void require(bool holds, const char* what) {
 
 LinearSystem system_of(const In<3>& transition, const In<4>& part_input, const In<3>& measurement,
                        const In<2>& measurement_variance, const In<1>& memory,
-                       const In<1>& torque_variance, const In<1>& initial_variance,
+                       const In<1>& disturbance_variance, const In<1>& initial_variance,
                        const In<3>& drive, const In<3>& measured) {
   LinearSystem system;
   system.steps = transition.shape(0);
   system.states = transition.shape(1);
-  system.torques = memory.shape(0);
+  system.outputs = measurement.shape(1);
+  system.disturbances = memory.shape(0);
   system.parts = part_input.shape(0);
   system.kind = part_input.shape(3);
   system.columns = drive.shape(2);
   require(transition.shape(2) == system.states, "transition is not square");
   require(part_input.shape(1) == system.steps && part_input.shape(2) == system.states,
           "part_input has another shape than transition");
-  require(system.parts > 0 && system.kind > 0 && system.torques % system.kind == 0,
-          "memory must have one entry a torque, of whole kinds");
-  require(measurement.shape(0) == system.steps && measurement.shape(1) == 3 &&
+  require(system.parts > 0 && system.kind > 0 && system.disturbances % system.kind == 0,
+          "memory must have one entry for each disturbance, of whole kinds");
+  require(measurement.shape(0) == system.steps && system.outputs > 0 &&
               measurement.shape(2) == system.states,
           "measurement has another shape than transition");
-  require(measurement_variance.shape(0) == system.steps && measurement_variance.shape(1) == 3,
+  require(measurement_variance.shape(0) == system.steps &&
+              measurement_variance.shape(1) == system.outputs,
           "measurement_variance has another shape than measurement");
-  require(torque_variance.shape(0) == system.torques,
-          "torque_variance must have one entry a torque");
+  require(disturbance_variance.shape(0) == system.disturbances,
+          "disturbance_variance must have one entry for each disturbance");
   require(initial_variance.shape(0) == system.states,
-          "initial_variance must have one entry a state");
+          "initial_variance must have one entry for each state");
   require(drive.shape(0) == system.steps && drive.shape(1) == system.states,
           "drive has another shape than transition");
-  require(measured.shape(0) == system.steps && measured.shape(1) == 3 &&
+  require(measured.shape(0) == system.steps && measured.shape(1) == system.outputs &&
               measured.shape(2) == system.columns && system.columns > 0,
           "measured has another shape than drive");
   system.transition = transition.data();
@@ -62,7 +64,7 @@ LinearSystem system_of(const In<3>& transition, const In<4>& part_input, const I
   system.measurement = measurement.data();
   system.measurement_variance = measurement_variance.data();
   system.memory = memory.data();
-  system.torque_variance = torque_variance.data();
+  system.disturbance_variance = disturbance_variance.data();
   system.initial_variance = initial_variance.data();
   system.drive = drive.data();
   system.measured = measured.data();
@@ -97,18 +99,18 @@ heli_lab::Signals signals_of(const In<3>& transition, const In<3>& input, const 
   return signals;
 }
 
-// A function that finds two numbers of each state and torque at each step.
+// A function that finds two numbers of each state and disturbance at each step.
 template <void (*kFind)(const LinearSystem&, double*, double*)>
 void def_of_states(nb::module_& module, const char* name) {
   module.def(
       name,
       [](const In<3>& transition, const In<4>& part_input, const In<3>& measurement,
-         const In<2>& measurement_variance, const In<1>& memory, const In<1>& torque_variance,
+         const In<2>& measurement_variance, const In<1>& memory, const In<1>& disturbance_variance,
          const In<1>& initial_variance, const In<3>& drive, const In<3>& measured) {
         const LinearSystem system =
             system_of(transition, part_input, measurement, measurement_variance, memory,
-                      torque_variance, initial_variance, drive, measured);
-        const std::size_t order = system.states + system.torques;
+                      disturbance_variance, initial_variance, drive, measured);
+        const std::size_t order = system.states + system.disturbances;
         Out first = array(system.steps, order, 1, 2);
         Out second = array(system.steps, order, 1, 2);
         {
@@ -118,7 +120,7 @@ void def_of_states(nb::module_& module, const char* name) {
         return std::make_pair(first, second);
       },
       "transition"_a, "part_input"_a, "measurement"_a, "measurement_variance"_a, "memory"_a,
-      "torque_variance"_a, "initial_variance"_a, "drive"_a, "measured"_a);
+      "disturbance_variance"_a, "initial_variance"_a, "drive"_a, "measured"_a);
 }
 
 }  // namespace
@@ -127,13 +129,13 @@ NB_MODULE(_kalman, module) {
   module.def(
       "filter",
       [](const In<3>& transition, const In<4>& part_input, const In<3>& measurement,
-         const In<2>& measurement_variance, const In<1>& memory, const In<1>& torque_variance,
+         const In<2>& measurement_variance, const In<1>& memory, const In<1>& disturbance_variance,
          const In<1>& initial_variance, const In<3>& drive, const In<3>& measured) {
         const LinearSystem system =
             system_of(transition, part_input, measurement, measurement_variance, memory,
-                      torque_variance, initial_variance, drive, measured);
-        Out innovations = array(system.steps, 3, system.columns, 3);
-        std::array<double, 3> log_variances{};
+                      disturbance_variance, initial_variance, drive, measured);
+        Out innovations = array(system.steps, system.outputs, system.columns, 3);
+        std::vector<double> log_variances(system.outputs, 0.0);
         {
           const nb::gil_scoped_release release;
           heli_lab::filter(system, innovations.data(), log_variances.data());
@@ -141,7 +143,7 @@ NB_MODULE(_kalman, module) {
         return std::make_pair(innovations, log_variances);
       },
       "transition"_a, "part_input"_a, "measurement"_a, "measurement_variance"_a, "memory"_a,
-      "torque_variance"_a, "initial_variance"_a, "drive"_a, "measured"_a);
+      "disturbance_variance"_a, "initial_variance"_a, "drive"_a, "measured"_a);
   module.def(
       "midpoint",
       [](const In<3>& jacobian, double step_s) {
@@ -187,28 +189,29 @@ NB_MODULE(_kalman, module) {
   module.def(
       "log_likelihoods",
       [](const In<3>& transition, const In<4>& part_input, const In<3>& measurement,
-         const In<2>& measurement_variance, const In<2>& memory, const In<2>& torque_variance,
+         const In<2>& measurement_variance, const In<2>& memory, const In<2>& disturbance_variance,
          const In<2>& scale, const In<1>& initial_variance, const In<3>& drive,
          const In<3>& measured) {
-        const std::size_t weathers = memory.shape(0);
-        require(weathers > 0 && torque_variance.shape(0) == weathers && scale.shape(0) == weathers,
-                "memory, torque_variance and scale must have one row a weather");
-        require(torque_variance.shape(1) == memory.shape(1) && scale.shape(1) == 3,
-                "torque_variance or scale has another shape");
+        const std::size_t models = memory.shape(0);
+        require(models > 0 && disturbance_variance.shape(0) == models && scale.shape(0) == models,
+                "memory, disturbance_variance and scale must have one row for each model");
+        require(disturbance_variance.shape(1) == memory.shape(1) &&
+                    scale.shape(1) == measurement.shape(1),
+                "disturbance_variance or scale has another shape");
         const In<1> first(memory.data(), {memory.shape(1)}, nb::handle());
         const LinearSystem system =
             system_of(transition, part_input, measurement, measurement_variance, first, first,
                       initial_variance, drive, measured);
-        Out values = array(weathers, 3, 1, 2);
+        Out values = array(models, system.outputs, 1, 2);
         {
           const nb::gil_scoped_release release;
-          heli_lab::log_likelihoods(system, weathers, memory.data(), torque_variance.data(),
+          heli_lab::log_likelihoods(system, models, memory.data(), disturbance_variance.data(),
                                     scale.data(), values.data());
         }
         return values;
       },
       "transition"_a, "part_input"_a, "measurement"_a, "measurement_variance"_a, "memory"_a,
-      "torque_variance"_a, "scale"_a, "initial_variance"_a, "drive"_a, "measured"_a);
+      "disturbance_variance"_a, "scale"_a, "initial_variance"_a, "drive"_a, "measured"_a);
   def_of_states<heli_lab::track>(module, "track");
   def_of_states<heli_lab::smooth>(module, "smooth");
 }

@@ -6,58 +6,57 @@
 namespace heli_lab {
 namespace {
 
-constexpr std::size_t kAxes = 3;
 constexpr double kNothing = 1e-60;
 
 // What the backward pass of the smoother needs of a step.
 struct Kept {
   std::vector<double> mean;        // predicted, [order]
   std::vector<double> covariance;  // predicted, [order][order]
-  std::vector<double> gain;        // [3][order], of one axis after the other
-  std::vector<double> innovation;  // [3], not normalised
-  std::vector<double> variance;    // [3]; 0 where nothing was measured
+  std::vector<double> gain;        // [outputs][order]
+  std::vector<double> innovation;  // [outputs], not normalised
+  std::vector<double> variance;    // [outputs]; 0 where nothing was measured
 };
 
 class Filter {
  public:
   explicit Filter(const LinearSystem& system)
       : system_(system),
-        order_(system.states + system.torques),
+        order_(system.states + system.disturbances),
         mean_(order_ * system.columns, 0.0),
         next_(system.states * system.columns),
         covariance_(order_ * order_, 0.0),
         product_(system.states * order_),
         gain_(order_),
-        input_(system.states * system.torques),
-        step_memory_(system.torques) {
-    for (std::size_t i = 0; i < system.torques; ++i) {
+        input_(system.states * system.disturbances),
+        step_memory_(system.disturbances) {
+    for (std::size_t i = 0; i < system.disturbances; ++i) {
       step_memory_[i] = std::pow(system.memory[i], static_cast<double>(system.parts));
     }
     for (std::size_t i = 0; i < system.states; ++i) {
       covariance_[i * order_ + i] = system.initial_variance[i];
     }
-    for (std::size_t i = 0; i < system.torques; ++i) {
+    for (std::size_t i = 0; i < system.disturbances; ++i) {
       const std::size_t place = system.states + i;
-      covariance_[place * order_ + place] = system.torque_variance[i];
+      covariance_[place * order_ + place] = system.disturbance_variance[i];
     }
   }
 
-  // One axis after the other: measurement errors of the axes are independent.
+  // One output after the other: their measurement errors are independent.
   HELI_INLINE void update(std::size_t step, double* innovations, double* log_variances,
                           Kept* kept) {
     const std::size_t states = system_.states;
     const std::size_t columns = system_.columns;
-    for (std::size_t axis = 0; axis < kAxes; ++axis) {
-      double* out = innovations + axis * columns;
-      const double error = system_.measurement_variance[step * kAxes + axis];
+    for (std::size_t output = 0; output < system_.outputs; ++output) {
+      double* out = innovations + output * columns;
+      const double error = system_.measurement_variance[step * system_.outputs + output];
       if (kept != nullptr) {
-        kept->variance[axis] = 0.0;
+        kept->variance[output] = 0.0;
       }
       if (!(error > 0.0)) {
         std::fill(out, out + columns, 0.0);
         continue;
       }
-      const double* row = system_.measurement + (step * kAxes + axis) * states;
+      const double* row = system_.measurement + (step * system_.outputs + output) * states;
       for (std::size_t i = 0; i < order_; ++i) {
         double sum = 0.0;
         for (std::size_t j = 0; j < states; ++j) {
@@ -70,7 +69,7 @@ class Filter {
         variance += row[j] * gain_[j];
       }
       const double scale = 1.0 / std::sqrt(variance);
-      const double* seen = system_.measured + (step * kAxes + axis) * columns;
+      const double* seen = system_.measured + (step * system_.outputs + output) * columns;
       std::copy(seen, seen + columns, out);
       for (std::size_t j = 0; j < states; ++j) {
         const double weight = row[j];
@@ -83,10 +82,10 @@ class Filter {
         }
       }
       if (kept != nullptr) {
-        kept->innovation[axis] = out[0];
-        kept->variance[axis] = variance;
+        kept->innovation[output] = out[0];
+        kept->variance[output] = variance;
         for (std::size_t i = 0; i < order_; ++i) {
-          kept->gain[axis * order_ + i] = gain_[i] / variance;
+          kept->gain[output * order_ + i] = gain_[i] / variance;
         }
       }
       for (std::size_t c = 0; c < columns; ++c) {
@@ -105,28 +104,28 @@ class Filter {
           line[j] -= weight * scale * gain_[j];
         }
       }
-      log_variances[axis] += std::log(variance);
+      log_variances[output] += std::log(variance);
     }
   }
 
   HELI_INLINE void predict(std::size_t step) {
     const std::size_t states = system_.states;
-    const std::size_t torques = system_.torques;
+    const std::size_t disturbances = system_.disturbances;
     const std::size_t columns = system_.columns;
     const double* phi = system_.transition + step * states * states;
-    const double* input = torque_input(step);
+    const double* input = disturbance_input(step);
     const double* drive = system_.drive + step * states * columns;
     std::copy(drive, drive + states * columns, next_.begin());
     std::fill(product_.begin(), product_.end(), 0.0);
     for (std::size_t i = 0; i < states; ++i) {
       double* weights = gain_.data();
       std::copy(phi + i * states, phi + (i + 1) * states, weights);
-      std::copy(input + i * torques, input + (i + 1) * torques, weights + states);
+      std::copy(input + i * disturbances, input + (i + 1) * disturbances, weights + states);
       add_rows(weights, order_, mean_.data(), columns, next_.data() + i * columns);
       add_rows(weights, order_, covariance_.data(), order_, product_.data() + i * order_);
     }
     std::copy(next_.begin(), next_.end(), mean_.begin());
-    for (std::size_t i = 0; i < torques; ++i) {
+    for (std::size_t i = 0; i < disturbances; ++i) {
       double* to = mean_.data() + (states + i) * columns;
       for (std::size_t c = 0; c < columns; ++c) {
         to[c] *= step_memory_[i];
@@ -139,39 +138,39 @@ class Filter {
         for (std::size_t j = 0; j < states; ++j) {
           sum += line[j] * phi[k * states + j];
         }
-        for (std::size_t j = 0; j < torques; ++j) {
-          sum += line[states + j] * input[k * torques + j];
+        for (std::size_t j = 0; j < disturbances; ++j) {
+          sum += line[states + j] * input[k * disturbances + j];
         }
         covariance_[i * order_ + k] = sum;
         covariance_[k * order_ + i] = sum;
       }
-      for (std::size_t j = 0; j < torques; ++j) {
+      for (std::size_t j = 0; j < disturbances; ++j) {
         const double sum = line[states + j] * step_memory_[j];
         covariance_[i * order_ + states + j] = sum;
         covariance_[(states + j) * order_ + i] = sum;
       }
     }
-    for (std::size_t i = 0; i < torques; ++i) {
-      for (std::size_t j = 0; j < torques; ++j) {
+    for (std::size_t i = 0; i < disturbances; ++i) {
+      for (std::size_t j = 0; j < disturbances; ++j) {
         covariance_[(states + i) * order_ + states + j] *= step_memory_[i] * step_memory_[j];
       }
       const double lost = 1.0 - step_memory_[i] * step_memory_[i];
-      covariance_[(states + i) * order_ + states + i] += lost * system_.torque_variance[i];
+      covariance_[(states + i) * order_ + states + i] += lost * system_.disturbance_variance[i];
     }
   }
 
-  // What a unit of each torque at the step's beginning moves, [states][torques].
-  HELI_INLINE const double* torque_input(std::size_t step) {
+  // Response to a unit of each disturbance at the step's beginning, [states][disturbances].
+  HELI_INLINE const double* disturbance_input(std::size_t step) {
     const std::size_t kind = system_.kind;
     const std::size_t size = system_.states * kind;
     std::fill(input_.begin(), input_.end(), 0.0);
-    for (std::size_t first = 0; first < system_.torques; first += kind) {
+    for (std::size_t first = 0; first < system_.disturbances; first += kind) {
       for (std::size_t k = 0; k < kind; ++k) {
         double left = 1.0;
         for (std::size_t part = 0; part < system_.parts; ++part) {
           const double* from = system_.part_input + (part * system_.steps + step) * size + k;
           for (std::size_t i = 0; i < system_.states; ++i) {
-            input_[i * system_.torques + first + k] += left * from[i * kind];
+            input_[i * system_.disturbances + first + k] += left * from[i * kind];
           }
           left *= system_.memory[first + k];
         }
@@ -209,9 +208,10 @@ class Filter {
 
 HELI_WIDE void filter(const LinearSystem& system, double* innovations, double* log_variances) {
   Filter filter(system);
-  std::fill(log_variances, log_variances + kAxes, 0.0);
+  std::fill(log_variances, log_variances + system.outputs, 0.0);
   for (std::size_t step = 0; step < system.steps; ++step) {
-    filter.update(step, innovations + step * kAxes * system.columns, log_variances, nullptr);
+    filter.update(step, innovations + step * system.outputs * system.columns, log_variances,
+                  nullptr);
     if (step + 1 < system.steps) {
       filter.predict(step);
     }
@@ -220,12 +220,12 @@ HELI_WIDE void filter(const LinearSystem& system, double* innovations, double* l
 
 void track(const LinearSystem& system, double* predicted, double* filtered) {
   Filter filter(system);
-  const std::size_t order = system.states + system.torques;
-  std::vector<double> unused(kAxes * system.columns);
-  double log_variances[kAxes] = {};
+  const std::size_t order = system.states + system.disturbances;
+  std::vector<double> unused(system.outputs * system.columns);
+  std::vector<double> log_variances(system.outputs, 0.0);
   for (std::size_t step = 0; step < system.steps; ++step) {
     filter.first_column(predicted + step * order);
-    filter.update(step, unused.data(), log_variances, nullptr);
+    filter.update(step, unused.data(), log_variances.data(), nullptr);
     filter.first_column(filtered + step * order);
     if (step + 1 < system.steps) {
       filter.predict(step);
@@ -234,22 +234,23 @@ void track(const LinearSystem& system, double* predicted, double* filtered) {
 }
 
 // Modified Bryson-Frazier: adjoint vector and matrix run backwards, nothing is inverted, so that
-// torques of variance 0 and exact states are no special case. Bierman, Automatica 9 (1973) 503.
+// disturbances of variance 0 and exact states are no special case. Bierman, Automatica 9 (1973)
+// 503.
 void smooth(const LinearSystem& system, double* mean, double* variance) {
   const std::size_t states = system.states;
-  const std::size_t order = states + system.torques;
+  const std::size_t order = states + system.disturbances;
   Filter filter(system);
   std::vector<Kept> kept(system.steps);
-  std::vector<double> unused(kAxes * system.columns);
-  double log_variances[kAxes] = {};
+  std::vector<double> unused(system.outputs * system.columns);
+  std::vector<double> log_variances(system.outputs, 0.0);
   for (std::size_t step = 0; step < system.steps; ++step) {
     Kept& now = kept[step];
     now.mean.resize(order);
-    now.gain.resize(kAxes * order);
-    now.innovation.resize(kAxes);
-    now.variance.resize(kAxes);
+    now.gain.resize(system.outputs * order);
+    now.innovation.resize(system.outputs);
+    now.variance.resize(system.outputs);
     filter.keep(now);
-    filter.update(step, unused.data(), log_variances, &now);
+    filter.update(step, unused.data(), log_variances.data(), &now);
     if (step + 1 < system.steps) {
       filter.predict(step);
     }
@@ -260,13 +261,13 @@ void smooth(const LinearSystem& system, double* mean, double* variance) {
   std::vector<double> line(order);
   for (std::size_t step = system.steps; step-- > 0;) {
     if (step + 1 < system.steps) {
-      // Back through the prediction: F' adjoint, F' matrix F with F = [transition torque_input; 0
-      // memory].
+      // Back through the prediction: F' adjoint, F' matrix F with F = [transition
+      // disturbance_input; 0 memory].
       const double* phi = system.transition + step * states * states;
-      const double* input = filter.torque_input(step);
+      const double* input = filter.disturbance_input(step);
       const auto entry = [&](std::size_t i, std::size_t j) {
         if (i < states) {
-          return j < states ? phi[i * states + j] : input[i * system.torques + j - states];
+          return j < states ? phi[i * states + j] : input[i * system.disturbances + j - states];
         }
         return i == j ? filter.step_memory()[i - states] : 0.0;
       };
@@ -298,12 +299,12 @@ void smooth(const LinearSystem& system, double* mean, double* variance) {
       }
     }
     const Kept& now = kept[step];
-    for (std::size_t axis = kAxes; axis-- > 0;) {
-      if (!(now.variance[axis] > 0.0)) {
+    for (std::size_t output = system.outputs; output-- > 0;) {
+      if (!(now.variance[output] > 0.0)) {
         continue;
       }
-      const double* row = system.measurement + (step * kAxes + axis) * states;
-      const double* gain = now.gain.data() + axis * order;
+      const double* row = system.measurement + (step * system.outputs + output) * states;
+      const double* gain = now.gain.data() + output * order;
       double along = 0.0;
       for (std::size_t i = 0; i < order; ++i) {
         along += gain[i] * adjoint[i];
@@ -317,9 +318,9 @@ void smooth(const LinearSystem& system, double* mean, double* variance) {
       for (std::size_t i = 0; i < order; ++i) {
         quadratic += gain[i] * line[i];
       }
-      const double inverse = 1.0 / now.variance[axis];
+      const double inverse = 1.0 / now.variance[output];
       for (std::size_t i = 0; i < states; ++i) {
-        adjoint[i] -= row[i] * (along + now.innovation[axis] * inverse);
+        adjoint[i] -= row[i] * (along + now.innovation[output] * inverse);
       }
       for (std::size_t i = 0; i < order; ++i) {
         const double own = i < states ? row[i] : 0.0;

@@ -1,5 +1,5 @@
-// Kalman filter and fixed-interval smoother of a linear time-varying system that torques by chance
-// drive.
+// Kalman filter and fixed-interval smoother of a linear time-varying system that random
+// disturbances drive.
 #pragma once
 
 #include <cstddef>
@@ -44,45 +44,46 @@ HELI_INLINE void add_rows(const double* weights, std::size_t count, const double
 
 // e' = transition e + input w + drive, w' = memory^parts w + noise, y = measurement e + error.
 // Matrices are row-major, one a step; `columns` signals share the gains, because filtering is
-// linear. A step has one or more equal parts. The torques w come in kinds of `kind` torques each,
+// linear. A step has one or more equal parts. The disturbances w come in kinds of `kind` each,
 // that differ by their memory: what one of any kind moves in a step is the sum of what it moves in
 // each part, memory^part left of it.
 struct LinearSystem {
   std::size_t steps = 0;
   std::size_t parts = 0;
   std::size_t states = 0;
-  std::size_t torques = 0;
+  std::size_t outputs = 0;
+  std::size_t disturbances = 0;
   std::size_t kind = 0;
   std::size_t columns = 0;
   const double* transition = nullptr;            // [steps][states][states]
   const double* part_input = nullptr;            // [parts][steps][states][kind]
-  const double* measurement = nullptr;           // [steps][3][states]
-  const double* measurement_variance = nullptr;  // [steps][3]; 0 where nothing was measured
-  const double* memory = nullptr;                // [torques], of a part
-  const double* torque_variance = nullptr;       // [torques], stationary
+  const double* measurement = nullptr;           // [steps][outputs][states]
+  const double* measurement_variance = nullptr;  // [steps][outputs]; 0 where nothing was measured
+  const double* memory = nullptr;                // [disturbances], of a part
+  const double* disturbance_variance = nullptr;  // [disturbances], stationary
   const double* initial_variance = nullptr;      // [states]
   const double* drive = nullptr;                 // [steps][states][columns]
-  const double* measured = nullptr;              // [steps][3][columns]
+  const double* measured = nullptr;              // [steps][outputs][columns]
 };
 
-// Writes the innovations in their standard deviations, [steps][3][columns], and for each axis the
-// sum of the logarithms of their variances, [3].
+// Writes the innovations in their standard deviations, [steps][outputs][columns], and for each
+// output the sum of the logarithms of their variances, [outputs].
 void filter(const LinearSystem& system, double* innovations, double* log_variances);
 
-// The log-likelihood of the first column under several weathers, without its constant: for each
-// axis minus half the sum of squares and of logarithms of variances, [weathers][3]. Each weather
-// has a memory and a variance of its torques, [weathers][torques], and scales the measurement's
-// variances, [weathers][3]; those of the system are not used. Four weathers cost little more than
-// one.
-void log_likelihoods(const LinearSystem& system, std::size_t weathers, const double* memory,
-                     const double* torque_variance, const double* scale, double* values);
+// The log-likelihood of the first column under several models of the disturbances, without its
+// constant: for each output minus half the sum of squares and of logarithms of variances,
+// [models][outputs]. Each model has a memory and a variance of its disturbances,
+// [models][disturbances], and scales the measurement's variances, [models][outputs]; those of the
+// system are not used. Four models cost little more than one.
+void log_likelihoods(const LinearSystem& system, std::size_t models, const double* memory,
+                     const double* disturbance_variance, const double* scale, double* values);
 
-// Mean of state and torques at each step by the first column, before and after the step's
-// measurement, [steps][states + torques] each.
+// Mean of state and disturbances at each step by the first column, before and after the step's
+// measurement, [steps][states + disturbances] each.
 void track(const LinearSystem& system, double* predicted, double* filtered);
 
-// Smooths the first column: mean and variance of state and torques at each step, [steps][states +
-// torques].
+// Smooths the first column: mean and variance of state and disturbances at each step,
+// [steps][states + disturbances].
 void smooth(const LinearSystem& system, double* mean, double* variance);
 
 // Rates that drive deviations, e' = transition e + input rates, row-major, one a step.

@@ -7,7 +7,6 @@
 namespace heli_lab {
 namespace {
 
-constexpr std::size_t kAxes = 3;
 constexpr std::size_t kLanes = 4;
 // Steps whose variances are multiplied before a logarithm is taken: of variances above 1e-18 rad2
 // the product stays in range.
@@ -32,8 +31,8 @@ HELI_FOUR(/)
 #undef HELI_FOUR
 #endif
 
-// One number of each of four weathers; a structure, because containers drop the alignment of a
-// vector.
+// One number of each of four models of the disturbances; a structure, because containers drop the
+// alignment of a vector.
 struct Lanes {
   Four four;
   HELI_INLINE double& operator[](std::size_t i) { return reinterpret_cast<double*>(&four)[i]; }
@@ -52,14 +51,15 @@ HELI_LANES(*)
 HELI_LANES(/)
 #undef HELI_LANES
 
-// Gusts and a drift about each axis.
-constexpr std::size_t kTorques = 6;
+// Sizes that are known let the compiler keep sums in registers.
+constexpr std::size_t kMostOutputs = 3;
+constexpr std::size_t kMostDisturbances = 2 * kMostOutputs;
 
-struct FourWeathers {
-  Lanes memory[kTorques];  // of a part
-  Lanes step_memory[kTorques];
-  Lanes torque_variance[kTorques];
-  Lanes scale[kAxes];
+struct FourModels {
+  Lanes memory[kMostDisturbances];  // of a part
+  Lanes step_memory[kMostDisturbances];
+  Lanes disturbance_variance[kMostDisturbances];
+  Lanes scale[kMostOutputs];
 };
 
 // Sums over the columns that are kept in registers together.
@@ -97,39 +97,41 @@ HELI_INLINE void combine(const Weight* weights, std::size_t count, const Lanes* 
   }
 }
 
-// The filter of kalman.cpp for one column and four weathers at once; the innovations are not kept.
-template <std::size_t kStates>
-HELI_INLINE void follow(const LinearSystem& system, const FourWeathers& weathers, Lanes* values) {
-  constexpr std::size_t kOrder = kStates + kTorques;
+// The filter of kalman.cpp for one column and four models of the disturbances at once; a fast and a
+// slow one for each output. The innovations are not kept.
+template <std::size_t kOutputs, std::size_t kStates>
+HELI_INLINE void follow(const LinearSystem& system, const FourModels& models, Lanes* values) {
+  constexpr std::size_t kDisturbances = 2 * kOutputs;
+  constexpr std::size_t kOrder = kStates + kDisturbances;
   const std::size_t kind = system.kind;
   Lanes mean[kOrder];
   Lanes next[kStates];
   Lanes covariance[kOrder * kOrder];
   Lanes product[kStates * kOrder];
   Lanes gain[kOrder];
-  Lanes input[kStates * kTorques];
-  Lanes products[kAxes];
+  Lanes input[kStates * kDisturbances];
+  Lanes products[kOutputs];
   std::fill(mean, mean + kOrder, all(0.0));
   std::fill(covariance, covariance + kOrder * kOrder, all(0.0));
   for (std::size_t i = 0; i < kStates; ++i) {
     covariance[i * (kOrder + 1)] = all(system.initial_variance[i]);
   }
-  for (std::size_t i = 0; i < kTorques; ++i) {
-    covariance[(kStates + i) * (kOrder + 1)] = weathers.torque_variance[i];
+  for (std::size_t i = 0; i < kDisturbances; ++i) {
+    covariance[(kStates + i) * (kOrder + 1)] = models.disturbance_variance[i];
   }
-  for (std::size_t axis = 0; axis < kAxes; ++axis) {
-    values[axis] = all(0.0);
-    products[axis] = all(1.0);
+  for (std::size_t output = 0; output < kOutputs; ++output) {
+    values[output] = all(0.0);
+    products[output] = all(1.0);
   }
   for (std::size_t step = 0; step < system.steps; ++step) {
-    for (std::size_t axis = 0; axis < kAxes; ++axis) {
-      const double error = system.measurement_variance[step * kAxes + axis];
+    for (std::size_t output = 0; output < kOutputs; ++output) {
+      const double error = system.measurement_variance[step * kOutputs + output];
       if (!(error > 0.0)) {
         continue;
       }
-      const double* row = system.measurement + (step * kAxes + axis) * kStates;
+      const double* row = system.measurement + (step * kOutputs + output) * kStates;
       std::fill(gain, gain + kOrder, all(0.0));
-      Lanes innovation = all(system.measured[(step * kAxes + axis) * system.columns]);
+      Lanes innovation = all(system.measured[(step * kOutputs + output) * system.columns]);
       for (std::size_t j = 0; j < kStates; ++j) {
         const double weight = row[j];
         if (weight == 0.0) {
@@ -141,13 +143,13 @@ HELI_INLINE void follow(const LinearSystem& system, const FourWeathers& weathers
           gain[i] += weight * line[i];
         }
       }
-      Lanes variance = weathers.scale[axis] * error;
+      Lanes variance = models.scale[output] * error;
       for (std::size_t j = 0; j < kStates; ++j) {
         variance += row[j] * gain[j];
       }
       const Lanes inverse = 1.0 / variance;
-      values[axis] -= 0.5 * innovation * innovation * inverse;
-      products[axis] *= variance;
+      values[output] -= 0.5 * innovation * innovation * inverse;
+      products[output] *= variance;
       innovation *= inverse;
       for (std::size_t i = 0; i < kOrder; ++i) {
         mean[i] += gain[i] * innovation;
@@ -159,27 +161,27 @@ HELI_INLINE void follow(const LinearSystem& system, const FourWeathers& weathers
       }
     }
     if (step % kProduct == kProduct - 1 || step + 1 == system.steps) {
-      for (std::size_t axis = 0; axis < kAxes; ++axis) {
+      for (std::size_t output = 0; output < kOutputs; ++output) {
         for (std::size_t lane = 0; lane < kLanes; ++lane) {
-          values[axis][lane] -= 0.5 * std::log(products[axis][lane]);
+          values[output][lane] -= 0.5 * std::log(products[output][lane]);
         }
-        products[axis] = all(1.0);
+        products[output] = all(1.0);
       }
     }
     if (step + 1 == system.steps) {
       break;
     }
-    std::fill(input, input + kStates * kTorques, all(0.0));
-    for (std::size_t first = 0; first < kTorques; first += kind) {
+    std::fill(input, input + kStates * kDisturbances, all(0.0));
+    for (std::size_t first = 0; first < kDisturbances; first += kind) {
       for (std::size_t k = 0; k < kind; ++k) {
         Lanes left = all(1.0);
         for (std::size_t part = 0; part < system.parts; ++part) {
           const double* from =
               system.part_input + (part * system.steps + step) * kStates * kind + k;
           for (std::size_t i = 0; i < kStates; ++i) {
-            input[i * kTorques + first + k] += left * from[i * kind];
+            input[i * kDisturbances + first + k] += left * from[i * kind];
           }
-          left *= weathers.memory[first + k];
+          left *= models.memory[first + k];
         }
       }
     }
@@ -189,17 +191,17 @@ HELI_INLINE void follow(const LinearSystem& system, const FourWeathers& weathers
       for (std::size_t j = 0; j < kStates; ++j) {
         sum += phi[i * kStates + j] * mean[j];
       }
-      for (std::size_t j = 0; j < kTorques; ++j) {
-        sum += input[i * kTorques + j] * mean[kStates + j];
+      for (std::size_t j = 0; j < kDisturbances; ++j) {
+        sum += input[i * kDisturbances + j] * mean[kStates + j];
       }
       next[i] = sum;
       combine<kOrder>(phi + i * kStates, kStates, covariance, product + i * kOrder, false);
-      combine<kOrder>(input + i * kTorques, kTorques, covariance + kStates * kOrder,
+      combine<kOrder>(input + i * kDisturbances, kDisturbances, covariance + kStates * kOrder,
                       product + i * kOrder, true);
     }
     std::copy(next, next + kStates, mean);
-    for (std::size_t i = 0; i < kTorques; ++i) {
-      mean[kStates + i] *= weathers.step_memory[i];
+    for (std::size_t i = 0; i < kDisturbances; ++i) {
+      mean[kStates + i] *= models.step_memory[i];
     }
     for (std::size_t i = 0; i < kStates; ++i) {
       const Lanes* line = product + i * kOrder;
@@ -208,103 +210,111 @@ HELI_INLINE void follow(const LinearSystem& system, const FourWeathers& weathers
         for (std::size_t j = 0; j < kStates; ++j) {
           sum += line[j] * phi[k * kStates + j];
         }
-        for (std::size_t j = 0; j < kTorques; ++j) {
-          sum += line[kStates + j] * input[k * kTorques + j];
+        for (std::size_t j = 0; j < kDisturbances; ++j) {
+          sum += line[kStates + j] * input[k * kDisturbances + j];
         }
         covariance[i * kOrder + k] = sum;
         covariance[k * kOrder + i] = sum;
       }
-      for (std::size_t j = 0; j < kTorques; ++j) {
-        const Lanes sum = line[kStates + j] * weathers.step_memory[j];
+      for (std::size_t j = 0; j < kDisturbances; ++j) {
+        const Lanes sum = line[kStates + j] * models.step_memory[j];
         covariance[i * kOrder + kStates + j] = sum;
         covariance[(kStates + j) * kOrder + i] = sum;
       }
     }
-    for (std::size_t i = 0; i < kTorques; ++i) {
-      for (std::size_t j = 0; j < kTorques; ++j) {
+    for (std::size_t i = 0; i < kDisturbances; ++i) {
+      for (std::size_t j = 0; j < kDisturbances; ++j) {
         covariance[(kStates + i) * kOrder + kStates + j] *=
-            weathers.step_memory[i] * weathers.step_memory[j];
+            models.step_memory[i] * models.step_memory[j];
       }
-      const Lanes lost = 1.0 - weathers.step_memory[i] * weathers.step_memory[i];
-      covariance[(kStates + i) * (kOrder + 1)] += lost * weathers.torque_variance[i];
+      const Lanes lost = 1.0 - models.step_memory[i] * models.step_memory[i];
+      covariance[(kStates + i) * (kOrder + 1)] += lost * models.disturbance_variance[i];
     }
   }
 }
 
-// Sizes that are known let the compiler keep sums in registers: gusts and a drift about each axis,
-// and up to six states of effects.
-HELI_WIDE void follow_any(const LinearSystem& system, const FourWeathers& weathers, Lanes* values) {
-  switch (system.states) {
-#define HELI_STATES(states)                   \
-  case states:                                \
-    follow<states>(system, weathers, values); \
+// What is compiled for its size: three outputs, and up to `kMostExtra` states after positions and
+// rates.
+constexpr std::size_t kFollowed = 2 * kMostOutputs;
+constexpr std::size_t kMostExtra = 6;
+
+HELI_WIDE void follow_any(const LinearSystem& system, const FourModels& models, Lanes* values) {
+  switch (system.states - kFollowed) {
+#define HELI_EXTRA(extra)                                            \
+  case extra:                                                        \
+    follow<kMostOutputs, kFollowed + extra>(system, models, values); \
     break;
-    HELI_STATES(6)
-    HELI_STATES(7)
-    HELI_STATES(8)
-    HELI_STATES(9)
-    HELI_STATES(10)
-    HELI_STATES(11)
-    HELI_STATES(12)
-#undef HELI_STATES
+    HELI_EXTRA(0)
+    HELI_EXTRA(1)
+    HELI_EXTRA(2)
+    HELI_EXTRA(3)
+    HELI_EXTRA(4)
+    HELI_EXTRA(5)
+    HELI_EXTRA(kMostExtra)
+#undef HELI_EXTRA
     default:
       break;
   }
 }
 
-// One weather by the filter that takes any sizes.
-void follow_one(LinearSystem system, const double* memory, const double* torque_variance,
+bool is_compiled(const LinearSystem& system) {
+  return system.outputs == kMostOutputs && system.disturbances == kMostDisturbances &&
+         system.states >= kFollowed && system.states <= kFollowed + kMostExtra;
+}
+
+// One model by the filter that takes any sizes.
+void follow_one(LinearSystem system, const double* memory, const double* disturbance_variance,
                 const double* scale, double* values) {
-  std::vector<double> variance(system.steps * kAxes);
+  std::vector<double> variance(system.steps * system.outputs);
   for (std::size_t i = 0; i < variance.size(); ++i) {
-    variance[i] = system.measurement_variance[i] * scale[i % kAxes];
+    variance[i] = system.measurement_variance[i] * scale[i % system.outputs];
   }
   system.memory = memory;
-  system.torque_variance = torque_variance;
+  system.disturbance_variance = disturbance_variance;
   system.measurement_variance = variance.data();
-  std::vector<double> innovations(system.steps * kAxes * system.columns);
+  std::vector<double> innovations(system.steps * system.outputs * system.columns);
   filter(system, innovations.data(), values);
-  for (std::size_t axis = 0; axis < kAxes; ++axis) {
+  for (std::size_t output = 0; output < system.outputs; ++output) {
     double squares = 0.0;
     for (std::size_t step = 0; step < system.steps; ++step) {
-      const double value = innovations[(step * kAxes + axis) * system.columns];
+      const double value = innovations[(step * system.outputs + output) * system.columns];
       squares += value * value;
     }
-    values[axis] = -0.5 * (values[axis] + squares);
+    values[output] = -0.5 * (values[output] + squares);
   }
 }
 
 }  // namespace
 
-void log_likelihoods(const LinearSystem& system, std::size_t weathers, const double* memory,
-                     const double* torque_variance, const double* scale, double* values) {
-  const std::size_t torques = system.torques;
-  if (torques != kTorques || system.states < 6 || system.states > 12) {
-    for (std::size_t i = 0; i < weathers; ++i) {
-      follow_one(system, memory + i * torques, torque_variance + i * torques, scale + i * kAxes,
-                 values + i * kAxes);
+void log_likelihoods(const LinearSystem& system, std::size_t models, const double* memory,
+                     const double* disturbance_variance, const double* scale, double* values) {
+  const std::size_t disturbances = system.disturbances;
+  if (!is_compiled(system)) {
+    for (std::size_t i = 0; i < models; ++i) {
+      follow_one(system, memory + i * disturbances, disturbance_variance + i * disturbances,
+                 scale + i * system.outputs, values + i * system.outputs);
     }
     return;
   }
-  FourWeathers four;
-  for (std::size_t first = 0; first < weathers; first += kLanes) {
+  FourModels four;
+  for (std::size_t first = 0; first < models; first += kLanes) {
     for (std::size_t lane = 0; lane < kLanes; ++lane) {
-      const std::size_t from = std::min(first + lane, weathers - 1);
-      for (std::size_t i = 0; i < torques; ++i) {
-        four.memory[i][lane] = memory[from * torques + i];
+      const std::size_t from = std::min(first + lane, models - 1);
+      for (std::size_t i = 0; i < disturbances; ++i) {
+        four.memory[i][lane] = memory[from * disturbances + i];
         four.step_memory[i][lane] =
-            std::pow(memory[from * torques + i], static_cast<double>(system.parts));
-        four.torque_variance[i][lane] = torque_variance[from * torques + i];
+            std::pow(memory[from * disturbances + i], static_cast<double>(system.parts));
+        four.disturbance_variance[i][lane] = disturbance_variance[from * disturbances + i];
       }
-      for (std::size_t axis = 0; axis < kAxes; ++axis) {
-        four.scale[axis][lane] = scale[from * kAxes + axis];
+      for (std::size_t output = 0; output < system.outputs; ++output) {
+        four.scale[output][lane] = scale[from * system.outputs + output];
       }
     }
-    Lanes found[kAxes];
+    Lanes found[kMostOutputs];
     follow_any(system, four, found);
-    for (std::size_t lane = 0; lane < std::min(kLanes, weathers - first); ++lane) {
-      for (std::size_t axis = 0; axis < kAxes; ++axis) {
-        values[(first + lane) * kAxes + axis] = found[axis][lane];
+    for (std::size_t lane = 0; lane < std::min(kLanes, models - first); ++lane) {
+      for (std::size_t output = 0; output < system.outputs; ++output) {
+        values[(first + lane) * system.outputs + output] = found[output][lane];
       }
     }
   }

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from heli_host.arrays import Floats
 
-from tests.blind.mujoco_rig import Floats, Hidden, Moment
+from tests.blind.mujoco_rig import Hidden, Moment
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from heli_host.arrays import Floats
 
-from tests.blind.mujoco_rig import STEP_S, Floats, Hidden, Moment
+from tests.blind.mujoco_rig import STEP_S, Hidden, Moment
 
 STRENGTHS_Nm = ((0.006, 0.002, 0.004), (0.012, 0.004, 0.008), (0.02, 0.006, 0.012))
 """Standard deviations about elevation, pitch and travel: a still room, a draughty one, a windy one."""

@@ -11,6 +11,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_lab.diagnose import Diagnosis
 from heli_lab.diagnose.discover import NAME, accelerations
@@ -25,7 +26,6 @@ from heli_sim.rig import Prior, Quantity, load_rig
 from tests.blind.cases import VALIDATE_S
 from tests.blind.disturbed_case import DisturbedCase
 from tests.blind.equations import LAWS, Seen, TrueLaw, Unlisted
-from tests.blind.mujoco_rig import Floats
 from tests.blind.replay import FINE, GRID_S, Rebuilt, inertia_kg_m2, steps
 from tests.blind.run import REFITS, found_in
 

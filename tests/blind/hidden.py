@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from heli_host.arrays import Floats
 
-from tests.blind.mujoco_rig import STEP_S, Delay, Floats, Hidden, Moment
+from tests.blind.mujoco_rig import STEP_S, Delay, Hidden, Moment
 
 AXES = ("elevation", "pitch", "travel")
 

@@ -13,13 +13,11 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_sim import _native
 from heli_sim.rig import Rig
 
 from tests.mujoco_rig import JOINTS, mujoco_rig
-
-Floats = npt.NDArray[np.float64]
 
 STEP_S = 0.0005
 

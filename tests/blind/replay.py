@@ -11,10 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.rig import Rig
 
 from tests.blind.course import ReferenceTrajectory
-from tests.blind.mujoco_rig import STEP_S, Floats, Hidden, MujocoPlant
+from tests.blind.mujoco_rig import STEP_S, Hidden, MujocoPlant
 
 GRID_S = 0.02
 """Step of the oracle. Gusts last 0.3 s and more and rotors lag by a tenth: nothing that counts is faster."""

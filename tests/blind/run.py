@@ -52,9 +52,9 @@ _PAGE = ("figures.py", "result_figures.py", "missing_law.py", "words.py", "repor
 _ASKED = tuple(
     path
     for room in (
-        *(_LAB / name for name in ("diagnose", "identify", "innovations")),
+        *(_LAB / name for name in ("diagnose", "estimation", "identify")),
         *(_SIM / name for name in ("model", "compiled", "rig")),
-        *(_SIM.with_name(name) for name in ("kalman", "straight_line")),
+        *(_SIM.with_name(name) for name in ("kalman", "expression_vm")),
     )
     for path in sorted(room.rglob("*"))
     if path.suffix in (".py", ".toml", ".hpp", ".cpp") and path.name not in _PAGE

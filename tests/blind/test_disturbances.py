@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_sim.rig import load_rig
 
@@ -17,7 +18,7 @@ from tests.blind.disturbed_case import COURSE
 from tests.blind.disturbed_cases import SIZES, RATES_Hz, disturbed_cases
 from tests.blind.hidden import LISTED, MORE_LISTED
 from tests.blind.measured_effects import MEASURED_EFFECTS
-from tests.blind.mujoco_rig import STEP_S, Floats, Moment
+from tests.blind.mujoco_rig import STEP_S, Moment
 from tests.blind.unlisted import DISTURBED
 
 CASES = {case.name: case for case in disturbed_cases()}

@@ -7,11 +7,11 @@ from functools import cache
 
 import numpy as np
 import pytest
+from heli_host.arrays import Floats
 
 from tests.blind.course import ReferenceTrajectory
 from tests.blind.disturbed_case import COURSE, DisturbedCase
 from tests.blind.disturbed_cases import disturbed_cases
-from tests.blind.mujoco_rig import Floats
 from tests.blind.replay import FINE, Forces, Rebuilt, inertia_kg_m2, pushes, steps
 from tests.blind.visibility import Line, Pushes, imitators, visibility
 from tests.running.long import samples

@@ -10,12 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_host.errors import FlightAborted
 from heli_host.flight import Flight
 from heli_sim.rig import Rig
 from scipy.linalg import solve_continuous_are
 
-from tests.blind.mujoco_rig import Floats, Hidden, MujocoPlant
+from tests.blind.mujoco_rig import Hidden, MujocoPlant
 
 CONTROLLERS = ("cascade", "state_feedback", "soft")
 _PWM_STEPS = 2100

@@ -17,13 +17,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.rig import Rig
 
 from tests.blind.cases import TRAIN_S
 from tests.blind.course import ReferenceTrajectory
 from tests.blind.disturbances import DisturbanceModel
 from tests.blind.disturbed_case import DisturbedCase
-from tests.blind.mujoco_rig import Floats
 from tests.blind.replay import FINE, GRID_S, Forces, Rebuilt, inertia_kg_m2, pushes, steps
 
 _SMALL = 1e-4

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 from heli_lab.campaign import Campaign, Case, Store, cluster, run_campaign
-from heli_lab.campaign.code import code_digest
 from heli_lab.campaign.run import State
 from heli_lab.campaign.worker import CodeMismatch, Job, other_code, run_job
 from heli_lab.campaign.worker_process import Limits
+from heli_lab.code_digest import code_digest
 from heli_lab.errors import CampaignError
 
 from tests.campaign.killer import Cluster, free_port

@@ -11,8 +11,8 @@ import pytest
 from heli_lab.diagnose import diagnose, to_json
 from heli_lab.identify import Problem, prepare, solve
 from heli_lab.identify.fit import Budget
+from heli_lab.identify.flight_model import model_functions
 from heli_lab.identify.run import identify
-from heli_lab.innovations import ModelFunctions
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import load_rig, rig_names
@@ -38,9 +38,9 @@ def test_a_model_with_its_effects_and_its_functions() -> None:
     other = copied(MODEL)
     assert other.effects == MODEL.effects
     assert other.parameters == MODEL.parameters
-    functions = copied(ModelFunctions(MODEL, ("thrust_gain", "rotor_lag_s")))
+    functions = copied(model_functions(MODEL, ("thrust_gain", "rotor_lag_s")))
     assert functions.free == ("thrust_gain", "rotor_lag_s")
-    assert functions.own_states == 2
+    assert functions.extra_states == 2
 
 
 @pytest.mark.medium

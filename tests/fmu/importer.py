@@ -7,11 +7,10 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_sim.compiled import compile_function
 from heli_sim.plant import Plant
 
-Floats = npt.NDArray[np.float64]
 OUTPUTS = [3, 4, 5]
 STEP_S = 1e-3
 

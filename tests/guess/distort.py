@@ -8,11 +8,9 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_sim.rig import Rig
-
-Floats = npt.NDArray[np.float64]
 
 NAMES: Final = {
     "own": ("t_s", "front", "back", "elevation", "pitch", "travel", "sum", "difference"),

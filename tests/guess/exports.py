@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_host.tables import Profile, Table, flights_of
 from heli_host.tables.convert import times_of
@@ -17,7 +17,6 @@ from heli_lab.guess import Guess
 
 from tests.guess.students import DEG, setpoint_rows, state_rows, voltage_rows, write_mat
 
-Floats = npt.NDArray[np.float64]
 Form = Callable[[Flight, Path], Path]
 
 _COUNTS: Final = 4096.0

@@ -6,10 +6,8 @@ import math
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
-
-Floats = npt.NDArray[np.float64]
 
 BIAS_V = 7.3
 DEG = 180.0 / math.pi

@@ -7,8 +7,9 @@ from pathlib import Path
 import heli_sim.compiled
 import numpy as np
 import pytest
+from heli_host.arrays import Floats
 from heli_lab.identify.compiled_kernel import CompiledKernel
-from heli_lab.identify.functions import Floats, Functions, Inputs
+from heli_lab.identify.functions import Functions, Inputs
 from heli_lab.identify.interpreted_kernel import InterpretedKernel
 from heli_lab.identify.kernel import kernel
 from heli_sim.model import Model, MultibodyModel, PaperModel

@@ -54,7 +54,7 @@ def test_thrust_at_the_beginning_of_a_segment_follows_the_voltages_before_it() -
     record = prepare(flight, rig, start_s=float(made.t_s[begins]))
     model = MultibodyModel((catalogue()["rotor_lag"].make({"rotor_lag_s": lag_s}),))
     problem = Problem(model, rig, [record])
-    front_N = states_at(problem, 0, np.array([record.segments[0][0]]), problem.start)[0, 6]
+    front_N = states_at(problem, 0, np.array([record.segments[0][0]]), problem.parameter_vector.start)[0, 6]
     gain, zero_V = rig["thrust_gain"].value, rig["dead_zone"].value
     reached_V = high - (high - low) * math.exp(-since_s / lag_s)
     assert front_N == pytest.approx(gain * (reached_V - zero_V), rel=1e-3)

@@ -7,8 +7,8 @@ from functools import cache
 
 import numpy as np
 import pytest
+from heli_host.arrays import Floats
 from heli_lab.identify import Problem, combinations, prepare, solve, uninformed_parameters
-from heli_lab.identify.functions import Floats
 from heli_lab.identify.residual_noise import correlation_at, floor_axes, long_run_variance, window_weights
 from heli_lab.identify.result import Identification
 from heli_lab.identify.run import identify

@@ -7,9 +7,9 @@ import pickle
 
 import numpy as np
 import pytest
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_lab.identify import Budget, Problem, check, prepare, solve, validate
-from heli_lab.identify.functions import Floats
 from heli_lab.identify.initial_states import alternative_states, initial_state_guess
 from heli_lab.identify.levenberg_marquardt import LevenbergMarquardt
 from heli_lab.identify.window_states import refine_states, restart_states, window_cost
@@ -51,7 +51,7 @@ def test_hard_dry_friction_of_the_light_axis_is_found_from_a_start_without_any()
 
 def test_a_window_in_a_wrong_state_returns_and_leaves_the_others_alone() -> None:
     problem = posed(DRY_Nm)
-    theta = problem.start
+    theta = problem.parameter_vector.start
     (states,) = initial_state_guess(problem, theta)
     ones: Floats = np.ones(3)
 
@@ -83,7 +83,7 @@ def test_a_lost_window_starts_again_from_elsewhere_as_well_from_either_side_of_a
         step_s=0.004,
         state_std={"backlash_travel_shaft_rad": 0.02},
     )
-    theta, ones, first = problem.start, np.ones(3), np.array([0])
+    theta, ones, first = problem.parameter_vector.start, np.ones(3), np.array([0])
     (seen,) = initial_state_guess(problem, theta)
     every = np.arange(len(seen))
     weights = np.ones(len(seen))
@@ -118,7 +118,7 @@ def test_a_frequency_waits_until_its_torque_is_found() -> None:
 
 def test_a_better_state_from_before_is_taken() -> None:
     problem = posed(DRY_Nm)
-    theta = problem.start
+    theta = problem.parameter_vector.start
     (states,) = initial_state_guess(problem, theta)
     lost = states.copy()
     lost[2, 3:] = np.nan
@@ -134,7 +134,9 @@ def test_a_problem_posed_otherwise_has_the_kernel_of_the_first() -> None:
     problem = posed(0.01)
     for other in (problem.with_windows(1.0), problem.with_split_windows(2), problem.with_free(problem.free)):
         assert other.kernel is problem.kernel
-        assert other.grid(0, False, problem.start) is not problem.grid(0, False, problem.start)
+        assert other.grid(0, False, problem.parameter_vector.start) is not problem.grid(
+            0, False, problem.parameter_vector.start
+        )
     assert pickle.loads(pickle.dumps(problem)).kernel is not problem.kernel
 
 

@@ -13,6 +13,7 @@ import heli_host
 import numpy as np
 import numpy.typing as npt
 import pytest
+from heli_host.arrays import Floats
 from heli_host.declaration import LAW_INPUTS
 from heli_host.flight.response import responses
 from heli_host.fly.recorder import Recorder
@@ -29,7 +30,6 @@ from tests.running.long import LONG
 
 LAWS = Path(__file__).resolve().parents[2] / "docs" / "laws"
 NAMES = tuple(sorted(one.stem for one in LAWS.glob("*.py")))
-Floats = npt.NDArray[np.float64]
 
 
 class Compiled:

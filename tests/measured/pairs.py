@@ -206,5 +206,7 @@ def _unlikely(fit: Fit) -> float:
     variance = floored_mean_square(mean_square, seen.sigma_rad)
     blocks = problem.records[0].used_s / BLOCK_S
     own = {name for effect in problem.model.effects for name in effect.priors}
-    off = ((fit.theta - problem.prior_mean) / problem.prior_std)[[name not in own for name in problem.names]]
+    off = ((fit.theta - problem.parameter_vector.mean) / problem.parameter_vector.std)[
+        [name not in own for name in problem.names]
+    ]
     return float(0.5 * (blocks * np.sum(np.log(variance) + mean_square / variance) + off @ off))

@@ -8,8 +8,8 @@ from statistics import NormalDist
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 import pytest
+from heli_host.arrays import Floats
 from heli_lab.identify.functions import Functions, Inputs
 from heli_lab.identify.interpreted_kernel import InterpretedKernel
 from heli_lab.identify.kernel import kernel
@@ -23,8 +23,6 @@ from heli_sim.rig import load_rig
 
 from tests.plant.toys import WIDE, rates_function
 from tests.running.long import parallel_map
-
-Vector = npt.NDArray[np.float64]
 
 MODELS = (MultibodyModel, PaperModel)
 KINDS = catalogue()
@@ -50,11 +48,11 @@ def functions(model: Model) -> ca.Function:
     return ca.Function("both", [x, u, p, t], [model.dynamics(x, u, p, t), model.measurement(x, u, p, t)])
 
 
-def states(random: np.random.Generator) -> Vector:
+def states(random: np.random.Generator) -> Floats:
     return np.concatenate((random.uniform(-0.4, 0.4, 3), random.uniform(-0.6, 0.6, 3)))
 
 
-def flown(model: Model, seconds: float = 5.0) -> Vector:
+def flown(model: Model, seconds: float = 5.0) -> Floats:
     """Measured angles under the same voltages about hover, (n, 3)."""
     rig = load_rig("makki2024").replace(**WIDE)
     plant, ticks = Plant(model, rig), round(1000 * seconds)
@@ -69,7 +67,7 @@ def flown(model: Model, seconds: float = 5.0) -> Vector:
 
 
 @cache
-def flown_without() -> Vector:
+def flown_without() -> Floats:
     return flown(MultibodyModel())
 
 
@@ -193,7 +191,7 @@ def test_a_lag_follows_the_thrust_that_a_bent_curve_asks_for() -> None:
     assert state[6:8] == pytest.approx([k * 2 * 1.5, k * 1.0], rel=1e-4)
 
 
-def power_W(model: Model, effect: Effect, x: Vector, volts_V: tuple[float, float]) -> float:
+def power_W(model: Model, effect: Effect, x: Floats, volts_V: tuple[float, float]) -> float:
     """What an effect's torque gives to the axes, at rates that they keep but for it."""
     symbols = ca.SX.sym("x", len(model.states))
     at = model.operands(symbols, ca.SX(list(volts_V)), ca.SX(model.parameter_values(load_rig("makki2024"))))

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
+from heli_host.arrays import Floats
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.plant import Plant
@@ -21,24 +21,23 @@ pytestmark = pytest.mark.slow
 
 mujoco = pytest.importorskip("mujoco")
 
-Vector = npt.NDArray[np.float64]
 TICKS = samples(5000, 2500)
 RIG = load_rig("makki2024").replace(**WIDE)
-Control = Callable[[Any, Any, Vector], Vector]
-ReferenceTrajectory = Callable[[int, float], Vector]
+Control = Callable[[Any, Any, Floats], Floats]
+ReferenceTrajectory = Callable[[int, float], Floats]
 T_s = 0.1
 
 
-def voltages_V() -> Vector:
+def voltages_V() -> Floats:
     t = np.arange(TICKS) * 1e-3
     return np.column_stack((1.75 + 0.2 * np.sin(3 * t + 0.3), 1.74 + 0.2 * np.sin(2.3 * t)))
 
 
-def start() -> Vector:
+def start() -> Floats:
     return np.array([-0.05, 0.1, 0.2, 0.1, 0.0, 0.4])
 
 
-def ours(effect: str) -> Vector:
+def ours(effect: str) -> Floats:
     plant = Plant(MultibodyModel(parse_effects([effect])), RIG)
     state = plant.rest_state()
     state[:6] = start()
@@ -52,7 +51,7 @@ def theirs(
     control: Control | None = None,
     at_tick: int = 0,
     course: ReferenceTrajectory | None = None,
-) -> Vector:
+) -> Floats:
     """Fly MuJoCo's rig with its description changed, with thrusts that depend on its motion, or with a course
     of the thrusts: at so many seconds after a tick.
     """
@@ -81,21 +80,21 @@ def theirs(
     return angles
 
 
-def lagged(asked: Vector) -> ReferenceTrajectory:
+def lagged(asked: Floats) -> ReferenceTrajectory:
     """What follows each row of `asked`, from nothing, with a lag of T_s: exactly, also between the ticks."""
     left = np.exp(-1e-3 / T_s)
     reached = np.zeros((len(asked) + 1, 2))
     for tick, row in enumerate(asked):
         reached[tick + 1] = row + (reached[tick] - row) * left
 
-    def course(tick: int, later_s: float) -> Vector:
-        now: Vector = asked[tick] + (reached[tick] - asked[tick]) * np.exp(-later_s / T_s)
+    def course(tick: int, later_s: float) -> Floats:
+        now: Floats = asked[tick] + (reached[tick] - asked[tick]) * np.exp(-later_s / T_s)
         return now
 
     return course
 
 
-def climb_m_s(model: Any, data: Any) -> Vector:
+def climb_m_s(model: Any, data: Any) -> Floats:
     speeds = np.empty(2)
     for index, name in enumerate(("front", "back")):
         velocity = np.empty(6)
@@ -105,7 +104,7 @@ def climb_m_s(model: Any, data: Any) -> Vector:
     return speeds
 
 
-def agree(effect: str, witness: Vector, within_rad: float = 1e-6) -> None:
+def agree(effect: str, witness: Floats, within_rad: float = 1e-6) -> None:
     mine = ours(effect)
     assert np.abs(mine - theirs()).max() > 1e-3, "the effect does nothing here"
     np.testing.assert_allclose(mine, witness, atol=within_rad)
@@ -136,9 +135,9 @@ def test_a_lag_with_dead_time_is_the_lag_of_what_was_asked_for_a_while_ago() -> 
 
 
 def test_a_supply_that_fades_lowers_voltages_and_not_the_dead_zone() -> None:
-    def course(tick: int, later_s: float) -> Vector:
+    def course(tick: int, later_s: float) -> Floats:
         left_V = voltages[tick] * (1 - 0.01 * (1e-3 * tick + later_s))
-        thrust_N: Vector = RIG["thrust_gain"].value * (left_V - RIG["dead_zone"].value)
+        thrust_N: Floats = RIG["thrust_gain"].value * (left_V - RIG["dead_zone"].value)
         return thrust_N
 
     voltages = voltages_V()
@@ -160,9 +159,9 @@ def test_inflow_may_cost_the_same_at_any_thrust() -> None:
 
 
 def test_ground_effect_goes_by_the_height_of_each_rotors_site() -> None:
-    def control(model: Any, data: Any, thrust_N: Vector) -> Vector:
+    def control(model: Any, data: Any, thrust_N: Floats) -> Floats:
         height_m = data.site_xpos[[model.site("front").id, model.site("back").id], 2]
-        gained: Vector = thrust_N * (1 + 0.3 * np.exp(-(height_m + 0.25) / 0.15))
+        gained: Floats = thrust_N * (1 + 0.3 * np.exp(-(height_m + 0.25) / 0.15))
         return gained
 
     agree("ground_effect=0.3", theirs(control=control))
@@ -188,18 +187,18 @@ def test_reaction_torque_is_an_actuators_moment_about_its_thrust(back: float) ->
 
 
 def test_edgewise_flow_goes_by_the_speed_of_the_pitch_axis_along_the_short_arm() -> None:
-    def control(model: Any, data: Any, thrust_N: Vector) -> Vector:
+    def control(model: Any, data: Any, thrust_N: Floats) -> Floats:
         velocity = np.empty(6)
         body = model.body("body").id
         mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 1)
-        moved: Vector = thrust_N * (1 + 0.1 * velocity[4] * np.array([-1.0, 1.0]))
+        moved: Floats = thrust_N * (1 + 0.1 * velocity[4] * np.array([-1.0, 1.0]))
         return moved
 
     agree("edgewise_flow=0.1", theirs(control=control))
 
 
 def test_gyroscopic_torque_is_that_of_a_spinning_wheel_on_the_short_arm() -> None:
-    def control(model: Any, data: Any, thrust_N: Vector) -> Vector:
+    def control(model: Any, data: Any, thrust_N: Floats) -> Floats:
         velocity = np.empty(6)
         body = model.body("body").id
         mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 0)
@@ -216,12 +215,12 @@ def test_a_flywheel_is_a_wheel_whose_speed_lags(spin_up: float) -> None:
     speed_V = lagged(volts_V)
     sums_V = np.zeros(2)
 
-    def course(tick: int, later_s: float) -> Vector:
+    def course(tick: int, later_s: float) -> Floats:
         sums_V[:] = volts_V[tick].sum(), speed_V(tick, later_s).sum()
-        thrust_N: Vector = RIG["thrust_gain"].value * (volts_V[tick] - RIG["dead_zone"].value)
+        thrust_N: Floats = RIG["thrust_gain"].value * (volts_V[tick] - RIG["dead_zone"].value)
         return thrust_N
 
-    def control(model: Any, data: Any, thrust_N: Vector) -> Vector:
+    def control(model: Any, data: Any, thrust_N: Floats) -> Floats:
         velocity = np.empty(6)
         body = model.body("body").id
         mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 0)
@@ -235,7 +234,7 @@ def test_a_flywheel_is_a_wheel_whose_speed_lags(spin_up: float) -> None:
 
 @pytest.mark.parametrize("axis", JOINTS)
 def test_drag_is_a_torque_that_goes_with_the_square_of_a_joints_speed(axis: str) -> None:
-    def control(model: Any, data: Any, thrust_N: Vector) -> Vector:
+    def control(model: Any, data: Any, thrust_N: Floats) -> Floats:
         place = model.joint(axis).dofadr[0]
         data.qfrc_applied[place] = -0.2 * data.qvel[place] * abs(data.qvel[place])
         return thrust_N

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 import pytest
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_lab.identify.problem import Problem
 from heli_sim.errors import PlantError
@@ -15,8 +16,6 @@ from heli_sim.plant import Plant
 from heli_sim.rig import Rig, load_rig
 
 from tests.plant.toys import WIDE
-
-Vector = npt.NDArray[np.float64]
 
 RIG = load_rig("makki2024").replace(**WIDE)
 GAIN_N_per_V, DEAD_V = RIG["thrust_gain"].value, RIG["dead_zone"].value
@@ -29,7 +28,7 @@ HELD = (True, True, True)
 
 def rates(
     model: Model, state: npt.ArrayLike, volts_V: npt.ArrayLike, time_s: float, rig: Rig = RIG
-) -> Vector:
+) -> Floats:
     x, u, t = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2), ca.SX.sym("t")
     p = ca.SX.sym("p", len(model.parameters))
     function = ca.Function("rates", [x, u, p, t], [model.dynamics(x, u, p, t)])
@@ -39,13 +38,13 @@ def rates(
 
 def accelerations(
     texts: list[str], own: npt.ArrayLike, volts_V: npt.ArrayLike, time_s: float = 0.0, rig: Rig = RIG
-) -> Vector:
+) -> Floats:
     """Of a model with effects whose states are `own`, in rad/s2."""
     model = MultibodyModel(parse_effects(texts))
     return rates(model, np.append(STATE, own), volts_V, time_s, rig)[3:6]
 
 
-def under_N(thrust_N: Vector) -> Vector:
+def under_N(thrust_N: Floats) -> Floats:
     """Accelerations of the bare model whose rotors push with `thrust_N`."""
     return accelerations([], [], DEAD_V + thrust_N / GAIN_N_per_V)
 
@@ -58,13 +57,13 @@ def under_N(thrust_N: Vector) -> Vector:
         ("begins:0,pivot_V:3", GAIN_N_per_V * SPEED_V**2 / 6.0),
     ],
 )
-def test_thrust_is_the_square_of_the_speed_reached_whatever_the_voltage(form: str, thrust_N: Vector) -> None:
+def test_thrust_is_the_square_of_the_speed_reached_whatever_the_voltage(form: str, thrust_N: Floats) -> None:
     for volts_V in ([0.0, 0.0], [3.0, 1.0]):
         found = accelerations([f"rotor_speed_lag=s:0.1,{form}"], SPEED_V, volts_V)
         np.testing.assert_allclose(found, under_N(thrust_N), rtol=1e-12)
 
 
-def test_the_square_touches_the_straight_line_at_its_pivot() -> None:
+def test_the_square_touches_the_expression_vm_at_its_pivot() -> None:
     def above_rad_s2(volts_V: float) -> float:
         both_V = np.full(2, volts_V)
         more = accelerations(["rotor_speed_lag"], both_V, both_V) - accelerations([], [], both_V)
@@ -111,7 +110,7 @@ def test_a_lag_too_short_to_be_integrated_is_so_much_of_the_shortest_that_is() -
     ],
 )
 @pytest.mark.parametrize("swapped", [False, True])
-def test_other_thrust_effects_act_on_what_the_speed_gives(effect: str, factor: Vector, swapped: bool) -> None:
+def test_other_thrust_effects_act_on_what_the_speed_gives(effect: str, factor: Floats, swapped: bool) -> None:
     texts = [effect, "rotor_speed_lag"][:: -1 if swapped else 1]
     found = accelerations(texts, SPEED_V, [1.0, 1.0], time_s=10.0)
     np.testing.assert_allclose(found, under_N(factor * GAIN_N_per_V * SPEED_V**2 / 4.0), rtol=1e-12)
@@ -128,7 +127,9 @@ def test_a_fit_keeps_voltages_in_the_dead_zone_where_the_rotors_push_there() -> 
         for texts in (["rotor_lag"], ["rotor_speed_lag"])
     )
     first = slice(0, 100)
-    low_V = [one.grid(0, False, one.start).inputs.mean_V[first, 0].min() for one in (lifted, kept)]
+    low_V = [
+        one.grid(0, False, one.parameter_vector.start).inputs.mean_V[first, 0].min() for one in (lifted, kept)
+    ]
     assert low_V == pytest.approx([1.0, 0.5])
 
 

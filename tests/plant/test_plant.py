@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.arrays import Floats
 from heli_sim import _native, compiled
 from heli_sim.model import Model, PaperModel
 from heli_sim.plant import Plant
@@ -19,7 +20,6 @@ from tests.plant.toys import (
     WIDE,
     ConstantTorque,
     FirstOrderLag,
-    Vector,
     fly,
     paper_rig,
     rates_function,
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.medium
 AXES = ("elevation", "pitch", "travel")
 
 
-def world_of(plant: Plant, state: Vector, step: _native.PlantStep | None = None) -> _native.World:
+def world_of(plant: Plant, state: Floats, step: _native.PlantStep | None = None) -> _native.World:
     return _native.World(
         step or plant.native_step(),
         state.tolist(),
@@ -89,7 +89,7 @@ def test_without_friction_a_swing_keeps_its_energy() -> None:
     a = 9.81 * (1.565 * 0.45 - 1.0778 * 0.64 - 0.68 * 0.1)
     b = 9.81 * (1.0778 + 1.565 + 0.68) * 0.03
 
-    def energy_J(x: Vector) -> float:
+    def energy_J(x: Floats) -> float:
         pitch = 9.81 * 1.0778 * 0.03 * (1 - np.cos(x[1]))
         kinetic = 0.5 * (0.767531 * x[3] ** 2 + 0.05466378 * x[4] ** 2)
         return float(kinetic - a * np.sin(x[0]) + b * (1 - np.cos(x[0])) + pitch)

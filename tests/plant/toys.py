@@ -5,11 +5,10 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_sim.model import Effect, Model, Operands, Quantity
 from heli_sim.plant import Plant
 from heli_sim.rig import Rig, load_rig
-
-Vector = npt.NDArray[np.float64]
 
 WIDE = {"elevation_min": -89.0, "elevation_max": 89.0, "pitch_max": 179.0, "travel_max": 1e6}
 NO_LOSS = {
@@ -25,11 +24,11 @@ def paper_rig(**values: float) -> Rig:
     return load_rig("makki2024").replace(**values)
 
 
-def fly(plant: Plant, state: Vector, volts_V: tuple[float, float], ticks: int) -> Vector:
+def fly(plant: Plant, state: Floats, volts_V: tuple[float, float], ticks: int) -> Floats:
     """Where constant voltages take a plant: ticks in CasADi, not in Python."""
     held_V = np.tile(np.reshape(volts_V, (2, 1)), ticks)
     after, _ = plant.function.mapaccum(ticks)(state, held_V, np.zeros(3), plant.parameters)
-    last: Vector = np.asarray(after)[:, -1]
+    last: Floats = np.asarray(after)[:, -1]
     return last
 
 
@@ -39,7 +38,7 @@ def rates_function(model: Model) -> ca.Function:
     return ca.Function("rates", [x, u, p], [model.dynamics(x, u, p)])
 
 
-def rates(model: Model, rig: Rig, state: npt.ArrayLike, volts_V: tuple[float, float]) -> Vector:
+def rates(model: Model, rig: Rig, state: npt.ArrayLike, volts_V: tuple[float, float]) -> Floats:
     result = rates_function(model)(np.asarray(state), list(volts_V), model.parameter_values(rig))
     return np.asarray(result).ravel()
 

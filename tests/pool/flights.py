@@ -9,10 +9,11 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
+from heli_lab.estimation import estimate
 from heli_lab.identify import Record, prepare
-from heli_lab.identify.functions import Floats
-from heli_lab.innovations import ModelFunctions, ParameterVector, estimate, kinematic_filter
+from heli_lab.identify.flight_model import RigParameters, kinematic_filter, model_functions
 from heli_lab.pool.rig_diagnosis import ParameterEstimate, without_prior
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
@@ -73,8 +74,8 @@ def pooled(rig: int, count: int) -> Pooled:
     nominal, (true, lag_s) = load_rig("makki2024"), true_rig(rig)
     records = [record(rig, seed) for seed in range(count)]
     model = MultibodyModel(parse_effects(["rotor_lag=0.06"]))
-    parameter_vector = ParameterVector(model, nominal, records)
-    functions = ModelFunctions(model, parameter_vector.quantities)
+    parameter_vector = RigParameters(model, nominal, records)
+    functions = model_functions(model, parameter_vector.quantities)
     references, theta, disturbances = (
         [kinematic_filter(item) for item in records],
         parameter_vector.start,

@@ -29,7 +29,7 @@ def _nothing_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_wheel_has_nothing_for_tests() -> None:
     wheel = settings("wheel")
-    assert wheel.build.targets == ["_native", "_due", "_kalman", "_straight_line"]
+    assert wheel.build.targets == ["_native", "_due", "_kalman", "_expression_vm"]
     assert wheel.install.components == ["python"]
     assert wheel.wheel.packages is not None
     assert not [package for package in wheel.wheel.packages if "test" in package]
@@ -37,14 +37,14 @@ def test_a_wheel_has_nothing_for_tests() -> None:
 
 def test_who_edits_the_sources_has_the_tests_extension_too() -> None:
     editable = settings("editable")
-    assert editable.build.targets == ["_native", "_due", "_kalman", "_straight_line", "heli_test_native"]
+    assert editable.build.targets == ["_native", "_due", "_kalman", "_expression_vm", "heli_test_native"]
     assert editable.install.components == ["python", "tests"]
 
 
 def test_to_fly_needs_no_compiling_for_tests(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(WITHOUT_TESTS, "1")
     editable = settings("editable")
-    assert editable.build.targets == ["_native", "_due", "_kalman", "_straight_line"]
+    assert editable.build.targets == ["_native", "_due", "_kalman", "_expression_vm"]
     assert editable.install.components == ["python"]
     assert f"export {WITHOUT_TESTS}=1" in (ROOT / ".ci" / "setup").read_text()
 

@@ -85,6 +85,11 @@ WRONG = {
         "from heli_lab.diagnose.report import page",
         "heli_lab.verbs.diagnose -> heli_lab.diagnose.report.page",
     ),
+    "the estimation core": Wrong(
+        "sim/heli_lab/estimation/arrowhead.py",
+        "from heli_sim.model import parts",
+        "heli_lab.estimation.arrowhead -> heli_sim.model.parts",
+    ),
     "verbs do not know": Wrong(
         "host/heli_host/cli/verbs/plot.py",
         "from heli_host.cli.verbs import info",

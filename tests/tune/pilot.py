@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from heli_host import declaration as d
+from heli_host.arrays import Floats
 from heli_host.fly import route
 from heli_host.link.channels import physical
 from heli_host.link.frames import FrameParser, encode_frame
@@ -24,8 +25,6 @@ from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
 
 from tests.channels.groups import COUNTS, SETPOINTS, STATUS, VOLTAGES
-
-Floats = npt.NDArray[np.float64]
 
 INTERVAL_TICKS = 20
 LEAD_TICKS = 100

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from heli_host.arrays import Floats
 from heli_host.declaration import PARAMS
 from heli_host.errors import ParameterError
 from heli_host.published_gains import paper_gains
@@ -29,7 +30,7 @@ from heli_sim.model.effects import parse_effects
 from heli_sim.plant import Plant
 from heli_sim.rig import load_rig
 
-from tests.tune.pilot import Floats, fly
+from tests.tune.pilot import fly
 
 LAW = cascade_gains_of({spec.name: spec.default for spec in PARAMS})
 

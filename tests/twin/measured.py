@@ -10,7 +10,8 @@ from dataclasses import replace
 import numpy as np
 from heli_host.flight import Flight
 from heli_host.log.flight_file import read_flight
-from heli_lab.innovations import ModelFunctions, ParameterVector, estimate, kinematic_filter
+from heli_lab.estimation import estimate
+from heli_lab.identify.flight_model import RigParameters, kinematic_filter, model_functions
 from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.files import USUAL, TwinRig
 from heli_lab.twin.flights import count_rad_of
@@ -33,11 +34,11 @@ def twin_of(pair: str, back: bool = False) -> TwinRig:
     rig = load_rig(RIG)
     record, _ = flights(pair, back)
     model = MultibodyModel(parse_effects(EFFECTS))
-    parameter_vector = ParameterVector(model, rig, [record])
+    parameter_vector = RigParameters(model, rig, [record])
     found = estimate(
         parameter_vector,
         [kinematic_filter(record)],
-        ModelFunctions(model, parameter_vector.quantities),
+        model_functions(model, parameter_vector.quantities),
         parameter_vector.start,
     )
     values = {

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from heli_host.errors import HeliError
 from heli_host.flight import Flight
+from heli_lab.estimation import BLOCK_s, DisturbanceModel, estimate
 from heli_lab.identify import prepare
-from heli_lab.innovations import DisturbanceModel, ModelFunctions, ParameterVector, estimate, kinematic_filter
-from heli_lab.innovations.linearised_flight import BLOCK_s
+from heli_lab.identify.flight_model import RigParameters, kinematic_filter, model_functions
 from heli_lab.twin.calibration import Calibration, fit_tail
 from heli_lab.twin.files import TwinRig
 from heli_lab.twin.flights import count_rad_of
@@ -112,8 +112,8 @@ def identified(model: Model, taught: list[Flight]) -> tuple[Model, Rig, Disturba
     base = load_rig("makki2024")
     start = type(model)(parse_effects([effect.name for effect in model.effects]))
     records = [prepare(flight, base, f"teaching {i}") for i, flight in enumerate(taught)]
-    parameter_vector = ParameterVector(start, base, records)
-    functions = ModelFunctions(start, parameter_vector.quantities)
+    parameter_vector = RigParameters(start, base, records)
+    functions = model_functions(start, parameter_vector.quantities)
     found = estimate(
         parameter_vector, [kinematic_filter(record) for record in records], functions, parameter_vector.start
     )

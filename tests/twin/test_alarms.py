@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from heli_lab.innovations import DisturbanceModel
+from heli_lab.estimation import DisturbanceModel
 from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.files import USUAL, TwinRig
 from heli_lab.twin.healthy_flights import in_weather
@@ -29,9 +29,9 @@ def of(seed: int) -> Known:
     rig, model, disturbances = true_rig(seed)
     # An angle's quantisation error repeats itself, which the filter takes for a larger one.
     felt = DisturbanceModel(
-        disturbances.fast_std_Nm,
+        disturbances.fast_std,
         disturbances.correlation_time_s,
-        disturbances.slow_std_Nm,
+        disturbances.slow_std,
         np.array([1.8, 1.4, 1.1]),
     )
     twin = TwinRig(rig, model, Calibration(felt, USUAL.tail), f"rig {seed}")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from heli_host.cli import run
 from heli_host.errors import HeliError
-from heli_lab.innovations import DisturbanceModel
+from heli_lab.estimation import DisturbanceModel
 from heli_lab.twin import learn
 from heli_lab.twin.calibration import Calibration, Tail, fit_tail, write_calibration
 from heli_lab.twin.files import USUAL, open_rig
@@ -27,7 +27,7 @@ def test_a_file_gives_back_what_was_learned(tmp_path: Path) -> None:
     read = open_rig(str(path))
     assert read.rig.name == "quanser-course"
     assert read.calibration.tail == CALIBRATION.tail and read.calibration.source == CALIBRATION.source
-    assert np.array_equal(read.calibration.disturbances.fast_std_Nm, CALIBRATION.disturbances.fast_std_Nm)
+    assert np.array_equal(read.calibration.disturbances.fast_std, CALIBRATION.disturbances.fast_std)
 
 
 def test_a_rig_alone_has_the_usual_weather() -> None:
@@ -37,7 +37,7 @@ def test_a_rig_alone_has_the_usual_weather() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("fast_std_Nm = [", "fast_std_Nm = [-", "disturbances.fast_std_Nm"),
+        ("fast_std_Nm = [", "fast_std_Nm = [-", "disturbances.fast_std"),
         ("level_nats = 5", "level_nats = nan", "tail.level_nats"),
         ('rig = "makki2024"', "", "names no rig"),
         ("[tail]", "[tail", "is not TOML"),
@@ -104,7 +104,7 @@ def test_learning_from_a_healthy_flight_writes_a_file_that_the_twin_takes(
     # A minute of flight taught it, whose error the alarm allows for.
     assert learned.calibration.tail.level_nats == pytest.approx(fit_tail(13 * [evidence], 60.0).level_nats)
     # A simulated flight without weather has next to none of it.
-    fast_std_Nm = learned.calibration.disturbances.fast_std_Nm
-    assert np.any(fast_std_Nm < USUAL.disturbances.fast_std_Nm)
+    fast_std_Nm = learned.calibration.disturbances.fast_std
+    assert np.any(fast_std_Nm < USUAL.disturbances.fast_std)
     # A learned weather is not believed to be calmer than encoders can show.
     assert np.all(learned.calibration.disturbances.quantisation >= 1.0) and np.all(fast_std_Nm > 1e-4)

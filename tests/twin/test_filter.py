@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from heli_host.flight import Flight
-from heli_lab.innovations import DisturbanceModel
+from heli_lab.estimation import DisturbanceModel
 from heli_lab.twin import twin as twin_module
 from heli_lab.twin.calibration import Calibration, Tail
 from heli_lab.twin.flights import count_rad_of, samples_of

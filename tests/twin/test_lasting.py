@@ -53,8 +53,9 @@ def said(
     monkeypatch.setattr(twin_module, "start_state", lambda *_: np.zeros(6))
     monkeypatch.setattr(LikelihoodRatio, "take", lambda *_: next(told, 0.0))
     monkeypatch.setattr(LikelihoodRatio, "ranking", lambda _: [first, first])
-    rig = load_rig("makki2024")
-    model: Any = SimpleNamespace(rig=rig, delay_s=0.0, least_V=-math.inf, changes=CHANGES, scales=[])
+    model: Any = SimpleNamespace(
+        rig=load_rig("makki2024"), delay_s=0.0, least_V=-math.inf, changes=CHANGES, scales=()
+    )
     twin = Twin(model, Calibration(USUAL.disturbances, Tail(THRESHOLD_nats, 1e-9, 1.0, 20)), COUNT_rad, 1e-3)
     flying = np.ones(4000 + 40 * len(evidence), bool)
     count = len(flying)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from heli_lab.innovations import DisturbanceModel
+from heli_lab.estimation import DisturbanceModel
 from heli_lab.twin.learn import SHOWS_s, at_least_rounding
 from heli_sim.model import MultibodyModel
 from heli_sim.model.linear import derivatives, trim
@@ -35,7 +35,7 @@ def moved_rad(rig: Rig, axis: int, torque_Nm: float) -> float:
 @pytest.mark.parametrize("axis", range(3), ids=AXES)
 def test_the_least_gust_moves_its_axis_by_the_rounding(axis: int) -> None:
     least = floored(CALM)
-    moved = moved_rad(load_rig("makki2024"), axis, float(least.fast_std_Nm[axis]))
+    moved = moved_rad(load_rig("makki2024"), axis, float(least.fast_std[axis]))
     # Pitch is a pendulum and damped: in half a second that takes a fifth.
     assert 0.75 * ROUNDING_rad[axis] < moved < 1.05 * ROUNDING_rad[axis]
     assert least.correlation_time_s[axis] == SHOWS_s
@@ -50,19 +50,17 @@ def test_weather_that_shows_is_left_as_it_was_found() -> None:
         np.array([0.006, 0.002, 0.004]), np.array([0.3, 1.2, 0.6]), np.full(3, 1e-3), np.full(3, 1.2)
     )
     found = floored(room)
-    assert np.array_equal(found.fast_std_Nm, room.fast_std_Nm) and np.array_equal(
+    assert np.array_equal(found.fast_std, room.fast_std) and np.array_equal(
         found.correlation_time_s, room.correlation_time_s
     )
-    assert np.array_equal(found.slow_std_Nm, room.slow_std_Nm)
+    assert np.array_equal(found.slow_std, room.slow_std)
 
 
 def test_a_gust_too_short_to_show_is_raised_too() -> None:
     """Three times the least for a thirtieth of the time moves an axis less than the least does."""
     short = DisturbanceModel(
-        3.0 * floored(CALM).fast_std_Nm, np.full(3, SHOWS_s / 30), CALM.slow_std_Nm, np.ones(3)
+        3.0 * floored(CALM).fast_std, np.full(3, SHOWS_s / 30), CALM.slow_std, np.ones(3)
     )
-    assert np.array_equal(floored(short).fast_std_Nm, floored(CALM).fast_std_Nm)
-    long = DisturbanceModel(
-        3.0 * floored(CALM).fast_std_Nm, np.full(3, SHOWS_s / 10), CALM.slow_std_Nm, np.ones(3)
-    )
-    assert np.array_equal(floored(long).fast_std_Nm, long.fast_std_Nm)
+    assert np.array_equal(floored(short).fast_std, floored(CALM).fast_std)
+    long = DisturbanceModel(3.0 * floored(CALM).fast_std, np.full(3, SHOWS_s / 10), CALM.slow_std, np.ones(3))
+    assert np.array_equal(floored(long).fast_std, long.fast_std)

@@ -10,7 +10,7 @@ from heli_lab.twin.calibration import SEGMENT_s, Tail, fit_tail
 from heli_lab.twin.changes import CHANGES
 from heli_lab.twin.likelihood_ratio import KEPT, ONSETS, RECENT, Innovation, LikelihoodRatio, WINDOW_s
 
-from tests.innovations.density import log_density
+from tests.estimation.density import log_density
 
 COUNT_rad = np.full(3, 2 * np.pi / 4096)
 COLUMNS = sum(len(change.numbers) for change in CHANGES)

@@ -6,9 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from heli_host.arrays import Floats
 from heli_host.declaration import AXES
 from heli_host.errors import FlightDataError
-from heli_host.flight.flight import MIN_ROWS, Flight, Floats, find_gaps
+from heli_host.flight.flight import MIN_ROWS, Flight, find_gaps
 
 _MAX_ANGLE_RAD = {"elevation_rad": 1.6, "pitch_rad": 3.2}
 """No arm stands higher than upright, and no short arm turns over; travel may turn many times."""

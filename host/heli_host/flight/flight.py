@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from heli_host.arrays import Floats
 from heli_host.declaration import AXES
 from heli_host.errors import FlightDataError
 from heli_host.views import AngleViews, shares
 
-Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
 ANGLE_COLUMNS = tuple(f"{axis}_rad" for axis in AXES)

@@ -12,13 +12,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heli_host.arrays import Floats
 from heli_host.declaration import AXES
 from heli_host.flight.flight import Flight
 from heli_host.flight.flown import Rows, flown_rows, led_rows
-
-Floats = NDArray[np.float64]
 
 LEAST_STEP_DEG: Final = 1.0
 """Move of a setpoint from one that was held to the next from which on it is a step. By judgement. Lower: what

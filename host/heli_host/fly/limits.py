@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from heli_host.arrays import Floats
 from heli_host.declaration import AXES, PARAMS, Axis
 from heli_host.errors import PlanError
-from heli_host.fly.route import Floats
 from heli_host.fly.segments import Segment
 from heli_host.setpoints import setpoint_bounds
 

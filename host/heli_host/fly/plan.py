@@ -36,13 +36,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from heli_host.arrays import Floats
 from heli_host.declaration import AXES, Axis
 from heli_host.errors import PlanError
 from heli_host.files import TOML_BYTES, parse_toml, read_file
 from heli_host.fly import route as shapes
 from heli_host.fly.keys import ANGLE, PAUSE, RATE, Table
 from heli_host.fly.limits import Limits, check_motion
-from heli_host.fly.route import Floats, Route
+from heli_host.fly.route import Route
 from heli_host.fly.segments import Segment, read_segment
 from heli_host.fly.tracking import Tolerance
 

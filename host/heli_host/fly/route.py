@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from heli_host.arrays import Floats
+
 Shape = Callable[[Floats], Floats]
 """From times within a piece, seconds (n,), to elevation, pitch and travel in degrees (n, axes)."""
 

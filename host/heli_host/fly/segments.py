@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from heli_host.arrays import Floats
 from heli_host.declaration import AXES
 from heli_host.declaration import Excitation as Signal
 from heli_host.fly import route
@@ -24,7 +25,7 @@ from heli_host.fly.keys import (
     VOLTAGE,
     Table,
 )
-from heli_host.fly.route import Excitation, Floats, Shape
+from heli_host.fly.route import Excitation, Shape
 
 SIGNALS = tuple(signal.name.lower() for signal in Signal if signal is not Signal.NONE)
 _SHAPES_OF_PATH = ("smooth", "straight")

@@ -12,9 +12,8 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
+from heli_host.arrays import Floats
 from heli_host.declaration import AXES, CHANNELS, Axis, Channel, ChannelSpec
-
-Floats = npt.NDArray[np.float64]
 
 ENCODERS: tuple[Channel, ...] = tuple(
     next(channel for channel in Channel if CHANNELS[channel].axis is axis) for axis in Axis

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from heli_host.tables.table import Floats
+from heli_host.arrays import Floats
 
 if TYPE_CHECKING:
     import pandas

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from heli_host.arrays import Floats
 from heli_host.errors import FlightDataError
 from heli_host.flight import Flight
 from heli_host.flight.flight import MIN_ROWS
 from heli_host.tables.profile import MOTORS, Angle, Part, Profile, Voltage
-from heli_host.tables.table import Floats, Table
+from heli_host.tables.table import Table
 from heli_host.tables.units import COUNT, TIME_UNITS
 
 UNEVEN = 0.02

@@ -8,10 +8,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from heli_host.arrays import Floats
 from heli_host.errors import FlightDataError
 from heli_host.tables.limits import check_numbers, within_memory
 from heli_host.tables.sizes import check_mat
-from heli_host.tables.table import Column, Floats, Table
+from heli_host.tables.table import Column, Table
 
 _DEEPEST: Final = 8
 """Structures within structures that are looked into."""

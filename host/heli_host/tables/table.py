@@ -6,11 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heli_host.arrays import Floats
 from heli_host.errors import FlightDataError
-
-Floats = NDArray[np.float64]
 
 SHARED_TIME = "time [s]"
 """Name of the time that columns of different clocks are brought to."""

@@ -13,10 +13,10 @@ from heli_host.errors import HeliError
 
 from heli_lab.campaign.case import Answer, Case, Cell, natural_order
 from heli_lab.campaign.cluster import usable, workers_of
-from heli_lab.campaign.code import code_digest
 from heli_lab.campaign.store import Store, row_of
 from heli_lab.campaign.worker import CodeMismatch, Job, release, run_job
 from heli_lab.campaign.worker_process import Limits
+from heli_lab.code_digest import code_digest
 from heli_lab.errors import CampaignError
 
 if TYPE_CHECKING:

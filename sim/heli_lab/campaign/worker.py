@@ -12,9 +12,9 @@ from functools import cache
 from pathlib import Path
 
 from heli_lab.campaign.case import Answer, Case
-from heli_lab.campaign.code import code_digest
 from heli_lab.campaign.store import keep, kept
 from heli_lab.campaign.worker_process import Limits, WorkerProcess
+from heli_lab.code_digest import code_digest
 
 
 @dataclass(frozen=True)

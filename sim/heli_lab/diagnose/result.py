@@ -159,7 +159,7 @@ class Diagnosis:
             return {}
         residual = self.assessment.residual_analysis
         axis = AXES.index(residual.axis)
-        std_Nm = float(residual.disturbances.fast_std_Nm[axis])
+        std_Nm = float(residual.disturbances.fast_std[axis])
         correlation_time_s = float(residual.disturbances.correlation_time_s[axis])
         seconds = sum(record.used_s for record in self.assessment.before.fit.problem.records)
         relative = 1.0 / math.sqrt(2.0 * max(seconds / (2.0 * correlation_time_s), 2.0))

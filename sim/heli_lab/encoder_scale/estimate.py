@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_host.flight.flown import flown_rows
 from heli_sim.model.base import Model
@@ -25,10 +26,9 @@ from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
 from heli_lab.encoder_scale.weak_form import TestFunctions, parts_of
+from heli_lab.estimation import Trajectory
+from heli_lab.identify.flight_model import TORQUE_STD_Nm, model_functions
 from heli_lab.identify.free import free_parameters
-from heli_lab.identify.functions import Floats
-from heli_lab.innovations import ModelFunctions, Trajectory
-from heli_lab.innovations.parameter_vector import TORQUE_STD_Nm
 
 LEAST_s: Final = 5.0
 """Flight that is enough to say something, s: some periods of the slowest test function."""
@@ -121,7 +121,7 @@ class FlightInWeakForm:
         torques = {name: np.hypot(0.5 * rig[name].tolerance, std) for name, std in TORQUE_STD_Nm.items()}
         numbered = (*(parameter.quantity for parameter in free), *torques)
         self._places = [names.index(name) for name in numbered]
-        self._functions = ModelFunctions(plain, numbered)
+        self._functions = model_functions(plain, numbered)
         rest_deg = flight.parameters.get("elevation_rest_deg", rig["elevation_min"].value)
         self._pivot: Floats = np.array([np.radians(rest_deg), 0.0, 0.0])
         tolerances_deg = [

@@ -8,10 +8,9 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from scipy.signal import lfilter
-
-from heli_lab.identify.functions import Floats
 
 GRID_s: Final = 0.02
 """Step of the grid, s. Twice as long: blurred rates put scales off by 2 %, twice as much. Half: twice the

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from numpy.typing import NDArray
 
 from heli_lab.guess import names, thresholds
 from heli_lab.guess.reference import Reference
-from heli_lab.guess.signals import Floats, Signal, Signals, delay
+from heli_lab.guess.signals import Signal, Signals, delay
 
 _DECIMATION: Final = 10
 """The regressions use every tenth row: 10 Hz samples all that the low-pass filter leaves."""

@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from numpy.typing import NDArray
 
 from heli_lab.guess.result import Guess
-from heli_lab.guess.signals import Floats, delay, filtered_signal
+from heli_lab.guess.signals import delay, filtered_signal
 from heli_lab.guess.thresholds import EDGE_S, SAMPLE_STEP_s
 
 _LAG_S = 0.1

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_host.errors import FlightDataError
 from heli_host.tables import Angle, Profile, Table, Voltage, flights_of
 from heli_host.tables.units import ANGLE_UNITS, COUNT, SHARES, VOLTAGE_UNITS, split_unit
@@ -28,7 +29,7 @@ from heli_lab.guess.reference import Reference, reference_of
 from heli_lab.guess.result import Ambiguity, Guess
 from heli_lab.guess.scales import AXES, MeasuredMotion, Scale, is_encoder, rad_of, scales, step_of
 from heli_lab.guess.sign_trials import try_sign_choices
-from heli_lab.guess.signals import Floats, Signals, signals_of
+from heli_lab.guess.signals import Signals, signals_of
 from heli_lab.guess.times import Clock, clock_of, longest_run, times_in_s
 
 _ANGLE_UNITS: Final = frozenset({*ANGLE_UNITS, COUNT})

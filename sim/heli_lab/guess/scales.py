@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_host.tables.units import ANGLE_UNITS, COUNT, SHARES, VOLTAGE_UNITS
 
 from heli_lab.guess import thresholds
 from heli_lab.guess.reference import Reference
-from heli_lab.guess.signals import Floats
 
 AXES: Final = ("elevation", "pitch", "travel")
 _ANGLE_UNITS: Final = ("rad", "deg", COUNT, "turn", "mrad")

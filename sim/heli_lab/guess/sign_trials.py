@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import Rig
@@ -15,7 +16,6 @@ from heli_lab.errors import IdentifyError
 from heli_lab.guess import thresholds
 from heli_lab.guess.result import SignChoice
 from heli_lab.guess.scales import AXES
-from heli_lab.guess.signals import Floats
 from heli_lab.identify.fit import Budget
 from heli_lab.identify.problem import Problem
 from heli_lab.identify.record import Record, prepare

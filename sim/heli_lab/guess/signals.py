@@ -8,12 +8,11 @@ from functools import cache
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_host.tables import Table
 from numpy.typing import NDArray
 
 from heli_lab.guess.thresholds import EDGE_S, CUTOFF_Hz, SAMPLE_STEP_s
-
-Floats = NDArray[np.float64]
 
 _EXTENDED_ROWS: Final = 15
 """Number of rows of padding at each end, reflected about the end value."""

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_host.tables import Column, Table
 from heli_host.tables.units import TIME_UNITS, split_unit
 
 from heli_lab.guess import names
-from heli_lab.guess.signals import Floats
 
 _MIN_RISING_SHARE: Final = 0.995
 _MAX_STEP_S: Final = 0.15

@@ -13,11 +13,9 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-import numpy.typing as npt
+from heli_host.arrays import Floats
 
 from heli_lab.gym.environment import Action, Observation
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

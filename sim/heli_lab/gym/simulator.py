@@ -12,7 +12,7 @@ from urllib.parse import urlencode
 import casadi as ca
 import heli_host
 import numpy as np
-import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_host.declaration import State
 from heli_host.errors import HeliError
 from heli_sim.compiled import compile_function
@@ -25,8 +25,6 @@ from typing_extensions import override
 
 from heli_lab.errors import LearningError
 from heli_lab.gym.domain import DrawnRig
-
-Floats = npt.NDArray[np.float64]
 
 _BATCH_TICKS: Final = 4
 """Smallest telemetry batch of the board [ms]: observations are at most 4 ms old."""

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_sim.model.parts import AXES
 
 from heli_lab.identify.fit import Fit
 from heli_lab.identify.free import PER_FLIGHT
-from heli_lab.identify.functions import Floats
 from heli_lab.identify.problem import Problem
 from heli_lab.identify.record import Record
 from heli_lab.identify.residual_noise import correlation_at, normalised
@@ -144,7 +144,10 @@ def validate(fit: Fit, flights: Sequence[Flight | Record], labels: Sequence[str]
         window_s=problem.window_s,
         step_s=problem.step_s,
         priors=local,
-        values=dict(zip((q.name for q in problem.model.parameters), problem.base, strict=True)) | shared,
+        values=dict(
+            zip((q.name for q in problem.model.parameters), problem.parameter_vector.values, strict=True)
+        )
+        | shared,
         state_std=problem.state_std_by_name,
     )
     return solve(held_out, robust=False, scatter=False)

@@ -9,11 +9,12 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.compiled import c_source
 from heli_sim.errors import PlantError
 from typing_extensions import override
 
-from heli_lab.identify.functions import Floats, Functions, Inputs
+from heli_lab.identify.functions import Functions, Inputs
 from heli_lab.identify.windows import Kernel
 from heli_lab.threads import parallel_map
 

@@ -7,11 +7,11 @@ of a rig's motion follows its voltages, also under a model that is wrong by a fa
 from __future__ import annotations
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
 from heli_lab.errors import NotExcited
 from heli_lab.identify.check import Trace
-from heli_lab.identify.functions import Floats
 from heli_lab.identify.thresholds import LEAST_MOTION, UNEXPLAINED
 
 

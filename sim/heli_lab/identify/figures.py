@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
 from heli_lab.identify.check import Trace
-from heli_lab.identify.functions import Floats
 from heli_lab.identify.result import Identification
 
 if TYPE_CHECKING:
@@ -69,8 +69,8 @@ def figure_of_parameters(identification: Identification) -> Figure:
     problem, fit = identification.fit.problem, identification.fit
     names = problem.names
     place = np.arange(len(names))[::-1]
-    moved = (fit.theta - problem.prior_mean) / problem.prior_std
-    half = 2.0 * np.array(list(fit.std.values())) / problem.prior_std
+    moved = (fit.theta - problem.parameter_vector.mean) / problem.parameter_vector.std
+    half = 2.0 * np.array(list(fit.std.values())) / problem.parameter_vector.std
     figure = Figure(figsize=(8, 1.2 + 0.28 * len(names)), layout="constrained")
     panel = figure.subplots()
     panel.axvspan(-2, 2, color="#eeeeee", label="prior, 95 %")

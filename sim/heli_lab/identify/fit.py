@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from heli_host.arrays import Floats
 
-from heli_lab.identify.functions import Floats
 from heli_lab.identify.problem import Problem
 
 

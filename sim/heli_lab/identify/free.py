@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -13,6 +12,8 @@ from heli_sim.rig import Prior, Rig
 from heli_sim.rig.schema import UNSTATED
 
 from heli_lab.errors import IdentifyError
+from heli_lab.estimation.parameter_vector import FreeParameter
+from heli_lab.estimation.parameter_vector import Prior as AnyPrior
 from heli_lab.identify.thresholds import LEAST_OF_PRIOR
 
 NOT_FREE: Final = frozenset({"g"})
@@ -28,31 +29,8 @@ FLIGHT_CONSTANTS: Final = (*PER_FLIGHT, *FLIGHT_TORQUES)
 """All that one flight has of its own."""
 
 
-@dataclass(frozen=True)
-class FreeParameter:
-    """A parameter to be estimated.
-
-    Parameters
-    ----------
-    name : str
-        Its name; one that differs between several flights has the flight's label in brackets.
-    unit : str
-        As the rig file spells it, SI.
-    quantity : str
-        Its name in the model.
-    record : int or None
-        The flight that it belongs to; None for all.
-    """
-
-    name: str
-    unit: str
-    prior: Prior
-    quantity: str
-    record: int | None = None
-
-
 def free_parameters(
-    model: Model, rig: Rig, free: Sequence[str] | None, priors: Mapping[str, Prior]
+    model: Model, rig: Rig, free: Sequence[str] | None, priors: Mapping[str, AnyPrior]
 ) -> tuple[FreeParameter, ...]:
     """Choose the free parameters of a model, in the order given, or in the model's.
 
@@ -70,7 +48,10 @@ def free_parameters(
         When a name is unknown, or nothing is known of it beforehand.
     """
     known = {quantity.name: quantity for quantity in model.parameters}
-    given = {name: prior for effect in model.effects for name, prior in effect.priors.items()} | dict(priors)
+    given: dict[str, AnyPrior] = {
+        name: prior for effect in model.effects for name, prior in effect.priors.items()
+    }
+    given |= priors
     if free is None:
         free = [
             name

@@ -8,8 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from heli_host.arrays import Floats, Integers
 
-from heli_lab.identify.functions import Floats, Inputs, Integers
+from heli_lab.identify.functions import Inputs
 from heli_lab.identify.record import Record
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats, Integers
 from heli_sim.model.parts import AXES
 
-from heli_lab.identify.functions import Floats, Integers
 from heli_lab.identify.grid import make_grid
 from heli_lab.identify.problem import Problem
 from heli_lab.identify.record import Record

@@ -1,4 +1,4 @@
-"""The kernel without a compiler: NumPy on CasADi's virtual machine; the compiled one is tested by it."""
+"""The kernel without a C compiler: NumPy around the laboratory's expression programs."""
 
 from __future__ import annotations
 
@@ -7,17 +7,30 @@ from collections.abc import Mapping
 
 import casadi as ca
 import numpy as np
+from heli_host.arrays import Floats, Integers
 from typing_extensions import override
 
-from heli_lab.identify.functions import Floats, Functions, Inputs, Integers
+from heli_lab.estimation.trajectory_functions import AlongTrajectory, Trajectory
+from heli_lab.identify.functions import Functions, Inputs
 from heli_lab.identify.windows import Kernel
 
 
 class InterpretedKernel(Kernel):
-    """Windows run in NumPy, all of them side by side, on CasADi's virtual machine."""
+    """Windows run in NumPy, all of them in parallel; rates and Jacobians by `estimation`'s programs."""
 
     def __init__(self, functions: Functions) -> None:
         self._functions = functions
+        self._programs: dict[str, AlongTrajectory] = {}
+
+    def _program(self, name: str) -> AlongTrajectory:
+        """The program of one of the model's functions, with dense results."""
+        if name not in self._programs:
+            function: ca.Function = getattr(self._functions, name)
+            arguments = [ca.SX.sym("a", function.size1_in(i)) for i in range(function.n_in())]
+            results = function.call(arguments)
+            dense = ca.Function(name, arguments, [ca.densify(result) for result in results])
+            self._programs[name] = AlongTrajectory(dense)
+        return self._programs[name]
 
     @override
     def _run(
@@ -97,23 +110,16 @@ class InterpretedKernel(Kernel):
         du: Mapping[str, Floats],
     ) -> tuple[Floats, Floats]:
         """Value (w, rows) and its derivatives through the chain (w, rows, columns)."""
-        count, nx = x.shape
-        plain: ca.Function = getattr(self._functions, which)
-        p = np.tile(parameters[:, None], count)
+        at = Trajectory(time_s, x, u, 0.0, parameters)
         if s.shape[2] == 0:
-            alone: Floats = np.asarray(ca.DM(plain.map(count)(x.T, u.T, time_s[None], p)), float)
-            return alone.T, np.zeros((count, alone.shape[0], 0))
-        jacobian: ca.Function = getattr(self._functions, f"{which}_jacobian")
-        results = jacobian.map(count)(x.T, u.T, time_s[None], p)
-        value, fx, fp, fu = (np.asarray(ca.DM(result), float) for result in results)
-        rows = value.shape[0]
-        to_x = fx.reshape(rows, count, nx).transpose(1, 0, 2)
-        chained: Floats = to_x @ s
-        if fp.size:
-            chained[:, :, nx:] += fp.reshape(rows, count, -1).transpose(1, 0, 2)
+            (value,) = self._program(which)(at)
+            return value[:, :, 0], np.zeros((*value.shape[:2], 0))
+        nx = x.shape[1]
+        value, fx, fp, fu = self._program(f"{which}_jacobian")(at)
+        chained: Floats = fx @ s
+        chained[:, :, nx:] += fp
         for name in self._functions.shaping:
             if name in du:
-                to_u = fu.reshape(rows, count, 2).transpose(1, 0, 2)
                 column = nx + self._functions.free.index(name)
-                chained[:, :, column] += np.einsum("wij,wj->wi", to_u, du[name])
-        return value.T, chained
+                chained[:, :, column] += np.einsum("wij,wj->wi", fu, du[name])
+        return value[:, :, 0], chained

@@ -3,7 +3,9 @@
 CasADi writes the rates of the state and their Jacobians as C; around them stands a short loop, also C, that
 carries the state and its sensitivities to the window's initial state and to the free parameters through
 Runge-Kutta steps of fourth order. Both are compiled together and kept in the user's cache. Without a compiler
-the same loop runs in NumPy on CasADi's virtual machine.
+the same loop runs in NumPy around the expression programs of `heli_lab.estimation`. These alone, without any
+sensitivities, take longer than the compiled kernel takes for everything: 13 to 31 ms against 11 to 13 ms for
+20 windows of 2 s, 21 free parameters (2026-11).
 """
 
 from __future__ import annotations

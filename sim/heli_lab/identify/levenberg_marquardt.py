@@ -12,15 +12,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from heli_host.arrays import Floats, Integers
 
+from heli_lab.estimation.bounded_solve import bounded_solve
 from heli_lab.identify import thresholds
 from heli_lab.identify.fit import Budget, Progress
-from heli_lab.identify.functions import Floats, Integers
 from heli_lab.identify.grid import Grid
 from heli_lab.identify.initial_states import alternative_states, initial_state_guess
 from heli_lab.identify.problem import Evaluation, Problem
 from heli_lab.identify.residual_noise import floor_axes, long_run_variance, window_weights
-from heli_lab.identify.schur import bounded_solve, eliminate_states
+from heli_lab.identify.schur import eliminate_states
 from heli_lab.identify.window_states import refine_states, restart_states, window_cost
 
 
@@ -133,7 +134,7 @@ class LevenbergMarquardt:
 
     def _cost(self, point: Point) -> float:
         problem = self.problem
-        prior = (point.theta - problem.prior_mean) / problem.prior_std
+        prior = (point.theta - problem.parameter_vector.mean) / problem.parameter_vector.std
         total = float(prior @ prior)
         total += float(sum(self._window_cost(point, index).sum() for index in range(len(point.evaluations))))
         return total if math.isfinite(total) else math.inf
@@ -244,11 +245,13 @@ class LevenbergMarquardt:
         """A damped Gauss-Newton step, the standard errors, and the cost that the step is to save."""
         problem = self.problem
         information, gradient, follow, gain = self.reduced(point, thresholds.STATE_DAMPING * self.damping)
-        weight = 1.0 / problem.prior_std**2
-        right = gradient + weight * (problem.prior_mean - point.theta)
+        weight = 1.0 / problem.parameter_vector.std**2
+        right = gradient + weight * (problem.parameter_vector.mean - point.theta)
         # Damped in units of the priors: weak combinations of known numbers may move that far and no more.
         matrix = information + np.diag((1.0 + self.damping) * weight)
-        limits = [np.where(self.frozen, 0.0, bound - point.theta) for bound in problem.bounds]
+        limits = [
+            np.where(self.frozen, 0.0, bound - point.theta) for bound in problem.parameter_vector.bounds
+        ]
         move = bounded_solve(matrix, right, *limits)
         states = [
             start + free - np.einsum("wsf,f->ws", slave, move[columns])

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from heli_host.arrays import Floats, Integers
 from heli_host.flight import Flight
 from heli_sim.model.base import Model
-from heli_sim.rig import Prior, Rig
+from heli_sim.rig import Rig
 
 from heli_lab.errors import IdentifyError
+from heli_lab.estimation.parameter_vector import FreeParameter, ParameterVector, Prior
 from heli_lab.identify import thresholds
-from heli_lab.identify.free import PER_FLIGHT, FreeParameter, free_parameters
-from heli_lab.identify.functions import Floats
+from heli_lab.identify.free import PER_FLIGHT, free_parameters
 from heli_lab.identify.grid import Grid, make_grid, window_starts
 from heli_lab.identify.kernel import kernel
 from heli_lab.identify.record import Record, prepare
@@ -109,22 +110,14 @@ class Problem:
             raise IdentifyError("two flights have the same label", "give each its own")
         shared = [parameter for parameter in wanted if parameter.quantity not in per_flight]
         local = [parameter for parameter in wanted if parameter.quantity in per_flight]
-        several = len(self.records) > 1
-        flight_parameters = [
-            replace(
-                parameter,
-                record=index,
-                name=f"{parameter.name}[{record.label}]" if several else parameter.name,
-            )
-            for index, record in enumerate(self.records)
-            for parameter in local
-        ]
-        self.free: tuple[FreeParameter, ...] = (*shared, *flight_parameters)
-        self.columns = tuple(
-            np.array([i for i, parameter in enumerate(self.free) if parameter.record in (None, index)], int)
-            for index in range(len(self.records))
-        )
-        """For each record, which free parameters it depends on, in the order of the kernel."""
+        names = [quantity.name for quantity in model.parameters]
+        base: Floats = model.parameter_values(rig)
+        for name, value in (values or {}).items():
+            if name not in names:
+                raise IdentifyError(f"the model has no parameter '{name}'", f"names are: {', '.join(names)}")
+            base[names.index(name)] = value
+        labels = [record.label for record in self.records]
+        self.parameter_vector = ParameterVector(names, base, shared, local, labels)
         self.window_s = window_s
         self.window_parts = 1
         self.step_s = step_s
@@ -135,21 +128,10 @@ class Problem:
         self.state_std_by_name = usual_std | dict(state_std or {})
         """Prior standard deviation of each effect's state about what the flight before its window gives."""
         self.state_std: Floats = np.array([self.state_std_by_name[s.name] for s in model.states[6:]])
-        names = [quantity.name for quantity in model.parameters]
-        self.base: Floats = model.parameter_values(rig)
-        for name, value in (values or {}).items():
-            if name not in names:
-                raise IdentifyError(f"the model has no parameter '{name}'", f"names are: {', '.join(names)}")
-            self.base[names.index(name)] = value
-        self._place = np.array([names.index(parameter.quantity) for parameter in self.free], int)
         self._delay = names.index(model.delay) if model.delay else None
-        self._kernel_free = tuple(parameter.quantity for parameter in (*shared, *local))
+        self._kernel_free = self.parameter_vector.quantities
         self.threads = threads
         self.kernel = kernel(model, self._kernel_free, threads)
-        self._one_way = "reverse_thrust" not in names or not self.base[names.index("reverse_thrust")]
-        self._one_way &= "reverse_thrust" not in self.names
-        self._one_way &= not any(effect.pushes_below_dead_zone for effect in model.effects)
-        self._dead_zone = names.index("dead_zone")
         self._grids: dict[tuple[int, bool], tuple[object, Grid]] = {}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -168,33 +150,19 @@ class Problem:
         return other
 
     @property
+    def free(self) -> tuple[FreeParameter, ...]:
+        """Free parameters, those of one flight after the shared ones."""
+        return self.parameter_vector.free
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the free parameters."""
-        return tuple(parameter.name for parameter in self.free)
+        return self.parameter_vector.names
 
     @property
-    def prior_mean(self) -> Floats:
-        """Means of the priors, shape (f,)."""
-        return np.array([parameter.prior.mean for parameter in self.free])
-
-    @property
-    def prior_std(self) -> Floats:
-        """Standard deviations of the priors, shape (f,)."""
-        return np.array([parameter.prior.std for parameter in self.free])
-
-    @property
-    def bounds(self) -> tuple[Floats, Floats]:
-        """Lowest and highest values, each of shape (f,)."""
-        return (
-            np.array([parameter.prior.low for parameter in self.free]),
-            np.array([parameter.prior.high for parameter in self.free]),
-        )
-
-    @property
-    def start(self) -> Floats:
-        """Values to start from: those of rig and effects, within the bounds; shape (f,)."""
-        result: Floats = np.clip(self.base[self._place], *self.bounds)
-        return result
+    def columns(self) -> tuple[Integers, ...]:
+        """For each record, which free parameters it depends on, in the order of the kernel."""
+        return self.parameter_vector.columns
 
     def with_windows(self, window_s: float) -> Problem:
         """Pose the same problem with windows of nearly `window_s`; it shares records, parameters and kernel
@@ -209,13 +177,7 @@ class Problem:
         them. Parameters that a flight has of its own come after those that all flights share.
         """
         other = self._same()
-        names = [quantity.name for quantity in self.model.parameters]
-        other.free = tuple(free)
-        other.columns = tuple(
-            np.array([i for i, parameter in enumerate(free) if parameter.record in (None, index)], int)
-            for index in range(len(self.records))
-        )
-        other._place = np.array([names.index(parameter.quantity) for parameter in free], int)
+        other.parameter_vector = self.parameter_vector.with_free(free)
         return other
 
     def with_split_windows(self, parts: int) -> Problem:
@@ -230,10 +192,7 @@ class Problem:
         """Complete the free parameters `theta`, shape (f,), to all those of the model, shape (p,), for record
         `index`.
         """
-        full = self.base.copy()
-        columns = self.columns[index]
-        full[self._place[columns]] = theta[columns]
-        return full
+        return self.parameter_vector.parameters(theta, index)
 
     def grid(self, index: int, fine: bool, theta: Floats) -> Grid:
         """Windows of a record, with their inputs; the coarse and the fine grid have the same windows.
@@ -364,4 +323,4 @@ class Problem:
             zone.
         """
         delay = None if self._delay is None else (self.model.delay, float(parameters[self._delay]))
-        return delay, float(parameters[self._dead_zone]) if self._one_way else None
+        return delay, self.model.dead_zone_V(parameters, self.names)

@@ -9,13 +9,13 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
 from heli_lab.errors import IdentifyError, NotExcited
 from heli_lab.identify import thresholds
-from heli_lab.identify.functions import Floats
 
 ON_GROUND: Final = frozenset({"idle", "armed", "fault"})
 """States of the board's supervisor in which the motors are off."""
@@ -71,6 +71,21 @@ class Record:
     def sigma_rad(self) -> Floats:
         """Standard deviation of the quantisation to counts, count / sqrt(12), shape (3,)."""
         return self.count_rad / math.sqrt(12.0)
+
+    @property
+    def outputs(self) -> Floats:
+        """The angles, as `estimation.Recording` names them, shape (n, 3), rad."""
+        return self.angles_rad
+
+    @property
+    def inputs(self) -> Floats:
+        """The voltages, as `estimation.Recording` names them, shape (n, 2), V."""
+        return self.voltages_V
+
+    @property
+    def resolution(self) -> Floats:
+        """The encoders' counts, as `estimation.Recording` names them, shape (3,), rad."""
+        return self.count_rad
 
     @property
     def used_s(self) -> float:

@@ -5,34 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from heli_host.arrays import Floats
 
-from heli_lab.identify.functions import Floats
+from heli_lab.estimation.long_run_variance import autocovariance, newey_west_variance
 from heli_lab.identify.thresholds import GROSS, LEAST_SHARE, LEAST_VARIANCE, LONGEST_LAG_S, OUTLIER
-
-
-def autocovariance(residual: Floats, windows: Sequence[slice], lags: int) -> Floats:
-    """Mean lagged product of a residual about zero, shape (lags + 1, a), pairs within windows only: sums of
-    products over the number of all rows, which keeps the spectrum positive.
-
-    Parameters
-    ----------
-    residual : ndarray (m, a)
-        Residuals, one column an axis.
-    windows : sequence of slice
-        Rows of each window.
-    lags : int
-        Largest lag, in rows.
-    """
-    total = np.zeros((lags + 1, residual.shape[1]))
-    for window in windows:
-        part = residual[window]
-        size = 1 << int(2 * len(part) - 1).bit_length()
-        power = np.abs(np.fft.rfft(part, size, axis=0)) ** 2
-        products = np.fft.irfft(power, size, axis=0)
-        kept = min(lags + 1, len(part))
-        total[:kept] += products[:kept]
-    result: Floats = total / max(1, sum(window.stop - window.start for window in windows))
-    return result
 
 
 def long_run_variance(residual: Floats, windows: Sequence[slice], step_s: float) -> Floats:
@@ -54,9 +30,7 @@ def long_run_variance(residual: Floats, windows: Sequence[slice], step_s: float)
     """
     lags = max(1, round(LONGEST_LAG_S / step_s))
     covariance = autocovariance(residual, windows, lags)
-    taper = 1.0 - np.arange(lags + 1) / (lags + 1)
-    long_run = 2.0 * (taper[:, None] * covariance).sum(axis=0) - covariance[0]
-    result: Floats = np.maximum(1.0, np.maximum(covariance[0], long_run))
+    result: Floats = np.maximum(1.0, np.maximum(covariance[0], newey_west_variance(covariance)))
     return result
 
 

@@ -33,12 +33,14 @@ class Identification:
     def combinations(self) -> list[Combination]:
         """Combinations of parameters that the flights inform less than the priors."""
         problem = self.fit.problem
-        return combinations(problem.names, self.fit.information, problem.prior_std)
+        return combinations(problem.names, self.fit.information, problem.parameter_vector.std)
 
     @property
     def uninformed_parameters(self) -> list[str]:
         """Parameters that the flights do not inform."""
-        return uninformed_parameters(self.fit.problem.names, self.fit.covariance, self.fit.problem.prior_std)
+        return uninformed_parameters(
+            self.fit.problem.names, self.fit.covariance, self.fit.problem.parameter_vector.std
+        )
 
     @property
     def strong_correlations(self) -> list[tuple[str, str, float]]:
@@ -87,7 +89,9 @@ class Identification:
     def _effects(self) -> dict[str, dict[str, Number]]:
         """Effects of the model with the numbers found, as a rig holds them."""
         problem = self.fit.problem
-        values = dict(zip((q.name for q in problem.model.parameters), problem.base, strict=True))
+        values = dict(
+            zip((q.name for q in problem.model.parameters), problem.parameter_vector.values, strict=True)
+        )
         estimates = self.fit.values
         labels = ", ".join(record.label for record in problem.records)
         effects: dict[str, dict[str, Number]] = {}

@@ -105,9 +105,11 @@ def identify(
 
 def _start_values(problem: Problem) -> dict[str, float] | None:
     """Start values from short windows, where those of the rig file are so far off that long ones diverge."""
-    evaluations = zip(problem.records, initial_state_guess(problem, problem.start), strict=True)
+    evaluations = zip(
+        problem.records, initial_state_guess(problem, problem.parameter_vector.start), strict=True
+    )
     for index, (record, states) in enumerate(evaluations):
-        evaluation = problem.evaluation(index, problem.start, states, derivatives=False)
+        evaluation = problem.evaluation(index, problem.parameter_vector.start, states, derivatives=False)
         with np.errstate(all="ignore"):
             off_rad = np.sqrt(np.mean(evaluation.residual**2, axis=0)) * record.sigma_rad
         if not np.all(off_rad < FAR_RAD):

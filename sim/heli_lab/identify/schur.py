@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from heli_host.arrays import Floats
 
-from heli_lab.identify.functions import Floats
 from heli_lab.identify.problem import Evaluation, Problem
 from heli_lab.identify.thresholds import SINGULAR_GUARD
 
@@ -125,32 +125,3 @@ def eliminate_states(
         states_gain += float(np.sum(normal[:, :nx, -1] * gain[:, :, -1]))
         follow.append((gain[:, :, -1], gain[:, :, :-1]))
     return information, gradient, follow, states_gain
-
-
-def bounded_solve(matrix: Floats, right: Floats, low: Floats, high: Floats) -> Floats:
-    """Solve a positive definite system within bounds, shape (f,): what would leave its bounds is on them, and
-    the rest is solved again.
-
-    Parameters
-    ----------
-    matrix : ndarray (f, f)
-        The system.
-    right : ndarray (f,)
-        Its right-hand side.
-    low, high : ndarray (f,)
-        Bounds of the solution.
-    """
-    move = np.zeros(len(right))
-    fixed = np.zeros(len(right), bool)
-    for _ in range(len(right) + 1):
-        loose = ~fixed
-        if not loose.any():
-            break
-        rest = right[loose] - matrix[np.ix_(loose, fixed)] @ move[fixed]
-        move[loose] = np.linalg.solve(matrix[np.ix_(loose, loose)], rest)
-        outside = loose & ((move < low) | (move > high))
-        if not outside.any():
-            break
-        move[outside] = np.clip(move[outside], low[outside], high[outside])
-        fixed |= outside
-    return move

@@ -7,11 +7,11 @@ import time
 from collections.abc import Callable, Mapping
 
 import numpy as np
+from heli_host.arrays import Floats
 
 from heli_lab.errors import IdentifyError
 from heli_lab.identify import thresholds
 from heli_lab.identify.fit import Budget, Fit, Progress
-from heli_lab.identify.functions import Floats
 from heli_lab.identify.levenberg_marquardt import LevenbergMarquardt, Point
 from heli_lab.identify.problem import Problem
 from heli_lab.identify.uncertainty import quantisation_scatter, timing_variance
@@ -105,12 +105,8 @@ def _start(
     solver: LevenbergMarquardt, start: Fit | Mapping[str, float] | None
 ) -> tuple[Floats, list[Floats]]:
     problem = solver.problem
-    theta = problem.start
     given = start.values if isinstance(start, Fit) else start or {}
-    for index, name in enumerate(problem.names):
-        if name in given:
-            theta[index] = given[name]
-    theta = np.clip(theta, *problem.bounds).astype(np.float64)
+    theta = problem.parameter_vector.started_from(given)
     states = solver.initial_state_guess(theta)
     if isinstance(start, Fit) and len(start.states) == len(states):
         # An effect's state and the rates beside it compensate for each other: one without the other is worse
@@ -127,7 +123,7 @@ def _start(
 def _result(solver: LevenbergMarquardt, point: Point, converged: bool, scatter: bool) -> Fit:
     problem = solver.problem
     information, *_ = solver.reduced(point)
-    weight = np.diag(1.0 / problem.prior_std**2)
+    weight = np.diag(1.0 / problem.parameter_vector.std**2)
     covariance: Floats = np.linalg.inv(information + weight).astype(np.float64)
     if scatter and solver.fine and len(problem.free):
         scattered = quantisation_scatter(
@@ -136,7 +132,7 @@ def _result(solver: LevenbergMarquardt, point: Point, converged: bool, scatter: 
         wider = np.maximum(1.0, scattered / np.sqrt(np.diag(covariance)))
         covariance = covariance * np.outer(wider, wider)
         covariance = covariance + np.diag(timing_variance(problem))
-    low, high = problem.bounds
+    low, high = problem.parameter_vector.bounds
     bound = (point.theta <= low) | (point.theta >= high)
     return Fit(
         problem,

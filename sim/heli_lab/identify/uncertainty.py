@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from heli_host.arrays import Floats
 
-from heli_lab.identify.functions import Floats
 from heli_lab.identify.problem import Problem
 from heli_lab.identify.thresholds import COMBINATION_WEIGHT, DITHER_PHASES, UNINFORMED
 
@@ -57,7 +57,7 @@ def quantisation_scatter(
             pulls = np.einsum("pta,tai->pi", errors * scale[:, 0], rows)
             follow = np.linalg.pinv(normal[:, :nx], hermitian=True) @ normal[:, nx:]
             scores[:, problem.columns[index]] += pulls[:, nx:] - pulls[:, :nx] @ follow
-    prior = np.diag(1.0 / problem.prior_std**2)
+    prior = np.diag(1.0 / problem.parameter_vector.std**2)
     scatter = covariance @ (scores.T @ scores / DITHER_PHASES + prior) @ covariance
     result: Floats = np.sqrt(np.diag(scatter))
     return result

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from heli_host.arrays import Floats, Integers
 
 from heli_lab.identify import thresholds
-from heli_lab.identify.functions import Floats, Integers
 from heli_lab.identify.problem import Evaluation, Problem
 from heli_lab.identify.schur import add_state_prior, eliminate
 

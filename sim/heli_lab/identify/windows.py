@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
-from heli_lab.identify.functions import Floats, Inputs
+from heli_host.arrays import Floats
+
+from heli_lab.identify.functions import Inputs
 
 
 class Kernel(ABC):

@@ -14,6 +14,7 @@ from typing import Any, Final
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_host.declaration import AXES, CHANNELS, LAW_INPUTS, LAW_SIGNALS
 from heli_host.errors import BadLaw
 from heli_host.tape import Tape, check_number, divisor_of
@@ -21,8 +22,6 @@ from heli_host.tape import Tape, check_number, divisor_of
 from heli_lab.law.compile import compile_tape
 from heli_lab.law.no_number import with_no_number
 from heli_lab.law.streamed import Streamed
-
-Floats = npt.NDArray[np.float64]
 
 _TRUTH: Final = "truth value"
 MOST_STATES: Final = 255

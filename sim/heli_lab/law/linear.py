@@ -9,12 +9,12 @@ import casadi as ca
 import control
 import numpy as np
 import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_host.declaration import LAW_INPUTS
 
 from heli_lab.law.law import Law
 from heli_lab.tune.plants import LinearPlant
 
-Floats = npt.NDArray[np.float64]
 BODE_FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.05, 300.0, 4000)
 
 

@@ -7,11 +7,9 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_host.declaration import AXES, LAW_INPUTS
 from heli_host.link.clock import TICK_S
-
-Floats = npt.NDArray[np.float64]
 
 
 class _RateFilter:

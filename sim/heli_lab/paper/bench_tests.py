@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from heli_host.flight import Flight
 from heli_sim.model import MultibodyModel
 from heli_sim.model.linear import trim
@@ -18,8 +17,6 @@ from heli_sim.rig import Rig
 
 from heli_lab.errors import IdentifyError
 from heli_lab.identify.record import Record
-
-Floats = npt.NDArray[np.float64]
 
 TABLE_DEG: Final = -25.0
 _HOVER_V: Final = 1.7

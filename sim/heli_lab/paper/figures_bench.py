@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import numpy.typing as npt
 from heli_sim.bench.thrust_curve import ThrustCurve
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
@@ -23,7 +22,6 @@ from heli_lab.paper.tables import TESTS_OF_TABLE, Table
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Floats = npt.NDArray[np.float64]
 
 MEASURED_COLOUR: Final = "#222222"
 MODEL_COLOUR: Final = "#d1495b"

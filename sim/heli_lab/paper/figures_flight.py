@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_sim.model.parts import AXES
 
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Floats = npt.NDArray[np.float64]
 
 _COLOURS: Final = (PRINTED_COLOUR, MODEL_COLOUR)
 _WIDTH, _HEIGHT, _FONT_SIZE = 7.0, 2.7, 8

@@ -8,13 +8,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_sim.rig import Rig
 
 from heli_lab.paper.bench_tests import ELEVATION_STEPS, TABLE_DEG, BenchTest
 from heli_lab.paper.coefficients import analytic
-
-Floats = npt.NDArray[np.float64]
 
 _STEP_s: Final = 0.01
 _NAMES: Final = ("P_1", "P_2", "P_3", "P_4", "P_6")

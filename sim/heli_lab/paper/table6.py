@@ -16,14 +16,12 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
-import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_host.published_gains import paper_gains
 from heli_sim.model.base import Model
 from heli_sim.model.linear import derivatives, trim
 from heli_sim.rig import Rig
 from scipy.linalg import expm
-
-Floats = npt.NDArray[np.float64]
 
 Reading = Literal["degrees", "u3"]
 Derivative = Literal["error", "measurement"]

@@ -7,12 +7,10 @@ from dataclasses import replace
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_sim.bench.thrust_curve import SCALE_N
 from heli_sim.model.parts import thrust_N
 from heli_sim.plant import Plant
-
-Floats = npt.NDArray[np.float64]
 
 
 class ThrustScale:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_host.declaration import PARAMS
 from heli_sim.errors import PlantError
 from heli_sim.model import MultibodyModel
@@ -28,8 +28,6 @@ from heli_lab.tune.loops import CascadeGains, Pid
 from heli_lab.tune.plants import LinearPlant, LoopEffects, Spread, spread_plants
 from heli_lab.tune.shaping import shaped_step
 from heli_lab.tune.simulate import DiscretePlants, SIMULATION_STEP_s, discretise
-
-Floats = npt.NDArray[np.float64]
 
 TRAVEL_STEP_DEG: Final = 15.0
 PITCH_SETPOINT_MAX_DEG: Final = 30.0

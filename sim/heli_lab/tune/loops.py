@@ -14,10 +14,10 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from heli_host.arrays import Floats
 
 from heli_lab.tune.plants import LinearPlant, NO_LAG_s
 
-Floats = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 
 SAMPLING_s: Final = 0.001

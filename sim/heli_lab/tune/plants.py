@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_sim.errors import PlantError
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Model
@@ -18,8 +18,6 @@ from heli_sim.model.effect import Effect
 from heli_sim.model.effects import RotorLag, RotorSpeedLag
 from heli_sim.model.linear import derivatives, trim
 from heli_sim.rig import Rig
-
-Floats = npt.NDArray[np.float64]
 
 NO_LAG_s: Final = 0.004
 """Lag of a rotor without lag: too short to matter for any loop, so that all plants have the same states."""

@@ -6,9 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
-
-Floats = npt.NDArray[np.float64]
+from heli_host.arrays import Floats
 
 SIMULATION_STEP_s: Final = 0.04
 """Time between two points of a path; inputs are constant in between."""

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_host.flight.response import Answer, answer_of, rms
 
 from heli_lab.tune.design import TRAVEL_STEP_DEG
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from heli_host.arrays import Floats
 
 from heli_lab.errors import TwinError
-from heli_lab.identify.functions import Floats
-from heli_lab.innovations import DisturbanceModel
+from heli_lab.estimation import DisturbanceModel
+from heli_lab.identify.flight_model import DISTURBANCE_START
 from heli_lab.twin.likelihood_ratio import WINDOW_s
 
 SEGMENT_s: Final = 5.0
@@ -25,7 +26,7 @@ _LEAST_SCALE_nats: Final = 1.0
 _AXES: Final = 3
 
 
-QUIET: Final = replace(DisturbanceModel.start(), quantisation=np.ones(3))
+QUIET: Final = replace(DISTURBANCE_START, quantisation=np.ones(3))
 """Weather of a rig of which no flight is given: gusts of a quiet room, encoders that round."""
 
 
@@ -142,9 +143,9 @@ def calibration_text(calibration: Calibration, rig: str) -> str:
         f"rig = {_quoted(rig)}\n"
         f"source = {_quoted(calibration.source)}\n\n"
         "[disturbances]\n"
-        f"fast_std_Nm = {listed(disturbances.fast_std_Nm)}\n"
+        f"fast_std_Nm = {listed(disturbances.fast_std)}\n"
         f"correlation_time_s = {listed(disturbances.correlation_time_s)}\n"
-        f"slow_std_Nm = {listed(disturbances.slow_std_Nm)}\n"
+        f"slow_std_Nm = {listed(disturbances.slow_std)}\n"
         f"quantisation = {listed(disturbances.quantisation)}\n\n"
         "[tail]\n"
         f"level_nats = {tail.level_nats:.6g}\n"
@@ -175,10 +176,15 @@ def parse_calibration(data: Mapping[str, Any], name: str) -> Calibration:
         Something is missing, or no number.
     """
     numbers = {}
-    for key in ("fast_std_Nm", "correlation_time_s", "slow_std_Nm", "quantisation"):
-        values = _table(data, "disturbances", name).get(key)
+    for key, unit in (
+        ("fast_std", "_Nm"),
+        ("correlation_time_s", ""),
+        ("slow_std", "_Nm"),
+        ("quantisation", ""),
+    ):
+        values = _table(data, "disturbances", name).get(f"{key}{unit}")
         if not isinstance(values, list) or len(values) != _AXES or not all(map(_is_positive, values)):
-            raise TwinError(f"{name}: disturbances.{key} is not three positive numbers", _AGAIN)
+            raise TwinError(f"{name}: disturbances.{key}{unit} is not three positive numbers", _AGAIN)
         numbers[key] = np.array(values, float)
     excesses = _table(data, "tail", name).get("excesses")
     if not isinstance(excesses, int) or isinstance(excesses, bool) or excesses < 1:

@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from heli_host.arrays import Floats, Integers
 from heli_host.declaration import Channel, State
 from heli_host.flight import Flight
 from heli_host.link.channels import ENCODERS, numbers, physical, rad_per_count
@@ -14,7 +15,6 @@ from heli_host.log.reader import Log
 from heli_sim.rig import Rig
 
 from heli_lab.errors import TwinError
-from heli_lab.identify.functions import Floats, Integers
 from heli_lab.identify.record import ON_GROUND, encoder_counts
 from heli_lab.twin.samples import Samples
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_host.link.channels import rad_per_count
 from heli_host.link.clock import TICK_S
@@ -14,7 +15,6 @@ from heli_host.log.flight_file import read_flight
 from heli_host.log.reader import read_log
 
 from heli_lab.errors import TwinError
-from heli_lab.identify.functions import Floats
 from heli_lab.twin.files import TwinRig
 from heli_lab.twin.flights import count_rad_of, samples_of, samples_of_log
 from heli_lab.twin.kalman_filter import TwinModel

@@ -6,10 +6,10 @@ import math
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.rig import Rig
 
 from heli_lab.identify import thresholds
-from heli_lab.identify.functions import Floats
 
 SETTLE_s: Final = 1.5
 """Time off the table before a flight counts as free, s: the air of the ground and a take-off's own thrust

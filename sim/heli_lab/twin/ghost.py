@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 
-from heli_lab.identify.functions import Floats
-from heli_lab.innovations import _kalman
+from heli_lab.estimation import _kalman
 from heli_lab.twin.kalman_filter import ZEROS, TwinModel
 
 ALONE_s: Final = 2.0

@@ -27,9 +27,9 @@ from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
 
-from heli_lab.innovations import DisturbanceModel
-from heli_lab.innovations.disturbances import SLOW_CORRELATION_TIME_s
-from heli_lab.innovations.parameter_vector import TORQUE_STD_Nm
+from heli_lab.estimation import DisturbanceModel
+from heli_lab.estimation.disturbances import SLOW_CORRELATION_TIME_s
+from heli_lab.identify.flight_model import TORQUE_STD_Nm
 
 _CALM: Final = 0.5
 """Share of `TORQUE_STD_Nm` that the constant torques of simulated flights have: a rig that was identified
@@ -92,11 +92,11 @@ def in_weather(model: Model, disturbances: DisturbanceModel) -> Model:
         kind = kinds[f"random_torque.{name}"]
         gusts = kind.make(
             {
-                kind.full("Nm"): float(disturbances.fast_std_Nm[axis]),
+                kind.full("Nm"): float(disturbances.fast_std[axis]),
                 kind.full("s"): float(np.clip(disturbances.correlation_time_s[axis], 0.02, 20.0)),
             }
         )
-        slow_std_Nm = float(disturbances.slow_std_Nm[axis])
+        slow_std_Nm = float(disturbances.slow_std[axis])
         effects += [gusts, _renamed(gusts, f"slow_drift.{name}", slow_std_Nm, SLOW_CORRELATION_TIME_s)]
     return type(model)(tuple(effects))
 

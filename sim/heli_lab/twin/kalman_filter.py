@@ -7,7 +7,7 @@ implicit midpoint rule predicts
     x+ = x + Gamma (f(x, u) + B (g + d + c)),
     Gamma = (I - h A / 2)^-1 h,   Phi = (I - h A / 2)^-1 (I + h A / 2),
 
-with the Jacobian A of f: the rule by which `heli_lab.innovations` linearises, at the filter's own state. What
+with the Jacobian A of f: the rule by which `heli_lab.estimation` linearises, at the filter's own state. What
 a parameter p that the model does not know of has moved follows beside it: s+ = F s + Gamma df/dp.
 """
 
@@ -18,20 +18,14 @@ from typing import Final
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_sim.model.base import Effect, Model
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 from scipy.special import erf
 
-from heli_lab.identify.functions import Floats
-from heli_lab.innovations import (
-    AlongTrajectory,
-    DisturbanceModel,
-    ModelFunctions,
-    Trajectory,
-    _kalman,
-)
-from heli_lab.innovations.parameter_vector import TORQUE_STD_Nm
+from heli_lab.estimation import AlongTrajectory, DisturbanceModel, Trajectory, _kalman
+from heli_lab.identify.flight_model import TORQUE_STD_Nm, model_functions
 from heli_lab.twin.changes import SCALES, SUPPLY, Change, changes_of, extended, free_numbers
 from heli_lab.twin.likelihood_ratio import ONSETS, Innovation
 
@@ -79,16 +73,15 @@ class TwinModel:
         self.rig, self.model = rig, calm
         self.changes: tuple[Change, ...] = changes_of(calm)
         more = extended(calm)
-        self.functions = ModelFunctions(more, free_numbers(self.changes))
-        more = self.functions.model
-        self.plain = ModelFunctions(more, ())
+        self.functions = model_functions(more, free_numbers(self.changes))
+        more = self.functions.model.source
+        self.plain = model_functions(more, ())
         """The same without derivatives by what may change: quicker."""
         self.parameters: Floats = more.parameter_values(rig)
         names = self.functions.names
         self.delay_s = float(self.parameters[names.index(more.delay)]) if more.delay else 0.0
-        pushes = any(effect.pushes_below_dead_zone for effect in more.effects)
-        non_negative = not self.parameters[names.index("reverse_thrust")] and not pushes
-        self.least_V = float(self.parameters[names.index("dead_zone")]) if non_negative else -np.inf
+        dead_zone_V = more.dead_zone_V(self.parameters)
+        self.least_V = -np.inf if dead_zone_V is None else dead_zone_V
         """Voltage below which a motor does nothing."""
         self.states = len(more.states)
         self.frictions = [
@@ -200,8 +193,8 @@ class KalmanFilter:
                 [_ANGLE_STD_rad] * 3,
                 [_RATE_STD_rad_s] * 3,
                 [_OWN_STD] * (nx - 6),
-                disturbances.fast_std_Nm,
-                disturbances.slow_std_Nm,
+                disturbances.fast_std,
+                disturbances.slow_std,
                 constant,
                 zeros,
             )
@@ -211,7 +204,7 @@ class KalmanFilter:
         self._memory: Floats = np.ones(order)
         self._memory[nx : nx + 6] = memory
         self._noise: Floats = np.zeros(order)
-        self._noise[nx : nx + 6] = (1.0 - memory**2) * disturbances.variance_N2m2
+        self._noise[nx : nx + 6] = (1.0 - memory**2) * disturbances.variance
         self._count_rad = count_rad
         self._variance_rad2: Floats = count_rad**2 / 12.0 * disturbances.quantisation
         self.moved: Floats = np.zeros((order, twin.weights.shape[1], ONSETS))
@@ -382,7 +375,7 @@ def start_state(twin: TwinModel, t_s: Floats, angles_rad: Floats, volts_V: Float
     state = np.concatenate((angles_rad[-1], rate))
     offset = np.deg2rad([twin.rig[name].value for name in ZEROS])
     state[: len(ZEROS)] -= offset
-    if twin.functions.own_states:
+    if twin.functions.extra_states:
         course = Trajectory(
             t_s + 0.5 * step_s, np.hstack((angles_rad, rates)), volts_V, step_s, twin.parameters
         )

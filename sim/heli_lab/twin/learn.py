@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_host.errors import FlightAborted
 from heli_host.flight import Flight
 from heli_sim.model.base import Model
@@ -15,10 +16,9 @@ from heli_sim.model.linear import derivatives, trim
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
+from heli_lab.estimation import BLOCK_s, DisturbanceModel, estimate
 from heli_lab.identify import Record, prepare
-from heli_lab.identify.functions import Floats
-from heli_lab.innovations import DisturbanceModel, ModelFunctions, ParameterVector, estimate, kinematic_filter
-from heli_lab.innovations.linearised_flight import BLOCK_s
+from heli_lab.identify.flight_model import RigParameters, kinematic_filter, model_functions
 from heli_lab.twin.calibration import QUIET, Calibration, Tail, fit_tail
 from heli_lab.twin.flights import count_rad_of, samples_of
 from heli_lab.twin.healthy_flights import fly_simulated, in_weather, random_plan
@@ -47,15 +47,15 @@ def learn_disturbances(model: Model, rig: Rig, records: Sequence[Record]) -> Dis
     """Estimate the weather of healthy flights; the rig's numbers stay, zeros and constant torques are each
     flight's own.
     """
-    shared = ParameterVector(model, rig, records)
+    shared = RigParameters(model, rig, records)
     values = dict(zip((q.name for q in model.parameters), model.parameter_values(rig), strict=True))
     fixed = {
         parameter.quantity: float(values[parameter.quantity])
         for parameter in shared.free
         if parameter.record is None
     }
-    parameter_vector = ParameterVector(model, rig, records, fixed)
-    functions = ModelFunctions(model, parameter_vector.quantities)
+    parameter_vector = RigParameters(model, rig, records, fixed)
+    functions = model_functions(model, parameter_vector.quantities)
     estimate_ = estimate(
         parameter_vector, [kinematic_filter(record) for record in records], functions, parameter_vector.start
     )
@@ -90,10 +90,10 @@ def at_least_rounding(
     least_Nm = 2.0 * rounding_rad / (np.abs(np.diagonal(by_torque)) * SHOWS_s**2)
     # A gust that is shorter moves an axis less: as the root of the impulses that add up.
     share = np.minimum(np.sqrt(8.0 * disturbances.correlation_time_s / (3.0 * SHOWS_s)), 1.0)
-    small = disturbances.fast_std_Nm * share < least_Nm
+    small = disturbances.fast_std * share < least_Nm
     return replace(
         disturbances,
-        fast_std_Nm=np.where(small, least_Nm, disturbances.fast_std_Nm),
+        fast_std=np.where(small, least_Nm, disturbances.fast_std),
         correlation_time_s=np.where(small, SHOWS_s, disturbances.correlation_time_s),
         quantisation=np.maximum(disturbances.quantisation, 1.0),
         curvature=None,
@@ -102,7 +102,7 @@ def at_least_rounding(
 
 def is_calm(disturbances: DisturbanceModel) -> bool:
     """Whether about some axis there was so little weather that that of an ordinary day will be an alarm."""
-    return bool(np.any(disturbances.fast_std_Nm < _CALM * QUIET.fast_std_Nm))
+    return bool(np.any(disturbances.fast_std < _CALM * QUIET.fast_std))
 
 
 def learn_disturbances_of_flights(

@@ -17,11 +17,11 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from heli_host.arrays import Floats, Integers
 from heli_sim.model.parts import AXES
 from scipy.special import log_ndtr, logsumexp
 
-from heli_lab.identify.functions import Floats, Integers
-from heli_lab.innovations.linearised_flight import BLOCK_s
+from heli_lab.estimation import BLOCK_s
 from heli_lab.twin.changes import Change
 
 RECENT: Final = 12

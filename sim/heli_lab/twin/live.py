@@ -8,12 +8,12 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from heli_host.arrays import Floats, Integers
 from heli_host.link.channels import rad_per_count
 from heli_host.link.clock import TICK_S
 from heli_host.twins import TwinNews
 
 from heli_lab.errors import TwinError
-from heli_lab.identify.functions import Floats, Integers
 from heli_lab.twin.files import TwinRig, open_rig
 from heli_lab.twin.flights import samples_of_ticks
 from heli_lab.twin.kalman_filter import TwinModel

@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from heli_host.arrays import Floats, Integers
 
-from heli_lab.identify.functions import Floats, Integers
-from heli_lab.innovations.reference_trajectory import STEP_s
+from heli_lab.estimation.reference_trajectory import STEP_s
 
 BRIDGED_s: Final = 0.04
 """Longest gap over which the filter goes on with the last voltage, s: one of its measurements is missing

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 
-from heli_lab.identify.functions import Floats
-from heli_lab.innovations.linearised_flight import BLOCK_s
+from heli_lab.estimation import BLOCK_s
 from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.free_flight import FreeFlight
 from heli_lab.twin.ghost import Ghost

@@ -149,9 +149,9 @@ def _numbers(chosen: TwinRig, flights: list[Followed], hours: float) -> dict[str
         "hours": hours,
         "threshold_nats": chosen.calibration.threshold_nats(hours),
         "disturbances": {
-            "fast_std_Nm": disturbances.fast_std_Nm.tolist(),
+            "fast_std_Nm": disturbances.fast_std.tolist(),
             "correlation_time_s": disturbances.correlation_time_s.tolist(),
-            "slow_std_Nm": disturbances.slow_std_Nm.tolist(),
+            "slow_std_Nm": disturbances.slow_std.tolist(),
             "quantisation": disturbances.quantisation.tolist(),
         },
         "flights": [

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
+from heli_host.arrays import Floats
 
 from heli_sim.errors import RigError
-
-Floats = npt.NDArray[np.float64]
 
 SCALE_N: Final = 0.00981
 """Smallest step of the scale that thrust is read from: a gram."""

@@ -18,15 +18,13 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
+from heli_host.arrays import Floats
 
 from heli_sim.bench.thrust_curve import SCALE_N, ThrustCurve
 from heli_sim.errors import RigError
 from heli_sim.model import MultibodyModel
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Number, Rig
-
-Floats = npt.NDArray[np.float64]
 
 OFF: Final = 2.0
 """Tolerances by which a test may miss what the numbers found give before it is said: 1 is missed by chance

@@ -8,6 +8,7 @@ parameters and states of its own.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Final
 
@@ -81,6 +82,28 @@ class Model(ABC):
             raise PlantError(f"{' and '.join(delays)} both delay the voltages of '{self.name}'", "keep one")
         self.delay: str = delays[0] if delays else ""
         """Name of the parameter by which the voltages act late, or empty."""
+
+    def dead_zone_V(self, parameters: npt.NDArray[np.float64], free: Collection[str] = ()) -> float | None:
+        """Voltage below which no rotor gives thrust.
+
+        Parameters
+        ----------
+        parameters : ndarray (p,)
+            All parameters, in the order of `parameters`.
+        free : collection of str
+            Parameters that are being estimated: what holds at their values may not hold beside them.
+
+        Returns
+        -------
+        float or None
+            None where rotors may push at lower voltages: reversed, or by an effect within the dead zone.
+        """
+        names = [quantity.name for quantity in self.parameters]
+        if parameters[names.index("reverse_thrust")] or "reverse_thrust" in free:
+            return None
+        if any(effect.pushes_below_dead_zone for effect in self.effects):
+            return None
+        return float(parameters[names.index("dead_zone")])
 
     @abstractmethod
     def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:

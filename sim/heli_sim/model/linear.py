@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
+from heli_host.arrays import Floats
 
 from heli_sim.errors import PlantError
 from heli_sim.model.base import Model
@@ -17,7 +18,6 @@ from heli_sim.rig import Rig
 if TYPE_CHECKING:
     import control
 
-Floats = npt.NDArray[np.float64]
 
 OUTPUTS: Final = ("elevation_rad", "pitch_rad", "travel_rad")
 _RESIDUAL: Final = 1e-10  # of rad/s2, and of N/s of a lag: far below what an encoder could see

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from heli_lab import code_digest
 from heli_lab.diagnose.search import EstimateCache, fingerprint
 from heli_lab.errors import IdentifyError
 from heli_lab.identify import Record, prepare
@@ -36,6 +37,20 @@ def test_digest_tells_flights_rigs_models_and_parts_apart() -> None:
     digests = [fingerprint(*one) for one in others]
     assert len(set(digests)) == len(digests)
     assert fingerprint(*others[0]) == digests[0]
+
+
+def test_a_rebuilt_filter_makes_another_fingerprint(monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments = MultibodyModel(), load_rig("makki2024"), [_record()]
+    before, read = fingerprint(*arguments), Path.read_bytes
+
+    def rebuilt(path: Path) -> bytes:
+        return read(path) + (b"rebuilt" if path.name.startswith("_kalman.") else b"")
+
+    monkeypatch.setattr(Path, "read_bytes", rebuilt)
+    code_digest.package_digest.cache_clear()
+    after = fingerprint(*arguments)
+    code_digest.package_digest.cache_clear()
+    assert after != before
 
 
 @pytest.mark.parametrize(

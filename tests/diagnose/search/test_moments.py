@@ -41,7 +41,7 @@ def test_a_step_hidden_by_disturbances_is_scored_where_the_torque_jumps() -> Non
     record = prepare(flights(f"counterweight_shift=0.009@{MOMENT_s}")[0], rig, "fit")
     base = ModelComparison(MultibodyModel(), rig, [record], []).refit([])
     slow = base.estimate.disturbances
-    assert slow.slow_std_Nm[0] > 0.01 or slow.fast_std_Nm[0] > 0.01
+    assert slow.slow_std[0] > 0.01 or slow.fast_std[0] > 0.01
     (found,) = Screening(base.estimate).effects([KINDS["counterweight_shift"]])
     assert found.candidate.grid["counterweight_shift_at_s"] == pytest.approx(MOMENT_s, abs=0.3)
     assert found.log_likelihood_gain > 30.0

@@ -9,7 +9,7 @@ import numpy as np
 from heli_lab.diagnose.discover.equation import Equation, EquationEffect, EquationTerm
 from heli_lab.diagnose.discover.terms import Term
 from heli_lab.diagnose.search import Hypothesis
-from heli_lab.innovations import Estimate
+from heli_lab.estimation import Estimate
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+from heli_host.arrays import Floats
 
-from heli_lab.identify.functions import Floats
-from heli_lab.innovations import AlongTrajectory, Estimate
+from heli_lab.estimation import AlongTrajectory, Estimate
 
 
 def accelerations(estimate: Estimate, name: str, index: int = 0) -> tuple[Floats, Floats]:
@@ -30,7 +30,7 @@ def accelerations(estimate: Estimate, name: str, index: int = 0) -> tuple[Floats
         for an effect on measurements.
     """
     linear = estimate.filtered().linearised_flights[index]
-    model = linear.model
+    model = linear.model.source
     less = type(model)(tuple(effect for effect in model.effects if effect.name != name))
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))

@@ -10,7 +10,7 @@ import numpy as np
 
 from heli_lab.diagnose.discover.equation import Equation, Group, equation_effect
 from heli_lab.diagnose.discover.scoring import ScoredGroup, TermSignals, term_coefficient_std
-from heli_lab.diagnose.search import Candidate, Hypothesis, ModelComparison, RefitSpec
+from heli_lab.diagnose.search import Candidate, Hypothesis, ModelComparison
 from heli_lab.diagnose.thresholds import AMBIGUOUS, NEAR_REST_NATS, SIGNIFICANT_STD_ERRORS
 
 
@@ -96,15 +96,15 @@ class EquationRefits:
         rest = sum(NEAR_REST_NATS for term in group.terms if _on_own_rate(term.channel, term.term.key))
         return 0.5 * free * math.log(self.comparison.rows) + math.log(self.tried[group.size]) + rest
 
-    def spec(
+    def refit(
         self,
         equation: Equation,
         signals: TermSignals,
         start: Mapping[str, float],
         warm_start: Hypothesis,
         held: frozenset[str] = frozenset(),
-    ) -> RefitSpec:
-        """Specify the refit of the model with an equation.
+    ) -> Hypothesis:
+        """Estimate the model with an equation.
 
         Parameters
         ----------
@@ -126,12 +126,12 @@ class EquationRefits:
         linear = tuple(f"{effect.prefix}_{name}" for name in equation.coefficients)
         text = f"equation:{equation.key}" + "".join(f" [{n}={start[n]:g}]" for n in sorted(held))
         candidate = Candidate(text, effect, linear)
-        return RefitSpec([*self.base.candidates, candidate], values, warm_start)
+        return self.comparison.refit([*self.base.candidates, candidate], values, warm_start)
 
-    def extended(
+    def refit_extended(
         self, scored: ScoredGroup, equation: Equation, known: RefittedEquation | None, signals: TermSignals
-    ) -> RefitSpec:
-        """Specify the refit of an equation that has one more group of terms.
+    ) -> RefittedEquation:
+        """Refit an equation that has one more group of terms.
 
         Parameters
         ----------
@@ -151,21 +151,10 @@ class EquationRefits:
         # Disturbances of the base would replace the known terms once more: start from those that remain with
         # these terms.
         warm_start = known.hypothesis if known else self.base
-        return self.spec(equation, signals, start, warm_start, known.held if known else frozenset())
-
-    def refit(self, spec: RefitSpec) -> Hypothesis:
-        """Estimate the model with an equation."""
-        return self.comparison.refit(spec.candidates, spec.start, spec.warm_start)
-
-    def refit_extended(
-        self, scored: ScoredGroup, equation: Equation, spec: RefitSpec, known: RefittedEquation | None
-    ) -> RefittedEquation:
-        """Carry out the refit that `extended` specifies as `spec`; the other arguments are those of
-        `extended`: the `scored` group, the whole `equation`, and what was `known`.
-        """
         held = known.held if known else frozenset()
+        hypothesis = self.refit(equation, signals, start, warm_start, held)
         penalty = self.penalty(scored.group, equation, held) + (known.penalty if known else 0.0)
-        return RefittedEquation(equation, self.refit(spec), penalty, scored.group, held)
+        return RefittedEquation(equation, hypothesis, penalty, scored.group, held)
 
     def prior_std(self, equation: Equation, signals: TermSignals) -> dict[str, float]:
         """Prior standard deviations of the coefficients of an `equation`, by name without prefix, from the
@@ -214,7 +203,7 @@ class EquationRefits:
         penalty = refitted.penalty - 0.5 * math.log(self.comparison.rows)
         if gone in group.terms:
             group = Group(tuple(term for term in group.terms if term != gone), group.size)
-        hypothesis = self.refit(self.spec(equation, signals, renamed, self.base, frozenset(held)))
+        hypothesis = self.refit(equation, signals, renamed, self.base, frozenset(held))
         return RefittedEquation(equation, hypothesis, penalty, group, frozenset(held))
 
     def with_whole_periods(self, refitted: RefittedEquation, signals: TermSignals) -> RefittedEquation:
@@ -238,7 +227,7 @@ class EquationRefits:
             return refitted
         held = refitted.held | frozenset(fixed)
         start = {**refitted.values, **fixed}
-        hypothesis = self.refit(self.spec(refitted.equation, signals, start, self.base, held))
+        hypothesis = self.refit(refitted.equation, signals, start, self.base, held)
         penalty = refitted.penalty - 0.5 * len(fixed) * math.log(self.comparison.rows)
         whole = RefittedEquation(refitted.equation, hypothesis, penalty, refitted.group, held)
         return whole if whole.margin > refitted.margin - AMBIGUOUS else refitted

@@ -15,6 +15,7 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.base import Model
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Prior
@@ -33,16 +34,9 @@ from heli_lab.diagnose.search import (
 )
 from heli_lab.diagnose.thresholds import CURVE_SHARE
 from heli_lab.diagnose.wording import SHOWN, quantity_in_words
-from heli_lab.identify.functions import Floats
-from heli_lab.innovations import (
-    AlongTrajectory,
-    Estimate,
-    LinearisedFlight,
-    ModelFunctions,
-    ParameterVector,
-    Trajectory,
-)
-from heli_lab.innovations.estimate import estimate_disturbances
+from heli_lab.estimation import AlongTrajectory, Estimate, LinearisedFlight, Trajectory
+from heli_lab.estimation.estimate import estimate_disturbances
+from heli_lab.identify.flight_model import RigParameters, model_functions
 
 _LAGS_s: Final = (0.03, 0.06, 0.1, 0.15)
 """Time constants of lags that measure how fast a thrust changes: those of rotors."""
@@ -158,11 +152,11 @@ def _without(estimate: Estimate, name: str) -> Estimate:
     full = estimate.parameter_vector
     model = type(full.model)(tuple(effect for effect in full.model.effects if effect.name != name))
     records = [reference.record for reference in estimate.references]
-    parameter_vector = ParameterVector(model, full.rig, records)
+    parameter_vector = RigParameters(model, full.rig, records)
     values = dict(zip(full.names, estimate.theta, strict=True))
     start = zip(parameter_vector.names, parameter_vector.start, strict=True)
     theta = np.array([values.get(parameter, value) for parameter, value in start])
-    functions = ModelFunctions(model, parameter_vector.quantities)
+    functions = model_functions(model, parameter_vector.quantities)
     less = replace(
         estimate,
         parameter_vector=parameter_vector,
@@ -183,13 +177,13 @@ def _held(estimate: Estimate, names: Iterable[str]) -> Estimate:
     values = dict(zip(full.names, map(float, estimate.theta), strict=True))
     known = {name: values[name] for name in names if name in values}
     records = [reference.record for reference in estimate.references]
-    parameter_vector = ParameterVector(full.model, full.rig, records, fixed=known)
+    parameter_vector = RigParameters(full.model, full.rig, records, fixed=known)
     return replace(
         estimate,
         parameter_vector=parameter_vector,
         theta=np.array([values[parameter] for parameter in parameter_vector.names]),
         covariance=np.diag(parameter_vector.std**2),
-        functions=ModelFunctions(full.model, parameter_vector.quantities),
+        functions=model_functions(full.model, parameter_vector.quantities),
     )
 
 
@@ -205,7 +199,7 @@ def _smoothed_torque(estimate: Estimate) -> tuple[Floats, Floats]:
     """Smoothed disturbance torques about the three axes, (k, 3) over all flights, and their
     standard errors.
     """
-    smoothed = estimate.filtered().smoothed_torques(estimate.disturbances, np.zeros(len(estimate.theta)))
+    smoothed = estimate.filtered().smoothed_disturbances(estimate.disturbances, np.zeros(len(estimate.theta)))
     return np.concatenate([values for _, values, _ in smoothed]), np.concatenate(
         [values for _, _, values in smoothed]
     )
@@ -214,11 +208,11 @@ def _smoothed_torque(estimate: Estimate) -> tuple[Floats, Floats]:
 def _contributed_torque(with_: LinearisedFlight, without: LinearisedFlight) -> Floats:
     """Torque about each axis that is equivalent to an effect, along the trajectory, shape (n, 3)."""
     change = _accelerations(with_) - _accelerations(without)
-    return without.torque_for(change)
+    return without.disturbance_for(change)
 
 
 def _accelerations(linear: LinearisedFlight) -> Floats:
-    return _along(linear.model, linear.trajectory, lambda *at: linear.model.dynamics(*at)[3:6])
+    return _along(linear.model.source, linear.trajectory, lambda *at: linear.model.source.dynamics(*at)[3:6])
 
 
 def _along(model: Model, trajectory: Trajectory, of: Callable[..., ca.SX]) -> Floats:
@@ -233,7 +227,7 @@ def _quantities(linear: LinearisedFlight) -> dict[str, Floats]:
     """Quantities that a cause may depend on, shape (n,), by name: those of spline terms, and how fast the
     thrust changes, on which lags and delays depend.
     """
-    values = quantity_values(linear.model, linear.trajectory)
+    values = quantity_values(linear.model.source, linear.trajectory)
     for name, time_s in itertools.product(("thrust", "thrust_difference"), _LAGS_s):
         late = _lagged(values[name], linear.trajectory.step_s / time_s)
         values[f"change of {name} within {time_s:g} s"] = values[name] - late
@@ -284,13 +278,13 @@ def _missing_angle(estimate: Estimate, less: Estimate, cause: Candidate) -> Miss
     screenings = Screening(less), Screening(_held(estimate, cause.effect.values))
     linearised_flights = screenings[1].filtered.linearised_flights
     equations = [
-        _along(linear.model, linear.nodes, linear.model.measurement)
-        - _along(other.model, other.nodes, other.model.measurement)
+        _along(linear.model.source, linear.nodes, linear.model.source.measurement)
+        - _along(other.model.source, other.nodes, other.model.source.measurement)
         for linear, other in zip(linearised_flights, screenings[0].filtered.linearised_flights, strict=True)
     ]
     equation = np.concatenate(equations)
     axis = int(np.argmax(equation.std(axis=0)))
-    places = [quantity_values(linear.model, linear.nodes) for linear in linearised_flights]
+    places = [quantity_values(linear.model.source, linear.nodes) for linear in linearised_flights]
     place, on, on_unit = _best_place(places, equation[:, axis], cause)
     name = next((n for n in places[0] if quantity_in_words(n) == on), AXES[axis])
     place = np.concatenate([quantities[name] for quantities in places])

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.discover.discovery import Discovery
@@ -25,7 +26,6 @@ from heli_lab.diagnose.thresholds import (
     HELD_OUT_NATS,
     MAX_CONFIDENCE,
 )
-from heli_lab.identify.functions import Floats
 
 
 @dataclass(frozen=True)
@@ -148,9 +148,9 @@ def term_trace(discovery: Discovery) -> TermTrace:
     label = with_equation.references[0].record.label
     term_s, change = accelerations(with_equation, discovery.effect.name)
     signals = TermSignals(Screening(with_equation))
-    torque = signals.linearised_flights[0].torque_for(change)
+    torque = signals.linearised_flights[0].disturbance_for(change)
     axis = int(np.argmax(torque.std(axis=0)))
-    t_s, missing, std = without.filtered().smoothed_torques(
+    t_s, missing, std = without.filtered().smoothed_disturbances(
         without.disturbances, np.zeros(len(without.theta))
     )[0]
     term_Nm = np.interp(t_s, term_s, torque[:, axis])

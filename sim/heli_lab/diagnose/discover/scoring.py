@@ -10,6 +10,7 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.discover.equation import (
@@ -21,8 +22,7 @@ from heli_lab.diagnose.discover.equation import (
 )
 from heli_lab.diagnose.discover.terms import SYMBOLS, Factor, Term
 from heli_lab.diagnose.search import ExtendedModel, Screening, score_of
-from heli_lab.identify.functions import Floats
-from heli_lab.innovations import AlongTrajectory, LinearisedFlight, Trajectory
+from heli_lab.estimation import AlongTrajectory, LinearisedFlight, Trajectory
 from heli_lab.threads import parallel_map
 
 _LARGEST: Final[Mapping[str, float]] = {
@@ -158,7 +158,7 @@ class TermSignals:
                 effect = equation_effect(
                     equation, dict.fromkeys(equation.coefficients, 1.0), name="unit_term"
                 )
-                self._extended[channel] = ExtendedModel(linear.model, effect, tuple(effect.priors))
+                self._extended[channel] = ExtendedModel(linear.model.source, effect, tuple(effect.priors))
             extended = self._extended[channel]
             rates, angles = extended.run(linear.trajectory, extended.effect.values)
             self._influences[index, channel] = angles if channel.startswith("measurement") else rates
@@ -252,7 +252,7 @@ def _regressors(
     kind, _, where = channel.partition(".")
     if kind == "torque":
         torques = [np.concatenate([by_flight[i] for by_flight in values], axis=1) for i in flights]
-        return screening.filtered.torque_regressors(disturbances, AXES.index(where), torques)
+        return screening.filtered.disturbance_regressors(disturbances, AXES.index(where), torques)
     changes: list[tuple[Floats, Floats | None]] = []
     for i in flights:
         columns = np.concatenate(
@@ -282,7 +282,7 @@ def term_coefficient_std(term: EquationTerm, rms: float) -> float:
 
 def _quantities(linear: LinearisedFlight, trajectory: Trajectory) -> dict[str, Floats]:
     """Values of every quantity along a trajectory, (n,), or (n, 2) if each rotor has its own."""
-    model = linear.model
+    model = linear.model.source
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
     at = model.driven(x, u, p, t)

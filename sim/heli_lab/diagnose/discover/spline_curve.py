@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 
 from heli_lab.diagnose.search import KNOTS, QUANTITIES, SplineTerm, bspline_basis
 from heli_lab.diagnose.wording import SHOWN, channel_in_words, quantity_in_words
-from heli_lab.identify.functions import Floats
-from heli_lab.innovations import Estimate
+from heli_lab.estimation import Estimate
 
 _DRAWN: Final = 200
 """Points of a drawn curve."""

@@ -24,7 +24,7 @@ from heli_lab.diagnose.discover.equation_refit import EquationRefits, RefittedEq
 from heli_lab.diagnose.discover.grammar import groups, tried_up_to
 from heli_lab.diagnose.discover.listed_effects import ListedEffects
 from heli_lab.diagnose.discover.scoring import ScoredGroup, TermSignals, score
-from heli_lab.diagnose.search import Hypothesis, ModelComparison, RefitSpec, Screening
+from heli_lab.diagnose.search import Hypothesis, ModelComparison, Screening
 from heli_lab.diagnose.thresholds import (
     EQUATION_FINALISTS,
     EQUATION_MAX_ALIKE,
@@ -35,7 +35,7 @@ from heli_lab.diagnose.thresholds import (
     EXPECTED_REFIT_GAIN,
     MIN_MARGIN,
 )
-from heli_lab.innovations import DisturbanceModel
+from heli_lab.estimation import DisturbanceModel
 
 _NO_DRIFT_Nm: Final = 2e-5
 """Practically zero; covariances stay regular."""
@@ -89,35 +89,35 @@ class EquationSearch:
         ):
             scored.setdefault(scored_group.group.key, scored_group)
         likely = [
-            (scored_group, equation, self.refits.extended(scored_group, equation, known, signals))
+            (scored_group, equation)
             for scored_group in scored.values()
             if (equation := extended_equation(scored_group, known)) is not None
         ]
-        best = self._best(likely, known, warm_start)
+        best = self._best(likely, known, warm_start, signals)
         return None if best is None else self.refits.simplified(best, signals)
 
     def _best(
         self,
-        likely: Sequence[tuple[ScoredGroup, Equation, RefitSpec]],
+        likely: Sequence[tuple[ScoredGroup, Equation]],
         known: RefittedEquation | None,
         warm_start: Hypothesis,
+        signals: TermSignals,
     ) -> RefittedEquation | None:
         """The refit of the largest margin; None if it does not exceed what was known by `MIN_MARGIN`."""
         best: RefittedEquation | None = None
         rivals = dict[str, float]()
         kept = 0
         known_penalty = known.penalty if known else 0.0
-        with self.refits.comparison.prefetch(spec for *_, spec in likely[:EQUATION_FINALISTS]):
-            for scored_group, equation, spec in likely:
-                if kept >= EQUATION_FINALISTS:
-                    break
-                self.say(f"trying {scored_group.group.key}")
-                made = self.refits.refit_extended(scored_group, equation, spec, known)
-                gain = made.hypothesis.log_likelihood - warm_start.log_likelihood
-                kept += gain >= EQUATION_MIN_REFIT_SHARE * scored_group.log_likelihood_gain
-                rivals[scored_group.group.key] = gain - (made.penalty - known_penalty)
-                if best is None or made.margin > best.margin:
-                    best = made
+        for scored_group, equation in likely:
+            if kept >= EQUATION_FINALISTS:
+                break
+            self.say(f"trying {scored_group.group.key}")
+            made = self.refits.refit_extended(scored_group, equation, known, signals)
+            gain = made.hypothesis.log_likelihood - warm_start.log_likelihood
+            kept += gain >= EQUATION_MIN_REFIT_SHARE * scored_group.log_likelihood_gain
+            rivals[scored_group.group.key] = gain - (made.penalty - known_penalty)
+            if best is None or made.margin > best.margin:
+                best = made
         if best is None or best.margin - (warm_start.log_likelihood - known_penalty) <= MIN_MARGIN:
             return None
         chosen = rivals.pop(best.group.key)
@@ -145,11 +145,11 @@ class EquationSearch:
         every : sequence of Group
             All groups; those on encoders are not scored.
         """
-        drifts = disturbances.slow_std_Nm > disturbances.fast_std_Nm
+        drifts = disturbances.slow_std > disturbances.fast_std
         if not drifts.any():
             return []
         still = replace(
-            disturbances, slow_std_Nm=np.where(drifts, _NO_DRIFT_Nm, disturbances.slow_std_Nm), curvature=None
+            disturbances, slow_std=np.where(drifts, _NO_DRIFT_Nm, disturbances.slow_std), curvature=None
         )
         acting = [group for group in every if not group.terms[0].channel.startswith("measurement")]
         scored = score(Screening(replace(warm_start.estimate, disturbances=still)), signals, acting)

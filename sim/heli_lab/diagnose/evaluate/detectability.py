@@ -8,8 +8,8 @@ from heli_sim.model.effects import EffectKind
 
 from heli_lab.diagnose.search import Scored
 from heli_lab.diagnose.thresholds import DETECTION_STD_ERRORS
+from heli_lab.estimation import Estimate
 from heli_lab.identify.uncertainty import uninformed_parameters
-from heli_lab.innovations import Estimate
 
 
 def undetectable_effects(screened: Sequence[Scored], kinds: Mapping[str, EffectKind]) -> tuple[str, ...]:

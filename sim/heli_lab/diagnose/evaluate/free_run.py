@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.base import Model
 from heli_sim.rig import Prior, Rig
 
@@ -25,7 +26,6 @@ from heli_lab.diagnose.thresholds import CALIBRATE_SHARE, CALIBRATE_s
 from heli_lab.errors import IdentifyError
 from heli_lab.identify import Fit, Problem, Record, solve, trace
 from heli_lab.identify.free import flight_constants
-from heli_lab.identify.functions import Floats
 from heli_lab.identify.thresholds import LEAST_SEGMENT_S
 
 HORIZONS: Final[Mapping[str, int]] = {"0.5": 4, "1": 2, "2": 1}

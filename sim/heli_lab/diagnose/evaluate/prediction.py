@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 
+from heli_lab.estimation import Estimate
 from heli_lab.identify import Fit, Problem, Record, solve
-from heli_lab.identify.functions import Floats
-from heli_lab.innovations import Estimate
 
 _STEP_s: Final = 0.004
 """Integration step. With 10 ms, fits of effects that change within milliseconds, such as dry friction,

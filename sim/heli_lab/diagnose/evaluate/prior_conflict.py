@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from heli_sim.rig import Prior
 
 from heli_lab.diagnose.thresholds import PRIOR_CONFLICT_STD
+from heli_lab.estimation import Estimate
+from heli_lab.estimation.estimate import estimate as estimated
+from heli_lab.estimation.parameter_vector import Prior
 from heli_lab.identify import Fit
-from heli_lab.innovations import Estimate
-from heli_lab.innovations.estimate import estimate as estimated
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.search import Screening, quantity_values
 from heli_lab.diagnose.thresholds import FALSE_DISCOVERY_RATE
-from heli_lab.identify.functions import Floats
-from heli_lab.innovations import Estimate
+from heli_lab.estimation import Estimate
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -139,21 +139,10 @@ def failing_regions(before: Estimate, after: Estimate, axis: str, first: str = "
     return FailingRegions(axis, first, second, edges[first], edges[second], then, now)
 
 
-def false_discoveries(p: Floats, rate: float = FALSE_DISCOVERY_RATE) -> Booleans:
-    """Return which of the tests with p-values `p`, shape (n,), are significant at a false discovery
-    `rate`.
-    """
-    order = np.argsort(p)
-    under = p[order] <= rate * np.arange(1, len(p) + 1) / max(len(p), 1)
-    count = int(np.nonzero(under)[0].max()) + 1 if under.any() else 0
-    chosen = np.zeros(len(p), bool)
-    chosen[order[:count]] = True
-    return chosen
-
-
 def _values(screening: Screening) -> dict[str, Floats]:
     every = [
-        quantity_values(linear.model, linear.trajectory) for linear in screening.filtered.linearised_flights
+        quantity_values(linear.model.source, linear.trajectory)
+        for linear in screening.filtered.linearised_flights
     ]
     return {name: np.concatenate([values[name] for values in every]) for name in _PLANES}
 
@@ -195,7 +184,7 @@ def _scores(screening: Screening, axis: str, place: npt.NDArray[np.int64], count
     for low in range(0, len(visited), screening.batch):
         some = visited[low : low + screening.batch]
         inside = np.asarray(place[:, None] == some[None, :], float)
-        only = screening.filtered.torque_regressors(
+        only = screening.filtered.disturbance_regressors(
             screening.estimate.disturbances, AXES.index(axis), np.split(inside, lengths)
         )
         parts = screening.projected(only, [1] * len(some))
@@ -207,19 +196,23 @@ def _test(
     screening: Screening, estimate: Estimate, axis: str, x: str, y: str, edges: Mapping[str, Floats]
 ) -> RegionTest:
     """Test the cells by a screening; the missing torque is smoothed with the estimate's own disturbances."""
+    # It takes most of a second to import.
+    from scipy.stats import false_discovery_control
+
     values = _values(screening)
     place = _number(values[x], edges[x]) * _CELLS + _number(values[y], edges[y])
     z = _scores(screening, axis, place, _CELLS**2)
     tested = np.nonzero(np.isfinite(z))[0]
     fails = np.zeros(_CELLS**2, bool)
-    # Two-sided p-values; math.erfc, because scipy.special takes longer to import than all of this.
-    chances = [math.erfc(abs(score) / math.sqrt(2.0)) for score in z[tested]]
-    fails[tested] = false_discoveries(np.array(chances))
-    smoothed = screening.filtered.smoothed_torques(estimate.disturbances, np.zeros(len(estimate.theta)))
+    # Two-sided p-values of standard normal scores, by the procedure of Benjamini and Hochberg.
+    p_values = [math.erfc(abs(score) / math.sqrt(2.0)) for score in z[tested]]
+    if p_values:
+        fails[tested] = false_discovery_control(p_values) <= FALSE_DISCOVERY_RATE
+    smoothed = screening.filtered.smoothed_disturbances(estimate.disturbances, np.zeros(len(estimate.theta)))
     trajectories = []
     for linear, (_, torque_Nm, _) in zip(screening.filtered.linearised_flights, smoothed, strict=True):
         rows = np.concatenate([blocks.rows for blocks in linear.blocks])
-        at = quantity_values(linear.model, linear.trajectory)
+        at = quantity_values(linear.model.source, linear.trajectory)
         axis_torque_Nm = torque_Nm[:, AXES.index(axis)]
         trajectories.append(PlaneTrajectory(at[x][rows], at[y][rows], axis_torque_Nm - axis_torque_Nm.mean()))
     every = np.concatenate([trajectory.torque_Nm for trajectory in trajectories])

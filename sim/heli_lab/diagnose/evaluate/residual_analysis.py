@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose import thresholds
@@ -25,8 +26,7 @@ from heli_lab.diagnose.search import (
     score_of,
     spline_candidates,
 )
-from heli_lab.identify.functions import Floats
-from heli_lab.innovations import BLOCK_s, DisturbanceModel, LinearisedFlight
+from heli_lab.estimation import BLOCK_s, DisturbanceModel, LinearisedFlight
 
 _MAX_CORRELATES: Final = 4
 """Longest list that a report shows."""
@@ -164,9 +164,9 @@ def disturbance_gains(screening: Screening) -> Floats:
     disturbances, filtered = screening.estimate.disturbances, screening.filtered
     less = [
         DisturbanceModel(
-            np.where(gone, _NO_TORQUE_Nm, disturbances.fast_std_Nm),
+            np.where(gone, _NO_TORQUE_Nm, disturbances.fast_std),
             disturbances.correlation_time_s,
-            np.where(gone, _NO_TORQUE_Nm, disturbances.slow_std_Nm),
+            np.where(gone, _NO_TORQUE_Nm, disturbances.slow_std),
             disturbances.quantisation,
         )
         for gone in np.eye(3, dtype=bool)
@@ -231,7 +231,9 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
             torques_Nm = [np.hstack([curves[place] for curves in group]) for place in flights]
             by_axis = [
                 screening.projected(
-                    screening.filtered.torque_regressors(screening.estimate.disturbances, axis, torques_Nm),
+                    screening.filtered.disturbance_regressors(
+                        screening.estimate.disturbances, axis, torques_Nm
+                    ),
                     sizes,
                 )
                 for axis in range(len(AXES))
@@ -288,7 +290,7 @@ def correlates(splines: Sequence[Scored]) -> list[str]:
 
 def _functions(linearised_flights: Sequence[LinearisedFlight]) -> dict[str, list[Floats]]:
     """Quantities, products of two, past thrusts, and rates near rest: (n, s) for each flight, by name."""
-    quantities = [quantity_values(linear.model, linear.trajectory) for linear in linearised_flights]
+    quantities = [quantity_values(linear.model.source, linear.trajectory) for linear in linearised_flights]
     centre, scale = {}, {}
     for name in _PRODUCTS:
         together = np.concatenate([values[name] for values in quantities])

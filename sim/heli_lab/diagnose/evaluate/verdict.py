@@ -126,7 +126,7 @@ def has_random_torque(residual: ResidualAnalysis, kinds: Mapping[str, EffectKind
     min_Nm = thresholds.RANDOM_TORQUE_MIN_SHARE * kind.typical[kind.size[0]] if kind else math.inf
     return bool(
         order[-1] > thresholds.RANDOM_TORQUE_NATS > order[-2]
-        and residual.disturbances.fast_std_Nm[axis] > min_Nm
+        and residual.disturbances.fast_std[axis] > min_Nm
         and residual.disturbances.correlation_time_s[axis] > thresholds.RANDOM_TORQUE_MIN_CORRELATION_s
     )
 

@@ -23,8 +23,8 @@ from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
 
 from heli_lab.diagnose.search import Hypothesis, ModelComparison
+from heli_lab.estimation import Estimate
 from heli_lab.identify import Record, prepare
-from heli_lab.innovations import Estimate
 
 _DECIMATION: Final = 2
 """The board logs every millisecond; fits of every second sample are equally good and take half the time."""

@@ -9,15 +9,15 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.discover import SplineCurve, accelerations
 from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.search import Round
 from heli_lab.diagnose.wording import channel_in_words, quantity_in_words, readable_id
+from heli_lab.estimation import Estimate
 from heli_lab.identify import Fit, Trace, trace
-from heli_lab.identify.functions import Floats
-from heli_lab.innovations import Estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -260,7 +260,7 @@ def _broken(drawn: Trace, axis: int) -> tuple[Floats, Floats]:
 
 def _torque(estimate: Estimate) -> tuple[Floats, Floats]:
     """Times and smoothed disturbance torques about the three axes of the first fitted flight."""
-    t_s, torque_Nm, _ = estimate.filtered().smoothed_torques(
+    t_s, torque_Nm, _ = estimate.filtered().smoothed_disturbances(
         estimate.disturbances, np.zeros(len(estimate.theta))
     )[0]
     return t_s, torque_Nm

@@ -129,9 +129,9 @@ def disturbances(analysis: ResidualAnalysis) -> dict[str, dict[str, float]]:
     estimated = analysis.disturbances
     return {
         axis: {
-            "fast_std_Nm": float(estimated.fast_std_Nm[i]),
+            "fast_std_Nm": float(estimated.fast_std[i]),
             "correlation_time_s": float(estimated.correlation_time_s[i]),
-            "slow_std_Nm": float(estimated.slow_std_Nm[i]),
+            "slow_std_Nm": float(estimated.slow_std[i]),
             "log_likelihood_ratio": float(analysis.gains[i]),
         }
         for i, axis in enumerate(AXES)

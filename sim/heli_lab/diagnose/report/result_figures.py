@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.discover import MissingTerm
 from heli_lab.diagnose.evaluate import ErrorReduction
 from heli_lab.diagnose.report.figures import AFTER, BEFORE, MEASURED
 from heli_lab.identify import Fit, Trace, trace
-from heli_lab.identify.functions import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -3,7 +3,7 @@
 from heli_lab.diagnose.search.candidate import Candidate, Scored, typical_candidate
 from heli_lab.diagnose.search.estimate_cache import EstimateCache, fingerprint
 from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, Refit, Round
-from heli_lab.diagnose.search.model_comparison import ModelComparison, RefitSpec
+from heli_lab.diagnose.search.model_comparison import ModelComparison
 from heli_lab.diagnose.search.regressors import ExtendedModel, spline_candidates
 from heli_lab.diagnose.search.screening import Screening, coefficient_std, score_of
 from heli_lab.diagnose.search.splines import (
@@ -28,7 +28,6 @@ __all__ = [
     "Hypothesis",
     "ModelComparison",
     "Refit",
-    "RefitSpec",
     "Round",
     "Scored",
     "Screening",

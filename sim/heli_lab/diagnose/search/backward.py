@@ -9,7 +9,7 @@ from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.search.acceptance import Acceptance
 from heli_lab.diagnose.search.candidate import Candidate, compatible
 from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, Refit, Round
-from heli_lab.diagnose.search.model_comparison import ModelComparison, RefitSpec
+from heli_lab.diagnose.search.model_comparison import ModelComparison
 from heli_lab.diagnose.search.progress import Progress
 from heli_lab.threads import parallel_map
 
@@ -87,21 +87,19 @@ class BackwardElimination:
         """The model with the causes alone that are needed, and by each of their ids the model without it."""
         while True:
             every = final.candidates
-            rests = {cause.id: [other for other in every if other is not cause] for cause in every}
             without: dict[str, Hypothesis] = {}
             less = final
-            with self.comparison.prefetch(RefitSpec(rest, {}, final) for rest in rests.values() if rest):
-                for number, candidate in enumerate(every):
-                    self.progress.check(candidate.id, number, len(every))
-                    rest = rests[candidate.id]
-                    less = self.comparison.refit(rest, None, final) if rest else self.baseline
-                    gain = final.log_likelihood - less.log_likelihood
-                    refit = Refit(final, gain, self.acceptance.penalty(candidate), 0.0)
-                    if refit.margin <= thresholds.MIN_MARGIN or not self.acceptance.is_significant(
-                        refit, candidate
-                    ):
-                        break
-                    without[candidate.id] = less
+            for number, candidate in enumerate(every):
+                self.progress.check(candidate.id, number, len(every))
+                rest = [other for other in every if other is not candidate]
+                less = self.comparison.refit(rest, None, final) if rest else self.baseline
+                gain = final.log_likelihood - less.log_likelihood
+                refit = Refit(final, gain, self.acceptance.penalty(candidate), 0.0)
+                if refit.margin <= thresholds.MIN_MARGIN or not self.acceptance.is_significant(
+                    refit, candidate
+                ):
+                    break
+                without[candidate.id] = less
             if len(without) == len(every):
                 return final, without
             final = less
@@ -126,20 +124,18 @@ class BackwardElimination:
         rest = [other for other in final.candidates if other is not candidate]
         likely = self._likely_alternatives(final, rest, round_)
         ratios: dict[str, float] = {}
-        specs = [RefitSpec([*rest, refit.candidate], refit.hypothesis.values, less) for refit in likely]
-        with self.comparison.prefetch(specs[: thresholds.ALTERNATIVES] if rest else ()):
-            for refit in likely:
-                if len(ratios) >= thresholds.ALTERNATIVES or (rest and not self.progress.refits_left()):
-                    break
-                other = refit.hypothesis
-                if rest:
-                    other = self.comparison.refit([*rest, refit.candidate], refit.hypothesis.values, less)
-                if not self.comparison.in_flight(other):
-                    continue
-                ahead = final.log_likelihood - other.log_likelihood
-                ratios[refit.candidate.id] = (
-                    ahead + self.acceptance.penalty(refit.candidate) - self.acceptance.penalty(candidate)
-                )
+        for refit in likely:
+            if len(ratios) >= thresholds.ALTERNATIVES or (rest and not self.progress.refits_left()):
+                break
+            other = refit.hypothesis
+            if rest:
+                other = self.comparison.refit([*rest, refit.candidate], refit.hypothesis.values, less)
+            if not self.comparison.in_flight(other):
+                continue
+            ratio = final.log_likelihood - other.log_likelihood
+            ratios[refit.candidate.id] = (
+                ratio + self.acceptance.penalty(refit.candidate) - self.acceptance.penalty(candidate)
+            )
         return tuple(
             Alternative(id_, ratio) for id_, ratio in sorted(ratios.items(), key=lambda item: item[1])
         )

@@ -7,11 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.base import Effect
 from heli_sim.model.effect import Stage
 from heli_sim.model.effects.kind import EffectKind
-
-from heli_lab.identify.functions import Floats
 
 
 @dataclass(frozen=True)

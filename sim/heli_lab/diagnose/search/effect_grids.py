@@ -8,12 +8,12 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.effects.kind import EffectKind
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.search.candidate import Candidate, effect_candidates
-from heli_lab.identify.functions import Floats
-from heli_lab.innovations import DisturbanceModel, InnovationsModel
+from heli_lab.estimation import DisturbanceModel, InnovationsModel
 
 _JUMP_s: Final = 1.0
 """Time before and after a moment over which torques are averaged to find a jump: longer than a step response
@@ -73,7 +73,9 @@ class EffectGrids:
     @cached_property
     def _smoothed(self) -> tuple[Floats, Floats]:
         """Times in the first flight, (m,), and smoothed disturbance torques there, (m, 3)."""
-        t_s, torque_Nm, _ = self.filtered.smoothed_torques(self.disturbances, np.zeros(self.filtered.size))[0]
+        t_s, torque_Nm, _ = self.filtered.smoothed_disturbances(
+            self.disturbances, np.zeros(self.filtered.size)
+        )[0]
         return t_s, torque_Nm
 
     @cached_property

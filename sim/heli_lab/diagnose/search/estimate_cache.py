@@ -14,25 +14,20 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import heli_sim.model
 import numpy as np
 from heli_sim.model.base import Effect, Model
 from heli_sim.rig import Rig
 
-import heli_lab.identify
-import heli_lab.innovations
+from heli_lab.code_digest import code_digest
 from heli_lab.diagnose.search.candidate import Candidate
 from heli_lab.errors import IdentifyError
+from heli_lab.estimation import DisturbanceModel, Estimate, ModelFunctions, ReferenceTrajectory
 from heli_lab.identify import Record
-from heli_lab.innovations import (
-    DisturbanceModel,
-    Estimate,
-    ModelFunctions,
-    ParameterVector,
-    ReferenceTrajectory,
-)
+from heli_lab.identify.flight_model import RigParameters
 
-_DISTURBANCES: Final = ("fast_std_Nm", "correlation_time_s", "slow_std_Nm", "quantisation", "curvature")
+_ESTIMATED_BY: Final = ("heli_sim.model", "heli_lab.identify", "heli_lab.estimation")
+"""Packages whose code, compiled code included, an estimate depends on."""
+_DISTURBANCES: Final = ("fast_std", "correlation_time_s", "slow_std", "quantisation", "curvature")
 
 
 class EstimateCache:
@@ -54,7 +49,7 @@ class EstimateCache:
     def __init__(self, path: Path | None = None, of: str = "") -> None:
         self._path = path
         self._known: dict[str, Mapping[str, Any]] = {}
-        self.refit_spec: set[str] = set()
+        self.used_keys: set[str] = set()
         """Keys that this search has used."""
         self._writing = threading.Lock()
         if path is None:
@@ -92,11 +87,10 @@ class EstimateCache:
     def estimate(
         self,
         key: str,
-        parameter_vector: ParameterVector,
+        parameter_vector: RigParameters,
         references: Sequence[ReferenceTrajectory],
         functions: ModelFunctions,
         work_out: Callable[[], Estimate],
-        record_use: bool = True,
     ) -> Estimate:
         """Look up an estimate, or compute and keep it; threads may do so at the same time for different keys.
 
@@ -108,11 +102,8 @@ class EstimateCache:
             Free parameters, reference trajectories and model functions of the estimate.
         work_out : callable
             Computes it.
-        record_use : bool
-            False if it is prefetched, before the search needs it.
         """
-        if record_use:
-            self.refit_spec.add(key)
+        self.used_keys.add(key)
         known = self._known.get(key)
         if known is not None:
             disturbances: dict[str, Any] = {
@@ -190,10 +181,7 @@ def fingerprint(model: Model, rig: Rig, records: Iterable[Record]) -> str:
     """Digest of what all estimates of a search share: `model`, `rig`, flights (`records`), the
     estimation code.
     """
-    digest = hashlib.sha256()
-    for room in (heli_sim.model, heli_lab.identify, heli_lab.innovations):
-        for path in sorted(Path(str(room.__file__)).parent.rglob("*.py")):
-            digest.update(path.read_bytes())
+    digest = hashlib.sha256(code_digest(packages=_ESTIMATED_BY).encode())
     effects = [(effect.name, sorted(effect.values.items())) for effect in model.effects]
     digest.update(repr((model.name, effects)).encode())
     numbers = [

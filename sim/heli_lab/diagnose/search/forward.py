@@ -4,8 +4,7 @@ these.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,7 +16,7 @@ from heli_lab.diagnose.search.acceptance import Acceptance
 from heli_lab.diagnose.search.baseline_terms import RemovedTerm, tightly_specified_terms
 from heli_lab.diagnose.search.candidate import Candidate, Scored, compatible, typical_candidate
 from heli_lab.diagnose.search.hypothesis import Hypothesis, Refit, Round
-from heli_lab.diagnose.search.model_comparison import ModelComparison, RefitSpec
+from heli_lab.diagnose.search.model_comparison import ModelComparison
 from heli_lab.diagnose.search.progress import Progress
 from heli_lab.diagnose.search.screening import Screening
 
@@ -129,8 +128,7 @@ class ForwardSelection:
             some = [scored for scored in remaining if scored.log_likelihood_gain >= share][
                 : thresholds.SHORTLIST
             ]
-            with self._ahead(base, some):
-                refits += [self._refit(base, scored) for scored in some if self.progress.refits_left()]
+            refits += [self._refit(base, scored) for scored in some if self.progress.refits_left()]
             likely += some
             remaining = remaining[len(some) :]
         if self._best(refits) is None:
@@ -155,8 +153,7 @@ class ForwardSelection:
         like = [
             scored for scored in like[: thresholds.SAME_CHANNEL_REFITS] if scored.log_likelihood_gain > 0.0
         ]
-        with self._ahead(base, like):
-            return [self._refit(base, scored) for scored in like if self.progress.refits_left()]
+        return [self._refit(base, scored) for scored in like if self.progress.refits_left()]
 
     def _refit_without(self, base: Hypothesis, term: RemovedTerm) -> Refit:
         less = self.comparison.refit([*base.candidates, term.candidate], term.start, base)
@@ -166,16 +163,6 @@ class ForwardSelection:
     def _refit(self, base: Hypothesis, scored: Scored) -> Refit:
         self.progress.trial(scored.candidate.id, len(self.rounds))
         return refit_on_grid(self.comparison, self.acceptance, base, scored)
-
-    @contextmanager
-    def _ahead(self, base: Hypothesis, shortlist: Sequence[Scored]) -> Iterator[None]:
-        """Work ahead on the first attempt with each of a `shortlist`."""
-        first = [(scored, _grid_neighbours(scored, self.kinds)[0][0]) for scored in shortlist]
-        with self.comparison.prefetch(
-            RefitSpec([*base.candidates, candidate], candidate.start_values(scored.coefficients), base)
-            for scored, candidate in first
-        ):
-            yield
 
 
 def refit_on_grid(

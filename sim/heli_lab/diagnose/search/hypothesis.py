@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.search.candidate import Candidate, Scored
-from heli_lab.innovations import Estimate
+from heli_lab.estimation import Estimate
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,13 +4,12 @@ flights.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
 from typing import Final
 
-import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.base import Model
 from heli_sim.rig import Rig
 
@@ -18,46 +17,15 @@ from heli_lab.diagnose.search.candidate import Candidate
 from heli_lab.diagnose.search.estimate_cache import EstimateCache, cache_key
 from heli_lab.diagnose.search.hypothesis import Hypothesis
 from heli_lab.diagnose.thresholds import NEW_DISTURBANCES_NATS, EVENT_EDGE_s
+from heli_lab.estimation import BLOCK_s, Estimate, ModelFunctions, ReferenceTrajectory, estimate
 from heli_lab.identify import Record
-from heli_lab.identify.functions import Floats
-from heli_lab.innovations import (
-    BLOCK_s,
-    Estimate,
-    ModelFunctions,
-    ParameterVector,
-    ReferenceTrajectory,
-    estimate,
-    kinematic_filter,
-)
-from heli_lab.threads import Prefetcher
+from heli_lab.identify.flight_model import RigParameters, kinematic_filter, model_functions
 
 _FILTERED: Final = 2
 """How often the reference trajectory is filtered again with the baseline's own estimate. After the second
 time it moves by less than a hundredth of the quantisation (simulated and field flights, 2026-11)."""
-_MOST_ROWS_AHEAD: Final = 9000
-"""Measurements up to which two refits are worked out at once: six minutes of flight. A refit of ten minutes
-takes 0.15 GB."""
 _WORSE_NATS: Final = 0.1
 """Rounding tolerance: a model may be less likely by this than one that it contains, nats."""
-
-
-@dataclass(frozen=True)
-class RefitSpec:
-    """A refit that will be asked for: arguments of `ModelComparison.refit`.
-
-    Parameters
-    ----------
-    candidates : sequence of Candidate
-        The effects.
-    start : Mapping[str, float]
-        Values to start from by name.
-    warm_start : Hypothesis, optional
-        A hypothesis to start from.
-    """
-
-    candidates: Sequence[Candidate]
-    start: Mapping[str, float]
-    warm_start: Hypothesis | None
 
 
 class ModelComparison:
@@ -98,7 +66,6 @@ class ModelComparison:
         self._kept = kept or EstimateCache()
         self.train, self.held_out = tuple(train), tuple(held_out)
         self.fits = 0
-        self._ahead = Prefetcher()
         self._best: dict[frozenset[str], Hypothesis] = {}
         """The most likely hypothesis for each set of candidate ids."""
 
@@ -137,7 +104,7 @@ class ModelComparison:
             candidates, the result is never less likely than it: otherwise the estimate is repeated from
             neutral values.
         """
-        used_count = len(self._kept.refit_spec)
+        used_count = len(self._kept.used_keys)
         hypothesis = self._estimate(candidates, start or {}, warm_start)
         if warm_start is not None and not set(warm_start.ids) <= {candidate.id for candidate in candidates}:
             # A smaller model: an earlier estimate of a part of it may be a better start.
@@ -156,7 +123,7 @@ class ModelComparison:
             hypothesis = max(
                 hypothesis, again, key=lambda candidate_hypothesis: candidate_hypothesis.log_likelihood
             )
-        self.fits += len(self._kept.refit_spec) > used_count
+        self.fits += len(self._kept.used_keys) > used_count
         key = frozenset(candidate.id for candidate in candidates)
         best = self._best.get(key)
         if (
@@ -184,49 +151,23 @@ class ModelComparison:
         known = [hypothesis for key, hypothesis in self._best.items() if key <= ids]
         return max(known, key=lambda hypothesis: hypothesis.log_likelihood, default=None)
 
-    @contextmanager
-    def prefetch(self, refits: Iterable[RefitSpec]) -> Iterator[None]:
-        """Have a second thread work ahead on `refits` that this block asks for in this order; not where two
-        refits at once would take too much memory.
-        """
-        if self.rows > _MOST_ROWS_AHEAD:
-            yield
-            return
-        works = {
-            _key(*spec): partial(self._estimate, *spec, record_use=False)
-            for spec in ((spec.candidates, spec.start, spec.warm_start) for spec in refits)
-        }
-        with self._ahead.working(works):
-            yield
-
     def _estimate(
         self,
         candidates: Sequence[Candidate],
         start: Mapping[str, float],
         warm_start: Hypothesis | None,
-        record_use: bool = True,
     ) -> Estimate:
-        key = _key(candidates, start, warm_start)
-        if record_use:
-            self._ahead.wait_for(key)
         model = type(self.model)((*self.model.effects, *(candidate.effect for candidate in candidates)))
-        parameter_vector = ParameterVector(model, self.rig, self.train)
-        functions = ModelFunctions(model, parameter_vector.quantities)
+        parameter_vector = RigParameters(model, self.rig, self.train)
+        functions = model_functions(model, parameter_vector.quantities)
         known = {**(warm_start.values if warm_start else {}), **start}
-        theta = np.array(
-            [
-                known.get(parameter.name, value)
-                for parameter, value in zip(parameter_vector.free, parameter_vector.start, strict=True)
-            ]
-        )
-        theta = np.clip(theta, *parameter_vector.bounds)
+        theta = parameter_vector.started_from(known)
         return self._kept.estimate(
-            key,
+            cache_key("train", candidates, start, warm_start.estimate if warm_start else None),
             parameter_vector,
             self.references,
             functions,
             lambda: _estimated(parameter_vector, self.references, functions, theta, warm_start),
-            record_use,
         )
 
     def held_out_estimate(self, hypothesis: Hypothesis) -> Estimate:
@@ -239,10 +180,10 @@ class ModelComparison:
             for parameter, value in zip(trained.parameter_vector.free, trained.theta, strict=True)
             if parameter.record is None
         }
-        parameter_vector = ParameterVector(
+        parameter_vector = RigParameters(
             trained.parameter_vector.model, self.rig, self.held_out, fixed=shared
         )
-        functions = ModelFunctions(trained.parameter_vector.model, parameter_vector.quantities)
+        functions = model_functions(trained.parameter_vector.model, parameter_vector.quantities)
         disturbances = replace(trained.disturbances, curvature=None)
         return self._kept.estimate(
             cache_key("held out", hypothesis.candidates, shared, trained),
@@ -260,8 +201,8 @@ def reference_trajectories(
 ) -> tuple[ReferenceTrajectory, ...]:
     """Filter flights (`records`) with the baseline, a `model` of a `rig`, estimated on them."""
     references = tuple(kinematic_filter(record) for record in records)
-    parameter_vector = ParameterVector(model, rig, records)
-    functions = ModelFunctions(model, parameter_vector.quantities)
+    parameter_vector = RigParameters(model, rig, records)
+    functions = model_functions(model, parameter_vector.quantities)
     disturbances, theta = None, parameter_vector.start
     for _ in range(_FILTERED):
         estimate_ = estimate(parameter_vector, references, functions, theta, disturbances)
@@ -271,7 +212,7 @@ def reference_trajectories(
 
 
 def _estimated(
-    parameter_vector: ParameterVector,
+    parameter_vector: RigParameters,
     references: Sequence[ReferenceTrajectory],
     functions: ModelFunctions,
     theta: Floats,
@@ -290,10 +231,6 @@ def _estimated(
             again = estimate(parameter_vector, references, functions, estimate_.theta, other)
             return max(estimate_, again, key=lambda result: result.log_likelihood)
     return estimate_
-
-
-def _key(candidates: Sequence[Candidate], start: Mapping[str, float], warm_start: Hypothesis | None) -> str:
-    return cache_key("train", candidates, start, warm_start.estimate if warm_start else None)
 
 
 def _grids(candidates: Sequence[Candidate]) -> list[tuple[str, tuple[tuple[str, float], ...]]]:

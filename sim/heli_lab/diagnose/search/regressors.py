@@ -11,6 +11,7 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.base import Effect, Model
 
 from heli_lab.diagnose.search.candidate import Candidate
@@ -23,15 +24,8 @@ from heli_lab.diagnose.search.splines import (
     quantity_values,
     spline_term,
 )
-from heli_lab.identify.functions import Floats
-from heli_lab.innovations import (
-    EFFECT_SUBSTEPS,
-    AlongTrajectory,
-    EffectStates,
-    LinearisedFlight,
-    Trajectory,
-    known_directions,
-)
+from heli_lab.estimation import EFFECT_SUBSTEPS, AlongTrajectory, EffectStates, LinearisedFlight, Trajectory
+from heli_lab.identify.flight_model import known_directions
 
 _MIN_SPAN: Final = 1e-6
 """Range of a quantity, in its SI unit, below which it is constant and no curve over it is tried."""
@@ -75,7 +69,7 @@ class Regressors:
 
     def __init__(self, linear: LinearisedFlight, functions: ChangeFunctions) -> None:
         self.linear = linear
-        self.model = linear.model
+        self.model = linear.model.source
         self._functions = functions
         self._channels: dict[str, tuple[Floats, Floats]] = {}
         self._quantities: dict[str, dict[str, Floats]] = {}
@@ -147,13 +141,13 @@ class Regressors:
         delay_s = candidate.effect.values[candidate.effect.delay]
         middle_s = record.t_s - record.t_s[0] + 0.5 * record.step_s
         kernel = np.ones(max(1, round(trajectory.step_s / record.step_s)))
-        smooth = [np.convolve(v, kernel / len(kernel), mode="same") for v in record.voltages_V.T]
+        smooth = [np.convolve(v, kernel / len(kernel), mode="same") for v in record.inputs.T]
         now, late = (
             np.column_stack([np.interp(trajectory.t_s - d, middle_s, v) for v in smooth])
             for d in (0.0, delay_s)
         )
-        (after,) = self._functions.rates(replace(trajectory, volts_V=late))
-        (before,) = self._functions.rates(replace(trajectory, volts_V=now))
+        (after,) = self._functions.rates(replace(trajectory, inputs=late))
+        (before,) = self._functions.rates(replace(trajectory, inputs=now))
         return after - before
 
 
@@ -233,14 +227,14 @@ class ExtendedModel:
                     effect_states[:, place] = directions[:, axis]
             state = np.column_stack((state, effect_states))
         rates, measured = self.change(
-            Trajectory(trajectory.t_s, state, trajectory.volts_V, trajectory.step_s, parameters)
+            Trajectory(trajectory.t_s, state, trajectory.inputs, trajectory.step_s, parameters)
         )
         return rates, measured
 
     def _own_states(self, trajectory: Trajectory, parameters: Floats) -> Floats:
         """States of the effect in the middle of each step, from rest at the beginning of the flight."""
         return self.own.integrate(
-            [trajectory.state, trajectory.volts_V],
+            [trajectory.state, trajectory.inputs],
             trajectory.t_s,
             parameters,
             trajectory.step_s,
@@ -259,7 +253,7 @@ def spline_candidates(linearised_flights: Sequence[LinearisedFlight], number: in
     number : int
         Distinguishes spline terms of one model.
     """
-    model = linearised_flights[0].model
+    model = linearised_flights[0].model.source
     together: dict[str, list[Floats]] = {}
     for linear in linearised_flights:
         for name, values in quantity_values(model, linear.trajectory).items():

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.effects.kind import EffectKind
 
 from heli_lab.diagnose.search.candidate import Candidate, Scored
@@ -14,9 +15,8 @@ from heli_lab.diagnose.search.effect_grids import EffectGrids
 from heli_lab.diagnose.search.regressors import ChangeFunctions, Regressors, spline_candidates
 from heli_lab.diagnose.search.splines import KNOTS, SplineTerm
 from heli_lab.diagnose.thresholds import REFINE_MIN_NATS
-from heli_lab.identify.functions import Floats
-from heli_lab.innovations import Estimate
-from heli_lab.innovations.arrowhead import solve_arrowhead
+from heli_lab.estimation import Estimate
+from heli_lab.estimation.arrowhead import solve_arrowhead
 from heli_lab.threads import default_thread_count, parallel_map
 
 _BATCH_NUMBERS: Final = 1_250_000
@@ -48,7 +48,7 @@ class Screening:
         self.estimate = estimate
         self.filtered = filtered = estimate.filtered()
         disturbances = estimate.disturbances
-        functions = ChangeFunctions(filtered.linearised_flights[0].model)
+        functions = ChangeFunctions(filtered.linearised_flights[0].model.source)
         self.regressors = tuple(Regressors(linear, functions) for linear in filtered.linearised_flights)
         self.seconds = max(float(model.trajectory.t_s[-1]) for model in filtered.linearised_flights)
         self._grids = EffectGrids(filtered, disturbances, self.seconds)
@@ -62,9 +62,12 @@ class Screening:
         self._innovations = innovations = filtered.innovations_by_flight(disturbances)
         parameter_vector = estimate.parameter_vector
         self.measurements = sum(len(flight) for flight in innovations.flights)
-        self._arrowhead = innovations.information() + np.diag(parameter_vector.std**-2.0), innovations.own
+        self._arrowhead = (
+            innovations.information() + np.diag(parameter_vector.std**-2.0),
+            innovations.per_flight,
+        )
         offset = parameter_vector.std**-2.0 * (estimate.theta - parameter_vector.mean)
-        self._error = innovations.left(self._solved(innovations.score() - offset))
+        self._error = innovations.after(self._solved(innovations.score() - offset))
 
     def release(self) -> None:
         """Free the memory of cached signals, 0.2 GB for ten minutes of flight; they are computed

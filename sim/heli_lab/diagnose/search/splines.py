@@ -14,13 +14,13 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.base import Effect, Model, Operands
 from heli_sim.model.parts import AXES
 from heli_sim.model.parts import thrust_N as static_thrust_N
 from heli_sim.rig.quantity import Prior, Quantity
 
-from heli_lab.identify.functions import Floats
-from heli_lab.innovations import AlongTrajectory, Trajectory
+from heli_lab.estimation import AlongTrajectory, Trajectory
 
 KNOTS: Final = 8
 """Basis functions of a curve: fewer do not follow a kink or bump, more have a higher penalty."""

@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from heli_lab.innovations import AlongTrajectory, EffectStates, Trajectory, _straight_line
+from heli_lab.estimation import AlongTrajectory, EffectStates, Trajectory, _expression_vm
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from hypothesis import given, seed, settings
@@ -84,7 +84,7 @@ def by_casadi(function: ca.Function, along: Trajectory) -> list[np.ndarray]:
     """The same, a row after the other."""
     outputs = []
     for row in range(ROWS):
-        found = function(along.state[row], along.volts_V[row], along.t_s[row], along.parameters)
+        found = function(along.state[row], along.inputs[row], along.t_s[row], along.parameters)
         found = found if isinstance(found, tuple | list) else [found]
         outputs.append([np.array(one) for one in found])
     return [np.array(one) for one in zip(*outputs, strict=True)]
@@ -112,7 +112,7 @@ def test_no_operation_of_the_table_is_left_untried() -> None:
     made = [one(x) for one in UNARY.values()] + [one(x, y) for one in BINARY.values()]
     function = ca.Function("f", [x, y], [ca.vertcat(*made)])
     codes = {function.instruction_id(k) for k in range(function.n_instructions())}
-    missing = {name for name in _straight_line.OPERATIONS if getattr(ca, f"OP_{name}") not in codes}
+    missing = {name for name in _expression_vm.OPERATIONS if getattr(ca, f"OP_{name}") not in codes}
     # An assignment is no operation of its own in an expression.
     assert missing <= {"ASSIGN"}
 
@@ -138,15 +138,15 @@ def test_what_an_expression_holds_twice_is_computed_once(monkeypatch: pytest.Mon
     held = [function.instruction_id(k) for k in range(function.n_instructions())]
     assert held.count(ca.OP_SIN) == 2, "CasADi finds them itself: another expression is needed"
     made: list[list[int]] = []
-    program = _straight_line.TableProgram
+    program = _expression_vm.TableProgram
 
     def counted(operations: list[int], *rest: Any) -> object:
         made.append(operations)
         return program(operations, *rest)
 
-    monkeypatch.setattr(_straight_line, "TableProgram", counted)
+    monkeypatch.setattr(_expression_vm, "TableProgram", counted)
     same(function, reference(2, 3))
-    assert made[0].count(_straight_line.OPERATIONS.index("SIN")) == 1
+    assert made[0].count(_expression_vm.OPERATIONS.index("SIN")) == 1
 
 
 def test_a_models_derivatives() -> None:
@@ -172,11 +172,11 @@ def test_own_states_follow_the_rule_of_runge_and_kutta(seen: int | None) -> None
     along = reference(2, 3)
     substeps = 4
     found = EffectStates(rates, resets).integrate(
-        [along.state, along.volts_V], along.t_s, along.parameters, along.step_s, substeps, seen
+        [along.state, along.inputs], along.t_s, along.parameters, along.step_s, substeps, seen
     )
     h, state = along.step_s / substeps, np.zeros(2)
     for row in range(ROWS):
-        rest = along.state[row], along.volts_V[row], along.parameters
+        rest = along.state[row], along.inputs[row], along.parameters
         for sub in range(substeps):
             now = along.t_s[row] + h * (sub - substeps / 2)
             k1 = np.array(rates(state, now, *rest)).ravel()
@@ -190,11 +190,11 @@ def test_own_states_follow_the_rule_of_runge_and_kutta(seen: int | None) -> None
 
 def test_what_is_no_program_is_refused() -> None:
     with pytest.raises(ValueError, match="read before"):
-        _straight_line.TableProgram([1], [0], [1], [0.0], [1, 1], [[0]])
+        _expression_vm.TableProgram([1], [0], [1], [0.0], [1, 1], [[0]])
     with pytest.raises(ValueError, match="no such value"):
-        _straight_line.TableProgram([len(_straight_line.OPERATIONS) - 2], [0], [0], [1.0], [1, 1], [[3]])
-    program = _straight_line.TableProgram(
-        [len(_straight_line.OPERATIONS) - 1], [0], [0], [1.0], [2, 1], [[0]]
+        _expression_vm.TableProgram([len(_expression_vm.OPERATIONS) - 2], [0], [0], [1.0], [1, 1], [[3]])
+    program = _expression_vm.TableProgram(
+        [len(_expression_vm.OPERATIONS) - 1], [0], [0], [1.0], [2, 1], [[0]]
     )
     with pytest.raises(ValueError, match="another width"):
         program.evaluate([np.zeros((3, 1))], np.zeros(1))

@@ -1,7 +1,7 @@
-"""Functions of state, voltages, time and parameters, evaluated along a course.
+"""Functions of state, inputs, time and parameters, evaluated in each step of a trajectory.
 
-CasADi's expressions are straight-line programs. Its own interpreter takes them a row at a time; here an
-operation is carried out for many rows at once, which is several times quicker and needs no compiler.
+CasADi's expressions are straight-line programs. Its own interpreter evaluates them one row at a time; this
+one carries out each operation for many rows, which is several times faster and needs no compiler.
 """
 
 from __future__ import annotations
@@ -12,34 +12,33 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
+from heli_host.arrays import Floats
 
 from heli_lab.errors import IdentifyError
-from heli_lab.identify.functions import Floats
-from heli_lab.innovations import _straight_line
+from heli_lab.estimation import _expression_vm
 
 _BY_CASADI: Final = {
-    getattr(ca, f"OP_{name}"): number for number, name in enumerate(_straight_line.OPERATIONS)
+    getattr(ca, f"OP_{name}"): number for number, name in enumerate(_expression_vm.OPERATIONS)
 }
-_INPUT: Final = _straight_line.OPERATIONS.index("INPUT")
-_CONST: Final = _straight_line.OPERATIONS.index("CONST")
+_INPUT: Final = _expression_vm.OPERATIONS.index("INPUT")
+_CONST: Final = _expression_vm.OPERATIONS.index("CONST")
 
 EFFECT_SUBSTEPS: Final = 4
-"""Runge-Kutta steps of an effect's own states in each step of 10 ms: lags of a few milliseconds stay
-stable."""
+"""Runge-Kutta steps of the extra states in each step of 10 ms: lags of a few milliseconds stay stable."""
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """A predicted flight in steps, and the inputs of each.
+    """States and inputs at one time in each step of a flight.
 
     Parameters
     ----------
     t_s : ndarray (n,)
-        Middle of each step since the flight's first sample.
+        Time in each step since the flight's first sample, such as its middle.
     state : ndarray (n, states)
-        State in the middle of each step.
-    volts_V : ndarray (n, 2)
-        Mean front and back voltage over the step, late where the model delays them.
+        State at that time.
+    inputs : ndarray (n, inputs)
+        Mean inputs over the step, as they act.
     step_s : float
         Length of a step.
     parameters : ndarray (p,)
@@ -48,13 +47,13 @@ class Trajectory:
 
     t_s: Floats
     state: Floats
-    volts_V: Floats
+    inputs: Floats
     step_s: float
     parameters: Floats
 
     def part(self, rows: slice) -> Trajectory:
         """Keep the steps `rows`."""
-        return replace(self, t_s=self.t_s[rows], state=self.state[rows], volts_V=self.volts_V[rows])
+        return replace(self, t_s=self.t_s[rows], state=self.state[rows], inputs=self.inputs[rows])
 
 
 class _Listing:
@@ -92,7 +91,7 @@ class _Listing:
             else:
                 if code not in _BY_CASADI:
                     raise IdentifyError(
-                        f"an effect uses CasADi's operation {code}, which is not evaluated here",
+                        f"a model uses CasADi's operation {code}, which is not evaluated here",
                         "write it with arithmetic, comparisons and elementary functions",
                     )
                 first = held[read[0]]
@@ -122,15 +121,15 @@ def _table(values: Floats) -> Floats:
 
 
 class AlongTrajectory:
-    """Evaluates a `function` of state, voltages, time and all parameters in each step of a trajectory; its
-    inputs and outputs are dense.
+    """Evaluates a `function` of state, inputs, time and all parameters in each step of a trajectory; its
+    arguments and results are dense.
     """
 
     def __init__(self, function: ca.Function) -> None:
         self._function = function
         listing = _Listing(function)
         self._shapes = [function.size_out(i) for i in range(function.n_out())]
-        self._program = _straight_line.TableProgram(*listing.arguments, listing.outputs)
+        self._program = _expression_vm.TableProgram(*listing.arguments, listing.outputs)
 
     def __reduce__(self) -> tuple[type[AlongTrajectory], tuple[ca.Function]]:
         # Programs are compiled in; they are made again.
@@ -138,7 +137,7 @@ class AlongTrajectory:
 
     def __call__(self, trajectory: Trajectory) -> list[Floats]:
         """Evaluate: one array an output, shape (n, rows, columns)."""
-        inputs = [_table(array) for array in (trajectory.state, trajectory.volts_V, trajectory.t_s)]
+        inputs = [_table(array) for array in (trajectory.state, trajectory.inputs, trajectory.t_s)]
         values = self._program.evaluate(inputs, np.ascontiguousarray(trajectory.parameters, float))
         return [
             table.reshape(len(table), rows, columns)
@@ -147,7 +146,7 @@ class AlongTrajectory:
 
 
 class EffectStates:
-    """Integrates states of effects along a course that they are not supposed to change.
+    """Integrates extra states along a reference trajectory that they do not change.
 
     Parameters
     ----------
@@ -164,7 +163,7 @@ class EffectStates:
         both = ca.Function("both", arguments, [rates(*arguments), resets(*arguments)])
         listing = _Listing(both)
         self._size = both.numel_in(0)
-        self._integrator = _straight_line.CourseIntegrator(*listing.arguments, *listing.outputs)
+        self._integrator = _expression_vm.CourseIntegrator(*listing.arguments, *listing.outputs)
 
     def __reduce__(self) -> tuple[type[EffectStates], tuple[ca.Function, ca.Function, int]]:
         return EffectStates, self._made_of
@@ -193,7 +192,7 @@ class EffectStates:
         substeps : int
             Runge-Kutta steps in each.
         seen : int, optional
-            The substep at whose end z is told; the last unless given.
+            The substep at whose end z is returned; the last unless given.
 
         Returns
         -------

@@ -177,7 +177,7 @@ class CourseIntegrator {
 
 }  // namespace
 
-NB_MODULE(_straight_line, module) {
+NB_MODULE(_expression_vm, module) {
   std::vector<std::string> names;
   for (const auto name : heli_lab::kOperationNames) {
     names.emplace_back(name);

@@ -7,7 +7,7 @@ _Floats = NDArray[float64]
 
 OPERATIONS: list[str]
 
-# Arguments as sim/straight_line says: values in the order in which they are computed, `a` and `b` the values
+# Arguments as sim/expression_vm says: values in the order in which they are computed, `a` and `b` the values
 # that an operation takes.
 class TableProgram:
     def __init__(

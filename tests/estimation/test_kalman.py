@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from heli_lab.innovations import _kalman
+from heli_host.arrays import Floats
+from heli_lab.estimation import _kalman
 from numpy.typing import NDArray
 
-from tests.innovations.density import log_density
-
-Floats = NDArray[np.float64]
+from tests.estimation.density import log_density
 
 STEPS, STATES, TORQUES, PARTS = 6, 4, 2, 3
 ORDER = STATES + TORQUES

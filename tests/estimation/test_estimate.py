@@ -10,7 +10,7 @@ from heli_lab.diagnose.search import Candidate, Hypothesis, ModelComparison, Scr
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 
-from tests.innovations.made import RIG, TRUE_RIG, GUST_Nm, flown_with, windy
+from tests.estimation.made import RIG, TRUE_RIG, GUST_Nm, flown_with, windy
 
 pytestmark = pytest.mark.diagnosis
 
@@ -40,7 +40,7 @@ def test_parameters_are_the_rigs_within_their_standard_errors() -> None:
 
 def test_weather_is_what_blew() -> None:
     disturbances = baseline().estimate.disturbances
-    assert disturbances.fast_std_Nm == pytest.approx(list(GUST_Nm.values()), rel=0.35)
+    assert disturbances.fast_std == pytest.approx(list(GUST_Nm.values()), rel=0.35)
     # A memory of half a second is told to about a factor of two by half a minute.
     assert np.all((disturbances.correlation_time_s > 0.2) & (disturbances.correlation_time_s < 1.2))
 
@@ -83,7 +83,7 @@ def test_weather_found_is_likelier_than_its_neighbours() -> None:
 
         at = replace(
             estimate.disturbances,
-            fast_std_Nm=estimate.disturbances.fast_std_Nm * gust,
+            fast_std=estimate.disturbances.fast_std * gust,
             correlation_time_s=estimate.disturbances.correlation_time_s * memory,
         )
         innovations, log_variances = estimate.filtered().innovations(at)

@@ -1,4 +1,4 @@
-"""Work shared out to threads comes to the same, and what goes wrong in one of them is told."""
+"""Parallel maps give the same results as serial ones, and raise the exceptions of their threads."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import pytest
 from heli_lab.diagnose.discover.grammar import groups
 from heli_lab.diagnose.discover.scoring import TermSignals, score
 from heli_lab.diagnose.search import ModelComparison, Screening, spline_candidates
-from heli_lab.threads import Prefetcher, default_thread_count, parallel_map, using_threads
+from heli_lab.threads import default_thread_count, parallel_map, using_threads
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 
-from tests.innovations.made import RIG, windy
+from tests.estimation.made import RIG, windy
 
 KINDS = [catalogue()[name] for name in ("rotor_lag", "periodic_torque.pitch", "thrust_step.front")]
 
@@ -52,52 +52,6 @@ def test_a_block_uses_the_threads_that_it_was_told(monkeypatch: pytest.MonkeyPat
             assert default_thread_count() == 3
         assert len({*parallel_map(_name_after_a_while, range(3))}) > 1
     assert default_thread_count() == 1
-
-
-def test_of_two_who_work_the_one_that_goes_on_alone_shares_its_work_out() -> None:
-    begun, may_end = threading.Event(), threading.Event()
-    beside: list[int] = []
-
-    def held() -> None:
-        beside.append(default_thread_count())
-        begun.set()
-        assert may_end.wait(60)
-        # Whoever asked waits by now, or will in a moment.
-        deadline = time.monotonic() + 60
-        while default_thread_count() == 1 and time.monotonic() < deadline:
-            time.sleep(0.001)
-        beside.append(default_thread_count())
-        beside.append(len({*parallel_map(_name_after_a_while, range(4))}))
-
-    ahead = Prefetcher()
-    with using_threads(2), ahead.working({"never": lambda: None, "held": held}):
-        assert begun.wait(60)
-        assert default_thread_count() == 1
-        assert {*parallel_map(_name_after_a_while, range(4), 2)} == {threading.current_thread().name}
-        may_end.set()
-        ahead.wait_for("held")
-        assert beside == [1, 2, 2]
-        ahead.wait_for("never")
-        assert default_thread_count() == 2
-        assert len({*parallel_map(_name_after_a_while, range(4))}) == 2
-
-
-def test_what_goes_wrong_ahead_is_raised_where_it_is_asked_for_and_nothing_stays_behind() -> None:
-    def wrong() -> None:
-        begun.set()
-        raise ZeroDivisionError
-
-    ahead, done, begun = Prefetcher(), threading.Event(), threading.Event()
-    with using_threads(2):
-        with ahead.working({"never": lambda: None, "done": done.set, "wrong": wrong}):
-            assert done.wait(60)
-            with pytest.raises(ZeroDivisionError):
-                ahead.wait_for("wrong")
-        begun.clear()
-        with pytest.raises(ZeroDivisionError), ahead.working({"never": lambda: None, "wrong": wrong}):
-            assert begun.wait(60)
-        assert default_thread_count() == 2
-        assert not ahead.is_busy
 
 
 def _name_after_a_while(_: int) -> str:

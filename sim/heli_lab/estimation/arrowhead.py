@@ -8,10 +8,13 @@ the cube of all unknowns.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats, Integers
 
-from heli_lab.identify.functions import Floats, Integers
+NO_BLOCKS: Final = np.zeros((0, 0), np.int64)
+"""Of a system without unknowns of one flight alone."""
 
 
 def per_flight_columns(columns: Sequence[Integers], size: int) -> Integers:

@@ -7,28 +7,22 @@ from functools import cache
 
 import numpy as np
 import pytest
-from heli_lab.innovations import (
-    Derivatives,
-    LinearisedFlight,
-    ModelFunctions,
-    ParameterVector,
-    ReferenceTrajectory,
-    kinematic_filter,
-)
+from heli_lab.estimation import Derivatives, LinearisedFlight, ModelFunctions, ReferenceTrajectory
+from heli_lab.identify.flight_model import RigParameters, kinematic_filter, model_functions
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 
-from tests.innovations.made import RIG, windy
+from tests.estimation.made import RIG, windy
 
 pytestmark = pytest.mark.slow
 
 
 @cache
-def parts(effect: str = "") -> tuple[ReferenceTrajectory, ModelFunctions, ParameterVector]:
+def parts(effect: str = "") -> tuple[ReferenceTrajectory, ModelFunctions, RigParameters]:
     """Course, equations and unknowns of a model with an effect."""
     model = MultibodyModel(parse_effects([effect] if effect else []))
-    parameter_vector = ParameterVector(model, RIG, [windy()])
-    return kinematic_filter(windy()), ModelFunctions(model, parameter_vector.quantities), parameter_vector
+    parameter_vector = RigParameters(model, RIG, [windy()])
+    return kinematic_filter(windy()), model_functions(model, parameter_vector.quantities), parameter_vector
 
 
 def changed(effect: str, name: str, by: float) -> LinearisedFlight:
@@ -59,10 +53,10 @@ def test_derivatives_are_those_of_the_rates_themselves(effect: str, name: str, s
     linear, more, less = (changed(effect, name, sign * step) for sign in (0.0, 1.0, -1.0))
     expected = (every(more).rates - every(less).rates)[:, 3:6, 0] / (2.0 * step)
     by_parameter = -every(linear).rates[:, :, 1 + parts(effect)[2].names.index(name)]
-    if linear.model.states[6:]:
+    if linear.model.source.states[6:]:
         # A lag's own state follows late: what the rates change by the parameter comes through it.
         state = (more.trajectory.state - less.trajectory.state)[:, 6:] / (2.0 * step)
-        own = np.zeros((linear.rows, len(linear.model.states)))
+        own = np.zeros((linear.rows, len(linear.model.source.states)))
         drive = np.einsum("nij,nj->ni", linear.steps.Gamma, by_parameter)
         for k in range(linear.rows - 1):
             own[k + 1, 6:] = linear.steps.Phi[k, 6:, 6:] @ own[k, 6:] + drive[k, 6:]
@@ -74,7 +68,7 @@ def test_derivatives_are_those_of_the_rates_themselves(effect: str, name: str, s
         return
     # A motor that stands through a whole step and starts with the next has a derivative on one side only.
     dead_zone_V = linear.trajectory.parameters[linear.functions.names.index("dead_zone")]
-    turns = np.all(linear.trajectory.volts_V > dead_zone_V, axis=1)
+    turns = np.all(linear.trajectory.inputs > dead_zone_V, axis=1)
     assert turns.mean() > 0.9
     off, expected = (by_parameter[:, 3:6] - expected)[turns], expected[turns]
     assert np.sqrt(np.mean(off**2)) < 0.02 * np.sqrt(np.mean(expected**2))
@@ -143,11 +137,11 @@ def test_directions_say_where_in_a_play_an_axis_is(play_counts: float) -> None:
 def test_an_axis_that_friction_holds_needs_no_torque_and_the_others_theirs() -> None:
     linear = changed("", "thrust_gain", 0.0)
     wanted = np.random.default_rng(3).normal(size=(linear.rows, 3))
-    torque_Nm = linear.torque_for(wanted)
-    made = np.einsum("nij,nj->ni", linear.steps.by_torque[:, 3:6], torque_Nm)
+    torque_Nm = linear.disturbance_for(wanted)
+    made = np.einsum("nij,nj->ni", linear.steps.by_disturbance[:, 3:6], torque_Nm)
     assert np.abs(made - wanted).max() < 1e-9
-    held = linear.steps.by_torque
+    held = linear.steps.by_disturbance
     held[100, 5] = held[100, :, 2] = 0.0
-    torque_Nm = linear.torque_for(wanted)
+    torque_Nm = linear.disturbance_for(wanted)
     assert torque_Nm[100, 2] == 0.0
     assert np.abs(held[100, 3:6] @ torque_Nm[100] - wanted[100])[:2].max() < 1e-9

@@ -1,4 +1,4 @@
-"""The digest of the code that computes a campaign: results of other code are other results."""
+"""The digest of the code that computes a result: results of other code are other results."""
 
 from __future__ import annotations
 
@@ -17,9 +17,11 @@ _ENDS: Final = (".py", ".toml", ".so", ".pyd", ".hpp", ".cpp", ".h")
 """Sources, rigs and plans, and what is compiled. Pages and documents compute nothing."""
 
 
-def code_digest(works: Iterable[str] = (), folder: str = "") -> str:
-    """Digest all files of these packages, and of the packages of the functions `works` (as
+def code_digest(works: Iterable[str] = (), folder: str = "", packages: Iterable[str] = PACKAGES) -> str:
+    """Digest all files of `packages`, and of the packages of the functions `works` (as
     ``package.module:function``), that can change a number, with Python's version: 16 letters.
+
+    Compiled modules count, and their sources too, which may be newer.
 
     Parameters
     ----------
@@ -27,17 +29,20 @@ def code_digest(works: Iterable[str] = (), folder: str = "") -> str:
         Functions that do the cases.
     folder : str
         Folder of modules that are not installed, such as the campaign file's.
+    packages : iterable of str
+        Installed packages that the result depends on.
 
     Raises
     ------
     ImportError
         When a package of `works` is neither installed here nor in the folder.
     """
+    packages = tuple(packages)
     names = {work.partition(":")[0].rpartition(".")[0] or work.partition(":")[0] for work in works}
     others = sorted(name for name in names if name.partition(".")[0] not in PACKAGES)
     digest = hashlib.sha256(f"{sys.version_info[:2]}".encode())
-    for package in (*PACKAGES, *others):
-        digest.update(_package_digest(package) if _installed(package) else _loose_digest(package, folder))
+    for package in (*packages, *others):
+        digest.update(package_digest(package) if _installed(package) else _loose_digest(package, folder))
     return digest.hexdigest()[:16]
 
 
@@ -66,7 +71,8 @@ def _loose_digest(package: str, folder: str) -> bytes:
 
 
 @cache
-def _package_digest(package: str) -> bytes:
+def package_digest(package: str) -> bytes:
+    """Digest an installed `package`; its files are read once."""
     digest = hashlib.sha256(package.encode())
     for name, path in sorted(_files(package)):
         digest.update(name.encode())

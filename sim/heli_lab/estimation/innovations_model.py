@@ -1,4 +1,4 @@
-"""Innovations of flights: the model along their courses, filtered under any weather."""
+"""Innovations of flights: a model linearised along them and filtered (Harvey, chapter 3)."""
 
 from __future__ import annotations
 
@@ -8,22 +8,17 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats, Integers
 
-from heli_lab.identify.functions import Floats, Integers
-from heli_lab.innovations import _kalman
-from heli_lab.innovations.arrowhead import per_flight_columns
-from heli_lab.innovations.disturbances import DisturbanceModel
-from heli_lab.innovations.linearised_flight import Blocks, LinearisedFlight
-from heli_lab.innovations.reference_trajectory import ReferenceTrajectory
+from heli_lab.estimation import _kalman
+from heli_lab.estimation.arrowhead import per_flight_columns
+from heli_lab.estimation.disturbances import DisturbanceModel
+from heli_lab.estimation.linearised_flight import Blocks, LinearisedFlight
+from heli_lab.estimation.reference_trajectory import ReferenceTrajectory
 from heli_lab.threads import parallel_map
 
-# What is left open of the state at the beginning of a window, about the smoothed course: angles and rates
-# are known to a count or so; an effect's own state starts as a run from rest has it.
-_ANGLE_STD_rad: Final = 0.02
-_RATE_STD_rad_s: Final = 0.3
-_OWN_STD: Final = 0.3
-_FOUR: Final = 4
-"""Weathers whose log-likelihoods cost as much as that of one."""
+_BATCH: Final = 4
+"""Disturbance models whose log-likelihoods cost as much as that of one."""
 
 
 @dataclass(frozen=True)
@@ -32,15 +27,15 @@ class Innovations:
 
     Parameters
     ----------
-    flights : tuple of ndarray (m, 1 + k)
-        For each flight the error's innovations first, then what one unit of each parameter takes off them
-        that the flight depends on; in their standard deviations, the axes of a step one after the other.
+    flights : tuple of ndarray (b, 1 + k)
+        For each flight the innovations of the error first, then by how much a unit of each parameter that the
+        flight depends on reduces them; in standard deviations, the m outputs of a block one after the other.
     columns : tuple of ndarray (k,)
         For each flight, which parameters these are.
     size : int
         Number of parameters.
-    log_variances : ndarray (3,)
-        Sum of the logarithms of the variances of each axis.
+    log_variances : ndarray (m,)
+        Sum of the logarithms of the variances of each output.
     """
 
     flights: tuple[Floats, ...]
@@ -49,8 +44,8 @@ class Innovations:
     log_variances: Floats
 
     @property
-    def own(self) -> Integers:
-        """Parameters that each flight has of its own, shape (flights, k)."""
+    def per_flight(self) -> Integers:
+        """Parameters of one flight alone, shape (flights, k)."""
         return per_flight_columns(self.columns, self.size)
 
     def information(self) -> Floats:
@@ -61,7 +56,7 @@ class Innovations:
         return information
 
     def score(self) -> Floats:
-        """Derivatives of the log-likelihood by the parameters, shape (f,)."""
+        """Score: derivatives of the log-likelihood by the parameters, shape (f,)."""
         score = np.zeros(self.size)
         for flight, columns in zip(self.flights, self.columns, strict=True):
             score[columns] += flight[:, 1:].T @ flight[:, 0]
@@ -69,15 +64,18 @@ class Innovations:
 
     @cached_property
     def log_likelihoods(self) -> Floats:
-        """Log-likelihood of each axis' innovations of the error, nats, without its constant; shape (3,)."""
+        """Log-likelihood of each output's innovations of the error, nats, without its constant, shape (m,):
+        the prediction error decomposition (Harvey, section 3.4).
+        """
+        m = len(self.log_variances)
         squares = sum(
-            (np.square(flight[:, 0]).reshape(-1, 3).sum(axis=0) for flight in self.flights), start=np.zeros(3)
+            (np.square(flight[:, 0]).reshape(-1, m).sum(axis=0) for flight in self.flights), start=np.zeros(m)
         )
         values: Floats = -0.5 * (squares + self.log_variances)
         return values
 
-    def left(self, move: Floats) -> list[Floats]:
-        """Innovations of the error of each flight, shape (m,), when the parameters have moved by `move`,
+    def after(self, move: Floats) -> list[Floats]:
+        """Innovations of the error of each flight, shape (b,), when the parameters have moved by `move`,
         shape (f,), to first order.
         """
         return [
@@ -87,12 +85,12 @@ class Innovations:
 
 
 class InnovationsModel:
-    """Innovations of several flights of one model at some parameters, under any weather.
+    """Innovations form of a model in several flights at some parameters, with any disturbances.
 
     Parameters
     ----------
     linearised_flights : sequence of LinearisedFlight
-        The model along the course of each flight.
+        The model along each flight; one at least.
     columns : sequence of ndarray
         For each flight, which free parameters its derivatives are of.
     size : int
@@ -103,21 +101,23 @@ class InnovationsModel:
         self, linearised_flights: Sequence[LinearisedFlight], columns: Sequence[Integers], size: int
     ) -> None:
         self.linearised_flights, self.columns, self.size = tuple(linearised_flights), tuple(columns), size
+        self.model = linearised_flights[0].model
+        self._outputs = len(self.model.outputs)
 
     def innovations(self, disturbances: DisturbanceModel) -> tuple[Floats, Floats]:
-        """Filter: the error's innovations first, then what one unit of each parameter takes off them.
+        """Filter the errors of all flights, and their derivatives by all parameters.
 
         Parameters
         ----------
         disturbances : DisturbanceModel
-            Torques by chance and quantisation.
+            Disturbances and quantisation.
 
         Returns
         -------
-        innovations : ndarray (m, 1 + f)
-            In their standard deviations; the three axes of a step one after the other, all flights.
-        log_variances : ndarray (3,)
-            Sum of the logarithms of the variances of each axis.
+        innovations : ndarray (b, 1 + f)
+            As of `Innovations.flights`, one flight after the other.
+        log_variances : ndarray (m,)
+            Sum of the logarithms of the variances of each output.
         """
         by_flight = self.innovations_by_flight(disturbances)
         every = np.zeros((sum(len(flight) for flight in by_flight.flights), 1 + self.size))
@@ -134,10 +134,10 @@ class InnovationsModel:
         ]
         parts = iter(
             parallel_map(
-                lambda part: self._filter(*part, disturbances, part[1].drive, part[1].measured_rad), every
+                lambda part: self._filter(*part, disturbances, part[1].drive, part[1].measured), every
             )
         )
-        flights, total = [], np.zeros(3)
+        flights, total = [], np.zeros(self._outputs)
         for linearised in self.linearised_flights:
             values = []
             for _ in linearised.blocks:
@@ -150,46 +150,50 @@ class InnovationsModel:
     def regressors(
         self, disturbances: DisturbanceModel, signals: Iterable[tuple[Floats, Floats | None]]
     ) -> Iterator[Floats]:
-        """What one unit of further signals takes off the innovations, shape (m, s) for each flight in turn.
+        """Reduction of the innovations by a unit of further signals, shape (b, s) for each flight in turn.
 
         Parameters
         ----------
         disturbances : DisturbanceModel
-            Torques by chance and quantisation.
+            Disturbances and quantisation.
         signals : iterable of (ndarray, ndarray or None)
-            For each flight changes of the rates, (n, states, s), and of the measured angles, (n, 3, s). Made
-            one by one, they need the memory of one.
+            For each flight changes of the rates, (n, states, s), and of the outputs, (n, m, s). An iterator
+            needs the memory of one flight.
         """
-        for linearised, (rates, angles) in zip(self.linearised_flights, signals, strict=True):
+        for linearised, (rates, outputs) in zip(self.linearised_flights, signals, strict=True):
             parts = []
-            for blocks, moved in zip(linearised.blocks, linearised.over_blocks(rates), strict=True):
-                seen = np.zeros((len(moved), 3, moved.shape[2])) if angles is None else angles[blocks.rows]
-                parts.append(self._filter(linearised, blocks, disturbances, -moved, seen)[0])
+            for blocks, drive in zip(linearised.blocks, linearised.over_blocks(rates), strict=True):
+                measured = (
+                    np.zeros((len(drive), self._outputs, drive.shape[2]))
+                    if outputs is None
+                    else outputs[blocks.rows]
+                )
+                parts.append(self._filter(linearised, blocks, disturbances, -drive, measured)[0])
             yield np.concatenate(parts)
 
-    def torque_regressors(
-        self, disturbances: DisturbanceModel, axis: int, torques_Nm: Sequence[Floats]
+    def disturbance_regressors(
+        self, disturbances: DisturbanceModel, output: int, values: Sequence[Floats]
     ) -> Iterator[Floats]:
-        """What torques about one axis take off the innovations, shape (m, s) for each flight in turn: as
-        `regressors`, at a fourth of the cost.
+        """Reduction of the innovations by additions to the disturbance of one output, shape (b, s) for each
+        flight in turn: as `regressors`, at a quarter of the cost.
 
         Parameters
         ----------
         disturbances : DisturbanceModel
-            Torques by chance and quantisation.
-        axis : int
-            Number of the axis.
-        torques_Nm : sequence of ndarray (n, s)
-            For each flight each torque in the steps.
+            Disturbances and quantisation.
+        output : int
+            Number of the output.
+        values : sequence of ndarray (n, s)
+            For each flight the additions in each step, in the unit of the disturbed parameter.
         """
-        for linearised, values in zip(self.linearised_flights, torques_Nm, strict=True):
+        for linearised, added in zip(self.linearised_flights, values, strict=True):
             parts = []
             for blocks in linearised.blocks:
-                moved = np.zeros((len(blocks.rows), blocks.transition.shape[1], values.shape[1]))
+                drive = np.zeros((len(blocks.rows), blocks.transition.shape[1], added.shape[1]))
                 for part, at_end in enumerate(blocks.part_input):
-                    moved -= at_end[:, :, axis, None] * values[blocks.rows + part][:, None, :]
-                seen = np.zeros((len(moved), 3, values.shape[1]))
-                parts.append(self._filter(linearised, blocks, disturbances, moved, seen)[0])
+                    drive -= at_end[:, :, output, None] * added[blocks.rows + part][:, None, :]
+                measured = np.zeros((len(drive), self._outputs, added.shape[1]))
+                parts.append(self._filter(linearised, blocks, disturbances, drive, measured)[0])
             yield np.concatenate(parts)
 
     def _filter(
@@ -206,34 +210,38 @@ class InnovationsModel:
         return value.reshape(-1, drive.shape[2]), np.array(log_variances)
 
     def perturbed_residual(self, move: Floats) -> list[list[tuple[Floats, Floats]]]:
-        """Errors of each flight when the parameters have moved by `move`, shape (f,), to first order."""
+        """Errors of states and outputs in each window of each flight, to first order, after a `move` of the
+        parameters, shape (f,).
+        """
         return [
             [
-                ((blocks.drive @ weight)[:, :, None], (blocks.measured_rad @ weight)[:, :, None])
+                ((blocks.drive @ weight)[:, :, None], (blocks.measured @ weight)[:, :, None])
                 for blocks in linearised.blocks
             ]
             for linearised, columns in zip(self.linearised_flights, self.columns, strict=True)
             for weight in [np.concatenate(([1.0], -move[columns]))]
         ]
 
-    def smoothed_torques(
+    def smoothed_disturbances(
         self, disturbances: DisturbanceModel, move: Floats
     ) -> list[tuple[Floats, Floats, Floats]]:
-        """Torques by chance given each whole flight.
+        """Disturbances given each whole flight, by the fixed-interval smoother (Harvey, section 3.6).
 
         Parameters
         ----------
         disturbances : DisturbanceModel
-            Torques by chance and quantisation.
+            Disturbances and quantisation.
         move : ndarray (f,)
             Move of the parameters beforehand.
 
         Returns
         -------
-        list of (ndarray (k,), ndarray (k, 3), ndarray (k, 3))
-            For each flight times since its first sample, gusts and drift together, and their standard error.
+        list of (ndarray (k,), ndarray (k, m), ndarray (k, m))
+            For each flight times since its first sample (s), the sum of the fast and the slow disturbance of
+            each output in the unit of the disturbed parameter, and its standard error.
         """
         result = []
+        m = self._outputs
         for number, signals in enumerate(self.perturbed_residual(move)):
             times, values, errors = [], [], []
             linearised = self.linearised_flights[number]
@@ -243,8 +251,8 @@ class InnovationsModel:
                     *self._system(linearised, blocks, disturbances), drive, measured
                 )
                 times.append(linearised.nodes.t_s[blocks.rows])
-                values.append(mean[:, nx : nx + 3] + mean[:, nx + 3 :])
-                errors.append(np.sqrt(variance[:, nx : nx + 3] + variance[:, nx + 3 :]))
+                values.append(mean[:, nx : nx + m] + mean[:, nx + m :])
+                errors.append(np.sqrt(variance[:, nx : nx + m] + variance[:, nx + m :]))
             result.append((np.concatenate(times), np.concatenate(values), np.concatenate(errors)))
         return result
 
@@ -255,25 +263,25 @@ class InnovationsModel:
             blocks.transition,
             blocks.part_input,
             blocks.measurement,
-            np.ascontiguousarray(blocks.variance_rad2 * disturbances.quantisation),
+            np.ascontiguousarray(blocks.variance * disturbances.quantisation),
             disturbances.memory(linearised.reference.step_s),
-            disturbances.variance_N2m2,
-            _initial_variance(blocks.transition.shape[1]),
+            disturbances.variance,
+            self.model.initial_std**2,
         )
 
     def log_likelihoods(
         self, disturbance_models: Sequence[DisturbanceModel], error: Sequence[Sequence[tuple[Floats, Floats]]]
     ) -> Floats:
-        """Log-likelihood of each axis' innovations of an `error` (`perturbed_residual`) under each of several
-        weathers, nats, without its constant; shape (w, 3).
+        """Log-likelihood of each output's innovations of an `error` (`perturbed_residual`) under each of some
+        `disturbance_models`, nats, without its constant; shape (w, m).
         """
         every = [
-            (linearised, blocks, signal, slice(low, low + _FOUR))
+            (linearised, blocks, signal, slice(low, low + _BATCH))
             for linearised, signals in zip(self.linearised_flights, error, strict=True)
             for blocks, signal in zip(linearised.blocks, signals, strict=True)
-            for low in range(0, len(disturbance_models), _FOUR)
+            for low in range(0, len(disturbance_models), _BATCH)
         ]
-        total = np.zeros((len(disturbance_models), 3))
+        total = np.zeros((len(disturbance_models), self._outputs))
         parts = parallel_map(
             lambda part: self._log_likelihoods(*part[:3], disturbance_models[part[3]]), every
         )
@@ -292,43 +300,38 @@ class InnovationsModel:
             blocks.transition,
             blocks.part_input,
             blocks.measurement,
-            blocks.variance_rad2,
+            blocks.variance,
             np.array(
                 [disturbances.memory(linearised.reference.step_s) for disturbances in disturbance_models]
             ),
-            np.array([disturbances.variance_N2m2 for disturbances in disturbance_models]),
+            np.array([disturbances.variance for disturbances in disturbance_models]),
             np.array([disturbances.quantisation for disturbances in disturbance_models]),
-            _initial_variance(blocks.transition.shape[1]),
+            self.model.initial_std**2,
             *signal,
         )
         return values
 
     def refiltered(self, disturbances: DisturbanceModel) -> list[ReferenceTrajectory]:
-        """Courses as this model's filter follows them, every step measured."""
+        """Reference trajectories by this model's filter, with a measurement in every step."""
         references = []
         for linearised in self.linearised_flights:
             reference = linearised.reference
             predicted, filtered = reference.predicted.copy(), reference.filtered.copy()
-            steps = linearised.steps
-            torque_input = steps.Gamma @ steps.by_torque
+            steps, followed = linearised.steps, self.model.followed
+            disturbance_input = steps.Gamma @ steps.by_disturbance
             for window, rows in zip(linearised.windows, reference.windows, strict=True):
                 before, after = _kalman.track(
                     steps.Phi[window],
-                    np.ascontiguousarray(torque_input[window])[None],
+                    np.ascontiguousarray(disturbance_input[window])[None],
                     steps.C[window],
-                    np.ascontiguousarray(linearised.variance_rad2[window] * disturbances.quantisation),
+                    np.ascontiguousarray(linearised.variance[window] * disturbances.quantisation),
                     disturbances.memory(reference.step_s),
-                    disturbances.variance_N2m2,
-                    _initial_variance(linearised.states),
+                    disturbances.variance,
+                    self.model.initial_std**2,
                     steps.drive[window],
-                    steps.angle_error_rad[window],
+                    steps.output_error[window],
                 )
-                predicted[rows] = reference.predicted[rows] + before[:, :6]
-                filtered[rows] = reference.predicted[rows] + after[:, :6]
+                predicted[rows] = reference.predicted[rows] + before[:, :followed]
+                filtered[rows] = reference.predicted[rows] + after[:, :followed]
             references.append(reference.refiltered(predicted, filtered))
         return references
-
-
-def _initial_variance(states: int) -> Floats:
-    initial = np.array([_ANGLE_STD_rad] * 3 + [_RATE_STD_rad_s] * 3 + [_OWN_STD] * (states - 6))
-    return initial**2

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from heli_lab.identify.functions import Floats, Integers
-from heli_lab.innovations.arrowhead import invert_arrowhead, per_flight_columns, solve_arrowhead
+from heli_host.arrays import Floats, Integers
+from heli_lab.estimation.arrowhead import invert_arrowhead, per_flight_columns, solve_arrowhead
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 

@@ -1,0 +1,50 @@
+"""Parameters, states and disturbances of a grey-box model, estimated from inputs and outputs."""
+
+from heli_lab.estimation.disturbances import DisturbanceModel
+from heli_lab.estimation.estimate import Estimate, estimate, estimate_disturbances
+from heli_lab.estimation.grey_box import ActingInputs, GreyBoxModel, Recording
+from heli_lab.estimation.innovations_model import Innovations, InnovationsModel
+from heli_lab.estimation.linearised_flight import (
+    BLOCK_s,
+    Derivatives,
+    LinearisedFlight,
+    ModelFunctions,
+)
+from heli_lab.estimation.parameter_vector import FreeParameter, NormalPrior, ParameterVector
+from heli_lab.estimation.reference_trajectory import (
+    KinematicModel,
+    ReferenceTrajectory,
+    kinematic_filter,
+)
+from heli_lab.estimation.trajectory_functions import (
+    EFFECT_SUBSTEPS,
+    AlongTrajectory,
+    EffectStates,
+    Trajectory,
+)
+
+__all__ = [
+    "EFFECT_SUBSTEPS",
+    "ActingInputs",
+    "AlongTrajectory",
+    "BLOCK_s",
+    "Derivatives",
+    "DisturbanceModel",
+    "EffectStates",
+    "Estimate",
+    "FreeParameter",
+    "GreyBoxModel",
+    "Innovations",
+    "InnovationsModel",
+    "KinematicModel",
+    "LinearisedFlight",
+    "ModelFunctions",
+    "NormalPrior",
+    "ParameterVector",
+    "Recording",
+    "ReferenceTrajectory",
+    "Trajectory",
+    "estimate",
+    "estimate_disturbances",
+    "kinematic_filter",
+]

@@ -1,0 +1,171 @@
+"""The model that the estimation works on, and the recordings that it is estimated from.
+
+A grey-box model is a set of stochastic differential equations with unknown parameters, measured at discrete
+times (Kristensen, Madsen and Jorgensen, Automatica 40, 2004, eq. 1 and 2):
+
+    dx/dt = f(x, u, p, t) + disturbances,    y_k = h(x_k, u_k, p, t_k) + e_k.
+
+Disturbances enter as parameters do: each is added to one parameter of the model, such as a constant torque.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+from heli_host.arrays import Floats
+
+from heli_lab.estimation.disturbances import DisturbanceModel
+
+Equations = Callable[[ca.SX, ca.SX, ca.SX, ca.SX], ca.SX]
+"""Function of state, inputs, parameters and time since the recording's first sample (s), as columns."""
+
+
+class Recording(Protocol):
+    """Inputs and outputs of a machine, sampled at even times."""
+
+    @property
+    def label(self) -> str:
+        """Name for messages."""
+
+    @property
+    def t_s(self) -> Floats:
+        """Times, shape (n,)."""
+
+    @property
+    def step_s(self) -> float:
+        """Time from one row to the next."""
+
+    @property
+    def outputs(self) -> Floats:
+        """Measured outputs, shape (n, m)."""
+
+    @property
+    def inputs(self) -> Floats:
+        """Inputs that act from each row to the next, shape (n, inputs)."""
+
+    @property
+    def resolution(self) -> Floats:
+        """One count of each sensor, in the unit of its output, shape (m,)."""
+
+    @property
+    def segments(self) -> tuple[tuple[int, int], ...]:
+        """First row and last row plus one of each part to use."""
+
+
+@dataclass(frozen=True)
+class ActingInputs:
+    """Inputs as they act in each step of a reference trajectory.
+
+    Parameters
+    ----------
+    mean : ndarray (n, inputs)
+        Mean over each step.
+    shaped_by : tuple of (str, ndarray (n, inputs))
+        Parameters that shape the inputs before they act, such as a delay, each with the derivatives of the
+        mean by it.
+    """
+
+    mean: Floats
+    shaped_by: tuple[tuple[str, Floats], ...] = ()
+
+
+def mean_inputs(
+    recording: Recording, every: int, count: int, parameters: Floats, free: Collection[str]
+) -> ActingInputs:
+    """Average inputs that act as they were recorded; the `acting_inputs` of a model in general.
+
+    Parameters
+    ----------
+    recording : Recording
+        Its rows up to `every * count` are used.
+    every, count : int
+        Rows in a step, and number of steps.
+    parameters : ndarray (p,)
+        All parameters of the model.
+    free : collection of str
+        Parameters by which derivatives are taken.
+    """
+    rows = recording.inputs[: every * count]
+    return ActingInputs(rows.reshape(count, every, rows.shape[1]).mean(axis=1))
+
+
+@dataclass(frozen=True)
+class GreyBoxModel:
+    """A stochastic state-space model with unknown parameters.
+
+    Parameters
+    ----------
+    states : tuple of str
+        Positions first, one for each output, then their rates in the same order, then any others. An output
+        measures its position, up to what the `measurement` adds.
+    inputs, outputs, parameters : tuple of str
+        Their names; `m` is the number of outputs.
+    disturbed : tuple of str
+        For each output the parameter to which its disturbance is added: mainly this output must respond to
+        it.
+    dynamics : callable
+        Rates of the states, shape (states, 1).
+    measurement : callable
+        Outputs, shape (m, 1).
+    reset_map : callable
+        Jump of the state after each step, shape (states, 1); of the states after the rates alone.
+    initial_std : ndarray (states,)
+        Standard deviation of the state at the beginning of a window about the reference trajectory.
+    disturbance_start : DisturbanceModel
+        Where the search for the disturbances begins.
+    disturbance_std_range : (float, float)
+        Smallest and largest standard deviation of that search, in the unit of the disturbed parameters.
+    acting_inputs : callable
+        Recorded inputs as they act, see `mean_inputs`.
+    known_directions : tuple of (int, int)
+        States that are the direction in which an output moved last, counted from the first after the rates,
+        and the output's number.
+    source : object
+        Description of the machine for the caller, not used here.
+    """
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    parameters: tuple[str, ...]
+    disturbed: tuple[str, ...]
+    dynamics: Equations
+    measurement: Equations
+    reset_map: Equations
+    initial_std: Floats
+    disturbance_start: DisturbanceModel
+    disturbance_std_range: tuple[float, float]
+    acting_inputs: Callable[[Recording, int, int, Floats, Collection[str]], ActingInputs] = mean_inputs
+    known_directions: tuple[tuple[int, int], ...] = ()
+    source: Any = None
+
+    def __post_init__(self) -> None:
+        if len(self.disturbed) != len(self.outputs) or len(self.states) < self.followed:
+            raise ValueError("a model needs a position, a rate and a disturbance for each of its outputs")
+
+    @property
+    def followed(self) -> int:
+        """Number of states of a reference trajectory: positions and rates."""
+        return 2 * len(self.outputs)
+
+    @property
+    def extra_states(self) -> int:
+        """Number of states after positions and rates."""
+        return len(self.states) - self.followed
+
+
+def no_reset(x: ca.SX, u: ca.SX, p: ca.SX, t: ca.SX) -> ca.SX:
+    """Keep the state `x`, for models without jumps; `u`, `p` and `t` as of `Equations`."""
+    return x
+
+
+def quantisation_std(recording: Recording) -> Floats:
+    """Standard deviation of each output's rounding to counts, a count / sqrt(12) (Widrow and Kollar,
+    Quantization Noise, 2008), shape (m,).
+    """
+    result: Floats = recording.resolution / np.sqrt(12.0)
+    return result

@@ -1,0 +1,237 @@
+"""States of a flight at even times as a filter follows them: models are linearised about them.
+
+Sensors show positions far more finely than they move, so the trajectory hardly depends on the model: at first
+each position is filtered as if random accelerations alone drove it, then by the model's equations. The states
+before and after the measurement of a step are kept. Neither looks ahead: a smoothed trajectory knows the
+innovations that it is to explain, and a wrong scale of a sensor would always be significant.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from heli_host.arrays import Flags, Floats, Integers
+
+from heli_lab.estimation import _kalman
+from heli_lab.estimation.grey_box import Recording, quantisation_std
+
+STEP_s: Final = 0.01
+"""Longest step of the trajectory. By the midpoint rule it costs (w h)^2 / 24 of an acceleration: 0.04 % where
+a position oscillates with 10 rad/s. Longer: inputs that change within a step are blurred. Shorter: time."""
+
+REST_s: Final = 0.5
+"""Time over which the count of an axis must stay the same for it to be at rest. Set with `REST_EDGE_s` on
+thirteen simulated flights with dry friction in gusts (2026-11): all of its sizes come out within 2.3 standard
+errors, with 0.3 s three of them do not. Shorter: an axis that moves slowly passes for held. Much longer: one
+that dry friction holds between two moves passes for moving."""
+REST_EDGE_s: Final = 0.06
+"""Share of such a time at its beginning and at its end that is not rest: within a count an axis sets off and
+slows down unseen. A third of it: friction comes out up to 6 standard errors too small."""
+
+_BACK: Final = 0.75
+"""How far an axis comes back in its play, in halves of the play, before it moves on as before: 0.4 to 0.8 on
+two simulated flights in gusts (2026-11). Zero: what it is off then passes for gusts of no memory."""
+
+
+@dataclass(frozen=True)
+class KinematicModel:
+    """Positions driven by random accelerations alone, for a first trajectory without a model.
+
+    Parameters
+    ----------
+    acceleration_std : float
+        Standard deviation of the accelerations, in the outputs' unit per s2: more than the machine reaches.
+    correlation_time_s : float
+        Their correlation time.
+    rate_std, position_std : float
+        Standard deviations of the first rates and positions, in the outputs' unit, the former per s.
+    """
+
+    acceleration_std: float
+    correlation_time_s: float
+    rate_std: float
+    position_std: float
+
+
+@dataclass(frozen=True)
+class ReferenceTrajectory:
+    """States of a flight at even times.
+
+    Parameters
+    ----------
+    record : Recording
+        The flight.
+    every : int
+        Rows of the flight in a step.
+    measured : ndarray (n, m)
+        Outputs at the beginning of each step, mean of the samples within half a step.
+    variance : ndarray (n, m)
+        Variance of their quantisation errors.
+    predicted, filtered : ndarray (n, 2 m)
+        Positions and rates at the beginning of each step, before and after its measurement.
+    windows : tuple of slice
+        Steps of each part to use.
+    at_rest : ndarray (n, m)
+        Whether each output is at rest. Its rate is zero there: otherwise the quantisation errors would decide
+        to which side dry friction acts.
+    directions : ndarray (n, m)
+        In which direction each output moved last, -1 to 1: where it is in its play. While its count stays the
+        same between two moves of opposite direction it goes from one to the other.
+    """
+
+    record: Recording
+    every: int
+    measured: Floats
+    variance: Floats
+    predicted: Floats
+    filtered: Floats
+    windows: tuple[slice, ...]
+    at_rest: Flags
+    directions: Floats
+
+    @property
+    def step_s(self) -> float:
+        """Length of a step."""
+        return self.record.step_s * self.every
+
+    @property
+    def rows(self) -> Integers:
+        """Steps of all windows, one window after the other."""
+        return np.concatenate([np.arange(window.start, window.stop) for window in self.windows]).astype(
+            np.int64
+        )
+
+    def refiltered(self, predicted: Floats, filtered: Floats) -> ReferenceTrajectory:
+        """Replace the states by those of a better filter, `predicted` and `filtered`, shape (n, 2 m) each."""
+        return replace(self, predicted=_held(predicted, self.at_rest), filtered=_held(filtered, self.at_rest))
+
+
+def kinematic_filter(
+    record: Recording, kinematics: KinematicModel, step_s: float = STEP_s
+) -> ReferenceTrajectory:
+    """Filter the outputs of a flight without a model of the machine.
+
+    Parameters
+    ----------
+    record : Recording
+        The flight.
+    kinematics : KinematicModel
+        How positions move.
+    step_s : float
+        Longest step; steps are not shorter than the recording's.
+    """
+    every = max(1, int(step_s / record.step_s + 1e-6))
+    count = len(record.t_s) // every
+    half = every // 2
+    outputs = record.outputs
+    size = outputs.shape[1]
+    sums = np.vstack((np.zeros(size), np.cumsum(outputs, axis=0)))
+    nodes = np.arange(count) * every
+    low, high = np.maximum(nodes - half, 0), np.minimum(nodes + half + 1, len(record.t_s))
+    width = np.minimum(nodes - low, high - 1 - nodes)
+    low, high = nodes - width, nodes + width + 1
+    measured = (sums[high] - sums[low]) / (high - low)[:, None]
+    variance = np.broadcast_to(quantisation_std(record) ** 2, measured.shape)
+    _, state = _kinematic(measured, variance, record.step_s * every, kinematics)
+    samples = (high - low)[:, None].astype(float)
+    crossings = np.abs(state[:, size:]) * record.step_s * every / record.resolution
+    # The errors of samples are independent where counts change between them; at rest they are the same.
+    variance = variance / (1.0 + (samples - 1.0) * np.minimum(crossings, 1.0))
+    windows = tuple(
+        slice(-(-start // every), stop // every)
+        for start, stop in record.segments
+        if stop // every - -(-start // every) > 1
+    )
+    before, after = _kinematic(measured, variance, record.step_s * every, kinematics)
+    at_rest = _at_rest(record, nodes)
+    return ReferenceTrajectory(
+        record,
+        every,
+        measured,
+        variance,
+        _held(before, at_rest),
+        _held(after, at_rest),
+        windows,
+        at_rest,
+        _directions(record, nodes),
+    )
+
+
+def _changed(record: Recording) -> Flags:
+    """Whether each output's count, shape (n - 1, m), changes from a row to the next."""
+    changed: Flags = np.abs(np.diff(record.outputs, axis=0)) > 0.5 * record.resolution
+    return changed
+
+
+def _directions(record: Recording, nodes: Integers) -> Floats:
+    """In which direction each output moved last, shape (n, m), in these rows of a flight.
+
+    An axis that turns round stands still when its count stops, and from there falls through a play ever
+    faster: as the square of the time. One whose count rests long and that then moves on has been on its way
+    through the play and back.
+    """
+    changed = _changed(record)
+    directions = np.zeros((len(nodes), changed.shape[1]))
+    for axis in range(changed.shape[1]):
+        moves = np.flatnonzero(changed[:, axis])
+        if not len(moves):
+            continue
+        signs = np.sign(np.diff(record.outputs[:, axis])[moves])
+        after = np.searchsorted(moves + 0.5, nodes)
+        last, following = np.clip(after - 1, 0, None), np.clip(after, None, len(moves) - 1)
+        rows = np.maximum(moves[following] - moves[last], 1)
+        share = np.clip((nodes - moves[last] - 0.5) / rows, 0.0, 1.0)
+        turned = signs[following] - signs[last]
+        # Slowly there, fast back: s^2 (1 - s) is at most 1 / 6.75.
+        there_and_back = _BACK * 6.75 * share**2 * (1.0 - share)
+        returned = (turned == 0.0) & (rows * record.step_s >= REST_s)
+        directions[:, axis] = (
+            signs[last] + turned * share**2 - np.where(returned, signs[last] * there_and_back, 0.0)
+        )
+    return directions
+
+
+def _at_rest(record: Recording, nodes: Integers) -> Flags:
+    """Whether each output, shape (n, m), is at rest in these rows of a flight."""
+    changed = _changed(record)
+    at_rest = np.zeros((len(nodes), changed.shape[1]), bool)
+    for axis in range(changed.shape[1]):
+        edges = np.concatenate(([0], np.flatnonzero(changed[:, axis]) + 1, [len(record.outputs)]))
+        run = np.searchsorted(edges, nodes, side="right") - 1
+        first, last = edges[run], edges[run + 1]
+        margin = REST_EDGE_s / record.step_s
+        long = (last - first) * record.step_s >= REST_s
+        at_rest[:, axis] = long & (nodes >= first + margin) & (nodes < last - margin)
+    return at_rest
+
+
+def _held(states: Floats, at_rest: Flags) -> Floats:
+    size = at_rest.shape[1]
+    rates: Floats = np.where(at_rest, 0.0, states[:, size:])
+    return np.hstack((states[:, :size], rates))
+
+
+def _kinematic(
+    measured: Floats, variance: Floats, step_s: float, kinematics: KinematicModel
+) -> tuple[Floats, Floats]:
+    count, size = measured.shape
+    one, zero = np.eye(size), np.zeros((size, size))
+    transition = np.block([[one, step_s * one], [zero, one]])
+    push = np.vstack((0.5 * step_s**2 * one, step_s * one))
+    measurement = np.hstack((one, zero))
+    relative = measured - measured[0]
+    before, after = _kalman.track(
+        np.broadcast_to(transition, (count, *transition.shape)).copy(),
+        np.broadcast_to(push, (1, count, *push.shape)).copy(),
+        np.broadcast_to(measurement, (count, *measurement.shape)).copy(),
+        np.ascontiguousarray(variance),
+        np.full(size, np.exp(-step_s / kinematics.correlation_time_s)),
+        np.full(size, kinematics.acceleration_std**2),
+        np.repeat([kinematics.position_std**2, kinematics.rate_std**2], size),
+        np.zeros((count, 2 * size, 1)),
+        relative[:, :, None].copy(),
+    )
+    start = np.hstack((measured[0], np.zeros(size)))
+    return before[:, : 2 * size] + start, after[:, : 2 * size] + start

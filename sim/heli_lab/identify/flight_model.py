@@ -1,0 +1,183 @@
+"""The helicopter as a grey-box model: what the estimation core gets, and its parameters in some flights."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import casadi as ca
+import numpy as np
+from heli_host.arrays import Floats
+from heli_sim.model.base import Effect, Model
+from heli_sim.model.parts import AXES
+from heli_sim.rig import Prior, Rig
+
+from heli_lab import estimation
+from heli_lab.estimation import (
+    ActingInputs,
+    DisturbanceModel,
+    FreeParameter,
+    GreyBoxModel,
+    KinematicModel,
+    ModelFunctions,
+    ParameterVector,
+    Recording,
+    ReferenceTrajectory,
+)
+from heli_lab.identify.free import PER_FLIGHT, free_parameters, rig_prior
+from heli_lab.identify.grid import make_grid
+from heli_lab.identify.record import Record
+
+TORQUES: Final = tuple(f"torque_{axis}" for axis in AXES)
+TORQUE_STD_Nm: Final = dict(zip(TORQUES, (0.02, 0.01, 0.01), strict=True))
+"""Prior standard deviation of the constant torque about each axis in a flight: an unlevel table, a cable or a
+draught. By judgement, of the order of the disturbances. Smaller: a rig whose balance changes from flight to
+flight distorts its other parameters. Larger: elevation's cannot be distinguished from the masses."""
+
+DISTURBANCE_START: Final = DisturbanceModel.start((1e-2, 3e-3, 6e-3), (1e-3, 5e-4, 5e-4))
+"""Disturbance torques (N m) from which a search starts, about the middle of what flights show."""
+_DISTURBANCE_RANGE_Nm: Final = (2e-5, 1.0)
+"""Bounds of the search: far outside of what flights show."""
+
+# Standard deviation of the state at the beginning of a window about the reference: angles and rates are known
+# to a count or so; an effect's state starts as a run from rest has it.
+_ANGLE_STD_rad: Final = 0.02
+_RATE_STD_rad_s: Final = 0.3
+_EFFECT_STATE_STD: Final = 0.3
+
+_KINEMATICS: Final = KinematicModel(5.0, 0.15, 1.0, 0.1)
+"""Angles (rad) driven by random accelerations: more than rigs of this type accelerate."""
+
+
+def with_measured_angles(model: Model) -> Model:
+    """Replace effects of a `model` by those that hold where the angles of a flight have been measured."""
+    return type(model)(tuple(effect.with_measured_angles() for effect in model.effects))
+
+
+def known_directions(effects: Sequence[Effect]) -> tuple[tuple[int, int], ...]:
+    """States of effects, counted from the first, that are directions of an axis, and the axis' number."""
+    names = [state.name for effect in effects for state in effect.states]
+    axes = {name: axis for effect in effects for name, axis in effect.direction_of.items()}
+    return tuple((names.index(name), AXES.index(axis)) for name, axis in axes.items())
+
+
+@dataclass(frozen=True)
+class _Voltages:
+    """How recorded voltages act on a model: late, and not at all within a dead zone."""
+
+    model: Model
+
+    def __call__(
+        self, recording: Recording, every: int, count: int, parameters: Floats, free: Collection[str]
+    ) -> ActingInputs:
+        model = self.model
+        assert isinstance(recording, Record)
+        names = [quantity.name for quantity in model.parameters]
+        grid = make_grid(
+            recording,
+            [(0, count * every)],
+            every,
+            delay=(model.delay, float(parameters[names.index(model.delay)])) if model.delay else None,
+            dead_zone_V=model.dead_zone_V(parameters, free),
+        )
+        shaped_by = tuple((name, mean) for name, mean, _ in grid.inputs.shaped_by)
+        return ActingInputs(grid.inputs.mean_V, shaped_by)
+
+
+@dataclass(frozen=True)
+class _Equations:
+    """One of the functions of a model, by name, with the arguments in the order of a grey-box model."""
+
+    model: Model
+    name: str
+
+    def __call__(self, x: ca.SX, u: ca.SX, p: ca.SX, t: ca.SX) -> ca.SX:
+        result: ca.SX = getattr(self.model, self.name)(x, u, p, t)
+        return result
+
+
+def grey_box(model: Model) -> GreyBoxModel:
+    """Describe a helicopter's `model`, in flights whose angles were measured, to the estimation core."""
+    model = with_measured_angles(model)
+    rigid = 2 * len(AXES)
+    return GreyBoxModel(
+        states=tuple(state.name for state in model.states),
+        inputs=tuple(quantity.name for quantity in model.inputs),
+        outputs=AXES,
+        parameters=tuple(quantity.name for quantity in model.parameters),
+        disturbed=TORQUES,
+        dynamics=_Equations(model, "dynamics"),
+        measurement=_Equations(model, "measurement"),
+        reset_map=_Equations(model, "reset_map"),
+        initial_std=np.concatenate(
+            (
+                np.repeat((_ANGLE_STD_rad, _RATE_STD_rad_s), len(AXES)),
+                np.full(len(model.states) - rigid, _EFFECT_STATE_STD),
+            )
+        ),
+        disturbance_start=DISTURBANCE_START,
+        disturbance_std_range=_DISTURBANCE_RANGE_Nm,
+        acting_inputs=_Voltages(model),
+        known_directions=known_directions(model.effects),
+        source=model,
+    )
+
+
+def model_functions(model: Model, free: Sequence[str]) -> ModelFunctions:
+    """Compile a helicopter's `model` with its derivatives by the parameters `free`."""
+    return ModelFunctions(grey_box(model), free)
+
+
+def kinematic_filter(record: Record) -> ReferenceTrajectory:
+    """Filter the angles of a flight without a model of the rig."""
+    return estimation.kinematic_filter(record, _KINEMATICS)
+
+
+class RigParameters(ParameterVector):
+    """Free parameters of a `model` on a `rig` in some flights: the rig's and the effects' are shared, encoder
+    zeros and constant torques are each flight's own.
+
+    Parameters
+    ----------
+    model : Model
+        The model, with its effects.
+    rig : Rig
+        Values and priors of its parameters.
+    records : sequence of Recording
+        The flights.
+    fixed : Mapping[str, float], optional
+        Values of parameters that are not estimated.
+    """
+
+    def __init__(
+        self, model: Model, rig: Rig, records: Sequence[Recording], fixed: Mapping[str, float] | None = None
+    ) -> None:
+        self.model, self.rig = model, rig
+        fixed = fixed or {}
+        wanted = [
+            parameter
+            for parameter in free_parameters(model, rig, None, {})
+            if parameter.quantity not in TORQUES
+        ]
+        per_flight = [parameter for parameter in wanted if parameter.quantity in PER_FLIGHT]
+        per_flight += [FreeParameter(name, "N m", _torque_prior(rig, name), name) for name in TORQUES]
+        shared = [
+            parameter
+            for parameter in wanted
+            if parameter.quantity not in PER_FLIGHT and parameter.quantity not in fixed
+        ]
+        names = [quantity.name for quantity in model.parameters]
+        values: Floats = model.parameter_values(rig)
+        for name, value in fixed.items():
+            values[names.index(name)] = value
+        super().__init__(names, values, shared, per_flight, [record.label for record in records])
+
+
+def _torque_prior(rig: Rig, name: str) -> Prior:
+    """Prior of the constant torque of one flight: what the rig file states, and what differs from flight to
+    flight.
+    """
+    stated = rig_prior(rig, name) if name in rig and rig[name].tolerance > 0 else Prior(0.0, 0.0)
+    return Prior(stated.mean, math.hypot(stated.std, TORQUE_STD_Nm[name]))

@@ -1,0 +1,43 @@
+"""The estimation core knows no helicopter: it identifies a cart with a pendulum."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from heli_lab.estimation import (
+    FreeParameter,
+    KinematicModel,
+    ModelFunctions,
+    NormalPrior,
+    ParameterVector,
+    estimate,
+    kinematic_filter,
+)
+
+from tests.estimation.pendulum import MODEL, PARAMETERS, TRUE, run
+
+pytestmark = pytest.mark.medium
+KINEMATICS = KinematicModel(20.0, 0.1, 2.0, 0.1)
+
+
+def test_a_cart_with_a_pendulum_is_identified_within_its_standard_errors() -> None:
+    runs = [run(1), run(2)]
+    guess = {name: 1.3 * value for name, value in TRUE.items()}
+    shared = [FreeParameter(name, "", NormalPrior(value, value, 1e-4), name) for name, value in guess.items()]
+    per_run = [FreeParameter(name, "", NormalPrior(0.0, 0.1), name) for name in ("force_N", "torque_Nm")]
+    vector = ParameterVector(
+        PARAMETERS, np.array([*guess.values(), 0.0, 0.0]), shared, per_run, [one.label for one in runs]
+    )
+    assert vector.names[4:] == ("force_N[run 1]", "torque_Nm[run 1]", "force_N[run 2]", "torque_Nm[run 2]")
+    functions = ModelFunctions(MODEL, vector.quantities)
+    references = [kinematic_filter(one, KINEMATICS) for one in runs]
+    first = estimate(vector, references, functions, vector.start)
+    references = first.filtered().refiltered(first.disturbances)
+    found = estimate(vector, references, functions, first.theta, first.disturbances)
+    std = np.sqrt(np.diag(found.covariance))[: len(TRUE)]
+    errors = (found.theta[: len(TRUE)] - np.array([*TRUE.values()])) / std
+    assert found.converged
+    assert np.abs(errors).max() < 3.0
+    assert (std / np.array([*TRUE.values()])).max() < 0.1
+    # The disturbances that were added: 0.08 N and 4 mN m, correlated over 0.25 s.
+    assert found.disturbances.fast_std == pytest.approx([0.08, 0.004], rel=0.3)
