@@ -27,15 +27,15 @@ class FlightFinding:
     ----------
     name : str
         Which number, such as ``travel_encoder_scale``.
-    value, standard_error : float
-        What the flight gives for it.
+    value, standard_error : float or None
+        Its estimate from the flight; None if the check itself failed.
     text : str
         For a person.
     """
 
     name: str
-    value: float
-    standard_error: float
+    value: float | None
+    standard_error: float | None
     text: str
 
 
@@ -57,12 +57,15 @@ def check_flight(flight: Flight, rig: str) -> tuple[FlightFinding, ...]:
     tuple of FlightFinding
         Empty for a healthy flight, and if no installed package offers checks.
     """
-    found: list[FlightFinding] = []
+    findings: list[FlightFinding] = []
     for entry in entry_points(group=ENTRY_POINT_GROUP):
-        check: FlightCheck = entry.load()
         # A check that cannot be made must not cost the summary of a flight.
         try:
-            found += check(flight, rig)
+            check: FlightCheck = entry.load()
+            findings += check(flight, rig)
         except (HeliError, ArithmeticError, ValueError):
             continue
-    return tuple(found)
+        except Exception as error:  # noqa: BLE001 - the check of another package may raise anything
+            text = f"the check '{entry.name}' of {entry.value} failed: {type(error).__name__}: {error}"
+            findings.append(FlightFinding(entry.name, None, None, text))
+    return tuple(findings)

@@ -9,6 +9,8 @@ import sys
 import sysconfig
 from pathlib import Path
 
+from heli_lab.estimation import _expression_vm, _kalman
+
 ROOT = Path(__file__).resolve().parents[2]
 CHANNEL = """\
 [[channel]]
@@ -82,6 +84,13 @@ class ChangedCopy:
             assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
         (extension,) = build.glob("_native*.so")
         self.extension.write_bytes(extension.read_bytes())
+        # What the laboratory compiles depends on no declaration.
+        suffix = sysconfig.get_config_var("EXT_SUFFIX")
+        for module in (_kalman, _expression_vm):
+            name = module.__name__.rpartition(".")[2]
+            shutil.copy(
+                str(module.__file__), self.root / "sim" / "heli_lab" / "estimation" / f"{name}{suffix}"
+            )
 
     @property
     def extension(self) -> Path:

@@ -62,6 +62,7 @@ def estimate_of(axis: str, scale: str) -> ScaleEstimate:
 def test_a_wrong_scale_is_measured_and_named(axis: str, scale: float) -> None:
     (finding,) = check_flight(flight_of(f"{axis}:{scale:g}"), "makki2024")
     assert finding.name == f"{axis}_encoder_scale"
+    assert finding.value is not None and finding.standard_error is not None
     assert abs(finding.value - scale) < 3.0 * finding.standard_error < 0.15
     assert f"check {axis}_counts_per_rev" in finding.text
 

@@ -34,11 +34,11 @@ CAMPAIGNS = """
 import sys
 from pathlib import Path
 from heli_lab.campaign import Case
-from heli_lab.campaign.worker_process import Cage, Limits
+from heli_lab.campaign.worker_process import Limits, WorkerProcess
 from heli_lab.campaign.store import Store
 from heli_lab.errors import CampaignError
 assert "resource" not in sys.modules and "fcntl" not in sys.modules
-with Cage(Limits(cpu_s=0.3)) as cage:
+with WorkerProcess(Limits(cpu_s=0.3)) as cage:
     print(cage.run(Case("a", "tests.campaign.works:bad", {"how": "runs away"}), "key").failure)
     print(dict(cage.run(Case("b", "tests.campaign.works:count", {"number": 3}), "other").row))
 with Store(Path("results")).locked():

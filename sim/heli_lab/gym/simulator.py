@@ -13,7 +13,7 @@ import casadi as ca
 import heli_host
 import numpy as np
 from heli_host.arrays import Floats
-from heli_host.declaration import State
+from heli_host.declaration import Axes, State
 from heli_host.errors import HeliError
 from heli_sim.compiled import compile_function
 from heli_sim.model.multibody import MultibodyModel
@@ -216,15 +216,18 @@ class BoardInLockstep(Simulator):
         transport = heli.session.transport
         if not isinstance(transport, InProcessTransport):
             raise LearningError("the board runs in another process", "remove the option board")
-        heli.stream()
         world, volts_V = transport.world, self._clip_to_limits(hover_V)
         before = world.state
-        # Moved gradually, because the board treats a jump as a runaway axis.
-        for share in np.linspace(0.0, 1.0, _CARRY_STEPS):
+        # In open loop the board does not judge the motion of the arm, which no voltage explains here.
+        heli.control(Axes(0), *volts_V)
+        # Moved gradually, because the board treats a jump as a runaway axis; then held until the board's rate
+        # filters show the arm at rest.
+        for share in np.minimum(np.linspace(0.0, 2.0, 2 * _CARRY_STEPS), 1.0):
             moved = before + share * (np.array([*state, *before[6:]]) - before)
             world.state = np.array([*moved[:3], *state[3:], *world.state[6:]])
-            heli.voltages(*volts_V)
             heli.wait(_CARRY_S / _CARRY_STEPS)
+        heli.stream()
+        heli.voltages(*volts_V)
         return self._result()
 
     @override
