@@ -40,9 +40,7 @@ _LAG_STD_s: Final = 0.05
 """Prior of the lag of the rotors' thrust, of first order: what rotors of this size have, 0 to 0.15 s."""
 _LAG_STEP_s: Final = 1e-4
 """Step of the derivative by the lag, s."""
-_ELEVATION, _PITCH, _TRAVEL = range(3)
-_ROUNDS: Final = 12
-_HALVINGS: Final = 8
+_ROUNDS: Final = 40
 _NOISE_ROUNDS: Final = 3
 _FIRST_rad_s2: Final = 0.03
 """Standard deviation of a residual to begin with, rad/s2: that of strong gusts."""
@@ -50,17 +48,16 @@ _LEAST_rad_s2: Final = 1e-3
 """Least standard deviation of a residual, rad/s2: what smoothing and rounding leave without disturbances."""
 _MOST_ALIKE: Final = 0.9
 """Largest correlation of neighbouring residuals that is believed: beyond it an equation term is missing."""
-_MOST_FEEDBACK: Final = 0.15
-"""Share of an axis' motion that disturbances may have, see `_feedback`. The shipped plans but hover have up
-to 0.1 in strong disturbances, hover 0.07 to 0.6. Larger: hover gives pitch half its scale, 4 standard errors
-off. Smaller: sines in strong disturbances give no scale."""
-_WORST_FEEDBACK: Final = 2.0
-"""Standard error of a scale by what `_feedback` gives, in shares of that. On 24 rigs in strong disturbances
-the estimates of sines were up to three shares too small. Smaller: false warnings. Larger: half the counts
-unseen."""
-_SMALL: Final = 1e-3
-"""A change of a scale's logarithm, and a tenth of a gain in cost, at which a search ends: below any standard
-error."""
+_FEEDBACK: Final = 2.0
+"""How far a scale may be wrong because the control law answers disturbances, see `_noise`, in shares of their
+power. On 24 rigs in strong disturbances the estimates of sines were up to three shares too small. Smaller:
+false warnings. Larger: half the counts unseen."""
+_SMALL: Final = 0.01
+"""Gain in cost at which a search ends: a tenth of a standard error of an unknown."""
+_LEAST_DAMPING: Final = 1e-6
+_SETTLED: Final = 1e-3
+_MOST_DAMPING: Final = 1e6
+"""Least damping of a step, the largest with which a search may have ended, and that at which it gives up."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +71,7 @@ class ScaleEstimate:
     scale : float
         Counts shown per count that the model predicts.
     standard_error : float
-        Of the scale; infinite where the flight does not move the axis enough to tell disturbances apart.
+        Of the scale.
     nats : float
         How much likelier the flight is with this scale than with 1, as the logarithm of the ratio.
     """
@@ -224,36 +221,22 @@ def _estimate(known: FlightInWeakForm, noise: Floats, axis: int, fits: tuple[_Fi
         (_fit(known, noise, (axis,), initial) for initial in (start, without.unknowns)), key=lambda f: f.cost
     )
     scale = float(np.exp(best.unknowns[axis]))
-    share = _feedback(known, joint, axis)
-    error = float(np.hypot(scale * np.sqrt(best.covariance[0, 0]), _WORST_FEEDBACK * max(scale, 1.0) * share))
-    if share > _MOST_FEEDBACK:
-        error = np.inf
+    error = scale * float(np.sqrt(best.covariance[0, 0]))
     return ScaleEstimate(AXES[axis], scale, error, 0.5 * (without.cost - best.cost))
 
 
-def _feedback(known: FlightInWeakForm, joint: _Fit, axis: int) -> float:
-    """How far, as a share of it, a scale may be wrong because the control law answers disturbances.
-
-    Least squares take what drives an axis for independent of the disturbances, and a law makes it depend on
-    them. The error is of the order of the mean square of the disturbances over that of what drives the axis.
-    In hover nothing else moves pitch, and travel shows a quarter of its scale.
-
-    Travel shows in its own equation only, pitch in that of travel too. Elevation's scale comes from the
-    weight of the arm, which no law answers.
-    """
-    if axis == _ELEVATION:
-        return 0.0
-    shares = []
-    for driver in (_TRAVEL,) if axis == _TRAVEL else (_PITCH, _TRAVEL):
-        residual = joint.residuals[driver]
-        pushed = known.shown(driver) - residual
-        shares.append(float(np.mean(residual**2)) / max(float(np.mean(pushed**2)), 1e-12))
-    return min(shares)
-
-
 def _noise(known: FlightInWeakForm) -> tuple[Floats, _Fit]:
-    """Standard deviation of each axis' residuals, (3,), and the last fit: with all scales free, so that
-    a wrong scale is no part of it. Neighbours that are alike count as fewer.
+    """Standard deviation of each axis' residuals, (3,), for the weights of a fit; and the fit that gave it.
+
+    All scales are free in it, so that a wrong scale is no part of the noise. Neighbours that are alike count
+    as fewer. Where nothing but disturbances moves an axis, a small scale explains its angles as well as any,
+    and makes its residuals small: so they are taken of the true angle.
+
+    Least squares take what drives an axis for independent of the disturbances, but a control law answers
+    these. The scale that an axis' equation gives then has a relative error of the order of r, the power of
+    the disturbances over that of what drives the axis. In hover travel shows a quarter of its scale. The
+    residuals alone, n independent ones, would give it a standard error of the root of r / n. So the noise is
+    made larger by the root of 1 + (c r)^2 n / r, with c of `_FEEDBACK`.
     """
     noise, unknowns = np.full(3, _FIRST_rad_s2), known.mean
     for _ in range(_NOISE_ROUNDS):
@@ -264,46 +247,49 @@ def _noise(known: FlightInWeakForm) -> tuple[Floats, _Fit]:
             alike = float(np.mean(residual[1:] * residual[:-1])) / max(variance, 1e-30)
             alike = min(max(alike, 0.0), _MOST_ALIKE)
             noise[axis] = max(np.sqrt(variance * (1.0 + alike) / (1.0 - alike)), _LEAST_rad_s2)
+    for axis, residual in enumerate(fit.residuals):
+        pushed = known.shown(axis) - residual
+        share = float(np.mean(residual**2)) / max(float(np.mean(pushed**2)), 1e-12)
+        noise[axis] *= np.sqrt(1.0 + _FEEDBACK**2 * share * len(residual))
+        noise[axis] /= min(1.0, float(np.exp(unknowns[axis])))
     return noise, fit
 
 
 def _fit(known: FlightInWeakForm, noise: Floats, axes: Sequence[int], start: Floats) -> _Fit:
-    """Gauss-Newton over the scales of some axes and everything else, with priors, from `start` on; steps are
-    halved until the cost falls.
+    """Levenberg and Marquardt's search over the scales of some axes and everything else, with priors, from
+    `start` on.
     """
     free = np.array([*axes, *range(3, len(known.mean))], int)
     weight = np.where(np.isfinite(known.std[free]), 1.0 / known.std[free], 0.0)
     unknowns = start.copy()
+    damping = _LEAST_DAMPING
 
-    def cost_of(at: Floats, residuals: list[Floats]) -> float:
-        data = sum(float(np.sum((r / n) ** 2)) for r, n in zip(residuals, noise, strict=True))
-        return data + float(np.sum((weight * (at[free] - known.mean[free])) ** 2))
-
-    residuals, derivatives = known.residuals(unknowns)
-    cost = cost_of(unknowns, residuals)
-    for _ in range(_ROUNDS):
-        rows = np.vstack([d[:, free] / n for d, n in zip(derivatives, noise, strict=True)])
-        errors = np.concatenate([r / n for r, n in zip(residuals, noise, strict=True)])
+    def at(point: Floats) -> tuple[float, list[Floats], Floats, Floats]:
+        residuals, derivatives = known.residuals(point)
+        rows = np.vstack([one[:, free] / n for one, n in zip(derivatives, noise, strict=True)])
+        errors = np.concatenate([one / n for one, n in zip(residuals, noise, strict=True)])
+        away = weight * (point[free] - known.mean[free])
         information = rows.T @ rows + np.diag(weight**2)
-        gradient = rows.T @ errors + weight**2 * (unknowns[free] - known.mean[free])
-        step = -np.linalg.solve(information, gradient)
-        # A scale moves by at most a factor e at a time.
+        gradient = rows.T @ errors + weight * away
+        return float(errors @ errors + away @ away), residuals, information, gradient
+
+    cost, residuals, information, gradient = at(unknowns)
+    for _ in range(_ROUNDS):
+        step = -np.linalg.solve(information + damping * np.diag(np.diagonal(information)), gradient)
         if len(axes):
+            # A scale moves by at most a factor e at a time.
             step *= min(1.0, 1.0 / max(1e-12, float(np.abs(step[: len(axes)]).max())))
-        for _ in range(_HALVINGS):
-            after = unknowns.copy()
-            after[free] += step
-            new, slopes = known.residuals(after)
-            new_cost = cost_of(after, new)
-            if new_cost <= cost or not np.any(step):
+        after = unknowns.copy()
+        after[free] += step
+        new = at(after)
+        if not new[0] <= cost:
+            damping = max(10.0 * damping, 1e-3)
+            if damping > _MOST_DAMPING:
                 break
-            step = 0.5 * step
-        if new_cost > cost:
+            continue
+        gained = cost - new[0]
+        unknowns, damping = after, max(0.1 * damping, _LEAST_DAMPING)
+        cost, residuals, information, gradient = new
+        if gained < _SMALL and damping <= _SETTLED:
             break
-        gained, moved = cost - new_cost, step
-        unknowns, cost, residuals, derivatives = after, new_cost, new, slopes
-        if gained < 10.0 * _SMALL and (not len(axes) or float(np.abs(moved[: len(axes)]).max()) < _SMALL):
-            break
-    rows = np.vstack([d[:, free] / n for d, n in zip(derivatives, noise, strict=True)])
-    information = rows.T @ rows + np.diag(weight**2)
-    return _Fit(unknowns, np.linalg.inv(information), cost, residuals)
+    return _Fit(unknowns, np.asarray(np.linalg.inv(information), np.float64), cost, residuals)
