@@ -123,7 +123,9 @@ def _greet(port: str, uploader: Bossac) -> str:
         with heli_host.connect(port, handshake_timeout_s=ANSWER_TIMEOUT_S) as heli:
             return board_text(heli)
     except (HandshakeTimeout, WrongDevice, WaitTimeout) as error:
-        remedy = "press RESET on the board, then heli-host watch; if it stays silent, see docs/how-to/flashing.md"
+        remedy = (
+            "press RESET on the board, then heli-host watch; if it stays silent, see docs/how-to/flashing.md"
+        )
         if uploader.doubtful:
             remedy = f"{_doubt(uploader)}; {remedy}"
         raise FlashError(
