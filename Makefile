@@ -1,6 +1,6 @@
 # Two commands matter: `make fly` and `make test`. Everything they need is set up in .venv by .ci/setup.
 .DEFAULT_GOAL := help
-.PHONY: help setup fly quick test long check bench blind fuzz firmware clean
+.PHONY: help setup fly docs quick test long check bench blind fuzz firmware clean
 
 PLANS ?= hover sine
 SPEED ?= 1
@@ -21,6 +21,11 @@ setup: ## everything that flying, testing and measuring need, into .venv
 fly: ## fly the simulated helicopter: make fly [SPEED=5|max] [PLANS="hover sine"] [BOARD=due|native]
 	@.ci/setup fly
 	@$(HELI) fly $(PLANS) --sil --board $(BOARD) --speed $(SPEED)
+
+docs: ## build the site: build/docs/index.html; any warning or broken link fails
+	@.ci/setup docs
+	@.venv/bin/python -m sphinx --quiet --fail-on-warning --keep-going --builder html docs build/docs
+	@echo "open build/docs/index.html"
 
 quick: ## the tests that are quick each: what one types after an edit
 	@.ci/test quick

@@ -1,4 +1,4 @@
-"""Write the C++, Python and MATLAB tables and docs/link.md from firmware/link.toml.
+"""Write the C++, Python and MATLAB tables and docs/reference/link.md from firmware/link.toml.
 
 Run ``python firmware/generate.py`` after every change of link.toml; ``--check`` writes nothing and
 fails when a generated file is stale. Needs nothing but the standard library, so that a firmware
@@ -24,7 +24,7 @@ SOURCE = "firmware/link.toml"
 WRITERS = {
     "firmware/core/link/declaration.hpp": generate_cpp,
     "host/heli_host/declaration.py": generate_python,
-    "docs/link.md": generate_doc,
+    "docs/reference/link.md": generate_doc,
     "docs/matlab/heli_declaration.m": generate_matlab,
 }
 

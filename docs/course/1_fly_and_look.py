@@ -3,7 +3,7 @@
 #
 # **Goals.** You can fly the helicopter from Python, read a flight as arrays, and say in numbers how well it followed.
 #
-# **Before.** [python.md](../python.md), its first page. Three axes: *elevation* of the long arm, *pitch* of the short one,
+# **Before.** [python.md](../how-to/python.md), its first page. Three axes: *elevation* of the long arm, *pitch* of the short one,
 # *travel* about the vertical. Two voltages.
 
 # %%

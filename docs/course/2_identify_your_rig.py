@@ -3,7 +3,7 @@
 #
 # **Goals.** You get a rig's numbers from a flight, each with a standard error, and know which numbers that flight cannot tell.
 #
-# **Before.** [identifying.md](../identifying.md). The rig of this notebook has stronger rotors and more friction about travel
+# **Before.** [identifying.md](../how-to/identifying.md). The rig of this notebook has stronger rotors and more friction about travel
 # than its file says; on a real rig skip the first cell and give the port.
 
 # %%

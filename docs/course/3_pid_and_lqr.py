@@ -3,7 +3,7 @@
 #
 # **Goals.** You design two laws from one linear model, know their margins before they fly, and compare them on the board.
 #
-# **Before.** [tuning.md](../tuning.md), [laws.md](../laws.md).
+# **Before.** [tuning.md](../how-to/tuning.md), [controllers.md](../how-to/controllers.md).
 
 # %%
 import control

@@ -4,7 +4,7 @@
 # **Goals.** You see a model's error where it counts (free runs), tell noise from structure, and get from a residual to the torque that
 # is missing.
 #
-# **Before.** [diagnosing.md](../diagnosing.md). This rig's cable pulls travel back to where it was laid: a spring that no model has.
+# **Before.** [diagnosing.md](../how-to/diagnosing.md). This rig's cable pulls travel back to where it was laid: a spring that no model has.
 
 # %%
 from pathlib import Path

@@ -4,7 +4,7 @@
 # **Goals.** You make a blind experiment: the truth is sealed before the analysis, the data tell nothing by the way, and the judgement
 # is fixed beforehand.
 #
-# **Before.** [effects.md](../effects.md) lists what can be hidden.
+# **Before.** [effects.md](../reference/effects.md) lists what can be hidden.
 
 # %%
 import hashlib

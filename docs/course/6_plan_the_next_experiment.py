@@ -95,5 +95,5 @@ assert reach_deg[0] < rig["elevation_max"].value and reach_deg[1] < rig["pitch_m
 # **Common mistakes.**
 # - Exciting one axis and fitting all. What does not move is not measured.
 # - Optimising the flight for the model you believe: if a rival model is possible, plan the flight that tells them apart
-#   (`next_flight` of [diagnosing.md](../diagnosing.md)).
+#   (`next_flight` of [diagnosing.md](../how-to/diagnosing.md)).
 # - Forgetting the priors: a parameter that is known to 1 % beforehand needs no flight.

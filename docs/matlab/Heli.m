@@ -16,7 +16,7 @@ classdef Heli < handle
   % holds level after half a second and lands by itself after two.
   %
   % Angles are in radians as their names say, and in degrees where they are given. Voltages are in
-  % volts. Signs and zeros are those of docs/architecture.md, bytes those of docs/link.md.
+  % volts. Signs and zeros are those of docs/explanation/architecture.md, bytes those of docs/reference/link.md.
   %
   % MATLAB needs R2020b for tcpclient, R2019b for serialport; Octave the package instrument-control.
 
@@ -157,7 +157,7 @@ classdef Heli < handle
     end
 
     function said = command(h, name, fields)
-      % COMMAND  Any command of docs/link.md with its fields as a structure; its reply as one.
+      % COMMAND  Any command of docs/reference/link.md with its fields as a structure; its reply as one.
       fields.request = mod(h.request, 255) + 1;
       h.request = fields.request;
       reply = h.declaration.messages.(h.declaration.messages.(name).reply);

@@ -1,4 +1,4 @@
-"""The declaration for people: docs/link.md."""
+"""The declaration for people: docs/reference/link.md."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def markdown_table(header: list[str], body: list[list[str]]) -> list[str]:
 
 
 def generate_doc(d: Table) -> str:
-    """Text of docs/link.md."""
+    """Text of docs/reference/link.md."""
     declared = d["channel"]
     text = FRAMING.format(
         hash=link_hash(d),

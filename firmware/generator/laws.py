@@ -82,7 +82,7 @@ more, {state_cost} a state and {signal_cost} a signal. When that is more than {t
 
 
 def document_laws(d: Table) -> list[str]:
-    """Lines of docs/link.md."""
+    """Lines of docs/reference/link.md."""
     out = [DOCUMENT.format(inputs=len(d["law_input"]), **d["law"])]
     out += ["| cell | input | meaning |", "|---|---|---|"]
     out += [f"| {k} | `{one['name']}` | {one['meaning']} |" for k, one in enumerate(d["law_input"])]

@@ -1,6 +1,6 @@
 """Samples in units: one of them, many as arrays, and the ring that keeps the last minutes.
 
-Which channels a sample has, and their names and units, the declaration says: the table in docs/link.md.
+The declaration names the channels of a sample and their units: the table in docs/reference/link.md.
 """
 
 from __future__ import annotations

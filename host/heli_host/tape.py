@@ -1,7 +1,7 @@
 """A control law as the board takes it: a tape of instructions over cells, with the names of what it tells.
 
-What makes tapes from Python is the laboratory; here they are only held, counted and packed. docs/link.md says
-what every word means.
+What makes tapes from Python is the laboratory; here they are only held, counted and packed.
+docs/reference/link.md says what every word means.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ def made() -> NDArray[np.int32]:
 
 
 def value(channel: int, number: int) -> float:
-    """A raw number in the unit of its column, by docs/link.md."""
+    """A raw number in the unit of its column, by docs/reference/link.md."""
     spec = CHANNELS[channel]
     whole = number % 2**32 if spec.code == "<I" else number
     if spec.axis is not None:

@@ -33,7 +33,7 @@ def test_ppo_of_stable_baselines3_learns_to_hover() -> None:
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-    # As docs/learning.md has it, for a fifth of its steps.
+    # As docs/how-to/gymnasium.md has it, for a fifth of its steps.
     four = DummyVecEnv([lambda: gymnasium.make("HeliHover-v0")] * 4)
     normalised = VecNormalize(four, gamma=0.98)
     ppo = PPO(

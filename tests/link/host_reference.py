@@ -1,4 +1,4 @@
-"""The telemetry codec and the frame in the slowest, plainest words, written from docs/link.md alone.
+"""The telemetry codec and the frame in plain, slow Python, written from docs/reference/link.md alone.
 
 The witness for heli_host.link: it shares no line, no table and no library with it.
 """
@@ -10,7 +10,7 @@ import struct
 from pathlib import Path
 
 BITS_OF_CODE = (0, 2, 4, 8, 16, 32)
-LINK_DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "link.md"
+LINK_DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "reference" / "link.md"
 
 
 def channel_types(document: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""Tables and figures of docs/measured.md: ``python -m tests.measured``."""
+"""Tables and figures of docs/validation/measured-flights.md: ``python -m tests.measured``."""
 
 from __future__ import annotations
 

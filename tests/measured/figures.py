@@ -1,4 +1,4 @@
-"""Drawings for docs/measured.md: predictions before and after, and what the machines have in common."""
+"""Drawings for docs/validation/measured-flights.md: predictions before and after, and common causes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``python -m tests.page.picture [FOLDER]``: take the picture of docs/page.md, and others to look at."""
+"""``python -m tests.page.picture [FOLDER]``: take the pictures of docs/how-to/dashboard.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every number in the printed blocks of docs/paper.md is what the commands print today."""
+"""Every number in the printed blocks of docs/validation/paper.md is what the commands print today."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 pytestmark = pytest.mark.documents
 
-DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "paper.md"
+DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "validation" / "paper.md"
 BLOCK = re.compile(r"^```console\n\$ heli-host (paper [a-z]+)[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
 # Other compilers round otherwise: the last digits of an interval move.

@@ -1,4 +1,4 @@
-"""The generated tables and docs/link.md are what firmware/link.toml says."""
+"""The generated tables and docs/reference/link.md are what firmware/link.toml says."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SOURCE = "firmware/link.toml"
 GENERATED = (
     "firmware/core/link/declaration.hpp",
     "host/heli_host/declaration.py",
-    "docs/link.md",
+    "docs/reference/link.md",
     "docs/matlab/heli_declaration.m",
 )
 

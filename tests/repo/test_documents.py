@@ -22,14 +22,7 @@ from tests.repo.typed import Typed
 from tests.running.long import LONG
 
 ROOT = Path(__file__).resolve().parents[2]
-DOCUMENTS = sorted(
-    [
-        ROOT / "README.md",
-        *(ROOT / "docs").glob("*.md"),
-        *(ROOT / "docs" / "walks").glob("*.md"),
-        *(ROOT / "docs" / "course").glob("*.md"),
-    ]
-)
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 FENCE = re.compile(r"^```(\w+)(?: (run|long))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -60,6 +53,12 @@ class Block:
         return [shlex.split(line[2:], comments=True) for line in lines if line.startswith("$ ")]
 
 
+def name_of(path: Path) -> str:
+    """A page as the folder of documents names it: how-to/flying.md."""
+    folder = ROOT / "docs"
+    return str(path.relative_to(folder if folder in path.parents else ROOT))
+
+
 def blocks(path: Path) -> list[Block]:
     return [
         Block(match[1], bool(match[2]), match[2] == "long", match[3])
@@ -69,7 +68,7 @@ def blocks(path: Path) -> list[Block]:
 
 def commands() -> list[tuple[str, list[str]]]:
     return [
-        (path.name, command)
+        (name_of(path), command)
         for path in DOCUMENTS
         for block in blocks(path)
         if block.language == "console"
@@ -136,7 +135,7 @@ def parse(arguments: list[str]) -> None:
 @pytest.mark.parametrize(
     "path",
     [
-        pytest.param(path, id=path.name, marks=pytest.mark.xdist_group(f"document-{path.name}"))
+        pytest.param(path, id=name_of(path), marks=pytest.mark.xdist_group(f"document-{name_of(path)}"))
         for path in DOCUMENTS
         if any(block.runs for block in blocks(path))
     ],

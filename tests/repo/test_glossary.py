@@ -1,4 +1,4 @@
-"""Each word of docs/glossary.md leads to the code that it names."""
+"""Each word of docs/reference/glossary.md leads to the code that it names."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-TEXT = (ROOT / "docs" / "glossary.md").read_text()
+TEXT = (ROOT / "docs" / "reference" / "glossary.md").read_text()
 PACKAGES = {"heli_host": "host", "heli_sim": "sim", "heli_lab": "sim"}
 CELLS = [
     [cell.strip() for cell in line.split("|")[1:-1]] for line in TEXT.splitlines() if line.startswith("| ")

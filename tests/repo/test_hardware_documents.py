@@ -26,7 +26,7 @@ from tests.sil.patient import PATIENT
 
 DOCS = ROOT / "docs"
 PINS = ROOT / "firmware/due/pins.hpp"
-CHECKLIST = DOCS / "first-power-up.md"
+CHECKLIST = DOCS / "how-to/first-power-up.md"
 # Programs of others whose options no test here can know.
 OTHERS = {"make", "sudo", "stty", "pio", "bossac"}
 # Verbs of the checklist that look at this computer, or need the board's own flash.
@@ -58,7 +58,7 @@ def constants() -> dict[str, tuple[str, str]]:
 def table() -> dict[str, tuple[str, str]]:
     """Pins of the wiring table."""
     row = re.compile(r"^\| `(\w+)` \| (\w+) \| (\w+) \|", re.MULTILINE)
-    return {match[1]: (match[2], match[3]) for match in row.finditer((DOCS / "wiring.md").read_text())}
+    return {match[1]: (match[2], match[3]) for match in row.finditer((DOCS / "how-to/wiring.md").read_text())}
 
 
 def test_the_wiring_table_is_the_firmwares_pins() -> None:
@@ -92,7 +92,7 @@ def test_the_wiring_diagram_is_the_firmwares_pins(tmp_path: Path, monkeypatch: p
 
 def test_the_stop_is_documented_as_the_firmware_reads_it() -> None:
     assert "kStopIsHigh = true" in (ROOT / "firmware/due/motors.cpp").read_text()
-    assert "normally closed" in (DOCS / "wiring.md").read_text()
+    assert "normally closed" in (DOCS / "how-to/wiring.md").read_text()
 
 
 @pytest.mark.parametrize(
@@ -102,12 +102,12 @@ def test_bossac_by_hand_is_what_flash_does(version: str, option: str) -> None:
     image = Path("build/pio/due/firmware.bin")
     ours = Bossac("bossac", version, (option,)).arguments("/dev/ttyACM0-of-no-machine", image)
     ours[1] = "--port=ttyACM0"
-    commands = [command for block in blocks(DOCS / "flashing.md") for command in block.commands]
+    commands = [command for block in blocks(DOCS / "how-to/flashing.md") for command in block.commands]
     assert ours in commands
 
 
 def test_every_program_in_these_documents_is_known() -> None:
-    for path in (ROOT / "README.md", DOCS / "wiring.md", DOCS / "flashing.md", CHECKLIST):
+    for path in (ROOT / "README.md", DOCS / "how-to/wiring.md", DOCS / "how-to/flashing.md", CHECKLIST):
         for block in blocks(path):
             if block.language == "console":
                 for command in block.commands:
@@ -133,7 +133,7 @@ def test_the_checklist_works_from_top_to_bottom_on_a_simulated_board(
 def simulated(words: list[str]) -> list[str]:
     """The same command for a simulated board, as fast as it goes."""
     if words[0] == "tune":
-        # It takes long, and docs/tuning.md has it run; parameters are parameters.
+        # It takes long, and docs/how-to/tuning.md has it run; parameters are parameters.
         return ["params", "dump", words[words.index("--out") + 1], "--sil"]
     verb = verbs()[words[0]]
     verb = getattr(verb, "commands", {}).get(words[1], verb)

@@ -1,7 +1,7 @@
 """Twins of real machines: ``python -m tests.twin.measured``; needs ../shared/data/measured.
 
-The model is found on one flight of a pair, with the effects that docs/measured.md names; its twin flies
-beside the other one, as it is, and with its voltages told 5 % too high from a moment on."""
+The model is found on one flight of a pair, with the effects that docs/validation/measured-flights.md names;
+its twin flies beside the other one, as it is, and with its voltages told 5 % too high from a moment on."""
 
 from __future__ import annotations
 

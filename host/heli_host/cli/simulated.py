@@ -52,7 +52,7 @@ EffectOption = Annotated[
         "--effect",
         metavar="ID[=VALUE]",
         help="Effect simulated beyond the model, such as rotor_lag=0.1 or thrust_step.front=0.1@25; may be "
-        "repeated. docs/effects.md lists them.",
+        "repeated. docs/reference/effects.md lists them.",
         show_default=False,
     ),
 ]

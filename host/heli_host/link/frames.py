@@ -1,4 +1,4 @@
-"""Frames: ``COBS(protocol | message id | sequence | payload | crc32) 0x00``, as docs/link.md says."""
+"""Frames: ``COBS(protocol | message id | sequence | payload | crc32) 0x00``, see docs/reference/link.md."""
 
 from __future__ import annotations
 

@@ -246,7 +246,10 @@ class Service:
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
         else:
-            self._tell(client, _refused(asked, f"nothing is called {name[:40]!r} here", "see docs/page.md"))
+            self._tell(
+                client,
+                _refused(asked, f"nothing is called {name[:40]!r} here", "see docs/how-to/dashboard.md"),
+            )
 
     def _seat_action(self, client: Outbox, name: str, asked: Mapping[str, Any]) -> None:
         now_s = time.monotonic()

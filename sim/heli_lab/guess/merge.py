@@ -22,7 +22,8 @@ def merge_tables(tables: Sequence[Table]) -> Table:
     Returns
     -------
     Table
-        Has the name of the first file; each column's name starts with the position of its file, as ``1: ``.
+        Has the name of the first file; each column's name starts with the position of its file, as in
+        ``1: time``.
 
     Raises
     ------

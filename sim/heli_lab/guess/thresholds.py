@@ -1,7 +1,7 @@
 """Thresholds of the guess, each with its unit, its source and the effect of other values.
 
-"Measured flights" are the eight flights of docs/measured.md. "Simulated flights" are those of
-`python -m tests.guess`.
+"Measured flights" are the eight flights of docs/validation/measured-flights.md. "Simulated flights" are
+those of `python -m tests.guess`.
 """
 
 from __future__ import annotations

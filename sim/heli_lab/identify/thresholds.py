@@ -1,7 +1,8 @@
 """Thresholds of identification: what each means, in which unit, how it was set, and what happens beside it.
 
 "Set by judgement" means that no measurement is on record. "Measured flights" are the eight flights of
-docs/measured.md; "coverage" is the count of `make bench` over 50 rigs drawn from their tolerances.
+docs/validation/measured-flights.md; "coverage" is the count of `make bench` over 50 rigs drawn from
+their tolerances.
 """
 
 from __future__ import annotations

@@ -12,8 +12,8 @@ from heli_lab.errors import PoolError
 
 MIN_CAUSE_CONFIDENCE: Final = 0.9
 """Confidence from which on a cause counts as present, 0 to 1. At least nine of ten such causes are right on
-the blind set (docs/diagnosing.md). A lower value counts causes that no rig has, a higher one misses causes
-that the flights show weakly."""
+the blind set (docs/how-to/diagnosing.md). A lower value counts causes that no rig has, a higher one misses
+causes that the flights show weakly."""
 _MIN_INFORMATION_SHARE: Final = 0.05
 """Smallest precision from the flights over the prior's precision for which a parameter of a rig is used.
 Below it, the estimate without the prior is a difference of nearly equal numbers."""

@@ -91,9 +91,9 @@ class Margin:
     delay_s : float
         Delay margin.
     sensitivity : float
-        Peak of 1 / |1 + L|.
+        Peak of 1 / abs(1 + L).
     crossover_rad_s : float
-        Highest frequency at which |L| is 1.
+        Highest frequency at which abs(L) is 1.
     """
 
     gain_up: float

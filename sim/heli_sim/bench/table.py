@@ -43,7 +43,7 @@ tolerance_deg = 0.5
 
 
 def bench_tests_from(table: Mapping[str, Any]) -> tuple[Thrust | None, Balance | None, list[Swing]]:
-    """Read bench tests from a TOML `table`, as docs/describe-your-rig.md shows them.
+    """Read bench tests from a TOML `table`, as docs/how-to/describe-your-rig.md shows them.
 
     Raises
     ------

@@ -124,7 +124,7 @@ def _greet(port: str, uploader: Bossac) -> str:
             return board_text(heli)
     except (HandshakeTimeout, WrongDevice, WaitTimeout) as error:
         remedy = (
-            "press RESET on the board, then try heli-host watch; if it stays silent, see docs/flashing.md"
+            "press RESET on the board, then heli-host watch; if it stays silent, see docs/how-to/flashing.md"
         )
         if uploader.doubtful:
             remedy = f"{_doubt(uploader)}; {remedy}"

@@ -35,8 +35,8 @@ def motors(
 ) -> None:
     """Bench only: enable the drivers, put fixed voltages on the motors, then switch everything off.
 
-    No propellers until docs/first-power-up.md says so: nothing holds the arm. Ctrl-C switches off at once,
-    and so does the board itself when this program dies.
+    No propellers until docs/how-to/first-power-up.md says so: nothing holds the arm. Ctrl-C switches off
+    at once, and so does the board itself when this program dies.
 
     Example: `heli-host motors --front-V 1.0 --for-s 2`
     """

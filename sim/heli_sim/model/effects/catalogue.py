@@ -61,7 +61,9 @@ def _kinds_of(path: Path) -> list[EffectKind]:
     module = _module(path)
     found = list(_kinds_in(module))
     if not found:
-        raise EffectError(f"effect file {path} has no EffectKind at its top level", "see docs/effects.md")
+        raise EffectError(
+            f"effect file {path} has no EffectKind at its top level", "see docs/reference/effects.md"
+        )
     for kind in found:
         _try(path, kind)
     return found
@@ -95,14 +97,16 @@ def _try(path: Path, kind: EffectKind) -> None:
     """Evaluate a model with the effect, so that what is wrong with it shows here and not during a fit."""
     where = f"effect file {path}: '{kind.id}'"
     if not (inspect.isclass(kind.effect) and issubclass(kind.effect, Effect)):
-        raise EffectError(f"{where}: effect must be a class derived from Effect", "see docs/effects.md")
+        raise EffectError(
+            f"{where}: effect must be a class derived from Effect", "see docs/reference/effects.md"
+        )
     if not kind.numbers or not kind.size:
         raise EffectError(f"{where} has no number with size=True", "say which one measures it")
     models = [model for model in (MultibodyModel, PaperModel) if kind.suits(model())]
     if not models:
         raise EffectError(
             f"{where} needs {', '.join({*kind.needs, *kind.override})}, which no model has",
-            "name what a model has; see docs/effects.md",
+            "name what a model has; see docs/reference/effects.md",
         )
     try:
         kind.describe(kind.typical)

@@ -1,4 +1,4 @@
-"""The table of effects in docs/effects.md: ``python -m heli_sim.model.effects.table`` writes it anew."""
+"""Write the table of docs/reference/effects.md: ``python -m heli_sim.model.effects.table``."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def _bound(value: float, sign: str) -> str:
     return f"{value:g}" if math.isfinite(value) else f"{sign}any"
 
 
-def main(path: str = "docs/effects.md") -> None:
+def main(path: str = "docs/reference/effects.md") -> None:
     """Write the table into the document at `path`."""
     document = Path(path)
     document.write_text(with_table(document.read_text(encoding="utf-8")), encoding="utf-8")

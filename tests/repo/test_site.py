@@ -1,0 +1,71 @@
+"""The site: its tree of contents reaches every page, and it builds without a warning."""
+
+from __future__ import annotations
+
+import os.path
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.running.long import LONG
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+FOLDERS = {"tutorials", "how-to", "reference", "explanation", "validation"}
+# For readers of the repository: what a folder is for.
+NOT_PAGES = {"figures/README.md", "laws/README.md", "matlab/README.md"}
+TOCTREE = re.compile(r"^```\{toctree\}\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def children(page: Path) -> list[Path]:
+    """Pages that the trees of contents of a page name."""
+    lines = [line for body in TOCTREE.findall(page.read_text()) for line in body.splitlines()]
+    names = [line for line in lines if line and not line.startswith(":")]
+    return [Path(os.path.normpath(page.parent / f"{name}.md")) for name in names]
+
+
+def reached(page: Path) -> set[Path]:
+    below = children(page)
+    return {page, *below}.union(*map(reached, below))
+
+
+def test_the_tree_of_contents_reaches_every_page() -> None:
+    pages = {path for path in DOCS.rglob("*.md") if str(path.relative_to(DOCS)) not in NOT_PAGES}
+    assert reached(DOCS / "index.md") == pages
+
+
+def test_every_page_is_in_one_of_the_five_folders() -> None:
+    pages = {str(path.relative_to(DOCS)) for path in DOCS.rglob("*.md")} - NOT_PAGES
+    outside = {page for page in pages if page.partition("/")[0] not in FOLDERS}
+    assert outside == {"index.md", "course/README.md"}
+
+
+@pytest.mark.documents
+def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
+    # The reference of the Python API is most of the work.
+    less = [] if LONG else ["--tag", "without_api"]
+    options = ["--quiet", "--fail-on-warning", "--keep-going", *less]
+    command = [sys.executable, "-m", "sphinx", *options, "--builder", "html", str(DOCS), str(tmp_path)]
+    built = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert built.returncode == 0, built.stderr
+    assert "<math" in (tmp_path / "reference/effects.html").read_text()
+    assert 'class="gp">$ ' in (tmp_path / "how-to/flying.html").read_text()
+
+
+@pytest.mark.documents
+def test_a_broken_link_fails_the_site(tmp_path: Path) -> None:
+    docs = tmp_path / "docs"
+    (docs / "_extensions").mkdir(parents=True)
+    for name in ("conf.py", "_extensions/mathml.py"):
+        (docs / name).write_text((DOCS / name).read_text())
+    (docs / "_static").mkdir()
+    (tmp_path / "pyproject.toml").write_text((ROOT / "pyproject.toml").read_text())
+    (docs / "index.md").write_text("# Site\n\n[gone](gone.md)\n")
+    options = ["--quiet", "--fail-on-warning", "--keep-going", "--builder", "html"]
+    command = [sys.executable, "-m", "sphinx", *options, str(docs), str(tmp_path / "site")]
+    built = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert built.returncode != 0
+    assert "gone" in built.stderr
