@@ -4,7 +4,7 @@ function d = heli_declaration()
 % Written by firmware/generate.py from firmware/link.toml. Do not edit.
 
 d.link_version = '1.3';
-d.link_hash = uint32(88437033);
+d.link_hash = uint32(3804193962);
 d.protocol = 1;
 d.baud = 250000;
 d.tick_us = 1000;

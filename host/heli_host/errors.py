@@ -40,7 +40,7 @@ from typing import ClassVar
 
 from heli_host.declaration import FAULTS, PARAMS, Fault, FaultSpec, LawError, MessageId, Param, Result, State
 
-MOST_CHARACTERS = 2000
+MAX_CHARACTERS = 2000
 """Longest cause and longest remedy: a file may hold a name of a megabyte."""
 
 
@@ -56,10 +56,10 @@ def printable(text: str) -> str:
     -------
     str
         With control and formatting characters as their escapes, and its middle left out where it is longer
-        than `MOST_CHARACTERS`.
+        than `MAX_CHARACTERS`.
     """
-    if len(text) > MOST_CHARACTERS:
-        half = MOST_CHARACTERS // 2
+    if len(text) > MAX_CHARACTERS:
+        half = MAX_CHARACTERS // 2
         text = f"{text[:half]} ... {text[-half:]}"
     if text.isprintable():
         return text

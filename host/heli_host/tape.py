@@ -21,7 +21,7 @@ from heli_host.declaration import (
     LAW_FORMAT,
     LAW_INPUT_COST,
     LAW_INPUTS,
-    LAW_MOST_TICKS,
+    LAW_MAX_TICKS,
     LAW_MOVING_COST,
     LAW_OUTPUT_COST,
     LAW_SIGNAL_COST,
@@ -154,12 +154,12 @@ class Tape:
                 "simplify it: fewer states, fewer unrolled iterations",
             )
         needed = self.ticks
-        if needed > min(self.divisor, LAW_MOST_TICKS):
+        if needed > min(self.divisor, LAW_MAX_TICKS):
             fitting = next((d for d in DIVISORS if d >= needed), None)
             raise BadLaw(
                 f"a call costs up to {self.cost} instructions, a tick has {LAW_TICK_COST} for it",
                 f"at {TICK_Hz / fitting:g} Hz it fits: a call is spread over {needed} ticks"
-                if fitting is not None and needed <= LAW_MOST_TICKS
+                if fitting is not None and needed <= LAW_MAX_TICKS
                 else "simplify it: it fits no rate",
             )
 

@@ -27,7 +27,7 @@ from heli_host.setpoints import check_setpoint, setpoint_bounds
 from heli_host.telemetry_view import HISTORY_S
 
 LEAD_S = 0.04
-MOST_LEAD_S = 0.5
+MAX_LEAD_S = 0.5
 
 _STOP_TRIES = 3
 _REACHED_DEG = 2.0
@@ -196,8 +196,8 @@ class Vehicle(OpenLoopCommands):
         given = {"elevation": elevation_deg, "pitch": pitch_deg, "travel": travel_deg}
         targets_deg = {axis: value for axis, value in given.items() if value is not None}
         check_setpoint(targets_deg, self.params)
-        if not 0.0 <= lead_s <= MOST_LEAD_S:
-            raise SetpointError(f"a lead of {lead_s:g} s is too long", f"give 0 to {MOST_LEAD_S:g} s")
+        if not 0.0 <= lead_s <= MAX_LEAD_S:
+            raise SetpointError(f"a lead of {lead_s:g} s is too long", f"give 0 to {MAX_LEAD_S:g} s")
         state = self.session.state
         if state not in _FOLLOWING:
             name = state.name.lower() if state is not None else "not heard yet"

@@ -14,7 +14,7 @@ from heli_host.guest_law import engage
 from heli_host.link.telemetry import Ticks
 
 from tests.law.flown import fly, law_of, replayed
-from tests.law.hostile import HOSTILE, RIGS, CALM_s, Good, MOST_deg, Volts, follows, hostile, motors, tries
+from tests.law.hostile import HOSTILE, RIGS, CALM_s, Good, MAX_deg, Volts, follows, hostile, motors, tries
 from tests.running.long import LONG, samples
 
 LAWS = Path(__file__).resolve().parents[2] / "docs" / "laws"
@@ -132,10 +132,10 @@ def test_a_good_law_flies_at_the_highest_setpoint_there_is() -> None:
     law = hostile("well", lambda now, good, _: motors(good))
     with heli_host.connect("sil://") as heli:
         heli.take_off()
-        heli.setpoint(elevation_deg=MOST_deg)
+        heli.setpoint(elevation_deg=MAX_deg)
         heli.wait(4.0)
         assert not heli.fly_law(law.tape, duration_s=5.0).taken_over
-        assert abs(heli.latest.elevation_deg - MOST_deg) < 1.0
+        assert abs(heli.latest.elevation_deg - MAX_deg) < 1.0
 
 
 @pytest.mark.medium

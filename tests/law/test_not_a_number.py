@@ -41,7 +41,7 @@ FRONT_V, BACK_V = 1.7, 1.7
 CALLS_BEFORE = 3
 
 
-@control_law(states={"most_rad": 0.0})
+@control_law(states={"max_rad": 0.0})
 def helpers(now: Any, state: Any, parameter: Any) -> Command:
     """Every limit and condition that there is."""
     a, b = now.pitch_rad, now.travel_rad
@@ -50,7 +50,7 @@ def helpers(now: Any, state: Any, parameter: Any) -> Command:
     return Command(
         saturated(one + a, 1.0, 2.0),
         1.7 + fmin(a, b) + fmax(now.elevation_rad, 0.0) + 0.0 * if_else(a == b, 1.0, 2.0),
-        states={"most_rad": fmax(state.most_rad, fabs(b))},
+        states={"max_rad": fmax(state.max_rad, fabs(b))},
         signals={"floor": floor(a), "guarded": if_else(b > 0.0, sqrt(b), 0.0)},
         elevation_setpoint_rad=atan2(a, 1.0),
     )

@@ -96,9 +96,9 @@ void Supervisor::enter(State next, Trigger cause) {
   }
   if (next == State::hold) {
     const Quantity elevation_rad = seen_->angle_rad[kElevation];
-    setpoints_.hold_at(kElevation, elevation_rad < bounds_->most_rad[kElevation]
+    setpoints_.hold_at(kElevation, elevation_rad < bounds_->max_rad[kElevation]
                                        ? elevation_rad
-                                       : bounds_->most_rad[kElevation]);
+                                       : bounds_->max_rad[kElevation]);
     setpoints_.hold_at(kTravel, seen_->angle_rad[kTravel]);
     setpoints_.hold_at(kPitch, Quantity{});
   }

@@ -83,7 +83,7 @@ BalanceLimits balance_limits_of(const params::Params& params, std::size_t axis) 
   limits.drive_per_rad = Gain::of(drive_per_rad);
   limits.width = Quantity::of(kShares[axis].width * most);
   limits.margin = Quantity::of(kShares[axis].margin * most);
-  limits.moved_most = Quantity::of(0.5F * most * times * times);
+  limits.moved_max = Quantity::of(0.5F * most * times * times);
   limits.speed_per_rad_s = Gain::of(drive_per_rad * Balance::kTime_s);
   // Only travel coasts: nothing pulls it back. The others are driven hard, and noticed by that.
   if (axis == kTravel) {
@@ -184,7 +184,7 @@ Verdict Tracking::check(const Tracked& tracked, const TrackingLimits& limits) {
   const Quantity error_rad = magnitude(tracked.setpoint_rad[i] - seen.angle_rad[i]);
   const bool astray = (tracked.closed & bit) != 0U && error_rad > limits.error_max_rad[i];
   axis.error_updates = astray && started ? axis.error_updates + 1U : 0U;
-  const Quantity most = limits.balance[i].moved_most;
+  const Quantity most = limits.balance[i].moved_max;
   const Quantity doubted = i == kTravel && tracked.descends ? most.half() : most;
   if (axis.balance.moved() > doubted || axis.driven_updates > limits.motion_updates) {
     return {kMotionless[i], seen_of(i, drive, axis.balance, limits.balance[i])};

@@ -9,7 +9,7 @@
 
 namespace heli::link {
 
-inline constexpr std::uint32_t kLinkHash = 0x05457129U;
+inline constexpr std::uint32_t kLinkHash = 0xe2bf64aaU;
 inline constexpr std::uint8_t kLinkMajor = 1;
 inline constexpr std::uint8_t kLinkMinor = 3;
 inline constexpr std::uint8_t kFirmwareMajor = 0;
@@ -417,8 +417,8 @@ inline constexpr std::uint32_t kLawFormat = 2;
 inline constexpr std::uint32_t kLawCells = 512;
 inline constexpr std::uint32_t kLawWords = 1536;
 inline constexpr std::uint32_t kLawSignals = 4;
-inline constexpr std::uint32_t kLawMostTicks = 16;
-inline constexpr std::uint32_t kLawMostTerms = 64;
+inline constexpr std::uint32_t kLawMaxTicks = 16;
+inline constexpr std::uint32_t kLawMaxTerms = 64;
 inline constexpr std::uint32_t kLawTickCost = 20000;
 inline constexpr std::uint32_t kLawFixedCost = 1120;
 inline constexpr std::uint32_t kLawOutputCost = 320;

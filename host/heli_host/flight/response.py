@@ -18,7 +18,7 @@ from heli_host.declaration import AXES
 from heli_host.flight.flight import Flight
 from heli_host.flight.flown import Rows, flown_rows, led_rows
 
-LEAST_STEP_DEG: Final = 1.0
+MIN_STEP_DEG: Final = 1.0
 """Move of a setpoint from one that was held to the next from which on it is a step. By judgement. Lower: what
 trims the flight is taken for steps. Higher: small steps have no metrics."""
 HELD_s: Final = 1.0
@@ -201,7 +201,7 @@ def _moves(flight: Flight, wanted_deg: Floats, led: Rows) -> list[tuple[int, int
     return [
         (first, stop)
         for (_, first), (_, stop) in itertools.pairwise(_held(flight, wanted_deg, led))
-        if led[first:stop].all() and abs(wanted_deg[stop - 1] - wanted_deg[first - 1]) > LEAST_STEP_DEG
+        if led[first:stop].all() and abs(wanted_deg[stop - 1] - wanted_deg[first - 1]) > MIN_STEP_DEG
     ]
 
 

@@ -15,7 +15,7 @@ READ_TIMEOUT_S = 0.02
 
 _BACKOFF_S = (0.05, 0.1, 0.2, 0.5, 1.0)
 # In lockstep a board that does not come back may take no time to say so.
-_MOST_ATTEMPTS = 2000
+_MAX_ATTEMPTS = 2000
 
 
 class Driver:
@@ -183,7 +183,7 @@ class Driver:
             event = self._engine.cut(transport.now_s(), transport.wall_ns(), error.cause)
         self._deliver(Received(events=[event]))
         transport.close()
-        for attempt in range(_MOST_ATTEMPTS):
+        for attempt in range(_MAX_ATTEMPTS):
             if self._stop.is_set() or transport.now_s() >= self._give_up_s():
                 break
             try:

@@ -27,7 +27,7 @@ from heli_host.flight_checks import FlightFinding
 from heli_host.log.reader import Log
 from heli_host.log.writer import DISK_BLOCKED, TICKS_DROPPED
 
-_MOST_COUNT = 2**63
+_MAX_COUNT = 2**63
 _LONGEST_COUNT = 24
 _TOLD = (DISK_BLOCKED, TICKS_DROPPED)
 
@@ -200,4 +200,4 @@ def _link(log: Log) -> dict[str, int]:
 
 
 def _is_count(value: object) -> bool:
-    return isinstance(value, int | float) and abs(value) < _MOST_COUNT
+    return isinstance(value, int | float) and abs(value) < _MAX_COUNT

@@ -48,7 +48,7 @@ _HEARD_S = 0.5
 present. Shorter, a busy computer makes the state unknown; longer, a page takes a board for idle that may have
 begun to fly."""
 _EVENTS_KEPT = 200
-_MOST_UNDO = 100
+_MAX_UNDO = 100
 
 
 class Cockpit:
@@ -327,7 +327,7 @@ class Cockpit:
         name = text(arguments, "name")
         before = self._heli.params[name]
         self._heli.params.set(name, number(arguments, "value"))
-        self._undo = [*self._undo, (name, before)][-_MOST_UNDO:]
+        self._undo = [*self._undo, (name, before)][-_MAX_UNDO:]
         self._note(f"{name}: {before:g} -> {self._heli.params[name]:g}", "parameter")
         self._tell_values()
         return {"value": self._heli.params[name]}

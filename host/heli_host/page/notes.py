@@ -6,7 +6,7 @@ import logging
 
 from heli_host.errors import printable
 
-_MOST_CAUSES = 200
+_MAX_CAUSES = 200
 """Different lines that are logged: who sends nonsense without end must not fill a disk with it."""
 
 
@@ -26,8 +26,8 @@ class Notes:
             What went wrong, and for whom.
         """
         line = printable(" ".join(cause.split()))
-        if line in self._seen or len(self._seen) > _MOST_CAUSES:
+        if line in self._seen or len(self._seen) > _MAX_CAUSES:
             return
         self._seen.add(line)
-        more = "; further lines are left out" if len(self._seen) > _MOST_CAUSES else ""
+        more = "; further lines are left out" if len(self._seen) > _MAX_CAUSES else ""
         self._log.warning("page: %s%s", line, more)

@@ -13,7 +13,7 @@ from heli_host.page.wire import pack
 
 FRAME_S = 0.05
 """Between two frames to a client [s]: 20 a second look smooth, and three tabs not quite double the work."""
-MOST_ROWS = 5000
+MAX_ROWS = 5000
 """Rows of a frame: who falls behind by more than five seconds gets every second, third, ... of them."""
 UNACKNOWLEDGED = 8
 """Frames on their way to a client: 0.4 s. Then it is waited for, and the rows become fewer."""
@@ -103,7 +103,7 @@ class Outbox:
             while self.sent - self.acknowledged >= UNACKNOWLEDGED:
                 self.may_send.clear()
                 await self.may_send.wait()
-            cut = source.tape.cut(position, MOST_ROWS)
+            cut = source.tape.cut(position, MAX_ROWS)
             now_s = time.monotonic()
             # Without rows an empty frame asks for the sign of life: a board that is silent is no lost pilot.
             if len(cut.tick) or now_s - sent_s >= EMPTY_S:

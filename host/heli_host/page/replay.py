@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from heli_host.log.reader import Log
 
 _STEP_S = 0.02
-_MOST_SPEED = 50.0
+_MAX_SPEED = 50.0
 _BEFORE_S = 60.0
 """What is shown of the time before the moment that was sought [s]."""
 
@@ -185,7 +185,7 @@ class Replay:
 
     def _play(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
         if "speed" in arguments:
-            self._speed = min(max(number(arguments, "speed"), 0.1), _MOST_SPEED)
+            self._speed = min(max(number(arguments, "speed"), 0.1), _MAX_SPEED)
         self._playing = bool(arguments.get("on", True))
         if self._playing and self._at >= len(self._tick):
             self._seek({"t_s": float(self._tick[0]) * TICK_S})

@@ -24,7 +24,7 @@ from heli_lab.law.no_number import with_no_number
 from heli_lab.law.streamed import Streamed
 
 _TRUTH: Final = "truth value"
-MOST_STATES: Final = 255
+MAX_STATES: Final = 255
 # The longest that MATLAB takes.
 _LONGEST_NAME: Final = 63
 SETPOINTS: Final = tuple(f"{axis}_setpoint_rad" for axis in AXES)
@@ -102,9 +102,9 @@ class Law:
             ("states", self.states, "reduce the order"),
             ("parameters", self.parameters, "write as numbers what is not changed in flight"),
         ):
-            if len(values) > MOST_STATES:
+            if len(values) > MAX_STATES:
                 raise BadLaw(
-                    f"{len(values)} {kind} are too many for a board", f"give at most {MOST_STATES}: {remedy}"
+                    f"{len(values)} {kind} are too many for a board", f"give at most {MAX_STATES}: {remedy}"
                 )
             for name, value in values.items():
                 check_number(f"{kind[:-1]} {name}", value)

@@ -14,7 +14,7 @@ from heli_sim.sil.spans import During
 from heli_sim.sil.world import SilWorld
 
 _TICK_s: Final = 1e-3
-_MOST_BYTES: Final = 4096
+_MAX_BYTES: Final = 4096
 _AXES: Final = "|".join(AXES)
 HELP: Final = f"stop, release, pull {_AXES}, plug {_AXES}, supply off, supply on, help"
 """The lines that are understood."""
@@ -55,13 +55,13 @@ class Rehearsal:
         if self._fd not in ready:
             return
         try:
-            data = os.read(self._fd, _MOST_BYTES)
+            data = os.read(self._fd, _MAX_BYTES)
         except OSError:
             # A terminal that was closed.
             data = b""
         self._ended = not data
         *lines, unfinished = (self._unfinished + data).split(b"\n")
-        self._unfinished = unfinished[:_MOST_BYTES]
+        self._unfinished = unfinished[:_MAX_BYTES]
         for line in lines:
             if words := line.decode("ascii", "replace").split():
                 self._say(f"{self._world.time_s:.1f} s: {self.obey(words)}")

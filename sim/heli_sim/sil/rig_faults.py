@@ -15,7 +15,7 @@ from heli_sim import _native
 from heli_sim.errors import OptionError
 from heli_sim.sil.spans import During, edges_of, next_edge
 
-_MOST_SCALE: Final = 16.0
+_MAX_SCALE: Final = 16.0
 """Largest scale of an encoder: discs of 1000 to 16000 lines are sold."""
 
 
@@ -55,10 +55,10 @@ class RigFaults:
             if axis not in AXES:
                 raise OptionError(f"no encoder is called '{axis}'", f"axes are: {', '.join(AXES)}")
         for scale in self.encoder_scales:
-            if not (math.isfinite(scale) and 0.0 < abs(scale) <= _MOST_SCALE):
+            if not (math.isfinite(scale) and 0.0 < abs(scale) <= _MAX_SCALE):
                 raise OptionError(
                     f"an encoder's scale of {scale:g} is out of range",
-                    f"give a number from -{_MOST_SCALE:g} to {_MOST_SCALE:g}, but not 0",
+                    f"give a number from -{_MAX_SCALE:g} to {_MAX_SCALE:g}, but not 0",
                 )
 
     def next_edge(self, tick: int) -> int:

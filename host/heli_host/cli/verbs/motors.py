@@ -14,7 +14,7 @@ from heli_host.cli.verb import Verb
 if TYPE_CHECKING:
     from heli_host.heli import Heli
 
-MOST_S = 30.0
+MAX_S = 30.0
 # The board switches off by itself when it has not heard of open loop for setpoint_hold_s (0.5 s).
 REFRESH_S = 0.1
 
@@ -25,7 +25,7 @@ def motors(
     ] = 0.0,
     back_V: Annotated[float, typer.Option("--back-V", metavar="V", help="Back motor; 0 only enables.")] = 0.0,
     for_s: Annotated[
-        float, typer.Option("--for-s", metavar="S", min=0.1, max=MOST_S, help="How long; then off.")
+        float, typer.Option("--for-s", metavar="S", min=0.1, max=MAX_S, help="How long; then off.")
     ] = 2.0,
     clear_fault: ClearFaultOption = False,
     port: PortOption = None,

@@ -50,11 +50,13 @@ def plot(
 
 
 def _compare(logs: Sequence[Path], out: Path | None, json: bool) -> None:
-    from heli_host.log.comparison import MOST, comparison_lines, comparison_numbers, write_comparison
+    from heli_host.log.comparison import MAX_FLIGHTS, comparison_lines, comparison_numbers, write_comparison
     from heli_host.log.flight_file import read_flight
 
-    if len(logs) > MOST:
-        raise typer.BadParameter(f"{len(logs)} flights on one page cannot be told apart; give {MOST} at most")
+    if len(logs) > MAX_FLIGHTS:
+        raise typer.BadParameter(
+            f"{len(logs)} flights on one page cannot be told apart; give {MAX_FLIGHTS} at most"
+        )
     labels = [str(log) for log in logs]
     if len(set(labels)) < len(labels):
         raise typer.BadParameter("a log is given twice; give each once")

@@ -12,7 +12,7 @@ from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.rig.quantity import Prior, Quantity
 
-LEAST_LAG_s: Final = 0.004
+MIN_LAG_s: Final = 0.004
 """Shortest lag that is integrated, s: Runge-Kutta steps of 10 ms, as identification takes them, are stable
 down to 3.6 ms."""
 
@@ -57,12 +57,12 @@ class RotorLag(Effect):
 
     @override
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        share = ca.fmin(self.own(at, self.time_constant) / LEAST_LAG_s, 1.0)
+        share = ca.fmin(self.own(at, self.time_constant) / MIN_LAG_s, 1.0)
         return share * self._reached_N(at) + (1 - share) * thrust_N
 
     @override
     def state_rates(self, at: Operands) -> ca.SX:
-        return (at.thrust_N - self._reached_N(at)) / ca.fmax(self.own(at, self.time_constant), LEAST_LAG_s)
+        return (at.thrust_N - self._reached_N(at)) / ca.fmax(self.own(at, self.time_constant), MIN_LAG_s)
 
     def _reached_N(self, at: Operands) -> ca.SX:
         return ca.vertcat(self.own(at, "front_N"), self.own(at, "back_N"))
