@@ -367,7 +367,7 @@ def _law_text(code: int, value: float) -> tuple[str, str]:
         LawError.WRONG_PART: ("a part of the law came out of turn", "send it again"),
         LawError.INCOMPLETE: ("parts of the law are missing", "send it again"),
     }
-    plain = f"{error.name.lower()} ({value:.0f})", "make the tape again with this release"
+    plain = f"{error.name.lower()} ({value:.0f})", "compile the law again with this release"
     return remedies.get(error, plain)
 
 

@@ -9,6 +9,7 @@ from heli_host.controller import After, ControlLaw, ControllerReport, run_contro
 from heli_host.declaration import BAUD
 from heli_host.fly.runner import PlanLike, fly
 from heli_host.guest_law import LawReport, fly_law, set_parameter, upload
+from heli_host.law_program import LawLike, LawProgram, program_of
 from heli_host.link.session import HANDSHAKE_TIMEOUT_S, RECONNECT_TIMEOUT_S, Session
 from heli_host.link.transport import (
     open_transport,
@@ -18,7 +19,6 @@ from heli_host.link.transport import (
 )
 from heli_host.log.summary import FlightSummary
 from heli_host.rig_check import check_rig
-from heli_host.tape import LawLike, Tape, tape_of
 from heli_host.telemetry_view import HISTORY_S
 from heli_host.vehicle import Vehicle
 
@@ -30,8 +30,8 @@ class Heli(Vehicle):
     the end of a ``with`` block, setpoints kept alive, methods that return when telemetry shows their effect.
     """
 
-    _tape: Tape | None = None
-    _tape_restarts = 0
+    _program: LawProgram | None = None
+    _program_restarts = 0
 
     def __repr__(self) -> str:
         transport = self.session.transport
@@ -51,8 +51,8 @@ class Heli(Vehicle):
             As for a vehicle.
         """
         check_rig(transport_rig_parameters(self.session.transport), self.params, simulated=True)
-        if self._tape is not None and self.session.counters.restarts != self._tape_restarts:
-            self.load_law(self._tape)
+        if self._program is not None and self.session.counters.restarts != self._program_restarts:
+            self.load_law(self._program)
         super().arm()
 
     def run_controller(
@@ -95,15 +95,15 @@ class Heli(Vehicle):
         """
         return run_controller(self, law, rate_Hz=rate_Hz, duration_s=duration_s, valid_s=valid_s, after=after)
 
-    def load_law(self, law: Tape | LawLike) -> None:
+    def load_law(self, law: LawProgram | LawLike) -> None:
         """Bring a control law to the board, which verifies it.
 
         A board forgets it at a reset, and gets it again from here when it is next armed.
 
         Parameters
         ----------
-        law : Tape or LawLike
-            A law of the laboratory, or its tape.
+        law : LawProgram or LawLike
+            A law of the laboratory, or its program.
 
         Raises
         ------
@@ -112,13 +112,13 @@ class Heli(Vehicle):
         CommandRefused
             The board does not take it, and says why.
         """
-        tape = tape_of(law)
-        upload(self.session, tape)
-        self._tape, self._tape_restarts = tape, self.session.counters.restarts
+        program = program_of(law)
+        upload(self.session, program)
+        self._program, self._program_restarts = program, self.session.counters.restarts
 
     def fly_law(
         self,
-        law: Tape | LawLike,
+        law: LawProgram | LawLike,
         *,
         duration_s: float,
         after: After = "hold",
@@ -131,8 +131,8 @@ class Heli(Vehicle):
 
         Parameters
         ----------
-        law : Tape or LawLike
-            A law of the laboratory, or its tape; sent when the board has another one, or was reset.
+        law : LawProgram or LawLike
+            A law of the laboratory, or its program; sent when the board has another one, or was reset.
         duration_s : float
             How long, in device time [s].
         after : {"hold", "land", "stop"}
@@ -154,16 +154,16 @@ class Heli(Vehicle):
         FlightAborted
             A fault switched the motors off, or the law was taken over at once.
         """
-        tape = tape_of(law)
-        self.load_law(tape)
-        return fly_law(self, tape, duration_s=duration_s, after=after, parameters=parameters)
+        program = program_of(law)
+        self.load_law(program)
+        return fly_law(self, program, duration_s=duration_s, after=after, parameters=parameters)
 
-    def set_law_parameter(self, law: Tape | LawLike, name: str, value: float) -> float:
+    def set_law_parameter(self, law: LawProgram | LawLike, name: str, value: float) -> float:
         """Change a parameter of the law on the board, in flight too.
 
         Parameters
         ----------
-        law : Tape or LawLike
+        law : LawProgram or LawLike
             The law that the board has.
         name : str
             Which parameter.
@@ -180,7 +180,7 @@ class Heli(Vehicle):
         BadLaw
             The law has no such parameter.
         """
-        return set_parameter(self.session, tape_of(law), name, value)
+        return set_parameter(self.session, program_of(law), name, value)
 
     def fly(
         self,

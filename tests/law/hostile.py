@@ -339,7 +339,7 @@ def tries(name: str, rig: str, seed: int, after: Callable[[heli_host.Heli], None
         start = heli.latest.tick
         taken_over = "no"
         try:
-            taken_over = heli.fly_law(law.tape, duration_s=LONGEST_s).taken_over
+            taken_over = heli.fly_law(law.program, duration_s=LONGEST_s).taken_over
             heli.wait(CALM_s)
         except heli_host.HeliError as error:
             taken_over = str(error)

@@ -155,7 +155,7 @@ def test_a_file_that_crashes_python_is_one_line(terminal: Terminal) -> None:
 
 def test_a_law_of_another_process_has_the_same_tape_and_may_print(tmp_path: Path) -> None:
     for path in sorted(LAWS.glob("*.py"))[::4]:
-        assert load_law(path).tape.words == law_of(path).tape.words
+        assert load_law(path).program.words == law_of(path).program.words
     (tmp_path / "talks.py").write_text(law("return Command(1.0, 1.0)") + "print('x' * 200_000)\n")
     assert load_law(tmp_path / "talks.py").name == "law"
 

@@ -23,7 +23,7 @@ from heli_host.declaration import State
 from heli_host.errors import HeliError, LinkError, PortError
 from heli_host.link.clock import TICK_S
 from heli_host.page.source import KEPT_S
-from heli_host.page.tape import Tape
+from heli_host.page.telemetry_buffer import TelemetryBuffer
 from heli_host.page.wire import RESET, unpack
 from heli_host.samples import Samples, Scales
 
@@ -39,7 +39,7 @@ class PageError(HeliError):
     exit_code = 3
 
 
-class Joined:
+class PageClient:
     """A program beside a page; `join` makes one. It watches, tunes where it may, and flies once it is let.
 
     Use it in a ``with`` block. Its own thread answers the server, so as a pilot it counts as present while
@@ -58,7 +58,7 @@ class Joined:
     def __init__(self, opened: contextlib.ExitStack, socket: ClientConnection, stop_address: str) -> None:
         self._opened, self._socket = opened, socket
         self._stop_address = stop_address
-        self._tape = Tape(round(KEPT_S / TICK_S))
+        self._buffer = TelemetryBuffer(round(KEPT_S / TICK_S))
         self._known: dict[str, Any] = {}
         self._values: dict[str, float] = {}
         self._answers: dict[int, Mapping[str, Any]] = {}
@@ -67,7 +67,7 @@ class Joined:
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._read, name="heli-host joined", daemon=True)
         self._thread.start()
-        if not self._wait(lambda: "hello" in self._known and "seats" in self._known, _OPEN_S):
+        if not self._wait(lambda: "hello" in self._known and "control" in self._known, _OPEN_S):
             self.close()
             raise LinkError("the page's server let nobody in", "give the whole address that it printed")
 
@@ -97,7 +97,7 @@ class Joined:
     @property
     def flies(self) -> bool:
         """Whether this program is the pilot."""
-        return bool(self._known["seats"]["pilot"] == self._known["hello"]["you"])
+        return bool(self._known["control"]["pilot"] == self._known["hello"]["you"])
 
     def samples(self, last_s: float = 10.0) -> Samples:
         """Return the newest samples that came, oldest first; every tick while this program keeps up.
@@ -107,7 +107,7 @@ class Joined:
         last_s : float
             How much device time [s].
         """
-        cut = self._tape.cut(max(self._tape.end - round(last_s / TICK_S), 0), round(KEPT_S / TICK_S))
+        cut = self._buffer.cut(max(self._buffer.end - round(last_s / TICK_S), 0), round(KEPT_S / TICK_S))
         return Scales(self._values).samples(cut.tick, cut.raw)
 
     def set(self, name: str, value: float) -> float:
@@ -138,7 +138,7 @@ class Joined:
         if self.ask("ask").get("granted"):
             return True
         mine = self._known["hello"]["you"]
-        self._wait(lambda: self.flies or self._known["seats"]["asking"] != mine, timeout_s)
+        self._wait(lambda: self.flies or self._known["control"]["asking"] != mine, timeout_s)
         return self.flies
 
     def setpoint(self, *, elevation_deg: float | None = None, travel_deg: float | None = None) -> None:
@@ -286,15 +286,15 @@ class Joined:
     def _take_rows(self, frame: bytes) -> None:
         rows = unpack(frame)
         if rows.flags & RESET and len(rows.tick):
-            self._tape.clear()
-        self._tape.append(rows.tick, np.ascontiguousarray(rows.raw))
+            self._buffer.clear()
+        self._buffer.append(rows.tick, np.ascontiguousarray(rows.raw))
         self._socket.send(rows.number.to_bytes(4, "little"))
 
     def _take_words(self, words: Mapping[str, Any]) -> None:
         with self._changed:
             if "answer" in words and words["answer"] is not None:
                 self._answers[int(words["answer"])] = words
-            for name in ("hello", "status", "seats"):
+            for name in ("hello", "status", "control"):
                 if name in words:
                     self._known[name] = words[name]
             values = words.get("values", words.get("hello", {}).get("values"))
@@ -302,7 +302,7 @@ class Joined:
                 self._values = values
 
 
-def join(address: str) -> Joined:
+def join(address: str) -> PageClient:
     """Join a session that a page shows, from another program.
 
     Parameters
@@ -344,4 +344,4 @@ def join(address: str) -> Joined:
                 f"{parts.netloc} lets nobody in",
                 "check that heli-host page runs, and give its whole address",
             ) from error
-        return Joined(opened.pop_all(), socket, f"{base}/stop?token={token}")
+        return PageClient(opened.pop_all(), socket, f"{base}/stop?token={token}")

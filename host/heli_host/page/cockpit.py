@@ -19,9 +19,9 @@ from heli_host.page.source import (
     KEPT_S,
     UNKNOWN,
     Action,
-    Lane,
-    Need,
+    CommandQueue,
     News,
+    Role,
     channel_rows,
     fault_rows,
     number,
@@ -29,14 +29,14 @@ from heli_host.page.source import (
     state_rows,
     text,
 )
-from heli_host.page.tape import Tape
+from heli_host.page.telemetry_buffer import TelemetryBuffer
 from heli_host.twins import EVENT
 
 if TYPE_CHECKING:
     from heli_host.fly.recorder import Recorder
     from heli_host.heli import Heli
+    from heli_host.law_program import LawProgram
     from heli_host.link.telemetry import Ticks
-    from heli_host.tape import Tape as LawTape
     from heli_host.twins import TwinNews, TwinWatch
 
 _LOOK_S = 0.2
@@ -68,12 +68,12 @@ class Cockpit:
         Lengths and masses of the rig, by the names of its file; empty where nobody knows them.
     twin : TwinWatch, optional
         A twin that flies along.
-    laws : sequence of heli_host.tape.Tape
+    laws : sequence of LawProgram
         Laws that the board may fly besides its own.
 
     Attributes
     ----------
-    tape : Tape
+    buffer : TelemetryBuffer
         Its newest minutes.
     actions : mapping of str to Action
         What can be asked for.
@@ -87,9 +87,9 @@ class Cockpit:
         board: str,
         rig: Mapping[str, float],
         twin: TwinWatch | None = None,
-        laws: Sequence[LawTape] = (),
+        laws: Sequence[LawProgram] = (),
     ) -> None:
-        self.tape = Tape(round(KEPT_S / TICK_S))
+        self.buffer = TelemetryBuffer(round(KEPT_S / TICK_S))
         self._heli = heli
         self._session = heli.session
         self._new_recorder = new_recorder
@@ -107,23 +107,23 @@ class Cockpit:
         self._present: Callable[[], bool] = lambda: False
         self._undo: list[tuple[str, float]] = []
         self._values = dict(heli.params)
-        anybody, pilot, tuner = Need.ANYBODY, Need.PILOT, Need.TUNER
+        anybody, pilot, tuner = Role.OBSERVER, Role.PILOT, Role.TUNER
         self.actions: Mapping[str, Action] = {
-            "take_off": Action(self._take_off, Lane.FLIGHT, pilot),
-            "fly": Action(self._fly, Lane.FLIGHT, pilot),
-            "land": Action(self._land, Lane.QUICK, pilot),
-            "clear_fault": Action(self._clear_fault, Lane.QUICK, pilot),
-            "zero": Action(self._zero, Lane.QUICK, pilot),
-            "setpoint": Action(self._setpoint, Lane.SETPOINT, pilot),
-            "hold": Action(self._hold, Lane.SETPOINT, pilot),
-            "set": Action(self._set, Lane.QUICK, tuner),
-            "undo": Action(self._undo_last, Lane.QUICK, tuner),
-            "save": Action(self._save, Lane.QUICK, tuner),
-            "law": Action(self._choose_law, Lane.QUICK, pilot),
-            "set_law": Action(self._set_law, Lane.QUICK, tuner),
-            "record": Action(self._record, Lane.QUICK, pilot),
-            "mark": Action(self._mark, Lane.QUICK, anybody),
-            "signal": Action(self._signal, Lane.QUICK, anybody),
+            "take_off": Action(self._take_off, CommandQueue.FLIGHT, pilot),
+            "fly": Action(self._fly, CommandQueue.FLIGHT, pilot),
+            "land": Action(self._land, CommandQueue.QUICK, pilot),
+            "clear_fault": Action(self._clear_fault, CommandQueue.QUICK, pilot),
+            "zero": Action(self._zero, CommandQueue.QUICK, pilot),
+            "setpoint": Action(self._setpoint, CommandQueue.SETPOINT, pilot),
+            "hold": Action(self._hold, CommandQueue.SETPOINT, pilot),
+            "set": Action(self._set, CommandQueue.QUICK, tuner),
+            "undo": Action(self._undo_last, CommandQueue.QUICK, tuner),
+            "save": Action(self._save, CommandQueue.QUICK, tuner),
+            "law": Action(self._choose_law, CommandQueue.QUICK, pilot),
+            "set_law": Action(self._set_law, CommandQueue.QUICK, tuner),
+            "record": Action(self._record, CommandQueue.QUICK, pilot),
+            "mark": Action(self._mark, CommandQueue.QUICK, anybody),
+            "signal": Action(self._signal, CommandQueue.QUICK, anybody),
         }
         self._twin = twin
         if twin is not None:
@@ -201,17 +201,17 @@ class Cockpit:
         """Switch the motors off, before everything else."""
         self._session.stop_now()
 
-    def wish(self) -> int:
+    def stop_epoch(self) -> int:
         """Return how often there was a stop."""
         return self._session.stops
 
-    def begin(self, wish: int) -> bool:
-        """Whether what was wished for at `wish` may begin: no stop has come since.
+    def clear_stop(self, wish: int) -> bool:
+        """Whether what was wished for at `stop_epoch` may begin: no stop has come since.
 
         Parameters
         ----------
-        wish : int
-            As `wish` returned it.
+        stop_epoch : int
+            As `stop_epoch` returned it.
         """
         return self._session.release_stop(wish)
 
@@ -247,7 +247,7 @@ class Cockpit:
                 return {}
             time.sleep(_LOOK_S)
             seen = seen + 1 if self._present() else 0
-        if not self.begin(self.wish()):
+        if not self.clear_stop(self.stop_epoch()):
             return {}
         return self._fly({"plans": list(names)})
 
@@ -417,11 +417,11 @@ class Cockpit:
 
     def _take_ticks(self, ticks: Ticks) -> None:
         self._heard_s = time.monotonic()
-        self.tape.append(self._session.ticks_counted_on(ticks), ticks.raw)
+        self.buffer.append(self._session.ticks_counted_on(ticks), ticks.raw)
 
     def _take_event(self, event: LinkEvent) -> None:
         if event.kind == BOARD_RESTARTED:
-            self.tape.clear()
+            self.buffer.clear()
         self._law.take_event(event)
         self._add_event(event.tick, event.kind, event.text)
         if event.kind == LAW_SIGNALS:

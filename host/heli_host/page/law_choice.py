@@ -11,8 +11,8 @@ from heli_host.guest_law import engage, loaded, set_parameter, takeover_text
 
 if TYPE_CHECKING:
     from heli_host.heli import Heli
+    from heli_host.law_program import LawProgram
     from heli_host.link.events import LinkEvent
-    from heli_host.tape import Tape
 
 _AS_WISHED = ("command", "state")
 """Ends of a law's flight that need no word: it was asked for, or it landed."""
@@ -28,7 +28,7 @@ class LawChoice:
     ----------
     heli : Heli
         Connected.
-    laws : sequence of Tape
+    laws : sequence of LawProgram
         What there is to choose from besides the board's own.
 
     Attributes
@@ -42,7 +42,7 @@ class LawChoice:
         Two have the same name.
     """
 
-    def __init__(self, heli: Heli, laws: Sequence[Tape]) -> None:
+    def __init__(self, heli: Heli, laws: Sequence[LawProgram]) -> None:
         self.chosen = ""
         self._heli = heli
         self._laws = {law.name: law for law in laws}
@@ -59,7 +59,7 @@ class LawChoice:
                 "name": law.name,
                 "rate_Hz": law.rate_Hz,
                 "cost": law.cost,
-                "signals": list(law.told),
+                "signals": list(law.signal_names),
             }
             for law in self._laws.values()
         ]

@@ -96,14 +96,14 @@ class Outbox:
         Parameters
         ----------
         source : Source
-            Whose tape and state they hold.
+            Whose buffer and state they hold.
         """
         position, sent_s = 0, 0.0
         while True:
             while self.sent - self.acknowledged >= UNACKNOWLEDGED:
                 self.may_send.clear()
                 await self.may_send.wait()
-            cut = source.tape.cut(position, MAX_ROWS)
+            cut = source.buffer.cut(position, MAX_ROWS)
             now_s = time.monotonic()
             # Without rows an empty frame asks for the sign of life: a board that is silent is no lost pilot.
             if len(cut.tick) or now_s - sent_s >= EMPTY_S:

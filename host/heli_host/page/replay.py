@@ -15,15 +15,15 @@ from heli_host.link.clock import TICK_S
 from heli_host.page.source import (
     KEPT_S,
     Action,
-    Lane,
-    Need,
+    CommandQueue,
     News,
+    Role,
     channel_rows,
     fault_rows,
     number,
     state_rows,
 )
-from heli_host.page.tape import Tape
+from heli_host.page.telemetry_buffer import TelemetryBuffer
 
 if TYPE_CHECKING:
     from heli_host.log.reader import Log
@@ -46,7 +46,7 @@ class Replay:
 
     Attributes
     ----------
-    tape : Tape
+    buffer : TelemetryBuffer
         What was played last.
     actions : mapping of str to Action
         What can be asked for.
@@ -57,7 +57,7 @@ class Replay:
             raise TruncatedLog(
                 f"{log.path} holds no ticks", "the board was not heard, or the host died at once"
             )
-        self.tape = Tape(round(KEPT_S / TICK_S))
+        self.buffer = TelemetryBuffer(round(KEPT_S / TICK_S))
         self._log, self._rig = log, dict(rig)
         self._raw = log.raw
         # The time of the log goes on over restarts of the board and over 2^32 ticks.
@@ -66,10 +66,10 @@ class Replay:
         self._speed, self._playing = 1.0, True
         self._ended = threading.Event()
         self._lock = threading.Lock()
-        pilot = Need.PILOT
+        pilot = Role.PILOT
         self.actions: Mapping[str, Action] = {
-            "play": Action(self._play, Lane.QUICK, pilot),
-            "seek": Action(self._seek, Lane.QUICK, pilot),
+            "play": Action(self._play, CommandQueue.QUICK, pilot),
+            "seek": Action(self._seek, CommandQueue.QUICK, pilot),
         }
 
     def describe(self) -> dict[str, Any]:
@@ -135,17 +135,17 @@ class Replay:
         """Pause: there are no motors."""
         self._playing = False
 
-    def wish(self) -> int:
+    def stop_epoch(self) -> int:
         """Return 0: a stop takes nothing away here."""
         return 0
 
-    def begin(self, wish: int) -> bool:
+    def clear_stop(self, wish: int) -> bool:
         """Whatever was wished for may begin.
 
         Parameters
         ----------
-        wish : int
-            As `wish` returned it.
+        stop_epoch : int
+            As `stop_epoch` returned it.
         """
         return wish == 0
 
@@ -178,7 +178,7 @@ class Replay:
             return
         until = int(np.searchsorted(self._tick, self._tick[max(self._at - 1, 0)] + ticks, side="right"))
         until = max(until, self._at + 1)
-        self.tape.append(self._tick[self._at : until], self._raw[self._at : until])
+        self.buffer.append(self._tick[self._at : until], self._raw[self._at : until])
         self._at = min(until, len(self._tick))
         if self._at >= len(self._tick):
             self._playing = False
@@ -198,6 +198,6 @@ class Replay:
         with self._lock:
             self._at = int(np.clip(np.searchsorted(self._tick, tick), 0, len(self._tick)))
             first = int(np.searchsorted(self._tick, tick - round(_BEFORE_S / TICK_S)))
-            self.tape.clear()
-            self.tape.append(self._tick[first : self._at], self._raw[first : self._at])
+            self.buffer.clear()
+            self.buffer.append(self._tick[first : self._at], self._raw[first : self._at])
         return {}

@@ -21,13 +21,13 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from heli_host.errors import HeliError, printable
+from heli_host.page.control_lease import ControlLease
 from heli_host.page.files import page_file
 from heli_host.page.guard import Guard
 from heli_host.page.notes import Notes
 from heli_host.page.outbox import Outbox
 from heli_host.page.request import BadRequest, read_request
-from heli_host.page.seats import Seats
-from heli_host.page.source import Action, Lane, Need, Source
+from heli_host.page.source import Action, CommandQueue, Role, Source
 from heli_host.page.wire import as_json
 
 STATUS_S = 0.1
@@ -51,24 +51,24 @@ class Service:
 
     Attributes
     ----------
-    seats : Seats
+    lease : ControlLease
         Who flies.
     """
 
     def __init__(self, source: Source, guard: Guard) -> None:
-        self.seats = Seats()
+        self.lease = ControlLease()
         self._source = source
         self._guard = guard
         self._clients: dict[str, Outbox] = {}
         self._notes = Notes()
         self._status: Mapping[str, Any] = {}
         self._status_s = 0.0
-        self._seats: Mapping[str, Any] = {}
+        self._lease_status: Mapping[str, Any] = {}
         self._names = 0
         self._loop: asyncio.AbstractEventLoop | None = None
         self._tasks: set[asyncio.Task[None]] = set()
-        self._lanes = {lane: ThreadPoolExecutor(1, f"page {lane.name.lower()}") for lane in Lane}
-        source.watch_pilot(lambda: self.seats.present(time.monotonic()))
+        self._queues = {queue: ThreadPoolExecutor(1, f"page {queue.name.lower()}") for queue in CommandQueue}
+        source.watch_pilot(lambda: self.lease.present(time.monotonic()))
         source.listen(self._hear)
 
     def application(self) -> Starlette:
@@ -91,8 +91,8 @@ class Service:
             yield
         finally:
             task.cancel()
-            for lane in self._lanes.values():
-                lane.shutdown(wait=False, cancel_futures=True)
+            for queue in self._queues.values():
+                queue.shutdown(wait=False, cancel_futures=True)
 
     async def _serve_file(self, request: Request) -> Response:
         path = request.path_params["path"]
@@ -140,7 +140,7 @@ class Service:
         try:
             self._tell(client, self._hello(client))
             self._clients[client.key] = client
-            self._tell_seats()
+            self._tell_lease()
             tasks = {asyncio.create_task(part) for part in self._parts(client)}
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for task in done:
@@ -153,8 +153,8 @@ class Service:
             # Two may have failed together: asyncio prints a trace for the one that is not looked at.
             await asyncio.gather(*tasks, return_exceptions=True)
             self._clients.pop(client.key, None)
-            self.seats.leave(client.key)
-            self._tell_seats()
+            self.lease.leave(client.key)
+            self._tell_lease()
 
     def _parts(self, client: Outbox) -> Iterator[Coroutine[Any, Any, None]]:
         yield self._listen_to(client)
@@ -180,29 +180,33 @@ class Service:
         self._names += 1
         name = f"{'program' if is_program else 'page'} {self._names}"
         now_s = time.monotonic()
-        if not self.seats.join(key, name, now_s, may_fly=not is_program):
+        if not self.lease.join(key, name, now_s, may_fly=not is_program):
             # A tab that was duplicated brings the other's id.
             key = secrets.token_hex(8)
-            self.seats.join(key, name, now_s, may_fly=not is_program)
+            self.lease.join(key, name, now_s, may_fly=not is_program)
         client = Outbox(socket, key, name)
         client.wants_rows = query.get("rows") != "0"
         return client
 
     def _hello(self, client: Outbox) -> dict[str, Any]:
         described = self._source.describe()
-        return {"hello": {"you": client.key, **described}, "status": self._source.status(), **self._seated()}
-
-    def _seated(self) -> dict[str, Any]:
-        seats = self.seats
         return {
-            "seats": {
-                "pilot": seats.pilot,
-                "pilot_name": seats.name(seats.pilot),
-                "present": seats.present(time.monotonic()),
-                "asking": seats.asking,
-                "asking_name": seats.name(seats.asking),
-                "shared": seats.shared,
-                "clients": seats.count(),
+            "hello": {"you": client.key, **described},
+            "status": self._source.status(),
+            **self._lease_news(),
+        }
+
+    def _lease_news(self) -> dict[str, Any]:
+        lease = self.lease
+        return {
+            "control": {
+                "pilot": lease.pilot,
+                "pilot_name": lease.name(lease.pilot),
+                "present": lease.present(time.monotonic()),
+                "asking": lease.asking,
+                "asking_name": lease.name(lease.asking),
+                "shared": lease.shared,
+                "clients": lease.count(),
             }
         }
 
@@ -224,7 +228,7 @@ class Service:
             number = min(int.from_bytes(data, "little"), client.sent)
             client.acknowledged = max(client.acknowledged, number)
             client.may_send.set()
-        self.seats.beat(client.key, time.monotonic())
+        self.lease.beat(client.key, time.monotonic())
 
     async def _take_words(self, client: Outbox, words: str) -> None:
         try:
@@ -239,7 +243,7 @@ class Service:
             answer = {"answer": asked.get("id"), "do": name}
             self._tell(client, _refused(asked, trouble, "") if trouble else answer)
         elif name in ("ask", "grant", "keep", "share"):
-            self._seat_action(client, name, asked)
+            self._lease_action(client, name, asked)
         elif name in self._source.actions:
             # Not awaited: the next words of this client may be more urgent.
             task = asyncio.create_task(self._act(client, name, self._source.actions[name], asked))
@@ -251,36 +255,36 @@ class Service:
                 _refused(asked, f"nothing is called {name[:40]!r} here", "see docs/how-to/dashboard.md"),
             )
 
-    def _seat_action(self, client: Outbox, name: str, asked: Mapping[str, Any]) -> None:
+    def _lease_action(self, client: Outbox, name: str, asked: Mapping[str, Any]) -> None:
         now_s = time.monotonic()
         granted = True
         if name == "ask":
-            granted = self.seats.ask(client.key, now_s)
-        elif client.key != self.seats.pilot:
+            granted = self.lease.ask(client.key, now_s)
+        elif client.key != self.lease.pilot:
             self._tell(client, _refused(asked, "only who flies can answer that", "ask for control"))
             return
         elif name == "share":
-            self.seats.shared = bool(asked.get("on"))
+            self.lease.shared = bool(asked.get("on"))
         else:
-            granted = self.seats.answer(client.key, name == "grant")
+            granted = self.lease.answer(client.key, name == "grant")
         self._tell(client, {"answer": asked.get("id"), "do": name, "granted": granted})
-        self._tell_seats()
+        self._tell_lease()
 
     async def _act(self, client: Outbox, name: str, action: Action, asked: Mapping[str, Any]) -> None:
-        source, wish = self._source, self._source.wish()
+        source, wish = self._source, self._source.stop_epoch()
         if not self._allowed(client, action):
-            pilot = self.seats.name(self.seats.pilot) or "nobody"
+            pilot = self.lease.name(self.lease.pilot) or "nobody"
             self._tell(client, _refused(asked, f"{pilot} flies, you watch", "ask for control"))
             return
 
         def run() -> Mapping[str, Any]:
-            if not source.begin(wish):
+            if not source.clear_stop(wish):
                 return {"error": "a stop came before it began", "remedy": "begin again"}
             return action.run(asked)
 
         loop = asyncio.get_running_loop()
         try:
-            answer = await loop.run_in_executor(self._lanes[action.lane], run)
+            answer = await loop.run_in_executor(self._queues[action.queue], run)
             text = self._as_json({"answer": asked.get("id"), "do": name, **answer})
         except HeliError as error:
             self._tell(client, _refused(asked, error.cause, error.remedy))
@@ -293,9 +297,9 @@ class Service:
             client.tell(text)
 
     def _allowed(self, client: Outbox, action: Action) -> bool:
-        if action.need is Need.ANYBODY or client.key == self.seats.pilot:
+        if action.role is Role.OBSERVER or client.key == self.lease.pilot:
             return True
-        return action.need is Need.TUNER and self.seats.shared
+        return action.role is Role.TUNER and self.lease.shared
 
     def _hear(self, news: Mapping[str, Any]) -> None:
         """Take news from any thread."""
@@ -324,8 +328,8 @@ class Service:
             self._notes.warn(f"{', '.join(news)} holds a number that is not finite; pages get null")
         return text
 
-    def _tell_seats(self) -> None:
-        self._tell_all(self._seated())
+    def _tell_lease(self) -> None:
+        self._tell_all(self._lease_news())
 
     async def _watch(self) -> None:
         """Tell the status when it has changed, and from time to time that it has not."""
@@ -338,10 +342,10 @@ class Service:
 
     def _look(self) -> None:
         now_s = time.monotonic()
-        seats = self._seated()
-        if seats != self._seats:
-            self._seats = seats
-            self._tell_all(seats)
+        lease = self._lease_news()
+        if lease != self._lease_status:
+            self._lease_status = lease
+            self._tell_all(lease)
         status = self._source.status()
         differs = {**status, "link": None} != {**self._status, "link": None}
         if differs or now_s - self._status_s >= PRESENCE_S:

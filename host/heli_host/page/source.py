@@ -11,7 +11,7 @@ from typing import Any, Protocol
 from heli_host.declaration import CHANNELS, FAULTS, PARAMS, ParamSpec, State
 from heli_host.errors import ParameterError, range_text
 from heli_host.link.channels import is_whole, rad_per_count
-from heli_host.page.tape import Tape
+from heli_host.page.telemetry_buffer import TelemetryBuffer
 
 KEPT_S = 600.0
 """How much of the past a page that is opened now still finds [s]; 38 MB of memory."""
@@ -22,16 +22,16 @@ UNKNOWN = (255, 0)
 News = Callable[[Mapping[str, Any]], None]
 
 
-class Need(Enum):
+class Role(Enum):
     """Who may do something."""
 
-    ANYBODY = auto()
+    OBSERVER = auto()
     PILOT = auto()
     TUNER = auto()
     """The pilot, and others while he lets them."""
 
 
-class Lane(Enum):
+class CommandQueue(Enum):
     """Which thread does something; what is in one waits for what is before it, and for no other."""
 
     FLIGHT = auto()
@@ -46,16 +46,16 @@ class Action:
     Parameters
     ----------
     run : callable taking a mapping, returning a mapping
-        Does it, in the thread of `lane`; what it returns goes into the answer.
-    lane : Lane
+        Does it, in the thread of `queue`; what it returns goes into the answer.
+    queue : CommandQueue
         Where it is done.
-    need : Need
+    role : Role
         Who may ask for it.
     """
 
     run: Callable[[Mapping[str, Any]], Mapping[str, Any]]
-    lane: Lane
-    need: Need
+    queue: CommandQueue
+    role: Role
 
 
 class Source(Protocol):
@@ -63,13 +63,13 @@ class Source(Protocol):
 
     Attributes
     ----------
-    tape : Tape
+    buffer : TelemetryBuffer
         Its newest minutes.
     actions : mapping of str to Action
         What can be asked for, by name.
     """
 
-    tape: Tape
+    buffer: TelemetryBuffer
     actions: Mapping[str, Action]
 
     def describe(self) -> dict[str, Any]:
@@ -98,17 +98,17 @@ class Source(Protocol):
         """Switch the motors off, before everything else; called in the thread that hears of it."""
         ...
 
-    def wish(self) -> int:
+    def stop_epoch(self) -> int:
         """Return a number that another stop changes: what was wished for before it is not begun after it."""
         ...
 
-    def begin(self, wish: int) -> bool:
-        """Whether what was wished for at `wish` may begin: no stop has come since.
+    def clear_stop(self, wish: int) -> bool:
+        """Whether what was wished for at `stop_epoch` may begin: no stop has come since.
 
         Parameters
         ----------
-        wish : int
-            As `wish` returned it.
+        stop_epoch : int
+            As `stop_epoch` returned it.
         """
         ...
 

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heli_host.errors import LinkError
-from heli_host.page.tape import Cut
+from heli_host.page.telemetry_buffer import Cut
 
 THINNED, RESET = 1, 2
 

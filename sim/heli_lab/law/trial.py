@@ -100,7 +100,7 @@ def _fly(
         recorder = stack.enter_context(Recorder(heli, log))
         heli.take_off()
         heli.setpoint(elevation_deg=0.0, travel_deg=0.0)
-        start = heli.latest.tick if law is None else engage(heli, law.tape)
+        start = heli.latest.tick if law is None else engage(heli, law.program)
         recorder.mark_phase(start, PHASE)
 
         def steer(new: Ticks) -> None:
@@ -115,7 +115,7 @@ def _fly(
         unsubscribe = heli.session.subscribe_ticks(steer)
         report = None
         if law is not None:
-            report = fly_law(heli, law.tape, duration_s=seconds)
+            report = fly_law(heli, law.program, duration_s=seconds)
         else:
             heli.wait(seconds)
         unsubscribe()

@@ -59,11 +59,11 @@ def check(
     from heli_lab.law.files import load_law
 
     loaded = load_law(law, load_timeout)
-    tape = loaded.tape
-    spread = f", over {tape.ticks} ticks" if tape.ticks > 1 else ""
+    program = loaded.program
+    spread = f", over {program.ticks} ticks" if program.ticks > 1 else ""
     say(
-        f"{loaded.name}: {loaded.rate_Hz:g} Hz, {len(tape.instructions)} operations, "
-        f"{len(loaded.states)} states, {len(tape.words)} words; at most {tape.cost} instructions "
+        f"{loaded.name}: {loaded.rate_Hz:g} Hz, {len(program.instructions)} operations, "
+        f"{len(loaded.states)} states, {len(program.words)} words; at most {program.cost} instructions "
         f"per call{spread} (limit per tick: {LAW_TICK_COST})"
     )
     # Imported here so that an invalid law is refused without this delay.
@@ -190,11 +190,11 @@ def _fly_plan(law: Law, address: str, plan: str, log: Path | None, rig: str | No
     from heli_host.fly.runner import fly as fly_plan
     from heli_host.guest_law import engage
 
-    tape = law.tape
+    program = law.program
     with heli_host.connect(address) as heli:
         _say_note(heli)
         check_board_rig(heli, rig)
-        summary = fly_plan(heli, plan, log_path=log, on_taken_off=lambda: engage(heli, tape))
+        summary = fly_plan(heli, plan, log_path=log, on_taken_off=lambda: engage(heli, program))
     if not summary.completed:
         raise FlightAborted(summary.outcome.removeprefix("aborted: "))
     rms = ", ".join(

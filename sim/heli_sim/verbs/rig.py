@@ -11,7 +11,7 @@ from heli_host.cli.options import JsonFlag
 from heli_host.cli.say import STDOUT, data_on_stdout, say, say_data, say_files, say_json
 from heli_host.cli.verb import Verb
 
-from heli_sim.told import found_of, half_width, plain, signed, with_tolerance
+from heli_sim.formatting import found_of, half_width, plain, signed, with_tolerance
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -81,8 +81,8 @@ def sil(
     from heli_sim.rig import load_rig
     from heli_sim.rig.board import in_simulation, set_from_rig_text
     from heli_sim.sil.boards import choose
+    from heli_sim.sil.fault_console import HELP
     from heli_sim.sil.options import SilOptions, parse_encoders_out, parse_times
-    from heli_sim.sil.rehearsal import HELP
     from heli_sim.sil.rig_faults import RigFaults
     from heli_sim.sil.server import is_local, run_server
 

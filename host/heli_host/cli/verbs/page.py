@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from heli_host.fly.plan import Plan
     from heli_host.fly.recorder import Recorder
     from heli_host.heli import Heli
+    from heli_host.law_program import LawProgram
     from heli_host.page.cockpit import Cockpit
     from heli_host.page.serve import Address
-    from heli_host.tape import Tape
     from heli_host.twins import TwinMaker
 
 STEP_S = 0.5
@@ -114,7 +114,7 @@ def _fly(
     rig: str | None,
     plans: Sequence[Plan],
     begun: Sequence[str],
-    laws: Sequence[Tape],
+    laws: Sequence[LawProgram],
     twin: tuple[TwinMaker | None, bool],
     host: str,
     http_port: int,

@@ -9,8 +9,8 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.effects.rotor_lag import MIN_LAG_s
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.rig.quantity import Prior, Quantity
 
 
@@ -61,7 +61,7 @@ class RotorSpeedLag(Effect):
         return ca.vertcat(self.own(at, "front_V"), self.own(at, "back_V"))
 
 
-KIND: Final = EffectKind(
+SPEC: Final = EffectSpec(
     id="rotor_speed_lag",
     effect=RotorSpeedLag,
     sentence="the rotors' speed lags their voltage by {s}, and their thrust is the square of the speed",

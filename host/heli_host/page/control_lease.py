@@ -22,7 +22,7 @@ class _Client:
     beat_s: float
 
 
-class Seats:
+class ControlLease:
     """Clients by their ids, and which of them flies; may be asked from any thread.
 
     Attributes
@@ -132,7 +132,7 @@ class Seats:
             if client == self.pilot:
                 return True
             if self.pilot is None or self.pilot_age_s(now_s) > ABSENT_S:
-                self._seat(client)
+                self._grant(client)
                 return True
             self.asking = client
             return False
@@ -151,7 +151,7 @@ class Seats:
             if client != self.pilot or self.asking is None:
                 return False
             if grant:
-                self._seat(self.asking)
+                self._grant(self.asking)
             self.asking = None
             return grant
 
@@ -172,7 +172,7 @@ class Seats:
         with self._lock:
             return sum(one.connected for one in self._clients.values())
 
-    def _seat(self, client: str) -> None:
+    def _grant(self, client: str) -> None:
         before, self.pilot, self.asking = self.pilot, client, None
         if before is not None and before in self._clients and not self._clients[before].connected:
             del self._clients[before]

@@ -13,7 +13,7 @@ from heli_host.link.telemetry import CHANNEL_COUNT
 
 @dataclass(frozen=True)
 class Cut:
-    """Rows taken from a tape.
+    """Rows taken from a buffer.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ class Cut:
     end : int
         Position after the last row; the next cut begins there.
     reset : bool
-        Whether what was read before does not go on in these: the tape was cleared, or ran away from its
+        Whether what was read before does not go on in these: the buffer was cleared, or ran away from its
         reader.
     thinned : bool
         Whether rows between them were left out.
@@ -37,7 +37,7 @@ class Cut:
     thinned: bool
 
 
-class Tape:
+class TelemetryBuffer:
     """Keeps the newest rows, at most `capacity`; one thread appends, any number read."""
 
     def __init__(self, capacity: int) -> None:
