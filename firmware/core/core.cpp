@@ -193,7 +193,8 @@ ControlOutput Core::drive(Bank bank) {
       supervisor_.open_voltages().front_V,
       supervisor_.open_voltages().back_V,
       excitation.front_V,
-      excitation.back_V};
+      excitation.back_V,
+      supervisor_.probe_tilt_rad()};
   return law_.update(in, bank);
 }
 
@@ -325,6 +326,7 @@ void Core::tick(TickTiming timing) {
   seen_.hardware_stop = board_.hardware_stop();
   seen_.link_age_ticks = link_.ticks_since_host_frame();
   seen_.params_usable = store_.source() != link::ParamsSource::corrupt;
+  seen_.law_busy = guest_.busy();
   supervisor_.observe(seen_, derived.limits, derived.bounds, derived.tracking);
 
   if (const link::Request* request = link_.take_request()) {

@@ -22,6 +22,7 @@ struct ControlInput {
   Quantity open_back_V;
   Quantity excitation_front_V;  // added to the motors
   Quantity excitation_back_V;
+  Quantity probe_tilt_rad;  // added to the pitch that travel's loop wants
 };
 
 struct ControlOutput {

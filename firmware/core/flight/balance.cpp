@@ -1,5 +1,7 @@
 #include "flight/balance.hpp"
 
+#include <cstddef>
+
 namespace heli::flight {
 
 using control::magnitude;
@@ -52,7 +54,7 @@ void Balance::update(Quantity angle_rad, Quantity rate_rad_s, Quantity drive,
     next_update_ = kKnown_updates;
   } else if (same_way_updates_ >= next_update_) {
     next_update_ = same_way_updates_ + kLearnEvery_updates;
-    learn(balance, up);
+    learn(balance, up, limits.centred);
   }
 }
 
@@ -93,10 +95,16 @@ void Balance::integrate(Quantity drive, const BalanceLimits& limits) {
   moved_ += part(rate_, kShift);
 }
 
-void Balance::learn(Quantity balance, bool up) {
-  balance_[up ? 1 : 0] = balance;
-  const Quantity apart = magnitude(balance - balance_[up ? 0 : 1]);
-  const Quantity kept = width_ - part(width_, kForget);
+// Motion in one direction alone shows little: a constant torque may cancel the friction. Travel turns
+// for so short a time that the observer sees half of its friction, so it counts twice.
+void Balance::learn(Quantity balance, bool up, bool centred) {
+  const std::size_t way = up ? 1 : 0;
+  balance_[way] = balance;
+  known_[way] = true;
+  const Quantity seen = magnitude(balance - balance_[1U - way]);
+  const Quantity apart = centred ? seen : seen + seen;
+  const bool forgets = centred || known_[1U - way];
+  const Quantity kept = forgets ? width_ - part(width_, kForget) : width_;
   width_ = apart > kept ? apart : kept;
 }
 

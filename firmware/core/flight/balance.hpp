@@ -24,6 +24,7 @@ struct BalanceLimits {
   Quantity width;        // half of the range of drives that may hold it, before it has moved
   Quantity margin;       // of that range: noise of the observer, and what friction varies by
   Quantity moved_most;   // excess drive, integrated twice over the time in units of T
+  bool centred;          // no drive balances it, on a rig whose parameters fit: so not travel
   Gain speed_per_rad_s;  // of the integrated drive, per rate of the axis
   Quantity noise_rad_s;  // of a measured rate: what one count shows
 };
@@ -62,7 +63,7 @@ class Balance {
     moved_ = Quantity{};
   }
   void coast(Quantity rate_rad_s, bool up, const BalanceLimits& limits);
-  void learn(Quantity balance, bool up);
+  void learn(Quantity balance, bool up, bool centred);
   void integrate(Quantity drive, const BalanceLimits& limits);
   Range range() const;
 
@@ -75,6 +76,7 @@ class Balance {
   Quantity moved_;
   std::uint32_t same_way_updates_ = 0;
   std::uint32_t next_update_ = 0;
+  bool known_[2] = {};  // whether it has moved down and up
   bool coasts_ = false;
   bool up_ = false;
   bool running_ = false;

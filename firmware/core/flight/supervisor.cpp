@@ -337,7 +337,8 @@ void Supervisor::check_tracking() {
     return;
   }
   const std::uint8_t closed = axes();
-  Tracked tracked{*seen_, {}, closed, state_ == State::streamed ? kAllAxes : closed, false};
+  Tracked tracked{
+      *seen_, {}, closed, state_ == State::streamed ? kAllAxes : closed, false, false};
   tracked.setpoint_rad[kElevation] = setpoints_.angle_rad(kElevation);
   tracked.setpoint_rad[kPitch] = seen_->pitch_setpoint_rad;
   tracked.setpoint_rad[kTravel] = setpoints_.angle_rad(kTravel);
@@ -346,7 +347,13 @@ void Supervisor::check_tracking() {
     // Landing aims below the table and has a time limit of its own.
     tracked.closed = static_cast<std::uint8_t>(closed & ~link::axes::elevation);
   }
+  tracked.may_ask = (closed & link::axes::travel) != 0U && !tracked.descends &&
+                    !seen_->law_busy && !exciter_.running();
   const Verdict verdict = tracking_.check(tracked, *tracking_limits_);
+  if (tracking_.news() != link::Probe::none) {
+    event(Event::travel_probe, code(tracking_.take_news()), 0,
+          tracking_.tilt_rad().to_float() * control::kDegPerRad);
+  }
   if (verdict.fault == Fault::none) {
     return;
   }

@@ -12,6 +12,7 @@
 #include "flight/balance.hpp"
 #include "flight/limits.hpp"
 #include "flight/observation.hpp"
+#include "flight/probe.hpp"
 #include "params/params.hpp"
 
 namespace heli::flight {
@@ -23,6 +24,7 @@ struct TrackingLimits {
   // pitch angle, in rad, for travel.
   Quantity drive_max[kAxisCount];
   BalanceLimits balance[kAxisCount];
+  ProbeLimits probe{};
   std::uint32_t motion_updates = 0;
   std::uint32_t following_updates = 0;
   control::DeadZone dead_zone;
@@ -40,6 +42,7 @@ struct Tracked {
   Quantity setpoint_rad[kAxisCount];  // that the control law followed
   std::uint8_t closed = 0;            // link::axes bits: axes held to a setpoint
   std::uint8_t driven = 0;            // and axes that must move when driven
+  bool may_ask = false;   // the board's own law holds travel, and nothing else moves the arm
   bool descends = false;  // a doubt about travel is a fault then: landing would close it
 };
 
@@ -50,6 +53,15 @@ class Tracking {
 
   // Whether the axis whose turn it is in this tick does what it should.
   Verdict check(const Tracked& tracked, const TrackingLimits& limits);
+
+  // Tilt that asks whether travel still counts, and what there is to report of it since the check.
+  Quantity tilt_rad() const { return (started_ & kAsks) != 0U ? probe_.tilt_rad() : Quantity{}; }
+  link::Probe news() const { return news_; }
+  link::Probe take_news() {
+    const link::Probe news = news_;
+    news_ = link::Probe::none;
+    return news;
+  }
 
  private:
   struct Axis {
@@ -62,8 +74,15 @@ class Tracking {
     Balance balance;
   };
 
+  static constexpr std::uint8_t kAsks = 1U << kAxisCount;
+
+  Verdict ask(const Tracked& tracked, const TrackingLimits& limits);
+
   Axis axes_[kAxisCount];
-  std::uint8_t started_ = 0;  // link::axes bits
+  Probe probe_;
+  link::Probe news_ = link::Probe::none;
+  std::int32_t probe_count_ = 0;  // of travel, when it last moved
+  std::uint8_t started_ = 0;  // link::axes bits, and kAsks
 };
 
 }  // namespace heli::flight

@@ -1,0 +1,62 @@
+// Asks an axis that has long been silent whether its encoder still counts.
+//
+// An encoder that dies while travel is calm reads like an arm that dry friction holds. No
+// observation distinguishes them, so the board tilts the arm to one side and then to the other, by
+// more than dry friction can hold. Counts end it. Without counts, the measured tilt shows how far
+// the arm must have turned. Tilts to both sides leave little speed behind.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "control/fixed.hpp"
+#include "link/declaration.hpp"
+
+namespace heli::flight {
+
+using control::Quantity;
+
+struct ProbeLimits {
+  std::uint32_t silence_updates;  // without a count before it asks; 0: it never asks
+  Quantity tilt_rad;
+  Quantity step_rad;      // of the tilt, per update
+  Quantity friction_rad;  // tilt that dry friction may hold
+  Quantity moved_least;   // a tilt beyond that, integrated twice, that must show as counts
+};
+
+class Probe {
+ public:
+  // Nothing is known of the axis.
+  void restart() { *this = Probe{}; }
+  // `may_ask`: the cascade holds the axis in the air. `moved`: the encoder has counted since the
+  // last update. `error_rad`: of the axis. Returns what there is to report.
+  link::Probe update(bool may_ask, bool moved, Quantity pitch_rad, Quantity error_rad,
+                     const ProbeLimits& limits);
+  // To be added to the setpoint of pitch.
+  Quantity tilt_rad() const { return tilt_rad_; }
+  // How far the arm must have turned, as `moved_least`. It may have rested near the end of what
+  // friction holds to one side. Then the tilt to the other side has to move it, so the smaller counts.
+  Quantity turned() const { return most_[0] < most_[1] ? most_[0] : most_[1]; }
+
+ private:
+  enum class Stage : std::uint8_t { listens, first, second, levels };
+
+  link::Probe listen(bool may_ask, bool moved, Quantity error_rad, const ProbeLimits& limits);
+  link::Probe tilt(bool moved, Quantity pitch_rad, const ProbeLimits& limits);
+  link::Probe end(link::Probe answer);
+  void integrate(std::size_t side, Quantity beyond);
+
+  Stage stage_ = Stage::listens;
+  std::uint8_t patience_ = 0;         // doublings of the silence that it accepts
+  std::uint8_t side_ = 0;             // of the tilt: 0 is up
+  std::uint32_t silent_updates_ = 0;  // without counts
+  std::uint32_t calm_updates_ = 0;    // since it last asked
+  std::uint32_t tilted_updates_ = 0;  // to this side
+  Quantity tilt_rad_;
+  Quantity balance_rad_;  // pitch at which the axis was still
+  Quantity rate_[2];      // to each side: what the tilt beyond friction makes of it
+  Quantity turned_[2];
+  Quantity most_[2];
+};
+
+}  // namespace heli::flight
