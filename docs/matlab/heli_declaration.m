@@ -4,7 +4,7 @@ function d = heli_declaration()
 % Written by firmware/generate.py from firmware/link.toml. Do not edit.
 
 d.link_version = '1.3';
-d.link_hash = uint32(1340169454);
+d.link_hash = uint32(3579344177);
 d.protocol = 1;
 d.baud = 250000;
 d.tick_us = 1000;
@@ -241,7 +241,7 @@ d.parameters = {
   'motion_s', 's', 0.1, 10, 0.5
   'travel_motion_deg', 'deg', 0.5, 90, 8
   'travel_motion_s', 's', 0.1, 30, 1
-  'travel_silence_s', 's', 0, 60, 3
+  'travel_silence_s', 's', 0, 60, 2.5
   'elevation_gain', 'rad/(s2 V)', 0.02, 10, 0.485
   'pitch_gain', 'rad/(s2 V)', 0.1, 100, 2.97
   'travel_gain', '1/s2', 0.05, 100, 0.5

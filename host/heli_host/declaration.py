@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-LINK_HASH = 0x4FE15CEE
+LINK_HASH = 0xD5587531
 LINK_VERSION = "1.3"
 FIRMWARE_VERSION = "0.1.0"
 PROTOCOL = 1
@@ -181,7 +181,7 @@ class Event(IntEnum):
     ZEROED = 8  # encoder zeros taken; detail = axis mask
     LAW_ENGAGED = 9  # a law that came over the link flies; value = its divisor of the tick's rate
     LAW_TAKEN_OVER = 10  # the board's own law took over from it; detail = takeover, value as said there
-    TRAVEL_PROBE = 11  # the board tilts the arm to see whether the travel encoder still counts; detail = probe, value = tilt in deg at the end
+    TRAVEL_PROBE = 11  # the board tilts the arm to see whether the travel encoder still counts; detail = probe, value = tilt in deg
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -552,7 +552,7 @@ PARAMS: tuple[ParamSpec, ...] = (
     ParamSpec(54, "motion_s", "s", 0.1, 10.0, 0.5, False, False, True, "how long a driven elevation or pitch may stay within a count"),
     ParamSpec(55, "travel_motion_deg", "deg", 0.5, 90.0, 8.0, False, False, True, "pitch beyond the balanced one that must move travel within travel_motion_s"),
     ParamSpec(56, "travel_motion_s", "s", 0.1, 30.0, 1.0, False, False, True, "with travel_motion_deg: a smaller excess is tolerated for longer, by its double integral over time"),
-    ParamSpec(57, "travel_silence_s", "s", 0.0, 60.0, 3.0, False, False, True, "how long travel may be without a count, in the air and held by the board, before a short tilt checks its encoder; 0: never"),
+    ParamSpec(57, "travel_silence_s", "s", 0.0, 60.0, 2.5, False, False, True, "how long travel may be without a count, in the air and held by the board, before a short tilt checks its encoder; 0: never"),
     ParamSpec(58, "elevation_gain", "rad/(s2 V)", 0.02, 10.0, 0.485, False, False, False, "acceleration of elevation per volt of the sum: thrust gain k L_a / J_theta; judges what elevation must have moved by"),
     ParamSpec(59, "pitch_gain", "rad/(s2 V)", 0.1, 100.0, 2.97, False, False, False, "acceleration of pitch per volt of front minus back: k L_h / J_phi; judges what pitch must have moved by"),
     ParamSpec(60, "travel_gain", "1/s2", 0.05, 100.0, 0.5, False, False, False, "acceleration of travel per radian of pitch at hover: thrust that carries the arm, times L_a / J_psi; judges what travel must have moved by"),

@@ -22,7 +22,7 @@ struct ControlInput {
   Quantity open_back_V;
   Quantity excitation_front_V;  // added to the motors
   Quantity excitation_back_V;
-  Quantity probe_tilt_rad;  // added to the pitch that travel's loop wants
+  bool asks = false;  // a tilt asks whether travel counts: pitch is held as if travel were open
 };
 
 struct ControlOutput {

@@ -9,8 +9,8 @@ using Answer = link::Probe;
 
 namespace {
 
-// An arm that dry friction holds is asked again and again: after 3, 6 and then each 12 s. An arm
-// that moves by itself is asked after 3 s again.
+// An arm that dry friction holds is asked again and again: after 2.5, 5 and then each 10 s. An
+// arm that moves by itself is asked after 2.5 s again.
 constexpr std::uint8_t kMostPatience = 2;
 // Counts until then are what the tilt has caused: 3 s.
 constexpr std::uint32_t kAftermath_updates = 750;
@@ -30,21 +30,11 @@ Quantity towards(Quantity from, Quantity to, Quantity step) {
 
 Answer Probe::update(bool may_ask, bool moved, Quantity pitch_rad, Quantity error_rad,
                      const ProbeLimits& limits) {
-  switch (stage_) {
-    case Stage::listens:
-      balance_rad_ += part(pitch_rad - balance_rad_, kAveraging);
-      return listen(may_ask, moved, error_rad, limits);
-    case Stage::first:
-    case Stage::second:
-      return may_ask ? tilt(moved, pitch_rad, limits) : end(Answer::stopped);
-    default:
-      break;
+  if (stage_ == Stage::listens) {
+    balance_rad_ += part(pitch_rad - balance_rad_, kAveraging);
+    return listen(may_ask, moved, error_rad, limits);
   }
-  tilt_rad_ = towards(tilt_rad_, {}, limits.step_rad);
-  if (tilt_rad_ == Quantity{}) {
-    stage_ = Stage::listens;
-  }
-  return Answer::none;
+  return may_ask ? tilt(moved, pitch_rad, limits) : end(Answer::stopped);
 }
 
 Answer Probe::listen(bool may_ask, bool moved, Quantity error_rad, const ProbeLimits& limits) {
@@ -65,6 +55,7 @@ Answer Probe::listen(bool may_ask, bool moved, Quantity error_rad, const ProbeLi
   // Against the loop first: its error may be what turns an axis that it cannot see.
   side_ = error_rad > Quantity{} ? 1 : 0;
   tilted_updates_ = 0;
+  tilt_rad_ = {};
   stage_ = Stage::first;
   return Answer::asked;
 }
@@ -94,7 +85,7 @@ Answer Probe::tilt(bool moved, Quantity pitch_rad, const ProbeLimits& limits) {
 Answer Probe::end(Answer answer) {
   silent_updates_ = 0;
   calm_updates_ = 0;
-  stage_ = Stage::levels;
+  stage_ = Stage::listens;
   return answer;
 }
 

@@ -32,14 +32,16 @@ class Probe {
   // last update. `error_rad`: of the axis. Returns what there is to report.
   link::Probe update(bool may_ask, bool moved, Quantity pitch_rad, Quantity error_rad,
                      const ProbeLimits& limits);
-  // To be added to the setpoint of pitch.
+  // Whether it tilts the arm: then pitch goes to pitch_rad(), whatever the travel loop wants.
+  bool asks() const { return stage_ != Stage::listens; }
+  Quantity pitch_rad() const { return balance_rad_ + tilt_rad_; }
   Quantity tilt_rad() const { return tilt_rad_; }
   // How far the arm must have turned, as `moved_least`. It may have rested near the end of what
   // friction holds to one side. Then the tilt to the other side has to move it, so the smaller counts.
   Quantity turned() const { return most_[0] < most_[1] ? most_[0] : most_[1]; }
 
  private:
-  enum class Stage : std::uint8_t { listens, first, second, levels };
+  enum class Stage : std::uint8_t { listens, first, second };
 
   link::Probe listen(bool may_ask, bool moved, Quantity error_rad, const ProbeLimits& limits);
   link::Probe tilt(bool moved, Quantity pitch_rad, const ProbeLimits& limits);

@@ -161,9 +161,6 @@ TrackingLimits tracking_limits_of(const params::Params& params) {
 Verdict Tracking::check(const Tracked& tracked, const TrackingLimits& limits) {
   const Observation& seen = tracked.seen;
   const std::size_t i = seen.tick % kTrackingSlots;
-  if (i >= kAxisCount) {
-    return ask(tracked, limits);
-  }
   const auto bit = static_cast<std::uint8_t>(1U << i);
   Axis& axis = axes_[i];
   if ((started_ & bit) == 0U) {
@@ -186,9 +183,9 @@ Verdict Tracking::check(const Tracked& tracked, const TrackingLimits& limits) {
   const bool still = started && driven && within_count(moved);
 
   // A tilt that asks is judged by its answer: it ends level, and without speed.
-  const bool asks = i == kTravel && tilt_rad() != Quantity{};
+  const bool asked = i == kTravel && asks();
 
-  if (lifts && driven && !asks) {
+  if (lifts && driven && !asked) {
     const Quantity free = i == kElevation ? drive - limits.hover_V_per_rad * seen.angle_rad[i]
                           : i == kPitch   ? drive - limits.pitch_V_per_rad * seen.angle_rad[i]
                                           : drive;
@@ -228,7 +225,6 @@ Verdict Tracking::check(const Tracked& tracked, const TrackingLimits& limits) {
   return {Fault::none, 0.0F};
 }
 
-// In the tick that looks at no axis.
 Verdict Tracking::ask(const Tracked& tracked, const TrackingLimits& limits) {
   const Observation& seen = tracked.seen;
   if ((started_ & kAsks) == 0U) {

@@ -54,14 +54,12 @@ class Tracking {
   // Whether the axis whose turn it is in this tick does what it should.
   Verdict check(const Tracked& tracked, const TrackingLimits& limits);
 
-  // Tilt that asks whether travel still counts, and what there is to report of it since the check.
-  Quantity tilt_rad() const { return (started_ & kAsks) != 0U ? probe_.tilt_rad() : Quantity{}; }
+  // In a tick that check() does not need. Asks by a tilt whether travel still counts.
+  static bool is_turn_to_ask(std::uint32_t tick) { return tick % kTrackingSlots == kAxisCount; }
+  Verdict ask(const Tracked& tracked, const TrackingLimits& limits);
   link::Probe news() const { return news_; }
-  link::Probe take_news() {
-    const link::Probe news = news_;
-    news_ = link::Probe::none;
-    return news;
-  }
+  const Probe& probe() const { return probe_; }
+  bool asks() const { return (started_ & kAsks) != 0U && probe_.asks(); }
 
  private:
   struct Axis {
@@ -75,8 +73,6 @@ class Tracking {
   };
 
   static constexpr std::uint8_t kAsks = 1U << kAxisCount;
-
-  Verdict ask(const Tracked& tracked, const TrackingLimits& limits);
 
   Axis axes_[kAxisCount];
   Probe probe_;

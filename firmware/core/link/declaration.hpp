@@ -9,7 +9,7 @@
 
 namespace heli::link {
 
-inline constexpr std::uint32_t kLinkHash = 0x4fe15ceeU;
+inline constexpr std::uint32_t kLinkHash = 0xd5587531U;
 inline constexpr std::uint8_t kLinkMajor = 1;
 inline constexpr std::uint8_t kLinkMinor = 3;
 inline constexpr std::uint8_t kFirmwareMajor = 0;
@@ -150,7 +150,7 @@ enum class Event : std::uint8_t {
   zeroed = 8,  // encoder zeros taken; detail = axis mask
   law_engaged = 9,  // a law that came over the link flies; value = its divisor of the tick's rate
   law_taken_over = 10,  // the board's own law took over from it; detail = takeover, value as said there
-  travel_probe = 11,  // the board tilts the arm to see whether the travel encoder still counts; detail = probe, value = tilt in deg at the end
+  travel_probe = 11,  // the board tilts the arm to see whether the travel encoder still counts; detail = probe, value = tilt in deg
 };
 inline constexpr std::size_t kEventCount = 12;
 
@@ -376,7 +376,7 @@ inline constexpr ParamInfo kParams[kParamCount] = {
     {0.1F, 10.0F, 0.5F, false, false, true},  // motion_s
     {0.5F, 90.0F, 8.0F, false, false, true},  // travel_motion_deg
     {0.1F, 30.0F, 1.0F, false, false, true},  // travel_motion_s
-    {0.0F, 60.0F, 3.0F, false, false, true},  // travel_silence_s
+    {0.0F, 60.0F, 2.5F, false, false, true},  // travel_silence_s
     {0.02F, 10.0F, 0.485F, false, false, false},  // elevation_gain
     {0.1F, 100.0F, 2.97F, false, false, false},  // pitch_gain
     {0.05F, 100.0F, 0.5F, false, false, false},  // travel_gain
