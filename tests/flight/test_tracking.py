@@ -134,7 +134,7 @@ def turn(harness: Harness, ticks: int, *, pitch_deg: float, rate_deg_s: float = 
 
 def test_a_small_tilt_that_winds_up_slowly_must_turn_the_arm_too() -> None:
     harness = balanced()
-    for step in range(20):
+    for step in range(18):
         turn(harness, 400, pitch_deg=0.4 * step)
     assert harness.state is State.EMERGENCY_LANDING
     assert tripped(harness) == (Fault.TRAVEL_MOTIONLESS, Trigger.TRAVEL_LOST)
@@ -171,7 +171,7 @@ def test_travel_that_stops_at_once_in_a_turn_is_landed_without_it(stops: str) ->
 def test_a_landing_does_not_close_a_doubtful_travel(doubtful: bool) -> None:
     harness = balanced()
     turn(harness, 1000, pitch_deg=0.0)
-    turn(harness, 1900, pitch_deg=6.0 if doubtful else 2.0)
+    turn(harness, 1900, pitch_deg=5.0 if doubtful else 2.0)
     assert harness.state is State.CLOSED_LOOP
     harness.ask(d.LandMessage(0))
     harness.tick(10)

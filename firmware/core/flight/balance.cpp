@@ -1,7 +1,5 @@
 #include "flight/balance.hpp"
 
-#include <cstddef>
-
 namespace heli::flight {
 
 using control::magnitude;
@@ -54,7 +52,7 @@ void Balance::update(Quantity angle_rad, Quantity rate_rad_s, Quantity drive,
     next_update_ = kKnown_updates;
   } else if (same_way_updates_ >= next_update_) {
     next_update_ = same_way_updates_ + kLearnEvery_updates;
-    learn(balance, up, limits.centred);
+    learn(balance, up);
   }
 }
 
@@ -72,6 +70,7 @@ void Balance::integrate(Quantity drive, const BalanceLimits& limits) {
   const auto [low, high] = range();
   const Quantity above = drive - high;
   const Quantity below = low - drive;
+  beyond_ = above > below ? above : below;
   if (coasts_) {
     // Friction that this rig may have brakes it, whatever the flight has shown of it so far.
     const Quantity brake =
@@ -82,8 +81,7 @@ void Balance::integrate(Quantity drive, const BalanceLimits& limits) {
       stay();
     }
   } else {
-    const Quantity most = above > below ? above : below;
-    const Quantity sure = most - part(most, kUncertain) - limits.margin;
+    const Quantity sure = beyond_ - part(beyond_, kUncertain) - limits.margin;
     const bool forth = above > below;
     if (sure <= Quantity{} || (forth ? rate_ < Quantity{} : rate_ > Quantity{})) {
       stay();
@@ -95,16 +93,10 @@ void Balance::integrate(Quantity drive, const BalanceLimits& limits) {
   moved_ += part(rate_, kShift);
 }
 
-// Motion in one direction alone shows little: a constant torque may cancel the friction. Travel turns
-// for so short a time that the observer sees half of its friction, so it counts twice.
-void Balance::learn(Quantity balance, bool up, bool centred) {
-  const std::size_t way = up ? 1 : 0;
-  balance_[way] = balance;
-  known_[way] = true;
-  const Quantity seen = magnitude(balance - balance_[1U - way]);
-  const Quantity apart = centred ? seen : seen + seen;
-  const bool forgets = centred || known_[1U - way];
-  const Quantity kept = forgets ? width_ - part(width_, kForget) : width_;
+void Balance::learn(Quantity balance, bool up) {
+  balance_[up ? 1 : 0] = balance;
+  const Quantity apart = magnitude(balance - balance_[up ? 0 : 1]);
+  const Quantity kept = width_ - part(width_, kForget);
   width_ = apart > kept ? apart : kept;
 }
 

@@ -24,7 +24,6 @@ struct BalanceLimits {
   Quantity width;        // half of the range of drives that may hold it, before it has moved
   Quantity margin;       // of that range: noise of the observer, and what friction varies by
   Quantity moved_most;   // excess drive, integrated twice over the time in units of T
-  bool centred;          // no drive balances it, on a rig whose parameters fit: so not travel
   Gain speed_per_rad_s;  // of the integrated drive, per rate of the axis
   Quantity noise_rad_s;  // of a measured rate: what one count shows
 };
@@ -49,6 +48,10 @@ class Balance {
               const BalanceLimits& limits);
   // How far the axis must have moved since it last counted, as `moved_most`.
   Quantity moved() const { return control::magnitude(moved_); }
+  // Whether that is by the rate at which it last moved.
+  bool coasts() const { return coasts_; }
+  // The last drive beyond the range that may hold the axis.
+  Quantity beyond() const { return beyond_; }
 
  private:
   // Drives that may hold the axis.
@@ -63,7 +66,7 @@ class Balance {
     moved_ = Quantity{};
   }
   void coast(Quantity rate_rad_s, bool up, const BalanceLimits& limits);
-  void learn(Quantity balance, bool up, bool centred);
+  void learn(Quantity balance, bool up);
   void integrate(Quantity drive, const BalanceLimits& limits);
   Range range() const;
 
@@ -74,9 +77,9 @@ class Balance {
   Quantity width_;
   Quantity rate_;
   Quantity moved_;
+  Quantity beyond_;
   std::uint32_t same_way_updates_ = 0;
   std::uint32_t next_update_ = 0;
-  bool known_[2] = {};  // whether it has moved down and up
   bool coasts_ = false;
   bool up_ = false;
   bool running_ = false;

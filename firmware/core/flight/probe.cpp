@@ -28,23 +28,24 @@ Quantity towards(Quantity from, Quantity to, Quantity step) {
 
 }  // namespace
 
-Answer Probe::update(bool may_ask, bool moved, Quantity pitch_rad, Quantity error_rad,
-                     const ProbeLimits& limits) {
+Answer Probe::update(const Asked& axis, const ProbeLimits& limits) {
   if (stage_ == Stage::listens) {
-    balance_rad_ += part(pitch_rad - balance_rad_, kAveraging);
-    return listen(may_ask, moved, error_rad, limits);
+    balance_rad_ += part(axis.pitch_rad - balance_rad_, kAveraging);
+    return listen(axis, limits);
   }
-  return may_ask ? tilt(moved, pitch_rad, limits) : end(Answer::stopped);
+  return axis.held ? tilt(axis, limits) : end(Answer::stopped);
 }
 
-Answer Probe::listen(bool may_ask, bool moved, Quantity error_rad, const ProbeLimits& limits) {
+Answer Probe::listen(const Asked& axis, const ProbeLimits& limits) {
   ++calm_updates_;
-  if (moved && calm_updates_ > kAftermath_updates) {
+  if (axis.moved && calm_updates_ > kAftermath_updates) {
     patience_ = 0;
   }
-  silent_updates_ = moved || !may_ask ? 0U : silent_updates_ + 1U;
-  const std::uint32_t silence_updates = limits.silence_updates << patience_;
-  if (silence_updates == 0U || silent_updates_ < silence_updates) {
+  silent_updates_ = axis.moved || !axis.held ? 0U : silent_updates_ + 1U;
+  const bool silent = silent_updates_ >= limits.silence_updates << patience_;
+  const bool steady = control::magnitude(axis.pitch_rad - balance_rad_) < limits.steady_rad &&
+                      control::magnitude(balance_rad_) < limits.most_rad;
+  if (limits.silence_updates == 0U || !axis.may_begin || !steady || !(silent || axis.doubted)) {
     return Answer::none;
   }
   for (std::size_t side = 0; side < 2; ++side) {
@@ -53,19 +54,19 @@ Answer Probe::listen(bool may_ask, bool moved, Quantity error_rad, const ProbeLi
     most_[side] = {};
   }
   // Against the loop first: its error may be what turns an axis that it cannot see.
-  side_ = error_rad > Quantity{} ? 1 : 0;
+  side_ = axis.error_rad > Quantity{} ? 1 : 0;
   tilted_updates_ = 0;
   tilt_rad_ = {};
   stage_ = Stage::first;
   return Answer::asked;
 }
 
-Answer Probe::tilt(bool moved, Quantity pitch_rad, const ProbeLimits& limits) {
-  if (moved) {
+Answer Probe::tilt(const Asked& axis, const ProbeLimits& limits) {
+  if (axis.moved) {
     patience_ = patience_ < kMostPatience ? static_cast<std::uint8_t>(patience_ + 1U) : patience_;
     return end(Answer::counts);
   }
-  const Quantity away_rad = pitch_rad - balance_rad_;
+  const Quantity away_rad = axis.pitch_rad - balance_rad_;
   integrate(0, away_rad - limits.friction_rad);
   integrate(1, -away_rad - limits.friction_rad);
   if (most_[side_] > limits.moved_least) {

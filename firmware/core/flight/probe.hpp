@@ -20,18 +20,28 @@ struct ProbeLimits {
   std::uint32_t silence_updates;  // without a count before it asks; 0: it never asks
   Quantity tilt_rad;
   Quantity step_rad;      // of the tilt, per update
+  Quantity steady_rad;    // of pitch: beyond, the loop itself tilts the arm
+  Quantity most_rad;      // of pitch: beyond, there is no room for the tilt
   Quantity friction_rad;  // tilt that dry friction may hold
   Quantity moved_least;   // a tilt beyond that, integrated twice, that must show as counts
+};
+
+// The axis, since the last update.
+struct Asked {
+  bool held = false;       // by the cascade, in the air
+  bool may_begin = false;  // a tilt, now
+  bool doubted = false;    // for another reason than its silence
+  bool moved = false;      // its encoder has counted
+  Quantity error_rad;
+  Quantity pitch_rad;
 };
 
 class Probe {
  public:
   // Nothing is known of the axis.
   void restart() { *this = Probe{}; }
-  // `may_ask`: the cascade holds the axis in the air. `moved`: the encoder has counted since the
-  // last update. `error_rad`: of the axis. Returns what there is to report.
-  link::Probe update(bool may_ask, bool moved, Quantity pitch_rad, Quantity error_rad,
-                     const ProbeLimits& limits);
+  // Returns what there is to report.
+  link::Probe update(const Asked& axis, const ProbeLimits& limits);
   // Whether it tilts the arm: then pitch goes to pitch_rad(), whatever the travel loop wants.
   bool asks() const { return stage_ != Stage::listens; }
   Quantity pitch_rad() const { return balance_rad_ + tilt_rad_; }
@@ -43,8 +53,8 @@ class Probe {
  private:
   enum class Stage : std::uint8_t { listens, first, second };
 
-  link::Probe listen(bool may_ask, bool moved, Quantity error_rad, const ProbeLimits& limits);
-  link::Probe tilt(bool moved, Quantity pitch_rad, const ProbeLimits& limits);
+  link::Probe listen(const Asked& axis, const ProbeLimits& limits);
+  link::Probe tilt(const Asked& axis, const ProbeLimits& limits);
   link::Probe end(link::Probe answer);
   void integrate(std::size_t side, Quantity beyond);
 

@@ -347,11 +347,10 @@ void Supervisor::check_tracking() {
     // Landing aims below the table and has a time limit of its own.
     tracked.closed = static_cast<std::uint8_t>(closed & ~link::axes::elevation);
   }
+  // A law that came over the link decides on its voltages itself.
+  tracked.may_ask = (closed & link::axes::travel) != 0U && !seen_->law_busy;
   Verdict verdict{Fault::none, 0.0F};
   if (Tracking::is_turn_to_ask(seen_->tick)) {
-    // A tape's law decides on its own voltages, and travel may not be opened while it lands.
-    tracked.may_ask =
-        (closed & link::axes::travel) != 0U && !tracked.descends && !seen_->law_busy;
     verdict = tracking_.ask(tracked, *tracking_limits_);
     if (tracking_.news() != link::Probe::none) {
       event(Event::travel_probe, code(tracking_.news()), 0,

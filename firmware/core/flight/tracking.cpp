@@ -25,6 +25,9 @@ constexpr std::int32_t kStill_counts = 1;
 // Above its rest the arm may still stand on the table: zero and rest are known to about a degree.
 constexpr Quantity kTable_rad = Quantity::of(2.0F * kRadPerDeg);
 
+// Above its rest the short arm may tilt without touching the table.
+constexpr Quantity kTilt_rad = Quantity::of(8.0F * kRadPerDeg);
+
 // What the drive did on average before the axis came to rest, over 512 ticks: where a swing turns
 // round, the drive of a single tick may be anything.
 constexpr int kAveraging = 7;
@@ -34,12 +37,11 @@ struct Shares {
   float width;   // half of the range that may hold it before the flight has shown more
   float margin;  // noise of the observer, and what a rig's own friction varies by
 };
-// Set on 181 healthy flights of 27 rigs, of which the worst stays at 0.8 of the limit on travel (an
-// encoder with play) and 0.9 on elevation. Half the range of travel is the tilt that 20 mN m of dry
-// friction hold on the paper's rig, to both sides. Travel with margins twice as wide misses dead
-// encoders in calm flight; with two thirds of it, a rig with 5 mN m of dry friction is landed.
-// Elevation and pitch with margins twice as wide let the arm reach its stop.
-constexpr Shares kShares[kAxisCount] = {{1.0F, 0.08F}, {1.0F, 0.1F}, {0.5F, 0.02F}};
+// Set on 133 healthy flights of 19 rigs, of which the worst stays at 0.8 of the limit (an encoder
+// with play) and 0.7 on elevation. Travel with margins twice as wide misses dead encoders in calm
+// flight; with two thirds of it, a rig with 5 mN m of dry friction is landed. Elevation and pitch
+// with margins twice as wide let the arm reach its stop.
+constexpr Shares kShares[kAxisCount] = {{1.0F, 0.08F}, {1.0F, 0.1F}, {0.375F, 0.02F}};
 
 Quantity averaged(Quantity average, Quantity now) {
   return Quantity::from_raw(average.raw() +
@@ -53,6 +55,8 @@ constexpr float kProbeTilt = 1.5F;
 constexpr float kProbeRise_s = 0.4F;
 // The tilt that dry friction may hold, likewise: 4 degrees or 28 mN m on the paper's rig.
 constexpr float kFrictionTilt = 0.5F;
+// Pitch is steady within this of its average: 2 degrees. Beyond, the loop drives the arm already.
+constexpr float kSteadyTilt = 0.25F;
 // Travel by which the tilt must have turned the arm: the play of an encoder, and two counts.
 constexpr float kAnswer_rad = 0.8F * kRadPerDeg;
 
@@ -92,7 +96,6 @@ BalanceLimits balance_limits_of(const params::Params& params, std::size_t axis) 
   const float drive_per_rad = 1.0F / (params.get(name.gain) * Balance::kTime_s * Balance::kTime_s);
   BalanceLimits limits{};
   limits.drive_per_rad = Gain::of(drive_per_rad);
-  limits.centred = axis != kTravel;
   limits.width = Quantity::of(kShares[axis].width * most);
   limits.margin = Quantity::of(kShares[axis].margin * most);
   limits.moved_most = Quantity::of(0.5F * most * times * times);
@@ -114,12 +117,15 @@ ProbeLimits probe_limits_of(const params::Params& params) {
       1.0F / (params.get(Param::travel_gain) * Balance::kTime_s * Balance::kTime_s);
   ProbeLimits limits{};
   // A tilt that the loop's bounds cut would show nothing.
-  const bool possible =
-      kProbeTilt * most_rad <= params.get(Param::pitch_setpoint_max_deg) * kRadPerDeg;
+  const float room_rad =
+      params.get(Param::pitch_setpoint_max_deg) * kRadPerDeg - kProbeTilt * most_rad;
+  const bool possible = room_rad > 0.0F;
+  limits.most_rad = Quantity::of(room_rad);
   limits.silence_updates = possible ? updates_of(silence_s) : 0U;
   limits.tilt_rad = Quantity::of(kProbeTilt * most_rad);
   limits.step_rad =
       Quantity::of(kProbeTilt * most_rad / static_cast<float>(updates_of(kProbeRise_s)));
+  limits.steady_rad = Quantity::of(kSteadyTilt * most_rad);
   limits.friction_rad = Quantity::of(kFrictionTilt * most_rad);
   limits.moved_least = Quantity::of(kAnswer_rad * drive_per_rad);
   return limits;
@@ -152,6 +158,7 @@ TrackingLimits tracking_limits_of(const params::Params& params) {
   l.probe = probe_limits_of(params);
   l.dead_zone = control::DeadZone::of(params.get(Param::dead_zone_V));
   l.table_rad = rad(Param::elevation_rest_deg) + kTable_rad;
+  l.tilt_rad = rad(Param::elevation_rest_deg) + kTilt_rad;
   l.hover_V = Quantity::of(params.get(Param::hover_V));
   l.hover_V_per_rad = Gain::of(params.get(Param::hover_slope) * kDegPerRad);
   l.pitch_V_per_rad = Gain::of(params.get(Param::pitch_hold_ff) * kDegPerRad);
@@ -214,15 +221,27 @@ Verdict Tracking::check(const Tracked& tracked, const TrackingLimits& limits) {
   const Quantity error_rad = magnitude(tracked.setpoint_rad[i] - seen.angle_rad[i]);
   const bool astray = (tracked.closed & bit) != 0U && error_rad > limits.error_max_rad[i];
   axis.error_updates = astray && started ? axis.error_updates + 1U : 0U;
-  const Quantity most = limits.balance[i].moved_most;
-  const Quantity doubted = i == kTravel && tracked.descends ? most.half() : most;
-  if (axis.balance.moved() > doubted || axis.driven_updates > limits.motion_updates) {
+  if (axis.driven_updates > limits.motion_updates || is_motionless(i, tracked, limits)) {
     return {kMotionless[i], seen_of(i, drive, axis.balance.moved(), limits.balance[i])};
   }
   if (axis.error_updates > limits.following_updates) {
     return {kFollowing[i], error_rad.to_float() * kDegPerRad};
   }
   return {Fault::none, 0.0F};
+}
+
+bool Tracking::is_motionless(std::size_t i, const Tracked& tracked, const TrackingLimits& limits) {
+  const Balance& balance = axes_[i].balance;
+  const Quantity most = limits.balance[i].moved_most;
+  if (i != kTravel) {
+    return balance.moved() > most;
+  }
+  if (tracked.descends || !tracked.may_ask || limits.probe.silence_updates == 0U ||
+      balance.coasts() || balance.beyond() > limits.probe.friction_rad) {
+    return balance.moved() > (tracked.descends ? most.half() : most);
+  }
+  doubted_ = balance.moved() > most;
+  return balance.moved() > most + most + most;
 }
 
 Verdict Tracking::ask(const Tracked& tracked, const TrackingLimits& limits) {
@@ -236,9 +255,13 @@ Verdict Tracking::ask(const Tracked& tracked, const TrackingLimits& limits) {
   if (moved) {
     probe_count_ = seen.count[kTravel];
   }
-  const bool may_ask = tracked.may_ask && seen.angle_rad[kElevation] > limits.table_rad;
-  const Quantity error_rad = tracked.setpoint_rad[kTravel] - seen.angle_rad[kTravel];
-  news_ = probe_.update(may_ask, moved, seen.angle_rad[kPitch], error_rad, limits.probe);
+  const Quantity elevation_rad = seen.angle_rad[kElevation];
+  news_ = probe_.update({tracked.may_ask && elevation_rad > limits.table_rad,
+                         !tracked.descends && elevation_rad > limits.tilt_rad, doubted_, moved,
+                         tracked.setpoint_rad[kTravel] - seen.angle_rad[kTravel],
+                         seen.angle_rad[kPitch]},
+                        limits.probe);
+  doubted_ = false;
   if (news_ == link::Probe::silent) {
     return {Fault::travel_motionless,
             seen_of(kTravel, {}, probe_.turned(), limits.balance[kTravel])};

@@ -29,6 +29,7 @@ struct TrackingLimits {
   std::uint32_t following_updates = 0;
   control::DeadZone dead_zone;
   Quantity table_rad;    // below this elevation the table may carry the arm
+  Quantity tilt_rad;     // above this elevation a tilt may ask
   Gain hover_V_per_rad;  // by which the lift changes that carries the arm
   Gain pitch_V_per_rad;  // by which the difference changes that holds a tilt
   Quantity hover_V;      // lift that carries it; up to there nothing need move on the table
@@ -74,7 +75,11 @@ class Tracking {
 
   static constexpr std::uint8_t kAsks = 1U << kAxisCount;
 
+  // Travel that dry friction may hold is only doubted at first, if a tilt may ask it.
+  bool is_motionless(std::size_t i, const Tracked& tracked, const TrackingLimits& limits);
+
   Axis axes_[kAxisCount];
+  bool doubted_ = false;
   Probe probe_;
   link::Probe news_ = link::Probe::none;
   std::int32_t probe_count_ = 0;  // of travel, when it last moved
