@@ -182,18 +182,21 @@ ControlOutput Core::drive(Bank bank) {
   const flight::Setpoint elevation = supervisor_.setpoint(kElevation);
   const flight::Setpoint pitch = supervisor_.setpoint(kPitch);
   const flight::Setpoint travel = supervisor_.setpoint(kTravel);
+  const bool asks = supervisor_.asks();
   // All at once: cleared first and then filled, it takes 40 instructions more.
   const ControlInput in{
       {seen_.angle_rad[kElevation], seen_.angle_rad[kPitch], seen_.angle_rad[kTravel]},
       {seen_.rate_rad_s[kElevation], seen_.rate_rad_s[kPitch], seen_.rate_rad_s[kTravel]},
-      {elevation.angle_rad, pitch.angle_rad, travel.angle_rad},
+      {elevation.angle_rad, asks ? supervisor_.asked_pitch_rad() : pitch.angle_rad,
+       travel.angle_rad},
       {elevation.rate_rad_s, pitch.rate_rad_s, travel.rate_rad_s},
       {elevation.acceleration_rad_s2, pitch.acceleration_rad_s2, travel.acceleration_rad_s2},
       supervisor_.axes(),
       supervisor_.open_voltages().front_V,
       supervisor_.open_voltages().back_V,
       excitation.front_V,
-      excitation.back_V};
+      excitation.back_V,
+      asks};
   return law_.update(in, bank);
 }
 
@@ -326,6 +329,7 @@ void Core::tick(TickTiming timing) {
   seen_.hardware_stop = board_.hardware_stop();
   seen_.link_age_ticks = link_.ticks_since_host_frame();
   seen_.params_usable = store_.source() != link::ParamsSource::corrupt;
+  seen_.law_busy = guest_.busy();
   supervisor_.observe(seen_, derived.limits, derived.bounds, derived.tracking);
 
   if (const link::Request* request = link_.take_request()) {

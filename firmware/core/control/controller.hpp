@@ -22,6 +22,7 @@ struct ControlInput {
   Quantity open_back_V;
   Quantity excitation_front_V;  // added to the motors
   Quantity excitation_back_V;
+  bool asks = false;  // a tilt asks whether travel counts: pitch is held as if travel were open
 };
 
 struct ControlOutput {

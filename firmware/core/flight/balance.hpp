@@ -48,6 +48,10 @@ class Balance {
               const BalanceLimits& limits);
   // How far the axis must have moved since it last counted, as `moved_max`.
   Quantity moved() const { return control::magnitude(moved_); }
+  // Whether that is by the rate at which it last moved.
+  bool coasts() const { return coasts_; }
+  // The last drive beyond the range that may hold the axis.
+  Quantity beyond() const { return beyond_; }
 
  private:
   // Drives that may hold the axis.
@@ -73,6 +77,7 @@ class Balance {
   Quantity width_;
   Quantity rate_;
   Quantity moved_;
+  Quantity beyond_;
   std::uint32_t same_way_updates_ = 0;
   std::uint32_t next_update_ = 0;
   bool coasts_ = false;

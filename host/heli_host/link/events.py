@@ -10,6 +10,7 @@ from heli_host.declaration import (
     Event,
     EventMessage,
     Excitation,
+    Probe,
     Reset,
     Result,
     State,
@@ -94,6 +95,8 @@ def event_text(message: EventMessage) -> str:
             return f"the law of the link flies, a call each {value:.0f} ticks"
         case Event.LAW_TAKEN_OVER:
             return f"the board's own law took over ({_name(Takeover, detail)}; {value:.4g})"
+        case Event.TRAVEL_PROBE:
+            return f"tilt to check the travel encoder: {_name(Probe, detail)}; tilt {value:.1f} degrees"
         case _:
             return f"event {message.kind}, unknown to this host (detail {detail}, value {value:.4g})"
 
@@ -115,7 +118,7 @@ def event_kind(message: EventMessage) -> str:
 
 
 def _name(
-    kind: type[Event | Reset | State | Takeover | Trigger | Excitation | Result], value: int, prefix: str = ""
+    kind: type[Event | Probe | Reset | State | Takeover | Trigger | Excitation | Result], value: int, prefix: str = ""
 ) -> str:
     try:
         return kind(value).name.lower()
