@@ -42,7 +42,7 @@ def pend(board: Board, interrupt: int) -> None:
 
 
 def assert_told(heli: Heli, reset: Reset, fault: Fault) -> None:
-    """The session that flew finds the board again and says why it started anew."""
+    """The session that flew finds the board again and says why it restarted."""
     session = heli.session
     session.wait_for(lambda: any(event.kind == BOARD_RESTARTED for event in session.events), 5.0)
     events = [event for event in session.events if event.kind == BOARD_RESTARTED]

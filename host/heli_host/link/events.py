@@ -1,4 +1,4 @@
-"""What happened, in words: the board's events and those of the link itself."""
+"""Events of the board and of the link, with a sentence for each."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ class LinkEvent:
     text : str
         One line for a person, with the reason.
     message : EventMessage or None
-        The board's message, or what it was where telemetry told it; None for an event of the link.
+        The board's message, received or reconstructed from telemetry; None for an event of the link.
     names : tuple of str
-        Of ``law_signals``: what the channels ``signal_1``, ``signal_2``, ... hold from then on.
+        For ``law_signals``: names of the channels ``signal_1``, ``signal_2``, ... from this event on.
     """
 
     tick: int
@@ -57,7 +57,7 @@ class LinkEvent:
 
 
 def event_text(message: EventMessage) -> str:
-    """Say in one line what the board reports.
+    """Describe a board's event in one line.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A log behind a page: played again, at any speed, from any moment."""
+"""A log as the source of a page: replayed at any speed from any moment."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _STEP_S = 0.02
 _MAX_SPEED = 50.0
 _BEFORE_S = 60.0
-"""What is shown of the time before the moment that was sought [s]."""
+"""Length of the history that is shown before the moment of a seek [s]."""
 
 
 class Replay:
@@ -40,16 +40,16 @@ class Replay:
     Parameters
     ----------
     log : Log
-        Read; it has at least one tick.
+        Log that was read completely, with at least one tick.
     rig : Mapping of str to float
-        Lengths and masses of the rig; empty where nobody knows them.
+        Lengths [m] and masses [kg] of the rig by name; empty if they are unknown.
 
     Attributes
     ----------
     buffer : TelemetryBuffer
-        What was played last.
+        The rows that were replayed last.
     actions : mapping of str to Action
-        What can be asked for.
+        ``play`` and ``seek``.
     """
 
     def __init__(self, log: Log, rig: Mapping[str, float]) -> None:
@@ -73,7 +73,7 @@ class Replay:
         }
 
     def describe(self) -> dict[str, Any]:
-        """Return what a page needs to know once, as JSON."""
+        """Return the constant facts that each client gets once; see `Source.describe`."""
         session = self._log.metadata.get("session", {})
         return {
             "mode": "replay",
@@ -100,7 +100,7 @@ class Replay:
         }
 
     def status(self) -> dict[str, Any]:
-        """Return what a page shows in words, as JSON."""
+        """Return the present status of the replay as JSON; see `Source.status`."""
         at = max(self._at - 1, 0)
         state, fault = self.state()
         return {
@@ -118,48 +118,48 @@ class Replay:
         }
 
     def state(self) -> tuple[int, int]:
-        """Return the state and fault that the log holds at the moment that is shown."""
+        """Return the numbers of state and fault in the log at the moment that is shown."""
         at = max(self._at - 1, 0)
         return int(self._raw[at, Channel.STATE]), int(self._raw[at, Channel.FAULT])
 
     def listen(self, news: News) -> None:
-        """Nothing happens besides what the status says.
+        """Ignore the callback: a replay has no events besides those in its description.
 
         Parameters
         ----------
         news : callable taking a mapping
-            Would be told.
+            Never called.
         """
 
     def stop(self) -> None:
-        """Pause: there are no motors."""
+        """Pause the replay; no motors are involved."""
         self._playing = False
 
     def stop_epoch(self) -> int:
-        """Return 0: a stop takes nothing away here."""
+        """Return 0: a stop blocks no later request of a replay."""
         return 0
 
-    def clear_stop(self, wish: int) -> bool:
-        """Whatever was wished for may begin.
+    def clear_stop(self, epoch: int) -> bool:
+        """Permit every request: a replay moves no motors.
 
         Parameters
         ----------
-        stop_epoch : int
-            As `stop_epoch` returned it.
+        epoch : int
+            Value of `stop_epoch`, 0.
         """
-        return wish == 0
+        return epoch == 0
 
     def watch_pilot(self, present: Callable[[], bool]) -> None:
-        """There are no setpoints to hold back.
+        """Ignore the pilot's presence: a replay sends no setpoints.
 
         Parameters
         ----------
         present : callable returning bool
-            Whether the pilot is there.
+            Never called.
         """
 
     def run(self) -> None:
-        """Play until `close`, in this thread."""
+        """Replay the log in the caller's thread until another thread calls `close`."""
         before_s, owed = time.monotonic(), 0.0
         while not self._ended.wait(_STEP_S):
             now_s = time.monotonic()

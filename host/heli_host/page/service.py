@@ -1,7 +1,7 @@
-"""The page's server: files, one WebSocket for everything, and another for the stop alone.
+"""The page's web server: files, one WebSocket per client, and a separate WebSocket for the stop.
 
-Nothing is done without the token, nor for a page of another origin. Each client is fed by a task of its own,
-at the pace at which it acknowledges: who is slow gets fewer rows, and holds nobody up.
+Every request needs the token, and pages of other origins are refused. A separate task serves each client at
+the rate at which the client acknowledges frames: a slow client gets fewer rows and delays no other client.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from heli_host.page.wire import as_json
 
 STATUS_S = 0.1
 PRESENCE_S = 0.2
-"""How often a status goes out that says the same as before [s]. A page whose status is older than 0.6 s shows
-that: longer than this, a server that is busy for a moment alarms; shorter costs processor time."""
+"""Interval at which an unchanged status is sent again [s]. A page warns when its status is older than 0.6 s.
+Longer: a briefly busy server raises that warning. Shorter: costs processor time."""
 
 _FAILED = 1011
 _REPORT = "report it with the line in the server's log"
@@ -42,17 +42,21 @@ _REPORT = "report it with the line in the server's log"
 class Service:
     """Serves one source to any number of clients.
 
+    Everything runs in the event loop's thread, except the actions of the source, which run in one thread per
+    `CommandQueue`. A stop runs in the event loop's thread as soon as its message is read: it waits for no
+    queue, no role and no other client.
+
     Parameters
     ----------
     source : Source
-        What is shown and commanded.
+        Board or replay that clients see and command.
     guard : Guard
-        Who is let in.
+        Decides which connections are accepted.
 
     Attributes
     ----------
     lease : ControlLease
-        Who flies.
+        The connected clients and the pilot.
     """
 
     def __init__(self, source: Source, guard: Guard) -> None:
@@ -72,7 +76,7 @@ class Service:
         source.listen(self._hear)
 
     def application(self) -> Starlette:
-        """Return what a server serves."""
+        """Return the ASGI application, to be run by a web server."""
         return Starlette(
             routes=[
                 WebSocketRoute("/ws", self._serve_client),
@@ -109,8 +113,8 @@ class Service:
         return Response(f"{trouble or 'stopped'}\n", 503 if trouble else 200, media_type="text/plain")
 
     def _stop(self) -> str:
-        """Stop in this thread, immediately: it waits for no lane, no queue and no other client. Returns what
-        went wrong; a stop that failed must be answered, whatever the reason.
+        """Switch the motors off from this thread, without waiting for any queue or client. Return the error
+        text, empty on success: the client must get an answer even if the stop fails.
         """
         try:
             self._source.stop()
@@ -271,14 +275,14 @@ class Service:
         self._tell_lease()
 
     async def _act(self, client: Outbox, name: str, action: Action, asked: Mapping[str, Any]) -> None:
-        source, wish = self._source, self._source.stop_epoch()
+        source, epoch = self._source, self._source.stop_epoch()
         if not self._allowed(client, action):
             pilot = self.lease.name(self.lease.pilot) or "nobody"
             self._tell(client, _refused(asked, f"{pilot} flies, you watch", "ask for control"))
             return
 
         def run() -> Mapping[str, Any]:
-            if not source.clear_stop(wish):
+            if not source.clear_stop(epoch):
                 return {"error": "a stop came before it began", "remedy": "begin again"}
             return action.run(asked)
 
@@ -302,7 +306,7 @@ class Service:
         return action.role is Role.TUNER and self.lease.shared
 
     def _hear(self, news: Mapping[str, Any]) -> None:
-        """Take news from any thread."""
+        """Forward an event of the source to all clients; called from any thread."""
         if self._loop is not None:
             with contextlib.suppress(RuntimeError):
                 self._loop.call_soon_threadsafe(self._tell_all, news)
@@ -332,7 +336,7 @@ class Service:
         self._tell_all(self._lease_news())
 
     async def _watch(self) -> None:
-        """Tell the status when it has changed, and from time to time that it has not."""
+        """Send the status when it has changed, and every `PRESENCE_S` even if it has not."""
         while True:
             await asyncio.sleep(STATUS_S)
             try:
