@@ -307,7 +307,7 @@ def join(address: str) -> Joined:
     Parameters
     ----------
     address : str
-        ``page://127.0.0.1:8000/?token=...``, as ``heli-host page`` prints it.
+        ``page://127.0.0.1:8000/?token=...``, as ``heli-host dashboard`` prints it.
 
     Returns
     -------
@@ -329,7 +329,7 @@ def join(address: str) -> Joined:
     token = parse_qs(parts.query).get("token", [""])[0]
     if not address.startswith((SCHEME, "http://")) or not token:
         raise PortError(
-            f"{address} is no page's address", "give the whole address that heli-host page printed"
+            f"{address} is no page's address", "give the whole address that heli-host dashboard printed"
         )
     base = f"ws://{parts.netloc}"
     with contextlib.ExitStack() as opened:
@@ -341,6 +341,6 @@ def join(address: str) -> Joined:
         except (OSError, TimeoutError, WebSocketException) as error:
             raise LinkError(
                 f"{parts.netloc} lets nobody in",
-                "check that heli-host page runs, and give its whole address",
+                "check that heli-host dashboard runs, and give its whole address",
             ) from error
         return Joined(opened.pop_all(), socket, f"{base}/stop?token={token}")

@@ -95,7 +95,7 @@ class LawChoice:
             It was taken over at once.
         """
         if name and name not in self._laws:
-            known = ", ".join(self._laws) or "none was named: heli-host page --law FILE.py"
+            known = ", ".join(self._laws) or "none was named: heli-host dashboard --law FILE.py"
             raise ParameterError(f"there is no law {name:.40}", f"choose from: {known}")
         state = self._heli.state
         if not name:
