@@ -152,7 +152,14 @@ def test_a_bad_flight_to_validate_on_is_named_as_well(terminal: Terminal, tmp_pa
 def test_a_gap_is_left_out_on_request(terminal: Terminal, tmp_path: Path) -> None:
     write_csv(without_rows(1000, 1200)(flight()), tmp_path / "gap.csv")
     ended = terminal(
-        "identify", "gap.csv", "--allow-gaps", "--free", "thrust_gain", "--json", "new.json", "--skip-sign-check"
+        "identify",
+        "gap.csv",
+        "--allow-gaps",
+        "--free",
+        "thrust_gain",
+        "--json",
+        "new.json",
+        "--skip-sign-check",
     )
     assert ended.code == 0, ended
     assert (tmp_path / "new.json").exists()

@@ -85,7 +85,12 @@ def test_a_rig_that_cannot_fly_gets_one_line(
     change: dict[str, float], why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_rig(load_rig("makki2024").replace(**change), tmp_path / "bad.toml")
-    assert run(["tune", "--rig", str(tmp_path / "bad.toml"), "--save-params", str(tmp_path / "save-params.toml")]) == 2
+    assert (
+        run(
+            ["tune", "--rig", str(tmp_path / "bad.toml"), "--save-params", str(tmp_path / "save-params.toml")]
+        )
+        == 2
+    )
     error = capsys.readouterr().err
     assert why in error
     assert error.count("\n") == 1

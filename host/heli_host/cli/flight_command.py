@@ -27,7 +27,25 @@ DEFAULT_SEED: Final = 1
 
 @dataclass(frozen=True)
 class FlightOptions:
-    """Options of a verb that flies, as typed; see ``heli-host fly --help``."""
+    """Options of a verb that flies, as typed; see ``heli-host fly --help``.
+
+    Parameters
+    ----------
+    port, sil : str or None, bool
+        The board: ``--port`` or ``HELI_PORT``, or ``--sil``.
+    board, elf, rig, model, effect, effect_file, speed, seed
+        The simulation. A `rig` also names the rig of a real board.
+    blind : bool
+        Whether files hide what flew.
+    clear_fault : bool
+        Whether a latched fault is cleared first.
+    gains, params : str or None, Path or None
+        Parameters to fly with.
+    twin, on_alarm : str or None
+        Twin that flies along, and what its alarm does.
+    log, json, figure : Path or None
+        Files to write.
+    """
 
     port: str | None = None
     sil: bool = False
@@ -93,9 +111,9 @@ class FlownFlight:
     Parameters
     ----------
     summary : FlightSummary
-        Its summary.
+        Outcome, tracking errors and losses.
     log : Path
-        Its log.
+        The file with every tick.
     lines : tuple of str
         Lines about it for the user.
     files : tuple of Path or None

@@ -39,7 +39,7 @@ class LawTrial:
 
     @staticmethod
     def of_log(log: Path, taken_over: str = "") -> LawTrial:
-        """Read the flight of a law from its log."""
+        """Read the flight of a law from its `log`; `taken_over` is the reason as above."""
         return LawTrial(flight_of_law(log), taken_over)
 
     def as_dict(self) -> dict[str, Any]:
