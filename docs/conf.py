@@ -61,7 +61,7 @@ class NoReference(Directive):
     """Takes the place of `automodule`: `sphinx-build -t without_api` takes a quarter of the time."""
 
     required_arguments = 1
-    option_spec = {"members": str, "imported-members": str, "exclude-members": str}
+    option_spec: ClassVar = {"members": str, "imported-members": str, "exclude-members": str}
     has_content = True
 
     def run(self) -> list[nodes.Node]:

@@ -11,8 +11,10 @@ import re
 import stat
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+RESULT_SCHEMA: Final = 1
+"""Number of the layout of results as JSON; it grows when a key is renamed or removed."""
 TOML_BYTES = 1 << 20
 """A plan with a thousand segments has 100 kB."""
 

@@ -86,7 +86,7 @@ def test_names_of_files_reach_the_terminal_as_text(terminal: Terminal, tmp_path:
     )
     for words in (
         ("export", log, "--csv"),
-        ("plot", log, "--out", f"b{ESCAPES}.png"),
+        ("plot", log, "--figure", f"b{ESCAPES}.png"),
         ("rig", "show", f"r{ESCAPES}.toml"),
         ("rig", "check", f"r{ESCAPES}.toml"),
         ("rig", "diff", f"r{ESCAPES}.toml", "makki2024", "--all"),

@@ -159,10 +159,21 @@ def test_a_law_flies_where_no_compiler_is_on_the_path(board: str, tmp_path: Path
         pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
     (tmp_path / "bin").mkdir()
     start = "from heli_host.cli.entry import main; main()"
-    asked = ["law", "fly", str(LAWS / "lqr.py"), "--board", board, "--seconds", "2"]
+    asked = [
+        "law",
+        "fly",
+        str(LAWS / "lqr.py"),
+        "--sil",
+        "--speed",
+        "max",
+        "--board",
+        board,
+        "--duration",
+        "2",
+    ]
     done = subprocess.run(
         [sys.executable, "-c", start, *asked],
         capture_output=True, text=True, check=False, env={**os.environ, "PATH": str(tmp_path / "bin")},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert "rms error" in done.stdout
+    assert "RMS error" in done.stdout

@@ -1,4 +1,4 @@
-"""A page's server over a simulated board in real time behind a port, as `heli-host page --sil` has it."""
+"""A page's server over a simulated board in real time, as `heli-host dashboard --sil` has it."""
 
 from __future__ import annotations
 
@@ -79,8 +79,8 @@ def patient_page(folder: Path, laws: Sequence[LawProgram] = ()) -> Iterator[Serv
 
 @contextlib.contextmanager
 def page_process(*arguments: str, folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """Run ``heli-host page`` as a person does; yields the process and the page's address."""
-    command = [sys.executable, "-c", "from heli_host.cli import main; main()", "page", *arguments]
+    """Run ``heli-host dashboard`` as a person does; yields the process and the page's address."""
+    command = [sys.executable, "-c", "from heli_host.cli import main; main()", "dashboard", *arguments]
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=folder, env={**os.environ}
     )

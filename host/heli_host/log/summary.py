@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from heli_host.declaration import AXES
 from heli_host.errors import LogWriteError
+from heli_host.files import RESULT_SCHEMA
 from heli_host.flight import Flight
 from heli_host.flight.flown import flown_rows, led_rows
 from heli_host.flight.response import rms
@@ -118,7 +119,8 @@ class FlightSummary:
         path = Path(path)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(json.dumps(self.as_dict(), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+            content = {"schema": RESULT_SCHEMA, **self.as_dict()}
+            path.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
         except OSError as error:
             raise LogWriteError(
                 f"cannot write {path}: {error.strerror or error}", "choose another place with --json"

@@ -117,7 +117,7 @@ class PageClient:
         Parameters
         ----------
         name : str
-            Name of the parameter in docs/link.md.
+            Name of the parameter in docs/reference/link.md.
         value : float
             New value, in the unit of that table.
 
@@ -322,7 +322,7 @@ def join(address: str) -> PageClient:
     Parameters
     ----------
     address : str
-        Address that ``heli-host page`` prints, such as ``page://127.0.0.1:8000/?token=...``.
+        ``page://127.0.0.1:8000/?token=...``, as ``heli-host dashboard`` prints it.
 
     Returns
     -------
@@ -346,7 +346,7 @@ def join(address: str) -> PageClient:
     token = parse_qs(parts.query).get("token", [""])[0]
     if not address.startswith((SCHEME, "http://")) or not token:
         raise PortError(
-            f"{address} is no page's address", "give the whole address that heli-host page printed"
+            f"{address} is no page's address", "give the whole address that heli-host dashboard printed"
         )
     base = f"ws://{parts.netloc}"
     with contextlib.ExitStack() as opened:
@@ -358,6 +358,6 @@ def join(address: str) -> PageClient:
         except (OSError, TimeoutError, WebSocketException) as error:
             raise LinkError(
                 f"{parts.netloc} lets nobody in",
-                "check that heli-host page runs, and give its whole address",
+                "check that heli-host dashboard runs, and give its whole address",
             ) from error
         return PageClient(opened.pop_all(), socket, f"{base}/stop?token={token}")

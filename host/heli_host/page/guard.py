@@ -48,7 +48,7 @@ class Guard:
             True if it must carry the token, which is then checked first.
         """
         if needs_token and not self._has_token(connection):
-            words = "open the whole address that heli-host page printed: it carries a token\n"
+            words = "open the whole address that heli-host dashboard printed: it carries a token\n"
             return PlainTextResponse(words, 403)
         if (length := len(connection.scope["path"])) > _LONGEST_PATH:
             self._warn(connection, f"its path has {length} characters")

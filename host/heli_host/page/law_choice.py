@@ -98,7 +98,7 @@ class LawChoice:
             The board's own law took over immediately.
         """
         if name and name not in self._laws:
-            known = ", ".join(self._laws) or "none was named: heli-host page --law FILE.py"
+            known = ", ".join(self._laws) or "none was named: heli-host dashboard --law FILE.py"
             raise ParameterError(f"there is no law {name:.40}", f"choose from: {known}")
         state = self._heli.state
         if not name:

@@ -6,7 +6,7 @@ import logging
 
 from heli_host.errors import printable
 
-_MOST_CAUSES = 200
+_MAX_CAUSES = 200
 """Greatest number of different lines: a client with endless invalid requests must not fill a disk."""
 
 

@@ -60,5 +60,5 @@ def refuse_unexplained(seen: Trace) -> None:
         raise NotExcited(
             f"{seen.label}: the voltages do not explain its motion: {shares[best]:.2f} is left of that of "
             f"{AXES[best]}, the best axis; a flight leaves {UNEXPLAINED:g} at most",
-            "check that angles and voltages are of one flight of this rig (or fit it --as-is)",
+            "check that angles and voltages are of one flight of this rig (or fit it --skip-sign-check)",
         )

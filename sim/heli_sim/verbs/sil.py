@@ -41,7 +41,7 @@ def sil(
     rig: simulated.RigOption = None,
     model: simulated.ModelOption = None,
     effect: simulated.EffectOption = None,
-    effects: simulated.EffectFilesOption = None,
+    effect_file: simulated.EffectFilesOption = None,
     encoder_out: Annotated[
         list[str] | None,
         typer.Option(
@@ -98,7 +98,7 @@ def sil(
         reset_on_open=reset_on_open,
         model=model or "",
         effects=tuple(effect or ()),
-        effect_files=tuple(map(str, effects or ())),
+        effect_files=tuple(map(str, effect_file or ())),
         rig_faults=RigFaults(
             encoders_out=parse_encoders_out("--encoder-out", encoder_out or ()),
             stop_switch=parse_times("--stop-switch", stop_switch or ()),
