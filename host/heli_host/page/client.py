@@ -1,6 +1,6 @@
 """A second program in a flying session: what a notebook uses beside the page that flies.
 
-The page's server has one socket for pages and programs; docs/how-to/dashboard.md describes it
+The page's server has one socket for pages and programs; docs/reference/dashboard-protocol.md describes it
 for other languages.
 """
 
@@ -197,7 +197,7 @@ class Joined:
             raise LinkError(str(answer), "use the rig's own stop switch")
 
     def ask(self, name: str, /, *, timeout_s: float = _ANSWER_S, **arguments: Any) -> Mapping[str, Any]:
-        """Ask for anything in the table of docs/how-to/dashboard.md, and wait for the answer.
+        """Ask for anything in the table of docs/reference/dashboard-protocol.md, and wait for the answer.
 
         Parameters
         ----------

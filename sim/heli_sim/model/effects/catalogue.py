@@ -62,7 +62,7 @@ def _kinds_of(path: Path) -> list[EffectKind]:
     found = list(_kinds_in(module))
     if not found:
         raise EffectError(
-            f"effect file {path} has no EffectKind at its top level", "see docs/reference/effects.md"
+            f"effect file {path} has no EffectKind at its top level", "see docs/how-to/extending.md"
         )
     for kind in found:
         _try(path, kind)
@@ -98,7 +98,7 @@ def _try(path: Path, kind: EffectKind) -> None:
     where = f"effect file {path}: '{kind.id}'"
     if not (inspect.isclass(kind.effect) and issubclass(kind.effect, Effect)):
         raise EffectError(
-            f"{where}: effect must be a class derived from Effect", "see docs/reference/effects.md"
+            f"{where}: effect must be a class derived from Effect", "see docs/how-to/extending.md"
         )
     if not kind.numbers or not kind.size:
         raise EffectError(f"{where} has no number with size=True", "say which one measures it")
@@ -106,7 +106,7 @@ def _try(path: Path, kind: EffectKind) -> None:
     if not models:
         raise EffectError(
             f"{where} needs {', '.join({*kind.needs, *kind.override})}, which no model has",
-            "name what a model has; see docs/reference/effects.md",
+            "name what a model has; see docs/how-to/extending.md",
         )
     try:
         kind.describe(kind.typical)
