@@ -6,7 +6,7 @@ import sys
 import tomllib
 from importlib.metadata import version as version_of
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from docutils import nodes
 from docutils.parsers.rst import Directive
@@ -15,13 +15,13 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE / "_extensions"))
 
 project = "heli-lab"
-author = "the heli-lab contributors"
+author = "the heli-lab authors"
 copyright = author
 release = version_of(tomllib.loads((HERE.parent / "pyproject.toml").read_text())["project"]["name"])
 version = release
 
 has_api: bool = not tags.has("without_api")  # type: ignore[name-defined]  # noqa: F821
-extensions = ["myst_parser", "mathml", *(["sphinx.ext.autodoc", "numpydoc"] if has_api else [])]
+extensions = ["myst_parser", "mathml", "verbs", *(["sphinx.ext.autodoc", "numpydoc"] if has_api else [])]
 source_suffix = {".md": "markdown"}
 root_doc = "index"
 # READMEs of folders are for readers of the repository; the course's is a page.

@@ -1,4 +1,4 @@
-"""Write the C++, Python and MATLAB tables and docs/reference/link.md from firmware/link.toml.
+"""Write the C++, Python and MATLAB tables and three pages of docs/reference from firmware/link.toml.
 
 Run ``python firmware/generate.py`` after every change of link.toml; ``--check`` writes nothing and
 fails when a generated file is stale. Needs nothing but the standard library, so that a firmware
@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from firmware.generator.cpp import generate_cpp
 from firmware.generator.declared import DeclarationError, read
-from firmware.generator.document import generate_doc
+from firmware.generator.document import generate_doc, generate_faults, generate_parameters
 from firmware.generator.matlab import generate_matlab
 from firmware.generator.python import generate_python
 
@@ -25,6 +25,8 @@ WRITERS = {
     "firmware/core/link/declaration.hpp": generate_cpp,
     "host/heli_host/declaration.py": generate_python,
     "docs/reference/link.md": generate_doc,
+    "docs/reference/faults.md": generate_faults,
+    "docs/reference/parameters.md": generate_parameters,
     "docs/matlab/heli_declaration.m": generate_matlab,
 }
 

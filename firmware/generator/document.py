@@ -1,4 +1,4 @@
-"""The declaration for people: docs/reference/link.md."""
+"""The declaration for people: the pages link, parameters and faults in docs/reference."""
 
 from __future__ import annotations
 
@@ -45,6 +45,32 @@ first_tick u32 | count u8 | widths {nibble_bytes} bytes | bases {base_bytes} byt
   width), packed from the least significant bit on; each channel starts on a new byte.
 - A value is its raw number times the scale, in the unit. An encoder's count is an angle: 2 pi / |`*_counts_per_rev`| rad each, by the parameter of
   its axis. Samples, tables and logs hold every channel, under the names given here.
+"""
+
+FAULTS = """\
+# Faults
+
+The board reports a fault by number and name. This page lists every fault with its meaning and its remedy; for a longer answer, see
+[troubleshooting](../how-to/troubleshooting.md). The column *limit* names the parameter that sets the threshold: see
+[Parameters](parameters.md). `firmware/generate.py` writes this page from `firmware/link.toml`.
+
+A latched fault stays until you clear it with `heli-host fly ... --clear-fault`, or on the dashboard.
+"""
+FAULT_KINDS = {
+    "trip": "the board cuts the motors and latches the fault.",
+    "land": "the board lands, then cuts the motors and latches the fault.",
+    "check": "the board refuses to arm.",
+    "boot": "the board reports the fault when it starts.",
+}
+PARAMETERS = """\
+# Parameters
+
+The board has these parameters. `heli-host params list --long` prints them, and `heli-host params set NAME VALUE --save` changes one.
+`heli-host tune` writes those of a control law for your rig. `firmware/generate.py` writes this page from `firmware/link.toml`.
+
+- *least*, *most*: the board refuses a value outside this range.
+- *numbers*: which numbers of the range are allowed.
+- *set*: when the parameter may change; `idle` means only while the motors are off.
 """
 
 
@@ -108,41 +134,57 @@ def generate_doc(d: Table) -> str:
         out.append(f"## {name} (bits)\n\n{entries['meaning']}\n")
         table = [[str(e["bit"]), f"`{k}`", e["meaning"]] for k, e in rows(entries)]
         out += markdown_table(["bit", "name", "meaning"], table)
-    out.append("## Faults\n\n`trip`: motors off, latched. `check`: arming refused. `boot`: found at start.\n")
-    out += markdown_table(
-        ["code", "name", "kind", "limit", "meaning", "remedy"],
-        [
+    out.append("Faults are in [Faults](faults.md), parameters in [Parameters](parameters.md).")
+    return "\n".join(out).rstrip("\n") + "\n"
+
+
+def generate_faults(d: Table) -> str:
+    """Text of docs/reference/faults.md."""
+    kinds = {f["kind"] for f in d["fault"]}
+    out = [
+        FAULTS,
+        *(f"- `{kind}`: {meaning}" for kind, meaning in FAULT_KINDS.items() if kind in kinds),
+        "",
+        *markdown_table(
+            ["code", "name", "kind", "limit", "meaning", "remedy"],
             [
-                str(f["code"]),
-                f"`{f['name']}`",
-                f["kind"],
-                f"`{f['parameter']}`" if "parameter" in f else "",
-                f["meaning"],
-                f["remedy"],
-            ]
-            for f in d["fault"]
-        ],
-    )
-    out.append(
-        "## Parameters\n\n`idle`: may only be set while idle. The board refuses every value that a row does not allow.\n"
-    )
-    out += markdown_table(
-        ["#", "name", "unit", "least", "most", "numbers", "default", "set", "meaning"],
-        [
+                [
+                    str(f["code"]),
+                    f"`{f['name']}`",
+                    f["kind"],
+                    f"`{f['parameter']}`" if "parameter" in f else "",
+                    f["meaning"],
+                    f["remedy"],
+                ]
+                for f in d["fault"]
+            ],
+        ),
+    ]
+    return "\n".join(out).rstrip("\n") + "\n"
+
+
+def generate_parameters(d: Table) -> str:
+    """Text of docs/reference/parameters.md."""
+    out = [
+        PARAMETERS,
+        *markdown_table(
+            ["#", "name", "unit", "least", "most", "numbers", "default", "set", "meaning"],
             [
-                str(i),
-                f"`{p['name']}`",
-                p["unit"],
-                f"{p['min']:g}",
-                f"{p['max']:g}",
-                numbers_of(p),
-                f"{p['default']:g}",
-                p["when"],
-                p["meaning"],
-            ]
-            for i, p in enumerate(d["param"])
-        ],
-    )
+                [
+                    str(i),
+                    f"`{p['name']}`",
+                    p["unit"],
+                    f"{p['min']:g}",
+                    f"{p['max']:g}",
+                    numbers_of(p),
+                    f"{p['default']:g}",
+                    p["when"],
+                    p["meaning"],
+                ]
+                for i, p in enumerate(d["param"])
+            ],
+        ),
+    ]
     return "\n".join(out).rstrip("\n") + "\n"
 
 

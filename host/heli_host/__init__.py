@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from heli_host.page.client import join
     from heli_host.samples import Sample, Samples
 
+    __version__: str
+
 __all__ = [
     "Axes",
     "Excitation",
@@ -62,10 +64,19 @@ _WHERE = {
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        # Late: an import of the package takes a third of its time without it.
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            return version("heli-host")
+        except PackageNotFoundError:
+            # Imported from a source tree that is not installed.
+            return "unknown"
     if name in _WHERE:
         return getattr(import_module(_WHERE[name]), name)
     raise AttributeError(f"module {__name__} has no attribute {name}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
+    return sorted({*__all__, "__version__", *(name for name in globals() if name.startswith("__"))})

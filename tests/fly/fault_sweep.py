@@ -1,6 +1,6 @@
 """Encoders and supply that fail at any moment of any plan on several rigs, and what the arm truly did.
 
-``python -m tests.fly.fault_sweep`` flies the sweep and prints the table of docs/how-to/flying.md.
+``python -m tests.fly.fault_sweep`` flies the sweep and prints the table of docs/validation/faults.md.
 ``python -m tests.fly.fault_sweep healthy`` flies rigs on which nothing fails, and prints false alarms.
 """
 

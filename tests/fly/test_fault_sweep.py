@@ -13,7 +13,7 @@ from tests.running.long import LONG, samples
 
 pytest.importorskip("heli_sim._native", reason="skipped: the simulation is not built")
 
-DOCUMENT = Path("docs/how-to/flying.md")
+DOCUMENT = Path("docs/validation/faults.md")
 TRAVEL = (
     Case("paper", "drift", "travel", 10.5),
     Case("paper", "sine", "travel", 64.5),

@@ -1,4 +1,4 @@
-"""The table of faults in docs/how-to/flying.md is what a run of it gives."""
+"""The table of faults in docs/reference/failures.md is what a run of it gives."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.running.long import LONG, parallel_map
 
 pytest.importorskip("heli_sim._native", reason="skipped: the simulation is not built")
 
-DOCUMENT = Path("docs/how-to/flying.md")
+DOCUMENT = Path("docs/reference/failures.md")
 TESTS = Path(__file__).parent
 NATIVE = parallel_map([case for case in CASES if not case.due_only], every=3)
 # Flown on the emulated Due in `make test`: what only it has, and one of each kind of the others.

@@ -22,7 +22,7 @@ from heli_sim.rig import Number, Rig, load_rig, write_rig
 from heli_sim.sil.options import SilOptions, parse_url
 from heli_sim.sil.plant_factory import plant_of
 
-DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "reference" / "effects.md"
+DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "extending.md"
 COMMON = [
     *("rotor_lag", "rotor_speed_lag", "rotor_lag_with_delay", "input_delay"),
     *("thrust_quadratic", "thrust_asymmetry", "thrust_fade", "thrust_step.front", "thrust_step.back"),

@@ -1,4 +1,4 @@
-"""The generated tables and docs/reference/link.md are what firmware/link.toml says."""
+"""The generated tables and pages are what firmware/link.toml says."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ GENERATED = (
     "firmware/core/link/declaration.hpp",
     "host/heli_host/declaration.py",
     "docs/reference/link.md",
+    "docs/reference/faults.md",
+    "docs/reference/parameters.md",
     "docs/matlab/heli_declaration.m",
 )
 

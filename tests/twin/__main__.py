@@ -1,6 +1,6 @@
 """Fly healthy and changed rigs with their twins: ``python -m tests.twin``; goes on where it was stopped.
 
-Writes twin.json after each rig, and prints the tables of docs/how-to/monitoring.md.
+Writes twin.json after each rig, and prints the tables of docs/validation/twin.md.
 """
 
 from __future__ import annotations

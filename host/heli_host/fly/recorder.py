@@ -6,11 +6,11 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
+import heli_host
 from heli_host.declaration import LINK_HASH, LINK_VERSION, StatusMessage
 from heli_host.errors import HeliError, LogError
 from heli_host.flight.flown import PHASE_EVENT
@@ -267,7 +267,7 @@ class Recorder:
             "firmware": info.firmware_version,
             "link": info.link_version,
             "link_hash": f"{info.link_hash:08x}",
-            "host": host_version(),
+            "host": heli_host.__version__,
             "host_link": LINK_VERSION,
             "host_link_hash": f"{LINK_HASH:08x}",
             "url": heli.session.transport.url,
@@ -278,14 +278,6 @@ class Recorder:
             "params_source": info.params_source,
             "axes": " ".join(plans[0].axes) if plans else "",
         }
-
-
-def host_version() -> str:
-    """Return the version of this package, ``unknown`` when it is not installed."""
-    try:
-        return version("heli-host")
-    except PackageNotFoundError:
-        return "unknown"
 
 
 def _texts(plans: Sequence[Plan]) -> dict[str, str]:

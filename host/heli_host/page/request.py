@@ -69,9 +69,9 @@ def read_request(words: str) -> Request:
     try:
         asked = json.loads(words)
     except (ValueError, RecursionError):
-        raise BadRequest("the message is not JSON", "see docs/how-to/dashboard.md", {}) from None
+        raise BadRequest("the message is not JSON", "see docs/reference/dashboard-protocol.md", {}) from None
     if not isinstance(asked, dict) or not isinstance(asked.get("do"), str):
-        raise BadRequest("the message is not a request", "see docs/how-to/dashboard.md", {})
+        raise BadRequest("the message is not a request", "see docs/reference/dashboard-protocol.md", {})
     usable: dict[str, Any] = {}
     for name in ("id", "do"):
         value = asked.get(name)

@@ -163,7 +163,7 @@ def read_profile(path: Path) -> Profile:
     except OSError as error:
         raise FlightDataError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
     except ValueError as error:
-        raise FlightDataError(f"{path}: not a profile: {error}", "see docs/how-to/importing.md") from error
+        raise FlightDataError(f"{path}: not a profile: {error}", "see docs/reference/file-formats.md") from error
     reader = _Reader(str(path))
     known = {
         "about",
@@ -211,7 +211,7 @@ class _Reader:
     source: str
 
     def wrong(self, what: str) -> FlightDataError:
-        return FlightDataError(f"{self.source}: {what}", "see docs/how-to/importing.md")
+        return FlightDataError(f"{self.source}: {what}", "see docs/reference/file-formats.md")
 
     def no_others(self, content: Mapping[str, Any], known: set[str], where: str) -> None:
         for name in content:

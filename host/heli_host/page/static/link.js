@@ -1,4 +1,4 @@
-// The two sockets: one for everything, in a thread of its own, one for the stop alone. See docs/how-to/dashboard.md for what
+// The two sockets: one for everything, in a thread of its own, one for the stop alone. See docs/reference/dashboard-protocol.md for what
 // goes over them.
 
 const HEADER = 24;

@@ -1,4 +1,4 @@
-"""A diagnosis as JSON for other programs; docs/how-to/diagnosing.md describes the keys."""
+"""A diagnosis as JSON for other programs; docs/reference/json.md describes the keys."""
 
 from __future__ import annotations
 
