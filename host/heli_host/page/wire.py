@@ -1,4 +1,4 @@
-"""What goes over the page's WebSocket, as text and as binary frames; docs/reference/dashboard-protocol.md describes them.
+"""Text and binary frames of the page's WebSocket; docs/reference/dashboard-protocol.md describes them.
 
 A frame is a header of 24 bytes, little-endian: kind (u8, 1), flags (u8: 1 rows were left out between these,
 2 what came before does not go on in them), channels (u16), number of the frame (u32), rows (u32), the board's
