@@ -76,7 +76,7 @@ for name in ("cascade", "mine"):
         heli.wait(2.0)
         heli.setpoint(elevation_deg=5.0, travel_deg=20.0)
         if name == "mine":
-            print(heli.fly_law(law.tape, duration_s=12.0))
+            print(heli.fly_law(law.program, duration_s=12.0))
         else:
             heli.wait(12.0)
         flown = heli.samples(last_s=4.0)

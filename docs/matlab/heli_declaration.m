@@ -4,7 +4,7 @@ function d = heli_declaration()
 % Written by firmware/generate.py from firmware/link.toml. Do not edit.
 
 d.link_version = '1.3';
-d.link_hash = uint32(88437033);
+d.link_hash = uint32(2267235153);
 d.protocol = 1;
 d.baud = 250000;
 d.tick_us = 1000;
@@ -131,6 +131,12 @@ d.enums.event.setpoint_rejected = 7;
 d.enums.event.zeroed = 8;
 d.enums.event.law_engaged = 9;
 d.enums.event.law_taken_over = 10;
+d.enums.event.travel_probe = 11;
+d.enums.probe.none = 0;
+d.enums.probe.asked = 1;
+d.enums.probe.counts = 2;
+d.enums.probe.silent = 3;
+d.enums.probe.stopped = 4;
 d.enums.trigger.arm = 0;
 d.enums.trigger.stop = 1;
 d.enums.trigger.close_loop = 2;
@@ -235,6 +241,7 @@ d.parameters = {
   'motion_s', 's', 0.1, 10, 0.5
   'travel_motion_deg', 'deg', 0.5, 90, 8
   'travel_motion_s', 's', 0.1, 30, 1
+  'travel_silence_s', 's', 0, 60, 2.5
   'elevation_gain', 'rad/(s2 V)', 0.02, 10, 0.485
   'pitch_gain', 'rad/(s2 V)', 0.1, 100, 2.97
   'travel_gain', '1/s2', 0.05, 100, 0.5

@@ -28,15 +28,15 @@ MotorConversion motor_of(const params::Params& params, float sign, std::int16_t 
   };
   const std::int32_t at_min = duty_at(Param::motor_min_V);
   const std::int32_t at_max = duty_at(Param::motor_max_V);
-  motor.least_duty = at_min < at_max ? at_min : at_max;
-  motor.most_duty = at_min < at_max ? at_max : at_min;
+  motor.min_duty = at_min < at_max ? at_min : at_max;
+  motor.max_duty = at_min < at_max ? at_max : at_min;
   return motor;
 }
 
 }  // namespace
 
 float smoothing_of(float cutoff_Hz) {
-  return control::gone_after(2.0F * kPi * cutoff_Hz * kTick_s);
+  return control::one_minus_exp(2.0F * kPi * cutoff_Hz * kTick_s);
 }
 
 Conversion conversion_of(const params::Params& params, std::int16_t duty_full) {

@@ -14,8 +14,8 @@ struct MotorConversion {
   control::Gain duty_per_V;   // signed: a motor may be wired the other way round
   control::Share V_per_duty;  // signed
   // The motors' limits as duties, within full duty: no law gets beyond them.
-  std::int32_t least_duty = 0;
-  std::int32_t most_duty = 0;
+  std::int32_t min_duty = 0;
+  std::int32_t max_duty = 0;
 };
 
 struct Conversion {

@@ -23,7 +23,7 @@ constexpr std::uint8_t kAllAxes = link::axes::elevation | link::axes::pitch | li
 
 std::int16_t duty_of(Quantity voltage_V, const MotorConversion& motor) {
   const std::int32_t duty = product<0>(voltage_V, motor.duty_per_V).raw();
-  return static_cast<std::int16_t>(control::clamp(duty, motor.least_duty, motor.most_duty));
+  return static_cast<std::int16_t>(control::clamp(duty, motor.min_duty, motor.max_duty));
 }
 
 // Units on the wire per unit.
@@ -38,12 +38,12 @@ std::int32_t wire(Quantity value, Wire per_unit) { return product<0>(value, per_
 
 }  // namespace
 
-Core::Core(Board& board, control::Controller& law, law::Guest& guest)
+Core::Core(Board& board, control::Controller& law, law::UploadedLaw& uploaded)
     : board_(board),
       law_(law),
-      guest_(guest),
+      uploaded_(uploaded),
       store_(board),
-      link_(board, params_, store_, guest.tape()),
+      link_(board, params_, store_, uploaded.tape()),
       supervisor_(link_) {
   refresh_derived();
 }
@@ -134,7 +134,7 @@ Reply Core::execute(const link::Request& request, const EncoderReading& reading)
     case MessageId::law_fly:
       return fly_law(request.as<link::LawFlyMessage>().on != 0U);
     case MessageId::law_set:
-      return guest_.set_parameter(request.as<link::LawSetMessage>());
+      return uploaded_.set_parameter(request.as<link::LawSetMessage>());
     default:
       return supervisor_.execute(request);
   }
@@ -143,8 +143,8 @@ Reply Core::execute(const link::Request& request, const EncoderReading& reading)
 Reply Core::fly_law(bool on) {
   const auto state = static_cast<std::uint8_t>(supervisor_.state());
   if (!on) {
-    if (guest_.flying()) {
-      guest_.leave(link::Takeover::command, 0.0F);
+    if (uploaded_.flying()) {
+      uploaded_.hand_over(link::Takeover::command, 0.0F);
     }
     return {Result::ok, state, 0.0F};
   }
@@ -152,8 +152,8 @@ Reply Core::fly_law(bool on) {
     return {Result::bad_law, static_cast<std::uint8_t>(link::LawError::not_flying),
             static_cast<float>(state)};
   }
-  Reply reply =
-      guest_.engage({wire(seen_.acted.front_V, kFrontWire), wire(seen_.acted.back_V, kBackWire)});
+  Reply reply = uploaded_.engage(
+      {wire(seen_.acted.front_V, kFrontWire), wire(seen_.acted.back_V, kBackWire)});
   if (reply.result == Result::ok) {
     reply.detail = state;
   }
@@ -161,9 +161,9 @@ Reply Core::fly_law(bool on) {
 }
 
 ControlOutput Core::drive(Bank bank) {
-  if (guest_.busy() && guest_.flying() &&
+  if (uploaded_.busy() && uploaded_.flying() &&
       (supervisor_.state() != State::closed_loop || supervisor_.axes() != kAllAxes)) {
-    guest_.leave(link::Takeover::state, static_cast<float>(supervisor_.state()));
+    uploaded_.hand_over(link::Takeover::state, static_cast<float>(supervisor_.state()));
   }
   if (!supervisor_.motors_enabled() || supervisor_.state() == State::armed) {
     law_.reset();
@@ -182,18 +182,21 @@ ControlOutput Core::drive(Bank bank) {
   const flight::Setpoint elevation = supervisor_.setpoint(kElevation);
   const flight::Setpoint pitch = supervisor_.setpoint(kPitch);
   const flight::Setpoint travel = supervisor_.setpoint(kTravel);
+  const bool asks = supervisor_.asks();
   // All at once: cleared first and then filled, it takes 40 instructions more.
   const ControlInput in{
       {seen_.angle_rad[kElevation], seen_.angle_rad[kPitch], seen_.angle_rad[kTravel]},
       {seen_.rate_rad_s[kElevation], seen_.rate_rad_s[kPitch], seen_.rate_rad_s[kTravel]},
-      {elevation.angle_rad, pitch.angle_rad, travel.angle_rad},
+      {elevation.angle_rad, asks ? supervisor_.asked_pitch_rad() : pitch.angle_rad,
+       travel.angle_rad},
       {elevation.rate_rad_s, pitch.rate_rad_s, travel.rate_rad_s},
       {elevation.acceleration_rad_s2, pitch.acceleration_rad_s2, travel.acceleration_rad_s2},
       supervisor_.axes(),
       supervisor_.open_voltages().front_V,
       supervisor_.open_voltages().back_V,
       excitation.front_V,
-      excitation.back_V};
+      excitation.back_V,
+      asks};
   return law_.update(in, bank);
 }
 
@@ -209,50 +212,51 @@ void Core::actuate(const ControlOutput& out, const Conversion& c) {
                  product<24>(Whole::from_raw(command.back_duty), c.back.V_per_duty)};
 }
 
-// Its setpoints and signals, beginning and end; what else is logged of a tick is as with any law.
+// Logs an uploaded law's setpoints, signals, start and end; log_tick() logs the rest.
 void Core::log_law(link::Sample& sample) {
   using link::Channel;
-  link::EventMessage news;
-  if (guest_.take_news(news)) {
-    news.tick = seen_.tick;
-    link_.push_event(news);
+  link::EventMessage event;
+  if (uploaded_.poll_event(event)) {
+    event.tick = seen_.tick;
+    link_.push_event(event);
   }
-  const auto tell = [&sample](Channel channel, std::int32_t value) {
+  const auto overwrite = [&sample](Channel channel, std::int32_t value) {
     sample.raw[static_cast<std::size_t>(channel)] = value;
   };
-  law::Recovery& recovery = guest_.recovery();
-  // Where the board's own law has no axis to fly, there is nothing to take in hand; and nothing may
-  // keep a landing from descending.
+  law::Recovery& recovery = uploaded_.recovery();
+  // If the board's own law closes no axis, there is nothing to recover. Nothing may keep a landing
+  // from descending.
   if (supervisor_.axes() == 0U ||
-      (recovery.returns() && supervisor_.state() != State::closed_loop)) {
+      (recovery.returning() && supervisor_.state() != State::closed_loop)) {
     recovery.stop();
   }
-  guest_.settle();
-  // While the arm is thrown about, elevation may stand for half a second at the top of its swing.
-  if (recovery.active() && !recovery.returns()) {
+  uploaded_.update_busy();
+  // While the arm swings, elevation may rest for half a second at the top of its swing.
+  if (recovery.active() && !recovery.returning()) {
     supervisor_.restart_tracking();
   }
-  const auto move = [this, &recovery, &tell](std::size_t axis, Channel channel, Wire per_unit) {
-    if (recovery.active() && recovery.moves(axis)) {
-      supervisor_.go_on_from(axis, recovery.setpoint_rad(axis));
-      tell(channel, wire(recovery.setpoint_rad(axis), per_unit));
+  const auto move = [this, &recovery, &overwrite](std::size_t axis, Channel channel,
+                                                  Wire per_unit) {
+    if (recovery.active() && recovery.overrides(axis)) {
+      supervisor_.continue_from(axis, recovery.setpoint_rad(axis));
+      overwrite(channel, wire(recovery.setpoint_rad(axis), per_unit));
     }
   };
   move(kElevation, Channel::elevation_setpoint, kElevationSetpointWire);
   move(kTravel, Channel::travel_setpoint, kTravelSetpointWire);
-  if (!guest_.flying()) {
+  if (!uploaded_.flying()) {
     return;
   }
   sample.raw[static_cast<std::size_t>(Channel::flags)] |= link::flags::law;
-  tell(Channel::elevation_setpoint, guest_.setpoint_raw(kElevation));
-  tell(Channel::pitch_setpoint, guest_.setpoint_raw(kPitch));
-  tell(Channel::travel_setpoint, guest_.setpoint_raw(kTravel));
-  tell(Channel::signal_1, guest_.signal_raw(0));
-  tell(Channel::signal_2, guest_.signal_raw(1));
-  tell(Channel::signal_3, guest_.signal_raw(2));
-  tell(Channel::signal_4, guest_.signal_raw(3));
-  guest_.note({sample.raw[static_cast<std::size_t>(Channel::front)],
-               sample.raw[static_cast<std::size_t>(Channel::back)]});
+  overwrite(Channel::elevation_setpoint, uploaded_.setpoint_raw(kElevation));
+  overwrite(Channel::pitch_setpoint, uploaded_.setpoint_raw(kPitch));
+  overwrite(Channel::travel_setpoint, uploaded_.setpoint_raw(kTravel));
+  overwrite(Channel::signal_1, uploaded_.signal_raw(0));
+  overwrite(Channel::signal_2, uploaded_.signal_raw(1));
+  overwrite(Channel::signal_3, uploaded_.signal_raw(2));
+  overwrite(Channel::signal_4, uploaded_.signal_raw(3));
+  uploaded_.set_acted({sample.raw[static_cast<std::size_t>(Channel::front)],
+                       sample.raw[static_cast<std::size_t>(Channel::back)]});
 }
 
 void Core::log_tick(const ControlOutput& out, TickTiming timing) {
@@ -265,10 +269,10 @@ void Core::log_tick(const ControlOutput& out, TickTiming timing) {
   put(Channel::elevation_count, seen_.count[kElevation]);
   put(Channel::pitch_count, seen_.count[kPitch]);
   put(Channel::travel_count, seen_.count[kTravel]);
-  // A law that is streamed as voltages tells what it follows.
-  const bool told = supervisor_.follows();
-  const auto setpoint = [this, told](std::size_t axis, Quantity own_rad) {
-    return told ? supervisor_.following_rad(axis) : own_rad;
+  // A host that streams voltages may send the setpoints that its law follows.
+  const bool streamed = supervisor_.follows();
+  const auto setpoint = [this, streamed](std::size_t axis, Quantity board_rad) {
+    return streamed ? supervisor_.following_rad(axis) : board_rad;
   };
   put(Channel::elevation_setpoint,
       wire(setpoint(kElevation, supervisor_.setpoint_rad(kElevation)), kElevationSetpointWire));
@@ -295,10 +299,10 @@ void Core::log_tick(const ControlOutput& out, TickTiming timing) {
   put(Channel::signal_3, 0);
   put(Channel::signal_4, 0);
   put(Channel::flags, flags);
-  if (guest_.busy()) {
+  if (uploaded_.busy()) {
     log_law(sample);
   }
-  link_.keep_sample(sample);
+  link_.commit_sample(sample);
 
   counters_.overruns += timing.late ? 1U : 0U;
   counters_.tick_max_us =
@@ -319,12 +323,13 @@ void Core::tick(TickTiming timing) {
   const Derived& derived = derived_[bank];
   measure(reading, derived.conversion);
 
-  // Motor voltages and pitch setpoint stand there since the tick before.
+  // Motor voltages and pitch setpoint are those of the previous tick.
   seen_.overload_edges = reading.overload_edges;
   seen_.overruns = counters_.overruns;
   seen_.hardware_stop = board_.hardware_stop();
   seen_.link_age_ticks = link_.ticks_since_host_frame();
   seen_.params_usable = store_.source() != link::ParamsSource::corrupt;
+  seen_.law_busy = guest_.busy();
   supervisor_.observe(seen_, derived.limits, derived.bounds, derived.tracking);
 
   if (const link::Request* request = link_.take_request()) {

@@ -13,14 +13,14 @@
 #include "flight/setpoints.hpp"
 #include "flight/supervisor.hpp"
 #include "flight/tracking.hpp"
-#include "law/guest.hpp"
+#include "law/uploaded_law.hpp"
 #include "link/link.hpp"
 #include "params/params.hpp"
 #include "params/store.hpp"
 
 namespace heli {
 
-// What the board measured of the tick before this one.
+// How long the previous tick took, as the board measured it.
 struct TickTiming {
   std::uint16_t last_us = 0;
   bool late = false;
@@ -28,8 +28,8 @@ struct TickTiming {
 
 class Core {
  public:
-  // `guest` is the law that may come over the link; it flies where `law` lets it.
-  Core(Board& board, control::Controller& law, law::Guest& guest);
+  // `uploaded` is the law that may come over the link; it flies when `law` runs it.
+  Core(Board& board, control::Controller& law, law::UploadedLaw& uploaded);
 
   // Once, before the first tick: loads the parameters, announces the boot.
   void start();
@@ -37,13 +37,14 @@ class Core {
   // Once a millisecond, from the timer's interrupt. Encoders in, motors out, one sample logged.
   void tick(TickTiming timing = {});
 
-  // Again and again from the idle loop: the link, and constants after a change of parameters.
+  // Called repeatedly by the idle loop: serves the link, and derives constants after a parameter
+  // change.
   void poll();
 
   link::State state() const { return supervisor_.state(); }
 
  private:
-  // All that the tick needs of the parameters, the law's own constants apart.
+  // Everything that the tick needs from the parameters, except the law's constants.
   struct Derived {
     Conversion conversion;
     flight::Limits limits;
@@ -63,7 +64,7 @@ class Core {
 
   Board& board_;
   control::Controller& law_;
-  law::Guest& guest_;
+  law::UploadedLaw& uploaded_;
   params::Params params_;
   params::Store store_;
   link::Link link_;

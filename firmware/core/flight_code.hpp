@@ -4,16 +4,16 @@
 #include "board.hpp"
 #include "control/cascade.hpp"
 #include "core.hpp"
-#include "law/guest.hpp"
 #include "law/simplex.hpp"
+#include "law/uploaded_law.hpp"
 
 namespace heli {
 
 struct FlightCode {
-  explicit FlightCode(Board& board) : simplex(cascade, guest), core(board, simplex, guest) {}
+  explicit FlightCode(Board& board) : simplex(cascade, uploaded), core(board, simplex, uploaded) {}
 
   control::Cascade cascade;
-  law::Guest guest;
+  law::UploadedLaw uploaded;
   law::Simplex simplex;
   Core core;
 };

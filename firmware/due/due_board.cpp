@@ -44,7 +44,7 @@ bool DueBoard::write_page(std::size_t page, const std::uint8_t* from, std::size_
     const std::size_t left = count > before ? count - before : 0;
     const std::size_t here = left < flash::kPageBytes ? left : flash::kPageBytes;
     // A first save writes four pages of 5 ms each, which is more than the watchdog should wait.
-    still_idle();
+    kick_watchdog();
     written = flash::write_page(kJoined * page + part, from + before, here) && written;
   }
   return written;

@@ -29,7 +29,7 @@ static_assert(pins::kTravelA.number == 0 && pins::kTravelB.number == 1 && kTrave
 
 // Edges of travel that are served in a tick: twice what comes at 200,000 a second, and less than a
 // third of the tick, so that noise on the lines starves neither the tick nor the idle loop.
-constexpr std::uint32_t kMostEdges = 400;
+constexpr std::uint32_t kMaxEdges = 400;
 
 // Steps by (state before, state now), a state being B then A; A leads B upwards. kIllegal: both
 // lines changed at once, an edge was missed.
@@ -72,7 +72,7 @@ std::uint32_t renew_budget() {
   if (!travel_overloaded) return 0;
   travel_overloaded = false;
   PIOD->PIO_IER.write(kTravelMask);
-  return kMostEdges;
+  return kMaxEdges;
 }
 
 }  // namespace
@@ -123,7 +123,7 @@ extern "C" void encoder_interrupt() {
   }
   const std::uint32_t edges = travel_edges + 1U;
   travel_edges = edges;
-  if (edges >= kMostEdges) {
+  if (edges >= kMaxEdges) {
     PIOD->PIO_IDR.write(kTravelMask);
     travel_overloaded = true;
   }

@@ -34,7 +34,7 @@ void sleep_unless_ticked(std::uint32_t seen) {
 
 }  // namespace
 
-void still_idle() { watchdog::check_in(ticks.load(std::memory_order_relaxed)); }
+void kick_watchdog() { watchdog::check_in(ticks.load(std::memory_order_relaxed)); }
 
 [[noreturn]] void run() {
   const BootReport boot = faults::read_boot_report();

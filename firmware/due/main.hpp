@@ -1,11 +1,11 @@
-// What the reset handler goes on with, and what takes the idle loop's time tells it.
+// The entry point after the reset handler, and the idle loop's sign of life.
 #pragma once
 
 namespace heli::due {
 
 [[noreturn]] void run();
 
-// Idle loop: it takes long, and lives.
-void still_idle();
+// From the idle loop, during a step that takes long: restarts the watchdog's deadline.
+void kick_watchdog();
 
 }  // namespace heli::due

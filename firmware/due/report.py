@@ -15,8 +15,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-FLASH_MOST_BYTES = 64 * 1024
-RAM_MOST_BYTES = 28 * 1024
+FLASH_MAX_BYTES = 64 * 1024
+RAM_MAX_BYTES = 28 * 1024
 FLASH_START = 0x00080000
 VECTORS = 16 + 45
 
@@ -428,10 +428,10 @@ def findings(image: Image) -> list[str]:
         One line each; empty when all hold.
     """
     found = []
-    if image.flash_bytes > FLASH_MOST_BYTES:
-        found.append(f"flash: {image.flash_bytes} bytes are more than {FLASH_MOST_BYTES}")
-    if image.ram_bytes > RAM_MOST_BYTES:
-        found.append(f"RAM: {image.ram_bytes} bytes are more than {RAM_MOST_BYTES}")
+    if image.flash_bytes > FLASH_MAX_BYTES:
+        found.append(f"flash: {image.flash_bytes} bytes are more than {FLASH_MAX_BYTES}")
+    if image.ram_bytes > RAM_MAX_BYTES:
+        found.append(f"RAM: {image.ram_bytes} bytes are more than {RAM_MAX_BYTES}")
     needed = image.stack_needed_bytes()
     if needed > image.stack_reserved_bytes:
         found.append(f"stack: {needed} bytes may be needed, due.ld reserves {image.stack_reserved_bytes}")
@@ -458,8 +458,8 @@ def report(image: Image, cross: str = "arm-none-eabi-") -> str:
         Several lines.
     """
     lines = [
-        f"flash {image.flash_bytes:6d} of {FLASH_MOST_BYTES} bytes",
-        f"RAM   {image.ram_bytes:6d} of {RAM_MOST_BYTES} bytes, with the stack",
+        f"flash {image.flash_bytes:6d} of {FLASH_MAX_BYTES} bytes",
+        f"RAM   {image.ram_bytes:6d} of {RAM_MAX_BYTES} bytes, with the stack",
         f"stack {image.stack_needed_bytes():6d} of {image.stack_reserved_bytes} bytes, with all interrupts",
     ]
     for name in (ENTRY, *INTERRUPTS):

@@ -14,7 +14,7 @@ namespace {
 // TIMER_CLOCK1 is half the master clock.
 constexpr std::uint32_t kCountsPer_us = clock::kMck_Hz / 2 / 1000000;
 constexpr std::uint32_t kPeriod = link::kTick_us * kCountsPer_us;
-constexpr std::uint32_t kMost_us = 0xFFFF;
+constexpr std::uint32_t kMax_us = 0xFFFF;
 
 // Of the block TC1, none of whose pins is brought out on the Due: one channel restarts at every
 // tick, the other never, because an interrupt that comes twice before it is served comes once.
@@ -52,7 +52,7 @@ TickTiming timing() {
   const std::uint32_t taken_us = missed * link::kTick_us + taken / kCountsPer_us;
   TickTiming result;
   result.late = missed > 0 || taken >= kPeriod;
-  result.last_us = static_cast<std::uint16_t>(taken_us < kMost_us ? taken_us : kMost_us);
+  result.last_us = static_cast<std::uint16_t>(taken_us < kMax_us ? taken_us : kMax_us);
   return result;
 }
 

@@ -6,9 +6,9 @@
 #include "story.hpp"
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t count) {
-  constexpr std::size_t kMost_ticks = 200;
+  constexpr std::size_t kMax_ticks = 200;
   heli_fuzz::Story story(heli_fuzz::Input(bytes, count), heli_fuzz::Story::Times::short_ones);
-  story.tell(kMost_ticks);
+  story.play(kMax_ticks);
   story.host_returns();
   return 0;
 }

@@ -10,9 +10,9 @@
 
 namespace {
 
-using heli::law::Finding;
 using heli::law::Shape;
 using heli::law::Tape;
+using heli::law::UploadCheck;
 using heli::link::LawError;
 namespace link = heli::link;
 
@@ -99,11 +99,11 @@ std::uint32_t hash_of(const Upload& upload) {
   return crc;
 }
 
-Finding send(Tape& tape, const Upload& upload) {
+UploadCheck send(Tape& tape, const Upload& upload) {
   link::LawBeginMessage begin;
   begin.hash = hash_of(upload);
   begin.words = static_cast<std::uint16_t>(upload.count);
-  Finding found = tape.begin(begin);
+  UploadCheck found = tape.begin(begin);
   for (std::uint32_t first = 0; found.error == LawError::none && first < upload.count;
        first += 12U) {
     std::uint8_t payload[link::LawPartMessage::kSize] = {};
@@ -128,7 +128,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t cou
     if (tape->state() == link::LawState::ready) std::abort();
     return 0;
   }
-  if (tape->ticks() > tape->shape().divisor || tape->ticks() > link::kLawMostTicks) std::abort();
+  if (tape->ticks() > tape->shape().divisor || tape->ticks() > link::kLawMaxTicks) std::abort();
   for (std::uint32_t call = 0; call < 3U; ++call) {
     for (std::uint32_t k = 0; k < link::kLawInputCount; ++k) {
       tape->set_input(k, heli::law::flushed(upload->words[(call + k) % upload->count]));
@@ -136,7 +136,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t cou
     std::uint32_t tick = 0;
     while (!tape->run(tick)) ++tick;
     if (tick + 1U != tape->ticks()) std::abort();
-    tape->take_new_states();
+    tape->commit_states();
   }
   return 0;
 }

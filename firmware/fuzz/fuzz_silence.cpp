@@ -6,9 +6,9 @@
 #include "story.hpp"
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t count) {
-  constexpr std::size_t kMost_ticks = 5000;
+  constexpr std::size_t kMax_ticks = 5000;
   heli_fuzz::Story story(heli_fuzz::Input(bytes, count), heli_fuzz::Story::Times::declared);
-  story.tell(kMost_ticks);
+  story.play(kMax_ticks);
   story.end_in_silence();
   story.host_returns();
   return 0;

@@ -217,7 +217,7 @@ class Harness {
   void tick(bool poll = true) {
     code->core.tick();
     audit_motors();
-    board.room = board.room + kLineBytes < kMostRoom ? board.room + kLineBytes : kMostRoom;
+    board.room = board.room + kLineBytes < kMaxRoom ? board.room + kLineBytes : kMaxRoom;
     if (poll) code->core.poll();
   }
 
@@ -247,7 +247,7 @@ class Harness {
   heli::link::FrameWriter writer;
 
  private:
-  static constexpr std::size_t kMostRoom = 1024;
+  static constexpr std::size_t kMaxRoom = 1024;
   // The largest setpoint_land_s and landing_timeout_s, and half a minute.
   static constexpr std::size_t kLongestDescent_ticks = 120000;
 

@@ -40,9 +40,9 @@ class Story {
   Story(Input input, Times times) : input_(input), times_(times) {}
 
   // Steps until the input or so many milliseconds have run out.
-  void tell(std::size_t most_ticks) {
+  void play(std::size_t max_ticks) {
     prologue(input_.byte() % 5U);
-    ticks_left_ = most_ticks;
+    ticks_left_ = max_ticks;
     while (!input_.empty() && ticks_left_ > 0) {
       step(static_cast<Step>(input_.byte() % static_cast<unsigned>(Step::count)));
       tick();

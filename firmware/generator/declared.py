@@ -31,11 +31,11 @@ TAKEN = ("t_s", "tick", "parameters", "plan", "notes", "events")
 # What is declared of laws that come over the link. Five bits of an instruction say which operation it
 # is, nine which cell.
 LAW_LIMITS = (
-    "format", "cells", "words", "signals", "most_ticks", "most_terms", "tick_cost", "fixed_cost", "output_cost",
+    "format", "cells", "words", "signals", "max_ticks", "max_terms", "tick_cost", "fixed_cost", "output_cost",
     "input_cost", "moving_cost", "term_cost", "state_cost", "signal_cost",
 )  # fmt: skip
-MOST_OPERATIONS = 32
-MOST_CELLS = 512
+MAX_OPERATIONS = 32
+MAX_CELLS = 512
 LONGEST_MATLAB_NAME = 63
 LOG_FIELD = re.compile(r"[a-z](_?[a-z0-9]+)*")
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -245,12 +245,12 @@ def check_laws(d: Table) -> None:
     """Raise DeclarationError for the first thing that is wrong with what is declared of laws."""
     if set(d["law"]) != set(LAW_LIMITS):
         raise DeclarationError(f"law: needs {', '.join(LAW_LIMITS)}, and nothing else")
-    if d["law"]["cells"] > MOST_CELLS:
-        raise DeclarationError(f"law: an instruction can name {MOST_CELLS} cells at most")
+    if d["law"]["cells"] > MAX_CELLS:
+        raise DeclarationError(f"law: an instruction can name {MAX_CELLS} cells at most")
     if [one["code"] for one in d["operation"]] != [*range(len(d["operation"]))]:
         raise DeclarationError("operation: codes count from 0, in order")
-    if len(d["operation"]) > MOST_OPERATIONS:
-        raise DeclarationError(f"operation: an instruction can name {MOST_OPERATIONS} at most")
+    if len(d["operation"]) > MAX_OPERATIONS:
+        raise DeclarationError(f"operation: an instruction can name {MAX_OPERATIONS} at most")
     for one in d["operation"]:
         if one["operands"] not in (0, 1, 2):
             raise DeclarationError(f"operation {one['name']}: 0 (terms follow), 1 or 2 operands")

@@ -66,7 +66,7 @@ The words of an upload, 32 bits each and at most {words}:
 | 1 | instructions u16, zero u16 |
 | one each | constants f32, parameters f32, states f32 as they are at the start |
 | one each | cells of the outputs: front_V, back_V, three setpoints (elevation, pitch, travel), signals, new states |
-| one each | instructions: operation in bits 31 to 27, cell written in 26 to 18, operands in 17 to 9 and 8 to 0; a sum of products has the number of its terms (at most {most_terms}) in 8 to 0, and behind it one word each: bit 31 takes the product away, factors in 17 to 9 and 8 to 0 |
+| one each | instructions: operation in bits 31 to 27, cell written in 26 to 18, operands in 17 to 9 and 8 to 0; a sum of products has the number of its terms (at most {max_terms}) in 8 to 0, and behind it one word each: bit 31 takes the product away, factors in 17 to 9 and 8 to 0 |
 
 Cells hold the {inputs} inputs, then constants, parameters and states, then what the instructions write. An instruction may write those last ones
 only, and read what stands before it. A new state may not come from a state's own cell: that one may have changed by then. The operations round to
@@ -77,7 +77,7 @@ the same bits everywhere.
 Each tick of a call costs at most {fixed_cost} instructions of the processor, {moving_cost} for an axis whose setpoint's rate or acceleration it
 reads, and the costs of its operations, with {term_cost} for each term of a sum; the first tick {input_cost} more for each input, the last {output_cost}
 more, {state_cost} a state and {signal_cost} a signal. When that is more than {tick_cost}, the call is spread over as many ticks as it needs, at most
-{most_ticks} and at most its divisor: the inputs are those of the first of them, the outputs act from the last on.
+{max_ticks} and at most its divisor: the inputs are those of the first of them, the outputs act from the last on.
 """
 
 

@@ -40,9 +40,9 @@ class Following(Protocol):
 After = Literal["hold", "land", "stop"]
 
 _READ_INTERVAL_S = 0.001
-_LEAST_PERIOD_TICKS = int(PARAMS[Param.TELEMETRY_BATCH_TICKS].min)
-_MOST_BATCH_TICKS = int(PARAMS[Param.TELEMETRY_BATCH_TICKS].max)
-_MOST_TAKEOVERS = 5
+_MIN_PERIOD_TICKS = int(PARAMS[Param.TELEMETRY_BATCH_TICKS].min)
+_MAX_BATCH_TICKS = int(PARAMS[Param.TELEMETRY_BATCH_TICKS].max)
+_MAX_TAKEOVERS = 5
 # A duty of 1/2100 of a supply of at most 24 V, and the rounding of telemetry.
 _SAME_V = 0.02
 _DIFFERENT_V = 0.05
@@ -132,8 +132,8 @@ def run_controller(
         As in `heli_host.Heli.run_controller`, which calls this; so are errors.
     """
     period_ticks = round(1.0 / (rate_Hz * TICK_S)) if rate_Hz > 0.0 else 0
-    if period_ticks < _LEAST_PERIOD_TICKS:
-        most_Hz = 1.0 / (_LEAST_PERIOD_TICKS * TICK_S)
+    if period_ticks < _MIN_PERIOD_TICKS:
+        most_Hz = 1.0 / (_MIN_PERIOD_TICKS * TICK_S)
         raise ControllerError(f"a control law cannot run at {rate_Hz:g} Hz", f"give at most {most_Hz:g} Hz")
     session, params = heli.session, heli.params
     batch_ticks, read_interval_s = params["telemetry_batch_ticks"], session.read_interval_s
@@ -141,7 +141,7 @@ def run_controller(
     run = _Run(period_ticks, round(duration_s / TICK_S), valid_s)
     unsubscribe = session.subscribe_ticks(acted.append)
     try:
-        params["telemetry_batch_ticks"] = min(period_ticks, _MOST_BATCH_TICKS)
+        params["telemetry_batch_ticks"] = min(period_ticks, _MAX_BATCH_TICKS)
         session.read_interval_s = _READ_INTERVAL_S
         _loop(heli, law, run)
     except BaseException:
@@ -182,7 +182,7 @@ def _loop(heli: Vehicle, law: ControlLaw, run: _Run) -> None:
             return
         if sample.state is not State.STREAMED:
             run.takeovers += 1
-            if run.takeovers > _MOST_TAKEOVERS or sample.state is not State.HOLD:
+            if run.takeovers > _MAX_TAKEOVERS or sample.state is not State.HOLD:
                 raise ControllerError(
                     f"the board took over ({sample.state.name.lower()}): voltages came too late",
                     "make the law quicker, lower rate_Hz, or raise valid_s and voltage_valid_max_ms",

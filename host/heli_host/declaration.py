@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-LINK_HASH = 0x05457129
+LINK_HASH = 0x87234351
 LINK_VERSION = "1.3"
 FIRMWARE_VERSION = "0.1.0"
 PROTOCOL = 1
@@ -181,6 +181,20 @@ class Event(IntEnum):
     ZEROED = 8  # encoder zeros taken; detail = axis mask
     LAW_ENGAGED = 9  # a law that came over the link flies; value = its divisor of the tick's rate
     LAW_TAKEN_OVER = 10  # the board's own law took over from it; detail = takeover, value as said there
+    TRAVEL_PROBE = 11  # the board tilts the arm to see whether the travel encoder still counts; detail = probe, value = tilt in deg
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+class Probe(IntEnum):
+    """What the board reports of a tilt by which it checks a travel encoder that has long been silent."""
+
+    NONE = 0  # nothing
+    ASKED = 1  # the tilt begins
+    COUNTS = 2  # the encoder counts
+    SILENT = 3  # it does not count, although the tilt must have turned the arm: travel_motionless
+    STOPPED = 4  # no answer: the state changed, or pitch did not follow far enough
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -324,22 +338,23 @@ class Param(IntEnum):
     MOTION_S = 54  # s: how long a driven elevation or pitch may stay within a count
     TRAVEL_MOTION_DEG = 55  # deg: pitch beyond the balanced one that must move travel within travel_motion_s
     TRAVEL_MOTION_S = 56  # s: with travel_motion_deg: a smaller excess is tolerated for longer, by its double integral over time
-    ELEVATION_GAIN = 57  # rad/(s2 V): acceleration of elevation per volt of the sum: thrust gain k L_a / J_theta; judges what elevation must have moved by
-    PITCH_GAIN = 58  # rad/(s2 V): acceleration of pitch per volt of front minus back: k L_h / J_phi; judges what pitch must have moved by
-    TRAVEL_GAIN = 59  # 1/s2: acceleration of travel per radian of pitch at hover: thrust that carries the arm, times L_a / J_psi; judges what travel must have moved by
-    LAW_JUMP_MAX_V = 60  # V: change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link
-    LAW_ENVELOPE = 61  # : share of the angle and rate limits, and of the following errors, beyond which it takes over
-    ARM_RATE_MAX_DEG_S = 62  # deg/s: arming needs every axis slower than this
-    ARM_ELEVATION_TOLERANCE_DEG = 63  # deg: arming needs the elevation this close to rest
-    ARM_PITCH_TOLERANCE_DEG = 64  # deg: arming needs the pitch this close to level
-    SETPOINT_HOLD_S = 65  # s: without a fresh setpoint for this long the board holds level
-    SETPOINT_LAND_S = 66  # s: without a fresh setpoint for this long the board lands
-    LANDING_RATE_DEG_S = 67  # deg/s: descent of the elevation setpoint while landing
-    LANDING_TIMEOUT_S = 68  # s: landing takes at most this long; then motors off with a fault
-    VOLTAGE_VALID_MAX_MS = 69  # ms: a streamed voltage acts at most this long, whatever its sender asked for
-    EXCITATION_MAX_V = 70  # V: largest amplitude that excite accepts
-    EXCITATION_MAX_S = 71  # s: longest duration that excite accepts
-    TELEMETRY_BATCH_TICKS = 72  # tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
+    TRAVEL_SILENCE_S = 57  # s: how long travel may be without a count, in the air and held by the board, before a short tilt checks its encoder; 0: never
+    ELEVATION_GAIN = 58  # rad/(s2 V): acceleration of elevation per volt of the sum: thrust gain k L_a / J_theta; judges what elevation must have moved by
+    PITCH_GAIN = 59  # rad/(s2 V): acceleration of pitch per volt of front minus back: k L_h / J_phi; judges what pitch must have moved by
+    TRAVEL_GAIN = 60  # 1/s2: acceleration of travel per radian of pitch at hover: thrust that carries the arm, times L_a / J_psi; judges what travel must have moved by
+    LAW_JUMP_MAX_V = 61  # V: change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link
+    LAW_ENVELOPE = 62  # : share of the angle and rate limits, and of the following errors, beyond which it takes over
+    ARM_RATE_MAX_DEG_S = 63  # deg/s: arming needs every axis slower than this
+    ARM_ELEVATION_TOLERANCE_DEG = 64  # deg: arming needs the elevation this close to rest
+    ARM_PITCH_TOLERANCE_DEG = 65  # deg: arming needs the pitch this close to level
+    SETPOINT_HOLD_S = 66  # s: without a fresh setpoint for this long the board holds level
+    SETPOINT_LAND_S = 67  # s: without a fresh setpoint for this long the board lands
+    LANDING_RATE_DEG_S = 68  # deg/s: descent of the elevation setpoint while landing
+    LANDING_TIMEOUT_S = 69  # s: landing takes at most this long; then motors off with a fault
+    VOLTAGE_VALID_MAX_MS = 70  # ms: a streamed voltage acts at most this long, whatever its sender asked for
+    EXCITATION_MAX_V = 71  # V: largest amplitude that excite accepts
+    EXCITATION_MAX_S = 72  # s: longest duration that excite accepts
+    TELEMETRY_BATCH_TICKS = 73  # tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -537,22 +552,23 @@ PARAMS: tuple[ParamSpec, ...] = (
     ParamSpec(54, "motion_s", "s", 0.1, 10.0, 0.5, False, False, True, "how long a driven elevation or pitch may stay within a count"),
     ParamSpec(55, "travel_motion_deg", "deg", 0.5, 90.0, 8.0, False, False, True, "pitch beyond the balanced one that must move travel within travel_motion_s"),
     ParamSpec(56, "travel_motion_s", "s", 0.1, 30.0, 1.0, False, False, True, "with travel_motion_deg: a smaller excess is tolerated for longer, by its double integral over time"),
-    ParamSpec(57, "elevation_gain", "rad/(s2 V)", 0.02, 10.0, 0.485, False, False, False, "acceleration of elevation per volt of the sum: thrust gain k L_a / J_theta; judges what elevation must have moved by"),
-    ParamSpec(58, "pitch_gain", "rad/(s2 V)", 0.1, 100.0, 2.97, False, False, False, "acceleration of pitch per volt of front minus back: k L_h / J_phi; judges what pitch must have moved by"),
-    ParamSpec(59, "travel_gain", "1/s2", 0.05, 100.0, 0.5, False, False, False, "acceleration of travel per radian of pitch at hover: thrust that carries the arm, times L_a / J_psi; judges what travel must have moved by"),
-    ParamSpec(60, "law_jump_max_V", "V", 0.1, 48.0, 2.5, False, False, True, "change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link"),
-    ParamSpec(61, "law_envelope", "", 0.2, 1.0, 0.8, False, False, True, "share of the angle and rate limits, and of the following errors, beyond which it takes over"),
-    ParamSpec(62, "arm_rate_max_deg_s", "deg/s", 0.1, 100.0, 3.0, False, False, True, "arming needs every axis slower than this"),
-    ParamSpec(63, "arm_elevation_tolerance_deg", "deg", 0.1, 60.0, 2.0, False, False, True, "arming needs the elevation this close to rest"),
-    ParamSpec(64, "arm_pitch_tolerance_deg", "deg", 0.1, 60.0, 10.0, False, False, True, "arming needs the pitch this close to level"),
-    ParamSpec(65, "setpoint_hold_s", "s", 0.05, 5.0, 0.5, False, False, True, "without a fresh setpoint for this long the board holds level"),
-    ParamSpec(66, "setpoint_land_s", "s", 0.1, 30.0, 2.0, False, False, True, "without a fresh setpoint for this long the board lands"),
-    ParamSpec(67, "landing_rate_deg_s", "deg/s", 0.5, 60.0, 8.0, False, False, False, "descent of the elevation setpoint while landing"),
-    ParamSpec(68, "landing_timeout_s", "s", 1.0, 60.0, 12.0, False, False, True, "landing takes at most this long; then motors off with a fault"),
-    ParamSpec(69, "voltage_valid_max_ms", "ms", 5.0, 500.0, 100.0, False, False, True, "a streamed voltage acts at most this long, whatever its sender asked for"),
-    ParamSpec(70, "excitation_max_V", "V", 0.0, 12.0, 2.0, False, False, True, "largest amplitude that excite accepts"),
-    ParamSpec(71, "excitation_max_s", "s", 1.0, 600.0, 120.0, False, False, True, "longest duration that excite accepts"),
-    ParamSpec(72, "telemetry_batch_ticks", "tick", 4.0, 32.0, 20.0, False, True, False, "ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data"),
+    ParamSpec(57, "travel_silence_s", "s", 0.0, 60.0, 2.5, False, False, True, "how long travel may be without a count, in the air and held by the board, before a short tilt checks its encoder; 0: never"),
+    ParamSpec(58, "elevation_gain", "rad/(s2 V)", 0.02, 10.0, 0.485, False, False, False, "acceleration of elevation per volt of the sum: thrust gain k L_a / J_theta; judges what elevation must have moved by"),
+    ParamSpec(59, "pitch_gain", "rad/(s2 V)", 0.1, 100.0, 2.97, False, False, False, "acceleration of pitch per volt of front minus back: k L_h / J_phi; judges what pitch must have moved by"),
+    ParamSpec(60, "travel_gain", "1/s2", 0.05, 100.0, 0.5, False, False, False, "acceleration of travel per radian of pitch at hover: thrust that carries the arm, times L_a / J_psi; judges what travel must have moved by"),
+    ParamSpec(61, "law_jump_max_V", "V", 0.1, 48.0, 2.5, False, False, True, "change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link"),
+    ParamSpec(62, "law_envelope", "", 0.2, 1.0, 0.8, False, False, True, "share of the angle and rate limits, and of the following errors, beyond which it takes over"),
+    ParamSpec(63, "arm_rate_max_deg_s", "deg/s", 0.1, 100.0, 3.0, False, False, True, "arming needs every axis slower than this"),
+    ParamSpec(64, "arm_elevation_tolerance_deg", "deg", 0.1, 60.0, 2.0, False, False, True, "arming needs the elevation this close to rest"),
+    ParamSpec(65, "arm_pitch_tolerance_deg", "deg", 0.1, 60.0, 10.0, False, False, True, "arming needs the pitch this close to level"),
+    ParamSpec(66, "setpoint_hold_s", "s", 0.05, 5.0, 0.5, False, False, True, "without a fresh setpoint for this long the board holds level"),
+    ParamSpec(67, "setpoint_land_s", "s", 0.1, 30.0, 2.0, False, False, True, "without a fresh setpoint for this long the board lands"),
+    ParamSpec(68, "landing_rate_deg_s", "deg/s", 0.5, 60.0, 8.0, False, False, False, "descent of the elevation setpoint while landing"),
+    ParamSpec(69, "landing_timeout_s", "s", 1.0, 60.0, 12.0, False, False, True, "landing takes at most this long; then motors off with a fault"),
+    ParamSpec(70, "voltage_valid_max_ms", "ms", 5.0, 500.0, 100.0, False, False, True, "a streamed voltage acts at most this long, whatever its sender asked for"),
+    ParamSpec(71, "excitation_max_V", "V", 0.0, 12.0, 2.0, False, False, True, "largest amplitude that excite accepts"),
+    ParamSpec(72, "excitation_max_s", "s", 1.0, 600.0, 120.0, False, False, True, "longest duration that excite accepts"),
+    ParamSpec(73, "telemetry_batch_ticks", "tick", 4.0, 32.0, 20.0, False, True, False, "ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data"),
 )
 
 FAULTS: tuple[FaultSpec, ...] = (
@@ -730,8 +746,8 @@ LAW_FORMAT = 2
 LAW_CELLS = 512
 LAW_WORDS = 1536
 LAW_SIGNALS = 4
-LAW_MOST_TICKS = 16
-LAW_MOST_TERMS = 64
+LAW_MAX_TICKS = 16
+LAW_MAX_TERMS = 64
 LAW_TICK_COST = 20000
 LAW_FIXED_COST = 1120
 LAW_OUTPUT_COST = 320

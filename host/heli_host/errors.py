@@ -40,7 +40,7 @@ from typing import ClassVar
 
 from heli_host.declaration import FAULTS, PARAMS, Fault, FaultSpec, LawError, MessageId, Param, Result, State
 
-MOST_CHARACTERS = 2000
+MAX_CHARACTERS = 2000
 """Longest cause and longest remedy: a file may hold a name of a megabyte."""
 
 
@@ -56,10 +56,10 @@ def printable(text: str) -> str:
     -------
     str
         With control and formatting characters as their escapes, and its middle left out where it is longer
-        than `MOST_CHARACTERS`.
+        than `MAX_CHARACTERS`.
     """
-    if len(text) > MOST_CHARACTERS:
-        half = MOST_CHARACTERS // 2
+    if len(text) > MAX_CHARACTERS:
+        half = MAX_CHARACTERS // 2
         text = f"{text[:half]} ... {text[-half:]}"
     if text.isprintable():
         return text
@@ -367,7 +367,7 @@ def _law_text(code: int, value: float) -> tuple[str, str]:
         LawError.WRONG_PART: ("a part of the law came out of turn", "send it again"),
         LawError.INCOMPLETE: ("parts of the law are missing", "send it again"),
     }
-    plain = f"{error.name.lower()} ({value:.0f})", "make the tape again with this release"
+    plain = f"{error.name.lower()} ({value:.0f})", "compile the law again with this release"
     return remedies.get(error, plain)
 
 

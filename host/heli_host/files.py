@@ -11,12 +11,14 @@ import re
 import stat
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+RESULT_SCHEMA: Final = 1
+"""Number of the layout of results as JSON; it grows when a key is renamed or removed."""
 TOML_BYTES = 1 << 20
 """A plan with a thousand segments has 100 kB."""
 
-_MOST_WHOLE = 2**63
+_MAX_WHOLE = 2**63
 _TOO_MANY_DIGITS = "it has a whole number of more than 64 bits"
 # The parser's time grows with the square of a dotted key's parts: 200,000 of them took it over five minutes.
 _LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){50}""")
@@ -87,5 +89,5 @@ def _check_numbers(value: object) -> None:
     elif isinstance(value, list):
         for one in value:
             _check_numbers(one)
-    elif isinstance(value, int) and not -_MOST_WHOLE <= value < _MOST_WHOLE:
+    elif isinstance(value, int) and not -_MAX_WHOLE <= value < _MAX_WHOLE:
         raise ValueError(_TOO_MANY_DIGITS)

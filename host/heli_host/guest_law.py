@@ -21,9 +21,9 @@ from heli_host.declaration import (
     Takeover,
 )
 from heli_host.errors import BadLaw, FlightAborted, fault_text
+from heli_host.law_program import LawProgram, check_number
 from heli_host.link.events import LAW_SIGNALS
 from heli_host.samples import Sample
-from heli_host.tape import Tape, check_number
 
 if TYPE_CHECKING:
     from heli_host.link.events import LinkEvent
@@ -47,14 +47,14 @@ def loaded(session: Session) -> LawMessage:
     return LawMessage.unpack(session.request(LawReadMessage(0)).payload)
 
 
-def upload(session: Session, tape: Tape) -> LawMessage:
+def upload(session: Session, program: LawProgram) -> LawMessage:
     """Bring a law to the board, unless it has this one already; the board verifies it.
 
     Parameters
     ----------
     session : Session
         Connected.
-    tape : Tape
+    program : LawProgram
         The law.
 
     Returns
@@ -68,10 +68,10 @@ def upload(session: Session, tape: Tape) -> LawMessage:
         A law flies, or the board finds something wrong.
     """
     now = loaded(session)
-    words = tape.words
-    if now.hash == tape.hash and now.state in (LawState.READY, LawState.FLYING):
+    words = program.words
+    if now.hash == program.hash and now.state in (LawState.READY, LawState.FLYING):
         return now
-    session.command(LawBeginMessage(0, tape.hash, len(words)))
+    session.command(LawBeginMessage(0, program.hash, len(words)))
     for first in range(0, len(words), PART_WORDS):
         part = words[first : first + PART_WORDS]
         session.command(LawPartMessage(0, first, *part, *([0] * (PART_WORDS - len(part)))))
@@ -79,14 +79,14 @@ def upload(session: Session, tape: Tape) -> LawMessage:
     return loaded(session)
 
 
-def set_parameter(session: Session, tape: Tape, name: str, value: float) -> float:
+def set_parameter(session: Session, program: LawProgram, name: str, value: float) -> float:
     """Change a parameter of the law on the board, in flight too.
 
     Parameters
     ----------
     session : Session
         Connected.
-    tape : Tape
+    program : LawProgram
         The law that it has.
     name : str
         Which parameter.
@@ -105,10 +105,10 @@ def set_parameter(session: Session, tape: Tape, name: str, value: float) -> floa
     CommandRefused
         The board has no such law.
     """
-    names = [one for one, _ in tape.parameters]
+    names = [one for one, _ in program.parameters]
     if name not in names:
         known = ", ".join(names) or "none"
-        raise BadLaw(f"the law {tape.name} has no parameter {name}", f"it has: {known}")
+        raise BadLaw(f"the law {program.name} has no parameter {name}", f"it has: {known}")
     check_number(f"parameter {name}", value)
     return session.command(LawSetMessage(0, names.index(name), value)).value
 
@@ -122,7 +122,7 @@ class LawReport:
     name : str
         Of the law.
     hash : int
-        Of its tape.
+        Of its program.
     flown_s : float
         How long its voltages acted [s].
     taken_over : str
@@ -162,14 +162,14 @@ def takeover_text(event: LinkEvent) -> tuple[str, float] | None:
     return (Takeover(message.detail).name.lower() if known else f"reason {message.detail}"), message.value
 
 
-def engage(heli: Vehicle, tape: Tape, parameters: Mapping[str, float] | None = None) -> int:
+def engage(heli: Vehicle, program: LawProgram, parameters: Mapping[str, float] | None = None) -> int:
     """Have the board fly a law from the next tick on; it must hover under its own.
 
     Parameters
     ----------
     heli : Vehicle
         In flight, all loops closed.
-    tape : Tape
+    program : LawProgram
         The law; brought to the board where it has another one, or has forgotten.
     parameters : mapping of str to float, optional
         Parameters of the law that differ from its own values.
@@ -186,11 +186,13 @@ def engage(heli: Vehicle, tape: Tape, parameters: Mapping[str, float] | None = N
     FlightAborted
         The law was taken over at once.
     """
-    upload(heli.session, tape)
-    named = ", ".join(tape.told) or "none"
-    heli.session.tell(LAW_SIGNALS, f"law {tape.name} ({tape.hash:08x}); its signals: {named}", tape.told)
+    upload(heli.session, program)
+    named = ", ".join(program.signal_names) or "none"
+    heli.session.tell(
+        LAW_SIGNALS, f"law {program.name} ({program.hash:08x}); its signals: {named}", program.signal_names
+    )
     for name, value in (parameters or {}).items():
-        set_parameter(heli.session, tape, name, value)
+        set_parameter(heli.session, program, name, value)
     start = heli.latest.tick
     heli.session.command(LawFlyMessage(0, 1))
     found: list[int] = []
@@ -204,13 +206,15 @@ def engage(heli: Vehicle, tape: Tape, parameters: Mapping[str, float] | None = N
     if not found:
         told = [text for event in heli.session.events if (text := takeover_text(event))]
         reason = f": {told[-1][0]} ({told[-1][1]:.4g})" if told else ""
-        raise FlightAborted(f"the law {tape.name} was taken over at once{reason}", "simulate it: law check")
+        raise FlightAborted(
+            f"the law {program.name} was taken over at once{reason}", "simulate it: law check"
+        )
     return found[0]
 
 
 def fly_law(
     heli: Vehicle,
-    tape: Tape,
+    program: LawProgram,
     *,
     duration_s: float,
     after: After = "hold",
@@ -222,24 +226,24 @@ def fly_law(
     ----------
     heli : Vehicle
         In flight, all loops closed.
-    tape : Tape
+    program : LawProgram
         The law.
     duration_s, after, parameters
         As in `heli_host.Heli.fly_law`, which calls this; so are errors.
     """
-    first = engage(heli, tape, parameters)
+    first = engage(heli, program, parameters)
     end = first + round(duration_s * 1000.0)
 
     def over(sample: Sample) -> bool:
         return sample.tick >= end or not sample.flags & Flags.LAW
 
     last = heli.wait_until(over, duration_s + 10.0)
-    report = LawReport(tape.name, tape.hash, (last.tick - first) * 1e-3)
+    report = LawReport(program.name, program.hash, (last.tick - first) * 1e-3)
     if not last.flags & Flags.LAW:
         heli.wait(0.1)
         told = [text for event in heli.session.events if (text := takeover_text(event))]
         reason, value = told[-1] if told else ("unknown", 0.0)
-        report = LawReport(tape.name, tape.hash, report.flown_s, reason, value)
+        report = LawReport(program.name, program.hash, report.flown_s, reason, value)
     else:
         heli.session.command(LawFlyMessage(0, 0))
     if heli.latest.state is State.FAULT:

@@ -1,4 +1,4 @@
-"""The helicopter as a person programs it: a vehicle that flies plans and control laws, and `connect`."""
+"""The helicopter as users program it: `connect`, and a vehicle that flies plans and control laws."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from heli_host.controller import After, ControlLaw, ControllerReport, run_contro
 from heli_host.declaration import BAUD
 from heli_host.fly.runner import PlanLike, fly
 from heli_host.guest_law import LawReport, fly_law, set_parameter, upload
+from heli_host.law_program import LawLike, LawProgram, program_of
 from heli_host.link.session import HANDSHAKE_TIMEOUT_S, RECONNECT_TIMEOUT_S, Session
 from heli_host.link.transport import (
     open_transport,
@@ -18,20 +19,19 @@ from heli_host.link.transport import (
 )
 from heli_host.log.summary import FlightSummary
 from heli_host.rig_check import check_rig
-from heli_host.tape import LawLike, Tape, tape_of
 from heli_host.telemetry_view import HISTORY_S
 from heli_host.vehicle import Vehicle
 
 
 class Heli(Vehicle):
-    """A helicopter behind an open session; `connect` makes one.
+    """A connected helicopter; `connect` makes one.
 
-    What it takes and does beyond plans and control laws is told at `heli_host.vehicle.Vehicle`: motors off at
-    the end of a ``with`` block, setpoints kept alive, methods that return when telemetry shows their effect.
+    `heli_host.vehicle.Vehicle` documents its parameters and what happens to the motors: they are switched off
+    at the end of the ``with`` block. This class adds flights of plans and of control laws.
     """
 
-    _tape: Tape | None = None
-    _tape_restarts = 0
+    _program: LawProgram | None = None
+    _program_restarts = 0
 
     def __repr__(self) -> str:
         transport = self.session.transport
@@ -41,18 +41,20 @@ class Heli(Vehicle):
         return f"<Heli on {transport.url} ({what}{', rig ' + rig if rig else ''}): {newest}>"
 
     def arm(self) -> None:
-        """As `heli_host.vehicle.Vehicle.arm`; a board that was reset gets the law again that it had.
+        """Enable the motor drivers at 0 V; see `heli_host.vehicle.Vehicle.arm`.
+
+        A board that was reset gets its last law again first.
 
         Raises
         ------
         RigMismatch
-            The board is simulated, and its counts or directions contradict its rig.
+            The board is simulated, and its encoder counts or directions contradict its rig.
         CommandRefused
-            As for a vehicle.
+            A pre-flight check failed, or the board is not idle. The motors stay off.
         """
         check_rig(transport_rig_parameters(self.session.transport), self.params, simulated=True)
-        if self._tape is not None and self.session.counters.restarts != self._tape_restarts:
-            self.load_law(self._tape)
+        if self._program is not None and self.session.counters.restarts != self._program_restarts:
+            self.load_law(self._program)
         super().arm()
 
     def run_controller(
@@ -69,16 +71,17 @@ class Heli(Vehicle):
         Parameters
         ----------
         law : callable taking Sample, returning (front_V, back_V)
-            The control law; voltages beyond the board's limits are brought back to them. Where it has an
-            attribute ``setpoints_rad``, a mapping by axis [rad], those are logged as the setpoints.
+            The control law, called in the caller's thread. Its voltages are limited to the board's range. If
+            it has an attribute ``setpoints_rad``, a mapping by axis [rad], the log gets those as setpoints.
         rate_Hz : float
-            How often it is called, on device time [Hz]; at most 250.
+            Rate of the calls on device time [Hz]; at most 250.
         duration_s : float
-            How long, in device time [s].
+            Length of the flight in device time [s].
         valid_s : float
-            How long voltages may act when no others follow [s].
+            Time for which the board applies voltages without newer ones [s]. After it the board holds level.
         after : {"hold", "land", "stop"}
-            What follows: the on-board loops hold the position, or it lands, or the motors go off.
+            What follows: the board's own law holds the position, or the board lands, or the motors are
+            switched off and an arm in the air falls.
 
         Returns
         -------
@@ -88,99 +91,100 @@ class Heli(Vehicle):
         Raises
         ------
         ControllerError
-            The rate cannot be had, the law raised or returned no two finite voltages; the board holds its
-            position.
+            The link cannot reach the rate, or the law raised or did not return two finite voltages. The board
+            holds its position.
         FlightAborted
             A fault switched the motors off.
         """
         return run_controller(self, law, rate_Hz=rate_Hz, duration_s=duration_s, valid_s=valid_s, after=after)
 
-    def load_law(self, law: Tape | LawLike) -> None:
-        """Bring a control law to the board, which verifies it.
+    def load_law(self, law: LawProgram | LawLike) -> None:
+        """Upload a control law to the board, which verifies it. The law does not fly yet: see `fly_law`.
 
-        A board forgets it at a reset, and gets it again from here when it is next armed.
+        A board forgets the law at a reset; `arm` uploads it again.
 
         Parameters
         ----------
-        law : Tape or LawLike
-            A law of the laboratory, or its tape.
+        law : LawProgram or LawLike
+            A law of `heli_lab.law`, or its program.
 
         Raises
         ------
         BadLaw
-            It is no law, or one that no board could run.
+            The object is not a law, or no board could run it.
         CommandRefused
-            The board does not take it, and says why.
+            The board refused the law; the message gives its reason.
         """
-        tape = tape_of(law)
-        upload(self.session, tape)
-        self._tape, self._tape_restarts = tape, self.session.counters.restarts
+        program = program_of(law)
+        upload(self.session, program)
+        self._program, self._program_restarts = program, self.session.counters.restarts
 
     def fly_law(
         self,
-        law: Tape | LawLike,
+        law: LawProgram | LawLike,
         *,
         duration_s: float,
         after: After = "hold",
         parameters: Mapping[str, float] | None = None,
     ) -> LawReport:
-        """Have the board itself fly a law, at up to 1 kHz, with its own law in the shadow.
+        """Let the board run a control law at up to 1 kHz, with its own law running along as a fallback.
 
-        Setpoints go on as ever: the law follows `setpoint`. Whatever makes the board's own law take over ends
-        the flight of this one; the report says why.
+        The board must hover under its own law. The law follows the setpoints of `setpoint`. The board's own
+        law takes over when the law fails its checks; that ends this call, and the report gives the reason.
 
         Parameters
         ----------
-        law : Tape or LawLike
-            A law of the laboratory, or its tape; sent when the board has another one, or was reset.
+        law : LawProgram or LawLike
+            A law of `heli_lab.law`, or its program; uploaded unless the board holds it already.
         duration_s : float
-            How long, in device time [s].
+            Length of the flight in device time [s].
         after : {"hold", "land", "stop"}
-            What follows: the board's own law goes on, or it lands, or the motors go off.
+            What follows: the board's own law holds the position, or the board lands, or the motors are
+            switched off and an arm in the air falls.
         parameters : mapping of str to float, optional
-            Parameters of the law that differ from its own values.
+            Values of the law's parameters that differ from its defaults.
 
         Returns
         -------
         LawReport
-            How long it flew, and what ended it.
+            Length of the flight, and what ended it.
 
         Raises
         ------
         BadLaw
-            It is no law, or one that no board could run.
+            The object is not a law, or no board could run it.
         CommandRefused
-            The board does not take the law, or does not hover.
+            The board refused the law, or does not hover.
         FlightAborted
-            A fault switched the motors off, or the law was taken over at once.
+            A fault switched the motors off, or the board's own law took over immediately.
         """
-        tape = tape_of(law)
-        self.load_law(tape)
-        return fly_law(self, tape, duration_s=duration_s, after=after, parameters=parameters)
+        program = program_of(law)
+        self.load_law(program)
+        return fly_law(self, program, duration_s=duration_s, after=after, parameters=parameters)
 
-    def set_law_parameter(self, law: Tape | LawLike, name: str, value: float) -> float:
-        """Change a parameter of the law on the board, in flight too.
+    def set_law_parameter(self, law: LawProgram | LawLike, name: str, value: float) -> float:
+        """Change a parameter of the uploaded law, also in flight.
 
         Parameters
         ----------
-        law : Tape or LawLike
-            The law that the board has.
+        law : LawProgram or LawLike
+            The law that the board holds.
         name : str
-            Which parameter.
+            Name of the parameter.
         value : float
-            Its new value.
+            New value.
 
         Returns
         -------
         float
-            The value in force: the nearest of single precision.
+            Value in force: `value` rounded to single precision.
 
         Raises
         ------
         BadLaw
-            The law has no such parameter.
+            The law has no parameter of this name.
         """
-        return set_parameter(self.session, tape_of(law), name, value)
+        return set_parameter(self.session, program_of(law), name, value)
 
     def fly(
         self,
@@ -191,27 +195,28 @@ class Heli(Vehicle):
     ) -> FlightSummary:
         """Take off, fly plans one after the other, land; `heli_host.fly.runner.fly` has more options.
 
+        Blocks until the motors are off. Ctrl-C lands; a second Ctrl-C switches the motors off.
+
         Parameters
         ----------
         plans : Plan, str or Path, or a sequence of them
-            Plans, names of built-in ones, or TOML files.
+            Plans, names of built-in plans, or TOML files.
         log : str or Path or None
-            Log to write; its folder is made.
+            Log file to write; its folder is created.
         overwrite : bool
-            Write over a log that is there, so that a cell of a notebook can run again; otherwise it is
-            refused.
+            True replaces an existing log; False refuses to fly if there is one.
 
         Returns
         -------
         FlightSummary
-            What was flown, how well, and what ended it; in simulation also what contradicts the rig.
+            Outcome, tracking errors and counters; in simulation also contradictions to the rig.
 
         Raises
         ------
         PlanError
-            A plan cannot be flown on this board; nothing has moved.
+            A plan cannot be flown on this board. The motors stay off.
         LogWriteError
-            The log is there already, or cannot be created; nothing has moved.
+            The log exists already, or cannot be created. The motors stay off.
         """
         return fly(self, plans, log_path=log, overwrite=overwrite, rig=transport_rig(self.session.transport))
 
@@ -228,7 +233,7 @@ def connect(
     reconnect_timeout_s: float = RECONNECT_TIMEOUT_S,
     session_number: int | None = None,
 ) -> Heli:
-    """Open a board, on hardware or in simulation, and greet it.
+    """Connect to a board, physical or simulated. The motors are not touched.
 
     Parameters
     ----------
@@ -237,19 +242,19 @@ def connect(
     baud : int
         Rate of a serial port [baud].
     reset_board : bool
-        Reset a Due after opening its port.
+        True resets a Due after opening its port: running motors go off, an arm in the air falls.
     keep_alive : bool
-        Send the last setpoint again ten times a second; see `Heli`.
+        True repeats the last setpoint ten times per second; see `heli_host.vehicle.Vehicle`.
     land_on_exit : bool
-        Land, instead of switching off in the air, when a ``with`` block ends.
+        True lands at the end of a ``with`` block, before the motors are switched off.
     history_s : float
-        How much `Heli.samples` keeps [s].
+        Length of the history that `Heli.samples` can return [s].
     handshake_timeout_s : float
         Longest wait for the board's welcome [s].
     reconnect_timeout_s : float
-        How long a lost board is looked for [s].
+        Time for which a lost board is searched [s].
     session_number : int or None
-        Tells this session from others. None: random over a port, 1 in lockstep.
+        Number by which the board distinguishes this session. None: random over a port, 1 in lockstep.
 
     Returns
     -------
@@ -259,7 +264,7 @@ def connect(
     Raises
     ------
     LinkError
-        The board cannot be reached: one of `PortError`, `BadBaud`, `HandshakeTimeout`, `WrongDevice`,
+        The board cannot be reached; one of `PortError`, `BadBaud`, `HandshakeTimeout`, `WrongDevice`,
         `LinkVersionMismatch`, `LinkLost`.
 
     Examples

@@ -1,7 +1,7 @@
 """Control laws in files, brought to a board by name.
 
 Nothing here knows how a law is written: a package that does offers a function in the entry-point group
-``heli_host.laws`` that makes a tape of a file.
+``heli_host.laws`` that makes a program of a file.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ from pathlib import Path
 from typing import Final
 
 from heli_host.errors import BadLaw
-from heli_host.tape import Tape
+from heli_host.law_program import LawProgram
 
 ENTRY_POINT_GROUP: Final = "heli_host.laws"
 FILE_LIMIT_s: Final = 30.0
 """How long the file of a law may run [s]. The laws of the documents take under 2 s. A shorter limit refuses
 files that solve a large problem first; with a longer limit people wait longer for a loop without an end."""
 
-LawReader = Callable[[Path], Tape]
+LawReader = Callable[[Path], LawProgram]
 
 
-def read_law(path: Path) -> Tape:
-    """Make a tape of the law in a file, whose code is run.
+def read_law(path: Path) -> LawProgram:
+    """Make a program of the law in a file, whose code is run.
 
     Parameters
     ----------

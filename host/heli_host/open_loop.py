@@ -1,4 +1,4 @@
-"""Commands that need no closed loop: excitation, streamed voltages, zeros, faults."""
+"""Commands that need no closed loop: streamed voltages, excitation, encoder zeros, clearing of faults."""
 
 from __future__ import annotations
 
@@ -26,42 +26,45 @@ _STATE_TIMEOUT_S = 1.0
 
 
 class OpenLoopCommands(TelemetryView):
-    """Commands that concern motors and encoders, not flight.
+    """Commands that act on motors and encoders directly, without a control loop of the board.
 
     Parameters
     ----------
     session : Session
-        Connected.
+        Connected session.
     history_s : float
-        How much `samples` keeps [s].
+        Length of the history that `samples` can return [s].
     """
 
     def stream(self) -> None:
-        """Hand the motor voltages to `voltages`; the first must follow within ``setpoint_hold_s``.
+        """Let this program set the motor voltages by `voltages`.
+
+        The first voltages must follow within ``setpoint_hold_s``, a parameter of the board in seconds;
+        otherwise the board holds level.
 
         Raises
         ------
         CommandRefused
-            Not armed.
+            The board is not armed.
         """
         self.session.keep_alive(None)
         self.session.command(StreamMessage(0))
         self._wait_for_state(State.STREAMED)
 
     def voltages(self, front_V: float, back_V: float, valid_s: float = 0.05) -> None:
-        """Stream motor voltages.
+        """Send motor voltages, without waiting for an answer; `stream` must come first.
 
         Parameters
         ----------
         front_V, back_V : float
-            Voltages [V], between ``motor_min_V`` and ``motor_max_V``.
+            Voltages [V], between the board's parameters ``motor_min_V`` and ``motor_max_V``.
         valid_s : float
-            How long they may act without others following [s]; then the board holds level by itself.
+            Time for which the board applies them without newer ones [s]; then it holds level by itself.
 
         Raises
         ------
         SetpointError
-            A voltage outside the board's limits; nothing was sent.
+            A voltage is outside the board's limits. Nothing was sent.
         """
         check_voltages(front_V, back_V, self.params)
         valid_ms = min(max(round(valid_s * 1e3), 1), 0xFFFF)
@@ -78,7 +81,7 @@ class OpenLoopCommands(TelemetryView):
         duration_s: float = 10.0,
         seed: int = 1,
     ) -> None:
-        """Add an excitation, generated on the board, to whatever drives the motors.
+        """Let the board generate a test signal and add it to the motor voltages.
 
         Parameters
         ----------
@@ -89,7 +92,7 @@ class OpenLoopCommands(TelemetryView):
         start_Hz, stop_Hz : float
             Lowest and highest frequency (chirp, multisine); ``stop_Hz`` is the switching rate of prbs [Hz].
         duration_s : float
-            Length [s]; then it ends by itself.
+            Length [s]; the signal ends by itself.
         seed : int
             Seed of prbs, not 0.
 
@@ -98,7 +101,7 @@ class OpenLoopCommands(TelemetryView):
         ParameterError
             There is no such excitation.
         CommandRefused
-            A value out of range, or the motors are off.
+            A value is out of range, or the motors are off.
         """
         if isinstance(kind, str):
             if kind.upper() not in Excitation.__members__:
@@ -109,16 +112,16 @@ class OpenLoopCommands(TelemetryView):
         self.session.command(message)
 
     def excite_stop(self) -> None:
-        """End a running excitation."""
+        """End the excitation; the motors keep their other voltages."""
         self.session.command(ExciteStopMessage(0))
 
     def zero(self, axes: Axes = ALL_AXES) -> None:
-        """Take the present position as rest (elevation) or zero (pitch, travel); only while idle.
+        """Make the present position the rest angle (elevation) or the zero (pitch, travel) of the encoders.
 
         Parameters
         ----------
         axes : Axes
-            Axes to zero.
+            Axes whose encoders are referenced.
 
         Raises
         ------
@@ -128,12 +131,12 @@ class OpenLoopCommands(TelemetryView):
         self.session.command(ZeroMessage(0, int(axes)))
 
     def clear_fault(self) -> None:
-        """Leave the fault state for idle, once the cause is removed.
+        """Leave the fault state for idle; the motors stay off. Remove the cause first.
 
         Raises
         ------
         CommandRefused
-            The board is in no fault.
+            The board is not in the fault state.
         """
         self.session.command(ClearFaultMessage(0))
         self._wait_for_state(State.IDLE)

@@ -132,7 +132,7 @@ class SampleRing:
         self._lock = threading.Lock()
 
     def clear(self) -> None:
-        """Forget all: the board has started anew, and its time with it."""
+        """Forget all samples, because the board and its time have restarted."""
         with self._lock:
             self._written = 0
 

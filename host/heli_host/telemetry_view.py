@@ -1,4 +1,4 @@
-"""What a session shows of a board, in units: its samples, events, counts, and what it says of itself."""
+"""Read access to a board in physical units: samples, events, counters, parameters and description."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _BOARDS = {0: "native", 1: "Arduino Due"}
 
 @dataclass(frozen=True)
 class BoardInfo:
-    """What the board said of itself when it welcomed this session.
+    """Description that the board sent when it welcomed this session.
 
     Parameters
     ----------
@@ -35,13 +35,13 @@ class BoardInfo:
     link_hash : int
         Hash of that declaration.
     reset : str
-        Why the board last started: ``power_up``, ``user``, ``watchdog`` or ``software``.
+        Cause of the board's last start: ``power_up``, ``user``, ``watchdog`` or ``software``.
     boot_fault : str
         Fault recorded before that start, with its remedy; empty for none.
     boot_id : int
-        Another one after every start.
+        Number that changes with every start.
     params_source : str
-        Where its parameters came from: ``defaults``, ``stored``, ``fallback`` or ``corrupt``.
+        Source of the board's parameters: ``defaults``, ``stored``, ``fallback`` or ``corrupt``.
     """
 
     board: str
@@ -55,12 +55,14 @@ class BoardInfo:
 
 
 class TelemetryView:
-    """Reads a board, and commands nothing.
+    """Reads a board and sends it no commands that act.
 
     Parameters
     ----------
+    session : Session
+        Connected session.
     history_s : float
-        How much `samples` keeps [s].
+        Length of the history that `samples` can return [s].
 
     Attributes
     ----------
@@ -88,7 +90,7 @@ class TelemetryView:
 
     @property
     def info(self) -> BoardInfo:
-        """What the board said of itself."""
+        """Description that the board sent when it welcomed this session."""
         welcome = self.session.welcome
         return BoardInfo(
             board=_BOARDS.get(welcome.board, f"board {welcome.board}"),
@@ -127,18 +129,18 @@ class TelemetryView:
 
     @property
     def motors_may_run(self) -> bool:
-        """Whether the motors are on, or may be, for all that is known."""
+        """False only if the newest sample shows a state with the motors off; True also without a sample."""
         state = self.session.state
         return state not in (State.IDLE, State.FAULT)
 
     @property
     def counters(self) -> LinkCounters:
-        """All counts of the link."""
+        """Counters of frames, ticks, retries and reconnects."""
         return self.session.counters
 
     @property
     def clock(self) -> ClockEstimate | None:
-        """Device time to host time."""
+        """Estimated relation of device time to host time; None before the first sample."""
         return self.session.clock
 
     @property
@@ -147,24 +149,24 @@ class TelemetryView:
         return self.session.events
 
     def samples(self, last_s: float | None = None) -> Samples:
-        """Return the newest samples as arrays, oldest first; copies, not changed by what comes later.
+        """Return copies of the newest samples as arrays, oldest first.
 
         Parameters
         ----------
         last_s : float or None
-            How much device time [s]; None for all that is kept.
+            Length of the history in device time [s]; None for all.
         """
         count = None if last_s is None else round(last_s / TICK_S)
         return self._in_units(self._ring.newest(count))
 
     def on_ticks(self, callback: Callable[[Samples], None]) -> Unsubscribe:
-        """Have new samples handed over as they come, some milliseconds' worth at a time; what is returned
-        ends it.
+        """Register a callback for new samples, and return a function that cancels the subscription.
 
         Parameters
         ----------
         callback : callable taking Samples
-            Runs in the reading thread. When it raises, it is called no more and the next call here raises.
+            Called in the session's reading thread with the samples of some milliseconds. It must not block.
+            If it raises, its subscription ends, and the next call of this object raises that error.
         """
 
         def convert(ticks: Ticks) -> None:
@@ -173,17 +175,17 @@ class TelemetryView:
         return self.session.subscribe_ticks(convert)
 
     def on_event(self, callback: EventCallback) -> Unsubscribe:
-        """Have events of board and link handed over as they come; what is returned ends it.
+        """Register a callback for events, and return a function that cancels the subscription.
 
         Parameters
         ----------
         callback : callable taking LinkEvent
-            As in `on_ticks`.
+            Called once per event; threads and errors as in `on_ticks`.
         """
         return self.session.subscribe_events(callback)
 
     def wait(self, duration_s: float) -> None:
-        """Wait in device time, whatever the speed of a simulation.
+        """Wait for `duration_s` of device time, at any speed of a simulation.
 
         Parameters
         ----------
@@ -193,12 +195,12 @@ class TelemetryView:
         Raises
         ------
         LinkLost
-            The board is gone for good, or started anew.
+            The board restarted, or could not be reached within the reconnect timeout.
         """
         self.session.wait(duration_s)
 
     def wait_until(self, predicate: Callable[[Sample], bool], timeout_s: float) -> Sample:
-        """Wait until a sample fulfils a condition; only the newest sample of each reading is looked at.
+        """Wait until a sample meets a condition. Only the newest sample of each reading is tested.
 
         Parameters
         ----------
@@ -224,7 +226,7 @@ class TelemetryView:
             sample = self.latest
             if predicate(sample):
                 found.append(sample)
-            # A board that started anew begins again at tick 0.
+            # A restarted board begins again at tick 0.
             return bool(found) or sample.tick >= end_tick or sample.tick < first.tick
 
         self.session.wait_for(looked_at)

@@ -1,4 +1,4 @@
-"""The vehicle behind a session: arm, setpoint, take off, land, stop; degrees and volts in, samples out."""
+"""The vehicle of a session: arm, setpoint, take off, land, stop; in degrees and volts."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from heli_host.setpoints import check_setpoint, setpoint_bounds
 from heli_host.telemetry_view import HISTORY_S
 
 LEAD_S = 0.04
-MOST_LEAD_S = 0.5
+MAX_LEAD_S = 0.5
 
 _STOP_TRIES = 3
 _REACHED_DEG = 2.0
@@ -37,29 +37,32 @@ _FOLLOWING = (State.CLOSED_LOOP, State.HOLD)
 
 
 class Vehicle(OpenLoopCommands):
-    """A helicopter behind an open session; what flies plans and control laws stands on it.
+    """A helicopter with an open session: the commands that flights of plans and control laws are built on.
 
-    As a context manager it ends with the motors off: leaving the block while they may run sends ``stop``, and
-    an arm in the air falls. ``land_on_exit=True`` lands first, when the block ends without an error.
+    Leaving its ``with`` block, or `close`, switches the motors off if they may be on: an arm in the air
+    falls. With ``land_on_exit=True`` it lands first, if the block ends without an error.
 
-    A method that changes the state returns when the board's telemetry shows it. Callbacks run in the reading
-    thread; they may read samples and send setpoints, but should not wait.
+    A method that changes the board's state returns when telemetry shows the new state. Methods may be called
+    from any thread; `stop` waits for a command of another thread, `Session.stop_now` does not. Callbacks run
+    in the session's reading thread: they may read samples and send setpoints, but must not wait.
 
     Parameters
     ----------
+    session : Session
+        Connected session; the vehicle closes it.
     keep_alive : bool
-        Send the last setpoint again ten times a second. The board's failsafe is there for a host that died or
-        hangs, and a person between two cells of a notebook is neither. False: after ``setpoint_hold_s``
-        without a setpoint the board hovers level, after ``setpoint_land_s`` it lands.
+        True repeats the last setpoint ten times per second, so that the board keeps flying while the program
+        pauses, such as between two cells of a notebook. False: without a new setpoint the board holds level
+        after ``setpoint_hold_s`` and lands after ``setpoint_land_s``.
     land_on_exit : bool
         Land before the motors are switched off at the end.
     history_s : float
-        How much `samples` keeps [s].
+        Length of the history that `samples` can return [s].
 
     Attributes
     ----------
     land_on_exit : bool
-        As above; may be changed.
+        As above; may be changed at any time.
     """
 
     def __init__(
@@ -89,7 +92,11 @@ class Vehicle(OpenLoopCommands):
             self.close()
 
     def close(self) -> None:
-        """Switch the motors off if they may be on, and let go of the board; harmless when called twice."""
+        """Switch the motors off if they may be on, then end the session; a second call does nothing.
+
+        The stop is tried three times. If the board does not answer, the motors are not confirmed to be off:
+        the board then misses its setpoints, holds level and lands.
+        """
         if self._closed:
             return
         self._closed = True
@@ -97,7 +104,7 @@ class Vehicle(OpenLoopCommands):
             for _ in range(_STOP_TRIES):
                 if not self.motors_may_run:
                     break
-                # An error of a callback that waits to be told must not keep the motors running.
+                # A pending error of a callback must not keep the motors running.
                 with contextlib.suppress(HeliError):
                     self.stop()
         finally:
@@ -105,7 +112,7 @@ class Vehicle(OpenLoopCommands):
 
     @property
     def keep_alive(self) -> bool:
-        """Whether the last setpoint is sent again ten times a second; may be set."""
+        """Whether the last setpoint is repeated ten times per second; may be set."""
         return self._keep_alive
 
     @keep_alive.setter
@@ -114,42 +121,46 @@ class Vehicle(OpenLoopCommands):
         self.session.keep_alive(self._target if on else None)
 
     def arm(self) -> None:
-        """Run the pre-flight checks and enable the motor drivers, at zero voltage.
+        """Let the board run its pre-flight checks and enable the motor drivers, at 0 V.
 
         Raises
         ------
         CommandRefused
-            A check failed, or the board is not idle; the message says which and what to do.
+            A check failed, or the board is not idle; the message names the check and the fix. The motors stay
+            off.
         """
         self.session.command(ArmMessage(0))
         self._wait_for_state(State.ARMED)
 
     def stop(self) -> None:
-        """Switch the motors off at once, in any state; an arm in the air falls.
+        """Switch both motors off immediately, in any state, and wait until telemetry shows it. An arm in the
+        air falls.
 
         Raises
         ------
         LinkError
-            The board did not answer.
+            The board did not answer. Use the rig's own stop switch.
         """
         self._forget_target()
         self.session.command(StopMessage(0))
         self._wait_for_state(State.IDLE, State.FAULT)
 
     def control(self, axes: Axes = ALL_AXES, front_V: float = 0.0, back_V: float = 0.0) -> None:
-        """Close the on-board loops, where the arm is now: nothing moves until a setpoint says so.
+        """Close the board's control loops with the arm's present position as the setpoint.
+
+        The motors may turn from now on, but the arm stays where it is until a setpoint moves it.
 
         Parameters
         ----------
         axes : Axes
-            Axes to close; travel needs pitch. ``Axes(0)`` is open loop.
+            Axes whose loops are closed; travel needs pitch. ``Axes(0)`` drives the motors in open loop.
         front_V, back_V : float
-            Voltages for the axes that are not closed [V].
+            Motor voltages for the axes that are not closed [V].
 
         Raises
         ------
         CommandRefused
-            Not armed, or a value out of range.
+            The board is not armed, or a value is out of range.
         """
         was_flying = self.session.state is State.CLOSED_LOOP
         self.session.command(ControlMessage(0, int(axes), front_V, back_V))
@@ -163,7 +174,7 @@ class Vehicle(OpenLoopCommands):
         self._wait_for_state(State.CLOSED_LOOP)
 
     def hold(self) -> None:
-        """Stay where the arm is now: makes its present position the setpoint."""
+        """Make the arm's present position the setpoint, limited to the setpoints that the board accepts."""
         self._target = self._target_here()
         self._send_target()
 
@@ -175,29 +186,30 @@ class Vehicle(OpenLoopCommands):
         pitch_deg: float | None = None,
         lead_s: float = LEAD_S,
     ) -> None:
-        """Send a setpoint; what is not given stays as it was.
+        """Send a setpoint, without waiting for an answer or for the motion.
 
         Parameters
         ----------
         elevation_deg, travel_deg : float or None
-            Targets [deg].
+            Targets [deg]; None leaves a target unchanged.
         pitch_deg : float or None
-            Target [deg]; used only while travel is not closed.
+            Target [deg]; used only while the loop of travel is not closed.
         lead_s : float
-            Device time from now in which the board ramps there, within its slew limits [s]; at most 0.5.
+            Device time from now in which the board moves the setpoint to the targets, within its slew limits
+            [s]; 0 to 0.5.
 
         Raises
         ------
         SetpointError
-            A target lies outside the limits in force on the board, or its loops are not closed, so that
-            nothing would follow; nothing was sent.
+            A target is outside the limits that the board's parameters set, or no loop is closed. Nothing was
+            sent.
         """
         before = self._target if self._target is not None else self._target_here()
         given = {"elevation": elevation_deg, "pitch": pitch_deg, "travel": travel_deg}
         targets_deg = {axis: value for axis, value in given.items() if value is not None}
         check_setpoint(targets_deg, self.params)
-        if not 0.0 <= lead_s <= MOST_LEAD_S:
-            raise SetpointError(f"a lead of {lead_s:g} s is too long", f"give 0 to {MOST_LEAD_S:g} s")
+        if not 0.0 <= lead_s <= MAX_LEAD_S:
+            raise SetpointError(f"a lead of {lead_s:g} s is too long", f"give 0 to {MAX_LEAD_S:g} s")
         state = self.session.state
         if state not in _FOLLOWING:
             name = state.name.lower() if state is not None else "not heard yet"
@@ -210,7 +222,7 @@ class Vehicle(OpenLoopCommands):
         self._send_target()
 
     def setpoint_limits_deg(self) -> dict[str, tuple[float, float]]:
-        """Return the setpoints that the board takes, as its parameters say: least and most of ``elevation``,
+        """Return the lowest and the highest setpoint [deg] that the board accepts, for ``elevation``,
         ``pitch`` and ``travel``.
         """
         bounds = setpoint_bounds(self.params)
@@ -219,32 +231,32 @@ class Vehicle(OpenLoopCommands):
     def take_off(
         self, elevation_deg: float = 0.0, *, axes: Axes = ALL_AXES, timeout_s: float = 20.0
     ) -> Sample:
-        """Arm if idle, close the loops, climb, and wait until it is there.
+        """Arm if idle, close the loops, climb, and wait until the elevation is reached.
 
         Parameters
         ----------
         elevation_deg : float
-            Where to [deg].
+            Target [deg]; 0 is level.
         axes : Axes
-            Axes to close.
+            Axes whose loops are closed.
         timeout_s : float
             Longest climb in device time [s].
 
         Returns
         -------
         Sample
-            Of the moment at which the elevation had stayed within 2 degrees for 0.3 s.
+            First sample after the elevation has been within 2 degrees of the target for 0.3 s.
 
         Raises
         ------
         SetpointError
-            The elevation lies outside the limits in force on the board; nothing was armed.
+            The elevation is outside the limits that the board's parameters set. The motors stay off.
         CommandRefused
-            A pre-flight check failed.
+            A pre-flight check failed. The motors stay off.
         FlightAborted
             A fault switched the motors off.
         WaitTimeout
-            It did not get there in time.
+            The elevation was not reached in time. The motors keep running: call `land` or `stop`.
         """
         check_setpoint({"elevation": elevation_deg}, self.params)
         if self.state is State.IDLE:
@@ -266,21 +278,22 @@ class Vehicle(OpenLoopCommands):
         return sample
 
     def land(self, *, wait: bool = True, timeout_s: float | None = None) -> None:
-        """Descend under control, then motors off.
+        """Let the board descend under control and switch the motors off on the table; on an idle board, do
+        nothing.
 
         Parameters
         ----------
         wait : bool
-            Return when the motors are off; otherwise at once.
+            True returns when the motors are off; False returns when the board has accepted the command.
         timeout_s : float or None
-            Longest wait in device time [s]; None: the board's ``landing_timeout_s`` and some more.
+            Longest wait in device time [s]; None takes the board's ``landing_timeout_s`` plus 3 s.
 
         Raises
         ------
         FlightAborted
             A fault switched the motors off before the table was reached.
         WaitTimeout
-            It takes too long.
+            The motors were not off in time; they may still run: call `stop`.
         """
         if self.state is State.IDLE:
             return

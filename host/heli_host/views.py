@@ -25,9 +25,9 @@ deg/s of noise (rms) at 1 kHz, and a sine of 3 Hz loses 9 % of its rate; half of
 noise.
 """
 
-_LEAST_ROWS = 5
+_MIN_ROWS = 5
 _GAP_RATIO = 1.75
-_MOST_POINTS = 800
+_MAX_POINTS = 800
 """Points of a line in the small figure, which is 640 dots wide."""
 _COLOURS: Final = {"elevation": "#0b5fa5", "pitch": "#b3420f", "travel": "#157a4a"}
 
@@ -152,14 +152,14 @@ def rate(t_s: Floats, angle_rad: Floats, window_s: float = RATE_WINDOW_S) -> Flo
     from scipy.signal import savgol_filter
 
     found = np.full(t_s.shape, np.nan)
-    if t_s.size < _LEAST_ROWS:
+    if t_s.size < _MIN_ROWS:
         return found
     steps_s = np.diff(t_s)
     step_s = float(np.median(steps_s))
-    rows = max(_LEAST_ROWS, 2 * round(window_s / step_s / 2) + 1)
+    rows = max(_MIN_ROWS, 2 * round(window_s / step_s / 2) + 1)
     cuts = [0, *(np.flatnonzero(steps_s > _GAP_RATIO * step_s) + 1), t_s.size]
     for start, stop in itertools.pairwise(cuts):
-        if stop - start >= _LEAST_ROWS:
+        if stop - start >= _MIN_ROWS:
             fits = min(rows, stop - start - (stop - start + 1) % 2)
             found[start:stop] = savgol_filter(angle_rad[start:stop], fits, 2, deriv=1, delta=step_s)
     return found
@@ -179,7 +179,7 @@ def small_figure(of: Recorded) -> bytes:
     figure = Figure(figsize=(6.4, 3.2), dpi=100, layout="constrained")
     FigureCanvasAgg(figure)
     angles, volts = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    step = max(1, of.t_s.size // _MOST_POINTS)
+    step = max(1, of.t_s.size // _MAX_POINTS)
     t_s = of.t_s[::step]
     columns = of.columns()
     for axis, colour in _COLOURS.items():

@@ -159,7 +159,7 @@ def refuse_wrong_signs(flights: Sequence[Flight], labels: Sequence[str], rig: Ri
         if wrong:
             raise WrongSigns(
                 f"{label}: {'; '.join(sign.description for sign in wrong)}",
-                f"{'; '.join(sign.remedy for sign in wrong)} (or fit it unchanged with --as-is)",
+                f"{'; '.join(sign.remedy for sign in wrong)} (or fit it unchanged with --skip-sign-check)",
             )
 
 

@@ -37,7 +37,11 @@ EquationsOption = Annotated[
 ]
 OwnEffectsOption = Annotated[
     list[Path] | None,
-    typer.Option("--effects", metavar="FILE...", help="Python files with your own effects."),
+    typer.Option(
+        "--effect-file",
+        metavar="FILE.py...",
+        help="Add the effects of these files, and run their code.",
+    ),
 ]
 FromOption = Annotated[
     list[float] | None,
@@ -55,16 +59,13 @@ ToOption = Annotated[
 GapsOption = Annotated[
     bool, typer.Option("--allow-gaps", help="Skip missing rows instead of refusing the flight.")
 ]
-AsIsOption = Annotated[
-    bool, typer.Option("--as-is", help="Fit even if signs, zeros, units or motion look wrong.")
+SkipSignCheckOption = Annotated[
+    bool,
+    typer.Option("--skip-sign-check", help="Fit even if signs, zeros, units or motion look wrong."),
 ]
 ReportOption = Annotated[
     Path | None, typer.Option("--report", metavar="DIR", help="Folder for an HTML report with figures.")
 ]
-NumbersOption = Annotated[
-    Path | None,
-    typer.Option("--json", metavar="FILE", help="Results as JSON, - for standard output only."),
-]
-FoundRigOption = Annotated[
-    Path | None, typer.Option("--out", metavar="FILE", help="Write the estimated rig, TOML.")
+SaveRigOption = Annotated[
+    Path | None, typer.Option("--save-rig", metavar="FILE", help="Write the estimated rig, TOML.")
 ]

@@ -52,14 +52,14 @@ HELI_LANES(/)
 #undef HELI_LANES
 
 // Sizes that are known let the compiler keep sums in registers.
-constexpr std::size_t kMostOutputs = 3;
-constexpr std::size_t kMostDisturbances = 2 * kMostOutputs;
+constexpr std::size_t kMaxOutputs = 3;
+constexpr std::size_t kMaxDisturbances = 2 * kMaxOutputs;
 
 struct FourModels {
-  Lanes memory[kMostDisturbances];  // of a part
-  Lanes step_memory[kMostDisturbances];
-  Lanes disturbance_variance[kMostDisturbances];
-  Lanes scale[kMostOutputs];
+  Lanes memory[kMaxDisturbances];  // of a part
+  Lanes step_memory[kMaxDisturbances];
+  Lanes disturbance_variance[kMaxDisturbances];
+  Lanes scale[kMaxOutputs];
 };
 
 // Sums over the columns that are kept in registers together.
@@ -233,16 +233,16 @@ HELI_INLINE void follow(const LinearSystem& system, const FourModels& models, La
   }
 }
 
-// What is compiled for its size: three outputs, and up to `kMostExtra` states after positions and
+// What is compiled for its size: three outputs, and up to `kMaxExtra` states after positions and
 // rates.
-constexpr std::size_t kFollowed = 2 * kMostOutputs;
-constexpr std::size_t kMostExtra = 6;
+constexpr std::size_t kFollowed = 2 * kMaxOutputs;
+constexpr std::size_t kMaxExtra = 6;
 
 HELI_WIDE void follow_any(const LinearSystem& system, const FourModels& models, Lanes* values) {
   switch (system.states - kFollowed) {
-#define HELI_EXTRA(extra)                                            \
-  case extra:                                                        \
-    follow<kMostOutputs, kFollowed + extra>(system, models, values); \
+#define HELI_EXTRA(extra)                                           \
+  case extra:                                                       \
+    follow<kMaxOutputs, kFollowed + extra>(system, models, values); \
     break;
     HELI_EXTRA(0)
     HELI_EXTRA(1)
@@ -250,7 +250,7 @@ HELI_WIDE void follow_any(const LinearSystem& system, const FourModels& models, 
     HELI_EXTRA(3)
     HELI_EXTRA(4)
     HELI_EXTRA(5)
-    HELI_EXTRA(kMostExtra)
+    HELI_EXTRA(kMaxExtra)
 #undef HELI_EXTRA
     default:
       break;
@@ -258,8 +258,8 @@ HELI_WIDE void follow_any(const LinearSystem& system, const FourModels& models, 
 }
 
 bool is_compiled(const LinearSystem& system) {
-  return system.outputs == kMostOutputs && system.disturbances == kMostDisturbances &&
-         system.states >= kFollowed && system.states <= kFollowed + kMostExtra;
+  return system.outputs == kMaxOutputs && system.disturbances == kMaxDisturbances &&
+         system.states >= kFollowed && system.states <= kFollowed + kMaxExtra;
 }
 
 // One model by the filter that takes any sizes.
@@ -310,7 +310,7 @@ void log_likelihoods(const LinearSystem& system, std::size_t models, const doubl
         four.scale[output][lane] = scale[from * system.outputs + output];
       }
     }
-    Lanes found[kMostOutputs];
+    Lanes found[kMaxOutputs];
     follow_any(system, four, found);
     for (std::size_t lane = 0; lane < std::min(kLanes, models - first); ++lane) {
       for (std::size_t output = 0; output < system.outputs; ++output) {

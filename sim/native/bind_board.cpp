@@ -52,8 +52,8 @@ Identity identity(std::uint32_t hash, int major, int minor, int firmware_major, 
               std::to_string(firmware_patch)};
 }
 
-std::optional<Identity> greet(SimBoard& board, std::uint32_t most_ms) {
-  const auto welcome = heli_sim::greet(board, most_ms);
+std::optional<Identity> greet(SimBoard& board, std::uint32_t max_ms) {
+  const auto welcome = heli_sim::greet(board, max_ms);
   if (!welcome) return std::nullopt;
   return identity(welcome->link_hash, welcome->link_major, welcome->link_minor,
                   welcome->firmware_major, welcome->firmware_minor, welcome->firmware_patch);
@@ -93,7 +93,7 @@ void bind_board(nb::module_& module) {
           },
           &set_illegal);
 
-  module.def("greet", &greet, "board"_a, "most_ms"_a = 100,
+  module.def("greet", &greet, "board"_a, "max_ms"_a = 100,
              "Ask a board for its versions: (link hash, major, minor, firmware), or None.");
   module.def(
       "identity",

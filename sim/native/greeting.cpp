@@ -21,7 +21,7 @@ constexpr std::uint32_t kAgain_ms = 20;
 
 }  // namespace
 
-std::optional<WelcomeMessage> greet(SimBoard& board, std::uint32_t most_ms) {
+std::optional<WelcomeMessage> greet(SimBoard& board, std::uint32_t max_ms) {
   HelloMessage hello;
   hello.request = 1;
   hello.link_hash = heli::link::kLinkHash;
@@ -31,7 +31,7 @@ std::optional<WelcomeMessage> greet(SimBoard& board, std::uint32_t most_ms) {
   FrameWriter writer;
   heli::link::Parser parser;
   constexpr std::int32_t kStill[heli::kAxisCount] = {};
-  for (std::uint32_t ms = 0; ms < most_ms; ++ms) {
+  for (std::uint32_t ms = 0; ms < max_ms; ++ms) {
     if (ms % kAgain_ms == 0) {
       std::array<std::uint8_t, FrameWriter::wire_bytes(HelloMessage::kSize)> frame{};
       const std::size_t size = writer.write(static_cast<std::uint8_t>(MessageId::hello),

@@ -8,7 +8,7 @@
 
 namespace heli_sim {
 
-// Lets up to `most_ms` milliseconds of the board's time pass. Empty when it does not answer.
-std::optional<heli::link::WelcomeMessage> greet(SimBoard& board, std::uint32_t most_ms);
+// Lets up to `max_ms` milliseconds of the board's time pass. Empty when it does not answer.
+std::optional<heli::link::WelcomeMessage> greet(SimBoard& board, std::uint32_t max_ms);
 
 }  // namespace heli_sim

@@ -129,7 +129,7 @@ def ratios(say: Callable[[str], None]) -> list[Measured]:
         measured = []
         for key, (fit, validation, rig) in PAIRS.items():
             words = ["diagnose", str(DATA / fit), "--validate", str(DATA / validation), "--rig", rig]
-            words += ["--report", "page", "--out", "found.toml", "--json", "found.json"]
+            words += ["--report", "page", "--save-rig", "found.toml", "--json", "found.json"]
             taken = [(before(words), here(words)) for _ in range(REPETITIONS[key])]
             measured += [
                 Measured(key, [old.elapsed_s / new.elapsed_s for old, new in taken]),

@@ -25,9 +25,9 @@ reasons; higher, and only plain cases count.
 """
 APART = 8.0
 """From here on a case is counted apart; below, the best of all tests would need luck."""
-MOST_STD = 2.0
+MAX_STD = 2.0
 """Standard errors within which a number counts as found: 95 % of them, if the errors are right."""
-_LEAST_STD_SHARE = 1e-3
+_MIN_STD_SHARE = 1e-3
 """Of the truth: the least error that a number is forgiven. Two engines do not agree better."""
 CHANCE = "random_torque"
 """Weather by its name on the list: never false where there is weather."""
@@ -171,7 +171,7 @@ class Row:
     def within(self) -> dict[str, bool]:
         """Whether each parameter lies within its error of the truth."""
         return {
-            name: abs(value - truth) <= MOST_STD * max(std, _LEAST_STD_SHARE * abs(truth) / MOST_STD)
+            name: abs(value - truth) <= MAX_STD * max(std, _MIN_STD_SHARE * abs(truth) / MAX_STD)
             for name, (value, std, truth) in self.parameters.items()
         }
 

@@ -22,7 +22,7 @@ CONTROLLERS = ("cascade", "state_feedback", "soft")
 _PWM_STEPS = 2100
 """Of a driver that switches at 20 kHz; the voltages of a log are whole steps of it."""
 _FILTER_s = 0.03
-_MOST_PITCH_rad, _MOST_ELEVATION_rad = 1.2, 0.42
+_MAX_PITCH_rad, _MAX_ELEVATION_rad = 1.2, 0.42
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def tracked(
         for _ in range(ticks):
             after, measured = plant.millisecond(state.tolist(), volts.tolist())
             state, seen = np.array(after), np.array(measured)
-        if abs(state[1]) > _MOST_PITCH_rad or abs(state[0]) > _MOST_ELEVATION_rad:
+        if abs(state[1]) > _MAX_PITCH_rad or abs(state[0]) > _MAX_ELEVATION_rad:
             raise FlightAborted(f"at {times_s[k]:.1f} s the rig leaves its angles: {state[:2]} rad")
     return Flight(times_s, *np.ascontiguousarray(rows.T))
 

@@ -32,7 +32,7 @@ def test_a_campaign_leaves_results_a_table_and_a_page(terminal: Terminal, tmp_pa
 
     file, out = tmp_path / "squares.toml", tmp_path / "out"
     file.write_text(SQUARES)
-    said = terminal("campaign", str(file), "--out", str(out), "--workers", "2")
+    said = terminal("campaign", str(file), "--output", str(out), "--workers", "2")
     assert said.code == 0, said.out
     assert "12 of 12 cases have ended, 0 of them without a result" in said.out
     table = pq.read_table(out / "cases.parquet").to_pylist()
@@ -47,16 +47,16 @@ def test_a_campaign_leaves_results_a_table_and_a_page(terminal: Terminal, tmp_pa
 def test_cases_that_fail_are_named_on_the_screen_and_on_the_page(terminal: Terminal, tmp_path: Path) -> None:
     file, out = tmp_path / "bad.toml", tmp_path / "out"
     file.write_text(BAD)
-    said = terminal("campaign", str(file), "--out", str(out))
+    said = terminal("campaign", str(file), "--output", str(out))
     assert said.code == 1
     assert "crashes: its process crashed: SIGSEGV" in said.out
     assert "raises: ValueError: seven lines of it" in said.out
     page = (out / "index.html").read_text()
     assert "Cases without a result" in page
     assert "its process crashed: SIGSEGV" in page
-    again = terminal("campaign", str(file), "--out", str(out))
+    again = terminal("campaign", str(file), "--output", str(out))
     assert "its process crashed" not in again.out
-    retried = terminal("campaign", str(file), "--out", str(out), "--retry")
+    retried = terminal("campaign", str(file), "--output", str(out), "--retry")
     assert "crashes: its process crashed: SIGSEGV" in retried.out
 
 
@@ -71,7 +71,7 @@ def test_flights_that_are_not_completed_are_counted_and_end_with_4(
         'work = "fly"\n[cases]\nplan = "short.toml"\nseed = [1, 2, 10]\n'
         "[draw]\nthrust_gain = { range = [0.1, 1.1] }\nM_w = { share = 0.05 }\n"
     )
-    said = terminal("campaign", str(file), "--out", str(out))
+    said = terminal("campaign", str(file), "--output", str(out))
     rows = pq.read_table(out / "cases.parquet").to_pylist()
     assert [row["seed"] for row in rows] == [1, 2, 10]
     for number in ("thrust_gain", "M_w"):
@@ -84,7 +84,7 @@ def test_flights_that_are_not_completed_are_counted_and_end_with_4(
     assert f"completed {sum(ended)}" in said.out and "aborted (landing_timeout) " in said.out
     page = (out / "index.html").read_text()
     assert f"{3 - sum(ended)} cases did not end as completed" in page
-    again = terminal("campaign", str(file), "--out", str(out))
+    again = terminal("campaign", str(file), "--output", str(out))
     assert again.code == 4
 
 
@@ -96,7 +96,7 @@ def test_a_case_without_a_result_has_what_was_drawn_in_the_table(terminal: Termi
     file.write_text(
         'work = "fly"\n[cases]\nplan = "no-such-plan"\nseed = [1, 2]\n[draw]\nM_w = { share = 0.1 }\n'
     )
-    assert terminal("campaign", str(file), "--out", str(out)).code == 1
+    assert terminal("campaign", str(file), "--output", str(out)).code == 1
     rows = pq.read_table(out / "cases.parquet").to_pylist()
     assert all("no-such-plan" in row["failure"] for row in rows)
     assert len({row["drawn_M_w"] for row in rows}) == 2
@@ -125,27 +125,27 @@ def test_a_function_in_a_module_next_to_the_file_is_a_work(
     (study / "helper_of_mine.py").write_text("SCALE = 1.0\n")
     file, out = study / "roots.toml", tmp_path / "out"
     file.write_text('work = "roots_of_mine:root"\n[cases]\nnumber = [4, 9]\n')
-    said = terminal("campaign", str(file), "--out", str(out))
+    said = terminal("campaign", str(file), "--output", str(out))
     assert said.code == 0, said
     rows = pq.read_table(out / "cases.parquet").to_pylist()
     assert [row["root"] for row in rows] == [2.0, 3.0]
     # What is next to the module is part of the code, and other code gives other results.
     (study / "helper_of_mine.py").write_text("SCALE = 10.0\n")
-    assert terminal("campaign", str(file), "--out", str(out)).code == 0
+    assert terminal("campaign", str(file), "--output", str(out)).code == 0
     assert [row["root"] for row in pq.read_table(out / "cases.parquet").to_pylist()] == [20.0, 30.0]
     with Cluster(workers=1) as own:
-        there = terminal("campaign", str(file), "--out", str(tmp_path / "c"), "--scheduler", own.address)
+        there = terminal("campaign", str(file), "--output", str(tmp_path / "c"), "--scheduler", own.address)
         assert there.code == 0, there
     assert [row["root"] for row in pq.read_table(tmp_path / "c" / "cases.parquet").to_pylist()] == [20, 30]
     assert "roots_of_mine" not in sys.modules
     file.write_text('work = "roots_of_mine:wrong"\n[cases]\nnumber = [4]\n')
-    wrong = terminal("campaign", str(file), "--out", str(out))
+    wrong = terminal("campaign", str(file), "--output", str(out))
     assert wrong.code == 1
     assert "roots_of_mine:wrong returned a dict; return (row, detail)" in wrong.out
     file.write_text('work = "roots_of_mine:no_such"\n[cases]\nnumber = [4]\n')
     assert "module roots_of_mine has no function no_such" in terminal("campaign", str(file)).out
     file.write_text('work = "no_such_module:root"\n[cases]\nnumber = [4]\n')
-    missing = terminal("campaign", str(file), "--out", str(out))
+    missing = terminal("campaign", str(file), "--output", str(out))
     assert missing.code == 2 and missing.err.count("\n") == 1
     assert "there is no module no_such_module installed or in" in missing.err
     assert "report it" not in missing.err

@@ -165,7 +165,7 @@ def test_a_log_that_cannot_be_written_does_not_take_off(terminal: Terminal) -> N
     [
         ("fly", "hover", "--log"),
         ("setpoint", "--elevation-deg", "2", "--log"),
-        ("log", "--for-s", "1", "--out"),
+        ("record", "--duration", "1", "--output"),
     ],
 )
 def test_a_log_under_the_name_of_a_table_is_not_recorded(
@@ -219,6 +219,6 @@ def test_debug_shows_the_traceback(terminal: Terminal, monkeypatch: pytest.Monke
 
 
 def test_an_option_is_no_file(terminal: Terminal, tmp_path: Path) -> None:
-    line = refusal(terminal("rig", "export", "makki2024", "--mjcf", "--fmu"), code=ASKED)
-    assert "--fmu stands where a file's name was expected" in line
+    line = refusal(terminal("rig", "export", "makki2024", "--format", "mjcf", "-o", "--quiet"), code=ASKED)
+    assert "--quiet stands where a file's name was expected" in line
     assert not list(tmp_path.iterdir())

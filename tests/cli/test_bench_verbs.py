@@ -34,7 +34,7 @@ SIL = ("--sil", "--speed", "max")
 
 
 def test_watch_shows_counts_angles_and_errors_of_each_axis(terminal: Terminal) -> None:
-    ended = terminal("watch", *SIL, "--for-s", "1")
+    ended = terminal("watch", *SIL, "--duration", "1")
     assert ended.code == 0, ended
     first, *lines = ended.out.splitlines()
     assert "native board, firmware 0.1.0" in first
@@ -49,7 +49,7 @@ def test_watch_is_a_table_that_fits_a_terminal_of_80_columns(tmp_path: Path) -> 
     with (
         SilProcess() as board,
         Process(
-            command("watch", "--port", board.url, "--for-s", "1.5"),
+            command("watch", "--port", board.url, "--duration", "1.5"),
             cwd=tmp_path,
             stdin=subprocess.DEVNULL,
             stdout=terminal,
@@ -80,7 +80,7 @@ def test_watch_commands_nothing(terminal: Terminal, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(Session, "command", refuse)
     monkeypatch.setattr(Session, "stream", refuse)
     # Its own session ends in stop(), but only where the motors may run.
-    assert terminal("watch", *SIL, "--for-s", "1").code == 0
+    assert terminal("watch", *SIL, "--duration", "1").code == 0
 
 
 def test_motors_get_the_voltage_for_the_time_and_are_off_afterwards() -> None:
@@ -100,7 +100,7 @@ def test_motors_get_the_voltage_for_the_time_and_are_off_afterwards() -> None:
 
 
 def test_motors_without_a_voltage_only_enable(terminal: Terminal) -> None:
-    ended = terminal("motors", *SIL, "--for-s", "1")
+    ended = terminal("motors", *SIL, "--duration", "1")
     assert ended.code == 0, ended
     assert "drivers off again" in ended.out
 
@@ -116,7 +116,7 @@ def test_motors_refuse_a_voltage_beyond_the_limits_and_enable_nothing(
 
 def test_motors_that_the_board_switches_off_say_why(terminal: Terminal) -> None:
     # Back motor alone: the short arm turns over.
-    line = refusal(terminal("motors", *SIL, "--back-V", "6", "--for-s", "10"), code=ABORTED)
+    line = refusal(terminal("motors", *SIL, "--back-V", "6", "--duration", "10"), code=ABORTED)
     assert "pitch" in line
 
 
@@ -125,7 +125,7 @@ def test_ctrl_c_switches_the_motors_off(tmp_path: Path) -> None:
     with SilProcess() as board:
         with heli_host.connect(board.url) as heli:
             heli.params.restore(PATIENT)
-        with process(tmp_path, "motors", "--port", board.url, "--for-s", "30") as running:
+        with process(tmp_path, "motors", "--port", board.url, "--duration", "30") as running:
             until_open(running, board.url)
             with pytest.raises(subprocess.TimeoutExpired):
                 running.wait(timeout=1.0)

@@ -103,7 +103,7 @@ def test_a_blind_flight_gives_nothing_away_in_any_of_its_files(short: Terminal, 
         assert given_away(tmp_path / name) == set(), name
     shown = short("info", "a.mcap", "--events", "--params", "--plan")
     assert not [word for word in SECRETS if word in shown.out]
-    assert not [word for word in SECRETS if word in short("info", "a.mcap", "--json").out]
+    assert not [word for word in SECRETS if word in short("info", "a.mcap", "--json", "-").out]
 
 
 @pytest.mark.slow
@@ -124,7 +124,7 @@ def test_a_blind_export_of_a_log_that_tells_gives_nothing_away(short: Terminal, 
         assert given_away(tmp_path / name) == set(), name
         seals.add(sealed_of(tmp_path / name))
     assert len(seals) == 1, "all exports of a log have one seal"
-    there = short("export", "a.mcap", "--csv", "--blind", "--out", "-")
+    there = short("export", "a.mcap", "--csv", "--blind", "--output", "-")
     assert seals.pop() in there.out and "a.truth.json" not in there.out
     whole, bare = read_flight("a.mcap"), read_flight("a.csv")
     np.testing.assert_allclose(bare.front_V, whole.front_V, atol=1e-6)
@@ -142,7 +142,7 @@ def test_the_truth_file_settles_what_flew(short: Terminal, tmp_path: Path) -> No
     assert stat.S_IMODE(key.stat().st_mode) == 0o600
     shown = short("info", "a.mcap", "--truth", "a.truth.json")
     assert f"truth, effects: {EFFECT}={SIZE}" in shown.out and f"truth, rig: {RIG}.toml" in shown.out
-    truth: dict[str, Any] = json.loads(short("info", "a.mcap", "--truth", "a.truth.json", "--json").out)[
+    truth: dict[str, Any] = json.loads(short("info", "a.mcap", "--truth", "a.truth.json", "--json", "-").out)[
         "truth"
     ]
     assert truth["sealed"] == sealed_of(tmp_path / "a.mcap") == json.loads(key.read_text())["sealed"]

@@ -43,7 +43,7 @@ def test_an_effect_changes_the_flight_and_the_seed_its_chance(terminal: Terminal
     [
         (("--sil", "--effect", "rotor_lg=0.1"), "there is no effect 'rotor_lg'; did you mean rotor_lag?"),
         (("--sil", "--effect", "rotor_lag=9"), "rotor_lag_s = 9 s is out of range; give 0 to 0.6"),
-        (("--sil", "--effects", "nowhere.py"), "cannot be read; give a Python file"),
+        (("--sil", "--effect-file", "nowhere.py"), "cannot be read; give a Python file"),
         (("--sil", "--model", "papr"), "there is no model 'papr'; did you mean paper"),
         (("--effect", "rotor_lag"), "for a simulated board; add --sil"),
     ],

@@ -279,12 +279,14 @@ def test_only_a_port_of_this_computer_can_be_flashed(
 
 
 @pytest.mark.medium
-def test_no_board_is_found_where_none_is_plugged_in(
+def test_flash_without_a_port_erases_nothing(
     terminal: Terminal, image: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(list_ports, "comports", list)
     ended = terminal("flash", image, "--yes", "--bossac", Uploader(tmp_path / "bin").program)
-    assert "no board is plugged in" in refusal(ended, code=LINK)
+    line = refusal(ended, code=LINK)
+    assert "no board is named, and no Due is plugged in; add --port PORT" in line
+    assert "--sil" not in line
 
 
 def test_a_missing_file_is_named(terminal: Terminal) -> None:

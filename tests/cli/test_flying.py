@@ -67,7 +67,7 @@ def test_what_is_named_is_written_and_nothing_else(terminal: Terminal, tmp_path:
 
 def test_flights_of_one_second_do_not_overwrite_each_other(terminal: Terminal, tmp_path: Path) -> None:
     for _ in range(2):
-        assert terminal("log", "--for-s", "0.5", *SIL).code == 0
+        assert terminal("record", "--duration", "0.5", *SIL).code == 0
     assert len(list((tmp_path / "flights").iterdir())) == 2
 
 
@@ -183,7 +183,7 @@ def test_a_log_cut_short_is_read_up_to_there(terminal: Terminal, tmp_path: Path)
     ended = terminal("info", cut)
     assert ended.code == 0
     assert "not closed" in ended.out
-    assert terminal("plot", cut, "-o", tmp_path / "cut.png").code == 0
+    assert terminal("plot", cut, "--figure", tmp_path / "cut.png").code == 0
     assert terminal("export", cut, "--csv").code == 0
     flown, left = read_flight(whole), read_flight(tmp_path / "cut.csv")
     assert 10_000 < len(left) < len(flown)

@@ -86,7 +86,7 @@ def test_names_of_files_reach_the_terminal_as_text(terminal: Terminal, tmp_path:
     )
     for words in (
         ("export", log, "--csv"),
-        ("plot", log, "--out", f"b{ESCAPES}.png"),
+        ("plot", log, "--figure", f"b{ESCAPES}.png"),
         ("rig", "show", f"r{ESCAPES}.toml"),
         ("rig", "check", f"r{ESCAPES}.toml"),
         ("rig", "diff", f"r{ESCAPES}.toml", "makki2024", "--all"),
@@ -172,7 +172,7 @@ def test_a_file_of_a_terabyte_is_not_read(tmp_path: Path) -> None:
 def test_a_table_that_unpacks_to_more_than_any_flight_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(table, "MOST_BYTES", 1 << 20)
+    monkeypatch.setattr(table, "MAX_BYTES", 1 << 20)
     path = tmp_path / "a.csv.gz"
     with gzip.open(path, "wb") as file:
         file.write((NAMES + ROWS).encode() + b"\n" * (1 << 21))
@@ -199,7 +199,7 @@ def test_a_table_that_unpacks_to_more_than_any_flight_is_refused(
 def test_a_table_of_absurd_numbers_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, says: str
 ) -> None:
-    monkeypatch.setattr(table, "MOST_LINES", 1000)
+    monkeypatch.setattr(table, "MAX_LINES", 1000)
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(FlightDataError, match=says) as raised:
         read_flight(tmp_path / "a.csv")
@@ -244,7 +244,7 @@ def test_a_frame_that_claims_a_terabyte_is_not_given_it(tmp_path: Path) -> None:
 def test_a_log_that_unpacks_to_more_than_any_flight_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scan, "MOST_BYTES", 1 << 20)
+    monkeypatch.setattr(scan, "MAX_BYTES", 1 << 20)
     _with_chunk(tmp_path / "a.mcap", _chunk(bytes(1 << 21), 1 << 21))
     with pytest.raises(LogError, match="unpacks to more than 1 MiB"):
         read_log(tmp_path / "a.mcap")

@@ -53,19 +53,19 @@ class Started:
 
 
 STARTED = {
-    "page": Started(("page", "--sil", "--twin", "makki2024"), "programs join", 1),
+    "dashboard": Started(("dashboard", "--sil", "--twin", "makki2024"), "programs join", 1),
     "sil over TCP": Started(("sil", "--tcp", ":0"), "socket://127.0.0.1", 1),
     "sil over RFC 2217": Started(("sil", "--rfc2217", "127.0.0.1:0"), "rfc2217://127.0.0.1", 1),
     "sil behind a terminal": Started(("sil", "--pty", "./due"), "Ctrl-C ends it", 0),
-    "campaign": Started(("campaign", "campaign.toml", "--out", "out"), "began.txt", 2),
+    "campaign": Started(("campaign", "campaign.toml", "--output", "out"), "began.txt", 2),
     "fly": Started(("fly", "hover", "--sil", "--twin", "makki2024", "--log", "f.mcap"), "f.mcap", 0),
-    "log": Started(("log", "--sil", "--for-s", "600", "--out", "g.mcap"), "g.mcap", 0),
+    "record": Started(("record", "--sil", "--duration", "600", "--output", "g.mcap"), "g.mcap", 0),
 }
 ENDED = {
     *("diagnose", "doctor", "export", "flash", "identify", "import", "info", "law", "motors", "paper"),
     *("params", "plot", "pool", "ports", "rig", "setpoint", "tune", "twin", "watch"),
 }
-"""Verbs that serve nobody: they read and write files, or talk to a board as `fly` and `log` do."""
+"""Verbs that serve nobody: they read and write files, or talk to a board as `fly` and `record` do."""
 
 
 @contextmanager

@@ -25,27 +25,27 @@ def flight(tmp_path: Path) -> Path:
 
 
 def test_what_is_listed_is_json_where_asked(terminal: Terminal, flight: Path) -> None:
-    told = json.loads(terminal("info", flight, "--json").out)
+    told = json.loads(terminal("info", flight, "--json", "-").out)
     assert (told["rows"], told["notes"]) == (100, {"rig": "mine"})
-    assert isinstance(json.loads(terminal("ports", "--json").out)["ports"], list)
-    params = json.loads(terminal("params", "list", "hover", "--sil", "--json").out)
-    assert params["hover_V"]["unit"] == "V"
-    rig = json.loads(terminal("rig", "show", "makki2024", "dead_zone", "--json").out)
+    assert isinstance(json.loads(terminal("ports", "--json", "-").out)["ports"], list)
+    params = json.loads(terminal("params", "list", "hover", "--sil", "--json", "-").out)
+    assert params["parameters"]["hover_V"]["unit"] == "V"
+    rig = json.loads(terminal("rig", "show", "makki2024", "dead_zone", "--json", "-").out)
     assert set(rig["numbers"]) == {"dead_zone"}
     assert rig["numbers"]["dead_zone"]["tolerance"] > 0.0
 
 
 def test_rigs_are_json_where_asked(terminal: Terminal) -> None:
-    listed = json.loads(terminal("rig", "list", "--json").out)["rigs"]
+    listed = json.loads(terminal("rig", "list", "--json", "-").out)["rigs"]
     assert "makki2024" in [one["name"] for one in listed]
-    (checked,) = json.loads(terminal("rig", "check", "makki2024", "--json").out)["rigs"]
+    (checked,) = json.loads(terminal("rig", "check", "makki2024", "--json", "-").out)["rigs"]
     assert checked["can_be"]
-    compared = json.loads(terminal("rig", "diff", "makki2024", "quanser-course", "--json").out)
+    compared = json.loads(terminal("rig", "diff", "makki2024", "quanser-course", "--json", "-").out)
     assert {"name", "left", "right", "tolerances"} <= compared["numbers"][0].keys()
 
 
 def test_rig_that_cannot_be_is_json_and_an_error(terminal: Terminal) -> None:
-    shown = terminal("rig", "check", "nobodys", "--json")
+    shown = terminal("rig", "check", "nobodys", "--json", "-")
     assert shown.code != 0
     (told,) = json.loads(shown.out)["rigs"]
     assert not told["can_be"]
@@ -53,7 +53,7 @@ def test_rig_that_cannot_be_is_json_and_an_error(terminal: Terminal) -> None:
 
 
 def test_one_parameter_is_json_with_its_unit(terminal: Terminal) -> None:
-    told = json.loads(terminal("params", "get", "hover_V", "--sil", "--json").out)
+    told = json.loads(terminal("params", "get", "hover_V", "--sil", "--json", "-").out)
     assert (told["name"], told["unit"]) == ("hover_V", "V")
 
 
@@ -76,7 +76,7 @@ def test_every_verb_can_be_quiet_and_has_short_help() -> None:
 
 
 def test_quiet_leaves_results_and_takes_progress(terminal: Terminal) -> None:
-    recorded = ("log", "--sil", "--speed", "max", "--for-s", "6")
+    recorded = ("record", "--sil", "--speed", "max", "--duration", "6")
     loud = terminal(*recorded, "-o", "a.mcap")
     quiet = terminal(*recorded, "-o", "b.mcap", "-q")
     assert "log: b.mcap" in quiet.out
@@ -102,7 +102,7 @@ def test_setpoint_for_a_board_that_does_not_fly_is_an_error(terminal: Terminal) 
 
 
 def test_doctor_ends_alike_in_both_forms(terminal: Terminal) -> None:
-    ended = terminal("doctor", "--json")
+    ended = terminal("doctor", "--json", "-")
     told = json.loads(ended.out)
     assert told["ready"] == (ended.code == 0)
     assert {one["verdict"] for one in told["findings"]} <= {"good", "note", "bad"}
@@ -116,7 +116,7 @@ def test_a_table_goes_to_standard_output(flight: Path) -> None:
 
 
 def test_a_log_that_is_no_log_is_refused_before_anything_is_recorded(terminal: Terminal) -> None:
-    ended = terminal("log", "--sil", "--for-s", "1", "-o", "x.csv")
+    ended = terminal("record", "--sil", "--duration", "1", "-o", "x.csv")
     assert ended.code == 5
     assert "export --csv" in ended.err
     assert not Path("x.csv").exists()

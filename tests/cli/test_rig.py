@@ -98,7 +98,7 @@ def test_check_ends_with_1_when_a_rig_is_too_heavy_for_its_supply(terminal: Term
         rig = spoiled(tmp_path, old, new)
         ended = terminal("rig", "check", rig, "quanser-course")
         assert ended.code == 1 and says in ended.out and not ended.err
-        ended = terminal("rig", "check", rig, "--json")
+        ended = terminal("rig", "check", rig, "--json", "-")
         [told] = json.loads(ended.out)["rigs"]
         assert ended.code == 1 and told["can_be"] and not told["can_fly"]
     assert terminal("rig", "check", *rig_names()).code == 0
@@ -140,7 +140,7 @@ def test_numbers_that_no_table_bears_are_named(terminal: Terminal, tmp_path: Pat
         line = refusal(terminal(*words), code=ASKED)
         assert f"{stated.partition('=')[0]} = " in line and "the range of a table-top rig; " in line
         assert not Path("new.toml").exists()
-    assert terminal("rig", "new", "new.toml", "--set", "L_a=3.5", "--anyway").code == 0
+    assert terminal("rig", "new", "new.toml", "--set", "L_a=3.5", "--force").code == 0
     assert "L_a = 3.5 m is outside 0.1 to 3 m" in terminal("rig", "check", "new.toml").out
     for name in rig_names():
         assert "range of a table-top rig" not in terminal("rig", "check", name).out

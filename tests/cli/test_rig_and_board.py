@@ -78,7 +78,7 @@ def test_a_page_refuses_a_wrong_scale_before_it_is_served(tmp_path: Path) -> Non
     write_mine(tmp_path)
     with (
         SilProcess() as sil,
-        process(tmp_path, "page", "--port", sil.url, "--rig", "mine.toml") as page,
+        process(tmp_path, "dashboard", "--port", sil.url, "--rig", "mine.toml") as page,
     ):
         # Without the refusal it serves until Ctrl-C.
         _, err = page.communicate(timeout=PATIENCE_S)
@@ -98,7 +98,7 @@ def test_on_a_port_a_name_that_no_rig_has_is_a_label(terminal: Terminal, tmp_pat
 
 def test_law_fly_flies_the_rig_that_is_named(terminal: Terminal, tmp_path: Path) -> None:
     write_mine(tmp_path)
-    ended = terminal(*f"law fly {LAW} --rig mine.toml --seconds 3 --log a.mcap".split())
+    ended = terminal(*f"law fly {LAW} --sil --speed max --rig mine.toml --duration 3 --log a.mcap".split())
     assert ended.code == 0, ended.err
     assert "parameters set from rig makki2024: travel_counts_per_rev 2048 count" in ended.out
     log = read_log(tmp_path / "a.mcap")

@@ -51,7 +51,7 @@ def test_params_set_says_what_was_before(terminal: Terminal) -> None:
 
 def test_setpoint_holds_then_lands(terminal: Terminal, tmp_path: Path) -> None:
     log = tmp_path / "f.mcap"
-    given = ("--elevation-deg", "4", "--travel-deg", "8", "--for-s", "12")
+    given = ("--elevation-deg", "4", "--travel-deg", "8", "--duration", "12")
     ended = terminal("setpoint", "--take-off", *given, *SIL, "--log", log)
     assert ended.code == 0
     assert ended.out.splitlines()[-1] == "landed"
@@ -62,7 +62,7 @@ def test_setpoint_holds_then_lands(terminal: Terminal, tmp_path: Path) -> None:
 
 
 def test_log_records_as_long_as_told(terminal: Terminal, tmp_path: Path) -> None:
-    assert terminal("log", "--for-s", "3", "-o", tmp_path / "f.mcap", *SIL).code == 0
+    assert terminal("record", "--duration", "3", "-o", tmp_path / "f.mcap", *SIL).code == 0
     assert read_flight(tmp_path / "f.mcap").duration_s == pytest.approx(3.0, abs=0.2)
 
 
@@ -136,6 +136,6 @@ def test_help_imports_nothing_heavy() -> None:
 
 def test_a_folder_is_named_after_local_time(terminal: Terminal, tmp_path: Path) -> None:
     day = time.strftime("%Y-%m-%d")
-    assert terminal("log", "--for-s", "0.5", *SIL).code == 0
+    assert terminal("record", "--duration", "0.5", *SIL).code == 0
     (folder,) = (tmp_path / "flights").iterdir()
     assert folder.name >= day

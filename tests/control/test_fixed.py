@@ -13,23 +13,23 @@ from hypothesis import strategies as st
 
 pytestmark = pytest.mark.medium
 
-LEAST, MOST = -(2**31), 2**31 - 1
+MIN, MAX = -(2**31), 2**31 - 1
 QUANTITY_BITS, GAIN_BITS = 24, 20
-bits = st.integers(LEAST, MOST)
+bits = st.integers(MIN, MAX)
 
 
 def saturated(value: int) -> int:
-    return max(LEAST, min(MOST, value))
+    return max(MIN, min(MAX, value))
 
 
 @given(st.floats(width=32, allow_nan=False))
 def test_a_float_becomes_the_nearest_quantity(value: float) -> None:
     if math.isinf(value):
-        assert abs(control.quantity(value)) == MOST
+        assert abs(control.quantity(value)) == MAX
         return
     exact = Fraction(value) * 2**QUANTITY_BITS
     found = control.quantity(value)
-    assert abs(found - max(-MOST, min(MOST, exact))) <= Fraction(1, 2)
+    assert abs(found - max(-MAX, min(MAX, exact))) <= Fraction(1, 2)
 
 
 @given(bits, bits)

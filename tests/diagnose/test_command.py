@@ -35,7 +35,7 @@ def test_command_writes_numbers_rig_and_page(
     found = diagnosed()
     # The search itself is what test_causes has done, on the same flights.
     monkeypatch.setattr("heli_lab.diagnose.diagnose", lambda *_args, **_more: found)
-    files = ("--report", "why", "--json", "why.json", "--out", "extended.toml")
+    files = ("--report", "why", "--json", "why.json", "--save-rig", "extended.toml")
     ended = terminal("diagnose", fit, "--validate", held_out, "--rig", "makki2024", *files)
     assert ended.code == 0, ended.err
     assert ended.out.count("explained: ") == 1
@@ -95,7 +95,7 @@ def test_model_that_the_rig_names_is_the_one_that_is_fitted(
         (("a.csv.gz", "--validate", "b.csv.gz", "--calibrate", "-1"), "--calibrate"),
         (("a.csv.gz", "--validate", "b.csv.gz", "--calibrate", "nan"), "--calibrate"),
         (("a.csv.gz", "--validate", "b.csv.gz", "--calibrate", "30"), "or less to --calibrate"),
-        (("a.csv.gz", "--effects", "mine.py"), "mine.py cannot be read"),
+        (("a.csv.gz", "--effect-file", "mine.py"), "mine.py cannot be read"),
         (("a.csv.gz", "--json", "a.csv.gz/why.json"), "a.csv.gz"),
     ],
 )

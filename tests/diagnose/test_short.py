@@ -42,7 +42,7 @@ def on_table() -> Flight:
 def answered(terminal: Terminal, *arguments: str | Path, drawn: bool = LONG) -> tuple[Ended, dict[str, Any]]:
     """Diagnose, and read the answer; with its page, which takes two seconds, always in `make long`."""
     page = ("--report", "why") if drawn else ()
-    ended = terminal("diagnose", *arguments, "--json", "why.json", *page, "--out", "found.toml")
+    ended = terminal("diagnose", *arguments, "--json", "why.json", *page, "--save-rig", "found.toml")
     assert ended.code == 0, ended.err
     numbers: dict[str, Any] = json.loads(Path("why.json").read_text())
     assert Path("why/index.html").exists() is drawn

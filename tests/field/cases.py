@@ -25,7 +25,7 @@ NO_DATA: Final = "skipped: no shared data"
 NEAR_STD, FAR_STD = 2.0, 3.0
 """Standard errors from which on a number is marked, and is wrong: one in 20, and one in 370 by chance."""
 _NUMBER = re.compile(r"^# ([\w.]+): ([-+.\deE]+)$", re.MULTILINE)
-_LEAST_SHARE = 1e-3
+_MIN_SHARE = 1e-3
 
 LAW_UNTOLD: Final = frozenset({"ground_effect"})
 """Truth files say how much is gained at the table, not over which height that falls."""
@@ -128,7 +128,7 @@ class Judged:
     def off(self) -> dict[str, float]:
         """By how many standard errors each number is off; two engines do not agree below a thousandth."""
         return {
-            name: abs(value - truth) / max(std, _LEAST_SHARE * abs(truth))
+            name: abs(value - truth) / max(std, _MIN_SHARE * abs(truth))
             for name, (value, std, truth) in self.numbers.items()
         }
 

@@ -27,7 +27,7 @@ ROOT: Final = Path(__file__).resolve().parents[2]
 PROGRAMS: Final = ROOT / "tests" / "due" / "programs"
 FLAGS: Final = ROOT / "firmware" / "due" / "compile.flags"
 CASCADE: Final = "_ZN4heli7control7Cascade4step"
-LAW_UPDATE: Final = "_ZN4heli3law5Guest6updateE"
+LAW_UPDATE: Final = "_ZN4heli3law11UploadedLaw6updateE"
 PID_LOOPS: Final = "three_loops"
 EXCITATIONS: Final = ("step", "doublet", "chirp", "multisine", "prbs")
 HOVERING: Final = Axes.ELEVATION | Axes.PITCH
@@ -96,15 +96,15 @@ class Flight:
         """Instructions of the longest encoder interrupt."""
         return self.board.due.exception_stats(TRAVEL_INTERRUPT)[2]
 
-    def sweep(self, seconds: float, most_deg: float = 5.0) -> None:
+    def sweep(self, seconds: float, max_deg: float = 5.0) -> None:
         """Stream setpoints that keep all three axes moving and both shapers braking."""
         for k in range(round(seconds / PERIOD_S)):
             t = k * PERIOD_S
             sign = 1.0 if math.sin(4.0 * t) > 0.0 else -1.0
             self.heli.setpoint(
-                elevation_deg=most_deg * (0.4 * sign + 0.6 * math.sin(2.0 * t)),
+                elevation_deg=max_deg * (0.4 * sign + 0.6 * math.sin(2.0 * t)),
                 pitch_deg=8.0 * math.sin(5.0 * t),
-                travel_deg=2.0 * most_deg * (0.4 * sign + 0.6 * math.sin(1.3 * t)),
+                travel_deg=2.0 * max_deg * (0.4 * sign + 0.6 * math.sin(1.3 * t)),
             )
             # Parameters change in the tick too.
             if k % 10 == 0:

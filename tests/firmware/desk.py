@@ -118,12 +118,12 @@ class Board:
         """Whether all four PWM pins stay low."""
         return not any(self.due.pin_duty(pin) for pin in PWM_PINS)
 
-    def milliseconds_until_off(self, step_us: float = 20.0, most_ms: float = 1000.0) -> float:
+    def milliseconds_until_off(self, step_us: float = 20.0, max_ms: float = 1000.0) -> float:
         """Let time pass until both bridges are off; how long that took."""
         start_us = self.due.now_us
         while not self.off():
             self.due.run_us(step_us)
-            assert self.due.now_us - start_us < 1e3 * most_ms, "the motors stay on"
+            assert self.due.now_us - start_us < 1e3 * max_ms, "the motors stay on"
         return 1e-3 * (self.due.now_us - start_us)
 
     def wait_for_reset(self, resets: int) -> None:

@@ -177,14 +177,14 @@ ENCODERS = (
     overload("travel_overloaded = true;", ""),
     overload("PIOD->PIO_IER.write(kTravelMask);\n  return", "return"),
     overload("travel_overloaded = false;", ""),
-    overload("kMostEdges = 400", "kMostEdges = 4000"),
+    overload("kMaxEdges = 400", "kMaxEdges = 4000"),
     Mutation(
         "encoders.cpp", "  travel_edges = 0;", "", claims.test_no_travel_edge_is_lost_at_200000_a_second
     ),
     Mutation(
         "encoders.cpp",
-        "kMostEdges = 400",
-        "kMostEdges = 150",
+        "kMaxEdges = 400",
+        "kMaxEdges = 150",
         safety.test_200000_edges_a_second_are_no_overload,
     ),
     Mutation(

@@ -126,9 +126,9 @@ def test_no_travel_edge_is_lost_at_200000_a_second(board: Board) -> None:
     heli.wait(0.05)
     assert counted(heli)[2] == edges
     assert heli.session.status().illegal_travel == 0
-    count, _, most_instructions, _ = board.due.exception_stats(TRAVEL_INTERRUPT)
+    count, _, max_instructions, _ = board.due.exception_stats(TRAVEL_INTERRUPT)
     assert count == edges
-    assert most_instructions <= 60
+    assert max_instructions <= 60
 
 
 def test_no_travel_edge_is_lost_while_the_law_flies(board: Board) -> None:

@@ -105,6 +105,6 @@ def test_recursion_is_refused(image: Image) -> None:
 
 
 def test_too_large_a_firmware_is_found(image: Image) -> None:
-    flash_bytes, ram_bytes = report.FLASH_MOST_BYTES + 1, report.RAM_MOST_BYTES + 1
+    flash_bytes, ram_bytes = report.FLASH_MAX_BYTES + 1, report.RAM_MAX_BYTES + 1
     large = dataclasses.replace(image, flash_bytes=flash_bytes, ram_bytes=ram_bytes)
     assert len(report.findings(large)) == 2

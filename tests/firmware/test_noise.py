@@ -134,7 +134,7 @@ def test_stopping_takes_the_outputs_low_at_once_and_not_at_the_end_of_their_peri
     for _ in range(6):
         board.due.glitch_encoder(2)
         board.due.run_us(5.0)
-    board.milliseconds_until_off(step_us=1.0, most_ms=2.0)
+    board.milliseconds_until_off(step_us=1.0, max_ms=2.0)
     board.due.run_us(2.0)
     assert board.pwm_low()
     heli.wait(0.02)

@@ -9,7 +9,7 @@ from heli_host.declaration import Fault, Reset
 
 from tests.firmware.desk import TRAVEL_INTERRUPT, Board
 from tests.firmware.hangs import HANGS, POLL
-from tests.firmware.test_safety import MOST_MS, UNDEFINED, pend, store
+from tests.firmware.test_safety import MAX_MS, UNDEFINED, pend, store
 
 pytestmark = pytest.mark.emulated
 
@@ -129,7 +129,7 @@ def hang(board: Board) -> Fault:
     board.connect().arm()
     resets = board.due.resets
     with HANGS[1].of(board):
-        board.milliseconds_until_off(most_ms=MOST_MS)
+        board.milliseconds_until_off(max_ms=MAX_MS)
         board.wait_for_reset(resets)
     welcome = board.connect().session.welcome
     assert welcome.reset == Reset.WATCHDOG

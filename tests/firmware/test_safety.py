@@ -27,7 +27,7 @@ PUSH_FOR_EVER = b"\xff\xb5\xfd\xe7"
 NVIC_ISER, NVIC_ISPR, SCB_ICSR = 0xE000E100, 0xE000E200, 0xE000ED04
 NMI_PENDING, PENDSV_PENDING, SYSTICK_PENDING = 1 << 31, 1 << 28, 1 << 26
 UNEXPECTED_INTERRUPTS = tuple(number for number in range(45) if number not in (14, 30))
-MOST_MS = 300.0
+MAX_MS = 300.0
 AT_ONCE_MS = 0.02
 A_TICK_MS = 1.1
 
@@ -42,7 +42,7 @@ def pend(board: Board, interrupt: int) -> None:
 
 
 def assert_told(heli: Heli, reset: Reset, fault: Fault) -> None:
-    """The session that flew finds the board again and says why it started anew."""
+    """The session that flew finds the board again and says why it restarted."""
     session = heli.session
     session.wait_for(lambda: any(event.kind == BOARD_RESTARTED for event in session.events), 5.0)
     events = [event for event in session.events if event.kind == BOARD_RESTARTED]
@@ -64,7 +64,7 @@ def test_what_hangs_is_reset_and_the_host_is_told(elf: Path, image: Image, hang:
     board, heli = flying(elf, image)
     resets = board.due.resets
     with hang.of(board):
-        assert board.milliseconds_until_off() <= MOST_MS
+        assert board.milliseconds_until_off() <= MAX_MS
         board.wait_for_reset(resets)
     assert_told(heli, Reset.WATCHDOG, Fault.WATCHDOG)
     assert board.off()
@@ -78,7 +78,7 @@ def test_the_motors_are_off_in_time_over_the_watchdogs_tolerance(
     hang = HANGS[1]
     off_ms = [off_after_ms(elf, image, hang, slow_Hz, phase_ms) for phase_ms in range(16)]
     longest_ms = 27 * 128e3 / slow_Hz
-    assert longest_ms - 2.0 <= max(off_ms) <= longest_ms + 1.0 <= MOST_MS
+    assert longest_ms - 2.0 <= max(off_ms) <= longest_ms + 1.0 <= MAX_MS
     assert min(off_ms) >= longest_ms - 18.0
 
 

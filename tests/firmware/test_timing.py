@@ -7,7 +7,7 @@ import pytest
 from tests.firmware.desk import ENABLE_PINS, TICK_INTERRUPT, Board
 from tests.firmware.hangs import POLL, TICK, TRAVEL, FASTEST_Hz, SLOWEST_Hz
 from tests.firmware.measures import boot_to_first_frame_ms
-from tests.firmware.test_safety import MOST_MS, store
+from tests.firmware.test_safety import MAX_MS, store
 
 pytestmark = pytest.mark.emulated
 
@@ -137,7 +137,7 @@ def test_an_idle_loop_that_other_interrupts_wake_does_not_hide_a_tick_that_died(
     store(board, TICK_TIMER_CONTROL, CLOCK_DISABLE)
     for k in range(300):
         board.due.schedule_step(TRAVEL, (1, -1)[k % 2], board.due.now_us + 1.0 + 1e3 * k)
-    assert board.milliseconds_until_off(most_ms=MOST_MS) <= MOST_MS
+    assert board.milliseconds_until_off(max_ms=MAX_MS) <= MAX_MS
     board.wait_for_reset(resets)
 
 
@@ -159,7 +159,7 @@ def test_enables_are_driven_low_within_microseconds_of_a_reset(board: Board) -> 
     board.due.run_us(100.0)
     assert board.on()
     board.due.set_nrst(False)
-    assert board.milliseconds_until_off(step_us=1.0, most_ms=1.0) <= 0.15
+    assert board.milliseconds_until_off(step_us=1.0, max_ms=1.0) <= 0.15
     for _ in range(20):
         assert board.off()
         board.due.run_us(1000.0)

@@ -23,7 +23,7 @@ from heli_host.heli import Heli
 from heli_host.link.session import Session
 from heli_host.log.flight_file import read_flight
 from heli_lab.encoder_scale.estimate import ScaleEstimate, scales_of
-from heli_lab.encoder_scale.warning import MOST_SIGMAS, wrong_scale
+from heli_lab.encoder_scale.warning import MAX_SIGMAS, wrong_scale
 from heli_lab.tune.design import find_gains
 from heli_lab.twin.healthy_flights import in_weather
 from heli_sim.model import MultibodyModel
@@ -182,7 +182,7 @@ def main() -> None:
     )
     parser.add_argument("--wrong", type=int, default=3, help="flights of each plan, axis and scale")
     asked = parser.parse_args()
-    print(f"a warning needs {MOST_SIGMAS:g} standard errors; healthy flights:")
+    print(f"a warning needs {MAX_SIGMAS:g} standard errors; healthy flights:")
     healthy_lines(asked.healthy)
     other_lines(asked.others)
     print("flights with one wrong encoder, by its scale: warnings that name it, of how many:")

@@ -56,7 +56,7 @@ def flown(url: str, path: Path, at_s: float = 3.0) -> tuple[FlightSummary, float
 
 def assert_told(summary: FlightSummary, path: Path) -> None:
     assert not summary.completed
-    assert summary.outcome.startswith("aborted: the board started anew (power_up) in flight")
+    assert summary.outcome.startswith("aborted: the board restarted (power_up) in flight")
     assert "link lost" not in summary.outcome
     log = read_log(path)
     assert log.metadata["result"]["outcome"] == summary.outcome
@@ -99,7 +99,7 @@ def test_power_lost_while_a_command_waits_is_a_restart_and_no_lost_link(tmp_path
             heli.session.command = cut_first  # type: ignore[method-assign, assignment]
 
         summary = fly(heli, PLAN, on_progress=once(6.5, cut_at_landing))
-    assert summary.outcome.startswith("aborted: the board started anew (power_up) in flight")
+    assert summary.outcome.startswith("aborted: the board restarted (power_up) in flight")
     assert "link lost" not in summary.outcome and "lands by itself" not in summary.outcome
 
 

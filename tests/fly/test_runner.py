@@ -264,8 +264,8 @@ def test_a_third_ctrl_c_neither_keeps_the_motors_running_nor_is_it_forgotten(tmp
     assert interrupts(log) == [
         "Ctrl-C: the flight ends in a landing",
         "Ctrl-C again, motors stopped in the air",
-        "Ctrl-C again, after the motors had been told to stop",
-        "Ctrl-C again, after the motors had been told to stop",
+        "Ctrl-C again, after the stop of the motors was sent",
+        "Ctrl-C again, after the stop of the motors was sent",
     ]
     assert log.ticks["t_s"][-1] < 6.5
 

@@ -14,11 +14,11 @@ from heli_sim.rig import Rig
 
 from tests.guess.distort import Distortion
 
-_MOST_RAD = 0.005
-_MOST_ZERO_RAD = np.radians(6.5)
+_MAX_RAD = 0.005
+_MAX_ZERO_RAD = np.radians(6.5)
 """A table is where the rig file says, within its tolerance and what the guess accepts."""
-_MOST_V_SHARE = 0.01
-_MOST_LATE_s = {"travel": 0.14, "elevation": 0.22, "voltages": 0.25}
+_MAX_V_SHARE = 0.01
+_MAX_LATE_s = {"travel": 0.14, "elevation": 0.22, "voltages": 0.25}
 """A delay longer than this may not pass unsaid: lags as a flight shows them scatter by 0.06 s and more."""
 
 
@@ -81,18 +81,18 @@ def _wrong(made: Flight, truth: Flight, how: Distortion, guess_result: Guess) ->
         if len(true) < 10:
             return "nothing left"
         off = mine[: len(true)] - true
-        if np.std(off) > _MOST_RAD or (name == "elevation" and abs(np.mean(off)) > _MOST_ZERO_RAD):
+        if np.std(off) > _MAX_RAD or (name == "elevation" and abs(np.mean(off)) > _MAX_ZERO_RAD):
             wrong.append(name)
-        if name == "pitch" and abs(np.mean(off)) > _MOST_RAD:
+        if name == "pitch" and abs(np.mean(off)) > _MAX_RAD:
             wrong.append("pitch zero")
     for name in ("front_V", "back_V"):
         # Rows are lost at the beginning or the end where a delay was taken out.
         shift = max(0, round(-min(late_s.values()) * how.rate_Hz))
         mine, true = getattr(made, name)[: rows - shift], getattr(truth, name)[shift:rows]
         span = max(float(np.ptp(truth.voltages_V)), 1e-9)
-        if float(np.abs(mine[: len(true)] - true[: len(mine)]).mean()) > _MOST_V_SHARE * span:
+        if float(np.abs(mine[: len(true)] - true[: len(mine)]).mean()) > _MAX_V_SHARE * span:
             wrong.append(name)
     which, seconds = how.late
-    if which and seconds > _MOST_LATE_s[which] and guess_result.sure:
+    if which and seconds > _MAX_LATE_s[which] and guess_result.sure:
         wrong.append(f"{which} {seconds:.2f} s late")
     return ", ".join(wrong)

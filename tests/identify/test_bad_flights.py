@@ -122,7 +122,7 @@ SPOILED: dict[str, tuple[Spoil, int, str, str, str]] = {
 def test_a_flight_that_teaches_nothing_is_one_line(terminal: Terminal, tmp_path: Path, what: str) -> None:
     spoil, code, column, row, said = SPOILED[what]
     write_csv(spoil(flight()), tmp_path / "bad.csv")
-    line = refusal(terminal("identify", "bad.csv", "--out", "new.toml", "--json", "new.json"), code=code)
+    line = refusal(terminal("identify", "bad.csv", "--save-rig", "new.toml", "--json", "new.json"), code=code)
     assert "bad.csv" in line and column in line and row in line, line
     assert said in line, line
     assert not (tmp_path / "new.toml").exists() and not (tmp_path / "new.json").exists()
@@ -145,14 +145,21 @@ def test_a_missing_column_is_named(terminal: Terminal, tmp_path: Path) -> None:
 def test_a_bad_flight_to_validate_on_is_named_as_well(terminal: Terminal, tmp_path: Path) -> None:
     write_csv(flight(), tmp_path / "good.csv")
     write_csv(scaled(0.0, "front_V")(flight()), tmp_path / "bad.csv")
-    line = refusal(terminal("identify", "good.csv", "--validate", "bad.csv", "--as-is"), code=ASKED)
+    line = refusal(terminal("identify", "good.csv", "--validate", "bad.csv", "--skip-sign-check"), code=ASKED)
     assert "bad.csv: front_V is 0" in line
 
 
 def test_a_gap_is_left_out_on_request(terminal: Terminal, tmp_path: Path) -> None:
     write_csv(without_rows(1000, 1200)(flight()), tmp_path / "gap.csv")
     ended = terminal(
-        "identify", "gap.csv", "--allow-gaps", "--free", "thrust_gain", "--json", "new.json", "--as-is"
+        "identify",
+        "gap.csv",
+        "--allow-gaps",
+        "--free",
+        "thrust_gain",
+        "--json",
+        "new.json",
+        "--skip-sign-check",
     )
     assert ended.code == 0, ended
     assert (tmp_path / "new.json").exists()
@@ -178,6 +185,6 @@ def test_what_cannot_be_asked_for_is_one_line(
 ) -> None:
     write_csv(flight(), tmp_path / "good.csv")
     # Its waves are not a rig's: whether its signs are is looked at for a second and more.
-    ended = terminal("identify", *arguments, "--as-is")
+    ended = terminal("identify", *arguments, "--skip-sign-check")
     assert said in refusal(ended, code=ended.code)
     assert ended.code in (ASKED, FILE)

@@ -50,7 +50,7 @@ def test_from_a_flight_to_a_rig_that_flies(terminal: Terminal, tmp_path: Path) -
     fly_hidden(terminal, tmp_path, "a", 32, seed=1)
     fly_hidden(terminal, tmp_path, "b", 16, seed=2)
     write_csv(read_flight(tmp_path / "b.mcap"), tmp_path / "b.csv.gz")
-    files = ("--out", "new.toml", "--report", "report", "--json", "new.json")
+    files = ("--save-rig", "new.toml", "--report", "report", "--json", "new.json")
     ended = terminal("identify", "a.mcap", "--validate", "b.csv.gz", *files)
     assert ended.code == 0, ended
     assert "Nothing but the encoders' quantisation is left on flights that it never saw" in ended.out
@@ -97,7 +97,7 @@ def test_an_effect_is_found_and_flies_with_the_rig(terminal: Terminal, tmp_path:
     options = ("--sil", "--speed", "max", "--model", "multibody", "--effect", "rotor_lag=0.05")
     flown = terminal("fly", "a.toml", *options, "--log", "a.mcap")
     assert flown.code == 0, flown
-    ended = terminal("identify", "a.mcap", "--effect", "rotor_lag=0.1", "--out", "new.toml")
+    ended = terminal("identify", "a.mcap", "--effect", "rotor_lag=0.1", "--save-rig", "new.toml")
     assert ended.code == 0, ended
     lag = load_rig(tmp_path / "new.toml").effects["rotor_lag"]["s"]
     assert lag.value == pytest.approx(0.05, abs=2 * lag.tolerance)

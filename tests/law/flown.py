@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from heli_host.declaration import AXES, PARAMS, Channel, Flags
 from heli_host.guest_law import LawReport, engage
+from heli_host.law_program import LawProgram
 from heli_host.link.telemetry import Ticks
-from heli_host.tape import Tape
 from heli_lab.law import Law
 from heli_test_native import law as native_law
 
@@ -50,7 +50,9 @@ class Flown:
         return np.asarray(self.raw[:, Channel.FLAGS] & Flags.LAW, bool)
 
 
-def fly(tape: Tape, board: str = "native", seconds: float = 20.0, options: str = "", **change: Any) -> Flown:
+def fly(
+    program: LawProgram, board: str = "native", seconds: float = 20.0, options: str = "", **change: Any
+) -> Flown:
     """Take off, fly the law through steps and sines of both setpoints, land.
 
     ``change`` holds parameters of the law to set half-way.
@@ -70,9 +72,9 @@ def fly(tape: Tape, board: str = "native", seconds: float = 20.0, options: str =
             )
 
         unsubscribe = heli.session.subscribe_ticks(steer)
-        report = heli.fly_law(tape, duration_s=seconds / 2 if change else seconds, after="hold")
+        report = heli.fly_law(program, duration_s=seconds / 2 if change else seconds, after="hold")
         if change and not report.taken_over:
-            report = heli.fly_law(tape, duration_s=seconds / 2, after="hold", parameters=change)
+            report = heli.fly_law(program, duration_s=seconds / 2, after="hold", parameters=change)
         unsubscribe()
         heli.wait(0.5)
         heli.land()
@@ -82,11 +84,11 @@ def fly(tape: Tape, board: str = "native", seconds: float = 20.0, options: str =
     return Flown(report, raw, params)
 
 
-def fly_and_steer(flight: Flight, tape: Tape, seconds: float) -> None:
+def fly_and_steer(flight: Flight, program: LawProgram, seconds: float) -> None:
     """Fly a law on a board whose instructions are counted, with setpoints that move."""
     heli = flight.heli
     heli.take_off(0.0)
-    engage(heli, tape)
+    engage(heli, program)
     for k in range(round(seconds / PERIOD_S)):
         t_s = k * PERIOD_S
         heli.setpoint(elevation_deg=5.0 * float(np.sin(2.0 * t_s)), travel_deg=8.0 * float(np.sin(1.3 * t_s)))
@@ -94,15 +96,15 @@ def fly_and_steer(flight: Flight, tape: Tape, seconds: float) -> None:
     heli.stop()
 
 
-def replayed(flown: Flown, tape: Tape, board: str = "native") -> int:
+def replayed(flown: Flown, program: LawProgram, board: str = "native") -> int:
     """Replay every tick in which the law's voltages acted; how many there were. The first that differs fails.
 
     Where the law logs a setpoint of its own, the board's comes from the signal that holds it.
     """
     told = {f"board_{axis}_setpoint_rad": k for k, axis in enumerate(AXES)}
-    given = {told[name]: SIGNALS[k] for k, name in enumerate(tape.told) if name in told}
+    given = {told[name]: SIGNALS[k] for k, name in enumerate(program.signal_names) if name in told}
     replay = native_law.LawReplay(flown.params, DUTY_FULL[board])
-    assert replay.load(tape.words, tape.hash) == 0
+    assert replay.load(program.words, program.hash) == 0
     flying, count = flown.flying, 0
     for k, row in enumerate(flown.raw.tolist()):
         replay.measure([row[channel] for channel in COUNTS])

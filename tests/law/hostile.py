@@ -38,7 +38,7 @@ RIGS: Final = {
     "weak rotors": "&effect=thrust_step.front=-0.1@0.001;thrust_step.back=-0.1@0.001",
 }
 
-LEAST_deg, MOST_deg = -25.0, 22.0
+MIN_deg, MAX_deg = -25.0, 22.0
 """Elevations that the board takes as setpoints."""
 # The table is at -25 degrees, the upper stop at +25 (makki2024.toml); where they are is known to a degree.
 STOP_deg: Final = 24.0
@@ -331,7 +331,7 @@ def tries(name: str, rig: str, seed: int, after: Callable[[heli_host.Heli], None
     """
     law, _ = HOSTILE[name]
     chance = np.random.default_rng([seed, *name.encode()])
-    elevation_deg, travel_deg = chance.uniform(LEAST_deg, MOST_deg), chance.uniform(-10.0, 10.0)
+    elevation_deg, travel_deg = chance.uniform(MIN_deg, MAX_deg), chance.uniform(-10.0, 10.0)
     with heli_host.connect(f"sil://?seed={seed}{RIGS[rig]}") as heli:
         heli.take_off()
         heli.setpoint(elevation_deg=elevation_deg, travel_deg=travel_deg)
@@ -339,7 +339,7 @@ def tries(name: str, rig: str, seed: int, after: Callable[[heli_host.Heli], None
         start = heli.latest.tick
         taken_over = "no"
         try:
-            taken_over = heli.fly_law(law.tape, duration_s=LONGEST_s).taken_over
+            taken_over = heli.fly_law(law.program, duration_s=LONGEST_s).taken_over
             heli.wait(CALM_s)
         except heli_host.HeliError as error:
             taken_over = str(error)

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 from heli_host.declaration import LAW_INPUTS, OPERATIONS
-from heli_host.tape import Instruction, Tape, Term
+from heli_host.law_program import Instruction, LawProgram, Term
 
 NAME: Final = {one.code: one.name for one in OPERATIONS}
 CODE: Final = {one.name: one.code for one in OPERATIONS}
@@ -18,23 +18,23 @@ HEALTHY, POISONED = 1.0, 0.0
 
 @dataclass(frozen=True)
 class Poisoned:
-    """A tape with a parameter that, once 0, makes the result of one instruction NaN.
+    """A program with a parameter that, once 0, makes the result of one instruction NaN.
 
-    ``instruction`` is its place in the tape that it was made of.
+    ``instruction`` is its place in the program that it was made of.
     """
 
-    tape: Tape
+    program: LawProgram
     instruction: int
 
     @property
     def index(self) -> int:
         """Which of its parameters."""
-        return len(self.tape.parameters) - 1
+        return len(self.program.parameters) - 1
 
 
-def poisoned(tape: Tape) -> Iterator[Poisoned]:
-    """Yield a tape for each instruction: its result is multiplied by 1, and in the end by 0 / 0."""
-    own = len(LAW_INPUTS) + len(tape.constants) + len(tape.parameters)
+def poisoned(program: LawProgram) -> Iterator[Poisoned]:
+    """Yield a program for each instruction: its result is multiplied by 1, and in the end by 0 / 0."""
+    own = len(LAW_INPUTS) + len(program.constants) + len(program.parameters)
 
     def cell(place: int) -> int:
         return place + 1 if place >= own else place
@@ -45,18 +45,18 @@ def poisoned(tape: Tape) -> Iterator[Poisoned]:
             cell(one.second) if OPERATIONS[one.code].operands == 2 else 0,
             tuple(Term(cell(term.first), cell(term.second), term.negative) for term in one.terms),
         )
-        for one in tape.instructions
+        for one in program.instructions
     ]  # fmt: skip
-    parameters = (*tape.parameters, (POISON, HEALTHY))
-    outputs = tuple(cell(place) for place in tape.outputs)
-    ratio = tape.cells + 1
+    parameters = (*program.parameters, (POISON, HEALTHY))
+    outputs = tuple(cell(place) for place in program.outputs)
+    ratio = program.cells + 1
     for k, one in enumerate(moved):
         poison = (
             Instruction(CODE["divide"], ratio, own, own),
             Instruction(CODE["multiply"], one.target, one.target, ratio),
         )
-        program = (*moved[: k + 1], *poison, *moved[k + 1 :])
-        yield Poisoned(replace(tape, parameters=parameters, outputs=outputs, instructions=program), k)
+        instructions = (*moved[: k + 1], *poison, *moved[k + 1 :])
+        yield Poisoned(replace(program, parameters=parameters, outputs=outputs, instructions=instructions), k)
 
 
 _MEANING: Final[dict[str, Callable[[float, float], float]]] = {
@@ -75,21 +75,21 @@ _MEANING: Final[dict[str, Callable[[float, float], float]]] = {
 
 
 class Reference:
-    """A tape as it is meant, in double precision: a result is NaN if an operand is that counts.
+    """A program as it is meant, in double precision: a result is NaN if an operand is that counts.
 
     Parameters
     ----------
-    tape : Tape
+    program : LawProgram
         What is run.
     """
 
-    def __init__(self, tape: Tape) -> None:
-        self.tape = tape
-        numbers = [*tape.constants, *(value for _, value in tape.parameters)]
+    def __init__(self, program: LawProgram) -> None:
+        self.program = program
+        numbers = [*program.constants, *(value for _, value in program.parameters)]
         self._first_state = len(LAW_INPUTS) + len(numbers)
-        self.cells = np.zeros(tape.cells + 1)
+        self.cells = np.zeros(program.cells + 1)
         self.cells[len(LAW_INPUTS) : self._first_state] = numbers
-        states = [value for _, value in tape.states]
+        states = [value for _, value in program.states]
         self.cells[self._first_state : self._first_state + len(states)] = states
 
     def poison(self) -> None:
@@ -100,10 +100,10 @@ class Reference:
         """Run it once; all outputs, new states included."""
         self.cells[: len(LAW_INPUTS)] = inputs
         with np.errstate(all="ignore"):
-            for one in self.tape.instructions:
+            for one in self.program.instructions:
                 self.cells[one.target] = self._result(one)
-        outputs = [float(self.cells[place]) for place in self.tape.outputs]
-        states = len(self.tape.states)
+        outputs = [float(self.cells[place]) for place in self.program.outputs]
+        states = len(self.program.states)
         if states:
             self.cells[self._first_state : self._first_state + states] = outputs[-states:]
         return outputs

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from heli_host.declaration import LAW_CELLS, LAW_MOST_TERMS, LAW_TERM_COST, OPERATIONS
+from heli_host.declaration import LAW_CELLS, LAW_MAX_TERMS, LAW_TERM_COST, OPERATIONS
 from heli_sim.due._due import BareCore
 from heli_sim.due.image import read_image
 
@@ -22,7 +22,7 @@ TAPE: Final = 0x20070000
 PROGRAM: Final = 0x20074000
 STACK: Final = 0x20087000
 STOP: Final = 0x000FE000
-MOST_INSTRUCTIONS: Final = 500
+MAX_INSTRUCTIONS: Final = 500
 HALT: Final = b"\xfe\xe7"
 Terms = tuple[int, int, bool]
 SP, LR, PC = 13, 14, 15
@@ -69,7 +69,7 @@ class Processor:
 
     def call(self, start: int, end: int) -> int:
         """Run a program; how many instructions that took."""
-        most = 50 + MOST_INSTRUCTIONS * (end - start) // 4
+        most = 50 + MAX_INSTRUCTIONS * (end - start) // 4
         core = self.core
         for register, value in (
             (0, TAPE),
@@ -140,7 +140,7 @@ def adversarial_sums(
     hardly anything is left to be rounded; and numbers near the least normal ones.
     """
     for k in range(count):
-        terms = int(chance.integers(1, 10)) if k % 50 else LAW_MOST_TERMS
+        terms = int(chance.integers(1, 10)) if k % 50 else LAW_MAX_TERMS
         size = 2 * terms
         sizes = (chance.uniform(1.0, 2.0, size) * chance.choice((-1.0, 1.0), size)).astype(np.float32)
         if k % 4 == 0:

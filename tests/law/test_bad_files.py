@@ -106,7 +106,7 @@ def test_a_file_without_a_law_to_fly_is_one_line_with_its_remedy(name: str, term
 @pytest.mark.usefixtures("nothing_sent")
 @pytest.mark.parametrize("verb", ["check", "fly", "compare", "export"])
 def test_a_file_that_is_not_there_is_named_by_every_verb(verb: str, terminal: Terminal) -> None:
-    out = ("--out", "law.c") if verb == "export" else ()
+    out = {"export": ("--output", "law.c"), "fly": ("--sil",), "compare": ("--sil",)}.get(verb, ())
     assert "nowhere.py" in refusal(terminal("law", verb, "nowhere.py", *out), code=ASKED)
     Path("folder.py").mkdir()
     assert "no file folder.py" in refusal(terminal("law", verb, "folder.py", *out), code=ASKED)
@@ -116,7 +116,7 @@ def test_a_file_that_is_not_there_is_named_by_every_verb(verb: str, terminal: Te
 @pytest.mark.parametrize("verb", ["check", "fly", "compare", "export"])
 def test_a_file_that_never_ends_is_one_line_with_its_limit(verb: str, terminal: Terminal) -> None:
     Path("endless.py").write_text("n = 0\nwhile True:\n    n += 1\n")
-    out = ("--out", "law.c") if verb == "export" else ()
+    out = {"export": ("--output", "law.c"), "fly": ("--sil",), "compare": ("--sil",)}.get(verb, ())
     line = refusal(terminal("law", verb, "endless.py", "--load-timeout", "0.3", *out), code=ASKED)
     assert "endless.py did not end within 0.3 s; look for a loop without an end" in line
     assert "--load-timeout" in line
@@ -155,7 +155,7 @@ def test_a_file_that_crashes_python_is_one_line(terminal: Terminal) -> None:
 
 def test_a_law_of_another_process_has_the_same_tape_and_may_print(tmp_path: Path) -> None:
     for path in sorted(LAWS.glob("*.py"))[::4]:
-        assert load_law(path).tape.words == law_of(path).tape.words
+        assert load_law(path).program.words == law_of(path).program.words
     (tmp_path / "talks.py").write_text(law("return Command(1.0, 1.0)") + "print('x' * 200_000)\n")
     assert load_law(tmp_path / "talks.py").name == "law"
 
@@ -164,14 +164,14 @@ def test_a_law_may_import_what_lies_beside_it(terminal: Terminal) -> None:
     Path("gains_of_mine.py").write_text("KP = 2.5\n")
     text = law("return Command(KP * now.pitch_rad + 1.0, 1.0)")
     Path("law.py").write_text("from gains_of_mine import KP\n" + text)
-    ended = terminal("law", "export", "law.py", "--out", "law.c")
+    ended = terminal("law", "export", "law.py", "--output", "law.c")
     assert ended.code == 0, ended
     assert "2.5" in Path("law.c").read_text()
 
 
 def test_c_that_cannot_be_written_is_one_line(terminal: Terminal) -> None:
     Path("law.py").write_text(law("return Command(1.0, 1.0)"))
-    assert "nowhere" in refusal(terminal("law", "export", "law.py", "--out", "nowhere/law.c"), code=FILE)
+    assert "nowhere" in refusal(terminal("law", "export", "law.py", "--output", "nowhere/law.c"), code=FILE)
 
 
 def test_a_log_without_a_law_is_one_line(terminal: Terminal) -> None:

@@ -11,14 +11,14 @@ import casadi as ca
 import numpy as np
 import pytest
 from heli_host.errors import BadLaw
-from heli_host.tape import hash_of
+from heli_host.law_program import hash_of
 from heli_lab.law import Command, Law, control_law, from_function, from_gain, from_state_space
 from heli_test_native import law as native_law
 
 
 def law(function: Callable[..., Any], **options: Any) -> Law:
     made: Law = control_law(**options)(function)
-    made.tape  # noqa: B018  -- made when asked for
+    made.program  # noqa: B018  -- made when asked for
     return made
 
 
@@ -73,7 +73,7 @@ def test_a_bad_law_is_one_line_with_its_remedy(name: str) -> None:
 @pytest.mark.medium
 def test_any_words_above_a_valid_hash_are_refused_or_run_within_the_tape() -> None:
     chance = np.random.default_rng(5)
-    good = np.array(law(lambda n, s, p: Command(n.pitch_rad * s.x + p.k, ca.atan2(n.travel_rad, 2.0), states={"x": n.front_V}), states={"x": 1.0}, parameters={"k": 2.0}).tape.words, np.uint32)  # fmt: skip
+    good = np.array(law(lambda n, s, p: Command(n.pitch_rad * s.x + p.k, ca.atan2(n.travel_rad, 2.0), states={"x": n.front_V}), states={"x": 1.0}, parameters={"k": 2.0}).program.words, np.uint32)  # fmt: skip
     tape, accepted = native_law.Tape(), 0
     inputs = chance.normal(size=(3, 17)).astype(np.float32)
     for _ in range(20_000):
@@ -91,7 +91,7 @@ def test_any_words_above_a_valid_hash_are_refused_or_run_within_the_tape() -> No
 
 @pytest.mark.medium
 def test_an_upload_that_ends_anywhere_leaves_no_law() -> None:
-    words = law(lambda n, s, p: Command(n.pitch_rad + 1.0, 1.0)).tape.words
+    words = law(lambda n, s, p: Command(n.pitch_rad + 1.0, 1.0)).program.words
     for length in range(len(words)):
         tape = native_law.Tape()
         assert tape.load(words[:length], hash_of(words))[0] != 0

@@ -1,4 +1,4 @@
-"""What a tape costs is bounded by the sum of its operations' declared costs, and the bound is near."""
+"""What a program costs is bounded by the sum of its operations' declared costs, and the bound is near."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from heli_host.declaration import (
     LAW_TICK_COST,
     OPERATIONS,
 )
-from heli_host.tape import Tape
+from heli_host.law_program import LawProgram
 from heli_lab.law import Command, Law, control_law, motor_volts, sqrt
 
 from firmware.due.report import read_image
@@ -40,17 +40,17 @@ AROUND = 20
 ALL = tuple(sorted(one.stem for one in LAWS.glob("*.py")))
 EXECUTE = "_ZN4heli3law4Tape7execute"
 SUM = next(one for one in OPERATIONS if one.name == "sum_of_products")
-MOST_TICK = 30_000
+MAX_TICK = 30_000
 # Square roots that fill a tick.
 ROOTS = 48
 # What the core has for laws, and what stands there without.
 SEAT = (
-    ("flight_code.hpp", "core(board, simplex, guest)", "core(board, cascade, guest)"),
-    ("core.cpp", "if (guest_.busy() && guest_.flying() &&", "if (false && guest_.flying() &&"),
-    ("core.cpp", "  if (guest_.busy()) {\n    log_law(sample);", "  if (false) {\n    log_law(sample);"),
+    ("flight_code.hpp", "core(board, simplex, uploaded)", "core(board, cascade, uploaded)"),
+    ("core.cpp", "if (uploaded_.busy() && uploaded_.flying() &&", "if (false && uploaded_.flying() &&"),
+    ("core.cpp", "  if (uploaded_.busy()) {\n    log_law(sample);", "  if (false) {\n    log_law(sample);"),
     *(("core.cpp", f"  put(Channel::signal_{k}, 0);\n", "") for k in range(1, 5)),
 )
-LQI_MOST = 4_000
+LQI_MAX = 4_000
 
 
 @pytest.fixture(scope="module")
@@ -115,32 +115,32 @@ def test_random_tapes_never_take_longer_than_foretold(processor: Processor) -> N
 
 @pytest.mark.parametrize("name", ALL if LONG else ("lqi", "mpc"))
 def test_a_flight_costs_no_more_than_foretold_and_nearly_as_much(name: str) -> None:
-    tape = law_of(LAWS / f"{name}.py").tape
-    flight = flown(tape)
+    program = law_of(LAWS / f"{name}.py").program
+    flight = flown(program)
     _, _, update = flight.function(LAW_UPDATE)
-    assert update <= max(tape.tick_costs) <= 1.15 * update
-    assert name != "lqi" or tape.cost <= LQI_MOST
-    assert flight.tick()[2] <= MOST_TICK
+    assert update <= max(program.tick_costs) <= 1.15 * update
+    assert name != "lqi" or program.cost <= LQI_MAX
+    assert flight.tick()[2] <= MAX_TICK
 
 
 def test_states_and_signals_cost_no_more_than_declared() -> None:
-    few, many = (flown(remembering(count).tape).function(LAW_UPDATE)[2] for count in (1, 201))
+    few, many = (flown(remembering(count).program).function(LAW_UPDATE)[2] for count in (1, 201))
     each = (many - few) / 200
     assert LAW_STATE_COST - 1 < each <= LAW_STATE_COST
-    told = flown(remembering(1, signals=4).tape).function(LAW_UPDATE)[2]
+    told = flown(remembering(1, signals=4).program).function(LAW_UPDATE)[2]
     assert (told - few) / 4 <= LAW_SIGNAL_COST
 
 
 def test_a_tick_with_the_dearest_tape_that_is_accepted_stays_within_its_bound() -> None:
-    tape = dearest().tape
-    assert LAW_TICK_COST - 400 < tape.cost <= LAW_TICK_COST
-    flight = flown(tape)
+    program = dearest().program
+    assert LAW_TICK_COST - 400 < program.cost <= LAW_TICK_COST
+    flight = flown(program)
     _, _, update = flight.function(LAW_UPDATE)
     whole = flight.tick()[2]
-    assert update <= tape.cost <= 1.15 * update
-    assert whole <= MOST_TICK
-    # What is around the law has room too, so that no tape of the same cost does more.
-    assert LAW_TICK_COST + (whole - update) <= MOST_TICK
+    assert update <= program.cost <= 1.15 * update
+    assert whole <= MAX_TICK
+    # What is around the law has room too, so that no program of the same cost does more.
+    assert LAW_TICK_COST + (whole - update) <= MAX_TICK
 
 
 @pytest.mark.skipif(not LONG, reason="builds the firmware without the seat for laws: make long")
@@ -161,11 +161,11 @@ def test_a_board_on_which_no_law_flies_pays_at_most_20_instructions_a_tick_for_t
     assert 0 < with_seat - bare <= 20
 
 
-def flown(tape: Tape) -> Flight:
+def flown(program: LawProgram) -> Flight:
     """A flight of four seconds, counted."""
     elf = built_elf()
     flight = Flight(elf, read_image(elf), (LAW_UPDATE, EXECUTE))
-    fly_and_steer(flight, tape, 4.0)
+    fly_and_steer(flight, program, 4.0)
     return flight
 
 

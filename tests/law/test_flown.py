@@ -14,7 +14,7 @@ from heli_host.guest_law import engage
 from heli_host.link.telemetry import Ticks
 
 from tests.law.flown import fly, law_of, replayed
-from tests.law.hostile import HOSTILE, RIGS, CALM_s, Good, MOST_deg, Volts, follows, hostile, motors, tries
+from tests.law.hostile import HOSTILE, RIGS, CALM_s, Good, MAX_deg, Volts, follows, hostile, motors, tries
 from tests.running.long import LONG, samples
 
 LAWS = Path(__file__).resolve().parents[2] / "docs" / "laws"
@@ -26,19 +26,19 @@ SECONDS = 60.0 if LONG else 6.0
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_every_tick_of_a_shipped_law_is_replayed_bit_for_bit(name: str) -> None:
-    tape = law_of(LAWS / f"{name}.py").tape
-    flown = fly(tape, seconds=SECONDS)
+    program = law_of(LAWS / f"{name}.py").program
+    flown = fly(program, seconds=SECONDS)
     assert not flown.report.taken_over
-    assert replayed(flown, tape) > 990 * SECONDS
+    assert replayed(flown, program) > 990 * SECONDS
 
 
 @pytest.mark.emulated
 @pytest.mark.parametrize("name", NAMES if LONG else ("input_shaping",))
 def test_every_tick_on_the_emulated_due_is_replayed_bit_for_bit(name: str) -> None:
     pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
-    tape = law_of(LAWS / f"{name}.py").tape
+    program = law_of(LAWS / f"{name}.py").program
     seconds = 60.0 if LONG else 4.0
-    assert replayed(fly(tape, "due", seconds=seconds), tape, "due") > 990 * seconds
+    assert replayed(fly(program, "due", seconds=seconds), program, "due") > 990 * seconds
 
 
 @pytest.mark.medium
@@ -48,7 +48,7 @@ def test_a_law_is_flown_without_asking_for_its_tape() -> None:
         heli.load_law(law)
         heli.take_off()
         report = heli.fly_law(law, duration_s=0.5, parameters={"hover_V": 1.45})
-        assert (report.hash, report.taken_over) == (law.tape.hash, "")
+        assert (report.hash, report.taken_over) == (law.program.hash, "")
         assert heli.set_law_parameter(law, "hover_V", 1.5) == 1.5
         for wrong in (law.function, "lqi.py", None):
             with pytest.raises(heli_host.HeliError, match="is not a control law; give what @control_law"):
@@ -59,10 +59,10 @@ def test_a_law_is_flown_without_asking_for_its_tape() -> None:
 def test_parameters_of_a_law_are_set_by_name() -> None:
     law = law_of(LAWS / "lqi.py")
     with heli_host.connect("sil://") as heli:
-        heli.load_law(law.tape)
-        heli.set_law_parameter(law.tape, "hover_V", 1.5)
+        heli.load_law(law.program)
+        heli.set_law_parameter(law.program, "hover_V", 1.5)
         with pytest.raises(heli_host.HeliError, match="has no parameter hover; it has: hover_V"):
-            heli.set_law_parameter(law.tape, "hover", 1.5)
+            heli.set_law_parameter(law.program, "hover", 1.5)
 
 
 def stays_off(heli: heli_host.Heli, which: str) -> None:
@@ -107,7 +107,7 @@ def test_the_reason_for_a_takeover_is_the_one_that_was_provoked(
     with heli_host.connect("sil://") as heli:
         heli.params["law_jump_max_V"] = 12.0
         heli.take_off()
-        report = heli.fly_law(law.tape, duration_s=10.0)
+        report = heli.fly_law(law.program, duration_s=10.0)
         assert report.taken_over == reason, str(report)
         heli.wait(CALM_s)
         assert heli.state is heli_host.State.CLOSED_LOOP
@@ -121,7 +121,7 @@ def test_an_axis_that_stays_away_from_its_setpoint_is_taken_over(axis: str, want
     with heli_host.connect("sil://") as heli:
         heli.take_off()
         heli.setpoint(**{f"{axis}_deg": wanted_deg})
-        report = heli.fly_law(law.tape, duration_s=15.0)
+        report = heli.fly_law(law.program, duration_s=15.0)
         assert report.taken_over == f"{axis}_following", str(report)
         # Of the board's own limit, the share that law_envelope says.
         assert abs(report.value) > 0.8 * heli.params[f"{axis}_following_max_deg"]
@@ -132,10 +132,10 @@ def test_a_good_law_flies_at_the_highest_setpoint_there_is() -> None:
     law = hostile("well", lambda now, good, _: motors(good))
     with heli_host.connect("sil://") as heli:
         heli.take_off()
-        heli.setpoint(elevation_deg=MOST_deg)
+        heli.setpoint(elevation_deg=MAX_deg)
         heli.wait(4.0)
-        assert not heli.fly_law(law.tape, duration_s=5.0).taken_over
-        assert abs(heli.latest.elevation_deg - MOST_deg) < 1.0
+        assert not heli.fly_law(law.program, duration_s=5.0).taken_over
+        assert abs(heli.latest.elevation_deg - MAX_deg) < 1.0
 
 
 @pytest.mark.medium
@@ -146,7 +146,7 @@ def test_a_law_may_be_ended_far_below_a_high_setpoint(end: str, rig: str) -> Non
         heli.take_off()
         heli.setpoint(elevation_deg=21.0)
         heli.wait(4.0)
-        engage(heli, HOSTILE["drift_down"][0].tape)
+        engage(heli, HOSTILE["drift_down"][0].program)
         heli.wait_until(lambda sample: sample.elevation_deg < 9.5, 40.0)
         start = heli.latest.tick
         if end == "it lands":
@@ -164,7 +164,7 @@ def test_a_law_may_be_ended_far_below_a_high_setpoint(end: str, rig: str) -> Non
 
 @pytest.mark.medium
 def test_the_board_takes_over_without_a_bump() -> None:
-    flown = fly(hostile("well", lambda now, good, _: motors(good)).tape, seconds=2.5)
+    flown = fly(hostile("well", lambda now, good, _: motors(good)).program, seconds=2.5)
     last = int(np.flatnonzero(flown.flying)[-1])
     volts = flown.raw[last - 5 : last + 6][:, [Channel.FRONT, Channel.BACK]].astype(int)
     assert np.abs(np.diff(volts, axis=0)).max() < 60, "more than 60 mV from one tick to the next"

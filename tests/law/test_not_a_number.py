@@ -41,7 +41,7 @@ FRONT_V, BACK_V = 1.7, 1.7
 CALLS_BEFORE = 3
 
 
-@control_law(states={"most_rad": 0.0})
+@control_law(states={"max_rad": 0.0})
 def helpers(now: Any, state: Any, parameter: Any) -> Command:
     """Every limit and condition that there is."""
     a, b = now.pitch_rad, now.travel_rad
@@ -50,7 +50,7 @@ def helpers(now: Any, state: Any, parameter: Any) -> Command:
     return Command(
         saturated(one + a, 1.0, 2.0),
         1.7 + fmin(a, b) + fmax(now.elevation_rad, 0.0) + 0.0 * if_else(a == b, 1.0, 2.0),
-        states={"most_rad": fmax(state.most_rad, fabs(b))},
+        states={"max_rad": fmax(state.max_rad, fabs(b))},
         signals={"floor": floor(a), "guarded": if_else(b > 0.0, sqrt(b), 0.0)},
         elevation_setpoint_rad=atan2(a, 1.0),
     )
@@ -74,7 +74,7 @@ def ends_after(one: Poisoned) -> tuple[int | None, int]:
 
     In which of the ticks from there on it was taken over, and why.
     """
-    tape = one.tape
+    tape = one.program
     replay = angles_of(native_law.LawReplay([spec.default for spec in PARAMS], DUTY_FULL["native"]))
     assert replay.load(tape.words, tape.hash) == 0
     assert replay.engage(round(1000 * FRONT_V), round(1000 * BACK_V))
@@ -92,7 +92,7 @@ def ends_after(one: Poisoned) -> tuple[int | None, int]:
 
 def reaches(one: Poisoned) -> bool:
     """Whether its NaN gets to an output, a signal or a state, by the reference."""
-    reference = Reference(one.tape)
+    reference = Reference(one.program)
     per_count = 2.0 * np.pi / np.array([one_axis_counts() for _ in AXES])
     inputs = dict.fromkeys(LAW_INPUTS, 0.0)
     for k, axis in enumerate(AXES):
@@ -113,7 +113,7 @@ def one_axis_counts() -> float:
 @pytest.mark.medium
 @pytest.mark.parametrize("name", sorted(shipped()))
 def test_no_number_at_any_node_is_taken_over_in_that_very_tick(name: str) -> None:
-    tape = shipped()[name].tape
+    tape = shipped()[name].program
     nodes = list(poisoned(tape))
     some = nodes if len(nodes) < 300 else nodes[:: samples(1, 7)]
     unseen = []
@@ -124,7 +124,7 @@ def test_no_number_at_any_node_is_taken_over_in_that_very_tick(name: str) -> Non
             unseen.append(one.instruction)
             continue
         assert reason == Takeover.NOT_FINITE, f"{name}, instruction {one.instruction}: {reason}"
-        assert tick == one.tape.ticks - 1, f"{name}, instruction {one.instruction}: in tick {tick}"
+        assert tick == one.program.ticks - 1, f"{name}, instruction {one.instruction}: in tick {tick}"
     # Branches that are not taken; a hostile law consists of two.
     assert len(unseen) <= (0.6 if name in HOSTILE else 0.3) * len(some), unseen
 
@@ -132,15 +132,15 @@ def test_no_number_at_any_node_is_taken_over_in_that_very_tick(name: str) -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [path.stem for path in LAWS])
 def test_after_no_number_the_board_holds_the_arm(name: str) -> None:
-    nodes = list(poisoned(law_of(next(path for path in LAWS if path.stem == name)).tape))
+    nodes = list(poisoned(law_of(next(path for path in LAWS if path.stem == name)).program))
     for one in nodes[:: max(1, len(nodes) // samples(12, 2))]:
         with heli_host.connect("sil://") as heli:
             heli.take_off()
             heli.setpoint(elevation_deg=15.0, travel_deg=5.0)
             heli.wait(4.0)
-            first = engage(heli, one.tape)
+            first = engage(heli, one.program)
             heli.wait(1.0)
-            set_parameter(heli.session, one.tape, POISON, POISONED)
+            set_parameter(heli.session, one.program, POISON, POISONED)
             heli.wait(4.0)
             since = heli.samples(last_s=6.0)
             assert heli.state is heli_host.State.CLOSED_LOOP
@@ -157,7 +157,7 @@ def test_after_no_number_the_board_holds_the_arm(name: str) -> None:
 
 def tape_outputs(law: Law, inputs: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     tape = native_law.Tape()
-    assert tape.load(law.tape.words, law.tape.hash)[0] == 0
+    assert tape.load(law.program.words, law.program.hash)[0] == 0
     outputs: np.ndarray[Any, Any] = tape.run(np.ascontiguousarray(inputs[None].astype(np.float32)))[0]
     return outputs
 

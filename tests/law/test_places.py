@@ -67,7 +67,7 @@ def test_numpy_tape_and_c_give_the_same_to_single_precision(name: str, tmp_path:
     chance = np.random.default_rng(4)
     inputs = chance.normal(scale=0.05, size=(40, len(LAW_INPUTS))).astype(np.float32)
     tape = native_law.Tape()
-    assert tape.load(law.tape.words, law.tape.hash) == (0, law.tape.cost, law.tape.ticks)
+    assert tape.load(law.program.words, law.program.hash) == (0, law.program.cost, law.program.ticks)
     on_board = tape.run(np.ascontiguousarray(inputs))
     runner, compiled = law.runner(), Compiled(law, tmp_path)
     for row, found in zip(inputs.astype(float), on_board, strict=True):
@@ -117,7 +117,7 @@ def test_the_names_of_signals_travel_into_log_tables_and_figures(tmp_path: Path)
         heli.take_off()
         with Recorder(heli, log):
             heli.setpoint(travel_deg=10.0)
-            heli.fly_law(law.tape, duration_s=5.0)
+            heli.fly_law(law.program, duration_s=5.0)
     flight = read_log(log).flight()
     assert law.signals == ("slide_elevation", "slide_travel")
     assert set(law.signals) < set(flight.extra)
@@ -146,10 +146,10 @@ def test_a_law_compiles_to_what_is_needed_and_no_more() -> None:
         front = 0.5 * now.pitch_rad - 0.25 * now.elevation_rad + parameter.k * state.x + wasted - 3.0
         return Command(front, 1.0, states={"x": state.x})
 
-    codes = [one.code for one in law.tape.instructions]
+    codes = [one.code for one in law.program.instructions]
     # One sum of five products; and a copy of the state, which may not be read once it is written.
     assert len(codes) == 2
-    assert max(len(one.terms) for one in law.tape.instructions) == 5
+    assert max(len(one.terms) for one in law.program.instructions) == 5
 
 
 @pytest.mark.slow
@@ -159,10 +159,21 @@ def test_a_law_flies_where_no_compiler_is_on_the_path(board: str, tmp_path: Path
         pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
     (tmp_path / "bin").mkdir()
     start = "from heli_host.cli.entry import main; main()"
-    asked = ["law", "fly", str(LAWS / "lqr.py"), "--board", board, "--seconds", "2"]
+    asked = [
+        "law",
+        "fly",
+        str(LAWS / "lqr.py"),
+        "--sil",
+        "--speed",
+        "max",
+        "--board",
+        board,
+        "--duration",
+        "2",
+    ]
     done = subprocess.run(
         [sys.executable, "-c", start, *asked],
         capture_output=True, text=True, check=False, env={**os.environ, "PATH": str(tmp_path / "bin")},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert "rms error" in done.stdout
+    assert "RMS error" in done.stdout

@@ -20,8 +20,8 @@ from heli_host.declaration import (
     MessageId,
 )
 from heli_host.guest_law import PART_WORDS, loaded
+from heli_host.law_program import LawProgram
 from heli_host.link.telemetry import Ticks
-from heli_host.tape import Tape
 from heli_lab.law import Command, Law, control_law
 from heli_sim.sil.inprocess import InProcessTransport
 
@@ -39,10 +39,10 @@ def small(name: str, gain: float) -> Law:
     return law
 
 
-def upload_frames(harness: Harness, tape: Tape, request: int) -> list[bytes]:
+def upload_frames(harness: Harness, program: LawProgram, request: int) -> list[bytes]:
     """Frames of an upload, in order."""
-    words = tape.words
-    frames = [harness.frame(LawBeginMessage(request, tape.hash, len(words)))]
+    words = program.words
+    frames = [harness.frame(LawBeginMessage(request, program.hash, len(words)))]
     for first in range(0, len(words), PART_WORDS):
         part = [*words[first : first + PART_WORDS], *([0] * PART_WORDS)][:PART_WORDS]
         frames.append(harness.frame(LawPartMessage(request + len(frames), first, *part)))
@@ -61,7 +61,7 @@ def law_on(harness: Harness) -> LawMessage:
 
 
 def test_an_upload_cut_at_every_byte_leaves_the_old_law_or_none() -> None:
-    old, new = small("old", 0.5).tape, small("new", 0.25).tape
+    old, new = small("old", 0.5).program, small("new", 0.25).program
     whole = len(b"".join(upload_frames(open_harness(), new, 50)))
     seen = set()
     for cut in range(whole + 1):
@@ -86,14 +86,14 @@ def test_an_upload_cut_at_every_byte_leaves_the_old_law_or_none() -> None:
 def test_a_board_that_was_reset_gets_its_law_again_when_it_is_armed() -> None:
     law = law_of(LAWS / "lqr.py")
     with heli_host.connect("sil://") as heli:
-        heli.load_law(law.tape)
+        heli.load_law(law.program)
         transport = heli.session.transport
         assert isinstance(transport, InProcessTransport)
         transport.world.cycle_power()
         assert heli.session.wait_for(lambda: heli.counters.restarts > 0, 8.0)
         assert loaded(heli.session).state == LawState.NONE
         heli.take_off()
-        assert loaded(heli.session).hash == law.tape.hash
+        assert loaded(heli.session).hash == law.program.hash
         assert loaded(heli.session).state == LawState.READY
 
 
@@ -101,10 +101,10 @@ def test_a_board_that_was_reset_gets_its_law_again_when_it_is_armed() -> None:
 def test_a_cable_that_was_out_costs_no_law() -> None:
     law = law_of(LAWS / "lqr.py")
     with heli_host.connect("sil://?unplug=2:1") as heli:
-        heli.load_law(law.tape)
+        heli.load_law(law.program)
         heli.session.wait_for(lambda: heli.counters.reconnects > 0, 8.0)
         assert heli.counters.reconnects == 1
-        assert loaded(heli.session).hash == law.tape.hash
+        assert loaded(heli.session).hash == law.program.hash
 
 
 @pytest.mark.medium
@@ -120,5 +120,5 @@ def test_from_the_beginning_of_an_upload_to_a_voltage_of_the_law_it_takes_half_a
             acting.extend(new.tick[flown != 0].tolist())
 
         heli.session.subscribe_ticks(look)
-        heli.fly_law(law.tape, duration_s=0.1)
+        heli.fly_law(law.program, duration_s=0.1)
         assert 0 < acting[0] - start <= 500

@@ -174,7 +174,7 @@ def test_a_command_is_not_repeated_to_a_board_that_started_anew() -> None:
         return reply
 
     board._execute = execute_then_die  # type: ignore[method-assign]
-    with pytest.raises(LinkLost, match="the board started anew \\(watchdog\\) before it answered"):
+    with pytest.raises(LinkLost, match="the board restarted \\(watchdog\\) before it answered"):
         session.command(ArmMessage(0))
     assert len(board.executed) == 1
     assert session.counters.restarts == 1

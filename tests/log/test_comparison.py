@@ -138,13 +138,13 @@ def test_step_that_does_not_settle_has_no_settling_time() -> None:
 def test_flights_are_laid_over_each_other_with_their_metrics(terminal: Terminal) -> None:
     for name in ("a", "b"):
         write_csv(second_order(state=False), f"{name}.csv")
-    ended = terminal("plot", "a.csv", "b.csv", "-o", "both.png")
+    ended = terminal("plot", "a.csv", "b.csv", "--figure", "both.png")
     assert ended.code == 0, ended
     assert Path("both.png").read_bytes().startswith(b"\x89PNG")
     head, *rows = ended.out.splitlines()
     assert head.split()[:2] == ["flight", "axis"]
     assert [row.split()[0] for row in rows if row[0] != " "] == ["a.csv", "b.csv", "files:"]
-    numbers = json.loads(terminal("plot", "a.csv", "b.csv", "--json").out)
+    numbers = json.loads(terminal("plot", "a.csv", "b.csv", "--json", "-").out)
     assert numbers["figure"] is None
     assert numbers["flights"][0]["axis"]["travel"]["step_deg"] == pytest.approx(STEP_deg, rel=1e-3)
     assert numbers["flights"][0]["axis"]["elevation"]["rise_s"] is None
@@ -159,4 +159,4 @@ def test_too_many_and_the_same_twice_are_refused(terminal: Terminal) -> None:
 def test_figure_in_no_format_that_can_be_drawn_is_one_line(terminal: Terminal) -> None:
     write_csv(second_order(), "a.csv")
     write_csv(second_order(), "b.csv")
-    assert "both.txt" in refusal(terminal("plot", "a.csv", "b.csv", "-o", "both.txt"), code=5)
+    assert "both.txt" in refusal(terminal("plot", "a.csv", "b.csv", "--figure", "both.txt"), code=2)

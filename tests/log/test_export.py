@@ -97,7 +97,7 @@ def test_a_summary_says_what_the_log_says(tmp_path: Path, flight: Flight) -> Non
     assert content["link"] == {"frames_ok": 150, "frames_bad": 0, "retries": 0, "reconnects": 0}
     assert content["plans"] == ["sine"] and content["rig"] == "makki2024"
     summary.write_json(tmp_path / "new" / "summary.json")
-    assert json.loads((tmp_path / "new" / "summary.json").read_text()) == content
+    assert json.loads((tmp_path / "new" / "summary.json").read_text()) == {"schema": 1, **content}
 
 
 def test_a_log_that_was_not_closed_says_so_in_its_summary(tmp_path: Path) -> None:

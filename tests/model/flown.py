@@ -17,7 +17,7 @@ from heli_lab.identify.problem import Problem
 from heli_lab.identify.record import prepare
 from heli_lab.identify.solve import solve
 from heli_sim.model import MultibodyModel
-from heli_sim.model.effects import EffectKind, catalogue
+from heli_sim.model.effects import EffectSpec, catalogue
 from heli_sim.rig import Prior, load_rig
 
 from tests.identify.made import flown
@@ -49,7 +49,7 @@ class Found:
     normalised: float
 
 
-def find(kind: EffectKind, seed: int = 7) -> Found:
+def find(kind: EffectSpec, seed: int = 7) -> Found:
     """Fly an effect and identify it."""
     true = kind.make(kind.typical)
     rig = load_rig("makki2024")
@@ -67,13 +67,13 @@ def find(kind: EffectKind, seed: int = 7) -> Found:
     return Found(off, values, {name: fit.std[name] for name in kind.priors}, check(fit).normalised)
 
 
-def searched(kind: EffectKind) -> dict[str, Prior]:
+def searched(kind: EffectSpec) -> dict[str, Prior]:
     """What a search over moments and frequencies would hand to the fit."""
     near = {kind.full("at_s"): 1.0, kind.full("Hz"): 0.01}
     return {name: Prior(kind.typical[name], near[name], 0.0) for name in near if name in kind.typical}
 
 
-def as_logged(kind: EffectKind, flight: Flight) -> dict[str, float]:
+def as_logged(kind: EffectSpec, flight: Flight) -> dict[str, float]:
     """Truth by the log's time, which begins a little before the motors first turn."""
     truth = dict(kind.typical)
     rig = load_rig("makki2024")

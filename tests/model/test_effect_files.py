@@ -14,7 +14,7 @@ from heli_sim.errors import EffectError, RigError
 from heli_sim.model import MultibodyModel, effects
 from heli_sim.model.effects import catalogue, effect_numbers, parse_effects
 from heli_sim.model.effects.catalogue import _built_in
-from heli_sim.model.effects.kind import format_estimate
+from heli_sim.model.effects.spec import format_estimate
 from heli_sim.model.effects.table import with_table
 from heli_sim.model.parts import AXES
 from heli_sim.plant import Plant
@@ -118,7 +118,7 @@ def test_the_documents_own_effect_flies(tmp_path: Path) -> None:
         ("import casadi as ca", "import casadi as", "line 3: invalid syntax"),
         ("import casadi as ca", "import nosuchthing", "ModuleNotFoundError No module named 'nosuchthing'"),
         ('id="draught"', 'id="rotor_lag"', "'rotor_lag' exists already; give it another id"),
-        ("DRAUGHT = EffectKind", "DRAUGHT = dict", "has no EffectKind at its top level"),
+        ("DRAUGHT = EffectSpec", "DRAUGHT = dict", "has no EffectSpec at its top level"),
         ("effect=Draught", "effect=int", "effect must be a class derived from Effect"),
         (", size=True", "", "has no number with size=True"),
         ('at.state["travel_rad"]', 'at.state["tavel_rad"]', "line 15: KeyError 'tavel_rad'"),

@@ -15,7 +15,7 @@ from heli_lab.identify.interpreted_kernel import InterpretedKernel
 from heli_lab.identify.kernel import kernel
 from heli_sim.errors import PlantError
 from heli_sim.model import Effect, Model, MultibodyModel, PaperModel
-from heli_sim.model.effects import EffectKind, RotorLag, catalogue, parse_effects
+from heli_sim.model.effects import EffectSpec, RotorLag, catalogue, parse_effects
 from heli_sim.model.linear import derivatives, linearise, trim
 from heli_sim.model.parts import AXES, rotor_climb_m_s
 from heli_sim.plant import Plant, step_function
@@ -36,7 +36,7 @@ MULTIBODY = [pytest.param(kind, id=kind.id) for kind in KINDS.values() if kind.s
 COUNT_RAD = 2 * np.pi / 4096
 
 
-def everything(model: type[Model]) -> tuple[EffectKind, ...]:
+def everything(model: type[Model]) -> tuple[EffectSpec, ...]:
     """All that one model may have at once: what contains others is not beside them."""
     return tuple(kind for kind in KINDS.values() if kind.suits(model()) and not kind.contains)
 
@@ -72,7 +72,7 @@ def flown_without() -> Floats:
 
 
 @pytest.mark.parametrize(("model", "kind"), PAIRS)
-def test_an_effect_does_nothing_at_its_neutral_values(model: type[Model], kind: EffectKind) -> None:
+def test_an_effect_does_nothing_at_its_neutral_values(model: type[Model], kind: EffectSpec) -> None:
     rig, random = load_rig("makki2024"), np.random.default_rng(1)
     plain, neutral = model(), model((kind.make(),))
     without, within = functions(plain), functions(neutral)
@@ -88,7 +88,7 @@ def test_an_effect_does_nothing_at_its_neutral_values(model: type[Model], kind: 
 
 @pytest.mark.medium
 @pytest.mark.parametrize("kind", parallel_map(MULTIBODY, every=4))
-def test_an_effect_of_typical_size_shows_in_five_seconds(kind: EffectKind) -> None:
+def test_an_effect_of_typical_size_shows_in_five_seconds(kind: EffectSpec) -> None:
     effect = kind.make({**kind.typical, **{name: 1.0 for name in kind.neutral if name.endswith("at_s")}})
     differs_rad = np.abs(flown(MultibodyModel((effect,))) - flown_without()).max()
     assert differs_rad > COUNT_RAD
@@ -96,7 +96,7 @@ def test_an_effect_of_typical_size_shows_in_five_seconds(kind: EffectKind) -> No
 
 @pytest.mark.parametrize(("model", "kind"), PAIRS)
 def test_derivatives_to_an_effects_numbers_are_those_of_finite_differences(
-    model: type[Model], kind: EffectKind
+    model: type[Model], kind: EffectSpec
 ) -> None:
     extended = model((kind.make(kind.typical),))
     names = [quantity.name for quantity in extended.parameters]

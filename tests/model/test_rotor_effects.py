@@ -11,7 +11,7 @@ from heli_host.flight import Flight
 from heli_lab.identify.problem import Problem
 from heli_sim.errors import PlantError
 from heli_sim.model import Model, MultibodyModel
-from heli_sim.model.effects import EffectKind, catalogue, parse_effects
+from heli_sim.model.effects import EffectSpec, catalogue, parse_effects
 from heli_sim.plant import Plant
 from heli_sim.rig import Rig, load_rig
 
@@ -181,7 +181,7 @@ def test_a_flywheel_that_speeds_up_turns_the_rig_the_other_way_where_that_is_tol
 
 
 @pytest.mark.parametrize("kind", SUPERSETS)
-def test_an_effect_is_what_it_contains_where_its_other_numbers_are_neutral(kind: EffectKind) -> None:
+def test_an_effect_is_what_it_contains_where_its_other_numbers_are_neutral(kind: EffectSpec) -> None:
     for name in kind.contains:
         contained = KINDS[name]
         large = MultibodyModel((kind.make(kind.from_contained(contained.typical)),))
@@ -208,10 +208,10 @@ def test_what_two_nested_effects_have_in_common_starts_one_from_the_other() -> N
 
 def test_nested_effects_and_two_delays_are_not_for_one_model() -> None:
     both, lag, delay = (KINDS[name] for name in ("rotor_lag_with_delay", "rotor_lag", "input_delay"))
-    assert lag.goes_with(delay) and delay.goes_with(lag)
+    assert lag.compatible_with(delay) and delay.compatible_with(lag)
     for small in (lag, delay):
-        assert not both.goes_with(small) and not small.goes_with(both)
-    assert both.goes_with(KINDS["rotor_speed_lag"]) and not both.goes_with(both)
+        assert not both.compatible_with(small) and not small.compatible_with(both)
+    assert both.compatible_with(KINDS["rotor_speed_lag"]) and not both.compatible_with(both)
     with pytest.raises(PlantError, match="both delay the voltages"):
         MultibodyModel((both.make(), delay.make()))
 

@@ -112,7 +112,7 @@ class CoreHarness {
   CoreHarness(ToldLaw* law, std::int16_t duty_full, std::size_t page_bytes)
       : board_(duty_full, page_bytes) {
     if (law != nullptr) {
-      core_.emplace(board_, *law, guest_);
+      core_.emplace(board_, *law, uploaded_);
     } else {
       code_.emplace(board_);
     }
@@ -163,7 +163,7 @@ class CoreHarness {
   heli::Core& core() { return core_ ? *core_ : code_->core; }
 
   HarnessBoard board_;
-  heli::law::Guest guest_;
+  heli::law::UploadedLaw uploaded_;
   std::optional<heli::Core> core_;
   std::optional<heli::FlightCode> code_;
 };

@@ -1,4 +1,4 @@
-// Laws that come over the link, on this machine: the flight code's own arithmetic, tape and guest.
+// Laws that come over the link, on this machine: the flight code's own arithmetic, tape and flight.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
@@ -19,8 +19,8 @@
 #include "control/rate_filter.hpp"
 #include "conversion.hpp"
 #include "law/functions.hpp"
-#include "law/guest.hpp"
 #include "law/tape.hpp"
+#include "law/uploaded_law.hpp"
 #include "link/crc32.hpp"
 
 namespace nb = nanobind;
@@ -29,8 +29,8 @@ using namespace nb::literals;
 namespace {
 
 using heli::law::Bits;
-using heli::law::Finding;
 using heli::law::Tape;
+using heli::law::UploadCheck;
 using heli::link::LawError;
 using Words = std::vector<std::uint32_t>;
 using Floats = nb::ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
@@ -43,11 +43,11 @@ float float_of(Bits bits) {
 }
 
 // As the link brings it, part by part.
-Finding upload(Tape& tape, const Words& words, std::uint32_t hash) {
+UploadCheck upload(Tape& tape, const Words& words, std::uint32_t hash) {
   heli::link::LawBeginMessage begin;
   begin.hash = hash;
   begin.words = static_cast<std::uint16_t>(words.size());
-  Finding found = tape.begin(begin);
+  UploadCheck found = tape.begin(begin);
   if (found.error != LawError::none || words.size() > 0xffffU) return found;
   constexpr std::size_t kPart = 12;
   for (std::size_t first = 0; first < words.size(); first += kPart) {
@@ -68,7 +68,7 @@ class LoadedTape {
   LoadedTape() : tape_(std::make_unique<Tape>()) {}
 
   std::tuple<int, std::uint32_t, std::uint32_t> load(const Words& words, std::uint32_t hash) {
-    const Finding found = upload(*tape_, words, hash);
+    const UploadCheck found = upload(*tape_, words, hash);
     return {static_cast<int>(found.error), found.value, tape_->ticks()};
   }
 
@@ -102,7 +102,7 @@ class LoadedTape {
       for (std::size_t k = 0; k < columns; ++k) {
         out[row * columns + k] = float_of(tape_->output(k));
       }
-      tape_->take_new_states();
+      tape_->commit_states();
     }
     return {out, {rows, columns}, owner};
   }
@@ -121,17 +121,17 @@ class LoadedTape {
 class LawReplay {
  public:
   LawReplay(const std::vector<float>& params, std::int16_t duty_full)
-      : guest_(std::make_unique<heli::law::Guest>()) {
+      : uploaded_(std::make_unique<heli::law::UploadedLaw>()) {
     if (params.size() != heli::link::kParamCount) throw std::invalid_argument("not the parameters");
     for (std::size_t i = 0; i < params.size(); ++i) {
       params_.set(static_cast<heli::link::Param>(i), params[i], true);
     }
-    guest_->derive(params_, 0);
+    uploaded_->derive(params_, 0);
     conversion_ = heli::conversion_of(params_, duty_full);
   }
 
   int load(const Words& words, std::uint32_t hash) {
-    return static_cast<int>(upload(guest_->tape(), words, hash).error);
+    return static_cast<int>(upload(uploaded_->tape(), words, hash).error);
   }
 
   // Angles from counts, as every tick does; also of the ticks before the law flew.
@@ -145,20 +145,20 @@ class LawReplay {
   }
 
   bool engage(std::int32_t front_raw, std::int32_t back_raw) {
-    return guest_->engage({front_raw, back_raw}).result == heli::link::Result::ok;
+    return uploaded_->engage({front_raw, back_raw}).result == heli::link::Result::ok;
   }
 
   bool set_parameter(std::uint8_t index, float value) {
     heli::link::LawSetMessage message;
     message.index = index;
     message.value = value;
-    return guest_->set_parameter(message).result == heli::link::Result::ok;
+    return uploaded_->set_parameter(message).result == heli::link::Result::ok;
   }
 
   // Reason and value of the last beginning or end that was not asked for yet.
   std::tuple<int, float> news() {
     heli::link::EventMessage event;
-    if (!guest_->take_news(event)) throw std::invalid_argument("there is no news");
+    if (!uploaded_->poll_event(event)) throw std::invalid_argument("there is no news");
     return {event.detail, event.value};
   }
 
@@ -173,26 +173,25 @@ class LawReplay {
           heli::control::Quantity::of(static_cast<float>(setpoint_raw[axis]) / kPerUnit[axis]);
     }
     heli::control::ControlOutput out{};
-    if (!guest_->update(in_, 0, out)) return std::nullopt;
+    if (!uploaded_->update(in_, 0, out)) return std::nullopt;
     const auto raw = [](heli::control::Quantity volts_V, const heli::MotorConversion& motor,
                         float per_V) {
       const auto whole = heli::control::product<0>(volts_V, motor.duty_per_V).raw();
-      const auto duty =
-          heli::control::clamp<std::int32_t>(whole, motor.least_duty, motor.most_duty);
+      const auto duty = heli::control::clamp<std::int32_t>(whole, motor.min_duty, motor.max_duty);
       const auto acted =
           heli::control::product<24>(heli::control::Whole::from_raw(duty), motor.V_per_duty);
       return heli::control::product<0>(acted, heli::control::Fixed<14>::of(per_V)).raw();
     };
     const heli::law::Acted acted{raw(out.front_V, conversion_.front, heli::link::kFrontPerUnit),
                                  raw(out.back_V, conversion_.back, heli::link::kBackPerUnit)};
-    guest_->note(acted);
+    uploaded_->set_acted(acted);
     return std::tuple(acted.front_raw, acted.back_raw);
   }
 
   std::tuple<std::array<std::int32_t, heli::kAxisCount>, std::array<std::int32_t, 4>> told() const {
-    return {{guest_->setpoint_raw(0), guest_->setpoint_raw(1), guest_->setpoint_raw(2)},
-            {guest_->signal_raw(0), guest_->signal_raw(1), guest_->signal_raw(2),
-             guest_->signal_raw(3)}};
+    return {{uploaded_->setpoint_raw(0), uploaded_->setpoint_raw(1), uploaded_->setpoint_raw(2)},
+            {uploaded_->signal_raw(0), uploaded_->signal_raw(1), uploaded_->signal_raw(2),
+             uploaded_->signal_raw(3)}};
   }
 
  private:
@@ -200,7 +199,7 @@ class LawReplay {
   heli::Conversion conversion_;
   heli::control::RateFilter filters_[heli::kAxisCount];
   heli::control::ControlInput in_{};
-  std::unique_ptr<heli::law::Guest> guest_;
+  std::unique_ptr<heli::law::UploadedLaw> uploaded_;
 };
 
 // An operation of two operands on arrays, one of them unused where it has one.

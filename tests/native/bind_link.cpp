@@ -249,7 +249,7 @@ void bind_harness(nb::module_& m) {
             for (const Sample& sample : samples_of(first_tick, raw)) {
               Sample& room = h.link.next_sample();
               room = sample;
-              h.link.keep_sample(room);
+              h.link.commit_sample(room);
             }
           },
           "first_tick"_a, "raw"_a)

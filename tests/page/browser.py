@@ -98,7 +98,7 @@ class Tabs:
             ),
         )
         page.goto(url)
-        until(page, "Boolean(heliPage?.status && document.querySelector('#seat').textContent)")
+        until(page, "Boolean(heliPage?.status && document.querySelector('#control').textContent)")
         return page
 
     def _guard(self, route: Route) -> None:

@@ -1,4 +1,4 @@
-"""A page's server over a simulated board in real time behind a port, as `heli-host page --sil` has it."""
+"""A page's server over a simulated board in real time, as `heli-host dashboard --sil` has it."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ import heli_host
 from heli_host.fly.plan import Plan, load_plan, plan_names
 from heli_host.fly.recorder import Recorder
 from heli_host.heli import Heli
+from heli_host.law_program import LawProgram
 from heli_host.page.cockpit import Cockpit
 from heli_host.page.rigs import outline
 from heli_host.page.serve import Address, serving
-from heli_host.tape import Tape
 
 from tests.sil.patient import SOON_HOLDING
 
@@ -48,7 +48,7 @@ class Served:
 
 @contextlib.contextmanager
 def page_of_a_simulated_board(
-    folder: Path, speed: float = 1.0, board: str = "native", laws: Sequence[Tape] = ()
+    folder: Path, speed: float = 1.0, board: str = "native", laws: Sequence[LawProgram] = ()
 ) -> Iterator[Served]:
     """Serve a page in this process."""
     short = Plan.parse(SHORT_PLAN, "short")
@@ -69,7 +69,7 @@ def page_of_a_simulated_board(
 
 
 @contextlib.contextmanager
-def patient_page(folder: Path, laws: Sequence[Tape] = ()) -> Iterator[Served]:
+def patient_page(folder: Path, laws: Sequence[LawProgram] = ()) -> Iterator[Served]:
     """Serve a page of a board that waits longer for its pilot than it does by default: a machine that stalls
     for a second must not end what a test flies."""
     with page_of_a_simulated_board(folder, laws=laws) as served:
@@ -79,8 +79,8 @@ def patient_page(folder: Path, laws: Sequence[Tape] = ()) -> Iterator[Served]:
 
 @contextlib.contextmanager
 def page_process(*arguments: str, folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """Run ``heli-host page`` as a person does; yields the process and the page's address."""
-    command = [sys.executable, "-c", "from heli_host.cli import main; main()", "page", *arguments]
+    """Run ``heli-host dashboard`` as a person does; yields the process and the page's address."""
+    command = [sys.executable, "-c", "from heli_host.cli import main; main()", "dashboard", *arguments]
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=folder, env={**os.environ}
     )

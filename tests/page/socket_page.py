@@ -34,7 +34,7 @@ class SocketPage:
         self.number = 0
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
-        self.until(lambda: "seats" in self.known)
+        self.until(lambda: "control" in self.known)
 
     def __enter__(self) -> SocketPage:
         return self
@@ -56,7 +56,7 @@ class SocketPage:
 
     @property
     def flies(self) -> bool:
-        return bool(self.known["seats"]["pilot"] == self.known["hello"]["you"])
+        return bool(self.known["control"]["pilot"] == self.known["hello"]["you"])
 
     def until(self, so: Callable[[], bool]) -> None:
         """Wait for something; how long is nobody's claim, so long as it is not for ever."""
@@ -104,5 +104,5 @@ class SocketPage:
                     words = json.loads(message)
                     self.words.append(words)
                     self.known.update(
-                        {name: words[name] for name in ("hello", "status", "seats") if name in words}
+                        {name: words[name] for name in ("hello", "status", "control") if name in words}
                     )

@@ -15,7 +15,7 @@ from heli_host.declaration import Axes, State
 from heli_host.errors import CommandRefused, HeliError
 from heli_host.log.reader import read_log
 from heli_host.page.cockpit import Cockpit
-from heli_host.page.seats import Seats
+from heli_host.page.control_lease import ControlLease
 from heli_host.page.source import UNKNOWN
 
 from tests.page import browser as browsers
@@ -286,12 +286,12 @@ def test_a_parameter_is_changed_in_flight_and_taken_back(served: Served, window:
 
 def test_two_tabs_one_flies_and_hands_over_when_asked(served: Served, window: Tabs) -> None:
     first, second = window.open(served.address.page), window.open(served.address.page)
-    expect(second.locator("#seat")).to_contain_text("You watch; page 1 flies")
+    expect(second.locator("#control")).to_contain_text("You watch; page 1 flies")
     expect(second.locator("#take-off")).to_be_disabled()
     click(second, "text=Ask for control")
     click(first, "text=Hand over")
-    expect(second.locator("#seat")).to_contain_text("You fly")
-    expect(first.locator("#seat")).to_contain_text("You watch")
+    expect(second.locator("#control")).to_contain_text("You fly")
+    expect(first.locator("#control")).to_contain_text("You watch")
     expect(second.locator("#take-off")).to_be_enabled()
 
 
@@ -319,12 +319,12 @@ def test_a_page_that_hangs_is_there_for_a_moment_and_then_no_more(
 ) -> None:
     signs_s: list[float] = []
 
-    def noted(seats: Seats, client: str, now_s: float) -> None:
+    def noted(lease: ControlLease, client: str, now_s: float) -> None:
         signs_s.append(time.time())
-        beat(seats, client, now_s)
+        beat(lease, client, now_s)
 
-    beat = Seats.beat
-    monkeypatch.setattr(Seats, "beat", noted)
+    beat = ControlLease.beat
+    monkeypatch.setattr(ControlLease, "beat", noted)
     page = window.open(served.address.page)
     until(page, "heliPage.history.end > 500")
     from_ms, to_ms = page.evaluate(
@@ -340,7 +340,7 @@ def test_a_page_that_hangs_is_there_for_a_moment_and_then_no_more(
 def test_a_law_is_chosen_its_signal_drawn_and_why_it_was_taken_over_said(
     tmp_path: Path, chromium: Browser
 ) -> None:
-    laws = [steady().tape, tired().tape]
+    laws = [steady().program, tired().program]
     with patient_page(tmp_path, laws) as served, tabs(chromium) as opened:
         page = opened.open(served.address.page)
         click(page, "#laws >> text=steady")
@@ -367,7 +367,7 @@ def test_a_tab_that_is_loaded_anew_keeps_its_seat(served: Served, window: Tabs) 
     page = window.open(served.address.page)
     window.open(served.address.page)
     page.reload()
-    expect(page.locator("#seat")).to_contain_text("You fly")
+    expect(page.locator("#control")).to_contain_text("You fly")
 
 
 def test_a_server_that_is_gone_is_said_large(tmp_path: Path, chromium: Browser) -> None:

@@ -63,7 +63,7 @@ FAR = (1e308, -1e308, 2**63, -(10**30), 5e-324)
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    with page_of_a_simulated_board(tmp_path_factory.mktemp("door"), laws=[steady().tape]) as one:
+    with page_of_a_simulated_board(tmp_path_factory.mktemp("door"), laws=[steady().program]) as one:
         yield one
 
 
@@ -174,7 +174,7 @@ def test_a_client_whose_frames_cannot_be_sent_is_disconnected_and_the_others_go_
         gone, other = (first, second) if first.socket.close_code is not None else (second, first)
         assert gone.socket.close_code == 1011
         until_told_again(other)
-        other.until(lambda: other.known["seats"]["clients"] == 1)
+        other.until(lambda: other.known["control"]["clients"] == 1)
     (line,) = lines
     assert line.startswith("page: page ") and line.endswith(" is disconnected: ValueError: a defect")
 

@@ -16,7 +16,7 @@ from tests.page.laws import steady, tired
 
 pytestmark = pytest.mark.medium
 
-STEADY, TIRED = steady().tape, tired().tape
+STEADY, TIRED = steady().program, tired().program
 
 
 @pytest.fixture

@@ -104,7 +104,7 @@ def test_the_first_page_flies_and_the_second_watches_but_can_stop(served: Served
 def test_control_is_handed_over_by_asking(served: Served) -> None:
     with SocketPage(served.address) as first, SocketPage(served.address) as second:
         assert second.ask("ask")["granted"] is False
-        first.until(lambda: first.known["seats"]["asking_name"] == "page 2")
+        first.until(lambda: first.known["control"]["asking_name"] == "page 2")
         assert "error" in second.ask("grant")
         assert first.ask("keep")["granted"] is False
         assert not second.flies
@@ -227,7 +227,7 @@ def test_parameters_change_in_flight_where_the_declaration_lets_them(served: Ser
 
 
 def test_the_pilot_chooses_a_law_and_a_plan_is_flown_under_it(tmp_path: Path) -> None:
-    laws = [steady().tape, tired().tape]
+    laws = [steady().program, tired().program]
     with (
         patient_page(tmp_path, laws) as served,
         SocketPage(served.address) as first,

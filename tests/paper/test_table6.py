@@ -80,7 +80,7 @@ def test_corrected_a_step_of_15_degrees_overshoots_to_20_and_printed_as_u3_it_ta
 def test_verdicts_that_are_infinite_are_null_in_json(tmp_path: Path) -> None:
     target = tmp_path / "gains.json"
     assert CliRunner().invoke(app, ["paper", "gains", "--json", str(target)]).exit_code == 0
-    rows = json.loads(target.read_text())["paper"]
+    rows = json.loads(target.read_text())["models"]["paper"]
     assert [row["settling_time_s"] is None for row in rows] == [row["growth_1_per_s"] > 0.0 for row in rows]
 
 
@@ -117,7 +117,7 @@ def test_corrected_table_6_flies_the_sines_and_own_gains_fly_them_better() -> No
 
 def test_gains_of_the_paper_are_refused_on_a_real_board_and_by_a_wrong_name() -> None:
     for arguments, wanted in (
-        (["--gains", "paper"], "--sil"),
+        (["--port", "/dev/nowhere", "--gains", "paper"], "add --sil"),
         (["--sil", "--gains", "best"], "paper-printed"),
     ):
         result = CliRunner().invoke(app, ["fly", "hover", *arguments])

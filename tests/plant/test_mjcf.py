@@ -83,9 +83,9 @@ def test_what_the_file_does_not_say_is_said_in_it_and_on_the_terminal(terminal: 
     lagging = replace(rig, effects={"rotor_lag": {}}, description="odd -- <name> & more")
     ET.fromstring(mjcf(lagging))
     assert "the effect rotor_lag" in mjcf(lagging)
-    told = terminal("rig", "export", "makki2024", "--mjcf", "m.xml")
+    told = terminal("rig", "export", "makki2024", "--format", "mjcf", "-o", "m.xml")
     assert "air drag" in told.out
     mujoco.MjModel.from_xml_path(str(Path("m.xml")))
-    piped = terminal("rig", "export", "makki2024", "--mjcf", "-")
+    piped = terminal("rig", "export", "makki2024", "--format", "mjcf", "-o", "-")
     assert piped.out == Path("m.xml").read_text()
     assert "air drag" in piped.err

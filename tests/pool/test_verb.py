@@ -19,7 +19,7 @@ def test_machines_are_pooled_and_a_prior_is_left(terminal: Terminal, tmp_path: P
     for path, lag_s in zip(paths, (0.08, 0.09, 0.1), strict=True):
         path.write_text(json.dumps(diagnosis(gain, lag_s)))
     out, numbers = tmp_path / "pooled.toml", tmp_path / "pooled.json"
-    result = terminal("pool", *paths, "--out", out, "--json", numbers)
+    result = terminal("pool", *paths, "--save-rig", out, "--json", numbers)
     assert result.code == 0, result.err
     assert "3 rigs of type makki2024, model multibody" in result.out
     assert "rotor_lag: on 3 of 3 rigs that could show it; 29 to 100 % of all rigs of this type" in result.out

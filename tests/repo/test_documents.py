@@ -82,7 +82,8 @@ def make_targets() -> set[str]:
 
 
 def verbs() -> dict[str, Any]:
-    return dict(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
+    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    return {name: command for name, command in commands.items() if not command.hidden}
 
 
 def verb_table() -> set[str]:

@@ -134,7 +134,7 @@ def simulated(words: list[str]) -> list[str]:
     """The same command for a simulated board, as fast as it goes."""
     if words[0] == "tune":
         # It takes long, and docs/how-to/tuning.md has it run; parameters are parameters.
-        return ["params", "dump", words[words.index("--out") + 1], "--sil"]
+        return ["params", "dump", words[words.index("--save-params") + 1], "--sil"]
     verb = verbs()[words[0]]
     verb = getattr(verb, "commands", {}).get(words[1], verb)
     options = {name for parameter in getattr(verb, "params", []) for name in parameter.opts}

@@ -107,7 +107,7 @@ def filled() -> str:
 def test_reading_that_no_such_rig_gives_is_said(terminal: Terminal) -> None:
     Path("bench.toml").write_text(filled().replace("seconds = 13.2", "seconds = 60.0"))
     Path("good.toml").write_text(filled())
-    ended = terminal("rig", "weigh", "makki2024", "bench.toml", "--out", "new.toml")
+    ended = terminal("rig", "weigh", "makki2024", "bench.toml", "--save-rig", "new.toml")
     assert ended.code == 0, ended
     # A pendulum of 12 s hangs from its own middle: lengths and masses would have to be far from stated.
     assert "tolerances off: a wrong reading" in ended.out
@@ -117,7 +117,7 @@ def test_reading_that_no_such_rig_gives_is_said(terminal: Terminal) -> None:
 
 def test_template_is_refused_until_it_is_filled_in(terminal: Terminal) -> None:
     assert terminal("rig", "weigh", "makki2024", "--template", "bench.toml").code == 0
-    words = ("rig", "weigh", "makki2024", "bench.toml", "--out", "new.toml")
+    words = ("rig", "weigh", "makki2024", "bench.toml", "--save-rig", "new.toml")
     line = refusal(terminal(*words), code=2)
     assert "[thrust] front_g is not filled in yet; write what you read" in line
     lines = filled().splitlines()
@@ -132,7 +132,7 @@ def test_template_is_refused_until_it_is_filled_in(terminal: Terminal) -> None:
 
 def test_template_filled_in_is_read(terminal: Terminal) -> None:
     Path("bench.toml").write_text(filled())
-    told = json.loads(terminal("rig", "weigh", "makki2024", "bench.toml", "--json").out)
+    told = json.loads(terminal("rig", "weigh", "makki2024", "bench.toml", "--json", "-").out)
     assert told["numbers"]["thrust_gain"]["unit"] == "N/V"
     assert {one["what"] for one in told["tests"]} >= {"elevation of balance", "5 swings of pitch"}
 

@@ -14,7 +14,7 @@ from tests.running.cost import COSTS_KEY
 
 TABLE: Final = Path(__file__).with_name("costs.json")
 _CACHE: Final = Path(__file__).parents[2] / ".pytest_cache/v" / COSTS_KEY
-_LEAST_S: Final = 0.5
+_MIN_S: Final = 0.5
 """CPU time from which on a test is written down: those below fit in anywhere."""
 
 
@@ -26,5 +26,5 @@ def written_down_s() -> dict[str, float]:
 
 if __name__ == "__main__":
     every = json.loads(_CACHE.read_text(encoding="utf-8"))
-    dear = {name: round(spent_s, 1) for name, spent_s in sorted(every.items()) if spent_s >= _LEAST_S}
+    dear = {name: round(spent_s, 1) for name, spent_s in sorted(every.items()) if spent_s >= _MIN_S}
     TABLE.write_text(json.dumps(dear, indent=1) + "\n", encoding="utf-8")

@@ -224,7 +224,7 @@ def reason(flight: Flown) -> str:
     """What the outcome of a flight must say."""
     blow, silent_s = flight.case.blow, flight.case.silent_s
     if blow in ("power", "reset"):
-        return f"started anew ({'power_up' if blow == 'power' else 'user'})"
+        return f"restarted ({'power_up' if blow == 'power' else 'user'})"
     if blow == "ctrl-c":
         return "aborted: Ctrl-C"
     end = flight.heard.end()

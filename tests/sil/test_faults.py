@@ -9,8 +9,8 @@ import pytest
 from heli_host.declaration import MessageId, StatusMessage
 from heli_sim.errors import OptionError
 from heli_sim.sil.faults import FaultPlan, FaultyStream
+from heli_sim.sil.intervals import Span
 from heli_sim.sil.options import parse_options, parse_url
-from heli_sim.sil.spans import Span
 from hypothesis import given
 from hypothesis import strategies as st
 

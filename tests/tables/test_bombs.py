@@ -21,10 +21,10 @@ from heli_host.tables import limits, read_table, sizes
 
 LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="skipped: only Linux limits memory")
 
-MOST_MiB = 400
+MAX_MiB = 400
 """Memory of the process that reads, of which 130 MiB are Python and its packages. Without limits, each of
 these files takes more, or minutes."""
-MOST_CPU_S = 60
+MAX_CPU_S = 60
 CHILD = """
 import json, resource, sys
 from pathlib import Path
@@ -192,12 +192,12 @@ def test_small_files_that_unpack_to_gigabytes_are_refused_in_a_line(tmp_path: Pa
         make(tmp_path / name)
         paths.append(tmp_path / name)
         assert paths[-1].stat().st_size < 2_000_000, name
-    words = [sys.executable, "-c", CHILD, str(MOST_CPU_S), *map(str, paths)]
+    words = [sys.executable, "-c", CHILD, str(MAX_CPU_S), *map(str, paths)]
     said = json.loads(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
     for name, (_, most) in BOMBS.items():
         text, memory_MiB = said[name]
         assert text.startswith(f"{tmp_path / name} unpacks to more than {most}; cut it into pieces"), text
-        assert memory_MiB < MOST_MiB, said
+        assert memory_MiB < MAX_MiB, said
 
 
 @pytest.mark.medium
@@ -232,8 +232,8 @@ def test_sizes_are_counted_up_to_a_limit_for_every_compression() -> None:
 def test_a_table_at_the_limits_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import pandas
 
-    monkeypatch.setattr(limits, "MOST_NUMBERS", 600)
-    monkeypatch.setattr(sizes, "MOST_ROWS", 200)
+    monkeypatch.setattr(limits, "MAX_NUMBERS", 600)
+    monkeypatch.setattr(sizes, "MAX_ROWS", 200)
     frame = pandas.DataFrame({"t": np.arange(200) * 0.01, "x": np.ones(200), "y": np.zeros(200)})
     frame.to_parquet(tmp_path / "a.parquet")
     assert len(read_table(tmp_path / "a.parquet")) == 200

@@ -190,7 +190,7 @@ def demanding_path_deg(t_s: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class StepMetrics:
+class FlightMetrics:
     """What the project promises of a flight along `demanding_path_deg`.
 
     Parameters
@@ -219,12 +219,12 @@ class StepMetrics:
     volts_ripple_V: float
 
 
-def step_metrics(flown: PilotFlight) -> StepMetrics:
+def flight_metrics(flown: PilotFlight) -> FlightMetrics:
     elevation, travel = flown.angle_deg[:, 0], flown.angle_deg[:, 2]
     climb, there = flown.between(TAKE_OFF_S, STEP_S), flown.between(STEP_S, BACK_S)
     back, sine = flown.between(BACK_S, SINE_S), flown.between(SINE_S, END_S)
     error = flown.angle_deg - flown.path_deg
-    return StepMetrics(
+    return FlightMetrics(
         flown.first_fault,
         last_outside_s(flown.t_s[climb], elevation[climb]),
         float(max(travel[there].max() - STEP_DEG, -travel[back].min()) / STEP_DEG) if sine.any() else np.inf,

@@ -19,7 +19,7 @@ from heli_sim.rig import load_rig
 
 from tests.running.long import LONG, samples
 from tests.tune.monte_carlo import faults_of
-from tests.tune.pilot import END_S, SINE_S, StepMetrics, demanding_path_deg, fly, step_metrics
+from tests.tune.pilot import END_S, SINE_S, FlightMetrics, demanding_path_deg, flight_metrics, fly
 
 pytestmark = pytest.mark.slow
 
@@ -32,10 +32,10 @@ def designed() -> Design:
 
 
 @functools.cache
-def flown(model: type[Model], lag_s: float) -> StepMetrics:
+def flown(model: type[Model], lag_s: float) -> FlightMetrics:
     """The board's own defaults."""
     equations = model((RotorLag(lag_s),) if lag_s else ())
-    return step_metrics(fly(Plant(equations, load_rig("makki2024")), demanding_path_deg, END_S))
+    return flight_metrics(fly(Plant(equations, load_rig("makki2024")), demanding_path_deg, END_S))
 
 
 rigs = pytest.mark.parametrize(

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.slow
 
 
 def tuned(rig: str, folder: Path, *more: str) -> dict[str, Any]:
-    files = [f"--{name}={folder / name}.{end}" for name, end in (("out", "toml"), ("json", "json"))]
+    files = [f"--{name}={folder / name}.{end}" for name, end in (("save-params", "toml"), ("json", "json"))]
     assert run(["tune", "--rig", rig, *files, *more]) == 0
     numbers: dict[str, Any] = json.loads((folder / "json.json").read_text())
     return numbers
@@ -33,7 +33,7 @@ def test_gains_for_a_rig_fly_hover_and_sines_on_it_within_stated_errors(
     rig: str, travel_rms_deg: float, elevation_rms_deg: float, tmp_path: Path
 ) -> None:
     numbers = tuned(rig, tmp_path)
-    values = read_parameters(tmp_path / "out.toml")
+    values = read_parameters(tmp_path / "save-params.toml")
     assert values == numbers["parameters"]
     for name, value in values.items():
         checked(name, value)
@@ -43,7 +43,7 @@ def test_gains_for_a_rig_fly_hover_and_sines_on_it_within_stated_errors(
         assert flight["elevation_rms_deg"] <= elevation_rms_deg
     summary, log = tmp_path / "summary.json", tmp_path / "flight.mcap"
     flown = ["--sil", "--speed", "max", "--rig", rig, "--effect", "rotor_lag=0.12"]
-    files = ["--params", str(tmp_path / "out.toml"), "--log", str(log), "--json", str(summary)]
+    files = ["--params", str(tmp_path / "save-params.toml"), "--log", str(log), "--json", str(summary)]
     assert run(["fly", "hover", "sine", *flown, *files]) == 0
     errors = json.loads(summary.read_text())["rms_error_deg"]
     assert errors["travel"] <= 1.5 * travel_rms_deg
@@ -85,11 +85,16 @@ def test_a_rig_that_cannot_fly_gets_one_line(
     change: dict[str, float], why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_rig(load_rig("makki2024").replace(**change), tmp_path / "bad.toml")
-    assert run(["tune", "--rig", str(tmp_path / "bad.toml"), "--out", str(tmp_path / "out.toml")]) == 2
+    assert (
+        run(
+            ["tune", "--rig", str(tmp_path / "bad.toml"), "--save-params", str(tmp_path / "save-params.toml")]
+        )
+        == 2
+    )
     error = capsys.readouterr().err
     assert why in error
     assert error.count("\n") == 1
-    assert not (tmp_path / "out.toml").exists()
+    assert not (tmp_path / "save-params.toml").exists()
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from heli_sim.model.effects.cable_spring import CableSpring
 from heli_sim.model.effects.coulomb_friction import CoulombFriction
 from heli_sim.model.effects.thrust_fade import ThrustFade
 from heli_sim.model.effects.zero_offset import ZeroOffset
-from heli_sim.model.parts import since
+from heli_sim.model.parts import smooth_step
 
 ONSET_s = 30.0
 """Since the motors first turned."""
@@ -38,7 +38,7 @@ REST_rad = 0.2
 class _LateFriction(CoulombFriction):
     def friction_Nm(self, at: Operands, acceleration_rad_s2: ca.SX, inertia_kg_m2: ca.SX) -> ca.SX:
         whole = super().friction_Nm(at, acceleration_rad_s2, inertia_kg_m2)
-        return since(at.time_s, ca.SX(ONSET_s)) * whole
+        return smooth_step(at.time_s, ca.SX(ONSET_s)) * whole
 
     @property
     def has_friction(self) -> bool:
@@ -48,12 +48,12 @@ class _LateFriction(CoulombFriction):
 class _LateZero(ZeroOffset):
     def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
         shown = super().measured_rad(at, angles_rad)
-        return angles_rad + since(at.time_s, ca.SX(ONSET_s)) * (shown - angles_rad)
+        return angles_rad + smooth_step(at.time_s, ca.SX(ONSET_s)) * (shown - angles_rad)
 
 
 class _LateCable(CableSpring):
     def torque_Nm(self, at: Operands) -> ca.SX:
-        return since(at.time_s, ca.SX(ONSET_s)) * super().torque_Nm(at)
+        return smooth_step(at.time_s, ca.SX(ONSET_s)) * super().torque_Nm(at)
 
 
 class _LateFade(ThrustFade):
@@ -72,7 +72,7 @@ _LATE: Mapping[str, type[Effect]] = {
 def change(name: str, size: float) -> Effect:
     """Make the effect `name` of the catalogue, of this `size`, from `ONSET_s` on."""
     kind = catalogue()[name]
-    values = {**kind.typical, kind.full(kind.numbers[0].what): size}
+    values = {**kind.typical, kind.full(kind.numbers[0].name): size}
     for what, value in (("at_s", ONSET_s), ("rest_rad", REST_rad)):
         if kind.full(what) in values:
             values[kind.full(what)] = value

@@ -61,15 +61,15 @@ def test_what_is_wrong_with_a_file_is_told(tmp_path: Path, old: str, new: str, t
         ("twin nowhere.mcap", "nowhere.mcap"),
         ("twin --learn monday.mcap", "give a name that ends in .toml"),
         ("twin nowhere.mcap --rig nobody", "nobody"),
-        ("fly hover --sil --on-change land", "--on-change needs --twin"),
-        ("fly hover --sil --twin makki2024 --on-change fall", "give tell or land"),
+        ("fly hover --sil --on-alarm land", "--on-alarm needs a twin"),
+        ("fly hover --sil --twin makki2024 --on-alarm fall", "choose warn or land"),
         ("fly hover --sil --twin nobody", "nobody"),
-        ("page --sil --twin nobody", "nobody"),
-        ("page --log nothere", "nothere"),
-        ("page --log nothere --twin makki2024", "heli-host twin nothere"),
-        ("page --log nothere --fly hover", "nothing flies"),
-        ("page --log nothere --law mine.py", "nothing flies"),
-        ("page --sil --law mine.py", "there is no file mine.py"),
+        ("dashboard --sil --twin nobody", "nobody"),
+        ("dashboard --replay nothere", "nothere"),
+        ("dashboard --replay nothere --twin makki2024", "heli-host twin nothere"),
+        ("dashboard --replay nothere --fly hover", "flies nothing"),
+        ("dashboard --replay nothere --law mine.py", "flies nothing"),
+        ("dashboard --sil --law mine.py", "there is no file mine.py"),
     ],
 )
 def test_words_that_cannot_be_are_refused_in_one_line(
@@ -93,7 +93,7 @@ def test_learning_from_a_healthy_flight_writes_a_file_that_the_twin_takes(
     evidence = [(0.04 * number, 0.001 * (number % 977)) for number in range(1500)]
     monkeypatch.setattr(learn, "fly_simulated", lambda *_: heli_host.read_flight(flown))
     monkeypatch.setattr(learn, "evidence", lambda *_: evidence)
-    assert run(["twin", "--rig", "makki2024", "--healthy", str(flown), "--learn", str(file)]) == 0
+    assert run(["twin", "--rig", "makki2024", "--nominal", str(flown), "--learn", str(file)]) == 0
     told = capsys.readouterr().out
     assert f"files: {file}" in told and "almost no disturbances" in told
     learned = open_rig(str(file))

@@ -39,7 +39,7 @@ def flown() -> tuple[Path, int]:
     (folder / "short.toml").write_text(PLAN)
     log = folder / "flight.mcap"
     words = f"fly {folder / 'short.toml'} --sil --speed max --effect thrust_step.front=0.08@{CHANGED_s:g}"
-    code = run([*words.split(), "--twin", "makki2024", "--on-change", "land", "--log", str(log)])
+    code = run([*words.split(), "--twin", "makki2024", "--on-alarm", "land", "--log", str(log)])
     return log, code
 
 

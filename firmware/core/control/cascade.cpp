@@ -85,7 +85,7 @@ ControlOutput Cascade::step(const ControlInput& in, const CascadeConstants& c) {
   if (pitch_closed) {
     state_.pitch.integrate(c.pitch, pitch_error_rad, differential_excess_V);
   }
-  if ((in.axes & axes::travel) != 0U) {
+  if ((in.axes & axes::travel) != 0U && !in.asks) {
     // Asking for more pitch is as useless when the mixer is at its limit as when the setpoint is.
     const Quantity excess = state_.pitch_setpoint_excess_rad != Quantity{}
                                 ? state_.pitch_setpoint_excess_rad
@@ -146,10 +146,12 @@ ControlOutput Cascade::all_open(const ControlInput& in, const CascadeConstants& 
 
 Quantity Cascade::follow_pitch_setpoint(const ControlInput& in, const CascadeConstants& c,
                                         bool changed) {
-  const bool travel_closed = (in.axes & axes::travel) != 0U;
+  const bool travel_closed = (in.axes & axes::travel) != 0U && !in.asks;
+  const bool jumps = changed || in.asks != state_.asks;
+  state_.asks = in.asks;
   const Quantity wanted_rad = state_.pitch_setpoint_fade.apply(
       travel_closed ? pitch_for_travel(in, c) : in.setpoint_rad[kPitch], state_.pitch_setpoint_rad,
-      changed, c.bumpless_keep);
+      jumps, c.bumpless_keep);
   const Quantity limited_rad =
       clamp(wanted_rad, -c.pitch_setpoint_max_rad, c.pitch_setpoint_max_rad);
   state_.pitch_setpoint_rad = clamp(limited_rad, state_.pitch_setpoint_rad - c.pitch_step_max_rad,

@@ -2,9 +2,9 @@
 // collective voltage (eqs. 32-34), with what a machine needs beyond the equations.
 #pragma once
 
+#include "control/bumpless_transfer.hpp"
 #include "control/cascade_constants.hpp"
 #include "control/controller.hpp"
-#include "control/fade.hpp"
 #include "control/pid.hpp"
 
 namespace heli::control {
@@ -23,10 +23,10 @@ class Cascade final : public Controller {
 
   // After shadow(), before update(): its own voltages act at once, not after a fade from those of
   // the other law, which may be what the arm has to be saved from.
-  void forget_jumps() {
-    state_.collective_fade.forget();
-    state_.differential_fade.forget();
-    state_.pitch_setpoint_fade.forget();
+  void clear_transients() {
+    state_.collective_fade.clear();
+    state_.differential_fade.clear();
+    state_.pitch_setpoint_fade.clear();
   }
 
  private:
@@ -34,13 +34,14 @@ class Cascade final : public Controller {
     Pid elevation;
     Pid pitch;
     Pid travel;
-    Fade collective_fade;
-    Fade differential_fade;
-    Fade pitch_setpoint_fade;
-    Fade front_fade;
-    Fade back_fade;
+    BumplessTransfer collective_fade;
+    BumplessTransfer differential_fade;
+    BumplessTransfer pitch_setpoint_fade;
+    BumplessTransfer front_fade;
+    BumplessTransfer back_fade;
     std::uint8_t axes = 0;
     bool started = false;
+    bool asks = false;
     Quantity front_V;  // motor volts of the previous tick, without excitation
     Quantity back_V;
     Quantity collective_V;  // lift volts achieved in the previous tick, without excitation

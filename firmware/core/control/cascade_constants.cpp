@@ -1,6 +1,6 @@
 #include "control/cascade_constants.hpp"
 
-#include "control/fade.hpp"
+#include "control/bumpless_transfer.hpp"
 #include "control/math.hpp"
 
 namespace heli::control {

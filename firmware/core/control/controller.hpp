@@ -22,6 +22,7 @@ struct ControlInput {
   Quantity open_back_V;
   Quantity excitation_front_V;  // added to the motors
   Quantity excitation_back_V;
+  bool asks = false;  // a tilt asks whether travel counts: pitch is held as if travel were open
 };
 
 struct ControlOutput {
@@ -47,7 +48,7 @@ class Controller {
   // divide and take its time. update() is given no bank that has not been filled.
   virtual void derive(const params::Params& params, Bank bank) = 0;
 
-  // In each tick without a law's voltages on the motors: the next update() starts anew.
+  // In each tick without a law's voltages on the motors: the next update() starts again.
   virtual void reset() = 0;
   // In each other tick, once.
   virtual ControlOutput update(const ControlInput& in, Bank bank) = 0;

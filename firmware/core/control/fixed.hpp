@@ -18,6 +18,8 @@ constexpr std::int32_t saturated(std::int64_t value) {
   return value < 0 ? INT32_MIN : INT32_MAX;
 }
 
+constexpr std::int32_t end_of_range(bool negative) { return negative ? INT32_MIN : INT32_MAX; }
+
 // The nearest whole number, or the end of the range. Not inlined: the idle loop has sixty of these.
 [[gnu::noinline]] constexpr std::int32_t nearest(float value) {
   if (!(value > -2147483648.0F)) {
@@ -55,12 +57,17 @@ class Fixed {
 
   constexpr Fixed half() const { return from_raw(raw_ >> 1); }
 
+  // By the overflow flag, which takes half the instructions of a sum of 64 bits.
   friend constexpr Fixed operator+(Fixed a, Fixed b) {
-    return from_raw(saturated(std::int64_t{a.raw_} + b.raw_));
+    std::int32_t sum = 0;
+    const bool over = __builtin_add_overflow(a.raw_, b.raw_, &sum);
+    return from_raw(over ? end_of_range(a.raw_ < 0) : sum);
   }
 
   friend constexpr Fixed operator-(Fixed a, Fixed b) {
-    return from_raw(saturated(std::int64_t{a.raw_} - b.raw_));
+    std::int32_t difference = 0;
+    const bool over = __builtin_sub_overflow(a.raw_, b.raw_, &difference);
+    return from_raw(over ? end_of_range(a.raw_ < 0) : difference);
   }
 
   friend constexpr Fixed operator-(Fixed a) { return Fixed{} - a; }

@@ -27,7 +27,7 @@ constexpr float magnitude(float value) { return value < 0.0F ? -value : value; }
 inline std::int32_t round_to_int(float value) {
   std::uint32_t bits = 0;
   std::memcpy(&bits, &value, sizeof bits);
-  // 2^31 and beyond, infinity and NaN: to cast these is undefined, so the ends stand for them.
+  // 2^31 and beyond, infinity and NaN: to cast these is undefined, so the ends replace them.
   if ((bits & 0x7fffffffU) >= 0x4f000000U) {
     return (bits >> 31U) != 0U ? INT32_MIN : INT32_MAX;
   }
@@ -37,7 +37,7 @@ inline std::int32_t round_to_int(float value) {
 // 1 - exp(-x) by its series, for x up to 1.3; divides, so for the idle loop. Every C library rounds
 // its exp in its own way, and by that alone the emulated Due flew one count away from the same code
 // on a PC.
-inline float gone_after(float x) {
+inline float one_minus_exp(float x) {
   float sum = 1.0F;
   for (int n = 14; n > 1; --n) {
     sum = 1.0F - x / static_cast<float>(n) * sum;

@@ -70,6 +70,7 @@ void Balance::integrate(Quantity drive, const BalanceLimits& limits) {
   const auto [low, high] = range();
   const Quantity above = drive - high;
   const Quantity below = low - drive;
+  beyond_ = above > below ? above : below;
   if (coasts_) {
     // Friction that this rig may have brakes it, whatever the flight has shown of it so far.
     const Quantity brake =
@@ -80,8 +81,7 @@ void Balance::integrate(Quantity drive, const BalanceLimits& limits) {
       stay();
     }
   } else {
-    const Quantity most = above > below ? above : below;
-    const Quantity sure = most - part(most, kUncertain) - limits.margin;
+    const Quantity sure = beyond_ - part(beyond_, kUncertain) - limits.margin;
     const bool forth = above > below;
     if (sure <= Quantity{} || (forth ? rate_ < Quantity{} : rate_ > Quantity{})) {
       stay();

@@ -23,7 +23,7 @@ struct BalanceLimits {
   Gain drive_per_rad;    // the drive that turns the axis by one radian in T squared
   Quantity width;        // half of the range of drives that may hold it, before it has moved
   Quantity margin;       // of that range: noise of the observer, and what friction varies by
-  Quantity moved_most;   // excess drive, integrated twice over the time in units of T
+  Quantity moved_max;    // excess drive, integrated twice over the time in units of T
   Gain speed_per_rad_s;  // of the integrated drive, per rate of the axis
   Quantity noise_rad_s;  // of a measured rate: what one count shows
 };
@@ -46,8 +46,12 @@ class Balance {
   // `moved_counts` since the last update with a motion: 0 while the axis is still.
   void update(Quantity angle_rad, Quantity rate_rad_s, Quantity drive, std::int32_t moved_counts,
               const BalanceLimits& limits);
-  // How far the axis must have moved since it last counted, as `moved_most`.
+  // How far the axis must have moved since it last counted, as `moved_max`.
   Quantity moved() const { return control::magnitude(moved_); }
+  // Whether that is by the rate at which it last moved.
+  bool coasts() const { return coasts_; }
+  // The last drive beyond the range that may hold the axis.
+  Quantity beyond() const { return beyond_; }
 
  private:
   // Drives that may hold the axis.
@@ -73,6 +77,7 @@ class Balance {
   Quantity width_;
   Quantity rate_;
   Quantity moved_;
+  Quantity beyond_;
   std::uint32_t same_way_updates_ = 0;
   std::uint32_t next_update_ = 0;
   bool coasts_ = false;

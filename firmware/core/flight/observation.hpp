@@ -29,6 +29,7 @@ struct Observation {
   OpenVoltages acted;           // motor voltages of the previous tick
   Quantity pitch_setpoint_rad;  // that the control law used in it
   bool params_usable = false;
+  bool law_busy = false;  // a law that came over the link flies, or has just been taken over from
 };
 
 }  // namespace heli::flight

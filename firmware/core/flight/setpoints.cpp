@@ -52,7 +52,7 @@ constexpr PerTicks kPerTicks = make_per_ticks();
 
 // Squares of steps, 72 bits behind the point, are bounded here: beyond it lie 10 milliradians a
 // tick, and no setpoint may slew at more than 3.5.
-constexpr std::uint64_t kMostSquare = std::uint64_t{1} << 59U;
+constexpr std::uint64_t kMaxSquare = std::uint64_t{1} << 59U;
 
 // Fastest approach to a goal this far away that can still brake in time.
 Step approach(Place here, Place goal, Step change_max_rad, Quantity near_rad) {
@@ -65,7 +65,7 @@ Step approach(Place here, Place goal, Step change_max_rad, Quantity near_rad) {
   const auto twice = static_cast<std::uint32_t>((away_rad + away_rad - near_rad).raw());
   const std::uint64_t square_60 =
       control::long_product(static_cast<std::uint32_t>(change_max_rad.raw()), twice);
-  const std::uint64_t square = square_60 < (kMostSquare >> 12U) ? square_60 << 12U : kMostSquare;
+  const std::uint64_t square = square_60 < (kMaxSquare >> 12U) ? square_60 << 12U : kMaxSquare;
   const auto step_rad = Step::from_raw(static_cast<std::int32_t>(control::square_root(square)));
   return distance_rad < Quantity{} ? -step_rad : step_rad;
 }
@@ -87,12 +87,12 @@ SetpointLimits setpoint_limits_of(const params::Params& params) {
   };
   shape(kElevation, Param::elevation_acceleration_deg_s2);
   shape(kTravel, Param::travel_acceleration_deg_s2);
-  limits.least_rad[kElevation] = Quantity::of(rad(Param::elevation_rest_deg) - kRestMargin_rad);
-  limits.most_rad[kElevation] = Quantity::of(rad(Param::elevation_max_deg) - kElevationMargin_rad);
-  limits.least_rad[kPitch] = -pitch_rad;
-  limits.most_rad[kPitch] = pitch_rad;
-  limits.least_rad[kTravel] = Quantity::of(-travel_rad);
-  limits.most_rad[kTravel] = Quantity::of(travel_rad);
+  limits.min_rad[kElevation] = Quantity::of(rad(Param::elevation_rest_deg) - kRestMargin_rad);
+  limits.max_rad[kElevation] = Quantity::of(rad(Param::elevation_max_deg) - kElevationMargin_rad);
+  limits.min_rad[kPitch] = -pitch_rad;
+  limits.max_rad[kPitch] = pitch_rad;
+  limits.min_rad[kTravel] = Quantity::of(-travel_rad);
+  limits.max_rad[kTravel] = Quantity::of(travel_rad);
   limits.landing_step_rad = Step::of(rad(Param::landing_rate_deg_s) * kTick_s);
   return limits;
 }
@@ -110,7 +110,7 @@ void Setpoints::hold_at(std::size_t axis, Quantity angle_rad) {
   axes_[axis].place = Place::at(angle_rad);
 }
 
-void Setpoints::go_on_from(std::size_t axis, Quantity angle_rad) {
+void Setpoints::continue_from(std::size_t axis, Quantity angle_rad) {
   axes_[axis].place = Place::at(angle_rad);
   axes_[axis].step_rad = Step{};
   axes_[axis].smooth_change_rad = Change{};
@@ -129,7 +129,7 @@ bool Setpoints::aim(const Quantity (&target_rad)[kAxisCount], std::uint32_t appl
     return false;
   }
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
-    if (target_rad[axis] < limits.least_rad[axis] || target_rad[axis] > limits.most_rad[axis]) {
+    if (target_rad[axis] < limits.min_rad[axis] || target_rad[axis] > limits.max_rad[axis]) {
       return false;
     }
   }
@@ -168,8 +168,8 @@ void Setpoints::advance(const SetpointLimits& limits) {
       axis.slope = Place{};
     }
     if (i == kPitch) {
-      const Step most_rad = limits.step_max_rad[i];
-      axis.place.add(clamp(axis.place.towards(axis.path), -most_rad, most_rad));
+      const Step max_rad = limits.step_max_rad[i];
+      axis.place.add(clamp(axis.place.towards(axis.path), -max_rad, max_rad));
     } else {
       follow(axis, limits.step_max_rad[i], limits.change_max_rad[i], limits.near_rad[i]);
     }

@@ -70,8 +70,8 @@ struct SetpointLimits {
   Step step_max_rad[kAxisCount];    // slew, per tick
   Step change_max_rad[kAxisCount];  // of the step from one tick to the next
   Quantity near_rad[kAxisCount];    // closer than this the setpoint closes in exponentially
-  Quantity least_rad[kAxisCount];
-  Quantity most_rad[kAxisCount];
+  Quantity min_rad[kAxisCount];
+  Quantity max_rad[kAxisCount];
   Step landing_step_rad;  // per tick
 };
 
@@ -88,7 +88,7 @@ class Setpoints {
   void start_at(const Quantity (&angle_rad)[kAxisCount]);
   void hold_at(std::size_t axis, Quantity angle_rad);
   // Begins again at rest from another place, towards the same target.
-  void go_on_from(std::size_t axis, Quantity angle_rad);
+  void continue_from(std::size_t axis, Quantity angle_rad);
 
   // False when a target lies outside the bounds or too far ahead; then nothing changes.
   bool aim(const Quantity (&target_rad)[kAxisCount], std::uint32_t apply_tick,

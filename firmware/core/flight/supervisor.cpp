@@ -96,9 +96,9 @@ void Supervisor::enter(State next, Trigger cause) {
   }
   if (next == State::hold) {
     const Quantity elevation_rad = seen_->angle_rad[kElevation];
-    setpoints_.hold_at(kElevation, elevation_rad < bounds_->most_rad[kElevation]
+    setpoints_.hold_at(kElevation, elevation_rad < bounds_->max_rad[kElevation]
                                        ? elevation_rad
-                                       : bounds_->most_rad[kElevation]);
+                                       : bounds_->max_rad[kElevation]);
     setpoints_.hold_at(kTravel, seen_->angle_rad[kTravel]);
     setpoints_.hold_at(kPitch, Quantity{});
   }
@@ -337,7 +337,8 @@ void Supervisor::check_tracking() {
     return;
   }
   const std::uint8_t closed = axes();
-  Tracked tracked{*seen_, {}, closed, state_ == State::streamed ? kAllAxes : closed, false};
+  Tracked tracked{
+      *seen_, {}, closed, state_ == State::streamed ? kAllAxes : closed, false, false};
   tracked.setpoint_rad[kElevation] = setpoints_.angle_rad(kElevation);
   tracked.setpoint_rad[kPitch] = seen_->pitch_setpoint_rad;
   tracked.setpoint_rad[kTravel] = setpoints_.angle_rad(kTravel);
@@ -346,7 +347,18 @@ void Supervisor::check_tracking() {
     // Landing aims below the table and has a time limit of its own.
     tracked.closed = static_cast<std::uint8_t>(closed & ~link::axes::elevation);
   }
-  const Verdict verdict = tracking_.check(tracked, *tracking_limits_);
+  // A law that came over the link decides on its voltages itself.
+  tracked.may_ask = (closed & link::axes::travel) != 0U && !seen_->law_busy;
+  Verdict verdict{Fault::none, 0.0F};
+  if (Tracking::is_turn_to_ask(seen_->tick)) {
+    verdict = tracking_.ask(tracked, *tracking_limits_);
+    if (tracking_.news() != link::Probe::none) {
+      event(Event::travel_probe, code(tracking_.news()), 0,
+            tracking_.probe().tilt_rad().to_float() * control::kDegPerRad);
+    }
+  } else {
+    verdict = tracking_.check(tracked, *tracking_limits_);
+  }
   if (verdict.fault == Fault::none) {
     return;
   }

@@ -40,7 +40,12 @@ class Supervisor {
   Setpoint setpoint(std::size_t axis) const { return setpoints_.of(axis); }
   Quantity setpoint_rad(std::size_t axis) const { return setpoints_.angle_rad(axis); }
   // The setpoint goes on to its target from there.
-  void go_on_from(std::size_t axis, Quantity angle_rad) { setpoints_.go_on_from(axis, angle_rad); }
+  void continue_from(std::size_t axis, Quantity angle_rad) {
+    setpoints_.continue_from(axis, angle_rad);
+  }
+  // Whether a tilt asks if travel still counts: pitch goes there, and travel's loop waits.
+  bool asks() const { return tracking_.asks(); }
+  Quantity asked_pitch_rad() const { return tracking_.probe().pitch_rad(); }
   // What the axes did until now says nothing of them.
   void restart_tracking() { tracking_.restart(); }
   // Whether a law of the host's flies and has told where to; those setpoints are only logged.

@@ -25,6 +25,9 @@ constexpr std::int32_t kStill_counts = 1;
 // Above its rest the arm may still stand on the table: zero and rest are known to about a degree.
 constexpr Quantity kTable_rad = Quantity::of(2.0F * kRadPerDeg);
 
+// Above its rest the short arm may tilt without touching the table.
+constexpr Quantity kTilt_rad = Quantity::of(8.0F * kRadPerDeg);
+
 // What the drive did on average before the axis came to rest, over 512 ticks: where a swing turns
 // round, the drive of a single tick may be anything.
 constexpr int kAveraging = 7;
@@ -44,6 +47,18 @@ Quantity averaged(Quantity average, Quantity now) {
   return Quantity::from_raw(average.raw() +
                             ((now.raw() >> kAveraging) - (average.raw() >> kAveraging)));
 }
+
+// The tilt that asks, as a part of the one that must move travel: 12 degrees of 8 on the paper's
+// rig. It must beat dry friction.
+constexpr float kProbeTilt = 1.5F;
+// How long it takes to reach it: about the lag of pitch. Quicker, pitch overshoots.
+constexpr float kProbeRise_s = 0.4F;
+// The tilt that dry friction may hold, likewise: 4 degrees or 28 mN m on the paper's rig.
+constexpr float kFrictionTilt = 0.5F;
+// Pitch is steady within this of its average: 2 degrees. Beyond, the loop drives the arm already.
+constexpr float kSteadyTilt = 0.25F;
+// Travel by which the tilt must have turned the arm: the play of an encoder, and two counts.
+constexpr float kAnswer_rad = 0.8F * kRadPerDeg;
 
 // From one count to another; counters may wrap.
 std::int32_t way(std::int32_t from, std::int32_t to) {
@@ -83,7 +98,7 @@ BalanceLimits balance_limits_of(const params::Params& params, std::size_t axis) 
   limits.drive_per_rad = Gain::of(drive_per_rad);
   limits.width = Quantity::of(kShares[axis].width * most);
   limits.margin = Quantity::of(kShares[axis].margin * most);
-  limits.moved_most = Quantity::of(0.5F * most * times * times);
+  limits.moved_max = Quantity::of(0.5F * most * times * times);
   limits.speed_per_rad_s = Gain::of(drive_per_rad * Balance::kTime_s);
   // Only travel coasts: nothing pulls it back. The others are driven hard, and noticed by that.
   if (axis == kTravel) {
@@ -95,14 +110,34 @@ BalanceLimits balance_limits_of(const params::Params& params, std::size_t axis) 
   return limits;
 }
 
+ProbeLimits probe_limits_of(const params::Params& params) {
+  const float most_rad = params.get(Param::travel_motion_deg) * kRadPerDeg;
+  const float silence_s = params.get(Param::travel_silence_s);
+  const float drive_per_rad =
+      1.0F / (params.get(Param::travel_gain) * Balance::kTime_s * Balance::kTime_s);
+  ProbeLimits limits{};
+  // A tilt that the loop's bounds cut would show nothing.
+  const float room_rad =
+      params.get(Param::pitch_setpoint_max_deg) * kRadPerDeg - kProbeTilt * most_rad;
+  const bool possible = room_rad > 0.0F;
+  limits.most_rad = Quantity::of(room_rad);
+  limits.silence_updates = possible ? updates_of(silence_s) : 0U;
+  limits.tilt_rad = Quantity::of(kProbeTilt * most_rad);
+  limits.step_rad =
+      Quantity::of(kProbeTilt * most_rad / static_cast<float>(updates_of(kProbeRise_s)));
+  limits.steady_rad = Quantity::of(kSteadyTilt * most_rad);
+  limits.friction_rad = Quantity::of(kFrictionTilt * most_rad);
+  limits.moved_least = Quantity::of(kAnswer_rad * drive_per_rad);
+  return limits;
+}
+
 // For people: volts, and how far travel must have turned, in degrees.
-float seen_of(std::size_t axis, Quantity drive, const Balance& balance,
-              const BalanceLimits& limits) {
+float seen_of(std::size_t axis, Quantity drive, Quantity moved, const BalanceLimits& limits) {
   if (axis != kTravel) {
     return magnitude(drive).to_float();
   }
   const float drive_per_rad = limits.drive_per_rad.to_float();
-  return balance.moved().to_float() * control::reciprocal(drive_per_rad) * kDegPerRad;
+  return moved.to_float() * control::reciprocal(drive_per_rad) * kDegPerRad;
 }
 
 }  // namespace
@@ -120,8 +155,10 @@ TrackingLimits tracking_limits_of(const params::Params& params) {
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     l.balance[axis] = balance_limits_of(params, axis);
   }
+  l.probe = probe_limits_of(params);
   l.dead_zone = control::DeadZone::of(params.get(Param::dead_zone_V));
   l.table_rad = rad(Param::elevation_rest_deg) + kTable_rad;
+  l.tilt_rad = rad(Param::elevation_rest_deg) + kTilt_rad;
   l.hover_V = Quantity::of(params.get(Param::hover_V));
   l.hover_V_per_rad = Gain::of(params.get(Param::hover_slope) * kDegPerRad);
   l.pitch_V_per_rad = Gain::of(params.get(Param::pitch_hold_ff) * kDegPerRad);
@@ -131,9 +168,6 @@ TrackingLimits tracking_limits_of(const params::Params& params) {
 Verdict Tracking::check(const Tracked& tracked, const TrackingLimits& limits) {
   const Observation& seen = tracked.seen;
   const std::size_t i = seen.tick % kTrackingSlots;
-  if (i >= kAxisCount) {
-    return {Fault::none, 0.0F};
-  }
   const auto bit = static_cast<std::uint8_t>(1U << i);
   Axis& axis = axes_[i];
   if ((started_ & bit) == 0U) {
@@ -155,7 +189,10 @@ Verdict Tracking::check(const Tracked& tracked, const TrackingLimits& limits) {
   const std::int32_t moved = way(axis.count, seen.count[i]);
   const bool still = started && driven && within_count(moved);
 
-  if (lifts && driven) {
+  // A tilt that asks is judged by its answer: it ends level, and without speed.
+  const bool asked = i == kTravel && asks();
+
+  if (lifts && driven && !asked) {
     const Quantity free = i == kElevation ? drive - limits.hover_V_per_rad * seen.angle_rad[i]
                           : i == kPitch   ? drive - limits.pitch_V_per_rad * seen.angle_rad[i]
                                           : drive;
@@ -184,13 +221,50 @@ Verdict Tracking::check(const Tracked& tracked, const TrackingLimits& limits) {
   const Quantity error_rad = magnitude(tracked.setpoint_rad[i] - seen.angle_rad[i]);
   const bool astray = (tracked.closed & bit) != 0U && error_rad > limits.error_max_rad[i];
   axis.error_updates = astray && started ? axis.error_updates + 1U : 0U;
-  const Quantity most = limits.balance[i].moved_most;
-  const Quantity doubted = i == kTravel && tracked.descends ? most.half() : most;
-  if (axis.balance.moved() > doubted || axis.driven_updates > limits.motion_updates) {
-    return {kMotionless[i], seen_of(i, drive, axis.balance, limits.balance[i])};
+  if (axis.driven_updates > limits.motion_updates || is_motionless(i, tracked, limits)) {
+    return {kMotionless[i], seen_of(i, drive, axis.balance.moved(), limits.balance[i])};
   }
   if (axis.error_updates > limits.following_updates) {
     return {kFollowing[i], error_rad.to_float() * kDegPerRad};
+  }
+  return {Fault::none, 0.0F};
+}
+
+bool Tracking::is_motionless(std::size_t i, const Tracked& tracked, const TrackingLimits& limits) {
+  const Balance& balance = axes_[i].balance;
+  const Quantity most = limits.balance[i].moved_most;
+  if (i != kTravel) {
+    return balance.moved() > most;
+  }
+  if (tracked.descends || !tracked.may_ask || limits.probe.silence_updates == 0U ||
+      balance.coasts() || balance.beyond() > limits.probe.friction_rad) {
+    return balance.moved() > (tracked.descends ? most.half() : most);
+  }
+  doubted_ = balance.moved() > most;
+  return balance.moved() > most + most + most;
+}
+
+Verdict Tracking::ask(const Tracked& tracked, const TrackingLimits& limits) {
+  const Observation& seen = tracked.seen;
+  if ((started_ & kAsks) == 0U) {
+    started_ |= kAsks;
+    probe_.restart();
+    probe_count_ = seen.count[kTravel];
+  }
+  const bool moved = !within_count(way(probe_count_, seen.count[kTravel]));
+  if (moved) {
+    probe_count_ = seen.count[kTravel];
+  }
+  const Quantity elevation_rad = seen.angle_rad[kElevation];
+  news_ = probe_.update({tracked.may_ask && elevation_rad > limits.table_rad,
+                         !tracked.descends && elevation_rad > limits.tilt_rad, doubted_, moved,
+                         tracked.setpoint_rad[kTravel] - seen.angle_rad[kTravel],
+                         seen.angle_rad[kPitch]},
+                        limits.probe);
+  doubted_ = false;
+  if (news_ == link::Probe::silent) {
+    return {Fault::travel_motionless,
+            seen_of(kTravel, {}, probe_.turned(), limits.balance[kTravel])};
   }
   return {Fault::none, 0.0F};
 }

@@ -12,6 +12,7 @@
 #include "flight/balance.hpp"
 #include "flight/limits.hpp"
 #include "flight/observation.hpp"
+#include "flight/probe.hpp"
 #include "params/params.hpp"
 
 namespace heli::flight {
@@ -23,10 +24,12 @@ struct TrackingLimits {
   // pitch angle, in rad, for travel.
   Quantity drive_max[kAxisCount];
   BalanceLimits balance[kAxisCount];
+  ProbeLimits probe{};
   std::uint32_t motion_updates = 0;
   std::uint32_t following_updates = 0;
   control::DeadZone dead_zone;
   Quantity table_rad;    // below this elevation the table may carry the arm
+  Quantity tilt_rad;     // above this elevation a tilt may ask
   Gain hover_V_per_rad;  // by which the lift changes that carries the arm
   Gain pitch_V_per_rad;  // by which the difference changes that holds a tilt
   Quantity hover_V;      // lift that carries it; up to there nothing need move on the table
@@ -40,6 +43,7 @@ struct Tracked {
   Quantity setpoint_rad[kAxisCount];  // that the control law followed
   std::uint8_t closed = 0;            // link::axes bits: axes held to a setpoint
   std::uint8_t driven = 0;            // and axes that must move when driven
+  bool may_ask = false;   // the board's own law holds travel, and nothing else moves the arm
   bool descends = false;  // a doubt about travel is a fault then: landing would close it
 };
 
@@ -50,6 +54,13 @@ class Tracking {
 
   // Whether the axis whose turn it is in this tick does what it should.
   Verdict check(const Tracked& tracked, const TrackingLimits& limits);
+
+  // In a tick that check() does not need. Asks by a tilt whether travel still counts.
+  static bool is_turn_to_ask(std::uint32_t tick) { return tick % kTrackingSlots == kAxisCount; }
+  Verdict ask(const Tracked& tracked, const TrackingLimits& limits);
+  link::Probe news() const { return news_; }
+  const Probe& probe() const { return probe_; }
+  bool asks() const { return (started_ & kAsks) != 0U && probe_.asks(); }
 
  private:
   struct Axis {
@@ -62,8 +73,17 @@ class Tracking {
     Balance balance;
   };
 
+  static constexpr std::uint8_t kAsks = 1U << kAxisCount;
+
+  // Travel that dry friction may hold is only doubted at first, if a tilt may ask it.
+  bool is_motionless(std::size_t i, const Tracked& tracked, const TrackingLimits& limits);
+
   Axis axes_[kAxisCount];
-  std::uint8_t started_ = 0;  // link::axes bits
+  bool doubted_ = false;
+  Probe probe_;
+  link::Probe news_ = link::Probe::none;
+  std::int32_t probe_count_ = 0;  // of travel, when it last moved
+  std::uint8_t started_ = 0;  // link::axes bits, and kAsks
 };
 
 }  // namespace heli::flight

@@ -75,14 +75,14 @@ GuardLimits guard_limits_of(const params::Params& params) {
   return l;
 }
 
-Judgement Guard::check(const ControlInput& in, const Wish& wish, const Wish& before,
-                       const GuardLimits& limits) {
-  const Judgement envelope = check_envelope(in, before, limits);
+GuardVerdict Guard::check(const ControlInput& in, const LawOutput& wish, const LawOutput& before,
+                          const GuardLimits& limits) {
+  const GuardVerdict envelope = check_envelope(in, before, limits);
   return envelope.reason != Takeover::command ? envelope : check_following(in, wish, limits);
 }
 
-Judgement Guard::check_envelope(const ControlInput& in, const Wish& before,
-                                const GuardLimits& limits) const {
+GuardVerdict Guard::check_envelope(const ControlInput& in, const LawOutput& before,
+                                   const GuardLimits& limits) const {
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     Quantity rate_rad_s = in.rate_rad_s[axis];
     if (axis == kElevation) {
@@ -111,8 +111,8 @@ Judgement Guard::check_envelope(const ControlInput& in, const Wish& before,
   return {};
 }
 
-Judgement Guard::check_following(const ControlInput& in, const Wish& wish,
-                                 const GuardLimits& limits) {
+GuardVerdict Guard::check_following(const ControlInput& in, const LawOutput& wish,
+                                    const GuardLimits& limits) {
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     const Quantity wanted_rad = axis == kPitch ? wish.pitch_setpoint_rad : in.setpoint_rad[axis];
     const Quantity error_rad = magnitude(wanted_rad - in.angle_rad[axis]);

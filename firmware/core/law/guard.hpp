@@ -1,7 +1,7 @@
-// Whether a law that came over the link may go on: what it asks for, and where the arm is going.
+// Decides whether an uploaded law may keep flying, from its outputs and the arm's motion.
 //
-// The supervisor stands above every law and switches the motors off at its limits. The guard comes
-// before: it has the board's own law take over while that can still save the flight.
+// The supervisor watches every law and switches the motors off at its limits. The guard acts
+// earlier: it lets the board's own law take over while that can still save the flight.
 #pragma once
 
 #include <cstdint>
@@ -24,10 +24,10 @@ struct GuardLimits {
   Quantity angle_max_rad[kAxisCount];
   Quantity rate_max_rad_s[kAxisCount];
   Quantity table_rad;
-  Gain braking_s2[kAxisCount];  // angle to brake in, for each (rad/s)^2; 0: not foreseen
+  Gain braking_s2[kAxisCount];  // angle to brake in, per (rad/s)^2; 0: not predicted
   Gain lift_rad_s2_per_V;       // acceleration of elevation by lift beyond hover's
   Quantity hover_V;             // lift that carries the arm at level
-  Gain hover_V_per_rad;         // and what it takes more, the higher the arm is
+  Gain hover_V_per_rad;         // additional lift per elevation
   control::DeadZone dead_zone;
   Quantity following_max_rad[kAxisCount];
   // From here on the supervisor counts as well, and the way back takes part of its time.
@@ -35,21 +35,21 @@ struct GuardLimits {
   std::uint32_t following_ticks = 0;
 };
 
-// Lift of two motors beyond what carries the arm there.
+// Lift of both motors in excess of what carries the arm at that elevation.
 Quantity spare_lift_V(Quantity front_V, Quantity back_V, Quantity elevation_rad,
                       const GuardLimits& limits);
 
 GuardLimits guard_limits_of(const params::Params& params);
 
-// What a law asks for in a tick.
-struct Wish {
+// A law's output in one tick.
+struct LawOutput {
   Quantity front_V;
   Quantity back_V;
   Quantity pitch_setpoint_rad;
 };
 
-struct Judgement {
-  Takeover reason = Takeover::command;  // this one: the law may go on
+struct GuardVerdict {
+  Takeover reason = Takeover::command;  // `command`: the law may keep flying
   float value = 0.0F;
 };
 
@@ -60,15 +60,15 @@ class Guard {
       ticks = 0;
     }
   }
-  // `before`: what acted in the tick before.
-  Judgement check(const control::ControlInput& in, const Wish& wish, const Wish& before,
-                  const GuardLimits& limits);
+  // `before`: the output that acted in the previous tick.
+  GuardVerdict check(const control::ControlInput& in, const LawOutput& wish,
+                     const LawOutput& before, const GuardLimits& limits);
 
  private:
-  Judgement check_envelope(const control::ControlInput& in, const Wish& before,
-                           const GuardLimits& limits) const;
-  Judgement check_following(const control::ControlInput& in, const Wish& wish,
-                            const GuardLimits& limits);
+  GuardVerdict check_envelope(const control::ControlInput& in, const LawOutput& before,
+                              const GuardLimits& limits) const;
+  GuardVerdict check_following(const control::ControlInput& in, const LawOutput& wish,
+                               const GuardLimits& limits);
 
   std::uint32_t astray_ticks_[kAxisCount] = {};
 };

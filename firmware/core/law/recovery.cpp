@@ -21,7 +21,7 @@ constexpr Quantity kCalm_rad_s[kAxisCount] = {degrees(6.0F), degrees(40.0F), deg
 constexpr Quantity kLevel_rad = degrees(10.0F);
 constexpr std::uint32_t kCalm_ticks = 300;
 // Whoever keeps moving for longer is in no law's hand; the supervisor watches the setpoint again.
-constexpr std::uint32_t kMostStop_ticks = 3000;
+constexpr std::uint32_t kMaxStop_ticks = 3000;
 
 // The cascade overshoots a step by a quarter: by less than a degree of elevation from here.
 constexpr Quantity kNear_rad[kAxisCount] = {degrees(3.0F), Quantity{}, degrees(6.0F)};
@@ -30,7 +30,7 @@ constexpr Quantity kCarries_V = Quantity::of(0.5F);
 
 // Travel is back: its setpoint stands, and the arm nearly. From 175 degrees away that takes 13 s.
 constexpr Quantity kArrives_rad_s = degrees(1.0F);
-constexpr std::uint32_t kMostReturn_ticks = 20000;
+constexpr std::uint32_t kMaxReturn_ticks = 20000;
 // Elevation waits where the rotors have this share of their lift at level: with 0.3 of it, a return
 // over 30 degrees lifts the arm by 2, with 0.4 not at all (nominal rig).
 constexpr float kTiltingShare = 0.4F;
@@ -56,12 +56,12 @@ bool is_near(const ControlInput& in, std::size_t axis) {
 
 RecoveryLimits recovery_limits_of(const params::Params& params) {
   RecoveryLimits l{};
-  l.elevation_least_rad = degrees(params.get(Param::elevation_rest_deg));
-  l.elevation_most_rad = degrees(params.get(Param::elevation_max_deg) - kMargin_deg);
+  l.elevation_min_rad = degrees(params.get(Param::elevation_rest_deg));
+  l.elevation_max_rad = degrees(params.get(Param::elevation_max_deg) - kMargin_deg);
   const float slope = params.get(Param::hover_slope);
   const float tilting_deg =
       slope > 0.0F ? (kTiltingShare - 1.0F) * params.get(Param::hover_V) / slope : -90.0F;
-  l.tilting_least_rad = control::clamp(degrees(tilting_deg), l.elevation_least_rad, Quantity{});
+  l.tilting_min_rad = control::clamp(degrees(tilting_deg), l.elevation_min_rad, Quantity{});
   return l;
 }
 
@@ -69,10 +69,10 @@ void Recovery::update(ControlInput& in, Quantity lift_V, Quantity tilt_V,
                       const RecoveryLimits& limits) {
   if (!begun_) {
     begun_ = true;
-    returns_ = false;
+    returning_ = false;
     ticks_ = 0;
     calm_ticks_ = 0;
-    for (bool& moves : moves_) {
+    for (bool& moves : overrides_) {
       moves = false;
     }
     active_ = !(at_rest(in) && is_near(in, kElevation) && is_near(in, kTravel) &&
@@ -80,7 +80,7 @@ void Recovery::update(ControlInput& in, Quantity lift_V, Quantity tilt_V,
   }
   if (active_) {
     ++ticks_;
-    active_ = returns_ ? return_travel(in, limits) : stop_arm(in, limits);
+    active_ = returning_ ? return_travel(in, limits) : stop_arm(in, limits);
   }
 }
 
@@ -90,7 +90,7 @@ bool Recovery::calm_for_long(bool calm) {
 }
 
 void Recovery::move(ControlInput& in, std::size_t axis, Quantity setpoint_rad) {
-  moves_[axis] = true;
+  overrides_[axis] = true;
   setpoint_rad_[axis] = setpoint_rad;
   in.setpoint_rad[axis] = setpoint_rad;
   in.setpoint_rate_rad_s[axis] = Quantity{};
@@ -98,19 +98,19 @@ void Recovery::move(ControlInput& in, std::size_t axis, Quantity setpoint_rad) {
 }
 
 bool Recovery::stop_arm(ControlInput& in, const RecoveryLimits& limits) {
-  if (calm_for_long(at_rest(in)) || ticks_ > kMostStop_ticks) {
-    returns_ = moves_[kTravel];
-    moves_[kElevation] = false;
-    moves_[kTravel] = false;
+  if (calm_for_long(at_rest(in)) || ticks_ > kMaxStop_ticks) {
+    returning_ = overrides_[kTravel];
+    overrides_[kElevation] = false;
+    overrides_[kTravel] = false;
     calm_ticks_ = 0;
-    return returns_;
+    return returning_;
   }
-  if (moves_[kElevation] || !is_near(in, kElevation)) {
+  if (overrides_[kElevation] || !is_near(in, kElevation)) {
     move(in, kElevation,
-         control::clamp(in.angle_rad[kElevation], limits.elevation_least_rad,
-                        limits.elevation_most_rad));
+         control::clamp(in.angle_rad[kElevation], limits.elevation_min_rad,
+                        limits.elevation_max_rad));
   }
-  if (moves_[kTravel] || !is_near(in, kTravel)) {
+  if (overrides_[kTravel] || !is_near(in, kTravel)) {
     move(in, kTravel, in.angle_rad[kTravel]);
   }
   return true;
@@ -119,14 +119,13 @@ bool Recovery::stop_arm(ControlInput& in, const RecoveryLimits& limits) {
 bool Recovery::return_travel(ControlInput& in, const RecoveryLimits& limits) {
   const bool there = magnitude(in.setpoint_rate_rad_s[kTravel]) < kArrives_rad_s &&
                      magnitude(in.rate_rad_s[kTravel]) < kArrives_rad_s && is_near(in, kTravel);
-  if (calm_for_long(there) || ticks_ > kMostReturn_ticks) {
+  if (calm_for_long(there) || ticks_ > kMaxReturn_ticks) {
     return false;
   }
   const Quantity setpoint_rad = in.setpoint_rad[kElevation];
-  if (setpoint_rad < limits.tilting_least_rad) {
+  if (setpoint_rad < limits.tilting_min_rad) {
     const Quantity higher_rad = setpoint_rad + kRise_rad;
-    move(in, kElevation,
-         higher_rad < limits.tilting_least_rad ? higher_rad : limits.tilting_least_rad);
+    move(in, kElevation, higher_rad < limits.tilting_min_rad ? higher_rad : limits.tilting_min_rad);
   }
   return true;
 }

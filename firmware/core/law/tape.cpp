@@ -45,7 +45,7 @@ bool Tape::run(std::uint32_t tick) {
   return tick + 1U == ticks_;
 }
 
-bool Tape::take_new_states() {
+bool Tape::commit_states() {
   const std::uint32_t* from = image_ + outputs_at_ + Shape::kFirstSignal + shape_.signals;
   Bits* state = cells_ + shape_.first_state();
   Bits largest = 0;

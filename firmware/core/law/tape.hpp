@@ -1,8 +1,8 @@
 // A law as data: uploaded in parts, verified, then run a call at a time.
 //
-// The idle loop receives and verifies, the tick runs. Each has a byte of its own that the other
-// only reads: the tick begins to fly only what is ready, and the idle loop, once it has said that
-// nothing is, touches the tape only if nothing flies.
+// The idle loop receives and verifies, the tick runs. Each writes one byte that the other only
+// reads. The tick starts a law only if the byte says `ready`. The idle loop first withdraws
+// `ready`, and changes the tape only if no law flies.
 #pragma once
 
 #include <atomic>
@@ -17,7 +17,7 @@ namespace heli::law {
 using link::LawError;
 using link::LawState;
 
-// What the first words of an upload say.
+// The header of an upload.
 struct Shape {
   std::uint32_t divisor = 1;
   std::uint32_t signals = 0;
@@ -40,14 +40,14 @@ struct Shape {
   static constexpr std::uint32_t kFirstSignal = kFirstSetpoint + link::kAxisCount;
 };
 
-// A bit for each input of an axis that moves with its setpoint: rate and acceleration.
+// Bits of an axis' inputs that derive from a moving setpoint: its rate and acceleration.
 constexpr std::uint32_t moving_inputs(std::uint32_t axis) {
   return 1U << (static_cast<std::uint32_t>(link::LawInput::elevation_setpoint_rad_s) + axis) |
          1U << (static_cast<std::uint32_t>(link::LawInput::elevation_setpoint_rad_s2) + axis);
 }
 
-// What was found wrong, and where; see link::LawError.
-struct Finding {
+// Result of a check: the error, and where it is; see link::LawError.
+struct UploadCheck {
   LawError error = LawError::none;
   std::uint32_t value = 0;
 };
@@ -55,14 +55,14 @@ struct Finding {
 class Tape {
  public:
   // Idle loop.
-  Finding begin(const link::LawBeginMessage& message);
-  Finding receive(const link::LawPartMessage& message);
-  // Verifies what was received; `value` of the finding is then the cost of a call.
-  Finding end();
+  UploadCheck begin(const link::LawBeginMessage& message);
+  UploadCheck receive(const link::LawPartMessage& message);
+  // Verifies the upload; if it passes, `value` is the cost of a call in instructions.
+  UploadCheck end();
   std::uint32_t hash() const { return state() == LawState::none ? 0U : hash_; }
   std::uint32_t cost() const { return cost_; }
 
-  // Any.
+  // Any context.
   LawState state() const { return flying() ? LawState::flying : stored(); }
   bool flying() const { return flying_.load(std::memory_order_relaxed); }
   const Shape& shape() const { return shape_; }
@@ -72,27 +72,27 @@ class Tape {
   void fly(bool on) { flying_.store(on, std::memory_order_release); }
   void restart();
   void set_input(std::size_t input, Bits value) { cells_[input] = value; }
-  // Runs what the `tick`-th tick of a call has to do; true when the outputs are new.
+  // Runs the `tick`-th tick of a call; true when the outputs are new.
   bool run(std::uint32_t tick);
   Bits output(std::size_t place) const { return cells_[image_[outputs_at_ + place]]; }
-  // Whether an output is an input as it came.
-  bool passes(std::size_t place, std::size_t input) const {
+  // Whether an output is an unchanged input.
+  bool passes_input(std::size_t place, std::size_t input) const {
     return image_[outputs_at_ + place] == input;
   }
-  // A bit for each input that the law reads.
+  // One bit per input that the law reads.
   std::uint32_t inputs_read() const { return inputs_read_; }
-  // False: one of them is not finite.
-  bool take_new_states();
+  // False: a new state is not finite.
+  bool commit_states();
   bool set_parameter(std::uint32_t index, Bits value);
 
  private:
   static constexpr std::size_t kCells = link::kLawCells;
   static constexpr std::size_t kWords = link::kLawWords;
 
-  Finding check();
-  Finding check_numbers() const;
-  Finding check_instructions();
-  Finding spread();
+  UploadCheck check();
+  UploadCheck check_numbers() const;
+  UploadCheck check_instructions();
+  UploadCheck schedule();
   void prepare();
   void execute(const std::uint32_t* from, const std::uint32_t* to);
 
@@ -110,8 +110,8 @@ class Tape {
   std::uint32_t cost_ = 0;
   std::uint32_t ticks_ = 1;
   std::uint32_t inputs_read_ = 0;
-  // Behind the last instruction of each tick of a call.
-  std::uint16_t ends_[link::kLawMostTicks] = {};
+  // Index past the last instruction of each tick of a call.
+  std::uint16_t ends_[link::kLawMaxTicks] = {};
   std::uint32_t image_[kWords] = {};
   Bits cells_[kCells] = {};
 };

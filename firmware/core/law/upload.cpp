@@ -1,5 +1,5 @@
-// What a tape has to be before it may fly. There is no loop in it, so that everything is known
-// here: each cell read was written before, each cell written may be, and what a call costs at most.
+// Verifies a tape before it may fly. A tape has no loop, so everything is known here: each cell is
+// written before it is read, each written cell is free, and the cost of a call has a bound.
 #include <cstring>
 
 #include "law/tape.hpp"
@@ -23,7 +23,7 @@ constexpr std::uint32_t words_of(std::uint32_t word) {
   return is_sum(word) ? 1U + (word & kCellMask) : 1U;
 }
 
-// What was written so far.
+// Cells written so far.
 class Cells {
  public:
   explicit Cells(std::uint32_t first_free) {
@@ -38,15 +38,15 @@ class Cells {
   std::uint32_t bits_[link::kLawCells / 32U] = {};
 };
 
-// What a call costs besides its operations.
-struct Around {
+// Cost of a call in addition to its operations.
+struct Overhead {
   std::uint32_t begin = 0;  // its first tick
   std::uint32_t every = 0;  // each tick
   std::uint32_t end = 0;    // its last tick
 };
 
-Around around_of(const Shape& shape, std::uint32_t inputs_read) {
-  Around cost;
+Overhead overhead_of(const Shape& shape, std::uint32_t inputs_read) {
+  Overhead cost;
   cost.every = link::kLawFixedCost;
   cost.end = link::kLawOutputCost + link::kLawStateCost * shape.states +
              link::kLawSignalCost * shape.signals;
@@ -61,7 +61,7 @@ Around around_of(const Shape& shape, std::uint32_t inputs_read) {
 
 }  // namespace
 
-Finding Tape::begin(const link::LawBeginMessage& message) {
+UploadCheck Tape::begin(const link::LawBeginMessage& message) {
   const LawState before = stored();
   store(LawState::none);
   if (flying()) {
@@ -78,9 +78,9 @@ Finding Tape::begin(const link::LawBeginMessage& message) {
   return {};
 }
 
-Finding Tape::receive(const link::LawPartMessage& message) {
+UploadCheck Tape::receive(const link::LawPartMessage& message) {
   const std::uint32_t first = message.first;
-  // A part that was brought before is brought again when its answer was lost.
+  // The host repeats a part whose answer was lost.
   if (stored() != LawState::receiving || first > received_ || first % kPartWords != 0U ||
       first >= expected_) {
     return {LawError::wrong_part, first};
@@ -97,7 +97,7 @@ Finding Tape::receive(const link::LawPartMessage& message) {
   return {LawError::none, received_};
 }
 
-Finding Tape::end() {
+UploadCheck Tape::end() {
   if (stored() == LawState::ready) {
     return {LawError::none, cost_};
   }
@@ -107,12 +107,12 @@ Finding Tape::end() {
   if (received_ != expected_) {
     return {LawError::incomplete, received_};
   }
-  const Finding found = check();
+  const UploadCheck found = check();
   store(found.error == LawError::none ? LawState::ready : LawState::none);
-  return found.error == LawError::none ? Finding{LawError::none, cost_} : found;
+  return found.error == LawError::none ? UploadCheck{LawError::none, cost_} : found;
 }
 
-Finding Tape::check() {
+UploadCheck Tape::check() {
   std::uint32_t crc = 0;
   for (std::uint32_t k = 0; k < expected_; ++k) {
     std::uint8_t bytes[4];
@@ -144,22 +144,22 @@ Finding Tape::check() {
   }
   outputs_at_ = Shape::kHeadWords + shape_.constants + shape_.parameters + shape_.states;
   program_at_ = outputs_at_ + shape_.outputs();
-  const Finding numbers = check_numbers();
+  const UploadCheck numbers = check_numbers();
   if (numbers.error != LawError::none) {
     return numbers;
   }
-  const Finding program = check_instructions();
+  const UploadCheck program = check_instructions();
   if (program.error != LawError::none) {
     return program;
   }
-  const Finding division = spread();
+  const UploadCheck division = schedule();
   if (division.error == LawError::none) {
     prepare();
   }
   return division;
 }
 
-Finding Tape::check_numbers() const {
+UploadCheck Tape::check_numbers() const {
   const std::uint32_t numbers = shape_.constants + shape_.parameters + shape_.states;
   for (std::uint32_t k = 0; k < numbers; ++k) {
     if (!is_finite(image_[Shape::kHeadWords + k])) {
@@ -169,7 +169,7 @@ Finding Tape::check_numbers() const {
   return {};
 }
 
-Finding Tape::check_instructions() {
+UploadCheck Tape::check_instructions() {
   const std::uint32_t first_written = shape_.first_written();
   Cells written(first_written);
   inputs_read_ = 0;
@@ -192,7 +192,7 @@ Finding Tape::check_instructions() {
     const std::uint32_t first = (word >> 9U) & kCellMask;
     const std::uint32_t second = word & kCellMask;
     if (is_sum(word)) {
-      if (first != 0U || second == 0U || second > link::kLawMostTerms ||
+      if (first != 0U || second == 0U || second > link::kLawMaxTerms ||
           second >= shape_.instructions - k) {
         return {LawError::bad_sum, k};
       }
@@ -229,8 +229,8 @@ Finding Tape::check_instructions() {
 }
 
 // Over how many ticks a call is spread, and what it costs. Each tick has room to be the last.
-Finding Tape::spread() {
-  const Around around = around_of(shape_, inputs_read_);
+UploadCheck Tape::schedule() {
+  const Overhead around = overhead_of(shape_, inputs_read_);
   std::uint32_t in_tick = around.begin + around.every;
   cost_ = in_tick + around.end;
   ticks_ = 1;
@@ -241,7 +241,7 @@ Finding Tape::spread() {
     const std::uint32_t cost =
         link::kOperationCost[word >> 27U] + (words - 1U) * link::kLawTermCost;
     if (in_tick + cost + around.end > link::kLawTickCost) {
-      if (ticks_ <= link::kLawMostTicks) {
+      if (ticks_ <= link::kLawMaxTicks) {
         ends_[ticks_ - 1U] = static_cast<std::uint16_t>(k);
       }
       ++ticks_;
@@ -251,7 +251,7 @@ Finding Tape::spread() {
     in_tick += cost;
     cost_ += cost;
   }
-  if (ticks_ > shape_.divisor || ticks_ > link::kLawMostTicks) {
+  if (ticks_ > shape_.divisor || ticks_ > link::kLawMaxTicks) {
     return {LawError::too_costly, ticks_};
   }
   ends_[ticks_ - 1U] = static_cast<std::uint16_t>(shape_.instructions);

@@ -9,7 +9,7 @@
 
 namespace heli::link {
 
-inline constexpr std::uint32_t kLinkHash = 0x05457129U;
+inline constexpr std::uint32_t kLinkHash = 0x87234351U;
 inline constexpr std::uint8_t kLinkMajor = 1;
 inline constexpr std::uint8_t kLinkMinor = 3;
 inline constexpr std::uint8_t kFirmwareMajor = 0;
@@ -150,8 +150,19 @@ enum class Event : std::uint8_t {
   zeroed = 8,  // encoder zeros taken; detail = axis mask
   law_engaged = 9,  // a law that came over the link flies; value = its divisor of the tick's rate
   law_taken_over = 10,  // the board's own law took over from it; detail = takeover, value as said there
+  travel_probe = 11,  // the board tilts the arm to see whether the travel encoder still counts; detail = probe, value = tilt in deg
 };
-inline constexpr std::size_t kEventCount = 11;
+inline constexpr std::size_t kEventCount = 12;
+
+// What the board reports of a tilt by which it checks a travel encoder that has long been silent.
+enum class Probe : std::uint8_t {
+  none = 0,  // nothing
+  asked = 1,  // the tilt begins
+  counts = 2,  // the encoder counts
+  silent = 3,  // it does not count, although the tilt must have turned the arm: travel_motionless
+  stopped = 4,  // no answer: the state changed, or pitch did not follow far enough
+};
+inline constexpr std::size_t kProbeCount = 5;
 
 // Supervisor events: rows of its state table, and the cause in state events and telemetry.
 enum class Trigger : std::uint8_t {
@@ -279,24 +290,25 @@ enum class Param : std::uint8_t {
   motion_s = 54,  // s: how long a driven elevation or pitch may stay within a count
   travel_motion_deg = 55,  // deg: pitch beyond the balanced one that must move travel within travel_motion_s
   travel_motion_s = 56,  // s: with travel_motion_deg: a smaller excess is tolerated for longer, by its double integral over time
-  elevation_gain = 57,  // rad/(s2 V): acceleration of elevation per volt of the sum: thrust gain k L_a / J_theta; judges what elevation must have moved by
-  pitch_gain = 58,  // rad/(s2 V): acceleration of pitch per volt of front minus back: k L_h / J_phi; judges what pitch must have moved by
-  travel_gain = 59,  // 1/s2: acceleration of travel per radian of pitch at hover: thrust that carries the arm, times L_a / J_psi; judges what travel must have moved by
-  law_jump_max_V = 60,  // V: change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link
-  law_envelope = 61,  // : share of the angle and rate limits, and of the following errors, beyond which it takes over
-  arm_rate_max_deg_s = 62,  // deg/s: arming needs every axis slower than this
-  arm_elevation_tolerance_deg = 63,  // deg: arming needs the elevation this close to rest
-  arm_pitch_tolerance_deg = 64,  // deg: arming needs the pitch this close to level
-  setpoint_hold_s = 65,  // s: without a fresh setpoint for this long the board holds level
-  setpoint_land_s = 66,  // s: without a fresh setpoint for this long the board lands
-  landing_rate_deg_s = 67,  // deg/s: descent of the elevation setpoint while landing
-  landing_timeout_s = 68,  // s: landing takes at most this long; then motors off with a fault
-  voltage_valid_max_ms = 69,  // ms: a streamed voltage acts at most this long, whatever its sender asked for
-  excitation_max_V = 70,  // V: largest amplitude that excite accepts
-  excitation_max_s = 71,  // s: longest duration that excite accepts
-  telemetry_batch_ticks = 72,  // tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
+  travel_silence_s = 57,  // s: how long travel may be without a count, in the air and held by the board, before a short tilt checks its encoder; 0: never
+  elevation_gain = 58,  // rad/(s2 V): acceleration of elevation per volt of the sum: thrust gain k L_a / J_theta; judges what elevation must have moved by
+  pitch_gain = 59,  // rad/(s2 V): acceleration of pitch per volt of front minus back: k L_h / J_phi; judges what pitch must have moved by
+  travel_gain = 60,  // 1/s2: acceleration of travel per radian of pitch at hover: thrust that carries the arm, times L_a / J_psi; judges what travel must have moved by
+  law_jump_max_V = 61,  // V: change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link
+  law_envelope = 62,  // : share of the angle and rate limits, and of the following errors, beyond which it takes over
+  arm_rate_max_deg_s = 63,  // deg/s: arming needs every axis slower than this
+  arm_elevation_tolerance_deg = 64,  // deg: arming needs the elevation this close to rest
+  arm_pitch_tolerance_deg = 65,  // deg: arming needs the pitch this close to level
+  setpoint_hold_s = 66,  // s: without a fresh setpoint for this long the board holds level
+  setpoint_land_s = 67,  // s: without a fresh setpoint for this long the board lands
+  landing_rate_deg_s = 68,  // deg/s: descent of the elevation setpoint while landing
+  landing_timeout_s = 69,  // s: landing takes at most this long; then motors off with a fault
+  voltage_valid_max_ms = 70,  // ms: a streamed voltage acts at most this long, whatever its sender asked for
+  excitation_max_V = 71,  // V: largest amplitude that excite accepts
+  excitation_max_s = 72,  // s: longest duration that excite accepts
+  telemetry_batch_ticks = 73,  // tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
 };
-inline constexpr std::size_t kParamCount = 73;
+inline constexpr std::size_t kParamCount = 74;
 
 struct ParamInfo {
   float min;
@@ -364,6 +376,7 @@ inline constexpr ParamInfo kParams[kParamCount] = {
     {0.1F, 10.0F, 0.5F, false, false, true},  // motion_s
     {0.5F, 90.0F, 8.0F, false, false, true},  // travel_motion_deg
     {0.1F, 30.0F, 1.0F, false, false, true},  // travel_motion_s
+    {0.0F, 60.0F, 2.5F, false, false, true},  // travel_silence_s
     {0.02F, 10.0F, 0.485F, false, false, false},  // elevation_gain
     {0.1F, 100.0F, 2.97F, false, false, false},  // pitch_gain
     {0.05F, 100.0F, 0.5F, false, false, false},  // travel_gain
@@ -417,8 +430,8 @@ inline constexpr std::uint32_t kLawFormat = 2;
 inline constexpr std::uint32_t kLawCells = 512;
 inline constexpr std::uint32_t kLawWords = 1536;
 inline constexpr std::uint32_t kLawSignals = 4;
-inline constexpr std::uint32_t kLawMostTicks = 16;
-inline constexpr std::uint32_t kLawMostTerms = 64;
+inline constexpr std::uint32_t kLawMaxTicks = 16;
+inline constexpr std::uint32_t kLawMaxTerms = 64;
 inline constexpr std::uint32_t kLawTickCost = 20000;
 inline constexpr std::uint32_t kLawFixedCost = 1120;
 inline constexpr std::uint32_t kLawOutputCost = 320;

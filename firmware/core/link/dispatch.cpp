@@ -111,7 +111,7 @@ void Dispatcher::command(const CommandInfo* info, const Frame& frame) {
   }
   // A stop takes the place of an answer that cannot leave: whoever stops has given up on that one.
   if (busy_ || (reply_waits_ && !is_stop)) return;
-  if (frame.size > 0) grow_old(frame.payload[0]);
+  if (frame.size > 0) age_requests(frame.payload[0]);
 
   const bool is_hello = info != nullptr && info->id == MessageId::hello;
   if (!is_hello && !session_open_) return refuse(frame, Result::no_handshake);
@@ -137,11 +137,11 @@ void Dispatcher::local(const Frame& frame) {
       return params_read(frame);
     // Whichever of these comes twice does the same twice, so none needs the memory of commands.
     case MessageId::law_begin:
-      return told(frame, tape_.begin(LawBeginMessage::read(frame.payload)));
+      return report(frame, tape_.begin(LawBeginMessage::read(frame.payload)));
     case MessageId::law_part:
-      return told(frame, tape_.receive(LawPartMessage::read(frame.payload)));
+      return report(frame, tape_.receive(LawPartMessage::read(frame.payload)));
     case MessageId::law_end:
-      return told(frame, tape_.end());
+      return report(frame, tape_.end());
     case MessageId::law_read:
       return law_read(frame);
     default: {
@@ -187,15 +187,14 @@ void Dispatcher::params_read(const Frame& frame) {
   ParamsMessage head;
   head.request = message.request;
   head.first = message.first;
-  head.count =
-      rest < Outgoing::kMostParams ? static_cast<std::uint8_t>(rest) : Outgoing::kMostParams;
+  head.count = rest < Outgoing::kMaxParams ? static_cast<std::uint8_t>(rest) : Outgoing::kMaxParams;
   send(head);
   for (std::size_t i = 0; i < head.count; ++i, reply_.size += 4) {
     put_f32(reply_.payload + reply_.size, params_.data()[message.first + i]);
   }
 }
 
-void Dispatcher::told(const Frame& frame, const law::Finding& finding) {
+void Dispatcher::report(const Frame& frame, const law::UploadCheck& finding) {
   AckMessage ack;
   ack.request = frame.payload[0];
   ack.command = frame.id;
@@ -258,7 +257,7 @@ bool Dispatcher::collect(std::uint32_t tick) {
   send(memory_.ack);
   if (stop_waits_) {
     stop_waits_ = false;
-    grow_old(stop_request_);
+    age_requests(stop_request_);
     remote(MessageId::stop, &stop_request_, StopMessage::kSize);
   }
   return true;
@@ -300,7 +299,7 @@ void Dispatcher::pass_stream() {
   if (stream_waits_ && streams_.push(newest_stream_)) stream_waits_ = false;
 }
 
-void Dispatcher::grow_old(std::uint8_t request) {
+void Dispatcher::age_requests(std::uint8_t request) {
   if (request == last_request_) return;
   last_request_ = request;
   if (memory_.valid && ++memory_.age >= kMemoryAge) memory_.valid = false;
@@ -317,7 +316,7 @@ void Dispatcher::refuse(const Frame& frame, Result result, std::uint8_t detail) 
 
 template <class Message>
 void Dispatcher::send(const Message& message) {
-  static_assert(Message::kSize <= Outgoing::kMost, "the reply must fit");
+  static_assert(Message::kSize <= Outgoing::kMaxBytes, "the reply must fit");
   reply_.id = Message::kId;
   reply_.size = Message::kSize;
   message.write(reply_.payload);

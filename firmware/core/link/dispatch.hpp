@@ -27,12 +27,12 @@ using StreamQueue = Spsc<StreamValue, 4>;
 
 // The answer that waits for room in the transmitter.
 struct Outgoing {
-  static constexpr std::uint8_t kMostParams = 32;
-  static constexpr std::size_t kMost = ParamsMessage::kSize + 4 * kMostParams;
+  static constexpr std::uint8_t kMaxParams = 32;
+  static constexpr std::size_t kMaxBytes = ParamsMessage::kSize + 4 * kMaxParams;
 
   MessageId id = MessageId::ack;
   std::size_t size = 0;
-  std::uint8_t payload[kMost] = {};
+  std::uint8_t payload[kMaxBytes] = {};
 };
 
 struct CommandInfo;
@@ -85,11 +85,11 @@ class Dispatcher {
   void local(const Frame& frame);
   void params_read(const Frame& frame);
   void law_read(const Frame& frame);
-  void told(const Frame& frame, const law::Finding& finding);
+  void report(const Frame& frame, const law::UploadCheck& finding);
   void remote(MessageId id, const std::uint8_t* payload, std::uint8_t size);
   void stream(const CommandInfo& info, const Frame& frame, std::uint32_t tick);
   void pass_stream();
-  void grow_old(std::uint8_t request);
+  void age_requests(std::uint8_t request);
   void refuse(const Frame& frame, Result result, std::uint8_t detail = 0);
   template <class Message>
   void send(const Message& message);

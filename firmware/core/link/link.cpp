@@ -70,7 +70,7 @@ Sample& Link::next_sample() {
   return room != nullptr ? *room : lost_sample_;
 }
 
-void Link::keep_sample(const Sample& sample) {
+void Link::commit_sample(const Sample& sample) {
   if (&sample != &lost_sample_) {
     samples_.keep();
     return;

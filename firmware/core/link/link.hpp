@@ -55,10 +55,10 @@ class Link {
   // Tick: the next streamed value, floats finite; call until false, the last one wins.
   bool take_stream(StreamValue& value);
 
-  // Tick, once at its end: fill in all of what next_sample() gives, then keep_sample(). A sample
+  // Tick, once at its end: fill in all of what next_sample() gives, then commit_sample(). A sample
   // for which there is no room, because the idle loop is late, is lost and counted.
   Sample& next_sample();
-  void keep_sample(const Sample& sample);
+  void commit_sample(const Sample& sample);
   void publish(const TickCounters& counters);
 
   // Tick (before the first tick: anyone). The newest is lost when sixteen wait.

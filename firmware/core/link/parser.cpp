@@ -10,7 +10,7 @@ bool Parser::put(std::uint8_t byte) {
   if (byte != 0) {
     std::uint8_t decoded = 0;
     if (!too_long_ && cobs_.put(byte, decoded)) {
-      if (decoded_count_ == kMost) {
+      if (decoded_count_ == kMaxBytes) {
         too_long_ = true;
       } else {
         decoded_[decoded_count_++] = decoded;

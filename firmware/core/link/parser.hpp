@@ -37,9 +37,9 @@ class Parser {
   bool finish();
   void count_gap();
 
-  static constexpr std::size_t kMost = kFrameHead + kMaxCommandPayload + kFrameTail;
+  static constexpr std::size_t kMaxBytes = kFrameHead + kMaxCommandPayload + kFrameTail;
 
-  std::uint8_t decoded_[kMost] = {};
+  std::uint8_t decoded_[kMaxBytes] = {};
   std::size_t decoded_count_ = 0;
   std::uint32_t received_ = 0;  // bytes since the last delimiter
   bool too_long_ = false;

@@ -29,54 +29,74 @@ def is_due_native(port: PortInfo) -> bool:
     return (port.vendor_id, port.product_id) == (ARDUINO_VID, DUE_NATIVE_PID)
 
 
-def find_board() -> str:
-    """Return the port of the only Due that is plugged in, as ``heli_host.connect`` takes it; a PortError if
-    there is none, or more than one.
-    """
-    from heli_host.errors import PortError
-    from heli_host.link.transport import available_ports
-
-    found = available_ports()
-    boards = [port.device for port in found if is_due(port)]
-    if len(boards) == 1:
-        return boards[0]
-    if boards:
-        raise PortError(
-            f"{len(boards)} boards are plugged in", f"choose one: --port {' or --port '.join(boards)}"
-        )
-    if any(is_due_native(port) for port in found):
-        raise PortError(
-            "the Due is plugged in by its native port", "use the programming port, next to the power jack"
-        )
-    raise PortError(
-        "no board is plugged in", "name its port with --port, or fly the simulated one with --sil"
-    )
-
-
-@contextlib.contextmanager
-def open_board(port: str | None, sil: str | None = None) -> Iterator[Heli]:
-    """Connect to a board and disconnect at the end.
+def check_target(port: str | None, sil: bool | None) -> None:
+    """Check that the options of a verb name exactly one board.
 
     Parameters
     ----------
     port : str or None
-        A pyserial URL; None looks for the only Due.
+        Value of ``--port`` or ``HELI_PORT``.
+    sil : bool or None
+        Whether ``--sil`` was given; None for a verb that needs a real board.
+
+    Raises
+    ------
+    PortError
+        No board is named: the message lists the boards that are plugged in. No port was opened.
+    typer.BadParameter
+        ``--port`` and ``--sil`` name two boards.
+    """
+    # HELI_PORT is a lasting setting: --sil overrides it, and contradicts only a --port that was typed.
+    if sil and port is not None and port != os.environ.get("HELI_PORT"):
+        raise typer.BadParameter("--port and --sil name two different boards; leave one of them out")
+    if sil or port is not None:
+        return
+    from heli_host.errors import PortError
+    from heli_host.link.transport import available_ports
+
+    ports = available_ports()
+    boards = [port.device for port in ports if is_due(port)]
+    simulation = "" if sil is None else "--sil for the simulation, or "
+    if len(boards) == 1:
+        remedy = f"add {simulation}--port {boards[0]} for the Due found there"
+    elif boards:
+        named = " or ".join(f"--port {device}" for device in boards)
+        remedy = f"add {simulation}{named} for one of the {len(boards)} Dues found"
+    elif any(is_due_native(port) for port in ports):
+        raise PortError(
+            "no board is named, and the Due is plugged in by its native port",
+            "move its cable to the programming port, next to the power jack, "
+            f"then add {simulation}--port PORT",
+        )
+    else:
+        remedy = f"add {simulation}--port PORT once a board is plugged in; heli-host ports lists ports"
+    found = "" if boards else ", and no Due is plugged in"
+    raise PortError(f"no board is named{found}", remedy)
+
+
+@contextlib.contextmanager
+def open_board(port: str | None, sil: str | None = None) -> Iterator[Heli]:
+    """Connect to the board that the options name and disconnect at the end.
+
+    Parameters
+    ----------
+    port : str or None
+        Value of ``--port`` or ``HELI_PORT``, a pyserial URL.
     sil : str or None
-        Address of a simulated board, to connect to instead; see `sil_address`.
+        Address of a simulated board for ``--sil``; see `sil_address`.
 
     Raises
     ------
     LinkError
-        If there is no board, or it does not answer.
+        No board is named, or it does not answer.
     typer.BadParameter
-        If a port was given and a simulated board asked for.
+        Two boards are named.
     """
     import heli_host
 
-    # HELI_PORT is a habit, not a wish: --sil overrides it, and contradicts only a --port that was typed.
-    if sil is not None and port is not None and port != os.environ.get("HELI_PORT"):
-        raise typer.BadParameter("--port and --sil name two different boards; leave one of them out")
-    url = sil if sil is not None else port if port is not None else find_board()
+    check_target(port, sil is not None)
+    url = sil if sil is not None else port
+    assert url is not None
     with heli_host.connect(url) as heli:
         yield heli
 

@@ -8,7 +8,7 @@ import time
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from heli_host.cli.say import say
+from heli_host.cli.say import DATA_ONLY, say
 from heli_host.errors import printable
 
 if TYPE_CHECKING:
@@ -37,7 +37,8 @@ class LiveDisplay:
     """
 
     def __init__(self, line_every_s: float, is_terminal: bool | None = None) -> None:
-        self.is_terminal = sys.stdout.isatty() if is_terminal is None else is_terminal
+        stream = sys.stderr if DATA_ONLY.get() else sys.stdout
+        self.is_terminal = stream.isatty() if is_terminal is None else is_terminal
         self._line_every_s = line_every_s
         self._live: Live | None = None
         self._shown_s = float("-inf")
@@ -47,7 +48,9 @@ class LiveDisplay:
             from rich.console import Console
             from rich.live import Live
 
-            self._live = Live(console=Console(highlight=False), auto_refresh=False, transient=True)
+            self._live = Live(
+                console=Console(highlight=False, stderr=DATA_ONLY.get()), auto_refresh=False, transient=True
+            )
             self._live.start()
         return self
 

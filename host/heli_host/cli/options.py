@@ -13,14 +13,31 @@ PortOption = Annotated[
         "--port",
         "-p",
         metavar="URL",
-        help="Board: /dev/ttyACM0, COM3, socket://host:port, ... Without it: the only Due plugged in.",
+        help="Open the board on this port: /dev/ttyACM0, COM3, socket://HOST:PORT.",
         envvar="HELI_PORT",
         show_default=False,
     ),
 ]
-JsonFlag = Annotated[bool, typer.Option("--json", help="One JSON object instead of text.")]
-ForOption = Annotated[
-    float | None, typer.Option("--for-s", metavar="S", min=0.001, help="How long; else until Ctrl-C.")
+JsonOption = Annotated[
+    Path | None,
+    typer.Option("--json", metavar="FILE", help="Write the result as JSON, to standard output for -."),
+]
+DurationOption = Annotated[
+    float | None,
+    typer.Option(
+        "--duration",
+        metavar="S",
+        min=0.001,
+        help="Stop after this time in s.  [default: until Ctrl-C]",
+        show_default=False,
+    ),
+]
+LogOption = Annotated[
+    Path | None, typer.Option("--log", metavar="FILE", help="Write the log to this file, .mcap.")
+]
+FigureOption = Annotated[
+    Path | None,
+    typer.Option("--figure", metavar="FILE", help="Draw a figure to this file: .png, .pdf or .svg."),
 ]
 ClearFaultOption = Annotated[bool, typer.Option("--clear-fault", help="Clear a latched fault first.")]
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 LINE_EVERY_S = 5.0
 """When the output goes to a file or another program."""
-_LEAST_TOLD = 0.01
+_MIN_TOLD = 0.01
 """Share of the work below which no time left is told."""
 
 
@@ -68,6 +68,6 @@ class WorkBar:
             self._shown_s = now_s
             told = f"{stage}: {100 * done:.0f} %"
             # Of next to nothing that is done no time left can be told.
-            if done >= _LEAST_TOLD:
+            if done >= _MIN_TOLD:
                 told += f", about {(now_s - self._started_s) * (1.0 - done) / done:.0f} s left"
             say_progress(told)

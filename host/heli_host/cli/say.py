@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, Final
@@ -50,18 +50,35 @@ def data_on_stdout(*files: Path | None) -> None:
         DATA_ONLY.set(True)
 
 
-def write_numbers(file: Path | None, content: Any) -> None:
-    """Write `content` as JSON into a `file`, or to standard output for ``-``; nothing for None. What is no
-    number becomes null.
+def write_result(file: Path | None, content: Mapping[str, Any]) -> bool:
+    """Write a verb's result as JSON, with the number of its schema.
+
+    Parameters
+    ----------
+    file : Path or None
+        File to write; ``-`` for standard output, where nothing else is printed from then on; None for none.
+    content : Mapping
+        The result; NaN and infinity become null.
+
+    Returns
+    -------
+    bool
+        Whether the result went to standard output, so that no text is needed.
     """
     import json
 
+    from heli_host.files import RESULT_SCHEMA
+
     if file is None:
-        return
+        return False
+    data_on_stdout(file)
+    text = json.dumps(_finite({"schema": RESULT_SCHEMA, **content}), indent=2, allow_nan=False) + "\n"
     if str(file) == STDOUT:
-        say_json(content)
-        return
-    file.write_text(json.dumps(_finite(content), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        say_data(text)
+        return True
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(text, encoding="utf-8")
+    return False
 
 
 def say_data(text: str) -> None:
@@ -70,16 +87,8 @@ def say_data(text: str) -> None:
     sys.stdout.flush()
 
 
-def say_json(content: Any) -> None:
-    """Print `content` as one JSON document, for another program; what is no number there is null."""
-    import json
-
-    print(json.dumps(_finite(content), indent=2))
-    sys.stdout.flush()
-
-
 def _finite(content: Any) -> Any:
-    if isinstance(content, dict):
+    if isinstance(content, Mapping):
         return {str(name): _finite(value) for name, value in content.items()}
     if isinstance(content, list | tuple):
         return [_finite(value) for value in content]

@@ -16,7 +16,7 @@ DEFAULT_RIG: Final = "makki2024"
 MAX_SPEED: Final = "max"
 BOARDS: Final = ("native", "due", "auto")
 
-SilOption = Annotated[bool, typer.Option("--sil", help="Fly the simulated board instead.")]
+SilOption = Annotated[bool, typer.Option("--sil", help="Use the simulated board.")]
 RigOption = Annotated[
     str | None,
     typer.Option(
@@ -59,7 +59,7 @@ EffectOption = Annotated[
 EffectFilesOption = Annotated[
     list[Path] | None,
     typer.Option(
-        "--effects",
+        "--effect-file",
         metavar="FILE.py",
         help="More effects; the file's code is run; may be repeated.",
         show_default=False,
@@ -71,6 +71,20 @@ SpeedOption = Annotated[
 ]
 SeedOption = Annotated[
     int, typer.Option("--seed", min=0, help="Seed of everything random in the simulation.")
+]
+FlightSeedOption = Annotated[
+    int | None,
+    typer.Option(
+        "--seed",
+        metavar="N",
+        min=0,
+        help="Seed all random numbers of the simulation.  [default: 1, random with --blind]",
+        show_default=False,
+    ),
+]
+BlindOption = Annotated[
+    bool,
+    typer.Option("--blind", help="Hide rig, effects and seed in all files but LOG.truth.json."),
 ]
 
 

@@ -1,4 +1,4 @@
-"""Options of the verbs that fly with a twin beside them."""
+"""Options of the verbs that fly together with a twin."""
 
 from __future__ import annotations
 
@@ -18,41 +18,40 @@ TwinOption = Annotated[
     typer.Option(
         "--twin",
         metavar="NAME|FILE",
-        help="A model of the rig flies along and says when the two part: a rig, or a file of "
-        "heli-host twin --learn.",
+        help="Compare the flight with this rig, or twin file, and report alarms.",
     ),
 ]
-OnChangeOption = Annotated[
+OnAlarmOption = Annotated[
     str | None,
     typer.Option(
-        "--on-change",
-        metavar="tell|land",
-        help="What happens when they part.  [default: tell]",
+        "--on-alarm",
+        metavar="warn|land",
+        help="Choose what an alarm of the twin does.  [default: warn]",
         show_default=False,
     ),
 ]
-TELL: Final = "tell"
+WARN: Final = "warn"
 LAND: Final = "land"
 
 
-def check_on_change(twin: str | None, on_change: str | None) -> bool:
-    """Whether a change is to end in a landing: whether `on_change` says so; refuses words that mean nothing,
-    and any without a `twin`.
+def lands_on_alarm(twin: str | None, on_alarm: str | None) -> bool:
+    """Return whether an alarm ends the flight in a landing, as `on_alarm` says; refuse any other word, and
+    any word without a `twin`.
     """
     # A twin's matrices are small: more threads only wait for each other. It counts before numpy is loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    if on_change is None:
+    if on_alarm is None:
         return False
-    if on_change not in (TELL, LAND):
-        raise typer.BadParameter(f"--on-change is {on_change}, give {TELL} or {LAND}")
+    if on_alarm not in (WARN, LAND):
+        raise typer.BadParameter(f"unknown --on-alarm '{on_alarm}'; choose {WARN} or {LAND}")
     if twin is None:
-        raise typer.BadParameter("--on-change needs --twin NAME|FILE")
-    return on_change == LAND
+        raise typer.BadParameter("--on-alarm needs a twin; add --twin NAME|FILE")
+    return on_alarm == LAND
 
 
 def read_twin(twin: str | None) -> TwinMaker | None:
-    """Read a `twin`, the name of a rig or a file, so that what is wrong with it is told before anything
-    starts; None where none is asked for.
+    """Read a `twin`, the name of a rig or a file, so that an error in it is reported before anything starts;
+    None without a twin.
     """
     if twin is None:
         return None
@@ -62,11 +61,11 @@ def read_twin(twin: str | None) -> TwinMaker | None:
 
 
 def open_watch(
-    heli: Heli, twin: TwinMaker | None, on_change: Callable[[], None] | None = None
+    heli: Heli, twin: TwinMaker | None, on_alarm: Callable[[], None] | None = None
 ) -> TwinWatch | None:
-    """Let a `twin`, as `read_twin` gives it, fly along with a board; when they part `on_change` is called."""
+    """Let a `twin`, as `read_twin` gives it, fly along with a board; an alarm calls `on_alarm`."""
     if twin is None:
         return None
     from heli_host.twins import HOURS, TwinWatch
 
-    return TwinWatch(heli.session, twin(dict(heli.params), HOURS), on_change)
+    return TwinWatch(heli.session, twin(dict(heli.params), HOURS), on_alarm)

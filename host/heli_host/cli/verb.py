@@ -37,11 +37,14 @@ class Verb:
         Heading of ``--help`` that it stands under.
     variadic : bool
         Whether its repeatable options take several words each, see `Variadic`; functions only.
+    aliases : tuple of str
+        Other names, which ``--help`` does not list; functions only.
     """
 
     command: Callable[..., Any] | typer.Typer
     panel: str
     variadic: bool = False
+    aliases: tuple[str, ...] = ()
 
     def add_to(self, app: typer.Typer, name: str) -> None:
         """Make it the verb `name` of a command line, `app`."""
@@ -51,6 +54,8 @@ class Verb:
             app.command(name, cls=Variadic, rich_help_panel=self.panel)(self.command)
         else:
             app.command(name, rich_help_panel=self.panel)(self.command)
+            for alias in self.aliases:
+                app.command(alias, hidden=True)(self.command)
 
 
 def installed_verbs() -> dict[str, Verb]:

@@ -11,7 +11,7 @@ from heli_host.errors import ImageError
 
 # Memory of the SAM3X8E, as in firmware/due/due.ld.
 FLASH_START = 0x0008_0000
-CODE_MOST_BYTES = 512 * 1024 - 512
+CODE_MAX_BYTES = 512 * 1024 - 512
 RAM_START = 0x2007_0000
 RAM_END = 0x2008_8000
 VECTORS = 16 + 45
@@ -47,9 +47,9 @@ def read_image(path: Path) -> FirmwareImage:
         raise ImageError(f"{path} is an ELF file", f"give the .bin beside it ({path.with_suffix('.bin')})")
     if content.startswith(b":") and content[1:9].isalnum():
         raise ImageError(f"{path} is an Intel HEX file", _BUILD)
-    if not VECTORS * 4 <= len(content) <= CODE_MOST_BYTES:
+    if not VECTORS * 4 <= len(content) <= CODE_MAX_BYTES:
         raise ImageError(
-            f"{path} has {len(content)} bytes; an image for the Due has {VECTORS * 4} to {CODE_MOST_BYTES}",
+            f"{path} has {len(content)} bytes; an image for the Due has {VECTORS * 4} to {CODE_MAX_BYTES}",
             _BUILD,
         )
     _check_vectors(path, content)

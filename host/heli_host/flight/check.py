@@ -15,7 +15,7 @@ _MAX_ANGLE_RAD = {"elevation_rad": 1.6, "pitch_rad": 3.2}
 """No arm stands higher than upright, and no short arm turns over; travel may turn many times."""
 _MAX_COUNT_RAD = 0.02
 """An encoder with fewer than 314 counts a turn is none; in degrees, 16384 counts are steps of 0.022."""
-_LEAST_MOVES = 20
+_MIN_MOVES = 20
 _MAX_RATE_RAD_S = 20.0
 """Over a tenth of a second, in one row of a hundred; the board's own limits are below 10."""
 _MAX_VOLTAGE_V = 100.0
@@ -110,7 +110,7 @@ def _check_units(flight: Flight, source: str, where: Callable[[int], str]) -> No
     for name in (f"{axis}_rad" for axis in AXES):
         moves = np.abs(np.diff(getattr(flight, name)))
         rows = np.flatnonzero(moves > 0.0)
-        if rows.size >= _LEAST_MOVES and float(moves[rows].min()) > _MAX_COUNT_RAD:
+        if rows.size >= _MIN_MOVES and float(moves[rows].min()) > _MAX_COUNT_RAD:
             raise FlightDataError(
                 f"{source}: {name} moves in steps of {moves[rows].min():.4g} (the first in "
                 f"{where(int(rows[0]) + 1)}), which {degrees[0]}",

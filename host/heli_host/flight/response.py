@@ -1,4 +1,4 @@
-"""How well each axis of a flight followed: its answer to steps, its following error, and the effort.
+"""How well each axis of a flight followed: step responses, following error, and the effort.
 
 The one definition of these numbers, as control textbooks have them: whoever judges a flight by them takes
 them from here.
@@ -18,7 +18,7 @@ from heli_host.declaration import AXES
 from heli_host.flight.flight import Flight
 from heli_host.flight.flown import Rows, flown_rows, led_rows
 
-LEAST_STEP_DEG: Final = 1.0
+MIN_STEP_DEG: Final = 1.0
 """Move of a setpoint from one that was held to the next from which on it is a step. By judgement. Lower: what
 trims the flight is taken for steps. Higher: small steps have no metrics."""
 HELD_s: Final = 1.0
@@ -34,8 +34,8 @@ _SAME_DEG: Final = 1e-3
 
 
 @dataclass(frozen=True)
-class Answer:
-    """How an angle answered a step.
+class StepMetrics:
+    """Rise time, overshoot and settling time of a step response.
 
     Parameters
     ----------
@@ -63,13 +63,13 @@ class Step:
         When the setpoint began to move, on the flight's axis [s].
     size_deg : float
         By how much [deg].
-    answer : Answer
+    metrics : StepMetrics
         How the axis followed, until the setpoint moves again.
     """
 
     start_s: float
     size_deg: float
-    answer: Answer
+    metrics: StepMetrics
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Response:
     step_deg : float
         By how much [deg]; the metrics below are nan without a step.
     rise_s, overshoot_percent, settling_s : float
-        As in `Answer`.
+        As in `StepMetrics`.
     rms_deg : float
         Root mean square error over the rows in which it was led [deg]; nan without setpoints.
     """
@@ -113,7 +113,7 @@ def effort_V(flight: Flight) -> float:
 
 
 def steps(flight: Flight, axis: str) -> tuple[Step, ...]:
-    """Find the steps of an axis' setpoint, and how each was answered.
+    """Find the steps of an axis' setpoint, and the response to each.
 
     Parameters
     ----------
@@ -134,25 +134,25 @@ def steps(flight: Flight, axis: str) -> tuple[Step, ...]:
     found = []
     for first, stop in _moves(flight, wanted_deg, led_rows(flight, axis)):
         start_deg, end_deg, t_s = wanted_deg[first - 1], wanted_deg[stop - 1], flight.t_s[first:stop]
-        answer = answer_of(t_s - t_s[0], angle_deg[first:stop], float(start_deg), float(end_deg))
-        found.append(Step(float(t_s[0]), float(end_deg - start_deg), answer))
+        metrics = step_metrics(t_s - t_s[0], angle_deg[first:stop], float(start_deg), float(end_deg))
+        found.append(Step(float(t_s[0]), float(end_deg - start_deg), metrics))
     return tuple(found)
 
 
-def answer_of(t_s: Floats, angle_deg: Floats, start_deg: float, end_deg: float) -> Answer:
-    """Measure the answer to a step, as `control.step_info` does; that takes two seconds to import.
+def step_metrics(t_s: Floats, angle_deg: Floats, start_deg: float, end_deg: float) -> StepMetrics:
+    """Measure a step response, as `control.step_info` does; that takes two seconds to import.
 
     Parameters
     ----------
     t_s : ndarray (n,)
         Time since the step [s].
     angle_deg : ndarray (n,)
-        What answered [deg].
+        Measured angle [deg].
     start_deg, end_deg : float
         Where the step began and where it ended [deg].
     """
     if not len(t_s):
-        return Answer(math.nan, math.nan, math.nan)
+        return StepMetrics(math.nan, math.nan, math.nan)
     size_deg = end_deg - start_deg
     share = (angle_deg - start_deg) / size_deg
     reached = [np.flatnonzero(share >= level) for level in (0.1, 0.9)]
@@ -161,7 +161,7 @@ def answer_of(t_s: Floats, angle_deg: Floats, start_deg: float, end_deg: float) 
     outside = np.flatnonzero(np.abs(angle_deg - end_deg) > band_deg)
     settled = not outside.size or outside[-1] < len(share) - 1
     settling_s = float(t_s[outside[-1] + 1] if outside.size else 0.0) if settled else math.nan
-    return Answer(rise_s, 100.0 * max(float(share.max()) - 1.0, 0.0), settling_s)
+    return StepMetrics(rise_s, 100.0 * max(float(share.max()) - 1.0, 0.0), settling_s)
 
 
 def rms(values: Floats) -> float:
@@ -184,14 +184,14 @@ def _response(flight: Flight, axis: str) -> Response:
     largest = max(steps(flight, axis), key=lambda step: abs(step.size_deg), default=None)
     if largest is None:
         return Response(axis, nan, nan, nan, nan, nan, rms_deg)
-    answer = largest.answer
+    metrics = largest.metrics
     return Response(
         axis,
         largest.start_s,
         largest.size_deg,
-        answer.rise_s,
-        answer.overshoot_percent,
-        answer.settling_s,
+        metrics.rise_s,
+        metrics.overshoot_percent,
+        metrics.settling_s,
         rms_deg,
     )
 
@@ -201,7 +201,7 @@ def _moves(flight: Flight, wanted_deg: Floats, led: Rows) -> list[tuple[int, int
     return [
         (first, stop)
         for (_, first), (_, stop) in itertools.pairwise(_held(flight, wanted_deg, led))
-        if led[first:stop].all() and abs(wanted_deg[stop - 1] - wanted_deg[first - 1]) > LEAST_STEP_DEG
+        if led[first:stop].all() and abs(wanted_deg[stop - 1] - wanted_deg[first - 1]) > MIN_STEP_DEG
     ]
 
 

@@ -1,4 +1,4 @@
-"""Ctrl-C, and the signals that mean the same, while something flies: each counts, none comes in between."""
+"""Ctrl-C, SIGTERM and SIGHUP during a flight: none is lost, none interrupts a stop or the end of a log."""
 
 from __future__ import annotations
 
@@ -15,34 +15,35 @@ _INTERRUPTED = tuple(f"aborted: {name}" for name in (CTRL_C, *_NAMES))
 
 
 def name_of(error: KeyboardInterrupt) -> str:
-    """Return what interrupted: ``Ctrl-C``, or the name of a signal.
+    """Return the name of the signal that caused an interrupt, ``Ctrl-C`` for SIGINT.
 
     Parameters
     ----------
     error : KeyboardInterrupt
-        As raised; its handler may have given it the name of the signal.
+        Its first argument is the name of the signal, if its handler has set it.
     """
     name = str(error.args[0]) if error.args else CTRL_C
     return CTRL_C if name == "SIGINT" else name
 
 
 def was_interrupted(outcome: str) -> bool:
-    """Whether a flight was ended by its user.
+    """Whether an interrupt ended a flight.
 
     Parameters
     ----------
     outcome : str
-        Of the flight, in one line.
+        Outcome of the flight, in one line.
     """
     return outcome.startswith(_INTERRUPTED)
 
 
 class Interrupts:
-    """Takes the place of the handlers that raise KeyboardInterrupt; a context manager.
+    """Replaces the handlers of SIGINT, SIGTERM and SIGHUP while a ``with`` block runs.
 
-    One signal is raised; `allow_one_more` lets another through. What comes besides is only remembered: it
-    could but break off what the others have begun, a stop of the motors or the last lines of a log. Signals
-    that nobody handles are left alone, and so are all where this is not the main thread.
+    The first signal raises KeyboardInterrupt in the main thread. `allow_one_more` permits one further. All
+    others are only recorded, because they would interrupt what the first one started: the stop of the motors,
+    or the end of the log. Signals without a handler keep their default. In another thread than the main
+    thread nothing is replaced.
     """
 
     def __init__(self) -> None:
@@ -71,21 +72,21 @@ class Interrupts:
 
     @property
     def remembered(self) -> list[str]:
-        """Names of the signals that were not raised, in order."""
+        """Names of the signals that arrived and raised nothing, in order."""
         return self._names[self._raised :]
 
     def allow_one_more(self) -> None:
-        """Raise the next signal, or now one that has come meanwhile."""
+        """Let the next signal raise KeyboardInterrupt; raise immediately if one has arrived meanwhile."""
         self._left = 1
         self._catch_up()
 
     def allow_no_more(self) -> None:
-        """Only remember what comes from now on."""
+        """Only record the signals that arrive from now on."""
         self._left = 0
 
     @contextlib.contextmanager
     def shielded(self) -> Iterator[None]:
-        """Raise what comes in this block at its end."""
+        """Delay a signal that arrives in this ``with`` block to its end."""
         self._shielded = True
         try:
             yield

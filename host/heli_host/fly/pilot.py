@@ -1,4 +1,4 @@
-"""Keeps a flight on its route: a setpoint every 20 ms of device time, commands when they are due, a way down.
+"""Flies a route: a setpoint every 20 ms of device time, commands when they are due, and a landing at the end.
 
 Setpoints go out from the callback that brings the samples, so they follow the device's time and not the
 host's, at any speed of a simulation. Commands, which wait for an answer, go out from the thread that called
@@ -37,13 +37,14 @@ TICK_S = TICK_US * 1e-6
 INTERVAL_TICKS = 20
 """Device time between two setpoints: 50 a second."""
 LEAD_TICKS = 100
-"""How far ahead a setpoint lies: the board ramps to it, and a frame may be late by as much without a stop."""
+"""Device time from now to the tick at which a setpoint is reached. The board ramps towards it, so a frame may
+be late by as much and the motion still goes on."""
 
 _LONGEST_LEAD_TICKS = 400
 _STALL_TICKS = 60
 _LOOK_S = 0.05
 _CLOSING_S = 2.0
-# The log begins and ends at rest: encoder offsets and noise can be told from these.
+# The log begins and ends at rest: these rows show the encoders' offsets and noise.
 _BEFORE_TICKS = 500
 _AFTER_TICKS = 200
 _LONGEST_REST_S = 2.0
@@ -53,7 +54,7 @@ _FLYING = (State.ARMED, State.CLOSED_LOOP, State.HOLD)
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a flight is.
+    """Progress of a flight.
 
     Parameters
     ----------
@@ -73,32 +74,35 @@ class Progress:
 
 
 class Pilot:
-    """One flight along a route.
+    """One flight along a route. Every way in which it ends, including an error, leads to a landing or a stop.
 
     Parameters
     ----------
+    heli : Vehicle
+        Idle, with its arm at rest on the table.
     route : Route
-        Where to fly, from the table on; checked against the board.
+        Setpoints over time, from the table on; checked against the board.
     axes : tuple of str
-        Axes to close.
+        Axes whose loops are closed.
     recorder : Recorder
-        Is told when phases begin; when it fails, the flight ends.
+        Records the flight. If it fails, the flight ends in a landing.
     on_progress : callable taking Progress, optional
-        Called about twenty times a second in the thread of `fly`.
+        Called about twenty times per second in the thread of `fly`.
     tolerance : Tolerance, optional
-        Following errors between take-off and landing that still count as tracked; the usual ones without it.
-
+        Tracking errors between take-off and landing that still count as tracked.
     interrupts : Interrupts, optional
-        Signals while it flies; without it they are what they were.
+        Handles signals during the flight; without it signals keep their handlers.
     end_when : callable returning str, optional
-        Why the flight is to end now, empty while it is not; asked all the time, so it must not wait.
+        Returns the reason why the flight must end now, otherwise an empty text. Called after every reading:
+        it must not block.
     on_taken_off : callable, optional
-        Called once, in the thread of `fly`, when the plans begin; an error of it ends the flight.
+        Called once, in the thread of `fly`, when the first plan begins. If it raises, the flight ends in a
+        landing.
 
     Attributes
     ----------
     outcome : str
-        ``completed``, ``not_tracked`` and where, or in one line what ended the flight.
+        ``completed``; ``not_tracked`` with the axis and its error; or one line with the reason of the end.
     """
 
     def __init__(
@@ -139,10 +143,12 @@ class Pilot:
         self._reconnects = 0
 
     def fly(self) -> None:
-        """Arm, fly the route, land; afterwards `outcome` says how it went.
+        """Arm, fly the route, land. Blocks until the motors are off, then `outcome` is set.
 
-        Errors of the link, the board and the log end the flight and are told there. Any other error, such as
-        one of ``on_progress``, is raised again after the landing.
+        An error of the link, the board or the log ends the flight in a landing and appears in `outcome` only.
+        The first interrupt (Ctrl-C) does the same; a second one switches the motors off in the air. Any other
+        error, such as one of ``on_progress``, is raised again after the landing. If the link is lost, the
+        board holds level and lands by itself.
         """
         unsubscribe = self._session.subscribe_ticks(self._take_ticks)
         unsubscribe_events = self._session.subscribe_events(self._take_event)
@@ -167,7 +173,7 @@ class Pilot:
             unsubscribe()
             unsubscribe_events()
             for name in self._interrupts.remembered:
-                self._note_interrupt(f"{name} again, after the motors had been told to stop")
+                self._note_interrupt(f"{name} again, after the stop of the motors was sent")
         if self._report_error is not None:
             raise self._report_error
 
@@ -219,14 +225,14 @@ class Pilot:
                 self._send(tick)
 
     def _take_event(self, event: LinkEvent) -> None:
-        # The first that is no flying says why; those that follow say how it went on.
+        # The first event with a state that is not flying gives the cause; later ones are its consequences.
         message = event.message
         if self._streaming and not self._ended_by and message is not None and message.kind == Event.STATE:
             self._ended_by = "" if message.detail in _FLYING else event.text
 
     def _bridge_a_stall(self) -> None:
-        """Send setpoints by the clock fit while samples do not come, so that a stall of telemetry is no
-        landing.
+        """Send setpoints on the estimated device time while no samples arrive, so that a pause of telemetry
+        does not cause a landing.
         """
         if not self._session.connected:
             return
@@ -272,7 +278,7 @@ class Pilot:
         return wrong or bool(self._end_when())
 
     def _check_up(self) -> None:
-        """Raise what ends the flight, if anything does."""
+        """Raise the error that must end the flight, if there is one."""
         self._recorder.check()
         if restarted := self._restarted():
             raise FlightAborted(restarted.removeprefix("aborted: "))
@@ -293,11 +299,11 @@ class Pilot:
         raise FlightAborted(f"the board went to state {name}{lost} ({why})" if why else f"state {name}{lost}")
 
     def _restarted(self) -> str:
-        """Outcome of a flight whose board has started anew, empty for one that has not."""
+        """Outcome of a flight whose board has restarted; empty if it has not."""
         if self._session.counters.restarts == self._restarts:
             return ""
-        said = (event.text for event in reversed(self._session.events) if event.kind == BOARD_RESTARTED)
-        text = next(said, "the board started anew")
+        texts = (event.text for event in reversed(self._session.events) if event.kind == BOARD_RESTARTED)
+        text = next(texts, "the board restarted")
         return f"aborted: {text} in flight, motors off; check its supply and the log's last events"
 
     def _fault(self) -> int:
@@ -305,7 +311,7 @@ class Pilot:
         return int(newest[1][Channel.FAULT]) if newest is not None else int(Fault.NONE)
 
     def _come_down(self) -> None:
-        """Land if anything may turn; a Ctrl-C meanwhile stops the motors at once."""
+        """Land if the motors may run. A Ctrl-C meanwhile switches them off immediately: the arm falls."""
         try:
             with self._lock:
                 self._streaming = False
@@ -317,7 +323,7 @@ class Pilot:
             trouble = self._land()
         except KeyboardInterrupt as error:
             self._interrupts.allow_no_more()
-            # At once means at once: an error that still waits to be told must not come in between.
+            # A pending error of a callback must not delay the stop.
             for _ in range(3):
                 with contextlib.suppress(HeliError):
                     self._heli.stop()
@@ -342,7 +348,7 @@ class Pilot:
             self._recorder.note("interrupt", text, LEVEL_WARNING)
 
     def _land(self) -> str:
-        """Land, or see to the end that the board has come to by itself; return what went wrong."""
+        """Land, or wait for the end that the board reached by itself; return the error text, if any."""
         if not self._session.connected and not self._was_closed:
             return ""
         trouble = ""
@@ -379,7 +385,7 @@ class Pilot:
         self._session.wait_for(lambda: self._tick() >= last_tick, _LONGEST_REST_S)
 
     def _report_landing(self) -> None:
-        """Report; what that raises waits until the arm is down."""
+        """Report the progress; an error of the callback is kept until the arm is down."""
         try:
             self._report(landing=True)
         except Exception as error:  # noqa: BLE001 - the caller's own callback may raise anything

@@ -39,11 +39,11 @@ _URGENT = frozenset((LINK_LOST, LINK_SILENT, BOARD_RESTARTED, "fault"))
 
 
 class Recorder:
-    """A log of a session, from now until `close`; also without any plan, while somebody flies by hand.
+    """Records a session into a log, from construction until `close`, with or without a plan.
 
-    It takes over what the reading thread delivers, and a thread of its own writes it: a disk that blocks
-    delays nothing. When the disk is full it stops writing, keeps what it has, and says so in `error`, which a
-    ``with`` block raises at its end; flying goes on.
+    It queues what the session's reading thread delivers, and a separate thread writes it: a disk that blocks
+    does not delay the flight. If the disk is full, it stops writing, keeps what is written, and sets `error`,
+    which the end of a ``with`` block raises. The motors are not affected.
 
     Parameters
     ----------
@@ -123,11 +123,11 @@ class Recorder:
 
     @property
     def counters(self) -> LogCounters:
-        """What the log has taken in so far."""
+        """Counters of the rows and events that the log has accepted so far."""
         return self._writer.counters
 
     def mark_phase(self, tick: int, phase: str) -> None:
-        """Note that a phase of the flight begins.
+        """Record the beginning of a phase of the flight.
 
         Parameters
         ----------
@@ -140,14 +140,14 @@ class Recorder:
             self._writer.write_event(tick & 0xFFFFFFFF, PHASE_EVENT, phase)
 
     def note(self, name: str, text: str, level: int = LEVEL_INFO) -> None:
-        """Write an event of the host's own, at the newest tick.
+        """Record an event of the host, at the newest tick.
 
         Parameters
         ----------
         name : str
             Kind of event.
         text : str
-            What happened and why.
+            Event and its cause, for people.
         level : int
             Severity as in ``foxglove.Log``.
         """
@@ -157,12 +157,12 @@ class Recorder:
             self._writer.write_event(tick, name, self._text(text), level)
 
     def check(self) -> None:
-        """Raise what stopped the writing, if anything did.
+        """Raise the error that stopped the writing, if there is one.
 
         Raises
         ------
         LogWriteError
-            The disk is full, nearly so, or gone.
+            The disk is full, nearly full, or not accessible.
         """
         if self.error is not None:
             raise self.error

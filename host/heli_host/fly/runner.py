@@ -50,57 +50,58 @@ def fly(
     overwrite: bool = False,
     sealed: str = "",
 ) -> FlightSummary:
-    """Take off, fly plans one after the other, land.
+    """Take off, fly plans one after the other, land. Blocks until the motors are off and the log is complete.
 
-    Whatever ends the flight, it ends in a landing as long as the board can be reached, and in a log: a fault,
-    a lost link, a full disk and Ctrl-C are told in the summary's outcome. A second Ctrl-C stops the motors at
-    once; every one is an event of the log. SIGTERM and SIGHUP do the same where their handler raises
-    KeyboardInterrupt, as that of ``heli-host`` does.
+    A fault, a lost link, a full disk or Ctrl-C ends the flight in a landing, as long as the board can be
+    reached; the summary's outcome gives the reason, and the log is kept. A second Ctrl-C switches the motors
+    off immediately: an arm in the air falls. The log has an event for each. SIGTERM and SIGHUP do the same if
+    their handlers raise KeyboardInterrupt, as those of ``heli-host`` do.
 
     Parameters
     ----------
     heli : Vehicle
-        A connected board, idle, its arm at rest on the table.
+        Connected and idle, with its arm at rest on the table.
     plans : Plan, str or Path, or a sequence of them
-        What to fly: plans, names of built-in ones, or TOML files.
+        Plans, names of built-in plans, or TOML files.
     log_path : str or Path, optional
-        Log to write (``.mcap``); without it none is kept.
+        Log to write (``.mcap``); without it no log is kept.
     json_path, figure_path : str or Path, optional
-        Where to write ``summary.json`` and the figure.
+        Files to write the summary and the figure to.
     on_progress : callable taking Progress, optional
-        Called in this thread about twenty times a second.
+        Called in this thread about twenty times per second.
     rig_name : str
         Name of the rig, for the log.
     rig : str
-        Name or file of the rig that the finished flight is checked against, such as for an encoder with other
-        counts; empty for no check.
+        Name or file of the rig that the finished flight is checked against, for example for an encoder with
+        other counts; empty for no check.
     board_name : str
-        What the board is, for the log, where it cannot know: an emulated Due takes itself for a Due.
+        Description of the board, for the log; empty takes what the board reports. An emulated Due reports
+        that it is a Due.
     on_taken_off : callable, optional
-        Called once in this thread when the plans begin, such as to have a law of one's own fly them.
+        Called once in this thread when the first plan begins, for example to engage a control law.
     twin : TwinWatch, optional
-        A twin that flies along; what it says goes into the log.
+        Twin that compares the flight with a model; its alarms go into the log.
     land_on_change : bool
-        Whether the flight ends in a landing when the rig is no longer what the twin knows.
+        True ends the flight in a landing when the twin raises an alarm.
     overwrite : bool
-        Write over a log that is there; otherwise it is refused.
+        True replaces an existing log; False refuses to fly if there is one.
     sealed : str
-        Seal of a flight whose cause is hidden, see `heli_host.log.blind`: the log has it in the place of
+        Seal of a flight whose cause is hidden, see `heli_host.log.blind`: the log holds it instead of
         address, rig, seed and boot id. Empty for any other flight.
 
     Returns
     -------
     FlightSummary
-        ``outcome`` is ``completed``, begins with ``not_tracked`` where an axis was not where it should
-        be, or says what ended the flight.
+        ``outcome`` is ``completed``; begins with ``not_tracked`` if an axis did not follow its setpoint; or
+        gives the reason of the end.
 
     Raises
     ------
     PlanError
-        If a plan cannot be flown on this board; nothing has moved.
+        A plan cannot be flown on this board. The motors stay off.
     LogWriteError
-        If the log is there already, cannot be created, or may not find room on the disk, and nothing has
-        moved; or if summary or figure cannot be written.
+        The log exists already, cannot be created, or the disk has too little room; the motors stay off. Or
+        the summary or the figure cannot be written after the flight.
     """
     loaded = _loaded(plans)
     sample = heli.latest
@@ -154,7 +155,7 @@ def fly(
 
 
 def _written(path: Path, recorder: Recorder) -> Log:
-    """Read the log; when the disk took not even its beginning, it is the disk that has to be told."""
+    """Read the log. If the disk took not even its beginning, report the disk's error, not the reader's."""
     try:
         return read_log(path)
     except LogError as error:

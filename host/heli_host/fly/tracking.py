@@ -25,17 +25,17 @@ _SETPOINTS: Final = tuple(Channel[f"{axis.upper()}_SETPOINT"] for axis in AXES)
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How far an axis may be from the setpoint that the control law used, and for how long.
+    """Greatest tracking error of each axis, and for how long it may be larger.
 
-    The defaults lie above what every shipped rig with gains of its own does in every built-in plan and keep:
-    0.3, 1.5 and 9 degrees for 2 s.
+    The error is the angle minus the setpoint that the control law used in that tick. Every shipped rig, with
+    its own gains, stays below 0.3, 1.5 and 9 degrees for 2 s in every built-in plan.
 
     Parameters
     ----------
     elevation_deg, pitch_deg, travel_deg : float
-        Largest following error, degrees.
+        Greatest tracking error [deg].
     for_s : float
-        How long it may be larger, s.
+        Longest time for which the error may be larger [s].
     """
 
     elevation_deg: float = 3.0
@@ -50,25 +50,20 @@ class Tolerance:
         Parameters
         ----------
         values : Mapping of str
-            The table; what is missing has its default.
+            The table; missing keys get their defaults.
         where : str
-            Place, for messages.
-
-        Returns
-        -------
-        Tolerance
-            As written.
+            File and table, for error messages.
 
         Raises
         ------
         PlanError
-            If a key is unknown or a value none that can be.
+            A key is unknown, or a value is invalid.
         """
-        usual = Tolerance()
+        default = Tolerance()
         bounds = {f"{axis}_deg": _BOUND for axis in AXES} | {"for_s": _LONGEST}
         table = Table(values, where, bounds)
         return Tolerance(
-            **{key: table.number(key, spec, getattr(usual, key)) for key, spec in bounds.items()}
+            **{key: table.number(key, spec, getattr(default, key)) for key, spec in bounds.items()}
         )
 
     @staticmethod
@@ -92,7 +87,7 @@ class Tolerance:
 
 @dataclass
 class TrackingMonitor:
-    """Watches following errors while ticks come in.
+    """Monitors the tracking errors during a flight; used in the session's reading thread.
 
     Parameters
     ----------
@@ -126,7 +121,7 @@ class TrackingMonitor:
         self._bound_deg = np.array([getattr(self.tolerance, f"{axis}_deg") for axis in AXES])
 
     def take(self, ticks: Ticks, first_tick: int) -> None:
-        """Look at samples.
+        """Process new samples.
 
         Parameters
         ----------
@@ -166,7 +161,7 @@ class TrackingMonitor:
                 self.longest_s[index], self.worst_deg[index] = lasted_s, self._peak_deg[index]
 
     def verdict(self) -> str:
-        """Return what was not tracked, in one line; empty when all was."""
+        """Return one line with the axis that was not tracked, its error and the fix; empty if all were."""
         for index, axis in enumerate(AXES):
             if self.longest_s[index] > self.tolerance.for_s:
                 worst_deg, lasted_s = self.worst_deg[index], self.longest_s[index]

@@ -34,7 +34,7 @@ class LinkCounters:
     reconnects : int
         Times that the link was lost, or the board fell silent, and came back.
     restarts : int
-        Times that the board started anew during the session.
+        Number of restarts of the board during the session.
     ticks_received : int
         Samples delivered.
     ticks_lost : int

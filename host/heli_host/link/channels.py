@@ -25,11 +25,11 @@ _ENUMERATED = {
     for channel in Channel
     if (kind := CHANNELS[channel].kind) is not None and issubclass(kind, IntEnum)
 }
-_MOST = max(max(values) for values in _ENUMERATED.values())
+_MAX = max(max(values) for values in _ENUMERATED.values())
 # Which numbers have a name, one after the other for each enumerated channel; the last stands for all above.
-_NAMED = np.array([number in values for values in _ENUMERATED.values() for number in range(_MOST + 2)])
+_NAMED = np.array([number in values for values in _ENUMERATED.values() for number in range(_MAX + 2)])
 _COLUMNS = np.array(list(_ENUMERATED))
-_STARTS = np.arange(len(_ENUMERATED), dtype=np.uint32) * np.uint32(_MOST + 2)
+_STARTS = np.arange(len(_ENUMERATED), dtype=np.uint32) * np.uint32(_MAX + 2)
 
 MODES = slice(min(_ENUMERATED), max(_ENUMERATED) + 1)
 """Columns of a row among which are all enumerations: they seldom change, so a glance at them saves a look."""
@@ -118,7 +118,7 @@ def declared(raw: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
     ndarray of bool, shape (n,)
         False for a sample that no board of this declaration has made.
     """
-    values = np.minimum(raw.take(_COLUMNS, axis=1).view(np.uint32), np.uint32(_MOST + 1))  # (n, enumerated)
+    values = np.minimum(raw.take(_COLUMNS, axis=1).view(np.uint32), np.uint32(_MAX + 1))  # (n, enumerated)
     return np.asarray(_NAMED.take(values + _STARTS).all(axis=1))
 
 

@@ -100,7 +100,7 @@ class ClockFit:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything: the board, or the simulation's clock, has started anew."""
+        """Forget everything, because the board or the simulation's clock has restarted."""
         self._bins: deque[_Point] = deque(maxlen=_BINS)  # the quickest of each
         self._hull: list[_Point] = []  # of the bins
         self._bin_ticks = 0  # their sum

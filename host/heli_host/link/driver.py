@@ -1,4 +1,4 @@
-"""Moves bytes between a transport and the protocol: by a thread over a port, by whoever waits in lockstep."""
+"""Moves bytes between transport and protocol: in a thread over a port, in the waiting call in lockstep."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ READ_TIMEOUT_S = 0.02
 
 _BACKOFF_S = (0.05, 0.1, 0.2, 0.5, 1.0)
 # In lockstep a board that does not come back may take no time to say so.
-_MOST_ATTEMPTS = 2000
+_MAX_ATTEMPTS = 2000
 
 
 class Driver:
-    """Reads, sends, waits, and finds a lost board again.
+    """Reads and sends bytes, lets calls wait, and reconnects to a lost board.
 
     Parameters
     ----------
     transport : Transport
-        The board's bytes, open.
+        Open connection to the board.
     reconnect_timeout_s : float
-        How long a lost board is looked for [s].
+        Time for which a lost board is searched [s].
 
     Attributes
     ----------
     transport : Transport
-        The board's bytes; another one after a reconnect.
+        Connection to the board; a different object after a reconnect.
     lock : threading.RLock
-        Held while the engine is touched.
+        Every thread must hold it while it uses the engine.
     read_interval_s : float
-        How long a port collects bytes between two readings [s].
+        Interval at which a port is read [s].
     handshake_deadline_s : float
-        Until when the first welcome is waited for, in the transport's time [s].
+        Time at which waiting for the first welcome ends, in the transport's time [s].
     fatal : HeliError or None
-        Why the session is over.
+        Reason why the session has ended.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class Driver:
 
     @property
     def in_reading_thread(self) -> bool:
-        """Whether the caller is a callback of the reading thread."""
+        """Whether the call comes from the reading thread, that is from a callback."""
         return threading.current_thread() is self._thread
 
     def start(self) -> None:
@@ -71,7 +71,7 @@ class Driver:
             self._thread.start()
 
     def close(self) -> None:
-        """Stop reading and let go of the port."""
+        """End the reading thread and close the port. The motors are not touched."""
         self._stop.set()
         if self._thread is not None and not self.in_reading_thread:
             self._thread.join()
@@ -79,44 +79,44 @@ class Driver:
         self._fail(LinkError("the session is closed", "connect again"))
 
     def check(self) -> None:
-        """Raise what a callback raised, or why the session is over.
+        """Raise the error of a failed callback, or the reason why the session has ended, if there is any.
 
         Raises
         ------
         HeliError
-            Either of them.
+            The error.
         """
         error = self._subscribers.take_error() or self.fatal
         if error is not None:
             raise error
 
     def send_due(self) -> None:
-        """Send what is due now; a lost port is left for the next reading to find."""
+        """Send the frames that are due, from any thread. A lost port is detected by the next reading."""
         with self.lock, contextlib.suppress(LinkLost):
             if due := self._engine.outgoing(self.transport.now_s()):
                 self.transport.write(due)
 
     def wait_for(self, predicate: Callable[[], bool], timeout_s: float | None, step_s: float) -> bool:
-        """Wait until something is so.
+        """Wait until a condition holds; see `heli_host.link.session.Session.wait_for`.
 
         Parameters
         ----------
         predicate : callable returning bool
-            Asked after every reading.
+            Condition; evaluated in the caller's thread after every reading, with `lock` held over a port.
         timeout_s : float or None
-            Longest wait in the transport's time [s]; None waits as long as the link lives.
+            Longest wait in the transport's time [s]; None waits until the link is lost.
         step_s : float
-            In lockstep: simulated time between two askings [s].
+            In lockstep: simulated time between two evaluations [s].
 
         Returns
         -------
         bool
-            False when time ran out.
+            True if the condition holds; False if the time ran out.
 
         Raises
         ------
         HeliError
-            The board is gone for good, or a callback failed.
+            The board could not be reached within the reconnect timeout, or a callback failed.
         """
         end_s = float("inf") if timeout_s is None else self.transport.now_s() + timeout_s
         inline = self._thread is None or self.in_reading_thread
@@ -134,12 +134,12 @@ class Driver:
         return True
 
     def pump(self, timeout_s: float) -> None:
-        """Read once, take in what came, send what is due, and hand everything over.
+        """Read once, process the bytes, send the frames that are due, and call the subscribers.
 
         Parameters
         ----------
         timeout_s : float
-            Longest wait for bytes [s]; in lockstep the time that passes.
+            Longest wait for bytes [s]; in lockstep the simulated time that passes.
         """
         transport, engine = self.transport, self._engine
         speed = 1.0 if transport.lockstep else engine.speed
@@ -183,7 +183,7 @@ class Driver:
             event = self._engine.cut(transport.now_s(), transport.wall_ns(), error.cause)
         self._deliver(Received(events=[event]))
         transport.close()
-        for attempt in range(_MOST_ATTEMPTS):
+        for attempt in range(_MAX_ATTEMPTS):
             if self._stop.is_set() or transport.now_s() >= self._give_up_s():
                 break
             try:

@@ -1,8 +1,8 @@
-"""The protocol of a session without its bytes' ways: what comes in, what is due to go out, and when.
+"""The protocol of a session, without input and output: it consumes received bytes and returns frames to send.
 
-No thread, no clock and no port is used here: the session feeds received bytes and the time, and sends what
-`Engine.outgoing` returns. So a session over a port, with a thread, and one in lockstep with a simulation run
-the same protocol.
+It uses no thread, no clock and no port: `heli_host.link.driver.Driver` passes received bytes and the time,
+and sends the bytes that `Engine.outgoing` returns. Therefore a session over a port, with a thread, and one in
+lockstep with a simulation run the same protocol.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class Phase(Enum):
 
 @dataclass
 class Received:
-    """What one reading brought.
+    """Contents of the frames of one reading.
 
     Parameters
     ----------
@@ -93,12 +93,12 @@ class Received:
 
 
 class Engine:
-    """The state of one session.
+    """The state of one session. It has no lock: callers serialise all calls.
 
     Parameters
     ----------
     session_number : int
-        Number that tells this session from others; the same after a reconnect.
+        Number by which the board distinguishes this session; unchanged by a reconnect.
 
     Attributes
     ----------
@@ -107,26 +107,26 @@ class Engine:
     account : TickAccount
         Ticks received and lost.
     clock : ClockFit
-        Device time to host time.
+        Relation of device time to host time.
     phase : Phase
         Whether the board has welcomed this session.
     welcome : WelcomeMessage or None
         The board's newest welcome.
     mismatch : LinkVersionMismatch or None
-        Set when the board speaks another declaration.
+        Set if the board's firmware was built from another version of link.toml.
     latest_raw : ndarray of int32, shape (channels,), or None
         Newest sample, channels in the declaration's order.
     unreachable_since_s : float or None
-        Host time since when the board does not answer [s].
+        Host time at which the board stopped answering [s].
     restarts : int
-        Times that the board started anew.
+        Number of restarts of the board during the session.
     kept : SetpointMessage or None
-        Setpoint that is sent again ten times a second while the board flies on setpoints.
+        Setpoint that is repeated ten times per second while the board flies on setpoints.
     permitted : callable returning bool
-        Asked whenever a setpoint or voltages are due, whoever streams them; the board misses those that are
-        not permitted.
+        Condition for sending setpoints and voltages, evaluated whenever some are due. While it is false they
+        are dropped; the board then holds level and lands.
     stops : int
-        Times that `preempt` was called.
+        Number of calls of `preempt`.
     """
 
     def __init__(self, session_number: int) -> None:
@@ -174,7 +174,7 @@ class Engine:
 
     @property
     def speed(self) -> float:
-        """Device seconds in a host second, at least 1: a fast simulation wants everything sooner."""
+        """Device seconds per host second, at least 1; a fast simulation shortens all intervals."""
         estimate = self.clock.estimate()
         return 1.0 if estimate is None else max(estimate.rate, 1.0)
 
@@ -207,12 +207,12 @@ class Engine:
         )
 
     def receive(self, data: bytes, now_s: float, wall_ns: int) -> Received:
-        """Take bytes from the board.
+        """Process bytes from the board.
 
         Parameters
         ----------
         data : bytes
-            As they came; may be empty.
+            Bytes of one reading; may be empty.
         now_s : float
             Host time of their arrival [s].
         wall_ns : int
@@ -249,7 +249,7 @@ class Engine:
         Returns
         -------
         bytes
-            To be sent at once; empty when nothing is due.
+            Bytes that the caller must send immediately; empty if nothing is due.
         """
         request = self._request
         if request is not None:
@@ -292,7 +292,9 @@ class Engine:
         return out
 
     def ask(self, command: Command, now_s: float, timeout_s: float) -> Request:
-        """Start a command; `outgoing` sends it, and again until the answer comes.
+        """Start a command; `outgoing` sends it and repeats it until the answer comes.
+
+        Only one command may be in progress: the caller waits for the previous one.
 
         Parameters
         ----------
@@ -301,12 +303,12 @@ class Engine:
         now_s : float
             Host time [s].
         timeout_s : float
-            Time after which it is given up [s].
+            Time after which the command is given up [s].
 
         Returns
         -------
         Request
-            Done when answered or given up; only one may be on its way.
+            Done when the command was answered or given up.
         """
         # A protocol's dataclasses are not known to be such.
         numbered = dataclasses.replace(command, request=self._number())  # type: ignore[type-var]
@@ -315,12 +317,15 @@ class Engine:
 
     @property
     def preempted(self) -> bool:
-        """Whether a command that was put before all others still waits for its answer."""
+        """Whether a command of `preempt` still waits for its answer."""
         request = self._request
         return request is not None and request.urgent and not request.done
 
     def preempt(self, command: Command, now_s: float, timeout_s: float) -> Request:
-        """Start a command before all others: one on its way is given up, none follows before the answer.
+        """Start a command ahead of all others, used for the stop.
+
+        A command in progress is given up with an error. While `preempted` is true the caller must not start
+        another command.
 
         Parameters
         ----------
@@ -329,12 +334,12 @@ class Engine:
         now_s : float
             Host time [s].
         timeout_s : float
-            Time after which it is given up [s].
+            Time after which the command is given up [s].
 
         Returns
         -------
         Request
-            Done when answered or given up.
+            Done when the command was answered or given up.
         """
         if self._request is not None and not self._request.done:
             name = self._request.command.ID.name.lower()
@@ -345,12 +350,12 @@ class Engine:
         return request
 
     def stream(self, message: SetpointMessage | VoltagesMessage | FollowingMessage) -> None:
-        """Put a streamed value in line: `outgoing` sends the newest, as often as the rate limit lets it.
+        """Set the next streamed value; `outgoing` sends it as soon as the rate limit permits.
 
         Parameters
         ----------
         message : SetpointMessage, VoltagesMessage or FollowingMessage
-            The value; it replaces one of its kind that waits.
+            It replaces a waiting value of the same kind.
         """
         if isinstance(message, SetpointMessage):
             self._setpoints.put(message)
@@ -360,7 +365,7 @@ class Engine:
             self._following.put(message)
 
     def cut(self, now_s: float, wall_ns: int, reason: str) -> LinkEvent:
-        """Note that the line is cut; greeting starts again when bytes flow again.
+        """Record that the connection is lost; the handshake starts again after a reconnect.
 
         Parameters
         ----------
@@ -369,7 +374,7 @@ class Engine:
         wall_ns : int
             Unix time [ns].
         reason : str
-            What happened, for the event.
+            Cause, for the event's text.
         """
         self.parser.restart()
         self._greet(now_s)
@@ -440,7 +445,7 @@ class Engine:
         self.restarts += 1
         reason = Reset(welcome.reset).name.lower() if welcome.reset in Reset._value2member_map_ else "unknown"
         fault = f"; {fault_text(welcome.boot_fault)}" if welcome.boot_fault else ""
-        text = f"the board started anew ({reason}){fault}"
+        text = f"the board restarted ({reason}){fault}"
         received.events.append(self._event(BOARD_RESTARTED, text, wall_ns))
         if self._request is not None and not self._request.done:
             self._request.error = LinkLost(f"{text} before it answered", "check its supply, then arm again")
@@ -479,8 +484,8 @@ class Engine:
         return Ticks(ticks.tick[sound], ticks.raw[sound])
 
     def _insert_missed(self, message: EventMessage, wall_ns: int, events: list[LinkEvent]) -> None:
-        """Put what telemetry told in place of a lost event before what happened later."""
-        text = f"{event_text(message)}; told by telemetry, its event was lost"
+        """Insert a reconstructed event before the events that happened later."""
+        text = f"{event_text(message)}; from telemetry, its event was lost"
         later = (
             index
             for index, other in enumerate(events)

@@ -1,4 +1,4 @@
-"""What happened, in words: the board's events and those of the link itself."""
+"""Events of the board and of the link, with a sentence for each."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from heli_host.declaration import (
     Event,
     EventMessage,
     Excitation,
+    Probe,
     Reset,
     Result,
     State,
@@ -42,9 +43,9 @@ class LinkEvent:
     text : str
         One line for a person, with the reason.
     message : EventMessage or None
-        The board's message, or what it was where telemetry told it; None for an event of the link.
+        The board's message, received or reconstructed from telemetry; None for an event of the link.
     names : tuple of str
-        Of ``law_signals``: what the channels ``signal_1``, ``signal_2``, ... hold from then on.
+        For ``law_signals``: names of the channels ``signal_1``, ``signal_2``, ... from this event on.
     """
 
     tick: int
@@ -56,7 +57,7 @@ class LinkEvent:
 
 
 def event_text(message: EventMessage) -> str:
-    """Say in one line what the board reports.
+    """Describe a board's event in one line.
 
     Parameters
     ----------
@@ -94,6 +95,8 @@ def event_text(message: EventMessage) -> str:
             return f"the law of the link flies, a call each {value:.0f} ticks"
         case Event.LAW_TAKEN_OVER:
             return f"the board's own law took over ({_name(Takeover, detail)}; {value:.4g})"
+        case Event.TRAVEL_PROBE:
+            return f"tilt to check the travel encoder: {_name(Probe, detail)}; tilt {value:.1f} degrees"
         case _:
             return f"event {message.kind}, unknown to this host (detail {detail}, value {value:.4g})"
 
@@ -115,7 +118,9 @@ def event_kind(message: EventMessage) -> str:
 
 
 def _name(
-    kind: type[Event | Reset | State | Takeover | Trigger | Excitation | Result], value: int, prefix: str = ""
+    kind: type[Event | Probe | Reset | State | Takeover | Trigger | Excitation | Result],
+    value: int,
+    prefix: str = "",
 ) -> str:
     try:
         return kind(value).name.lower()

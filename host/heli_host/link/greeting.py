@@ -1,4 +1,4 @@
-"""Why a board did not welcome a session: from what was heard of it."""
+"""The error for a board that did not answer the handshake, with a cause derived from the received bytes."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from heli_host.link.frames import FrameParser
 
 
 def no_welcome(parser: FrameParser, url: str, timeout_s: float) -> LinkError:
-    """Explain that no welcome came.
+    """Return the error for a handshake that timed out.
 
     Parameters
     ----------
     parser : FrameParser
-        What was heard.
+        Parser that has got all bytes from the board.
     url : str
-        Where from.
+        Address of the board.
     timeout_s : float
-        How long it was waited for [s].
+        Time that the session waited [s].
     """
     if parser.frames_ok:
         return HandshakeTimeout(

@@ -1,8 +1,8 @@
-"""Changes of the state that telemetry shows and no event told: the event was lost on the line.
+"""Reconstructs events that were lost on the line from the telemetry.
 
-An event is sent once. Telemetry carries the state, the fault and what led there with every tick, so one batch
-that arrives says what a lost event would have said. The board sends an event before the batch with its tick:
-what was not told by then never will be.
+The board sends each event once. Telemetry carries state, fault and trigger with every tick, so the next batch
+shows what a lost event would have said. The board sends an event before the batch with its tick: an event
+that has not arrived before that batch is lost.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from heli_host.declaration import Channel, Event, EventMessage, Fault
 from heli_host.link.channels import MODES
 from heli_host.link.telemetry import Ticks
 
-# Sixteen wait on the board at most.
-_TOLD = 64
+# The board queues at most 16 events.
+_ARRIVED = 64
 _TICK_MODULUS = 1 << 32
 _WATCHED = [channel - MODES.start for channel in (Channel.STATE, Channel.TRIGGER, Channel.FAULT)]
 
@@ -27,34 +27,34 @@ class MissedEvents:
     """Compares telemetry with the events that arrived."""
 
     def __init__(self) -> None:
-        self._told: deque[EventMessage] = deque(maxlen=_TOLD)
+        self._arrived: deque[EventMessage] = deque(maxlen=_ARRIVED)
         self._tick: int | None = None
         self._row: npt.NDArray[np.int32] = np.zeros(MODES.stop - MODES.start, np.int32)
 
     def restart(self) -> None:
-        """Forget everything: the board has started anew."""
-        self._told.clear()
+        """Forget everything, because the board has restarted."""
+        self._arrived.clear()
         self._tick = None
 
     def take_event(self, message: EventMessage) -> None:
-        """Note an event that arrived."""
+        """Record an event that arrived."""
         if message.kind in (Event.STATE, Event.FAULT):
-            self._told.append(message)
+            self._arrived.append(message)
 
     def take_ticks(self, ticks: Ticks) -> list[EventMessage]:
-        """Look through new samples.
+        """Return the events that new samples imply and that have not arrived.
 
         Parameters
         ----------
         ticks : Ticks
-            In order, at least one; all events that came before them have been noted.
+            At least one sample, in order. All events that arrived before them must have been recorded.
 
         Returns
         -------
         list of EventMessage
-            What no event told, in order of time: changes of the state with what led to it, and faults, whose
-            value is nan. Of changes between two samples that arrived only the last can be known, at the tick
-            of the second.
+            Lost events in order of time: changes of the state with their triggers, and faults, whose value is
+            nan. If samples are lost too, only the last change between two samples that arrived is known; it
+            gets the tick of the second.
         """
         modes = ticks.raw[:, MODES]  # (n, modes)
         if self._tick is None:
@@ -71,17 +71,17 @@ class MissedEvents:
             state, trigger, fault = rows[index].tolist()
             state_before, trigger_before, fault_before = before[index].tolist()
             entered = (state, trigger) != (state_before, trigger_before)
-            if entered and not self._was_told(Event.STATE, state, since, tick):
+            if entered and not self._has_arrived(Event.STATE, state, since, tick):
                 missed.append(EventMessage(tick, Event.STATE, state, trigger, 0.0))
             tripped = fault not in (fault_before, Fault.NONE)
-            if tripped and not self._was_told(Event.FAULT, fault, since, tick):
+            if tripped and not self._has_arrived(Event.FAULT, fault, since, tick):
                 missed.append(EventMessage(tick, Event.FAULT, fault, trigger, math.nan))
         self._tick, self._row = int(ticks.tick[-1]), modes[-1]
         return missed
 
-    def _was_told(self, kind: Event, detail: int, since: int, tick: int) -> bool:
+    def _has_arrived(self, kind: Event, detail: int, since: int, tick: int) -> bool:
         span = (tick - since) % _TICK_MODULUS
         return any(
-            told.kind == kind and told.detail == detail and (tick - told.tick) % _TICK_MODULUS < span
-            for told in self._told
+            event.kind == kind and event.detail == detail and (tick - event.tick) % _TICK_MODULUS < span
+            for event in self._arrived
         )

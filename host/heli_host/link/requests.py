@@ -1,4 +1,4 @@
-"""A command on its way: sent, sent again with the same number, answered or given up."""
+"""A command in progress: sent, repeated with the same number until the answer comes, or given up."""
 
 from __future__ import annotations
 
@@ -33,20 +33,22 @@ class Command(Protocol):
 
 @dataclass
 class Request:
-    """A command on its way.
+    """A command in progress.
 
     Parameters
     ----------
     deadline_s : float
         Host time at which it is given up [s].
     next_try_s : float
-        Host time of the next try [s].
+        Host time at which it is sent next [s].
     tries : int
-        How often it was sent.
+        Number of times that it was sent.
+    reply : Frame or None
+        The board's answer.
     error : HeliError or None
-        Why there will be none.
+        Reason why it was given up.
     urgent : bool
-        Whether other commands wait until it is done.
+        True for a stop: other commands wait until it is done.
     """
 
     command: Command
@@ -59,7 +61,7 @@ class Request:
 
     @property
     def done(self) -> bool:
-        """Whether it is answered or given up."""
+        """Whether the command was answered or given up."""
         return self.reply is not None or self.error is not None
 
     def expire(self, now_s: float) -> None:
@@ -78,21 +80,21 @@ class Request:
             )
 
     def note_try(self, now_s: float, round_trip_s: float) -> None:
-        """Note that it is sent now, and choose when to send it again.
+        """Record that the command is sent now, and schedule its next repetition.
 
         Parameters
         ----------
         now_s : float
             Host time [s].
         round_trip_s : float
-            Time that an answer took lately [s].
+            Recent time between a command and its answer [s].
         """
         patience_s = max(_FIRST_TRY_S, 2.0 * round_trip_s) * 1.5**self.tries
         self.next_try_s = now_s + min(patience_s, _LONGEST_TRY_S)
         self.tries += 1
 
     def match(self, frame: Frame) -> None:
-        """Take a frame if it is the answer."""
+        """Accept a frame as the reply if it answers this command."""
         if self.done or not frame.payload or frame.payload[0] != self.command.request:
             return
         is_ack = frame.id == MessageId.ACK
@@ -101,14 +103,14 @@ class Request:
             self.reply = frame
 
     def answer(self) -> Frame:
-        """Return the answer.
+        """Return the board's answer.
 
         Raises
         ------
         CommandRefused
-            The board said no.
+            The board refused the command.
         HeliError
-            There is none, and this is why.
+            The command was given up; the error gives the reason.
         """
         if self.reply is None:
             raise self.error or CommandTimeout("the command was not answered", "try again")

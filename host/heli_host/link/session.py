@@ -1,8 +1,8 @@
 """A session with one board: handshake, commands, streams, samples, events, reconnect.
 
-Two drivers share one protocol (`heli_host.link.engine`). Over a port a thread reads all the time, and calls
-of the user wait for it. In lockstep with a simulation there is no thread: whatever waits reads, which makes
-time pass, and the same calls give the same bytes every time.
+The protocol (`heli_host.link.engine`) runs in one of two ways. Over a port, a background thread reads all the
+time and calls of the user wait for it. In lockstep with a simulation there is no thread: a waiting call reads
+bytes itself, and only that makes simulated time pass. The same calls then give the same bytes every time.
 """
 
 from __future__ import annotations
@@ -66,18 +66,20 @@ _START_MOTORS = (ArmMessage, ControlMessage, ExciteMessage, StreamMessage)
 
 
 class Session:
-    """One session with one board.
+    """One session with one board. All methods may be called from any thread; commands run one at a time.
+
+    The session itself never switches motors off, except by `stop_now`: see `heli_host.vehicle.Vehicle.close`.
 
     Parameters
     ----------
     transport : Transport
-        The board's bytes, open; the session closes it, and opens it again when it is lost.
+        Open connection to the board; the session closes it, and opens it again after a loss.
     session_number : int or None
-        Tells this session from others. None: random over a port, 1 in lockstep.
+        Number by which the board distinguishes this session. None: random over a port, 1 in lockstep.
     handshake_timeout_s : float
         Longest wait for the welcome [s]. A Due that resets when its port is opened takes up to 3 s.
     reconnect_timeout_s : float
-        How long a lost board is looked for [s]; 0 gives up at once.
+        Time for which the session tries to reach a lost board [s]; 0 gives up immediately.
     """
 
     def __init__(
@@ -107,17 +109,17 @@ class Session:
 
     @property
     def transport(self) -> Transport:
-        """The board's bytes; another one after a reconnect."""
+        """Connection to the board; a different object after a reconnect."""
         return self._driver.transport
 
     @property
     def lockstep(self) -> bool:
-        """Whether time passes only while something waits."""
+        """Whether device time passes only while a call of this session waits, as in a simulation."""
         return self._driver.transport.lockstep
 
     @property
     def welcome(self) -> WelcomeMessage:
-        """What the board said of itself when it last welcomed this session."""
+        """Description that the board sent when it last welcomed this session."""
         if self._engine.welcome is None:
             raise LinkError("the session is not open yet", "call connect() first")
         return self._engine.welcome
@@ -129,13 +131,13 @@ class Session:
 
     @property
     def counters(self) -> LinkCounters:
-        """All counts since the first welcome."""
+        """Counters of frames, ticks, retries and reconnects since the first welcome."""
         with self._driver.lock:
             return self._engine.counters()
 
     @property
     def clock(self) -> ClockEstimate | None:
-        """Device time to host time; None before the first sample."""
+        """Estimated relation of device time to host time; None before the first sample."""
         with self._driver.lock:
             return self._engine.clock.estimate()
 
@@ -147,7 +149,7 @@ class Session:
 
     @property
     def latest(self) -> tuple[int, npt.NDArray[np.int32]] | None:
-        """Newest tick, counted on over 2^32, and its raw numbers (channels,); None before the first."""
+        """Newest tick, unwrapped beyond 2^32, and its raw numbers (channels,); None before the first."""
         with self._driver.lock:
             tick, raw = self._engine.account.last, self._engine.latest_raw
             return None if tick is None or raw is None else (tick, raw)
@@ -159,7 +161,7 @@ class Session:
 
     @property
     def read_interval_s(self) -> float:
-        """How long a port collects bytes between two readings [s]; less costs processor time; may be set."""
+        """Interval at which the port is read [s]; may be set. A shorter interval costs processor time."""
         return self._driver.read_interval_s
 
     @read_interval_s.setter
@@ -172,18 +174,18 @@ class Session:
         Returns
         -------
         WelcomeMessage
-            What the board says of itself.
+            Description that the board sent.
 
         Raises
         ------
         HandshakeTimeout
-            Nothing was heard, or hello was not answered, in time.
+            No byte arrived, or the board did not answer hello, in time.
         WrongDevice
-            Bytes came, but no frame of this link.
+            Bytes arrived, but no frame of this link.
         LinkVersionMismatch
-            The board was built from another declaration.
+            The board's firmware was built from another version of link.toml.
         LinkLost
-            The port went away and did not come back in time.
+            The port disappeared and did not come back in time.
         """
         driver = self._driver
         driver.handshake_deadline_s = driver.transport.now_s() + self.handshake_timeout_s
@@ -196,27 +198,37 @@ class Session:
         return self.welcome
 
     def close(self) -> None:
-        """End the session and let go of the port; motors are the business of the caller."""
+        """End the session and close the port. The motors are not switched off: the caller must send a stop
+        first. A board that flies on setpoints misses them from now on, holds level and lands.
+        """
         self._driver.close()
 
     def request(self, command: Command, timeout_s: float = COMMAND_TIMEOUT_S) -> Frame:
-        """Send a command and wait for its answer; it takes effect exactly once, however often it is sent.
+        """Send a command and wait for its answer. Retries included, the command takes effect exactly once.
 
         Parameters
         ----------
         command : Command
-            Any message of the declaration that has a reply; its request number is chosen here.
+            Any message of the declaration that has a reply. The session sets its request number.
         timeout_s : float
             Longest wait for the answer, retries included [s].
+
+        Returns
+        -------
+        Frame
+            The board's answer.
 
         Raises
         ------
         CommandRefused
-            The board said no.
+            The board refused the command.
         CommandTimeout
-            No answer came in time.
+            No answer came in time. The command may have taken effect.
         LinkLost
-            The board is gone, or started anew before it answered.
+            The board cannot be reached, or restarted before it answered.
+        LinkError
+            The command could start the motors and a stop is in force (`stop_now`), or a callback sends it
+            while another command waits for its answer.
         """
         # A callback runs in the reading thread: to wait there for another's command would be for ever.
         if not self._one_command.acquire(blocking=not self._driver.in_reading_thread):
@@ -249,55 +261,57 @@ class Session:
         Returns
         -------
         AckMessage
-            The answer; its result is ok.
+            The answer, with result ``OK``.
 
         Raises
         ------
         CommandRefused
-            The board said no.
+            The board refused the command.
         CommandTimeout
-            No answer came in time.
+            No answer came in time. The command may have taken effect.
         LinkLost
-            The board is gone.
+            The board cannot be reached.
         """
         return AckMessage.unpack(self.request(command, timeout_s).payload)
 
     @property
     def stops(self) -> int:
-        """How often `stop_now` was called."""
+        """Number of calls of `stop_now` so far: the stop epoch that `release_stop` compares."""
         return self._engine.stops
 
     def stop_now(self) -> None:
-        """Send stop at once, from any thread, and return without its answer; it is repeated until it has one.
+        """Switch both motors off: send the stop immediately and return without waiting for the answer.
 
-        It waits for no other command: one on its way is given up, and what could start the motors
-        is refused until `release_stop`: another thread may be about to send it.
+        May be called from any thread, also from a callback. The stop is repeated until the board answers, for
+        at most 2 s. A command that waits for its answer is given up, and setpoints are no longer kept alive.
+        Until `release_stop` the session refuses commands that can start the motors (arm, control, excite,
+        stream), because another thread may be about to send one. An arm in the air falls.
 
         Raises
         ------
         LinkError
-            The session is over.
+            The session has ended. Use the rig's own stop switch.
         """
         with self._driver.lock:
             self._latched = True
             self._engine.kept = None
             self._engine.preempt(StopMessage(0), self.transport.now_s(), COMMAND_TIMEOUT_S)
         self._driver.send_due()
-        # After the bytes are out: an error that waits to be told must not come before them.
+        # After the bytes are sent: a pending error of a callback must not delay the stop.
         self._driver.check()
 
     def release_stop(self, stops: int) -> bool:
-        """Take commands again after `stop_now`.
+        """Accept commands that can start the motors again after `stop_now`. The motors stay off.
 
         Parameters
         ----------
         stops : int
-            `stops` when the wish for more was heard.
+            Value of the property `stops` when the caller received the request that it is about to run.
 
         Returns
         -------
         bool
-            False when another stop has come since: nothing is released.
+            False if `stop_now` was called after that: the stop stays in force.
         """
         with self._driver.lock:
             if self._engine.stops != stops:
@@ -306,30 +320,33 @@ class Session:
             return True
 
     def permit_streams(self, permitted: Callable[[], bool]) -> None:
-        """Have it asked before each setpoint and pair of voltages whether it may go, whoever streams it.
+        """Register a condition for sending setpoints and voltages, including those that are kept alive.
 
-        To the board those that may not are missing: it holds, then lands.
+        While the condition is false none is sent. A board that flies on setpoints then holds level after
+        ``setpoint_hold_s`` and lands after ``setpoint_land_s``; its motors keep running meanwhile. Streamed
+        voltages expire, and the board holds level as well.
 
         Parameters
         ----------
         permitted : callable returning bool
-            Asked with the link's lock held, tens of times a second: it must not wait.
+            Called before each value that is due, from any thread, with the link's lock held: it must not
+            block and must not call the session.
         """
         with self._driver.lock:
             self._engine.permitted = permitted
 
     def read_params(self) -> tuple[float, ...]:
-        """Read all parameters.
+        """Read all parameters of the board.
 
         Returns
         -------
         tuple of float
-            In the order of the declaration's ``PARAMS``.
+            Values in the order and units of the declaration's ``PARAMS``.
 
         Raises
         ------
         LinkError
-            As `request`.
+            See `request`.
         """
         values: list[float] = []
         while len(values) < len(PARAMS):
@@ -344,35 +361,25 @@ class Session:
         return tuple(values[: len(PARAMS)])
 
     def status(self) -> StatusMessage:
-        """Ask for the board's counters.
-
-        Returns
-        -------
-        StatusMessage
-            As of now.
+        """Read the board's present counters.
 
         Raises
         ------
         LinkError
-            As `request`.
+            See `request`.
         """
         return StatusMessage.unpack(self.request(StatusReadMessage(0)).payload)
 
     def stream(self, message: SetpointMessage | VoltagesMessage | FollowingMessage) -> None:
-        """Send a setpoint, a pair of voltages, or what a law follows; not answered, the latest wins.
+        """Send a setpoint, a pair of voltages, or the setpoints that a Python law follows; not answered.
 
-        At most 200 setpoints and 500 pairs of voltages a second go out; what a later one replaced meanwhile
-        is counted as skipped.
-
-        Parameters
-        ----------
-        message : SetpointMessage, VoltagesMessage or FollowingMessage
-            The value.
+        At most 200 setpoints and 500 pairs of voltages are sent per second. A value that a newer one replaces
+        before it is sent counts as skipped.
 
         Raises
         ------
         LinkError
-            The session is over.
+            The session has ended.
         """
         self._driver.check()
         with self._driver.lock:
@@ -380,28 +387,31 @@ class Session:
         self._driver.send_due()
 
     def keep_alive(self, setpoint: SetpointMessage | None) -> None:
-        """Send a setpoint again ten times a second while the board flies on setpoints.
+        """Repeat a setpoint ten times per second while the board flies on setpoints.
+
+        This defeats the board's failsafe as long as this process runs, unless `permit_streams` forbids it.
 
         Parameters
         ----------
         setpoint : SetpointMessage or None
-            What to send; None ends it, and the board's failsafe is then the caller's business again.
+            Setpoint to repeat. None ends the repetition: without new setpoints the board holds level after
+            ``setpoint_hold_s`` and lands after ``setpoint_land_s``.
         """
         with self._driver.lock:
             self._engine.kept = setpoint
 
     def device_tick(self) -> int:
-        """Estimate the device's time now.
+        """Estimate the present device time.
 
         Returns
         -------
         int
-            Tick, counted on over 2^32; at most 250 ahead of the newest sample, whatever the clock fit says.
+            Tick of 1 ms, unwrapped beyond 2^32; at most 250 ticks later than the newest sample.
 
         Raises
         ------
         LinkError
-            No sample has come yet.
+            No sample has arrived yet.
         """
         with self._driver.lock:
             last, estimate = self._engine.account.last, self._engine.clock.estimate()
@@ -411,12 +421,12 @@ class Session:
             return min(max(tick, last), last + _AHEAD_TICKS)
 
     def ticks_counted_on(self, ticks: Ticks) -> npt.NDArray[np.int64]:
-        """Return the tick numbers of samples counted on over 2^32.
+        """Return the tick numbers of samples, unwrapped beyond 2^32.
 
         Returns
         -------
         ndarray of int64, shape (n,)
-            Device time [tick].
+            Device time [tick of 1 ms].
         """
         if len(ticks) == 0:
             return np.empty(0, np.int64)
@@ -427,33 +437,33 @@ class Session:
     def wait_for(
         self, predicate: Callable[[], bool], timeout_s: float | None = None, step_s: float = 0.02
     ) -> bool:
-        """Wait until something is so; samples, events and replies are taken in meanwhile.
+        """Wait until a condition holds; samples, events and replies are processed meanwhile.
 
         Parameters
         ----------
         predicate : callable returning bool
-            Asked after every reading.
+            Condition; evaluated in the caller's thread after every reading.
         timeout_s : float or None
-            Longest wait in the transport's time [s]; None waits as long as the link lives.
+            Longest wait in the transport's time [s]; None waits until the link is lost.
         step_s : float
-            In lockstep: simulated time between two askings [s].
+            In lockstep: simulated time between two evaluations [s].
 
         Returns
         -------
         bool
-            False when time ran out.
+            True if the condition holds; False if the time ran out.
 
         Raises
         ------
         LinkLost
-            The board is gone for good.
+            The board could not be reached within the reconnect timeout.
         HeliError
             A callback failed.
         """
         return self._driver.wait_for(predicate, timeout_s, step_s)
 
     def wait(self, duration_s: float) -> None:
-        """Wait in device time: until samples of this much later have come.
+        """Wait until a sample arrives that is `duration_s` of device time later than the newest one now.
 
         Parameters
         ----------
@@ -462,8 +472,10 @@ class Session:
 
         Raises
         ------
+        WaitTimeout
+            No sample has arrived yet, and none arrives within 5 s.
         LinkLost
-            The board is gone for good, or started anew.
+            The board restarted, or could not be reached within the reconnect timeout.
         HeliError
             A callback failed.
         """
@@ -483,50 +495,49 @@ class Session:
             self._driver.pump(min(max(left_s, TICK_S), _LOCKSTEP_STEP_S))
         self.wait_for(passed)
         if engine.restarts != restarts:
-            raise LinkLost(
-                "the board started anew while its time was waited for", "check its supply, then arm again"
-            )
+            raise LinkLost("the board restarted during the wait", "check its supply, then arm again")
 
     def subscribe_ticks(self, callback: TicksCallback) -> Unsubscribe:
-        """Have every new sample handed over, in the reading thread.
+        """Register a callback for new samples.
 
         Parameters
         ----------
         callback : callable taking Ticks
-            Called with the samples of one reading. When it raises, it is called no more, and the next call of
-            the user raises in its place.
+            Called in the reading thread with all samples of one reading; in lockstep, in the thread that
+            waits. It must not block, and must not send a command that waits for an answer. If it raises, its
+            subscription ends, and the next call of this session by the user raises that error.
 
         Returns
         -------
         callable
-            Ends the subscription.
+            Cancels the subscription.
         """
         self._subscribers.on_ticks = (*self._subscribers.on_ticks, callback)
         return lambda: self._subscribers.remove(callback)
 
     def subscribe_events(self, callback: EventCallback) -> Unsubscribe:
-        """Have every event of board and link handed over, in the reading thread.
+        """Register a callback for events of board, link and host.
 
         Parameters
         ----------
         callback : callable taking LinkEvent
-            See `subscribe_ticks`.
+            Called once per event; threads and errors as in `subscribe_ticks`.
 
         Returns
         -------
         callable
-            Ends the subscription.
+            Cancels the subscription.
         """
         self._subscribers.on_event = (*self._subscribers.on_event, callback)
         return lambda: self._subscribers.remove(callback)
 
     def tell(self, kind: str, text: str, names: tuple[str, ...] = ()) -> None:
-        """Have an event of the host's own handed over, in this thread, like those of board and link.
+        """Publish an event of the host to all subscribers of events, in the caller's thread.
 
         Parameters
         ----------
         kind, text, names
-            As in `heli_host.link.events.LinkEvent`.
+            See `heli_host.link.events.LinkEvent`.
         """
         newest = self.latest
         tick = newest[0] if newest is not None else 0
@@ -534,17 +545,17 @@ class Session:
         self._subscribers.deliver(EMPTY_TICKS, [event], [])
 
     def subscribe_status(self, callback: StatusCallback) -> Unsubscribe:
-        """Have the board's counters handed over, once a second, in the reading thread.
+        """Register a callback for the board's counters, which arrive once per second.
 
         Parameters
         ----------
         callback : callable taking StatusMessage
-            See `subscribe_ticks`.
+            Threads and errors as in `subscribe_ticks`.
 
         Returns
         -------
         callable
-            Ends the subscription.
+            Cancels the subscription.
         """
         self._subscribers.on_status = (*self._subscribers.on_status, callback)
         return lambda: self._subscribers.remove(callback)

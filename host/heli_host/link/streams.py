@@ -1,4 +1,4 @@
-"""Streamed values: the latest wins, at a bounded rate, and the last setpoint is kept fresh."""
+"""Rate limit of streamed values: of several that wait, only the newest is sent."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ Streamed = TypeVar("Streamed", SetpointMessage, VoltagesMessage, FollowingMessag
 
 @dataclass
 class Stream(Generic[Streamed]):
-    """One kind of streamed value.
+    """Rate limit of one kind of streamed value.
 
     Parameters
     ----------
     interval_s : float
-        Shortest time between two of them [s].
+        Shortest device time between two values [s].
     waiting : SetpointMessage, VoltagesMessage, FollowingMessage or None
-        The newest, not yet sent.
+        The newest value that was not sent yet.
     sent_s : float
-        Host time at which the last was sent [s].
+        Host time at which the last value was sent [s].
     sent, skipped : int
-        Values sent, and values that a later one replaced before they could be.
+        Number of values that were sent, and that a newer one replaced before they were sent.
     """
 
     interval_s: float
@@ -36,47 +36,29 @@ class Stream(Generic[Streamed]):
     skipped: int = 0
 
     def put(self, message: Streamed) -> None:
-        """Put a value in line, in the place of one that waits.
-
-        Parameters
-        ----------
-        message : SetpointMessage, VoltagesMessage or FollowingMessage
-            The value.
-        """
+        """Set the value to send next; it replaces one that waits."""
         self.skipped += self.waiting is not None
         self.waiting = message
 
     def due(self, now_s: float, speed: float) -> bool:
-        """Whether the value that waits may go.
+        """Whether the rate limit permits sending the waiting value now; False if none waits.
 
         Parameters
         ----------
         now_s : float
             Host time [s].
         speed : float
-            Device seconds in a host second.
-
-        Returns
-        -------
-        bool
-            False also when none waits.
+            Device seconds per host second.
         """
         return self.waiting is not None and now_s >= self.sent_s + self.interval_s / speed
 
     def release(self, message: Streamed, now_s: float) -> Streamed:
-        """Note that a value is sent now.
+        """Record that `message` is sent now, and return it.
 
         Parameters
         ----------
-        message : SetpointMessage, VoltagesMessage or FollowingMessage
-            The value.
         now_s : float
             Host time [s].
-
-        Returns
-        -------
-        SetpointMessage, VoltagesMessage or FollowingMessage
-            The same.
         """
         self.waiting, self.sent_s = None, now_s
         self.sent += 1

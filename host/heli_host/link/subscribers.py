@@ -1,4 +1,4 @@
-"""Who is told what a session receives, and what happens when one of them fails."""
+"""The callbacks that get what a session receives, and their errors."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class Subscribers:
     Attributes
     ----------
     on_ticks, on_event, on_status : tuple of callable
-        Who is told; replaced as a whole, so that a delivery under way is not disturbed.
+        Registered callbacks. A change replaces the whole tuple, so that a delivery in progress is unaffected.
     events : deque of LinkEvent
-        The last thousand.
+        The last thousand events.
     error : HeliError or None
-        What the first failed callback raised, until somebody is told.
+        Error of the first failed callback, until `take_error` returns it.
     """
 
     def __init__(self) -> None:
@@ -42,19 +42,13 @@ class Subscribers:
         self.error: HeliError | None = None
 
     def remove(self, callback: object) -> None:
-        """Tell somebody no more.
-
-        Parameters
-        ----------
-        callback : object
-            As it was added.
-        """
-        self.on_ticks = tuple(one for one in self.on_ticks if one is not callback)
-        self.on_event = tuple(one for one in self.on_event if one is not callback)
-        self.on_status = tuple(one for one in self.on_status if one is not callback)
+        """Cancel all subscriptions of `callback`."""
+        self.on_ticks = tuple(each for each in self.on_ticks if each is not callback)
+        self.on_event = tuple(each for each in self.on_event if each is not callback)
+        self.on_status = tuple(each for each in self.on_status if each is not callback)
 
     def deliver(self, ticks: Ticks, events: list[LinkEvent], statuses: list[StatusMessage]) -> None:
-        """Tell everybody.
+        """Call the callbacks, in the caller's thread. One that raises is removed; the others still run.
 
         Parameters
         ----------
@@ -75,13 +69,7 @@ class Subscribers:
                 self._call(on_status, status)
 
     def take_error(self) -> HeliError | None:
-        """Return what a callback raised, once.
-
-        Returns
-        -------
-        HeliError or None
-            None when all went well, or somebody was told before.
-        """
+        """Return and clear the error of the first callback that failed; None if there is none."""
         error, self.error = self.error, None
         return error
 
@@ -95,7 +83,7 @@ class Subscribers:
                 failed = error
             else:
                 failed = HeliError(
-                    f"a callback failed: {type(error).__name__}: {error}", "mend it; it is called no more"
+                    f"a callback failed: {type(error).__name__}: {error}", "fix it; it is not called again"
                 )
                 failed.__cause__ = error
             if self.error is None:

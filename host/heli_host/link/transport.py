@@ -1,8 +1,8 @@
-"""Bytes to and from a board, whichever it is: a serial port, a socket, or a simulation.
+"""Connections that carry bytes to and from a board: a serial port, a socket, or a simulation.
 
 A URL names the board. ``/dev/ttyACM0``, ``COM3``, ``socket://host:port``, ``rfc2217://...`` and ``spy://...``
 go to pyserial; any other scheme is looked up in the entry-point group ``heli_host.transports``, whose objects
-are called with the URL. So a simulated board is a transport like any other, and nothing here imports it.
+are called with the URL. Therefore a simulated board is an ordinary transport, and nothing here imports it.
 """
 
 from __future__ import annotations
@@ -40,24 +40,26 @@ _RESET_PULSE_S = 0.05
 
 @runtime_checkable
 class Transport(Protocol):
-    """What a session needs of a board's bytes.
+    """Connection to a board, as a session uses it.
+
+    A session calls `read` from one thread, and `write` from any thread, one call at a time.
 
     Attributes
     ----------
     lockstep : bool
-        True when time advances only inside `read`: a simulation as fast as it is read, by one thread.
+        True if device time advances only inside `read`. One thread must then make all calls.
     url : str
-        Where the bytes come from, as the user wrote it.
+        Address of the board, as the user wrote it.
     """
 
     @property
     def lockstep(self) -> bool:
-        """Whether time advances only inside `read`."""
+        """Whether device time advances only inside `read`."""
         ...
 
     @property
     def url(self) -> str:
-        """Where the bytes come from."""
+        """Address of the board, as the user wrote it."""
         ...
 
     def read(self, timeout_s: float) -> bytes:
@@ -105,7 +107,7 @@ class Transport(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of the other end; harmless when called twice."""
+        """Close the connection; a second call does nothing. No command is sent to the board."""
         ...
 
     def reopen(self) -> Transport:
@@ -114,12 +116,12 @@ class Transport(Protocol):
         Returns
         -------
         Transport
-            Another one; this one stays closed.
+            A new object; this one stays closed.
 
         Raises
         ------
         LinkError
-            It is not there, or not yet.
+            The board cannot be reached at present.
         """
         ...
 

@@ -36,7 +36,7 @@ the seed."""
 _RESULT: Final = "result."
 _ADDRESS: Final = re.compile(r"\b\w+://\S*[^\s:;,.]")
 _BOOT_ID: Final = re.compile(r"\bboot id \d+")
-_MOST_BYTES: Final = 4 << 20
+_MAX_BYTES: Final = 4 << 20
 """Of a truth file; a rig's file, which it holds, has 10 kB."""
 
 
@@ -95,7 +95,7 @@ class Truth:
             If it cannot be read, or is none.
         """
         try:
-            content = json.loads(read_file(path, _MOST_BYTES))
+            content = json.loads(read_file(path, _MAX_BYTES))
             flown, salt = content["flown"], content["salt"]
         except OSError as error:
             raise LogError(f"cannot read {path}: {error.strerror or error}", "check the path") from error

@@ -29,7 +29,7 @@ HEADS: Final = (
     "effort [V rms]",
 )
 _COLOURS: Final = ("#0b5fa5", "#d1495b", "#157a4a", "#c98a00", "#6b3fa0", "#4a8c94", "#8a5a3b", "#5b5f66")
-MOST: Final = len(_COLOURS)
+MAX_FLIGHTS: Final = len(_COLOURS)
 """Flights that are told apart on one page."""
 _WORDS: Final = 2
 """Columns of a table that hold words; the others hold numbers."""
@@ -114,7 +114,7 @@ def write_comparison(flights: Mapping[str, Flight], path: str | Path) -> None:
     Parameters
     ----------
     flights : Mapping[str, Flight]
-        At most `MOST`, by label.
+        At most `MAX_FLIGHTS`, by label.
     path : str or Path
         ``.png``, ``.pdf`` or ``.svg`` file to write; a missing folder is made.
 

@@ -22,14 +22,14 @@ from typing import Protocol
 
 from heli_host.errors import LogWriteError
 
-MOST_BYTES_PER_S = 125_000
+MAX_BYTES_PER_S = 125_000
 """A second of ticks that do not compress at all, with their index; a usual one is 15 to 20 kB."""
 QUEUED_BYTES = 32 * 1024 * 1024
 """What may wait for the disk: half an hour of a usual flight, 4 minutes of ticks that do not compress."""
 RESERVED_BYTES = 4 * 1024 * 1024
 """Free space at which a flight ends: its landing, and summary and figure after it, still find room."""
 
-_LEAST_FLIGHT_S = 60.0
+_MIN_FLIGHT_S = 60.0
 _SYNC_S = 1.0
 _STALL_S = 0.5
 _CLOSE_TIMEOUT_S = 60.0
@@ -423,7 +423,7 @@ def check_free_space(path: Path, duration_s: float) -> None:
     LogWriteError
         If less is free than its ticks can need.
     """
-    needed = RESERVED_BYTES + max(_LEAST_FLIGHT_S, duration_s) * MOST_BYTES_PER_S
+    needed = RESERVED_BYTES + max(_MIN_FLIGHT_S, duration_s) * MAX_BYTES_PER_S
     left = free_bytes(path.parent)
     if left is not None and left < needed:
         raise LogWriteError(

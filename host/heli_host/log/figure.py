@@ -45,8 +45,8 @@ _LOUD_EVENTS = frozenset(
     }
 )
 _BUCKETS = 3000
-_LEAST_SPAN_DEG = 1.0
-_MOST_GAPS = 200
+_MIN_SPAN_DEG = 1.0
+_MAX_GAPS = 200
 _GAP_COLOUR = "#e58b85"
 _DPI = 130
 
@@ -158,7 +158,7 @@ def _draw_axis(
         )
     middle_deg = float(measured_deg.max() + measured_deg.min()) / 2 if len(measured_deg) else 0.0
     # Wide enough that a count of the encoder does not look like a motion.
-    panel.update_datalim([(0.0, middle_deg - _LEAST_SPAN_DEG), (0.0, middle_deg + _LEAST_SPAN_DEG)])
+    panel.update_datalim([(0.0, middle_deg - _MIN_SPAN_DEG), (0.0, middle_deg + _MIN_SPAN_DEG)])
     panel.set_ylabel(f"{axis} [°]")
     rms, worst = summary.rms_error_deg.get(axis), summary.max_error_deg.get(axis)
     error = (
@@ -250,7 +250,7 @@ def _draw_events(panels: Sequence[Axes], flight: Flight) -> None:
     for event in phases:
         for panel in panels:
             panel.axvline(_moment_s(event, flight), color="#666666", lw=0.8, ls=":", zorder=2)
-    for row in flight.gaps[:_MOST_GAPS]:
+    for row in flight.gaps[:_MAX_GAPS]:
         for panel in panels:
             left_s, right_s = (float(flight.t_s[at] - flight.t_s[0]) for at in (row, row + 1))
             panel.axvspan(left_s, right_s, color=_GAP_COLOUR, alpha=0.5, lw=0, zorder=1)

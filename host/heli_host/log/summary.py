@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from heli_host.declaration import AXES
 from heli_host.errors import LogWriteError
+from heli_host.files import RESULT_SCHEMA
 from heli_host.flight import Flight
 from heli_host.flight.flown import flown_rows, led_rows
 from heli_host.flight.response import rms
@@ -27,7 +28,7 @@ from heli_host.flight_checks import FlightFinding
 from heli_host.log.reader import Log
 from heli_host.log.writer import DISK_BLOCKED, TICKS_DROPPED
 
-_MOST_COUNT = 2**63
+_MAX_COUNT = 2**63
 _LONGEST_COUNT = 24
 _TOLD = (DISK_BLOCKED, TICKS_DROPPED)
 
@@ -118,7 +119,8 @@ class FlightSummary:
         path = Path(path)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(json.dumps(self.as_dict(), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+            content = {"schema": RESULT_SCHEMA, **self.as_dict()}
+            path.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
         except OSError as error:
             raise LogWriteError(
                 f"cannot write {path}: {error.strerror or error}", "choose another place with --json"
@@ -200,4 +202,4 @@ def _link(log: Log) -> dict[str, int]:
 
 
 def _is_count(value: object) -> bool:
-    return isinstance(value, int | float) and abs(value) < _MOST_COUNT
+    return isinstance(value, int | float) and abs(value) < _MAX_COUNT

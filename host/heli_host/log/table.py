@@ -36,10 +36,10 @@ _NUMBER_FORMAT = "%.9f"
 _NOTE = re.compile(r"([\w .-]{1,40}):\s?(.*)")
 _PLAN_MARK = "plan|"
 _ROWS_A_BLOCK = 20_000
-MOST_BYTES = 1 << 28
+MAX_BYTES = 1 << 28
 """Largest table, unpacked: half an hour at 1 kHz."""
-MOST_LINES = 4_000_000
-MOST_COLUMNS = 1000
+MAX_LINES = 4_000_000
+MAX_COLUMNS = 1000
 
 
 @dataclass(frozen=True)
@@ -148,14 +148,14 @@ def _one_line(text: str) -> str:
 
 def _read_bytes(path: Path) -> bytes:
     try:
-        data = read_file(path, MOST_BYTES)
+        data = read_file(path, MAX_BYTES)
     except OSError as error:
         raise FlightDataError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
     if not path.name.lower().endswith(".gz"):
         return data
     try:
         with gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
-            data = packed.read(MOST_BYTES + 1)
+            data = packed.read(MAX_BYTES + 1)
     except EOFError as error:
         raise FlightDataError(
             f"{path}: the compressed file ends early", "copy or download it again"
@@ -164,8 +164,8 @@ def _read_bytes(path: Path) -> bytes:
         raise FlightDataError(
             f"{path}: not a gzip file, or a damaged one", "copy it again, or name it .csv if it is plain text"
         ) from error
-    if len(data) > MOST_BYTES:
-        raise FlightDataError(f"{path} unpacks to more than {MOST_BYTES >> 20} MiB", "cut it into pieces")
+    if len(data) > MAX_BYTES:
+        raise FlightDataError(f"{path} unpacks to more than {MAX_BYTES >> 20} MiB", "cut it into pieces")
     return data
 
 
@@ -173,8 +173,8 @@ def _take_apart(data: bytes, path: Path) -> _Lines:
     data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     if not data.strip():
         raise FlightDataError(f"{path}: the file is empty", "record a flight into it first")
-    if data.count(b"\n") > MOST_LINES:
-        raise FlightDataError(f"{path} has more than {MOST_LINES} lines", "cut it into pieces")
+    if data.count(b"\n") > MAX_LINES:
+        raise FlightDataError(f"{path} has more than {MAX_LINES} lines", "cut it into pieces")
     notes: list[str] = []
     header, position, number = "", 0, 0
     while position < len(data):
@@ -188,8 +188,8 @@ def _take_apart(data: bytes, path: Path) -> _Lines:
             header = line
             break
     body = data[position:]
-    if header.count(",") >= MOST_COLUMNS:
-        raise FlightDataError(f"{path} has more than {MOST_COLUMNS} columns", "leave out what is not needed")
+    if header.count(",") >= MAX_COLUMNS:
+        raise FlightDataError(f"{path} has more than {MAX_COLUMNS} columns", "leave out what is not needed")
     names = tuple(name.strip().strip('"') for name in header.split(","))
     if b"#" not in body and b"\n\n" not in body:
         return _Lines(tuple(notes), names, body, number + 1, ())

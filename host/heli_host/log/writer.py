@@ -40,7 +40,7 @@ CHUNK_TICKS = 1_000_000 // TICK_US
 DISK_BLOCKED, TICKS_DROPPED = "disk_blocked", "ticks_dropped"
 """Events that the writer itself has to tell."""
 
-_MOST_MESSAGES = 10_000
+_MAX_MESSAGES = 10_000
 
 
 @dataclass(slots=True)
@@ -312,7 +312,7 @@ class LogWriter:
         self._counters.ticks_logged -= dropped
         self._counters.ticks_lost += dropped
         messages = [part for part in pending if isinstance(part, JsonMessage)]
-        self._pending = [*messages[-_MOST_MESSAGES:]]
+        self._pending = [*messages[-_MAX_MESSAGES:]]
 
     def _place(self) -> None:
         """Give the ticks of many small batches their times at once: one by one it would cost 1 us a tick."""

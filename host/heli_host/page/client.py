@@ -1,7 +1,6 @@
-"""A second program in a flying session: what a notebook uses beside the page that flies.
+"""Client of a page's server: a program, such as a notebook, watches and commands the board of the page.
 
-The page's server has one socket for pages and programs; docs/reference/dashboard-protocol.md describes it
-for other languages.
+Pages and programs use the same WebSocket; docs/how-to/dashboard.md describes it for other languages.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from heli_host.declaration import State
 from heli_host.errors import HeliError, LinkError, PortError
 from heli_host.link.clock import TICK_S
 from heli_host.page.source import KEPT_S
-from heli_host.page.tape import Tape
+from heli_host.page.telemetry_buffer import TelemetryBuffer
 from heli_host.page.wire import RESET, unpack
 from heli_host.samples import Samples, Scales
 
@@ -34,31 +33,33 @@ _OPEN_S = 5.0
 
 
 class PageError(HeliError):
-    """The page's server refused what was asked of it; cause and remedy are its own."""
+    """The page's server refused a request; cause and remedy are those that it sent."""
 
     exit_code = 3
 
 
-class Joined:
-    """A program beside a page; `join` makes one. It watches, tunes where it may, and flies once it is let.
+class PageClient:
+    """A program that is connected to a page's server; `join` makes one.
 
-    Use it in a ``with`` block. Its own thread answers the server, so as a pilot it counts as present while
-    the process lives.
+    It receives telemetry, may change parameters if the pilot shares that, and flies after `ask_control`. Use
+    it in a ``with`` block, from one thread. A background thread acknowledges the telemetry. Therefore a
+    program that is the pilot counts as present as long as its process lives, even if its own code hangs; the
+    stop of every page still works.
 
     Parameters
     ----------
     opened : ExitStack
         Closes the socket.
     socket : ClientConnection
-        Open, and let in.
+        Open socket that the server has accepted.
     stop_address : str
-        Where the stop goes.
+        URL of the server's socket for the stop.
     """
 
     def __init__(self, opened: contextlib.ExitStack, socket: ClientConnection, stop_address: str) -> None:
         self._opened, self._socket = opened, socket
         self._stop_address = stop_address
-        self._tape = Tape(round(KEPT_S / TICK_S))
+        self._buffer = TelemetryBuffer(round(KEPT_S / TICK_S))
         self._known: dict[str, Any] = {}
         self._values: dict[str, float] = {}
         self._answers: dict[int, Mapping[str, Any]] = {}
@@ -67,7 +68,7 @@ class Joined:
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._read, name="heli-host joined", daemon=True)
         self._thread.start()
-        if not self._wait(lambda: "hello" in self._known and "seats" in self._known, _OPEN_S):
+        if not self._wait(lambda: "hello" in self._known and "control" in self._known, _OPEN_S):
             self.close()
             raise LinkError("the page's server let nobody in", "give the whole address that it printed")
 
@@ -81,96 +82,101 @@ class Joined:
 
     @property
     def params(self) -> Mapping[str, float]:
-        """The board's parameters; `set` changes one."""
+        """The board's parameters by name, read-only; `set` changes one."""
         return MappingProxyType(self._values)
 
     @property
     def state(self) -> State:
-        """State of the board's supervisor, up to half a second old while nothing changes."""
+        """State of the board's supervisor, at most about 0.5 s old."""
         return State(self._known["status"]["state"])
 
     @property
     def status(self) -> Mapping[str, Any]:
-        """What the page shows in words: state, fault, link, recording, flight."""
+        """Newest status that the server sent: state, fault, link, recording, flight."""
         return MappingProxyType(dict(self._known["status"]))
 
     @property
     def flies(self) -> bool:
         """Whether this program is the pilot."""
-        return bool(self._known["seats"]["pilot"] == self._known["hello"]["you"])
+        return bool(self._known["control"]["pilot"] == self._known["hello"]["you"])
 
     def samples(self, last_s: float = 10.0) -> Samples:
-        """Return the newest samples that came, oldest first; every tick while this program keeps up.
+        """Return the newest samples, oldest first: one per tick of 1 ms, or fewer if this program is slow.
 
         Parameters
         ----------
         last_s : float
-            How much device time [s].
+            Length of the history in device time [s].
         """
-        cut = self._tape.cut(max(self._tape.end - round(last_s / TICK_S), 0), round(KEPT_S / TICK_S))
+        cut = self._buffer.cut(max(self._buffer.end - round(last_s / TICK_S), 0), round(KEPT_S / TICK_S))
         return Scales(self._values).samples(cut.tick, cut.raw)
 
     def set(self, name: str, value: float) -> float:
-        """Set a parameter in the board's memory; return the value now in force.
+        """Set a parameter of the board, in memory only, and return the value in force.
 
         Parameters
         ----------
         name : str
-            As declared in link.toml.
+            Name of the parameter in docs/reference/link.md.
         value : float
-            New value, in the unit of the declaration.
+            New value, in the unit of that table.
 
         Raises
         ------
         PageError
-            This program neither flies nor may tune, or the board refused.
+            This program is not the pilot and the pilot does not share tuning, or the board refused the value.
         """
         return float(self.ask("set", name=name, value=value)["value"])
 
     def ask_control(self, timeout_s: float = 30.0) -> bool:
-        """Ask the pilot for control, and wait for the answer; True when this program flies now.
+        """Ask the pilot for control and wait for the answer.
 
         Parameters
         ----------
         timeout_s : float
             Longest wait [s].
+
+        Returns
+        -------
+        bool
+            True if this program is the pilot now; False if the pilot refused or did not answer in time.
         """
         if self.ask("ask").get("granted"):
             return True
         mine = self._known["hello"]["you"]
-        self._wait(lambda: self.flies or self._known["seats"]["asking"] != mine, timeout_s)
+        self._wait(lambda: self.flies or self._known["control"]["asking"] != mine, timeout_s)
         return self.flies
 
     def setpoint(self, *, elevation_deg: float | None = None, travel_deg: float | None = None) -> None:
-        """Send a setpoint; what is not given stays as it was. Only as the pilot.
+        """Send a setpoint. Only the pilot may.
 
         Parameters
         ----------
         elevation_deg, travel_deg : float or None
-            Targets [deg].
+            Targets [deg]; None leaves a target unchanged.
         """
         given = {"elevation_deg": elevation_deg, "travel_deg": travel_deg}
         self.ask("setpoint", **{name: value for name, value in given.items() if value is not None})
 
     def mark(self, text: str) -> None:
-        """Write a mark into the log that is being recorded, and on every page.
+        """Write a mark into the log, if one is recorded, and show it on every page.
 
         Parameters
         ----------
         text : str
-            Its words.
+            Text of the mark, at most 200 characters.
         """
         self.ask("mark", text=text)
 
     def signal(self, name: str, value: float) -> None:
-        """Show a value of this program's own on every page, in a strip, and write it into the log.
+        """Plot a value of this program on every page, and write it into the log, if one is recorded.
 
         Parameters
         ----------
         name : str
-            Of the signal.
+            Name of the signal, at most 40 characters.
         value : float
-            Its value now.
+            Present value.
 
         Raises
         ------
@@ -180,12 +186,15 @@ class Joined:
         self.ask("signal", name=name, value=float(value))
 
     def stop(self) -> None:
-        """Switch the motors off, before everything else; needs no control.
+        """Switch both motors off, ahead of all other commands. Every client may. An arm in the air falls.
+
+        Opens a separate socket, so it waits for no other request; it returns after the server has sent the
+        stop to the board. May be called from any thread.
 
         Raises
         ------
         LinkError
-            The server does not answer.
+            The server did not answer within 10 s, or could not send the stop. Use the rig's own stop switch.
         """
         try:
             with connect(self._stop_address, open_timeout=_OPEN_S, compression=None, proxy=None) as socket:
@@ -197,23 +206,28 @@ class Joined:
             raise LinkError(str(answer), "use the rig's own stop switch")
 
     def ask(self, name: str, /, *, timeout_s: float = _ANSWER_S, **arguments: Any) -> Mapping[str, Any]:
-        """Ask for anything in the table of docs/reference/dashboard-protocol.md, and wait for the answer.
+        """Send a request of the table in docs/how-to/dashboard.md and wait for the answer.
 
         Parameters
         ----------
         name : str
-            What, such as ``take_off``.
+            Name of the request, such as ``take_off``.
         timeout_s : float
-            Longest wait [s].
+            Longest wait [s]. A request that takes longer still runs to its end.
         **arguments : object
-            What it takes.
+            Arguments of the request.
+
+        Returns
+        -------
+        mapping
+            Answer of the server.
 
         Raises
         ------
         PageError
-            It was refused.
+            The server or the board refused the request.
         LinkError
-            The server is gone, or did not answer in time.
+            The connection is lost, or no answer came in time.
         """
         with self._changed:
             self._number += 1
@@ -232,19 +246,17 @@ class Joined:
         return answer
 
     def wait_for_state(self, *states: State, timeout_s: float = 30.0) -> State:
-        """Wait until the board is in one of some states; returns it.
+        """Wait until the board is in one of the given `states`, and return that state.
 
         Parameters
         ----------
-        *states : State
-            Which.
         timeout_s : float
             Longest wait [s].
 
         Raises
         ------
         LinkError
-            It was in none of them in time.
+            The board was in none of these states in time.
         """
         if not self._wait(lambda: self.state in states, timeout_s):
             names = " or ".join(str(state) for state in states)
@@ -254,7 +266,9 @@ class Joined:
         return self.state
 
     def close(self) -> None:
-        """Leave; what flies goes on flying, unless this program was the pilot."""
+        """Disconnect. The motors are not touched. If this program was the pilot, the board gets no further
+        setpoints: it holds level, then lands.
+        """
         with contextlib.suppress(WebSocketException, OSError):
             self._opened.close()
         if threading.current_thread() is not self._thread:
@@ -286,15 +300,15 @@ class Joined:
     def _take_rows(self, frame: bytes) -> None:
         rows = unpack(frame)
         if rows.flags & RESET and len(rows.tick):
-            self._tape.clear()
-        self._tape.append(rows.tick, np.ascontiguousarray(rows.raw))
+            self._buffer.clear()
+        self._buffer.append(rows.tick, np.ascontiguousarray(rows.raw))
         self._socket.send(rows.number.to_bytes(4, "little"))
 
     def _take_words(self, words: Mapping[str, Any]) -> None:
         with self._changed:
             if "answer" in words and words["answer"] is not None:
                 self._answers[int(words["answer"])] = words
-            for name in ("hello", "status", "seats"):
+            for name in ("hello", "status", "control"):
                 if name in words:
                     self._known[name] = words[name]
             values = words.get("values", words.get("hello", {}).get("values"))
@@ -302,23 +316,25 @@ class Joined:
                 self._values = values
 
 
-def join(address: str) -> Joined:
-    """Join a session that a page shows, from another program.
+def join(address: str) -> PageClient:
+    """Connect this program to the server of a page, and thereby to its board.
 
     Parameters
     ----------
     address : str
-        ``page://127.0.0.1:8000/?token=...``, as ``heli-host page`` prints it.
+        ``page://127.0.0.1:8000/?token=...``, as ``heli-host dashboard`` prints it.
 
     Returns
     -------
-    Joined
-        Use it in a ``with`` block.
+    PageClient
+        Connected; use it in a ``with`` block.
 
     Raises
     ------
+    PortError
+        The address is not that of a page, or lacks the token.
     LinkError
-        Nobody serves there, or the token is wrong.
+        No server answers at the address, or the token is wrong.
 
     Examples
     --------
@@ -330,7 +346,7 @@ def join(address: str) -> Joined:
     token = parse_qs(parts.query).get("token", [""])[0]
     if not address.startswith((SCHEME, "http://")) or not token:
         raise PortError(
-            f"{address} is no page's address", "give the whole address that heli-host page printed"
+            f"{address} is no page's address", "give the whole address that heli-host dashboard printed"
         )
     base = f"ws://{parts.netloc}"
     with contextlib.ExitStack() as opened:
@@ -342,6 +358,6 @@ def join(address: str) -> Joined:
         except (OSError, TimeoutError, WebSocketException) as error:
             raise LinkError(
                 f"{parts.netloc} lets nobody in",
-                "check that heli-host page runs, and give its whole address",
+                "check that heli-host dashboard runs, and give its whole address",
             ) from error
-        return Joined(opened.pop_all(), socket, f"{base}/stop?token={token}")
+        return PageClient(opened.pop_all(), socket, f"{base}/stop?token={token}")

@@ -1,4 +1,4 @@
-"""A board behind a page: what it is told to do, and what is told of it."""
+"""A connected board as the source of a page: it runs clients' requests and reports telemetry and events."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from heli_host.page.source import (
     KEPT_S,
     UNKNOWN,
     Action,
-    Lane,
-    Need,
+    CommandQueue,
     News,
+    Role,
     channel_rows,
     fault_rows,
     number,
@@ -29,14 +29,14 @@ from heli_host.page.source import (
     state_rows,
     text,
 )
-from heli_host.page.tape import Tape
+from heli_host.page.telemetry_buffer import TelemetryBuffer
 from heli_host.twins import EVENT
 
 if TYPE_CHECKING:
     from heli_host.fly.recorder import Recorder
     from heli_host.heli import Heli
+    from heli_host.law_program import LawProgram
     from heli_host.link.telemetry import Ticks
-    from heli_host.tape import Tape as LawTape
     from heli_host.twins import TwinNews, TwinWatch
 
 _LOOK_S = 0.2
@@ -44,11 +44,11 @@ _SETTLED_LOOKS = 15
 """Looks at a page that is there each time before plans begin: one that still loads is busy for a second,
 which is a missing pilot."""
 _HEARD_S = 0.5
-"""How old the newest tick may be for its state to be the state now [s]: as old as the sign of a pilot who is
-present. Shorter, a busy computer makes the state unknown; longer, a page takes a board for idle that may have
-begun to fly."""
+"""Greatest age of the newest tick at which its state counts as the present state [s]. It equals
+`heli_host.page.control_lease.PRESENT_S`. Shorter: a busy computer makes the state unknown. Longer: a page
+shows a board as idle that may have begun to fly."""
 _EVENTS_KEPT = 200
-_MOST_UNDO = 100
+_MAX_UNDO = 100
 
 
 class Cockpit:
@@ -57,26 +57,26 @@ class Cockpit:
     Parameters
     ----------
     heli : Heli
-        Connected, and keeping setpoints alive.
-    new_recorder : callable taking plans and seconds, returning Recorder
-        Begins a log in a place of its own.
+        Connected, with ``keep_alive`` on. Its owner switches the motors off at the end; `close` does not.
+    new_recorder : callable taking (plans, duration_s), returning Recorder
+        Creates a new log file and begins to record.
     plans : sequence of Plan
-        What can be flown.
+        Plans that clients may fly.
     board : str
-        Which board it is, for people.
+        Description of the board, for the page's title.
     rig : Mapping of str to float
-        Lengths and masses of the rig, by the names of its file; empty where nobody knows them.
+        Lengths [m] and masses [kg] of the rig by name; empty if they are unknown.
     twin : TwinWatch, optional
-        A twin that flies along.
-    laws : sequence of heli_host.tape.Tape
-        Laws that the board may fly besides its own.
+        Twin that compares the flight with a model.
+    laws : sequence of LawProgram
+        Control laws that clients may choose instead of the board's own.
 
     Attributes
     ----------
-    tape : Tape
-        Its newest minutes.
+    buffer : TelemetryBuffer
+        Telemetry of the newest `KEPT_S` seconds; written by the session's reading thread.
     actions : mapping of str to Action
-        What can be asked for.
+        Requests that clients may send, by name.
     """
 
     def __init__(
@@ -87,9 +87,9 @@ class Cockpit:
         board: str,
         rig: Mapping[str, float],
         twin: TwinWatch | None = None,
-        laws: Sequence[LawTape] = (),
+        laws: Sequence[LawProgram] = (),
     ) -> None:
-        self.tape = Tape(round(KEPT_S / TICK_S))
+        self.buffer = TelemetryBuffer(round(KEPT_S / TICK_S))
         self._heli = heli
         self._session = heli.session
         self._new_recorder = new_recorder
@@ -107,23 +107,23 @@ class Cockpit:
         self._present: Callable[[], bool] = lambda: False
         self._undo: list[tuple[str, float]] = []
         self._values = dict(heli.params)
-        anybody, pilot, tuner = Need.ANYBODY, Need.PILOT, Need.TUNER
+        anybody, pilot, tuner = Role.OBSERVER, Role.PILOT, Role.TUNER
         self.actions: Mapping[str, Action] = {
-            "take_off": Action(self._take_off, Lane.FLIGHT, pilot),
-            "fly": Action(self._fly, Lane.FLIGHT, pilot),
-            "land": Action(self._land, Lane.QUICK, pilot),
-            "clear_fault": Action(self._clear_fault, Lane.QUICK, pilot),
-            "zero": Action(self._zero, Lane.QUICK, pilot),
-            "setpoint": Action(self._setpoint, Lane.SETPOINT, pilot),
-            "hold": Action(self._hold, Lane.SETPOINT, pilot),
-            "set": Action(self._set, Lane.QUICK, tuner),
-            "undo": Action(self._undo_last, Lane.QUICK, tuner),
-            "save": Action(self._save, Lane.QUICK, tuner),
-            "law": Action(self._choose_law, Lane.QUICK, pilot),
-            "set_law": Action(self._set_law, Lane.QUICK, tuner),
-            "record": Action(self._record, Lane.QUICK, pilot),
-            "mark": Action(self._mark, Lane.QUICK, anybody),
-            "signal": Action(self._signal, Lane.QUICK, anybody),
+            "take_off": Action(self._take_off, CommandQueue.FLIGHT, pilot),
+            "fly": Action(self._fly, CommandQueue.FLIGHT, pilot),
+            "land": Action(self._land, CommandQueue.QUICK, pilot),
+            "clear_fault": Action(self._clear_fault, CommandQueue.QUICK, pilot),
+            "zero": Action(self._zero, CommandQueue.QUICK, pilot),
+            "setpoint": Action(self._setpoint, CommandQueue.SETPOINT, pilot),
+            "hold": Action(self._hold, CommandQueue.SETPOINT, pilot),
+            "set": Action(self._set, CommandQueue.QUICK, tuner),
+            "undo": Action(self._undo_last, CommandQueue.QUICK, tuner),
+            "save": Action(self._save, CommandQueue.QUICK, tuner),
+            "law": Action(self._choose_law, CommandQueue.QUICK, pilot),
+            "set_law": Action(self._set_law, CommandQueue.QUICK, tuner),
+            "record": Action(self._record, CommandQueue.QUICK, pilot),
+            "mark": Action(self._mark, CommandQueue.QUICK, anybody),
+            "signal": Action(self._signal, CommandQueue.QUICK, anybody),
         }
         self._twin = twin
         if twin is not None:
@@ -132,7 +132,7 @@ class Cockpit:
         heli.session.subscribe_events(self._take_event)
 
     def describe(self) -> dict[str, Any]:
-        """Return what a page needs to know once, as JSON."""
+        """Return the constant facts that each client gets once; see `Source.describe`."""
         values = self._values
         return {
             "mode": "live",
@@ -152,7 +152,7 @@ class Cockpit:
         }
 
     def status(self) -> dict[str, Any]:
-        """Return what a page shows in words, as JSON."""
+        """Return the present status as JSON; see `Source.status`."""
         session = self._session
         newest, counters, clock = session.latest, session.counters, session.clock
         recorder, flight = self._recorder, self._flight
@@ -181,65 +181,72 @@ class Cockpit:
         }
 
     def state(self) -> tuple[int, int]:
-        """Return the board's state and fault now, for every frame; `UNKNOWN` while nothing is heard of it."""
+        """Return the numbers of state and fault in the newest tick; `UNKNOWN` if that is older than 0.5 s."""
         newest = self._session.latest
         if newest is None or time.monotonic() - self._heard_s > _HEARD_S:
             return UNKNOWN
         return int(newest[1][Channel.STATE]), int(newest[1][Channel.FAULT])
 
     def listen(self, news: News) -> None:
-        """Have what happens told, as JSON, from any thread.
+        """Register the callback for events; see `Source.listen`.
 
         Parameters
         ----------
         news : callable taking a mapping
-            Is told.
+            Called with each event as JSON, from any thread.
         """
         self._news = news
 
     def stop(self) -> None:
-        """Switch the motors off, before everything else."""
+        """Switch both motors off, ahead of all other commands; see `Source.stop`."""
         self._session.stop_now()
 
-    def wish(self) -> int:
-        """Return how often there was a stop."""
+    def stop_epoch(self) -> int:
+        """Return the number of stops so far; see `Source.stop_epoch`."""
         return self._session.stops
 
-    def begin(self, wish: int) -> bool:
-        """Whether what was wished for at `wish` may begin: no stop has come since.
+    def clear_stop(self, epoch: int) -> bool:
+        """Accept commands again after a stop, if no further stop came since `epoch`; see `Source.clear_stop`.
 
         Parameters
         ----------
-        wish : int
-            As `wish` returned it.
+        epoch : int
+            Value of `stop_epoch` when the request arrived.
         """
-        return self._session.release_stop(wish)
+        return self._session.release_stop(epoch)
 
     def watch_pilot(self, present: Callable[[], bool]) -> None:
-        """Let setpoints out only while the pilot is there.
+        """Send setpoints and voltages only while the pilot's page answers; see `Source.watch_pilot`.
 
         Parameters
         ----------
         present : callable returning bool
-            Whether he is.
+            True while the pilot's page answers; it must not block.
         """
         self._present = present
         self._session.permit_streams(present)
 
     def fly_when_watched(self, names: Sequence[str], give_up: Callable[[], bool]) -> Mapping[str, Any]:
-        """Fly plans as soon as somebody is at the controls; waits for that, and for their end.
+        """Wait until a pilot's page has answered for 3 s, then fly plans and return after the landing.
+
+        Runs in the caller's thread. A stop before the take-off ends the call without a flight.
 
         Parameters
         ----------
         names : sequence of str
-            Plans, one after the other.
+            Names of the plans, in the order of the flight.
         give_up : callable returning bool
-            Whether nobody wants it any more.
+            Asked five times per second while no pilot is present; True ends the call without a flight.
+
+        Returns
+        -------
+        mapping
+            ``outcome`` of the flight; empty without a flight.
 
         Raises
         ------
         HeliError
-            They cannot be flown.
+            A plan is unknown or cannot be flown on this board.
         """
         seen = 0
         while seen < _SETTLED_LOOKS:
@@ -247,17 +254,17 @@ class Cockpit:
                 return {}
             time.sleep(_LOOK_S)
             seen = seen + 1 if self._present() else 0
-        if not self.begin(self.wish()):
+        if not self.clear_stop(self.stop_epoch()):
             return {}
         return self._fly({"plans": list(names)})
 
     def close(self, outcome: str = "recorded") -> None:
-        """End a recording.
+        """End the recording, if there is one, and write the log to its end. The motors are not touched.
 
         Parameters
         ----------
         outcome : str
-            How what was recorded ended.
+            Outcome of the flight, for the log.
         """
         recorder, self._recorder = self._recorder, None
         if recorder is not None:
@@ -327,7 +334,7 @@ class Cockpit:
         name = text(arguments, "name")
         before = self._heli.params[name]
         self._heli.params.set(name, number(arguments, "value"))
-        self._undo = [*self._undo, (name, before)][-_MOST_UNDO:]
+        self._undo = [*self._undo, (name, before)][-_MAX_UNDO:]
         self._note(f"{name}: {before:g} -> {self._heli.params[name]:g}", "parameter")
         self._tell_values()
         return {"value": self._heli.params[name]}
@@ -417,11 +424,11 @@ class Cockpit:
 
     def _take_ticks(self, ticks: Ticks) -> None:
         self._heard_s = time.monotonic()
-        self.tape.append(self._session.ticks_counted_on(ticks), ticks.raw)
+        self.buffer.append(self._session.ticks_counted_on(ticks), ticks.raw)
 
     def _take_event(self, event: LinkEvent) -> None:
         if event.kind == BOARD_RESTARTED:
-            self.tape.clear()
+            self.buffer.clear()
         self._law.take_event(event)
         self._add_event(event.tick, event.kind, event.text)
         if event.kind == LAW_SIGNALS:

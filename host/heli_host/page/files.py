@@ -1,4 +1,4 @@
-"""The files that a page is made of: all from this package, none from anywhere else."""
+"""The static files of the page. All are part of this package; the page loads nothing from the internet."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _HEADERS = {
 
 
 def page_file(path: str, headers: Mapping[str, str]) -> Response:
-    """Return one of the files, or that there is none.
+    """Return the response for a static file; 404 if there is no file of this name.
 
     Parameters
     ----------
     path : str
-        As asked for, without the first slash; empty for the page itself.
+        Requested path without the first slash; empty for the page itself.
     headers : Mapping of str to str
-        Of the request.
+        Headers of the request.
     """
     # Only names that were listed: what a client writes never becomes a name in the file system.
     stored = _stored().get(path or "index.html")

@@ -1,4 +1,4 @@
-"""One flight of plans for a page, into a log that is open already."""
+"""One flight of plans that a page has requested, recorded in a log that is already open."""
 
 from __future__ import annotations
 
@@ -18,25 +18,26 @@ if TYPE_CHECKING:
 
 
 class PlanFlight:
-    """Plans, checked against a board, about to be flown.
+    """Plans that were checked against a board and can be flown once.
 
     Parameters
     ----------
     heli : Heli
-        Idle, its arm at rest on the table.
+        Idle, with its arm at rest on the table.
     plans : sequence of Plan
-        In the order in which they are flown.
+        In the order of the flight.
     on_taken_off : callable, optional
-        Called when the first of them begins; an error of it ends the flight.
+        Called once, in the thread of `fly`, when the first plan begins. If it raises, the flight ends in a
+        landing.
 
     Attributes
     ----------
     duration_s : float
-        From the closing of the loops to the landing [s].
+        Time from closing the control loops to the landing [s].
     outcome : str
-        As `heli_host.fly.pilot.Pilot` has it.
+        See `heli_host.fly.pilot.Pilot`.
     progress : dict
-        Phase, time and time left, as JSON.
+        ``phase``, ``t_s`` and ``left_s`` [s], as JSON; may be read from any thread.
 
     Raises
     ------
@@ -56,12 +57,12 @@ class PlanFlight:
         self.progress: dict[str, Any] = {"phase": "take-off", "t_s": 0.0, "left_s": self.duration_s}
 
     def fly(self, recorder: Recorder) -> str:
-        """Take off, fly, land; returns the outcome.
+        """Take off, fly the plans, land, and return the outcome. Blocks until the motors are off.
 
         Parameters
         ----------
         recorder : Recorder
-            Is told when phases begin.
+            Records the flight and the beginning of each phase.
         """
         tolerance = Tolerance.widest([plan.tolerance for plan in self._plans])
         pilot = Pilot(

@@ -1,4 +1,4 @@
-"""Who is let in: with the token, from the page itself, under a name of this machine."""
+"""Access control of the page's server: token, origin and host name of each connection."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ _POLICY_VIOLATION = 1008
 
 @dataclass(frozen=True)
 class Guard:
-    """The rules.
+    """Decides which connections the server accepts.
 
     Parameters
     ----------
     token : str
-        What the address carries; without it nothing is shown or done.
+        Secret that each address must carry. Without it a client sees nothing and commands nothing.
     host : str
-        Address that the server is bound to. On a local one, only local names are served: a page elsewhere
-        that has its own name point here is refused.
+        Address that the server is bound to. If it is local, only requests for a local name are served: this
+        refuses a foreign page whose host name resolves to this machine (DNS rebinding).
     notes : Notes
-        Where a header is logged that no browser or program sends.
+        Log for malformed headers.
     """
 
     token: str
@@ -38,17 +38,17 @@ class Guard:
     notes: Notes = field(default_factory=Notes)
 
     def refusal(self, connection: HTTPConnection, *, needs_token: bool = True) -> Response | None:
-        """Return why a connection is refused; None for a good one.
+        """Return the error response for a connection that must be refused, otherwise None.
 
         Parameters
         ----------
         connection : HTTPConnection
-            A request, or a socket that wants to be opened.
+            A request, or a WebSocket before it is accepted.
         needs_token : bool
-            Whether it must carry the token, which is then looked at before everything else.
+            True if it must carry the token, which is then checked first.
         """
         if needs_token and not self._has_token(connection):
-            words = "open the whole address that heli-host page printed: it carries a token\n"
+            words = "open the whole address that heli-host dashboard printed: it carries a token\n"
             return PlainTextResponse(words, 403)
         if (length := len(connection.scope["path"])) > _LONGEST_PATH:
             self._warn(connection, f"its path has {length} characters")
@@ -82,17 +82,17 @@ class Guard:
         self.notes.warn(f"a request of {client} is refused: {cause}")
 
     async def admit(self, socket: WebSocket) -> bool:
-        """Open a socket, or refuse to.
+        """Accept a WebSocket, or close it with the code of a policy violation.
 
         Parameters
         ----------
         socket : WebSocket
-            Wants to be opened.
+            Not accepted yet.
 
         Returns
         -------
         bool
-            Whether it is open.
+            True if it was accepted.
         """
         if self.refusal(socket) is not None:
             await socket.close(_POLICY_VIOLATION)
@@ -110,5 +110,5 @@ def _split(host: str) -> SplitResult | None:
 
 
 def new_token() -> str:
-    """Return a token that nobody can guess."""
+    """Return a random token of 128 bits."""
     return secrets.token_urlsafe(16)

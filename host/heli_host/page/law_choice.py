@@ -1,4 +1,4 @@
-"""Which law flies a page's board: its own cascade, or one of those that were named."""
+"""The control law that a page has chosen: the board's own cascade, or one of the given programs."""
 
 from __future__ import annotations
 
@@ -11,30 +11,31 @@ from heli_host.guest_law import engage, loaded, set_parameter, takeover_text
 
 if TYPE_CHECKING:
     from heli_host.heli import Heli
+    from heli_host.law_program import LawProgram
     from heli_host.link.events import LinkEvent
-    from heli_host.tape import Tape
 
-_AS_WISHED = ("command", "state")
-"""Ends of a law's flight that need no word: it was asked for, or it landed."""
+_EXPECTED_ENDS = ("command", "state")
+"""Reasons for the end of a law's flight that a page does not report: a command, or the landing."""
 
 
 class LawChoice:
-    """The laws that may be chosen, and which is.
+    """The control laws that clients may choose, and the chosen one.
 
-    A law is brought to the board while that is idle, and flies from the end of the take-off on; in flight
-    only the one that is there, or the cascade, can be chosen.
+    A law is uploaded while the board is idle. It flies from the end of the take-off. In flight a client can
+    switch only between the uploaded law and the board's own cascade, which runs along and takes over when the
+    law fails.
 
     Parameters
     ----------
     heli : Heli
-        Connected.
-    laws : sequence of Tape
-        What there is to choose from besides the board's own.
+        Connected board.
+    laws : sequence of LawProgram
+        Laws besides the board's own; their names must differ.
 
     Attributes
     ----------
     chosen : str
-        Name of the law; empty for the board's own.
+        Name of the chosen law; empty for the board's own.
 
     Raises
     ------
@@ -42,7 +43,7 @@ class LawChoice:
         Two have the same name.
     """
 
-    def __init__(self, heli: Heli, laws: Sequence[Tape]) -> None:
+    def __init__(self, heli: Heli, laws: Sequence[LawProgram]) -> None:
         self.chosen = ""
         self._heli = heli
         self._laws = {law.name: law for law in laws}
@@ -53,19 +54,21 @@ class LawChoice:
             raise BadLaw(f"two laws have the same name: {names}", "give one of them another name=")
 
     def describe(self) -> list[dict[str, Any]]:
-        """Return what a page needs to know of each, as JSON."""
+        """Return name, rate [Hz], cost [processor instructions per call] and signals of each law, as JSON."""
         return [
             {
                 "name": law.name,
                 "rate_Hz": law.rate_Hz,
                 "cost": law.cost,
-                "signals": list(law.told),
+                "signals": list(law.signal_names),
             }
             for law in self._laws.values()
         ]
 
     def status(self) -> dict[str, Any] | None:
-        """Return what a page shows of it, as JSON; None where there is nothing to choose."""
+        """Return the chosen law, whether it flies, why the board took over, and its parameters, as JSON; None
+        without laws.
+        """
         if not self._laws:
             return None
         return {
@@ -76,26 +79,26 @@ class LawChoice:
         }
 
     def choose(self, name: str) -> Mapping[str, Any]:
-        """Have a law fly: at once in the air, else from the next take-off on.
+        """Choose the law that flies: immediately if the board flies, otherwise from the next take-off on.
 
         Parameters
         ----------
         name : str
-            Of the law; empty for the board's own.
+            Name of the law; empty for the board's own.
 
         Raises
         ------
         ParameterError
-            There is no such law.
+            There is no law of this name.
         SetpointError
-            It cannot be chosen now.
+            The board is in flight and does not hold this law, or is neither idle nor in closed loop.
         CommandRefused
-            The board does not take it, and says why.
+            The board refuses the law; the message gives its reason.
         FlightAborted
-            It was taken over at once.
+            The board's own law took over immediately.
         """
         if name and name not in self._laws:
-            known = ", ".join(self._laws) or "none was named: heli-host page --law FILE.py"
+            known = ", ".join(self._laws) or "none was named: heli-host dashboard --law FILE.py"
             raise ParameterError(f"there is no law {name:.40}", f"choose from: {known}")
         state = self._heli.state
         if not name:
@@ -111,23 +114,28 @@ class LawChoice:
         return {"law": name}
 
     def set(self, name: str, value: float) -> tuple[float, float]:
-        """Change a parameter of the law that is chosen, in flight too; returns the values before and after.
+        """Change a parameter of the chosen law on the board, also in flight.
 
         Parameters
         ----------
         name : str
-            Of the parameter.
+            Name of the parameter.
         value : float
-            Its new value; kept until the page's server ends.
+            New value; applied again whenever the law is uploaded, until the page's server ends.
+
+        Returns
+        -------
+        tuple of float
+            Values before and after.
 
         Raises
         ------
         ParameterError
             The board's own law is chosen.
         BadLaw
-            The law has no such parameter.
+            The law has no parameter of this name.
         CommandRefused
-            The board has forgotten the law.
+            The board does not hold the law, for example after a reset.
         """
         if not self.chosen:
             raise ParameterError("no law is chosen", "the board's own law has its gains among the parameters")
@@ -137,30 +145,30 @@ class LawChoice:
         return before, after
 
     def engage(self) -> None:
-        """Have the law that is chosen fly, if one is; the board hovers under its own.
+        """Hand control from the board's own law to the chosen law, if there is one. The board must hover.
 
         Raises
         ------
         CommandRefused
-            The board does not take it.
+            The board refuses the law.
         FlightAborted
-            It was taken over at once.
+            The board's own law took over immediately.
         """
         self._taken_over = ""
         if self.chosen:
             self._engage(self.chosen)
 
     def take_event(self, event: LinkEvent) -> None:
-        """Note why the board's own law took over.
+        """Record why the board's own law took over, if the event says so.
 
         Parameters
         ----------
         event : LinkEvent
-            Any.
+            Any event of the link; called in the session's reading thread.
         """
-        told = takeover_text(event)
-        if told is not None and told[0] not in _AS_WISHED:
-            self._taken_over = f"{told[0].replace('_', ' ')} ({told[1]:.3g})"
+        takeover = takeover_text(event)
+        if takeover is not None and takeover[0] not in _EXPECTED_ENDS:
+            self._taken_over = f"{takeover[0].replace('_', ' ')} ({takeover[1]:.3g})"
 
     @property
     def _flies(self) -> bool:
@@ -176,5 +184,6 @@ class LawChoice:
 
     def _engage(self, name: str) -> None:
         law = self._laws[name]
-        own = dict(law.parameters)
-        engage(self._heli, law, {key: one for key, one in self._values[name].items() if one != own[key]})
+        declared = dict(law.parameters)
+        changed = {key: value for key, value in self._values[name].items() if value != declared[key]}
+        engage(self._heli, law, changed)

@@ -1,4 +1,4 @@
-"""Lines in the server's log: one for each cause, however often it comes."""
+"""The log of the page's server: each line is written once, however often its cause occurs."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import logging
 
 from heli_host.errors import printable
 
-_MOST_CAUSES = 200
-"""Different lines that are logged: who sends nonsense without end must not fill a disk with it."""
+_MAX_CAUSES = 200
+"""Greatest number of different lines: a client with endless invalid requests must not fill a disk."""
 
 
 class Notes:
@@ -23,11 +23,11 @@ class Notes:
         Parameters
         ----------
         cause : str
-            What went wrong, and for whom.
+            What failed, and for which client.
         """
         line = printable(" ".join(cause.split()))
-        if line in self._seen or len(self._seen) > _MOST_CAUSES:
+        if line in self._seen or len(self._seen) > _MAX_CAUSES:
             return
         self._seen.add(line)
-        more = "; further lines are left out" if len(self._seen) > _MOST_CAUSES else ""
+        more = "; further lines are left out" if len(self._seen) > _MAX_CAUSES else ""
         self._log.warning("page: %s%s", line, more)

@@ -1,4 +1,4 @@
-"""What goes to one client: words by one task, frames by another, at the pace at which the client reads."""
+"""Messages to one client: one task sends text, another telemetry, at the rate at which the client reads."""
 
 from __future__ import annotations
 
@@ -12,37 +12,37 @@ from heli_host.page.source import Source
 from heli_host.page.wire import pack
 
 FRAME_S = 0.05
-"""Between two frames to a client [s]: 20 a second look smooth, and three tabs not quite double the work."""
-MOST_ROWS = 5000
-"""Rows of a frame: who falls behind by more than five seconds gets every second, third, ... of them."""
+"""Interval between two frames to a client [s]: 20 frames per second look smooth."""
+MAX_ROWS = 5000
+"""Greatest number of rows in a frame. A client more than 5 s behind gets every second, third, ... row."""
 UNACKNOWLEDGED = 8
-"""Frames on their way to a client: 0.4 s. Then it is waited for, and the rows become fewer."""
+"""Greatest number of unacknowledged frames, 0.4 s. No more are sent until the client acknowledges."""
 EMPTY_S = 0.08
-"""Longest time without a frame to a client that keeps up [s]."""
+"""Longest time without a frame to a client that acknowledges [s]."""
 
 _QUEUED = 500
 
 
 class Outbox:
-    """The way to one client.
+    """Queue of messages to one client. Use it in the event loop's thread only.
 
     Parameters
     ----------
     socket : WebSocket
-        Open.
+        Open socket of the client.
     key : str
         Id of the client.
     name : str
-        Name of the client for people.
+        Display name of the client.
 
     Attributes
     ----------
     sent, acknowledged : int
-        Number of the newest frame that was sent, and of the newest that was shown.
+        Number of the newest frame that was sent, and of the newest that the client acknowledged.
     may_send : asyncio.Event
         Set by an acknowledgement.
     wants_rows : bool
-        Whether it is sent frames.
+        True if the client gets telemetry.
     """
 
     def __init__(self, socket: WebSocket, key: str, name: str) -> None:
@@ -57,23 +57,23 @@ class Outbox:
         self._status = ""
 
     def tell(self, text: str) -> None:
-        """Put words in line; a client that does not read them loses some.
+        """Append a text message. If 500 messages wait already, it is dropped.
 
         Parameters
         ----------
         text : str
-            As JSON.
+            Message as JSON.
         """
         with contextlib.suppress(asyncio.QueueFull):
             self._words.put_nowait(text)
 
     def tell_status(self, text: str) -> None:
-        """Put a status in line, in the place of one that still waits: an old status would pass for a new one.
+        """Append a status, or replace the one that still waits: an old status must not arrive as the present.
 
         Parameters
         ----------
         text : str
-            As JSON.
+            Status as JSON.
         """
         if not self._status:
             try:
@@ -83,7 +83,7 @@ class Outbox:
         self._status = text
 
     async def send_words(self) -> None:
-        """Send words for as long as the socket is open."""
+        """Send text messages until the socket closes."""
         while True:
             text = await self._words.get()
             if text is None:
@@ -91,19 +91,19 @@ class Outbox:
             await self.socket.send_text(text)
 
     async def send_rows(self, source: Source) -> None:
-        """Send frames for as long as the socket is open.
+        """Send telemetry frames until the socket closes.
 
         Parameters
         ----------
         source : Source
-            Whose tape and state they hold.
+            Source of the telemetry and of the board's state.
         """
         position, sent_s = 0, 0.0
         while True:
             while self.sent - self.acknowledged >= UNACKNOWLEDGED:
                 self.may_send.clear()
                 await self.may_send.wait()
-            cut = source.tape.cut(position, MOST_ROWS)
+            cut = source.buffer.cut(position, MAX_ROWS)
             now_s = time.monotonic()
             # Without rows an empty frame asks for the sign of life: a board that is silent is no lost pilot.
             if len(cut.tick) or now_s - sent_s >= EMPTY_S:

@@ -1,4 +1,4 @@
-"""A log behind a page: played again, at any speed, from any moment."""
+"""A log as the source of a page: replayed at any speed from any moment."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from heli_host.link.clock import TICK_S
 from heli_host.page.source import (
     KEPT_S,
     Action,
-    Lane,
-    Need,
+    CommandQueue,
     News,
+    Role,
     channel_rows,
     fault_rows,
     number,
     state_rows,
 )
-from heli_host.page.tape import Tape
+from heli_host.page.telemetry_buffer import TelemetryBuffer
 
 if TYPE_CHECKING:
     from heli_host.log.reader import Log
 
 _STEP_S = 0.02
-_MOST_SPEED = 50.0
+_MAX_SPEED = 50.0
 _BEFORE_S = 60.0
-"""What is shown of the time before the moment that was sought [s]."""
+"""Length of the history that is shown before the moment of a seek [s]."""
 
 
 class Replay:
@@ -40,16 +40,16 @@ class Replay:
     Parameters
     ----------
     log : Log
-        Read; it has at least one tick.
+        Log that was read completely, with at least one tick.
     rig : Mapping of str to float
-        Lengths and masses of the rig; empty where nobody knows them.
+        Lengths [m] and masses [kg] of the rig by name; empty if they are unknown.
 
     Attributes
     ----------
-    tape : Tape
-        What was played last.
+    buffer : TelemetryBuffer
+        The rows that were replayed last.
     actions : mapping of str to Action
-        What can be asked for.
+        ``play`` and ``seek``.
     """
 
     def __init__(self, log: Log, rig: Mapping[str, float]) -> None:
@@ -57,7 +57,7 @@ class Replay:
             raise TruncatedLog(
                 f"{log.path} holds no ticks", "the board was not heard, or the host died at once"
             )
-        self.tape = Tape(round(KEPT_S / TICK_S))
+        self.buffer = TelemetryBuffer(round(KEPT_S / TICK_S))
         self._log, self._rig = log, dict(rig)
         self._raw = log.raw
         # The time of the log goes on over restarts of the board and over 2^32 ticks.
@@ -66,14 +66,14 @@ class Replay:
         self._speed, self._playing = 1.0, True
         self._ended = threading.Event()
         self._lock = threading.Lock()
-        pilot = Need.PILOT
+        pilot = Role.PILOT
         self.actions: Mapping[str, Action] = {
-            "play": Action(self._play, Lane.QUICK, pilot),
-            "seek": Action(self._seek, Lane.QUICK, pilot),
+            "play": Action(self._play, CommandQueue.QUICK, pilot),
+            "seek": Action(self._seek, CommandQueue.QUICK, pilot),
         }
 
     def describe(self) -> dict[str, Any]:
-        """Return what a page needs to know once, as JSON."""
+        """Return the constant facts that each client gets once; see `Source.describe`."""
         session = self._log.metadata.get("session", {})
         return {
             "mode": "replay",
@@ -100,7 +100,7 @@ class Replay:
         }
 
     def status(self) -> dict[str, Any]:
-        """Return what a page shows in words, as JSON."""
+        """Return the present status of the replay as JSON; see `Source.status`."""
         at = max(self._at - 1, 0)
         state, fault = self.state()
         return {
@@ -118,48 +118,48 @@ class Replay:
         }
 
     def state(self) -> tuple[int, int]:
-        """Return the state and fault that the log holds at the moment that is shown."""
+        """Return the numbers of state and fault in the log at the moment that is shown."""
         at = max(self._at - 1, 0)
         return int(self._raw[at, Channel.STATE]), int(self._raw[at, Channel.FAULT])
 
     def listen(self, news: News) -> None:
-        """Nothing happens besides what the status says.
+        """Ignore the callback: a replay has no events besides those in its description.
 
         Parameters
         ----------
         news : callable taking a mapping
-            Would be told.
+            Never called.
         """
 
     def stop(self) -> None:
-        """Pause: there are no motors."""
+        """Pause the replay; no motors are involved."""
         self._playing = False
 
-    def wish(self) -> int:
-        """Return 0: a stop takes nothing away here."""
+    def stop_epoch(self) -> int:
+        """Return 0: a stop blocks no later request of a replay."""
         return 0
 
-    def begin(self, wish: int) -> bool:
-        """Whatever was wished for may begin.
+    def clear_stop(self, epoch: int) -> bool:
+        """Permit every request: a replay moves no motors.
 
         Parameters
         ----------
-        wish : int
-            As `wish` returned it.
+        epoch : int
+            Value of `stop_epoch`, 0.
         """
-        return wish == 0
+        return epoch == 0
 
     def watch_pilot(self, present: Callable[[], bool]) -> None:
-        """There are no setpoints to hold back.
+        """Ignore the pilot's presence: a replay sends no setpoints.
 
         Parameters
         ----------
         present : callable returning bool
-            Whether the pilot is there.
+            Never called.
         """
 
     def run(self) -> None:
-        """Play until `close`, in this thread."""
+        """Replay the log in the caller's thread until another thread calls `close`."""
         before_s, owed = time.monotonic(), 0.0
         while not self._ended.wait(_STEP_S):
             now_s = time.monotonic()
@@ -178,14 +178,14 @@ class Replay:
             return
         until = int(np.searchsorted(self._tick, self._tick[max(self._at - 1, 0)] + ticks, side="right"))
         until = max(until, self._at + 1)
-        self.tape.append(self._tick[self._at : until], self._raw[self._at : until])
+        self.buffer.append(self._tick[self._at : until], self._raw[self._at : until])
         self._at = min(until, len(self._tick))
         if self._at >= len(self._tick):
             self._playing = False
 
     def _play(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
         if "speed" in arguments:
-            self._speed = min(max(number(arguments, "speed"), 0.1), _MOST_SPEED)
+            self._speed = min(max(number(arguments, "speed"), 0.1), _MAX_SPEED)
         self._playing = bool(arguments.get("on", True))
         if self._playing and self._at >= len(self._tick):
             self._seek({"t_s": float(self._tick[0]) * TICK_S})
@@ -198,6 +198,6 @@ class Replay:
         with self._lock:
             self._at = int(np.clip(np.searchsorted(self._tick, tick), 0, len(self._tick)))
             first = int(np.searchsorted(self._tick, tick - round(_BEFORE_S / TICK_S)))
-            self.tape.clear()
-            self.tape.append(self._tick[first : self._at], self._raw[first : self._at])
+            self.buffer.clear()
+            self.buffer.append(self._tick[first : self._at], self._raw[first : self._at])
         return {}

@@ -1,4 +1,4 @@
-"""What a client asks for, checked before anything acts on it."""
+"""Requests of clients: parsed and validated before anything acts on them."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from heli_host.errors import ParameterError
 from heli_host.page.source import finite
 
 LONGEST_REQUEST = 4096
-"""Characters of a request. Shorter, a note of 200 characters would not fit, all of them escaped; longer, one
-message could keep the server's only thread busy."""
+"""Greatest length of a request, in characters. Shorter: a mark of 200 escaped characters would not fit.
+Longer: one message could keep the event loop, and with it the stop, busy."""
 
 _LONGEST_ID = 100
 
 
 class BadRequest(ParameterError):
-    """A message that is not a request, or that holds a value which nothing here can use.
+    """A message that is not a valid request.
 
     Parameters
     ----------
     cause, remedy : str
-        As of every `HeliError`.
+        See `HeliError`.
     asked : Mapping of str to object
-        What the answer may repeat: ``id`` and ``do``, where they are usable.
+        ``id`` and ``do`` of the message if they are valid; the error answer repeats them.
     """
 
     def __init__(self, cause: str, remedy: str, asked: Mapping[str, Any]) -> None:
@@ -35,12 +35,12 @@ class BadRequest(ParameterError):
 
 @dataclass(frozen=True)
 class Request:
-    """A request whose numbers are all finite, and whose texts can all be written to a file.
+    """A valid request: all its numbers are finite, and UTF-8 can encode all its texts.
 
     Parameters
     ----------
     name : str
-        What is asked for.
+        Name of the action, the message's ``do``.
     asked : Mapping of str to object
         The whole message, with ``do`` and ``id``.
     """
@@ -50,17 +50,18 @@ class Request:
 
 
 def read_request(words: str) -> Request:
-    """Read and check a message.
+    """Parse and validate a message.
 
     Parameters
     ----------
     words : str
-        As it came.
+        Message as it was received.
 
     Raises
     ------
     BadRequest
-        It is not JSON, not a request, or holds a value that is not a finite number or not a text.
+        The message is too long, is not JSON, is not a request, holds a number that is not finite, or a text
+        that UTF-8 cannot encode.
     """
     if len(words) > LONGEST_REQUEST:
         cause = f"a request of {len(words)} characters is too long"

@@ -1,7 +1,6 @@
-"""Lengths and masses of a rig, for its picture; from whoever knows rigs.
+"""Lengths and masses of a rig, for the picture on the page.
 
-Nothing here reads a rig's file: a package that does offers a function in the entry-point group
-``heli_host.rigs``.
+A package that can read rig files provides them by a function in the entry-point group ``heli_host.rigs``.
 """
 
 from __future__ import annotations
@@ -16,20 +15,19 @@ Outline = Callable[[str], Mapping[str, float]]
 
 
 def outline(rig: str) -> dict[str, float]:
-    """Return lengths [m] and masses [kg] of a rig by the names of its file; empty where no package knows
-    rigs.
+    """Return lengths [m] and masses [kg] of a rig by name; empty if no installed package can read rigs.
 
     Parameters
     ----------
     rig : str
-        Name, or path of its file.
+        Name of the rig, or path of its file.
 
     Raises
     ------
     HeliError
-        There is no such rig, or its file is not one.
+        There is no such rig, or its file is invalid.
     """
     for entry in entry_points(group=ENTRY_POINT_GROUP):
-        found: Outline = entry.load()
-        return dict(found(rig))
+        read_outline: Outline = entry.load()
+        return dict(read_outline(rig))
     return {}

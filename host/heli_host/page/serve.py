@@ -1,4 +1,4 @@
-"""Runs the page's server in a thread of its own, on a port of this machine."""
+"""Runs the page's web server in a separate thread."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _END_S = 3.0
 
 @dataclass(frozen=True)
 class Address:
-    """Where a page is served.
+    """Address of a running page server.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class Address:
     port : int
         TCP port.
     token : str
-        What the page's address carries.
+        Secret that clients must send.
     """
 
     host: str
@@ -39,17 +39,17 @@ class Address:
 
     @property
     def page(self) -> str:
-        """For a browser."""
+        """URL for a browser, with the token."""
         return f"http://{self._name}:{self.port}/?token={self.token}"
 
     @property
     def program(self) -> str:
-        """For `heli_host.connect`."""
+        """URL for `heli_host.join`, with the token."""
         return f"page://{self._name}:{self.port}/?token={self.token}"
 
     @property
     def is_local(self) -> bool:
-        """Whether only this machine reaches it."""
+        """Whether only programs on this machine can reach the server."""
         return self.host in LOCAL_HOSTS
 
     @property
@@ -60,23 +60,25 @@ class Address:
 
 @contextlib.contextmanager
 def serving(source: Source, host: str = "127.0.0.1", port: int = 0, token: str = "") -> Iterator[Address]:
-    """Serve a page until the block ends.
+    """Serve a page from a background thread until the ``with`` block ends.
+
+    The end of the block closes the server only: the caller lands the helicopter or switches its motors off.
 
     Parameters
     ----------
     source : Source
-        What is shown and commanded.
+        Board or replay that clients see and command.
     host : str
-        Address to be bound to.
+        Address to listen on. Any address but a local one lets other machines connect.
     port : int
-        TCP port; 0 for one that is free.
+        TCP port; 0 chooses a free one.
     token : str
-        What the address carries; empty for a new one.
+        Secret that clients must send; empty for a new random one.
 
     Raises
     ------
     PortError
-        The port is taken, or the address is none of this machine.
+        The port is in use, or the address does not belong to this machine.
     """
     guard = Guard(token or new_token(), host)
     listening = _listen(host, port)

@@ -1,7 +1,7 @@
-"""The page's server: files, one WebSocket for everything, and another for the stop alone.
+"""The page's web server: files, one WebSocket per client, and a separate WebSocket for the stop.
 
-Nothing is done without the token, nor for a page of another origin. Each client is fed by a task of its own,
-at the pace at which it acknowledges: who is slow gets fewer rows, and holds nobody up.
+Every request needs the token, and pages of other origins are refused. A separate task serves each client at
+the rate at which the client acknowledges frames: a slow client gets fewer rows and delays no other client.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from heli_host.errors import HeliError, printable
+from heli_host.page.control_lease import ControlLease
 from heli_host.page.files import page_file
 from heli_host.page.guard import Guard
 from heli_host.page.notes import Notes
 from heli_host.page.outbox import Outbox
 from heli_host.page.request import BadRequest, read_request
-from heli_host.page.seats import Seats
-from heli_host.page.source import Action, Lane, Need, Source
+from heli_host.page.source import Action, CommandQueue, Role, Source
 from heli_host.page.wire import as_json
 
 STATUS_S = 0.1
 PRESENCE_S = 0.2
-"""How often a status goes out that says the same as before [s]. A page whose status is older than 0.6 s shows
-that: longer than this, a server that is busy for a moment alarms; shorter costs processor time."""
+"""Interval at which an unchanged status is sent again [s]. A page warns when its status is older than 0.6 s.
+Longer: a briefly busy server raises that warning. Shorter: costs processor time."""
 
 _FAILED = 1011
 _REPORT = "report it with the line in the server's log"
@@ -42,37 +42,41 @@ _REPORT = "report it with the line in the server's log"
 class Service:
     """Serves one source to any number of clients.
 
+    Everything runs in the event loop's thread, except the actions of the source, which run in one thread per
+    `CommandQueue`. A stop runs in the event loop's thread as soon as its message is read: it waits for no
+    queue, no role and no other client.
+
     Parameters
     ----------
     source : Source
-        What is shown and commanded.
+        Board or replay that clients see and command.
     guard : Guard
-        Who is let in.
+        Decides which connections are accepted.
 
     Attributes
     ----------
-    seats : Seats
-        Who flies.
+    lease : ControlLease
+        The connected clients and the pilot.
     """
 
     def __init__(self, source: Source, guard: Guard) -> None:
-        self.seats = Seats()
+        self.lease = ControlLease()
         self._source = source
         self._guard = guard
         self._clients: dict[str, Outbox] = {}
         self._notes = Notes()
         self._status: Mapping[str, Any] = {}
         self._status_s = 0.0
-        self._seats: Mapping[str, Any] = {}
+        self._lease_status: Mapping[str, Any] = {}
         self._names = 0
         self._loop: asyncio.AbstractEventLoop | None = None
         self._tasks: set[asyncio.Task[None]] = set()
-        self._lanes = {lane: ThreadPoolExecutor(1, f"page {lane.name.lower()}") for lane in Lane}
-        source.watch_pilot(lambda: self.seats.present(time.monotonic()))
+        self._queues = {queue: ThreadPoolExecutor(1, f"page {queue.name.lower()}") for queue in CommandQueue}
+        source.watch_pilot(lambda: self.lease.present(time.monotonic()))
         source.listen(self._hear)
 
     def application(self) -> Starlette:
-        """Return what a server serves."""
+        """Return the ASGI application, to be run by a web server."""
         return Starlette(
             routes=[
                 WebSocketRoute("/ws", self._serve_client),
@@ -91,8 +95,8 @@ class Service:
             yield
         finally:
             task.cancel()
-            for lane in self._lanes.values():
-                lane.shutdown(wait=False, cancel_futures=True)
+            for queue in self._queues.values():
+                queue.shutdown(wait=False, cancel_futures=True)
 
     async def _serve_file(self, request: Request) -> Response:
         path = request.path_params["path"]
@@ -109,8 +113,8 @@ class Service:
         return Response(f"{trouble or 'stopped'}\n", 503 if trouble else 200, media_type="text/plain")
 
     def _stop(self) -> str:
-        """Stop in this thread, immediately: it waits for no lane, no queue and no other client. Returns what
-        went wrong; a stop that failed must be answered, whatever the reason.
+        """Switch the motors off from this thread, without waiting for any queue or client. Return the error
+        text, empty on success: the client must get an answer even if the stop fails.
         """
         try:
             self._source.stop()
@@ -140,7 +144,7 @@ class Service:
         try:
             self._tell(client, self._hello(client))
             self._clients[client.key] = client
-            self._tell_seats()
+            self._tell_lease()
             tasks = {asyncio.create_task(part) for part in self._parts(client)}
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for task in done:
@@ -153,8 +157,8 @@ class Service:
             # Two may have failed together: asyncio prints a trace for the one that is not looked at.
             await asyncio.gather(*tasks, return_exceptions=True)
             self._clients.pop(client.key, None)
-            self.seats.leave(client.key)
-            self._tell_seats()
+            self.lease.leave(client.key)
+            self._tell_lease()
 
     def _parts(self, client: Outbox) -> Iterator[Coroutine[Any, Any, None]]:
         yield self._listen_to(client)
@@ -180,29 +184,33 @@ class Service:
         self._names += 1
         name = f"{'program' if is_program else 'page'} {self._names}"
         now_s = time.monotonic()
-        if not self.seats.join(key, name, now_s, may_fly=not is_program):
+        if not self.lease.join(key, name, now_s, may_fly=not is_program):
             # A tab that was duplicated brings the other's id.
             key = secrets.token_hex(8)
-            self.seats.join(key, name, now_s, may_fly=not is_program)
+            self.lease.join(key, name, now_s, may_fly=not is_program)
         client = Outbox(socket, key, name)
         client.wants_rows = query.get("rows") != "0"
         return client
 
     def _hello(self, client: Outbox) -> dict[str, Any]:
         described = self._source.describe()
-        return {"hello": {"you": client.key, **described}, "status": self._source.status(), **self._seated()}
-
-    def _seated(self) -> dict[str, Any]:
-        seats = self.seats
         return {
-            "seats": {
-                "pilot": seats.pilot,
-                "pilot_name": seats.name(seats.pilot),
-                "present": seats.present(time.monotonic()),
-                "asking": seats.asking,
-                "asking_name": seats.name(seats.asking),
-                "shared": seats.shared,
-                "clients": seats.count(),
+            "hello": {"you": client.key, **described},
+            "status": self._source.status(),
+            **self._lease_news(),
+        }
+
+    def _lease_news(self) -> dict[str, Any]:
+        lease = self.lease
+        return {
+            "control": {
+                "pilot": lease.pilot,
+                "pilot_name": lease.name(lease.pilot),
+                "present": lease.present(time.monotonic()),
+                "asking": lease.asking,
+                "asking_name": lease.name(lease.asking),
+                "shared": lease.shared,
+                "clients": lease.count(),
             }
         }
 
@@ -224,7 +232,7 @@ class Service:
             number = min(int.from_bytes(data, "little"), client.sent)
             client.acknowledged = max(client.acknowledged, number)
             client.may_send.set()
-        self.seats.beat(client.key, time.monotonic())
+        self.lease.beat(client.key, time.monotonic())
 
     async def _take_words(self, client: Outbox, words: str) -> None:
         try:
@@ -239,7 +247,7 @@ class Service:
             answer = {"answer": asked.get("id"), "do": name}
             self._tell(client, _refused(asked, trouble, "") if trouble else answer)
         elif name in ("ask", "grant", "keep", "share"):
-            self._seat_action(client, name, asked)
+            self._lease_action(client, name, asked)
         elif name in self._source.actions:
             # Not awaited: the next words of this client may be more urgent.
             task = asyncio.create_task(self._act(client, name, self._source.actions[name], asked))
@@ -253,36 +261,36 @@ class Service:
                 ),
             )
 
-    def _seat_action(self, client: Outbox, name: str, asked: Mapping[str, Any]) -> None:
+    def _lease_action(self, client: Outbox, name: str, asked: Mapping[str, Any]) -> None:
         now_s = time.monotonic()
         granted = True
         if name == "ask":
-            granted = self.seats.ask(client.key, now_s)
-        elif client.key != self.seats.pilot:
+            granted = self.lease.ask(client.key, now_s)
+        elif client.key != self.lease.pilot:
             self._tell(client, _refused(asked, "only who flies can answer that", "ask for control"))
             return
         elif name == "share":
-            self.seats.shared = bool(asked.get("on"))
+            self.lease.shared = bool(asked.get("on"))
         else:
-            granted = self.seats.answer(client.key, name == "grant")
+            granted = self.lease.answer(client.key, name == "grant")
         self._tell(client, {"answer": asked.get("id"), "do": name, "granted": granted})
-        self._tell_seats()
+        self._tell_lease()
 
     async def _act(self, client: Outbox, name: str, action: Action, asked: Mapping[str, Any]) -> None:
-        source, wish = self._source, self._source.wish()
+        source, epoch = self._source, self._source.stop_epoch()
         if not self._allowed(client, action):
-            pilot = self.seats.name(self.seats.pilot) or "nobody"
+            pilot = self.lease.name(self.lease.pilot) or "nobody"
             self._tell(client, _refused(asked, f"{pilot} flies, you watch", "ask for control"))
             return
 
         def run() -> Mapping[str, Any]:
-            if not source.begin(wish):
+            if not source.clear_stop(epoch):
                 return {"error": "a stop came before it began", "remedy": "begin again"}
             return action.run(asked)
 
         loop = asyncio.get_running_loop()
         try:
-            answer = await loop.run_in_executor(self._lanes[action.lane], run)
+            answer = await loop.run_in_executor(self._queues[action.queue], run)
             text = self._as_json({"answer": asked.get("id"), "do": name, **answer})
         except HeliError as error:
             self._tell(client, _refused(asked, error.cause, error.remedy))
@@ -295,12 +303,12 @@ class Service:
             client.tell(text)
 
     def _allowed(self, client: Outbox, action: Action) -> bool:
-        if action.need is Need.ANYBODY or client.key == self.seats.pilot:
+        if action.role is Role.OBSERVER or client.key == self.lease.pilot:
             return True
-        return action.need is Need.TUNER and self.seats.shared
+        return action.role is Role.TUNER and self.lease.shared
 
     def _hear(self, news: Mapping[str, Any]) -> None:
-        """Take news from any thread."""
+        """Forward an event of the source to all clients; called from any thread."""
         if self._loop is not None:
             with contextlib.suppress(RuntimeError):
                 self._loop.call_soon_threadsafe(self._tell_all, news)
@@ -326,11 +334,11 @@ class Service:
             self._notes.warn(f"{', '.join(news)} holds a number that is not finite; pages get null")
         return text
 
-    def _tell_seats(self) -> None:
-        self._tell_all(self._seated())
+    def _tell_lease(self) -> None:
+        self._tell_all(self._lease_news())
 
     async def _watch(self) -> None:
-        """Tell the status when it has changed, and from time to time that it has not."""
+        """Send the status when it has changed, and every `PRESENCE_S` even if it has not."""
         while True:
             await asyncio.sleep(STATUS_S)
             try:
@@ -340,10 +348,10 @@ class Service:
 
     def _look(self) -> None:
         now_s = time.monotonic()
-        seats = self._seated()
-        if seats != self._seats:
-            self._seats = seats
-            self._tell_all(seats)
+        lease = self._lease_news()
+        if lease != self._lease_status:
+            self._lease_status = lease
+            self._tell_all(lease)
         status = self._source.status()
         differs = {**status, "link": None} != {**self._status, "link": None}
         if differs or now_s - self._status_s >= PRESENCE_S:

@@ -1,4 +1,4 @@
-"""What a page shows and commands: a board that flies, or a log that is played again."""
+"""The interface between the page's server and its subject: a connected board, or a log that is replayed."""
 
 from __future__ import annotations
 
@@ -11,114 +11,157 @@ from typing import Any, Protocol
 from heli_host.declaration import CHANNELS, FAULTS, PARAMS, ParamSpec, State
 from heli_host.errors import ParameterError, range_text
 from heli_host.link.channels import is_whole, rad_per_count
-from heli_host.page.tape import Tape
+from heli_host.page.telemetry_buffer import TelemetryBuffer
 
 KEPT_S = 600.0
-"""How much of the past a page that is opened now still finds [s]; 38 MB of memory."""
+"""Length of the history that a newly opened page shows [s]. It takes 38 MB of memory."""
 
 UNKNOWN = (255, 0)
-"""State and fault of a board that is not heard: no state has this number."""
+"""State and fault that stand for "no telemetry": no supervisor state has the number 255."""
 
 News = Callable[[Mapping[str, Any]], None]
 
 
-class Need(Enum):
-    """Who may do something."""
+class Role(Enum):
+    """Least role that a client needs for an action."""
 
-    ANYBODY = auto()
+    OBSERVER = auto()
+    """Every connected client."""
     PILOT = auto()
+    """The client that holds the control lease."""
     TUNER = auto()
-    """The pilot, and others while he lets them."""
+    """The pilot; also every other client while the pilot shares the tuning of parameters."""
 
 
-class Lane(Enum):
-    """Which thread does something; what is in one waits for what is before it, and for no other."""
+class CommandQueue(Enum):
+    """Queue in which an action runs. Each queue has one thread and runs its actions in order.
+
+    The queues are independent: an action waits for earlier actions of its own queue only. A stop uses none of
+    them.
+    """
 
     FLIGHT = auto()
+    """Actions that take as long as a flight: take off, fly plans."""
     QUICK = auto()
+    """Actions that end with one answer of the board, such as a parameter."""
     SETPOINT = auto()
+    """Setpoints, which must not wait for a parameter to be written."""
 
 
 @dataclass(frozen=True)
 class Action:
-    """Something that can be asked for.
+    """A request that a source accepts from clients.
 
     Parameters
     ----------
     run : callable taking a mapping, returning a mapping
-        Does it, in the thread of `lane`; what it returns goes into the answer.
-    lane : Lane
-        Where it is done.
-    need : Need
-        Who may ask for it.
+        Called with the request's arguments in the thread of `queue`. The result is merged into the answer to
+        the client; a HeliError becomes an error answer.
+    role : Role
+        Least role of a client that may request it.
     """
 
     run: Callable[[Mapping[str, Any]], Mapping[str, Any]]
-    lane: Lane
-    need: Need
+    queue: CommandQueue
+    role: Role
 
 
 class Source(Protocol):
-    """What a page is about.
+    """Subject of a page: a connected board (`Cockpit`) or a replayed log (`Replay`).
+
+    The server calls all methods from its event-loop thread, except `clear_stop`, which it calls in the thread
+    of a `CommandQueue`. No method may block.
 
     Attributes
     ----------
-    tape : Tape
-        Its newest minutes.
+    buffer : TelemetryBuffer
+        Telemetry of the newest `KEPT_S` seconds.
     actions : mapping of str to Action
-        What can be asked for, by name.
+        Requests that clients may send, by name.
     """
 
-    tape: Tape
+    buffer: TelemetryBuffer
     actions: Mapping[str, Action]
 
     def describe(self) -> dict[str, Any]:
-        """Return what a page needs to know once, as JSON."""
+        """Return the constant facts that each client gets once when it connects, as JSON: board, channels,
+        states, faults, parameters, limits, plans, laws.
+        """
         ...
 
     def status(self) -> dict[str, Any]:
-        """Return what a page shows in words, as JSON; asked ten times a second, so it must not wait."""
+        """Return the present status as JSON: state, fault, link, recording, flight. Called ten times per
+        second.
+        """
         ...
 
     def state(self) -> tuple[int, int]:
-        """Return the board's state and fault now, for every frame; `UNKNOWN` while nothing is heard of it."""
+        """Return the numbers of the board's present state and fault; `UNKNOWN` if no telemetry arrives."""
         ...
 
     def listen(self, news: News) -> None:
-        """Have what happens told, as JSON, from any thread.
+        """Register the callback for events.
 
         Parameters
         ----------
         news : callable taking a mapping
-            Is told.
+            Called with each event as JSON, from any thread, possibly several threads at a time. It must not
+            block.
         """
         ...
 
     def stop(self) -> None:
-        """Switch the motors off, before everything else; called in the thread that hears of it."""
+        """Send the board the command that switches both motors off, ahead of all other commands.
+
+        The call returns without waiting for the board's answer; the command is repeated until the answer
+        comes. An arm in the air falls. From this call on, the source refuses every command that could start
+        the motors, until `clear_stop` succeeds. May be called from any thread.
+
+        Raises
+        ------
+        HeliError
+            The command could not be sent. The operator must use the rig's own stop switch.
+        """
         ...
 
-    def wish(self) -> int:
-        """Return a number that another stop changes: what was wished for before it is not begun after it."""
+    def stop_epoch(self) -> int:
+        """Return the stop epoch: the number of stops so far.
+
+        The server reads it when a request arrives, and passes it to `clear_stop` before the request runs.
+        Therefore a request that arrived before a stop cannot start the motors after it.
+        """
         ...
 
-    def begin(self, wish: int) -> bool:
-        """Whether what was wished for at `wish` may begin: no stop has come since.
+    def clear_stop(self, epoch: int) -> bool:
+        """Accept commands again after a stop, if no further stop came since `epoch`.
+
+        Motors stay off: this only permits commands. May be called from any thread.
 
         Parameters
         ----------
-        wish : int
-            As `wish` returned it.
+        epoch : int
+            Value of `stop_epoch` when the request arrived.
+
+        Returns
+        -------
+        bool
+            True if the request may run. False if a stop came after the request arrived: the stop stays in
+            force and the caller must refuse the request.
         """
         ...
 
     def watch_pilot(self, present: Callable[[], bool]) -> None:
-        """Let setpoints out only while the pilot is there.
+        """Send setpoints and voltages to the board only while the pilot's page answers.
+
+        Without setpoints the board itself holds level after ``setpoint_hold_s`` and lands after
+        ``setpoint_land_s``, which are parameters of the board in seconds. The motors keep running meanwhile.
 
         Parameters
         ----------
         present : callable returning bool
-            Whether he is.
+            True while the pilot's page has answered within `heli_host.page.control_lease.PRESENT_S` seconds.
+            Called before each setpoint and each pair of voltages, with the link's lock held: it must not
+            block.
         """
         ...
 
@@ -137,14 +180,17 @@ STATE_WORDS: dict[State, str] = {
 
 
 def number(arguments: Mapping[str, Any], name: str) -> float:
-    """Return a number that was asked with; a ParameterError when there is none.
+    """Return the numeric argument `name` of a request as a finite float.
 
     Parameters
     ----------
     arguments : Mapping of str to object
-        As they came.
-    name : str
-        Which.
+        Arguments of the request, as parsed from JSON.
+
+    Raises
+    ------
+    ParameterError
+        The argument is missing, is not a number, or is not finite.
     """
     value = arguments.get(name)
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -153,14 +199,19 @@ def number(arguments: Mapping[str, Any], name: str) -> float:
 
 
 def finite(name: str, value: float) -> float:
-    """Return a number as a float; a ParameterError unless it is finite.
+    """Convert a number to a finite float.
 
     Parameters
     ----------
     name : str
-        What it is, for the message.
+        Name of the number, for the error message.
     value : float
-        As it came; JSON has whole numbers of any length, and Python's also NaN and Infinity.
+        Number as parsed by `json`, which accepts integers of any length, NaN and Infinity.
+
+    Raises
+    ------
+    ParameterError
+        The number is NaN, infinite, or too large for a float.
     """
     try:
         converted = float(value)
@@ -172,16 +223,19 @@ def finite(name: str, value: float) -> float:
 
 
 def text(arguments: Mapping[str, Any], name: str, most: int = 200) -> str:
-    """Return a text that was asked with, at most `most` characters; a ParameterError when there is none.
+    """Return the text argument `name` of a request without surrounding white space.
 
     Parameters
     ----------
     arguments : Mapping of str to object
-        As they came.
-    name : str
-        Which.
+        Arguments of the request, as parsed from JSON.
     most : int
-        Characters that are kept.
+        Greatest length in characters; a longer text is cut.
+
+    Raises
+    ------
+    ParameterError
+        The argument is missing, is empty, or is not a text.
     """
     value = arguments.get(name)
     if not isinstance(value, str) or not value.strip():
@@ -192,14 +246,16 @@ def text(arguments: Mapping[str, Any], name: str, most: int = 200) -> str:
 def channel_rows(
     parameters: Mapping[str, float], signals: Mapping[str, str] | None = None
 ) -> list[dict[str, Any]]:
-    """Return what the raw numbers of a frame mean: name, unit and scale of each channel.
+    """Return name, unit, scale and meaning of each telemetry channel. A raw number times its scale is the
+    value in that unit.
 
     Parameters
     ----------
     parameters : Mapping of str to float
-        The board's parameters: how many counts an encoder has.
+        Parameters of the board by name; the counts per turn of each encoder set the scale of its angle.
     signals : Mapping of str to str, optional
-        What a law of one's own tells in ``signal_1`` and those behind it; they are then drawn.
+        Names that the uploaded control law gives its signals, by channel such as ``signal_1``. Pages draw
+        only channels with such a name.
     """
     rad = rad_per_count(parameters).tolist()
     rows = []
@@ -212,7 +268,7 @@ def channel_rows(
 
 
 def parameter_rows() -> list[dict[str, Any]]:
-    """Return what the declaration says of each parameter."""
+    """Return name, unit, range, default and meaning of each parameter of the board."""
     return [_parameter_row(spec) for spec in PARAMS]
 
 
@@ -232,10 +288,10 @@ def _parameter_row(spec: ParamSpec) -> dict[str, Any]:
 
 
 def state_rows() -> dict[int, dict[str, str]]:
-    """Return each state's name and what it means for who looks at it."""
+    """Return for each supervisor state, by number, its name and one sentence for the operator."""
     return {int(state): {"name": state.name.lower(), "words": STATE_WORDS[state]} for state in State}
 
 
 def fault_rows() -> dict[int, dict[str, str]]:
-    """Return each fault's name, meaning and remedy."""
+    """Return for each fault, by number, its name, meaning and remedy."""
     return {spec.code: {"name": spec.name, "meaning": spec.meaning, "remedy": spec.remedy} for spec in FAULTS}

@@ -1,9 +1,9 @@
-"""Text and binary frames of the page's WebSocket; docs/reference/dashboard-protocol.md describes them.
+"""Messages on the page's WebSocket, JSON texts and binary frames; see docs/reference/dashboard-protocol.md.
 
-A frame is a header of 24 bytes, little-endian: kind (u8, 1), flags (u8: 1 rows were left out between these,
-2 what came before does not go on in them), channels (u16), number of the frame (u32), rows (u32), the board's
-state now (u8, 255 while nothing is heard of it), its fault (u8), 0 (u16), tick of the first row (f64). After
-it ticks since the first (u32 each), then channel after channel the raw numbers of all rows (i32).
+A frame begins with a header of 24 bytes, little-endian: kind (u8, 1), flags (u8: bit 0 rows between these
+were left out, bit 1 rows before the first are missing), channels (u16), frame number (u32), rows (u32),
+present state of the board (u8, 255 without telemetry), its fault (u8), 0 (u16), tick of the first row (f64).
+The ticks since the first follow (u32 each), then the raw numbers (i32) of all rows, channel by channel.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heli_host.errors import LinkError
-from heli_host.page.tape import Cut
+from heli_host.page.telemetry_buffer import Cut
 
 THINNED, RESET = 1, 2
 
@@ -29,20 +29,20 @@ _HEADER = struct.Struct("<BBHIIBBHd")
 
 @dataclass(frozen=True)
 class Rows:
-    """What a frame holds.
+    """Contents of a frame.
 
     Parameters
     ----------
     number : int
-        Number of the frame, by which it is acknowledged.
+        Number of the frame; the client acknowledges it by this number.
     flags : int
-        `THINNED` and `RESET`.
+        `THINNED` and `RESET`, combined.
     state, fault : int
-        The board's when the frame was sent; `heli_host.page.source.UNKNOWN` while nothing was heard of it.
+        State and fault of the board when the frame was sent; `heli_host.page.source.UNKNOWN` if unknown.
     tick : ndarray of int64, shape (n,)
-        Device time [tick], counted on over 2^32.
+        Device time [tick of 1 ms], unwrapped beyond 2^32.
     raw : ndarray of int32, shape (n, channels)
-        Raw numbers in the order of the declaration.
+        Raw numbers in the order of the declaration's ``CHANNELS``.
     """
 
     number: int
@@ -54,16 +54,16 @@ class Rows:
 
 
 def pack(cut: Cut, number: int, state: tuple[int, int]) -> bytes:
-    """Return a frame.
+    """Encode a frame.
 
     Parameters
     ----------
     cut : Cut
-        Its rows; a frame may have none.
+        Rows of the frame; may be empty.
     number : int
         Number of the frame.
     state : tuple of int
-        State and fault of the board now.
+        Present state and fault of the board.
     """
     flags = THINNED * cut.thinned + RESET * cut.reset
     first = int(cut.tick[0]) if len(cut.tick) else 0
@@ -74,17 +74,12 @@ def pack(cut: Cut, number: int, state: tuple[int, int]) -> bytes:
 
 
 def unpack(frame: bytes) -> Rows:
-    """Undo `pack`.
-
-    Parameters
-    ----------
-    frame : bytes
-        As it came.
+    """Decode a `frame` that `pack` made.
 
     Raises
     ------
     LinkError
-        It is no such frame.
+        The bytes are not a complete frame of this version.
     """
     if len(frame) < _HEADER.size:
         raise LinkError("the page sent a frame that is cut short", "use the same version at both ends")
@@ -99,12 +94,12 @@ def unpack(frame: bytes) -> Rows:
 
 
 def as_json(news: Mapping[str, Any]) -> tuple[str, bool]:
-    """Return news as JSON, and whether a number in it was not finite: that is null there, as JSON has no NaN.
+    """Encode a message as JSON, with null for numbers that are not finite, and return whether there were any.
 
     Parameters
     ----------
     news : Mapping of str to object
-        What a page shows or answers.
+        An event, a status or an answer.
     """
     try:
         return json.dumps(news, allow_nan=False, separators=(",", ":")), False

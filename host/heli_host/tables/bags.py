@@ -10,11 +10,11 @@ from typing import Any, Final
 import numpy as np
 
 from heli_host.errors import FlightDataError
-from heli_host.tables.limits import MOST_NUMBERS, MOST_ROWS, too_large, within_memory
+from heli_host.tables.limits import MAX_NUMBERS, MAX_ROWS, too_large, within_memory
 from heli_host.tables.sizes import check_bag
 from heli_host.tables.table import Column, Table
 
-_MOST_VALUES: Final = 64
+_MAX_VALUES: Final = 64
 """Longest array of a message whose elements become columns; scans and images have more."""
 _DEEPEST: Final = 6
 
@@ -53,10 +53,10 @@ def read_bag(path: Path) -> Table:
                         times.append(t_s)
                         values.append(value)
                         numbers += 2
-                    if count > MOST_ROWS:
-                        raise too_large(path, f"{MOST_ROWS // 1_000_000} million messages")
-                    if numbers > MOST_NUMBERS:
-                        raise too_large(path, f"{MOST_NUMBERS // 1_000_000} million numbers")
+                    if count > MAX_ROWS:
+                        raise too_large(path, f"{MAX_ROWS // 1_000_000} million messages")
+                    if numbers > MAX_NUMBERS:
+                        raise too_large(path, f"{MAX_NUMBERS // 1_000_000} million numbers")
         except (FlightDataError, MemoryError):
             raise
         except Exception as error:  # the reader raises whatever a damaged file makes it trip over
@@ -87,7 +87,7 @@ def _numbers(name: str, value: Any, depth: int) -> Iterator[tuple[str, float]]:
     if isinstance(value, (bool, int, float, np.number)):
         yield name, float(value)
     elif isinstance(value, (list, tuple, np.ndarray)):
-        labels = range(len(value)) if len(value) <= _MOST_VALUES else ()
+        labels = range(len(value)) if len(value) <= _MAX_VALUES else ()
         for index in labels:
             yield from _numbers(f"{name}[{index}]", value[index], depth + 1)
     elif depth < _DEEPEST and hasattr(value, "__dataclass_fields__"):

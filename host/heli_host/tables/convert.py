@@ -23,7 +23,7 @@ times. Beyond, encoders' counts are interpolated; below, nothing is changed."""
 TRAVEL = "travel"
 WORD = 65536.0
 """Counts after which an encoder's counter of 16 bits begins again."""
-MOST_MISSING = 5.0
+MAX_MISSING = 5.0
 """Steps without a row beyond which a flight ends and another begins; fewer missing rows are filled in."""
 
 
@@ -178,7 +178,7 @@ def _pieces(t_s: Floats, part: Part, source: str) -> list[tuple[int, int]]:
     for start_s, stop_s in part.leave_out_s:
         keep &= (t_s < start_s) | (t_s >= stop_s)
     steps_s = np.diff(t_s)
-    breaks = np.flatnonzero((steps_s > MOST_MISSING * np.median(steps_s)) | (steps_s < 0.0)) + 1
+    breaks = np.flatnonzero((steps_s > MAX_MISSING * np.median(steps_s)) | (steps_s < 0.0)) + 1
     edges = np.flatnonzero(np.diff(np.concatenate(([0], keep.astype(int), [0]))))
     found = [
         (int(a), int(b))

@@ -11,8 +11,8 @@ import numpy as np
 
 from heli_host.errors import FlightDataError
 from heli_host.tables.clocks import seconds_of
-from heli_host.tables.limits import MOST_BYTES, check_columns, check_numbers, too_large, within_memory
-from heli_host.tables.sizes import MOST_CELLS, check_parquet, check_workbook
+from heli_host.tables.limits import MAX_BYTES, check_columns, check_numbers, too_large, within_memory
+from heli_host.tables.sizes import MAX_CELLS, check_parquet, check_workbook
 from heli_host.tables.table import Column, Table
 from heli_host.tables.units import unit_of
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import pandas
     import pyarrow
 
-_LEAST_SHARE = 0.5
+_MIN_SHARE = 0.5
 """Share of a column's cells that must be numbers for it to be one of numbers."""
 
 
@@ -51,8 +51,8 @@ def _parquet(path: Path) -> pandas.DataFrame:
         column = table.column(place)
         if pyarrow.types.is_dictionary(column.type):
             longest = max(map(_longest, column.chunks), default=0)
-            if longest * len(column) > MOST_BYTES:
-                raise too_large(path, f"{MOST_BYTES >> 20} MiB in column '{name}'")
+            if longest * len(column) > MAX_BYTES:
+                raise too_large(path, f"{MAX_BYTES >> 20} MiB in column '{name}'")
             table = table.set_column(place, name, column.cast(column.type.value_type))
     frame: pandas.DataFrame = table.to_pandas(use_threads=False)
     return frame
@@ -93,8 +93,8 @@ def _excel(path: Path) -> pandas.DataFrame:
         cells = 0
         for row in sheet.iter_rows(values_only=True):
             cells += max(1, len(row))
-            if cells > MOST_CELLS:
-                raise too_large(path, f"{MOST_CELLS // 1_000_000} million cells")
+            if cells > MAX_CELLS:
+                raise too_large(path, f"{MAX_CELLS // 1_000_000} million cells")
             rows.append(row)
     filled = [row for row in rows if any(cell is not None for cell in row)]
     if not filled:
@@ -155,10 +155,10 @@ def _table(path: Path, frame: pandas.DataFrame) -> Table:
             if isinstance(first, str):
                 unit = unit_of(first.strip("[]() "))
             values = pandas.to_numeric(series, errors="coerce").to_numpy(np.float64)
-            at_s = None if np.isfinite(values).mean() > _LEAST_SHARE else seconds_of(series)
+            at_s = None if np.isfinite(values).mean() > _MIN_SHARE else seconds_of(series)
             if at_s is not None:
                 values, unit = at_s, "s"
-        if np.isfinite(values).mean() > _LEAST_SHARE:
+        if np.isfinite(values).mean() > _MIN_SHARE:
             columns[str(name)] = Column(values, unit)
     if not columns:
         raise FlightDataError(f"{path}: no columns of numbers in it", "give a table: one row a sample")

@@ -12,15 +12,15 @@ from typing import Any, Final
 
 from heli_host.errors import FlightDataError
 
-MOST_BYTES: Final = 1 << 28
+MAX_BYTES: Final = 1 << 28
 """Largest table, unpacked: half an hour at 1 kHz with 18 columns. Smaller refuses long flights; larger takes
 more memory than a small computer can spare."""
-MOST_NUMBERS: Final = MOST_BYTES // 8
+MAX_NUMBERS: Final = MAX_BYTES // 8
 """Most numbers in a table, 8 bytes each in memory, however few bytes the file spends on them."""
-MOST_ROWS: Final = 4_000_000
+MAX_ROWS: Final = 4_000_000
 """Most rows, messages or lines: an hour at 1 kHz. A line in memory takes 50 bytes or more."""
-MOST_COLUMNS: Final = 1000
-MOST_MEMORY_BYTES: Final = 1 << 31
+MAX_COLUMNS: Final = 1000
+MAX_MEMORY_BYTES: Final = 1 << 31
 """Memory that reading may take in all, on Linux: for files that lie about their sizes. Measured: 0.6 GiB for
 a .mat of 30 million numbers. Smaller refuses such files; larger lets a bomb stop a small computer."""
 _STEP_BYTES: Final = 1 << 20
@@ -33,20 +33,20 @@ def too_large(path: Path, what: str) -> FlightDataError:
 
 
 def check_numbers(path: Path, count: int) -> None:
-    """Refuse the table at `path` if its `count` of numbers is above `MOST_NUMBERS`."""
-    if count > MOST_NUMBERS:
-        raise too_large(path, f"{MOST_NUMBERS // 1_000_000} million numbers")
+    """Refuse the table at `path` if its `count` of numbers is above `MAX_NUMBERS`."""
+    if count > MAX_NUMBERS:
+        raise too_large(path, f"{MAX_NUMBERS // 1_000_000} million numbers")
 
 
 def check_columns(path: Path, count: int) -> None:
-    """Refuse the table at `path` if its `count` of columns is above `MOST_COLUMNS`."""
-    if count > MOST_COLUMNS:
-        raise FlightDataError(f"{path} has more than {MOST_COLUMNS} columns", "leave out what is not needed")
+    """Refuse the table at `path` if its `count` of columns is above `MAX_COLUMNS`."""
+    if count > MAX_COLUMNS:
+        raise FlightDataError(f"{path} has more than {MAX_COLUMNS} columns", "leave out what is not needed")
 
 
 @contextlib.contextmanager
 def within_memory(path: Path) -> Iterator[None]:
-    """Read the file at `path` within `MOST_MEMORY_BYTES` more than this process has; on Linux only.
+    """Read the file at `path` within `MAX_MEMORY_BYTES` more than this process has; on Linux only.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def within_memory(path: Path) -> Iterator[None]:
 
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     before = resource.getrlimit(resource.RLIMIT_AS)
-    most = pages * resource.getpagesize() + MOST_MEMORY_BYTES
+    most = pages * resource.getpagesize() + MAX_MEMORY_BYTES
     if before[0] != resource.RLIM_INFINITY:
         most = min(most, before[0])
     resource.setrlimit(resource.RLIMIT_AS, (most, before[1]))
@@ -68,7 +68,7 @@ def within_memory(path: Path) -> Iterator[None]:
         yield
     except MemoryError as error:
         raise FlightDataError(
-            f"{path} needs more than {MOST_MEMORY_BYTES >> 30} GiB of memory to read",
+            f"{path} needs more than {MAX_MEMORY_BYTES >> 30} GiB of memory to read",
             _REMEDY,
         ) from error
     finally:
@@ -98,7 +98,7 @@ def unpacked_bytes(codec: str, data: bytes | memoryview, most_bytes: int) -> int
         import zstandard
 
         count = 0
-        with zstandard.ZstdDecompressor(max_window_size=MOST_BYTES).stream_reader(io.BytesIO(data)) as stream:
+        with zstandard.ZstdDecompressor(max_window_size=MAX_BYTES).stream_reader(io.BytesIO(data)) as stream:
             while count <= most_bytes and (step := stream.read(_STEP_BYTES)):
                 count += len(step)
         return count

@@ -16,9 +16,9 @@ from heli_host.tables.table import Column, Table
 
 _DEEPEST: Final = 8
 """Structures within structures that are looked into."""
-_MOST_SIGNALS: Final = 64
+_MAX_SIGNALS: Final = 64
 """A matrix with more rows and more columns than this is an image or a law, not a recording."""
-_LEAST_ROWS: Final = 10
+_MIN_ROWS: Final = 10
 _TIMES: Final = ("time", "Time", "t", "tout", "Time_", "RowTimes")
 _DATA: Final = ("signals", "Data", "Data_", "data", "values", "Values")
 
@@ -59,7 +59,7 @@ def _read(path: Path) -> Table:
                 check_numbers(path, numbers)
                 columns[_free_name(found, columns)] = column
     if not columns:
-        raise FlightDataError(f"{path}: no signals of {_LEAST_ROWS} rows or more in it", "save the log")
+        raise FlightDataError(f"{path}: no signals of {_MIN_ROWS} rows or more in it", "save the log")
     clocked = [one for one in columns.values() if one.t_s is not None]
     if clocked and len(clocked) < len(columns):
         columns = _with_clock(columns, clocked[0])
@@ -95,10 +95,10 @@ def _signals(name: str, value: Any, depth: int) -> Iterator[tuple[str, Column]]:
     if fields is not None:
         yield from _structure(name, fields, depth)
     elif isinstance(value, np.ndarray) and value.dtype == object:
-        for index, one in enumerate(value.ravel()[:_MOST_SIGNALS]):
+        for index, one in enumerate(value.ravel()[:_MAX_SIGNALS]):
             yield from _signals(f"{name}[{index + 1}]", one, depth + 1)
     elif isinstance(value, (list, tuple)):
-        for index, one in enumerate(value[:_MOST_SIGNALS]):
+        for index, one in enumerate(value[:_MAX_SIGNALS]):
             yield from _signals(f"{name}[{index + 1}]", one, depth + 1)
     else:
         for index, signal, count in _matrix(value):
@@ -127,15 +127,15 @@ def _structure(name: str, fields: Mapping[str, Any], depth: int) -> Iterator[tup
 def _values(name: str, value: Any, rows: int) -> Iterator[tuple[str, Floats]]:
     """Signals of a structure with time: an array, or structures with values and labels."""
     if isinstance(value, np.ndarray) and value.dtype == object:
-        for index, one in enumerate(value.ravel()[:_MOST_SIGNALS]):
+        for index, one in enumerate(value.ravel()[:_MAX_SIGNALS]):
             yield from _values(f"{name}[{index + 1}]" if value.size > 1 else name, _unpacked(one), rows)
         return
     if isinstance(value, (list, tuple)):
-        for index, one in enumerate(value[:_MOST_SIGNALS]):
+        for index, one in enumerate(value[:_MAX_SIGNALS]):
             yield from _values(f"{name}[{index + 1}]", _unpacked(one), rows)
         return
     if isinstance(value, np.ndarray) and value.dtype.names and value.size > 1:
-        for index, record in enumerate(value.ravel()[:_MOST_SIGNALS]):
+        for index, record in enumerate(value.ravel()[:_MAX_SIGNALS]):
             one = {key: record[key] for key in value.dtype.names}
             yield from _values(f"{name}[{index + 1}]", one, rows)
         return
@@ -153,7 +153,7 @@ def _matrix(value: Any, rows: int | None = None) -> list[tuple[int, Floats, int]
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub" or not value.size:
         return []
     array = np.squeeze(value)
-    if array.ndim == 2 and min(array.shape) > _MOST_SIGNALS:
+    if array.ndim == 2 and min(array.shape) > _MAX_SIGNALS:
         return []
     array = array.astype(np.float64)
     if array.ndim > 2:
@@ -166,7 +166,7 @@ def _matrix(value: Any, rows: int | None = None) -> list[tuple[int, Floats, int]
     lies = array.shape[1] == rows if rows is not None and array.shape[0] != rows else None
     if lies or (lies is None and rows is None and array.shape[1] > array.shape[0]):
         array = array.T
-    if array.shape[0] < _LEAST_ROWS or array.shape[1] > _MOST_SIGNALS:
+    if array.shape[0] < _MIN_ROWS or array.shape[1] > _MAX_SIGNALS:
         return []
     return [(i, np.ascontiguousarray(array[:, i]), array.shape[1]) for i in range(array.shape[1])]
 
@@ -190,7 +190,7 @@ def _own_times(fields: Mapping[str, Any]) -> Floats | None:
         )
     except (KeyError, IndexError, TypeError, ValueError):
         return None
-    usable = np.isfinite([start, step, count]).all() and step > 0 and count >= _LEAST_ROWS
+    usable = np.isfinite([start, step, count]).all() and step > 0 and count >= _MIN_ROWS
     even: Floats = start + step * np.arange(int(count) if usable else 0, dtype=np.float64)
     return even if usable else None
 

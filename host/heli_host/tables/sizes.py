@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from heli_host.tables.limits import (
-    MOST_BYTES,
-    MOST_ROWS,
+    MAX_BYTES,
+    MAX_ROWS,
     check_columns,
     check_numbers,
     too_large,
@@ -20,16 +20,16 @@ from heli_host.tables.limits import (
 if TYPE_CHECKING:
     import pyarrow.parquet
 
-MOST_CHUNK_BYTES: Final = 1 << 27
+MAX_CHUNK_BYTES: Final = 1 << 27
 """Largest chunk of a bag, which is in memory as a whole: one image of a large camera is 100 MB."""
-MOST_RATIO: Final = 30
-"""How much a bag above `MOST_BYTES` may unpack to, in sizes of its file. Bags of sensors compress 2 to 10
+MAX_RATIO: Final = 30
+"""How much a bag above `MAX_BYTES` may unpack to, in sizes of its file. Bags of sensors compress 2 to 10
 times; a bomb 1000 times."""
-MOST_SHEET_BYTES: Final = 1 << 27
+MAX_SHEET_BYTES: Final = 1 << 27
 """All XML of a spreadsheet. A million cells have 30 MB."""
-MOST_CELLS: Final = 2_000_000
+MAX_CELLS: Final = 2_000_000
 """Cells of a sheet, empty ones between the first and the last too: half an hour at 100 Hz with 11 columns."""
-MOST_ELEMENTS: Final = 3 * MOST_CELLS
+MAX_ELEMENTS: Final = 3 * MAX_CELLS
 """XML elements of a spreadsheet: cells and their values, shared texts, styles. Each takes time."""
 _STEP_BYTES: Final = 1 << 20
 _COMPRESSED: Final = 15
@@ -40,10 +40,10 @@ _CHUNK, _CHUNK_INDEX = 0x06, 0x08
 
 
 def check_mat(path: Path) -> None:
-    """Refuse a MATLAB file at `path`, version 4 to 7.3, that unpacks to more than `MOST_BYTES`."""
+    """Refuse a MATLAB file at `path`, version 4 to 7.3, that unpacks to more than `MAX_BYTES`."""
     size = path.stat().st_size
-    if size > MOST_BYTES:
-        raise too_large(path, f"{MOST_BYTES >> 20} MiB")
+    if size > MAX_BYTES:
+        raise too_large(path, f"{MAX_BYTES >> 20} MiB")
     with path.open("rb") as file:
         head = file.read(_MAT_HEAD)
         if file.seek(512) and file.read(len(_HDF)) == _HDF:
@@ -57,12 +57,12 @@ def check_mat(path: Path) -> None:
         while len(tag := file.read(8)) == 8:
             kind, length = struct.unpack(f"{order}II", tag)
             if kind == _COMPRESSED:
-                total += unpacked_bytes("zlib", file.read(length), MOST_BYTES - total)
+                total += unpacked_bytes("zlib", file.read(length), MAX_BYTES - total)
             else:
                 total += length
                 file.seek(length, 1)
-            if total > MOST_BYTES:
-                raise too_large(path, f"{MOST_BYTES >> 20} MiB")
+            if total > MAX_BYTES:
+                raise too_large(path, f"{MAX_BYTES >> 20} MiB")
 
 
 def _check_hdf(path: Path) -> None:
@@ -75,15 +75,15 @@ def _check_hdf(path: Path) -> None:
         objects += 1
         numbers += int(item.size or 0) if isinstance(item, h5py.Dataset) else 0
         check_numbers(path, numbers)
-        if objects > MOST_ROWS:
-            raise too_large(path, f"{MOST_ROWS // 1_000_000} million variables")
+        if objects > MAX_ROWS:
+            raise too_large(path, f"{MAX_ROWS // 1_000_000} million variables")
 
     with h5py.File(path, "r") as file:
         file.visititems(count)
 
 
 def check_parquet(path: Path, file: pyarrow.parquet.ParquetFile) -> None:
-    """Refuse the Parquet `file` at `path` if its row groups hold more than `MOST_NUMBERS` or `MOST_BYTES`.
+    """Refuse the Parquet `file` at `path` if its row groups hold more than `MAX_NUMBERS` or `MAX_BYTES`.
 
     Both count: a run of equal numbers takes two bytes.
     """
@@ -97,10 +97,10 @@ def check_parquet(path: Path, file: pyarrow.parquet.ParquetFile) -> None:
             numbers += max(column.num_values, group.num_rows)
             size += column.total_uncompressed_size
     check_numbers(path, numbers)
-    if size > MOST_BYTES:
-        raise too_large(path, f"{MOST_BYTES >> 20} MiB")
-    if rows > MOST_ROWS:
-        raise too_large(path, f"{MOST_ROWS // 1_000_000} million rows")
+    if size > MAX_BYTES:
+        raise too_large(path, f"{MAX_BYTES >> 20} MiB")
+    if rows > MAX_ROWS:
+        raise too_large(path, f"{MAX_ROWS // 1_000_000} million rows")
 
 
 def check_workbook(path: Path) -> None:
@@ -108,21 +108,21 @@ def check_workbook(path: Path) -> None:
     with zipfile.ZipFile(path) as archive:
         parts = [part for part in archive.infolist() if part.filename.lower().endswith((".xml", ".rels"))]
         # zipfile gives no more of a part than it declares.
-        if sum(part.file_size for part in parts) > MOST_SHEET_BYTES:
-            raise too_large(path, f"{MOST_SHEET_BYTES >> 20} MiB")
+        if sum(part.file_size for part in parts) > MAX_SHEET_BYTES:
+            raise too_large(path, f"{MAX_SHEET_BYTES >> 20} MiB")
         elements = 0
         for part in parts:
             with archive.open(part) as file:
                 while step := file.read(_STEP_BYTES):
                     elements += step.count(b"<") - step.count(b"</")
-                    if elements > MOST_ELEMENTS:
-                        raise too_large(path, f"{MOST_ELEMENTS // 1_000_000} million elements")
+                    if elements > MAX_ELEMENTS:
+                        raise too_large(path, f"{MAX_ELEMENTS // 1_000_000} million elements")
 
 
 def check_bag(path: Path) -> None:
     """Refuse a bag (.bag, .mcap) at `path` whose chunks unpack to more than a bag of this size can hold."""
     size = path.stat().st_size
-    most = max(MOST_BYTES, MOST_RATIO * size)
+    most = max(MAX_BYTES, MAX_RATIO * size)
     total, seen = 0, set()
     for offset, codec, data in _chunks(path, size):
         if data is None:
@@ -131,9 +131,9 @@ def check_bag(path: Path) -> None:
                 raise too_large(path, f"{most >> 20} MiB")
             seen.add(offset)
             continue
-        count = unpacked_bytes(codec, data, MOST_CHUNK_BYTES)
-        if count > MOST_CHUNK_BYTES:
-            raise too_large(path, f"{MOST_CHUNK_BYTES >> 20} MiB in a chunk")
+        count = unpacked_bytes(codec, data, MAX_CHUNK_BYTES)
+        if count > MAX_CHUNK_BYTES:
+            raise too_large(path, f"{MAX_CHUNK_BYTES >> 20} MiB in a chunk")
         total += count
         if total > most:
             raise too_large(path, f"{most >> 20} MiB")

@@ -18,11 +18,11 @@ import numpy as np
 from heli_host.errors import FlightDataError
 from heli_host.files import read_file
 from heli_host.tables.clocks import seconds_of
-from heli_host.tables.limits import MOST_BYTES, MOST_ROWS, check_columns, too_large
+from heli_host.tables.limits import MAX_BYTES, MAX_ROWS, check_columns, too_large
 from heli_host.tables.table import Column, Table
 from heli_host.tables.units import unit_of
 
-_MOST_LINE_CHARACTERS: Final = 1 << 16
+_MAX_LINE_CHARACTERS: Final = 1 << 16
 """Longest line: a thousand columns have 20 thousand characters."""
 _LINE_ENDS: Final = tuple(bytes([one]) for one in b"\n\x0b\x0c\x1c\x1d\x1e\x85\xa8\xa9")
 """Bytes in which the ends of a line end, those of Unicode too; a return counts by itself."""
@@ -129,27 +129,27 @@ def find_dialect(lines: list[str]) -> Dialect | None:
 
 def _lines(path: Path) -> list[str]:
     lines = _text(path).splitlines()
-    if max(map(len, lines), default=0) > _MOST_LINE_CHARACTERS:
+    if max(map(len, lines), default=0) > _MAX_LINE_CHARACTERS:
         raise FlightDataError(
-            f"{path}: a line has more than {_MOST_LINE_CHARACTERS} characters", "give one row per line"
+            f"{path}: a line has more than {_MAX_LINE_CHARACTERS} characters", "give one row per line"
         )
     return lines
 
 
 def _text(path: Path) -> str:
     try:
-        data = read_file(path, MOST_BYTES)
+        data = read_file(path, MAX_BYTES)
         if path.name.lower().endswith(".gz"):
             with gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
-                data = packed.read(MOST_BYTES + 1)
+                data = packed.read(MAX_BYTES + 1)
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise FlightDataError(f"{path}: not a gzip file, or a damaged one", "copy it again") from error
     except OSError as error:
         raise FlightDataError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
-    if len(data) > MOST_BYTES:
-        raise too_large(path, f"{MOST_BYTES >> 20} MiB")
-    if max(data.count(b"\r"), sum(data.count(one) for one in _LINE_ENDS)) > MOST_ROWS:
-        raise too_large(path, f"{MOST_ROWS // 1_000_000} million lines")
+    if len(data) > MAX_BYTES:
+        raise too_large(path, f"{MAX_BYTES >> 20} MiB")
+    if max(data.count(b"\r"), sum(data.count(one) for one in _LINE_ENDS)) > MAX_ROWS:
+        raise too_large(path, f"{MAX_ROWS // 1_000_000} million lines")
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         return data.decode("utf-16", errors="replace")
     try:

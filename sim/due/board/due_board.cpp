@@ -22,9 +22,9 @@ constexpr BoardTime kFirstLook = 100 * kOneUs;
 constexpr BoardTime kLook = 25 * kOneUs;
 constexpr BoardTime kPwmPeriod = 50 * kOneUs;
 // A program has this many PWM periods, 0.1 s, to begin its first tick.
-constexpr int kMostBoot = 2000;
+constexpr int kMaxBoot = 2000;
 // A jump of the arm (a test puts it somewhere else) is told at 200,000 steps a second at most.
-constexpr std::int32_t kMostJump = 150;
+constexpr std::int32_t kMaxJump = 150;
 
 }  // namespace
 
@@ -57,7 +57,7 @@ void DueBoard::start() {
   due_->power_on();
   tick_at_ = due_->now();
   if (handler_ == 0 || in_reset()) return;
-  for (int look = 0; look < kMostBoot && !ticked(); ++look) run_until(due_->now() + kPwmPeriod);
+  for (int look = 0; look < kMaxBoot && !ticked(); ++look) run_until(due_->now() + kPwmPeriod);
   if (!aligned_) tick_at_ = due_->now();
 }
 
@@ -95,7 +95,7 @@ void DueBoard::rest(const heli_sim::Edge* edges, std::size_t edge_count) {
   const double per_us = static_cast<double>(until - from) / 1000.0;
   std::vector<heli_sim::Edge> steps(edges, edges + edge_count);
   for (std::uint8_t axis = 0; axis < kEncoders; ++axis) {
-    const std::int32_t jump = std::clamp(jump_[axis], -kMostJump, kMostJump);
+    const std::int32_t jump = std::clamp(jump_[axis], -kMaxJump, kMaxJump);
     for (std::int32_t k = 0; k < std::abs(jump); ++k) {
       const double time_us = 1000.0 * (k + 0.5) / std::abs(jump);
       steps.push_back({time_us, axis, static_cast<std::int8_t>(jump > 0 ? 1 : -1)});

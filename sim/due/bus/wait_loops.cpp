@@ -9,7 +9,7 @@ namespace heli_due {
 namespace {
 
 // Longer ways round do work, and are no wait.
-constexpr std::uint64_t kMostInstructions = 64;
+constexpr std::uint64_t kMaxInstructions = 64;
 // Whoever waits may keep the watchdog quiet meanwhile.
 constexpr std::uint32_t kWatchdogRestart = 0x400E1A50;
 
@@ -21,7 +21,7 @@ WaitLoops::Loop& WaitLoops::at_level_of(const Cpu& cpu) {
 
 bool WaitLoops::stands_in(const Cpu& cpu, const Loop& loop) {
   return loop.found() && loop.entry == cpu.entry_of_level() &&
-         cpu.instructions_of_level() - loop.instructions <= kMostInstructions;
+         cpu.instructions_of_level() - loop.instructions <= kMaxInstructions;
 }
 
 void WaitLoops::read(const Cpu& cpu, std::uint32_t address, std::uint32_t value) {

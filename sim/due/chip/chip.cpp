@@ -37,7 +37,7 @@ constexpr std::uint64_t kResetPeriods = 3;
 // program comes back to its load, interrupts included.
 constexpr BoardTime kLongestWait = 500 * kOneMs;
 constexpr BoardTime kWatchEvery = 10 * kOneMs;
-constexpr int kMostSteps = 10000;
+constexpr int kMaxSteps = 10000;
 
 }  // namespace
 
@@ -157,7 +157,7 @@ void Chip::check_waits() {
   // On to the load, through the handlers that come in between.
   for (int i = 0; cpu.nesting() != level || cpu.pc() != loop.pc; ++i) {
     const bool inside = cpu.nesting() > level || WaitLoops::stands_in(cpu, loop);
-    if (i == kMostSteps || !inside || cpu.held() || cpu.sleeping() || cpu.halt() != Halt::kNone)
+    if (i == kMaxSteps || !inside || cpu.held() || cpu.sleeping() || cpu.halt() != Halt::kNone)
       return;
     step();
   }

@@ -11,7 +11,7 @@ namespace heli_due {
 
 namespace {
 
-constexpr int kMostInstructions = 256;
+constexpr int kMaxInstructions = 256;
 
 }  // namespace
 
@@ -21,7 +21,7 @@ constexpr int kMostInstructions = 256;
 bool Cpu::follow(std::uint32_t polled, std::set<std::uint32_t>& loop, bool record) {
   bus_.rehearse(polled);
   try {
-    for (int i = 0; i < kMostInstructions; ++i) {
+    for (int i = 0; i < kMaxInstructions; ++i) {
       if (record) {
         loop.insert(pc());
       } else if (loop.count(pc()) == 0) {

@@ -17,7 +17,7 @@ from heli_lab.campaign.worker_process import Limits
 from heli_lab.campaign.works import DEFAULTS, WORKS, WORST
 from heli_lab.errors import CampaignError
 
-MOST_CASES: Final = 200_000
+MAX_CASES: Final = 200_000
 """More than a store of one file a case should hold; a slip of the pen makes millions."""
 _OWN_WORK: Final = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
 _TOP: Final = ("title", "work", "cases", "draw", "limits", "worst")
@@ -68,8 +68,8 @@ def _campaign(path: Path, table: Mapping[str, Any]) -> Campaign:
     count = 1
     for each in values.values():
         count *= len(each)
-    if count > MOST_CASES:
-        raise CampaignError(f"these lists make {count} cases, more than {MOST_CASES}", "shorten one")
+    if count > MAX_CASES:
+        raise CampaignError(f"these lists make {count} cases, more than {MAX_CASES}", "shorten one")
     draw = _draw(table.get("draw", {}))
     fixed = {**(DEFAULTS if work in WORKS else {}), **({"draw": draw} if draw else {})}
     varied = [name for name, each in values.items() if len(each) > 1]
@@ -97,8 +97,8 @@ def _values(name: str, given: Any, folder: Path) -> list[Any]:
         first, last = given.get("from"), given.get("to")
         if len(given) != 2 or type(first) is not int or type(last) is not int or last < first:
             raise CampaignError(f"[cases] {name} is no range", f"write {name} = {{ from = 1, to = 50 }}")
-        if last - first >= MOST_CASES:
-            raise CampaignError(f"[cases] {name} has {last - first + 1} values", f"at most {MOST_CASES}")
+        if last - first >= MAX_CASES:
+            raise CampaignError(f"[cases] {name} has {last - first + 1} values", f"at most {MAX_CASES}")
         return list(range(first, last + 1))
     several = given if isinstance(given, list) else [given]
     if name in _LISTS and not all(isinstance(entry, list) for entry in several):

@@ -17,7 +17,7 @@ from heli_lab.campaign.summary import Column, Row, Summary
 from heli_lab.page import write_page
 from heli_lab.page.drawing import Drawing
 
-_MOST_DRAWN: Final = 12
+_MAX_DRAWN: Final = 12
 """Histograms of one picture; the table above it has all columns."""
 _IN_A_ROW: Final = 3
 _TEMPLATE: Final = Path(__file__).with_name("summary.html")
@@ -25,7 +25,7 @@ _TEMPLATE: Final = Path(__file__).with_name("summary.html")
 
 def write_summary(campaign: Campaign, summary: Summary, folder: Path) -> Path:
     """Write index.html and its picture into the `folder` of the results; return the page."""
-    drawn = [column for column in summary.columns if len(np.unique(column.values)) > 1][:_MOST_DRAWN]
+    drawn = [column for column in summary.columns if len(np.unique(column.values)) > 1][:_MAX_DRAWN]
     picture = ""
     if drawn:
         picture = str(Drawing().add(figure_of_drawn(drawn, campaign.worst), folder / "distributions.png"))

@@ -57,7 +57,7 @@ class Store:
             self.token = mark.read_text()
         except OSError as error:
             raise CampaignError(
-                f"results cannot be kept in {folder}: {error.strerror}", "give another --out"
+                f"results cannot be kept in {folder}: {error.strerror}", "give another --output"
             ) from None
 
     @contextmanager
@@ -75,7 +75,7 @@ class Store:
                 lock.execute("BEGIN EXCLUSIVE")
             except sqlite3.Error:
                 raise CampaignError(
-                    f"another campaign is writing to {self.folder}", "wait for it, or give another --out"
+                    f"another campaign is writing to {self.folder}", "wait for it, or give another --output"
                 ) from None
             yield
 

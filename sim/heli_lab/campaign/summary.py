@@ -21,7 +21,7 @@ OUTCOME: Final = "outcome"
 COMPLETED: Final = "completed"
 _FAULTS: Final = frozenset(fault.name.lower() for fault in Fault if fault)
 _WORST: Final = 10
-_MOST_GROUPS: Final = 24
+_MAX_GROUPS: Final = 24
 """Values of a setting beyond which it groups nothing: a seed has as many as there are cases."""
 _QUANTILES: Final = (0.05, 0.5, 0.95)
 Row = Mapping[str, Any]
@@ -108,7 +108,7 @@ def summarise(campaign: Campaign, rows: Sequence[Row]) -> Summary:
         by_value: dict[str, list[Row]] = {}
         for row in good:
             by_value.setdefault(str(row.get(name, "")) or "nothing", []).append(row)
-        if 1 < len(by_value) <= _MOST_GROUPS and len(by_value) < len(good):
+        if 1 < len(by_value) <= _MAX_GROUPS and len(by_value) < len(good):
             groups[name] = {value: tuple(some) for value, some in by_value.items()}
     by = campaign.worst.removeprefix("-")
     sign = -1.0 if campaign.worst.startswith("-") else 1.0

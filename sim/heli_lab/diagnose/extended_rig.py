@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from heli_sim.model.effects import EffectKind, effect_numbers
+from heli_sim.model.effects import EffectSpec, effect_numbers
 from heli_sim.rig import Number, Rig
 
 from heli_lab.diagnose.discover import ProposedTerm
@@ -16,7 +16,7 @@ from heli_lab.identify.result import Identification
 def extended_rig(
     name: str,
     fit: Fit,
-    kinds: Mapping[str, EffectKind],
+    kinds: Mapping[str, EffectSpec],
     causes: Mapping[str, Mapping[str, CauseParameter]],
     term: ProposedTerm | None,
 ) -> Rig:

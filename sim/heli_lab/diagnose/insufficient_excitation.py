@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from heli_sim.model.base import Model
-from heli_sim.model.effects import EffectKind
+from heli_sim.model.effects import EffectSpec
 from heli_sim.rig import Rig
 
 from heli_lab.diagnose.experiment import ExperimentDesign, compose_experiment
@@ -45,7 +45,7 @@ class InsufficientExcitation:
 
 
 def insufficient_excitation(
-    why: str, model: Model, rig: Rig, kinds: Mapping[str, EffectKind]
+    why: str, model: Model, rig: Rig, kinds: Mapping[str, EffectSpec]
 ) -> InsufficientExcitation:
     """Make the result for flights without excitation.
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from heli_sim.model.effects import EffectKind
+from heli_sim.model.effects import EffectSpec
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
@@ -92,7 +92,7 @@ class Diagnosis:
     search: Search
     assessment: Assessment
     held_out: HeldOutEvaluation
-    kinds: Mapping[str, EffectKind]
+    kinds: Mapping[str, EffectSpec]
     undetectable: tuple[str, ...]
     unidentifiable: tuple[str, ...]
     skipped: tuple[str, ...]

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from heli_host.flight import Flight
 from heli_sim.model.base import Model
-from heli_sim.model.effects import EffectKind, catalogue
+from heli_sim.model.effects import EffectSpec, catalogue
 from heli_sim.rig import Rig
 
 from heli_lab.diagnose.discover import discover, proposed_term
@@ -41,7 +41,7 @@ def diagnose(
     flights: Iterable[Flight | Record],
     validation: Iterable[Flight | Record] = (),
     *,
-    kinds: Mapping[str, EffectKind] | None = None,
+    kinds: Mapping[str, EffectSpec] | None = None,
     labels: Sequence[str] | None = None,
     start_s: float | None = None,
     stop_s: float | None = None,
@@ -63,7 +63,7 @@ def diagnose(
     flights, validation : iterable of Flight or Record
         Flights to fit, and held-out flights for the evaluation. Flights are read one by one, and only the
         prepared record of each is kept.
-    kinds : Mapping[str, EffectKind], optional
+    kinds : Mapping[str, EffectSpec], optional
         Catalogue by effect id; the package's own by default.
     labels : sequence of str, optional
         Names of the flights, fitted flights first. Flights without a name are numbered.
@@ -151,8 +151,8 @@ def diagnose(
 
 def _search_and_assess(
     comparison: ModelComparison,
-    tried: Mapping[str, EffectKind],
-    every: Mapping[str, EffectKind],
+    tried: Mapping[str, EffectSpec],
+    every: Mapping[str, EffectSpec],
     say: Callable[[str, float], None],
     refits: float,
 ) -> tuple[Search, Assessment]:
@@ -160,7 +160,7 @@ def _search_and_assess(
     unexplained.
     """
 
-    def attempt(removable: Iterable[EffectKind]) -> tuple[Search, Assessment]:
+    def attempt(removable: Iterable[EffectSpec]) -> tuple[Search, Assessment]:
         result = search(comparison, tried, removable=tuple(removable), say=say, refits=refits)
         say("analysing what remains", 0.9)
         return result, assess(comparison, result, every)
@@ -179,7 +179,7 @@ def _propose(
     result: Search,
     assessment: Assessment,
     evaluation: HeldOutEvaluation,
-    tried: Mapping[str, EffectKind],
+    tried: Mapping[str, EffectSpec],
     calibrate_s: float | None,
     refits: float,
     say: Callable[[str, float], None],
@@ -200,7 +200,7 @@ def _propose(
     return Proposal(proposed_term(discovery), reduced)
 
 
-def _is_candidate(kind: EffectKind, model: Model, known: set[str]) -> bool:
+def _is_candidate(kind: EffectSpec, model: Model, known: set[str]) -> bool:
     """Whether the search tries an effect. The fit itself shows the absence of a term with a free
     parameter.
     """

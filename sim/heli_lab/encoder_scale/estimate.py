@@ -30,7 +30,7 @@ from heli_lab.estimation import Trajectory
 from heli_lab.identify.flight_model import TORQUE_STD_Nm, model_functions
 from heli_lab.identify.free import free_parameters
 
-LEAST_s: Final = 5.0
+MIN_s: Final = 5.0
 """Flight that is enough to say something, s: some periods of the slowest test function."""
 CLEAR_deg: Final = 8.0
 """Height above the table, deg, from which on neither it nor the air over it pushes. Lower: the table passes
@@ -44,9 +44,9 @@ _ROUNDS: Final = 40
 _NOISE_ROUNDS: Final = 3
 _FIRST_rad_s2: Final = 0.03
 """Standard deviation of a residual to begin with, rad/s2: that of strong gusts."""
-_LEAST_rad_s2: Final = 1e-3
+_MIN_rad_s2: Final = 1e-3
 """Least standard deviation of a residual, rad/s2: what smoothing and rounding leave without disturbances."""
-_MOST_ALIKE: Final = 0.9
+_MAX_ALIKE: Final = 0.9
 """Largest correlation of neighbouring residuals that is believed: beyond it an equation term is missing."""
 _FEEDBACK: Final = 2.0
 """How far a scale may be wrong because the control law answers disturbances, see `_noise`, in shares of their
@@ -54,9 +54,9 @@ power. On 24 rigs in strong disturbances the estimates of sines were up to three
 false warnings. Larger: half the counts unseen."""
 _SMALL: Final = 0.01
 """Gain in cost at which a search ends: a tenth of a standard error of an unknown."""
-_LEAST_DAMPING: Final = 1e-6
+_MIN_DAMPING: Final = 1e-6
 _SETTLED: Final = 1e-3
-_MOST_DAMPING: Final = 1e6
+_MAX_DAMPING: Final = 1e6
 """Least damping of a step, the largest with which a search may have ended, and that at which it gives up."""
 
 
@@ -205,7 +205,7 @@ def scales_of(flight: Flight, rig: Rig, model: Model) -> tuple[ScaleEstimate, ..
         For elevation, pitch and travel.
     """
     known = FlightInWeakForm(flight, rig, model)
-    if known.seconds < LEAST_s:
+    if known.seconds < MIN_s:
         return ()
     noise, joint = _noise(known)
     without = _fit(known, noise, (), known.mean)
@@ -245,8 +245,8 @@ def _noise(known: FlightInWeakForm) -> tuple[Floats, _Fit]:
         for axis, residual in enumerate(fit.residuals):
             variance = float(np.mean(residual**2))
             alike = float(np.mean(residual[1:] * residual[:-1])) / max(variance, 1e-30)
-            alike = min(max(alike, 0.0), _MOST_ALIKE)
-            noise[axis] = max(np.sqrt(variance * (1.0 + alike) / (1.0 - alike)), _LEAST_rad_s2)
+            alike = min(max(alike, 0.0), _MAX_ALIKE)
+            noise[axis] = max(np.sqrt(variance * (1.0 + alike) / (1.0 - alike)), _MIN_rad_s2)
     for axis, residual in enumerate(fit.residuals):
         pushed = known.shown(axis) - residual
         share = float(np.mean(residual**2)) / max(float(np.mean(pushed**2)), 1e-12)
@@ -262,7 +262,7 @@ def _fit(known: FlightInWeakForm, noise: Floats, axes: Sequence[int], start: Flo
     free = np.array([*axes, *range(3, len(known.mean))], int)
     weight = np.where(np.isfinite(known.std[free]), 1.0 / known.std[free], 0.0)
     unknowns = start.copy()
-    damping = _LEAST_DAMPING
+    damping = _MIN_DAMPING
 
     def at(point: Floats) -> tuple[float, list[Floats], Floats, Floats]:
         residuals, derivatives = known.residuals(point)
@@ -284,11 +284,11 @@ def _fit(known: FlightInWeakForm, noise: Floats, axes: Sequence[int], start: Flo
         new = at(after)
         if not new[0] <= cost:
             damping = max(10.0 * damping, 1e-3)
-            if damping > _MOST_DAMPING:
+            if damping > _MAX_DAMPING:
                 break
             continue
         gained = cost - new[0]
-        unknowns, damping = after, max(0.1 * damping, _LEAST_DAMPING)
+        unknowns, damping = after, max(0.1 * damping, _MIN_DAMPING)
         cost, residuals, information, gradient = new
         if gained < _SMALL and damping <= _SETTLED:
             break

@@ -14,18 +14,16 @@ from heli_sim.rig import load_rig
 
 from heli_lab.encoder_scale.estimate import ScaleEstimate, scales_of
 
-MOST_SIGMAS: Final = 3.0
+MAX_SIGMAS: Final = 3.0
 """Distance of a scale from 1, in standard errors, from which on it is a warning."""
-MOST_NATS: Final = 0.5 * MOST_SIGMAS**2
+MAX_NATS: Final = 0.5 * MAX_SIGMAS**2
 """The same as a log-likelihood ratio, so that a scale far from 1 whose standard error is small there counts
 only if 1 fits worse."""
 
 
 def wrong_scale(estimates: Sequence[ScaleEstimate]) -> ScaleEstimate | None:
     """The encoder whose scale explains a flight best, if it is significant; None if none is."""
-    clear = [
-        estimate for estimate in estimates if estimate.sigmas > MOST_SIGMAS and estimate.nats > MOST_NATS
-    ]
+    clear = [estimate for estimate in estimates if estimate.sigmas > MAX_SIGMAS and estimate.nats > MAX_NATS]
     return max(clear, key=lambda estimate: estimate.nats, default=None)
 
 

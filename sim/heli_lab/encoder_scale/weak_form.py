@@ -19,7 +19,7 @@ WIDTHS_s: Final = (3.0, 1.5, 3.0)
 """Length of the test functions of elevation, pitch and travel, s. Shorter: rounding of the encoders grows as
 its inverse square. Longer: the sines of a flight average out."""
 _OVERLAP: Final = 0.5
-_LEAST_LAG_s: Final = 1e-3
+_MIN_LAG_s: Final = 1e-3
 """Lag below which there is none, s."""
 _SMOOTH_s: Final = 0.1
 """Standard deviation of the bell over which rates are smoothed, s."""
@@ -56,7 +56,7 @@ class Part:
         """Voltages behind a lag of first order with the time constant `lag_s`, (n, 2), at rest before the
         part: their mean over each step.
         """
-        lag_s = max(lag_s, _LEAST_LAG_s)
+        lag_s = max(lag_s, _MIN_LAG_s)
         keep = math.exp(-self.step_s / lag_s)
         start = keep * self.volts_V[:1]
         after, _ = lfilter([1.0 - keep], [1.0, -keep], self.volts_V, axis=0, zi=start)

@@ -28,7 +28,7 @@ from heli_lab.estimation.reference_trajectory import ReferenceTrajectory
 
 _MAX_MOVES: Final = 15
 _HALVINGS: Final = 4
-_LEAST_GAIN: Final = 0.02
+_MIN_GAIN: Final = 0.02
 """Share of the promised gain that a step must bring, of Armijo's rule (Nocedal and Wright, section 3.1)."""
 _FIRST_TURNS: Final = 2
 _TURN_NATS: Final = 0.1
@@ -220,7 +220,7 @@ class _GaussNewton:
         for _ in range(_HALVINGS):
             theta = iterate.theta + share * iterate.move
             after = self.at(theta, iterate.disturbances, self.linearised(theta))
-            if after.value > iterate.value + _LEAST_GAIN * share * iterate.promised:
+            if after.value > iterate.value + _MIN_GAIN * share * iterate.promised:
                 return after
             after.filtered = None
             share *= 0.3

@@ -12,7 +12,7 @@ from heli_sim.model.parts import AXES
 
 from heli_lab.errors import NotExcited
 from heli_lab.identify.check import Trace
-from heli_lab.identify.thresholds import LEAST_MOTION, UNEXPLAINED
+from heli_lab.identify.thresholds import MIN_MOTION, UNEXPLAINED
 
 
 def unexplained_shares(seen: Trace) -> tuple[Floats, Floats]:
@@ -52,7 +52,7 @@ def refuse_unexplained(seen: Trace) -> None:
         When more than `UNEXPLAINED` is unexplained on each axis that moves.
     """
     shares, motion = unexplained_shares(seen)
-    moving = motion > LEAST_MOTION
+    moving = motion > MIN_MOTION
     if not moving.any():
         return
     best = int(np.argmin(np.where(moving, shares, np.inf)))
@@ -60,5 +60,5 @@ def refuse_unexplained(seen: Trace) -> None:
         raise NotExcited(
             f"{seen.label}: the voltages do not explain its motion: {shares[best]:.2f} is left of that of "
             f"{AXES[best]}, the best axis; a flight leaves {UNEXPLAINED:g} at most",
-            "check that angles and voltages are of one flight of this rig (or fit it --as-is)",
+            "check that angles and voltages are of one flight of this rig (or fit it --skip-sign-check)",
         )

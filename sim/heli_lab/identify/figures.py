@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MEASURED, _PREDICTED, _RESIDUAL = "#222222", "#d1495b", "#0b5fa5"
-_MOST_POINTS = 6000
+_MAX_POINTS = 6000
 _MUST_SEE_COUNTS = 1.0
 
 
@@ -109,4 +109,4 @@ def figure_of_correlations(identification: Identification) -> Figure:
 
 def _kept(trace: Trace) -> slice | Floats:
     """Rows to draw: no more than a page can show."""
-    return slice(None, None, max(1, len(trace.t_s) // _MOST_POINTS))
+    return slice(None, None, max(1, len(trace.t_s) // _MAX_POINTS))

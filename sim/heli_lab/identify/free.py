@@ -14,7 +14,7 @@ from heli_sim.rig.schema import UNSTATED
 from heli_lab.errors import IdentifyError
 from heli_lab.estimation.parameter_vector import FreeParameter
 from heli_lab.estimation.parameter_vector import Prior as AnyPrior
-from heli_lab.identify.thresholds import LEAST_OF_PRIOR
+from heli_lab.identify.thresholds import MIN_OF_PRIOR
 
 NOT_FREE: Final = frozenset({"g"})
 """Numbers with a tolerance that are never estimated: gravity is known better than any of the masses."""
@@ -138,5 +138,5 @@ def rig_prior(rig: Rig, name: str) -> Prior:
     be.
     """
     number = rig[name]
-    low = -np.inf if rig.may_be_negative(name) else LEAST_OF_PRIOR * abs(number.value)
+    low = -np.inf if rig.may_be_negative(name) else MIN_OF_PRIOR * abs(number.value)
     return Prior(number.value, 0.5 * number.tolerance, low)

@@ -308,7 +308,7 @@ class LevenbergMarquardt:
             gain = (point.cost - other.cost) / max(other.cost, 1e-300)
             # After a rejected step the damping comes down slowly, or every second step is rejected.
             self.damping *= 0.2 if growth == 2.0 else 0.5
-            self.damping = self.damping if self.damping > thresholds.LEAST_DAMPING else 0.0
+            self.damping = self.damping if self.damping > thresholds.MIN_DAMPING else 0.0
             growth, states_optimised, point = 2.0, False, other
             idle = idle + 1 if gain < (0.2 if self.fine else 1.0) * thresholds.IDLE_GAIN else 0
             if idle == 2 or (

@@ -148,7 +148,7 @@ def prepare(
     gap = np.zeros(len(t_s), bool)
     gap[gaps] = True
 
-    segments, cuts = _segments(reasons, gap, t_s, max(2, round(thresholds.LEAST_SEGMENT_S / step_s)))
+    segments, cuts = _segments(reasons, gap, t_s, max(2, round(thresholds.MIN_SEGMENT_S / step_s)))
     _refuse_jumps(flight, label, segments)
     record = Record(
         label, t_s, angles, volts, step_s, count_rad, segments, cuts, tuple(notes), tuple(map(int, gaps))
@@ -170,7 +170,7 @@ def _step_s(flight: Flight, label: str) -> float:
     step_s = float(steps_s.mean())
     stray = np.abs(np.cumsum(steps_s - step_s)) / step_s
     worst = int(np.argmax(stray))
-    if stray[worst] > thresholds.MOST_STRAY_STEPS:
+    if stray[worst] > thresholds.MAX_STRAY_STEPS:
         raise IdentifyError(
             f"{label}: t_s strays by {stray[worst]:.0f} steps of {step_s:.4g} s from even steps by data row "
             f"{worst + 2}",
@@ -265,7 +265,7 @@ def _near_table(flight: Flight, rig: Rig, step_s: float) -> npt.NDArray[np.bool_
     contact = (
         elevation_deg
         < table_deg
-        + min(rig["elevation_min"].tolerance, thresholds.MOST_UNSURE_DEG)
+        + min(rig["elevation_min"].tolerance, thresholds.MAX_UNSURE_DEG)
         + thresholds.TABLE_MARGIN_DEG
     )
     # An arm that leans far reaches the table with its lower rotor long before it stands on it.
@@ -328,7 +328,7 @@ def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> list[tuple[str, npt.N
         stop, degrees = rig[name], np.rad2deg(angles_rad[:, index])
         beyond = degrees if axis == "elevation" else np.abs(degrees)
         at_stop = (
-            beyond > stop.value - min(stop.tolerance, thresholds.MOST_UNSURE_DEG) - thresholds.STOP_MARGIN_DEG
+            beyond > stop.value - min(stop.tolerance, thresholds.MAX_UNSURE_DEG) - thresholds.STOP_MARGIN_DEG
         )
         if not at_stop.any():
             continue

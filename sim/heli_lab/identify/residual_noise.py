@@ -8,7 +8,7 @@ import numpy as np
 from heli_host.arrays import Floats
 
 from heli_lab.estimation.long_run_variance import autocovariance, newey_west_variance
-from heli_lab.identify.thresholds import GROSS, LEAST_SHARE, LEAST_VARIANCE, LONGEST_LAG_S, OUTLIER
+from heli_lab.identify.thresholds import GROSS, LONGEST_LAG_S, MIN_SHARE, MIN_VARIANCE, OUTLIER
 
 
 def long_run_variance(residual: Floats, windows: Sequence[slice], step_s: float) -> Floats:
@@ -53,7 +53,7 @@ def floor_axes(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floa
         Standard deviation of the quantisation of each axis.
     """
     wrong = np.maximum(0.0, 1.0 - 2.0 / np.maximum(mean_square, 1e-12))
-    least_rad2 = LEAST_SHARE * np.max(variance * wrong * sigma_rad**2, axis=-1, keepdims=True)
+    least_rad2 = MIN_SHARE * np.max(variance * wrong * sigma_rad**2, axis=-1, keepdims=True)
     result: Floats = np.maximum(variance, least_rad2 / sigma_rad**2)
     return result
 
@@ -72,7 +72,7 @@ def floored_mean_square(mean_square: Floats, sigma_rad: Floats) -> Floats:
     sigma_rad : ndarray (3,)
         Standard deviation of the quantisation of each axis.
     """
-    return floor_axes(np.maximum(mean_square, LEAST_VARIANCE), mean_square, sigma_rad)
+    return floor_axes(np.maximum(mean_square, MIN_VARIANCE), mean_square, sigma_rad)
 
 
 def window_weights(residual: Floats, windows: Sequence[slice], variance: Floats) -> Floats:

@@ -36,7 +36,7 @@ Found on measured flights, two of which strike the table with a leaning arm; 0 t
 flight."""
 STOP_MARGIN_DEG: Final = 1.0
 """Angle before a mechanical stop that counts as contact, deg. Set by judgement, as `TABLE_MARGIN_DEG`."""
-MOST_UNSURE_DEG: Final = 3.0
+MAX_UNSURE_DEG: Final = 3.0
 """Of a table's or a stop's tolerance no more than this counts, deg. Set when the Quanser rig's tolerances
 were widened to what two courses disagree by: more cuts free flight near the stops away, less keeps
 contacts."""
@@ -47,13 +47,13 @@ AROUND_STOP_S: Final = 0.3
 """Cut on either side of a contact with a stop, s. Set by judgement: several times the rotors' lag."""
 MIN_MOTION_COUNTS: Final = 10
 """Encoder counts an axis must span to have moved. Set by judgement: noise and drift give one or two."""
-LEAST_SEGMENT_S: Final = 1.0
+MIN_SEGMENT_S: Final = 1.0
 """Shortest stretch of free flight that is fitted, s. Set by judgement: a shorter one has more unknown
 initial states than it shows of the parameters."""
 JUMP_RAD: Final = 1.0
 """A move between two rows that no arm makes, rad: an angle that was not unwrapped jumps by 2 pi. Set by
 judgement; at 500 Hz it is 500 rad/s."""
-MOST_STRAY_STEPS: Final = 5.0
+MAX_STRAY_STEPS: Final = 5.0
 """Steps by which times may stray from an even clock. Five steps of 2 ms at the fastest travel are half a
 degree: far more than any other error. Below 1, times printed in whole milliseconds are refused."""
 
@@ -92,11 +92,11 @@ LONGEST_LAG_S: Final = 0.5
 """Bartlett window of the long-run (HAC) variance, s. Set by judgement, confirmed by coverage (94.9 % of
 estimates within two standard errors). Shorter, standard errors are too small where a model is wrong;
 longer, they scatter."""
-LEAST_SHARE: Final = 0.5
+MIN_SHARE: Final = 0.5
 """Of the largest unexplained variance of an axis, in rad^2, that every axis is given at least. At 0 pitch
 came out twice as far off on measured flights; 0.25 at first, raised when the tolerances of the Quanser
 rig were widened; at 1 all axes weigh alike."""
-LEAST_VARIANCE: Final = 0.05
+MIN_VARIANCE: Final = 0.05
 """Mean square over a block that quantisation alone leaves at least, in its variances; keeps an axis at
 rest from weighing all. Set by judgement: a constant angle would otherwise have a likelihood without
 bound."""
@@ -140,7 +140,7 @@ judgement: steps are then smaller than any digit printed."""
 STATE_DAMPING: Final = 0.01
 """Damping of the initial states, as a share of their own diagonal, for each unit of the parameters'. Set
 so that dry friction is found from a start without any: at 0 only the parameters take small steps."""
-LEAST_DAMPING: Final = 0.05
+MIN_DAMPING: Final = 0.05
 """Damping below which it is set to 0, and Gauss-Newton steps are whole. Set by judgement."""
 LEFT_BEHIND: Final = 1.1
 """A window whose cost grows by this factor in a step did not follow it, and its states are optimised
@@ -205,13 +205,13 @@ of 12 s, one parameter free) and 0.47 (a hover in the strongest disturbances of 
 noise, white to twice integrated, leave 0.67 and more. On other seeds hovers leave at most 0.41, and 80
 flights of noise 0.72 and more. Lower refuses hovers in disturbances; higher accepts slow noise. One of three
 hovers in five times as strong disturbances leaves 0.61."""
-LEAST_MOTION: Final = 1.7
+MIN_MOTION: Final = 1.7
 """Motion of an axis without its parabolas that is looked at, rms, in standard deviations of the quantisation:
 half a count. Quantisation alone has 1. Lower, an axis at rest decides by chance; higher, slow axes are left
 out."""
 NOTHING_LEFT: Final = 1.05
 """A normalised error up to here is quantisation alone. Coverage saw none above 1.01 on flights that no
 fit saw; the rest is room for encoders that are not quite even."""
-LEAST_OF_PRIOR: Final = 1e-3
+MIN_OF_PRIOR: Final = 1e-3
 """Lower bound of a number that cannot be negative, as a share of its value beforehand: a rig without a
 length or a gain cannot be. Set by judgement; an estimate on this bound is reported as such."""

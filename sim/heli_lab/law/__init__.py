@@ -18,7 +18,7 @@ from casadi import (
     tanh,
 )
 from heli_host.errors import BadLaw
-from heli_host.tape import Tape
+from heli_host.law_program import LawProgram
 
 from heli_lab.law.blocks import motor_volts, saturated
 from heli_lab.law.law import Command, Law, control_law
@@ -28,7 +28,7 @@ __all__ = [
     "BadLaw",
     "Command",
     "Law",
-    "Tape",
+    "LawProgram",
     "atan2",
     "control_law",
     "cos",

@@ -1,4 +1,4 @@
-"""From a function of symbols to a tape: values, then sums of products, then cells.
+"""From a function of symbols to a program: values, then sums of products, then cells.
 
 Every value gets a cell, which is used again once nobody reads it any more.
 """
@@ -10,7 +10,7 @@ from typing import Final, Protocol
 import casadi as ca
 from heli_host.declaration import LAW_CELLS, LAW_INPUTS
 from heli_host.errors import BadLaw
-from heli_host.tape import Instruction, Tape, Term, divisor_of
+from heli_host.law_program import Instruction, LawProgram, Term, divisor_of
 
 from heli_lab.law.program import CODE, Program, Value
 from heli_lab.law.sums import SUM, with_sums
@@ -19,7 +19,7 @@ _FIRST_NEW_STATE: Final = 5
 
 
 class Source(Protocol):
-    """What a tape is made from; `heli_lab.law.Law` is one and says what each is."""
+    """What a program is made from; `heli_lab.law.Law` is one and says what each is."""
 
     @property
     def name(self) -> str:
@@ -52,8 +52,8 @@ class Source(Protocol):
         ...
 
 
-def compile_tape(law: Source) -> Tape:
-    """Make the tape of a law.
+def compile_program(law: Source) -> LawProgram:
+    """Make the program of a law.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def compile_tape(law: Source) -> Tape:
     _with_copies(law, program, outputs)
     program, outputs = _without_dead_ends(program, outputs)
     instructions, cells = _allot(law, program, outputs)
-    return Tape(
+    return LawProgram(
         law.name,
         divisor_of(law.rate_Hz),
         tuple(program.constants),

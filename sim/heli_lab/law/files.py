@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 from heli_host.errors import BadLaw, HeliError
+from heli_host.law_program import LawProgram
 from heli_host.laws import FILE_LIMIT_s
-from heli_host.tape import Tape
 
 from heli_lab.law.law import Law
 
@@ -137,8 +137,8 @@ def run_law(path: Path) -> Law:
     raise BadLaw(f"{path.name} has no LAW", _remedy(variable))
 
 
-def load_tape(path: Path) -> Tape:
-    """Make a tape of the ``LAW`` of a file; the entry point ``heli_host.laws``.
+def load_program(path: Path) -> LawProgram:
+    """Make a program of the ``LAW`` of a file; the entry point ``heli_host.laws``.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def load_tape(path: Path) -> Tape:
     BadLaw
         It is missing, fails, does not end, holds no law, or one that a board does not take.
     """
-    return load_law(path).tape
+    return load_law(path).program
 
 
 def _remedy(name: str) -> str:

@@ -17,14 +17,14 @@ import numpy.typing as npt
 from heli_host.arrays import Floats
 from heli_host.declaration import AXES, CHANNELS, LAW_INPUTS, LAW_SIGNALS
 from heli_host.errors import BadLaw
-from heli_host.tape import Tape, check_number, divisor_of
+from heli_host.law_program import LawProgram, check_number, divisor_of
 
-from heli_lab.law.compile import compile_tape
+from heli_lab.law.compile import compile_program
 from heli_lab.law.no_number import with_no_number
 from heli_lab.law.streamed import Streamed
 
 _TRUTH: Final = "truth value"
-MOST_STATES: Final = 255
+MAX_STATES: Final = 255
 # The longest that MATLAB takes.
 _LONGEST_NAME: Final = 63
 SETPOINTS: Final = tuple(f"{axis}_setpoint_rad" for axis in AXES)
@@ -102,9 +102,9 @@ class Law:
             ("states", self.states, "reduce the order"),
             ("parameters", self.parameters, "write as numbers what is not changed in flight"),
         ):
-            if len(values) > MOST_STATES:
+            if len(values) > MAX_STATES:
                 raise BadLaw(
-                    f"{len(values)} {kind} are too many for a board", f"give at most {MOST_STATES}: {remedy}"
+                    f"{len(values)} {kind} are too many for a board", f"give at most {MAX_STATES}: {remedy}"
                 )
             for name, value in values.items():
                 check_number(f"{kind[:-1]} {name}", value)
@@ -115,7 +115,7 @@ class Law:
         return 1.0 / self.rate_Hz
 
     @cached_property
-    def tape(self) -> Tape:
+    def program(self) -> LawProgram:
         """The law as the board takes it.
 
         Raises
@@ -123,7 +123,7 @@ class Law:
         BadLaw
             No board could run it; the message says why and what to do.
         """
-        return compile_tape(self)
+        return compile_program(self)
 
     @cached_property
     def evaluated(self) -> ca.Function:
@@ -230,7 +230,7 @@ def control_law(
     Raises
     ------
     BadLaw
-        The function does what no tape can, such as a Python ``if`` on a symbol.
+        The function does what no program can, such as a Python ``if`` on a symbol.
     """
     first, values = dict(states or {}), dict(parameters or {})
 

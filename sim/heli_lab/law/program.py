@@ -18,7 +18,7 @@ from heli_host.errors import BadLaw
 
 CODE: Final = {operation.name: operation.code for operation in OPERATIONS}
 BINARY: Final = frozenset(operation.code for operation in OPERATIONS if operation.operands == 2)
-_MOST_POWER: Final = 16
+_MAX_POWER: Final = 16
 
 _SAME: Final = {
     ca.OP_ADD: "add", ca.OP_SUB: "subtract", ca.OP_MUL: "multiply", ca.OP_DIV: "divide", ca.OP_NEG: "negate",
@@ -174,9 +174,9 @@ class Program:
         number = math.nan if known is None else known
         if number == 0.5:
             return self.do("square_root", a)
-        if number != round(number) or not 0 < abs(number) <= _MOST_POWER:
+        if number != round(number) or not 0 < abs(number) <= _MAX_POWER:
             raise BadLaw(
-                f"the law {self.name} raises to a power that is no whole number up to {_MOST_POWER}",
+                f"the law {self.name} raises to a power that is no whole number up to {_MAX_POWER}",
                 "use sqrt, exp or products",
             )
         power = a

@@ -10,7 +10,7 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from typing import Final
 
-from heli_host.declaration import LAW_MOST_TERMS, LAW_TERM_COST, OPERATIONS
+from heli_host.declaration import LAW_MAX_TERMS, LAW_TERM_COST, OPERATIONS
 
 from heli_lab.law.program import CODE, Program, Value
 
@@ -128,8 +128,8 @@ def _put(program: Program, parts: list[_Part]) -> int:
         one_by_one += _cost("negate")
     if len(parts) == 1 or one_by_one <= _cost(SUM) + LAW_TERM_COST * len(parts):
         return _one_by_one(program, parts)
-    while len(parts) > LAW_MOST_TERMS:
-        parts = [_Part(1.0, _put_sum(program, parts[:LAW_MOST_TERMS])), *parts[LAW_MOST_TERMS:]]
+    while len(parts) > LAW_MAX_TERMS:
+        parts = [_Part(1.0, _put_sum(program, parts[:LAW_MAX_TERMS])), *parts[LAW_MAX_TERMS:]]
     return _put_sum(program, parts)
 
 

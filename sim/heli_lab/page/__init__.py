@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from heli_host.files import RESULT_SCHEMA
+
 _HERE: Final = Path(__file__).parent
 
 
@@ -15,7 +17,7 @@ def folder_with(numbers: Mapping[str, Any], folder: str | Path) -> Path:
     """Create the `folder` of a report, write `numbers` into its result.json, and return the folder."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    write_json(folder / "result.json", numbers)
+    write_json(folder / "result.json", {"schema": RESULT_SCHEMA, **numbers})
     return folder
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from heli_host.flight import Flight
     from heli_sim.plant import Plant
 
-    from heli_lab.tune.step_metrics import StepMetrics
+    from heli_lab.tune.flight_metrics import FlightMetrics
 
 PLAN: Final = """
 title = "Take-off, a step of travel and back, sines"
@@ -51,13 +51,13 @@ class Trial:
         Short description of the simulated rig, such as ``lag 120 ms``.
     flight : Flight
         The flight in closed loop; time 0 is its beginning.
-    metrics : StepMetrics
+    metrics : FlightMetrics
         Overshoot, settling time and tracking errors.
     """
 
     label: str
     flight: Flight
-    metrics: StepMetrics
+    metrics: FlightMetrics
 
 
 def try_gains(
@@ -97,7 +97,7 @@ def try_gains(
     from heli_sim.sil.options import SilOptions
     from heli_sim.sil.world import SilWorld
 
-    from heli_lab.tune.step_metrics import Phases, step_metrics
+    from heli_lab.tune.flight_metrics import Phases, flight_metrics
 
     plan = Plan.parse(PLAN, "plan of the trial", "trial")
     length_s = plan.duration_s + plan.start.settle_s
@@ -123,5 +123,5 @@ def try_gains(
     step_s = start_s + route.duration_s - plan.duration_s
     phases = Phases(start_s, step_s, step_s + _STEP_S, step_s + 2 * _STEP_S, step_s + 2 * _STEP_S + _SINE_S)
     cut = flight.between(start_s, stop_s)
-    metrics = step_metrics(cut, lambda t_s: route.evaluate(t_s - start_s), phases, summary.outcome)
+    metrics = flight_metrics(cut, lambda t_s: route.evaluate(t_s - start_s), phases, summary.outcome)
     return Trial(label, replace(cut, t_s=cut.t_s - start_s), metrics)

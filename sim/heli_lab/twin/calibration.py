@@ -21,7 +21,7 @@ SEGMENT_s: Final = 5.0
 excursions to fit. Shorter: one is counted several times, and the alarms are fewer than stated."""
 _LEVEL: Final = 0.8
 """Share of the segments whose maxima lie below the level from which the tail is exponential."""
-_LEAST_SCALE_nats: Final = 1.0
+_MIN_SCALE_nats: Final = 1.0
 """Of a likelihood ratio's tail for white innovations: by Wilks it falls by a factor e a nat."""
 _AXES: Final = 3
 
@@ -101,7 +101,7 @@ def fit_tail(flights: Sequence[Sequence[tuple[float, float]]], taught_s: float =
         )
     level = float(np.quantile(maxima, _LEVEL))
     over = np.array([maximum - level for maximum in maxima if maximum > level])
-    scale = max(float(over.mean()), _LEAST_SCALE_nats)
+    scale = max(float(over.mean()), _MIN_SCALE_nats)
     hours = len(maxima) * SEGMENT_s / 3600.0
     wider = 1.0 + WINDOW_s / taught_s
     return Tail(level * wider, len(over) / hours, scale * wider, len(over))

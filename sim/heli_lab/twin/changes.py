@@ -8,7 +8,7 @@ from typing import Final
 
 from heli_sim.model.base import Effect, Model
 from heli_sim.model.effects import catalogue
-from heli_sim.model.effects.kind import format_estimate
+from heli_sim.model.effects.spec import format_estimate
 from heli_sim.model.parts import AXES
 
 SUPPLY: Final = "supply"

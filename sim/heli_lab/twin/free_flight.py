@@ -31,13 +31,13 @@ class FreeFlight:
     def __init__(self, rig: Rig, step_s: float) -> None:
         self._settle = round(SETTLE_s / step_s)
         self._clear = 0
-        unsure = min(rig["elevation_min"].tolerance, thresholds.MOST_UNSURE_DEG)
+        unsure = min(rig["elevation_min"].tolerance, thresholds.MAX_UNSURE_DEG)
         self._table_deg = rig["elevation_min"].value
         self._low_deg = self._table_deg + unsure + thresholds.TABLE_MARGIN_DEG
         self._share = (rig["L_h"].value + thresholds.ROTOR_m) / rig["L_a"].value
         stops = [rig[name] for name in ("elevation_max", "pitch_max", "travel_max")]
         self._most_deg = [
-            stop.value - min(stop.tolerance, thresholds.MOST_UNSURE_DEG) - thresholds.STOP_MARGIN_DEG
+            stop.value - min(stop.tolerance, thresholds.MAX_UNSURE_DEG) - thresholds.STOP_MARGIN_DEG
             for stop in stops
         ]
 

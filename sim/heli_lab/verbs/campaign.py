@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from heli_host.cli.say import say, say_files
+from heli_host.cli.options import JsonOption
+from heli_host.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.cli.verb import Verb
 
 if TYPE_CHECKING:
@@ -26,9 +27,15 @@ def campaign(
             show_default=False,
         ),
     ] = None,
-    out: Annotated[
+    output: Annotated[
         Path | None,
-        typer.Option("--out", metavar="DIR", help="Folder of the results.  [default: the file's name]"),
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="DIR",
+            help="Write the results into this folder.  [default: the file's name]",
+            show_default=False,
+        ),
     ] = None,
     workers: Annotated[
         int | None,
@@ -42,6 +49,7 @@ def campaign(
     retry: Annotated[
         bool, typer.Option("--retry", help="Repeat the cases that ended without a result.")
     ] = False,
+    json: JsonOption = None,
 ) -> None:
     """Run many flights, fits, diagnoses or gain checks, here or on a cluster.
 
@@ -50,7 +58,7 @@ def campaign(
     with the remaining cases. The exit code is 1 if a case has no result, otherwise 4 if a flight did not end
     as completed.
 
-    Example: `heli-host campaign study.toml --out study`, and on a cluster `--scheduler tcp://head:8786`
+    Example: `heli-host campaign study.toml -o study`, and on a cluster `--scheduler tcp://head:8786`
     """
     from heli_host.cli.outputs import check_result_places
     from heli_host.cli.progress_bar import WorkBar
@@ -66,8 +74,9 @@ def campaign(
     if scheduler is not None and workers is not None:
         raise typer.BadParameter("--workers applies to this machine only; remove it, or remove --scheduler")
     loaded = load_campaign(file)
-    folder = out or Path(file.stem)
-    check_result_places(report=folder)
+    folder = output or Path(file.stem)
+    check_result_places(json, report=folder)
+    data_on_stdout(json)
     store = Store(folder)
     ended = 0
     with WorkBar() as bar:
@@ -99,6 +108,7 @@ def campaign(
     summary = summarise(loaded, rows)
     page = write_summary(loaded, summary, folder)
     _print(summary, len(loaded.cases))
+    write_result(json, _numbers(summary, len(loaded.cases)))
     say_files([page, folder / TABLE])
     if summary.failed:
         raise typer.Exit(1)
@@ -109,6 +119,20 @@ def campaign(
 def _cores() -> int:
     """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _numbers(summary: Summary, cases: int) -> dict[str, Any]:
+    return {
+        "cases": cases,
+        "ended": summary.cases,
+        "failed": len(summary.failed),
+        "outcomes": dict(summary.outcomes),
+        "columns": {
+            column.name: {"median": column.median, "p05": column.low, "p95": column.high}
+            for column in summary.columns
+            if len(column.values)
+        },
+    }
 
 
 def _print(summary: Summary, cases: int) -> None:

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from heli_host.cli.say import data_on_stdout, say, say_files, write_numbers
+from heli_host.cli.options import JsonOption
+from heli_host.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.cli.simulated import DEFAULT_RIG
 from heli_host.cli.verb import Verb
 
@@ -24,19 +25,19 @@ def diagnose(
     validate: option.ValidateOption = None,
     rig: option.KnownRigOption = DEFAULT_RIG,
     model: option.EquationsOption = None,
-    effects: option.OwnEffectsOption = None,
+    effect_file: option.OwnEffectsOption = None,
     start_s: option.FromOption = None,
     stop_s: option.ToOption = None,
     allow_gaps: option.GapsOption = False,
-    as_is: option.AsIsOption = False,
+    skip_sign_check: option.SkipSignCheckOption = False,
     report: option.ReportOption = None,
-    json: option.NumbersOption = None,
-    out: option.FoundRigOption = None,
+    json: JsonOption = None,
+    save_rig: option.SaveRigOption = None,
     with_term: Annotated[
         bool,
         typer.Option(
-            "--with-law",
-            help="Also write a proposed equation term into the rig of --out.",
+            "--with-term",
+            help="Also write a proposed equation term into the rig of --save-rig.",
         ),
     ] = False,
     calibrate_s: Annotated[
@@ -78,7 +79,7 @@ def diagnose(
     `unexplained`: an equation term is searched for it, and proposed as an effect file in the folder of
     --report. The first seconds of each validation flight, --calibrate, give its zeros and torques.
 
-    Example: `heli-host diagnose a.mcap --validate b.mcap --rig makki2024 --report why --out extended.toml`
+    Example: `heli-host diagnose a.mcap --validate b.mcap --report why --save-rig extended.toml`
     """
     # The matrices are small, so that more BLAS threads only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -100,9 +101,9 @@ def diagnose(
     limit_malloc_arenas()
     others = validate or []
     data_on_stdout(json)
-    check_result_places(out, json, resume, report=report)
-    given = fit_inputs(flights, others, rig, model, effects or ())
-    kinds = catalogue(effects or ())
+    check_result_places(save_rig, json, resume, report=report)
+    given = fit_inputs(flights, others, rig, model, effect_file or ())
+    kinds = catalogue(effect_file or ())
     result: Diagnosis | InsufficientExcitation
     written: list[Path | None] = []
     use_process = report is not None and default_thread_count() > 1
@@ -110,7 +111,7 @@ def diagnose(
         bar.show("reading", 0.0)
         spans = parts(start_s or (), stop_s or (), len(flights), len(others))
         read = read_flights([*flights, *others], allow_gaps)
-        if not as_is:
+        if not skip_sign_check:
             bar.show("checking signs and zeros", 0.0)
             refuse_wrong_signs(read, given.labels, given.rig)
         # Flights are passed one by one and not kept: ten minutes at 1 kHz take 45 MB.
@@ -135,13 +136,13 @@ def diagnose(
             )
         except NotExcited as error:
             result = insufficient_excitation(str(error), given.model, given.rig, kinds)
-        if out is not None and not isinstance(result, InsufficientExcitation):
+        if save_rig is not None and not isinstance(result, InsufficientExcitation):
             write_rig(
-                result.rig(out.stem, with_term),
-                out,
+                result.rig(save_rig.stem, with_term),
+                save_rig,
                 f"Found by heli-host diagnose, model {given.model.name}. {summary(result)}",
             )
-            written.append(out)
+            written.append(save_rig)
         if report is not None:
             bar.show("drawing", 0.95)
             if isinstance(result, InsufficientExcitation):
@@ -149,10 +150,10 @@ def diagnose(
             else:
                 written.append(write_report(result, report, drawing))
         if not isinstance(result, InsufficientExcitation) and result.proposed_term is not None:
-            place = report or (out.parent if out is not None and with_term else None)
+            place = report or (save_rig.parent if save_rig is not None and with_term else None)
             if place is not None:
                 written.append(write_effect_file(result, place))
-        write_numbers(json, to_json(result))
+        write_result(json, to_json(result))
         written.append(json)
     _print(result)
     say_files(written)

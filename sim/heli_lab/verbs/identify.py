@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from heli_host.cli.say import data_on_stdout, say, say_files, write_numbers
+from heli_host.cli.options import JsonOption
+from heli_host.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.cli.simulated import DEFAULT_RIG
 from heli_host.cli.verb import Verb
 
@@ -24,7 +25,7 @@ def identify(
         list[str] | None,
         typer.Option("--effect", metavar="ID...", help="Effects to estimate too, such as rotor_lag."),
     ] = None,
-    effects: option.OwnEffectsOption = None,
+    effect_file: option.OwnEffectsOption = None,
     free: Annotated[
         list[str] | None,
         typer.Option(
@@ -45,17 +46,17 @@ def identify(
         typer.Option("--window-s", metavar="S", min=0.5, max=30.0, help="Length of the open-loop windows."),
     ] = 2.0,
     allow_gaps: option.GapsOption = False,
-    as_is: option.AsIsOption = False,
-    out: option.FoundRigOption = None,
+    skip_sign_check: option.SkipSignCheckOption = False,
+    save_rig: option.SaveRigOption = None,
     report: option.ReportOption = None,
-    json: option.NumbersOption = None,
+    json: JsonOption = None,
 ) -> None:
     """Estimate a rig's parameters from flights, with standard errors.
 
     Each window of a flight is simulated open loop from its voltages. The estimates minimise the squared
     errors, with the tolerances of the rig file as priors. --validate evaluates them on other flights.
 
-    Example: `heli-host identify a.mcap --validate b.mcap --rig makki2024 --out mine.toml --report mine`
+    Example: `heli-host identify a.mcap --validate b.mcap --save-rig mine.toml --report mine`
     """
     from heli_host.cli.outputs import check_result_places
     from heli_host.cli.progress_bar import WorkBar
@@ -69,14 +70,14 @@ def identify(
 
     others = validate or []
     data_on_stdout(json)
-    check_result_places(out, json, report=report)
-    given = fit_inputs(flights, others, rig, model, effects or (), effect or ())
+    check_result_places(save_rig, json, report=report)
+    given = fit_inputs(flights, others, rig, model, effect_file or (), effect or ())
     use_process = report is not None and default_thread_count() > 1
     with WorkBar() as bar, Drawing(use_process) as drawing:
         bar.show("reading", 0.0)
         spans = parts(start_s or (), stop_s or (), len(flights), len(others))
         read = read_flights([*flights, *others], allow_gaps)
-        if not as_is:
+        if not skip_sign_check:
             bar.show("checking signs and zeros", 0.0)
             refuse_wrong_signs(read, given.labels, given.rig)
         used = [
@@ -94,17 +95,17 @@ def identify(
             validation_labels=given.labels[len(flights) :],
             window_s=window_s,
             on_progress=lambda progress: bar.show(progress.stage, progress.done),
-            as_is=as_is,
+            as_is=skip_sign_check,
         )
         written: list[Path | None] = []
-        if out is not None:
-            new = identification.rig(out.stem)
-            write_rig(new, out, f"Found by heli-host identify. {verdict(identification)}")
-            written.append(out)
+        if save_rig is not None:
+            new = identification.rig(save_rig.stem)
+            write_rig(new, save_rig, f"Found by heli-host identify. {verdict(identification)}")
+            written.append(save_rig)
         if report is not None:
             bar.show("drawing", 0.9)
             written.append(write_report(identification, report, drawing))
-        write_numbers(json, identification.json())
+        write_result(json, identification.json())
         written.append(json)
     _print(identification)
     say(verdict(identification))

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from heli_host.cli.say import say, say_files
+from heli_host.cli.options import JsonOption
+from heli_host.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.cli.verb import Verb
 
 if TYPE_CHECKING:
@@ -28,8 +29,8 @@ def import_(
     guess: Annotated[
         bool, typer.Option("--guess", help="Propose the profile from names, ranges and physics.")
     ] = False,
-    out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for flights and profile.")
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Write flights and profile here.")
     ] = Path("imported"),
     rig: Annotated[
         str | None,
@@ -51,31 +52,33 @@ def import_(
             help="Merge all files into one flight, such as angles and voltages.",
         ),
     ] = False,
-    anyway: Annotated[
-        bool, typer.Option("--anyway", help="Write the flights even if the guess is unsure.")
+    force: Annotated[
+        bool, typer.Option("--force", help="Write the flights even if the guess is unsure.")
     ] = False,
+    json: JsonOption = None,
 ) -> None:
     """Convert logs of other programs into flights by a given or guessed profile.
 
     A guess that is sure writes the flights, the profile and a figure. If a guess is unsure, it lists the
     ambiguities and writes profile and figure only; correct the profile and give it with --profile.
 
-    Example: `heli-host import lab1.mat lab2.mat --guess --rig quanser-course --out flights/lab`
+    Example: `heli-host import lab1.mat lab2.mat --guess --rig quanser-course -o flights/lab`
     """
     from heli_host.tables import read_profile, read_table
     from heli_sim.rig import load_rig
 
     if (profile is None) == (not guess):
         raise typer.BadParameter("give one of --profile and --guess")
+    data_on_stdout(json)
     known = load_rig(rig) if rig is not None else None
     tables = [read_table(path) for path in files]
     if one_flight:
         from heli_lab.guess import merge_tables
 
         tables, files = [merge_tables(tables)], files[:1]
-    out.mkdir(parents=True, exist_ok=True)
+    output.mkdir(parents=True, exist_ok=True)
     if profile is not None:
-        _write_flights(tables, read_profile(profile), out)
+        write_result(json, {"flights": _write_flights(tables, read_profile(profile), output)})
         return
     guesses = _guesses(tables, known, rate)
     best = min(guesses, key=lambda candidate: len(candidate.ambiguities))
@@ -85,23 +88,30 @@ def import_(
         for ambiguity in candidate.ambiguities
     }
     ambiguities |= _differing(guesses, best, files)
-    written = _write_profile(best, list(ambiguities.values()), out)
+    written = _write_profile(best, list(ambiguities.values()), output)
     for path, file_guess, table in zip(files, guesses, tables, strict=True):
-        written.append(_draw(file_guess, table, out / f"{_stem(path)}.png"))
+        written.append(_draw(file_guess, table, output / f"{_stem(path)}.png"))
         say(f"{path.name}: {'sure' if file_guess.sure else 'unsure'}")
         for sentence in file_guess.evidence:
             say(f"  {sentence}")
     for sentence in ambiguities.values():
         say(sentence)
     say_files(written)
-    if ambiguities and not anyway:
+    content = {
+        "sure": not ambiguities,
+        "ambiguities": ambiguities,
+        "evidence": {str(path): guess.evidence for path, guess in zip(files, guesses, strict=True)},
+        "files": [str(path) for path in written],
+    }
+    if ambiguities and not force:
+        write_result(json, {**content, "flights": []})
         from heli_lab.errors import UnsureGuess
 
         raise UnsureGuess(
             f"unsure of {', '.join(ambiguities)}: no flight was written",
-            f"correct {out / 'profile.toml'} and import with --profile, or use it unchanged with --anyway",
+            f"correct {output / 'profile.toml'} and import with --profile, or use it unchanged with --force",
         )
-    _write_flights(tables, best.profile, out)
+    write_result(json, {**content, "flights": _write_flights(tables, best.profile, output)})
 
 
 def _guesses(tables: Sequence[Table], rig: Rig | None, rate_Hz: float | None) -> Sequence[Guess]:
@@ -146,11 +156,12 @@ def _draw(guess: Guess, table: Table, path: Path) -> Path:
     return draw(guess, max(flights_of(table, guess.profile), key=len), path)
 
 
-def _write_flights(tables: Sequence[Table], profile: Profile, out: Path) -> None:
+def _write_flights(tables: Sequence[Table], profile: Profile, out: Path) -> list[dict[str, Any]]:
     from heli_host.flight import check
     from heli_host.log.table import write_csv
     from heli_host.tables import flights_of
 
+    written: list[dict[str, Any]] = []
     for table in tables:
         flights = flights_of(table, profile)
         for number, flight in enumerate(flights, 1):
@@ -159,6 +170,8 @@ def _write_flights(tables: Sequence[Table], profile: Profile, out: Path) -> None
             target = out / (f"{stem}.csv" if len(flights) == 1 else f"{stem}-{number}.csv")
             write_csv(flight, target)
             say(f"{len(flight)} rows, {flight.duration_s:.1f} s at {1.0 / flight.step_s:.0f} Hz -> {target}")
+            written.append({"file": str(target), "rows": len(flight), "duration_s": flight.duration_s})
+    return written
 
 
 def _stem(path: Path) -> str:

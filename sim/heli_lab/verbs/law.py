@@ -3,37 +3,47 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from heli_host.cli.say import say, say_files, say_progress
-from heli_host.cli.simulated import (
-    DEFAULT_RIG,
-    MAX_SPEED,
-    BoardOption,
-    RigOption,
-    SeedOption,
-    sil_address,
-)
+from heli_host.cli import simulated
+from heli_host.cli.flight_command import DEFAULT_SEED, FlightOptions, FlownFlight, fly_plans
+from heli_host.cli.gains import GainsOption, ParamsFileOption
+from heli_host.cli.options import ClearFaultOption, FigureOption, JsonOption, LogOption, PortOption
+from heli_host.cli.say import QUIET, data_on_stdout, say, say_files, write_result
+from heli_host.cli.simulated import DEFAULT_RIG, MAX_SPEED, SeedOption
+from heli_host.cli.twin_options import OnAlarmOption, TwinOption
 from heli_host.cli.verb import Verb
 from heli_host.laws import FILE_LIMIT_s
 
 if TYPE_CHECKING:
     from heli_host.flight import Flight
+    from heli_host.fly.plan import Plan
     from heli_host.heli import Heli
 
     from heli_lab.law import Law
+    from heli_lab.law.trial import LawTrial
 
-app = typer.Typer(no_args_is_help=True, help="Check, fly, compare and export your own control law.")
+app = typer.Typer(
+    no_args_is_help=True,
+    help="Check, fly, compare and export your own control law.",
+    rich_markup_mode="markdown",
+)
 
 LawArgument = Annotated[
     Path, typer.Argument(metavar="LAW.py", help="Python file that defines LAW. Its code is executed.")
 ]
 LoadTimeoutOption = Annotated[
     float,
-    typer.Option("--load-timeout", metavar="SECONDS", min=0.1, help="Time limit for loading the law's file."),
+    typer.Option("--load-timeout", metavar="S", min=0.1, help="Stop loading the law after this time in s."),
+]
+DurationOption = Annotated[
+    float,
+    typer.Option("--duration", metavar="S", min=1.0, max=600.0, help="Fly each law for this time in s."),
 ]
 _MAX_POLES = 4
+_CHECK_s = 15.0
+"""Flight time with the law on each rig of `law check` [s]."""
 
 
 @app.command()
@@ -47,6 +57,7 @@ def check(
     ] = 3,
     seed: SeedOption = 1,
     load_timeout: LoadTimeoutOption = FILE_LIMIT_s,
+    json: JsonOption = None,
 ) -> None:
     """Report a law's cost and stability margins, and fly it in simulation.
 
@@ -58,12 +69,13 @@ def check(
 
     from heli_lab.law.files import load_law
 
+    data_on_stdout(json)
     loaded = load_law(law, load_timeout)
-    tape = loaded.tape
-    spread = f", over {tape.ticks} ticks" if tape.ticks > 1 else ""
+    program = loaded.program
+    spread = f", over {program.ticks} ticks" if program.ticks > 1 else ""
     say(
-        f"{loaded.name}: {loaded.rate_Hz:g} Hz, {len(tape.instructions)} operations, "
-        f"{len(loaded.states)} states, {len(tape.words)} words; at most {tape.cost} instructions "
+        f"{loaded.name}: {loaded.rate_Hz:g} Hz, {len(program.instructions)} operations, "
+        f"{len(loaded.states)} states, {len(program.words)} words; at most {program.cost} instructions "
         f"per call{spread} (limit per tick: {LAW_TICK_COST})"
     )
     # Imported here so that an invalid law is refused without this delay.
@@ -82,46 +94,112 @@ def check(
     ):
         say(f"{loop:13} gain margin {gain:.2f}, phase margin {phase_deg:.0f} deg")
     random = np.random.default_rng(seed)
+    trials: list[dict[str, Any]] = []
     for number in range(rigs):
         thrust, lag_s = float(random.uniform(-0.1, 0.1)), float(random.uniform(0.0, 0.1))
-        thrust_effects = ";".join(f"thrust_step.{motor}={thrust:.3f}@0.001" for motor in ("front", "back"))
-        address = f"sil://?rig={rig}&seed={seed + number}&effect=rotor_lag={lag_s:.3f};{thrust_effects}"
+        thrust_effects = [f"thrust_step.{motor}={thrust:.3f}@0.001" for motor in ("front", "back")]
         description = f"thrust {100 * thrust:+.0f} %, lag {1e3 * lag_s:.0f} ms"
-        say(f"rig {number + 1} ({description}): {_fly_trial(loaded, address, 15.0)}")
+        options = FlightOptions(
+            sil=True,
+            rig=rig,
+            seed=seed + number,
+            speed=MAX_SPEED,
+            effect=(f"rotor_lag={lag_s:.3f}", *thrust_effects),
+        )
+        trial = _fly_trial(loaded, options, _CHECK_s)
+        say(f"rig {number + 1} ({description}): {trial}")
+        trials.append({"thrust": 1.0 + thrust, "lag_s": lag_s, **trial.as_dict()})
+    write_result(
+        json,
+        {
+            "law": loaded.name,
+            "rate_Hz": loaded.rate_Hz,
+            "operations": len(program.instructions),
+            "cost": program.cost,
+            "stable": linear.stable,
+            "poles": [[pole.real, pole.imag] for pole in linear.poles],
+            "gain_margin": list(linear.gain_up),
+            "phase_margin_deg": list(linear.phase_deg),
+            "trials": trials,
+        },
+    )
 
 
 @app.command()
 def fly(
     law: LawArgument,
-    port: Annotated[str, typer.Option("--port", help="Serial port, or another address of a board.")] = "",
-    board: BoardOption = None,
-    rig: RigOption = None,
-    seconds: Annotated[
-        float, typer.Option("--seconds", min=1.0, max=600.0, help="Flight time with the law [s].")
-    ] = 20.0,
-    log: Annotated[Path | None, typer.Option("--log", metavar="FILE", help="Log to write, .mcap.")] = None,
     plan: Annotated[
-        str,
+        str | None,
         typer.Option(
-            "--plan", metavar="NAME|FILE", help="Plan to fly instead of the default path, such as sine."
+            "--plan",
+            metavar="NAME|FILE",
+            help="Fly this plan, such as sine.  [default: a travel step, then sines]",
+            show_default=False,
         ),
-    ] = "",
-    seed: SeedOption = 1,
+    ] = None,
+    duration_s: DurationOption = 20.0,
+    port: PortOption = None,
+    sil: simulated.SilOption = False,
+    board: simulated.BoardOption = None,
+    elf: simulated.ElfOption = None,
+    rig: simulated.RigOption = None,
+    model: simulated.ModelOption = None,
+    effect: simulated.EffectOption = None,
+    effect_file: simulated.EffectFilesOption = None,
+    speed: simulated.SpeedOption = "1",
+    seed: simulated.FlightSeedOption = None,
+    blind: simulated.BlindOption = False,
+    clear_fault: ClearFaultOption = False,
+    gains: GainsOption = None,
+    params: ParamsFileOption = None,
+    twin: TwinOption = None,
+    on_alarm: OnAlarmOption = None,
+    log: LogOption = None,
+    json: JsonOption = None,
+    figure: FigureOption = None,
     load_timeout: LoadTimeoutOption = FILE_LIMIT_s,
 ) -> None:
-    """Fly a law on the board along a travel step and sines.
+    """Fly a control law on the board, along a travel step and sines.
 
-    Without --port the flight is simulated.
+    The board takes off and lands with its own control law. If the flight fails, that law takes over. The
+    options are those of `heli-host fly`. --duration applies without --plan.
 
-    Example: `heli-host law fly lqi.py --board due --log lqi.mcap`
+    Example: `heli-host law fly lqi.py --sil --board due --log lqi.mcap`
     """
-    from heli_lab.law.files import load_law
+    from heli_host.cli.board import check_target
+    from heli_host.fly.plan import load_plan
 
-    address = port or sil_address(board=board, rig=rig, seed=seed, speed=MAX_SPEED)
-    loaded = load_law(law, load_timeout)
-    say(
-        _fly_plan(loaded, address, plan, log, rig) if plan else _fly_trial(loaded, address, seconds, log, rig)
+    from heli_lab.law.files import load_law
+    from heli_lab.law.trial import trial_plan
+
+    options = FlightOptions(
+        port=port,
+        sil=sil,
+        board=board,
+        elf=elf,
+        rig=rig,
+        model=model,
+        effect=effect,
+        effect_file=effect_file,
+        speed=speed,
+        seed=seed,
+        blind=blind,
+        clear_fault=clear_fault,
+        gains=gains,
+        params=params,
+        twin=twin,
+        on_alarm=on_alarm,
+        log=log,
+        json=json,
+        figure=figure,
     )
+    check_target(port, sil)
+    flown_plan = load_plan(plan) if plan is not None else trial_plan(duration_s)
+    loaded = load_law(law, load_timeout)
+    flown, trial = _fly(loaded, options, flown_plan, plan or "")
+    flown.report()
+    say(f"law {loaded.name}: {trial}")
+    write_result(json, {**flown.summary.as_dict(), "law": loaded.name, "trial": trial.as_dict()})
 
 
 @app.command()
@@ -136,71 +214,109 @@ def compare(
             metavar="[B]", help="Another law or log.  [default: the board's control law]", show_default=False
         ),
     ] = None,
-    board: BoardOption = None,
-    rig: RigOption = None,
-    seconds: Annotated[
-        float, typer.Option("--seconds", min=1.0, max=600.0, help="Flight time of each law [s].")
-    ] = 30.0,
-    seed: SeedOption = 1,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.png", help="Figure of both flights.")] = Path(
-        "compare.png"
-    ),
+    duration_s: DurationOption = 30.0,
+    port: PortOption = None,
+    sil: simulated.SilOption = False,
+    board: simulated.BoardOption = None,
+    elf: simulated.ElfOption = None,
+    rig: simulated.RigOption = None,
+    model: simulated.ModelOption = None,
+    effect: simulated.EffectOption = None,
+    effect_file: simulated.EffectFilesOption = None,
+    speed: simulated.SpeedOption = "1",
+    seed: SeedOption = DEFAULT_SEED,
+    clear_fault: ClearFaultOption = False,
+    gains: GainsOption = None,
+    params: ParamsFileOption = None,
+    json: JsonOption = None,
+    figure: Annotated[
+        Path, typer.Option("--figure", metavar="FILE", help="Draw both flights: .png, .pdf or .svg.")
+    ] = Path("compare.png"),
     load_timeout: LoadTimeoutOption = FILE_LIMIT_s,
 ) -> None:
-    """Compare two flight logs, or two laws along the same path in simulation.
+    """Compare two flight logs, or two control laws along the same path.
 
-    Prints the metrics of `heli-host plot`, and writes a figure.
+    Prints the metrics of `heli-host plot`, and writes a figure. Laws need --sil or --port, logs do not.
 
-    Example: `heli-host law compare lqi.mcap lqr.mcap --out both.png`
+    Example: `heli-host law compare lqi.mcap lqr.mcap --figure both.png`
     """
+    from heli_host.cli.board import check_target
+    from heli_host.cli.outputs import check_result_places
     from heli_host.log.comparison import comparison_lines, comparison_numbers, write_comparison
 
-    address = sil_address(board=board, rig=rig, seed=seed, speed=MAX_SPEED)
+    check_result_places(json, figure=figure)
+    if law.suffix == ".py":
+        check_target(port, sil)
+    data_on_stdout(json)
+    options = FlightOptions(
+        port=port,
+        sil=sil,
+        board=board,
+        elf=elf,
+        rig=rig,
+        model=model,
+        effect=effect,
+        effect_file=effect_file,
+        speed=speed,
+        seed=seed,
+        clear_fault=clear_fault,
+        gains=gains,
+        params=params,
+    )
     flights = (
         _read_logs(law, other)
         if law.suffix != ".py"
-        else _fly_both(law, other, address, seconds, load_timeout)
+        else _fly_both(law, other, options, duration_s, load_timeout)
     )
-    say(*comparison_lines(comparison_numbers(flights)))
-    write_comparison(flights, out)
-    say_files((out,))
+    numbers = comparison_numbers(flights)
+    write_comparison(flights, figure)
+    if not write_result(json, {"flights": numbers, "figure": str(figure)}):
+        say(*comparison_lines(numbers))
+    say_files((figure,))
 
 
 @app.command()
 def export(
     law: LawArgument,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.c", help="File to write.")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.c", help="Write this file.")],
     load_timeout: LoadTimeoutOption = FILE_LIMIT_s,
 ) -> None:
-    """Export a law as a C file in single precision.
+    """Export a control law as a C file in single precision.
 
-    Example: `heli-host law export lqi.py --out lqi.c`
+    The file needs no library.
+
+    Example: `heli-host law export lqi.py -o lqi.c`
     """
     from heli_lab.law.export_c import c_source
     from heli_lab.law.files import load_law
 
-    out.write_text(c_source(load_law(law, load_timeout)), encoding="utf-8")
-    say_files((out,))
+    output.write_text(c_source(load_law(law, load_timeout)), encoding="utf-8")
+    say_files((output,))
 
 
-def _fly_plan(law: Law, address: str, plan: str, log: Path | None, rig: str | None) -> str:
-    import heli_host
-    from heli_host.cli.board import check_board_rig
-    from heli_host.errors import FlightAborted
-    from heli_host.fly.runner import fly as fly_plan
-    from heli_host.guest_law import engage
+def _fly(law: Law | None, options: FlightOptions, plan: Plan, typed: str) -> tuple[FlownFlight, LawTrial]:
+    """Fly a plan with a law, or with the board's own for None."""
+    from heli_host.guest_law import engage, takeover_text
 
-    tape = law.tape
-    with heli_host.connect(address) as heli:
-        _say_note(heli)
-        check_board_rig(heli, rig)
-        summary = fly_plan(heli, plan, log_path=log, on_taken_off=lambda: engage(heli, tape))
-    if not summary.completed:
-        raise FlightAborted(summary.outcome.removeprefix("aborted: "))
-    rms = ", ".join(
-        f"{axis} {error:.2f}" for axis, error in summary.rms_error_deg.items() if error is not None
+    from heli_lab.law.trial import LawTrial
+
+    reasons: list[str] = []
+
+    def note_takeovers(heli: Heli) -> None:
+        reasons.extend(text[0] for event in heli.session.events if (text := takeover_text(event)))
+
+    program = law.program if law is not None else None
+    flown = fly_plans(
+        options,
+        [plan],
+        plan_names=[typed],
+        on_taken_off=(lambda heli: engage(heli, program)) if program is not None else None,
+        on_flown=note_takeovers,
     )
-    return f"{law.name} flew {plan}: RMS error {rms} deg"
+    if not flown.summary.completed:
+        flown.report()
+        flown.end()
+    return flown, LawTrial.of_log(flown.log, ", ".join(reasons))
 
 
 def _read_logs(first: Path, second: Path | None) -> dict[str, Flight]:
@@ -216,41 +332,35 @@ def _read_logs(first: Path, second: Path | None) -> dict[str, Flight]:
 
 
 def _fly_both(
-    first: Path, second: Path | None, address: str, seconds: float, limit_s: float
+    first: Path, second: Path | None, options: FlightOptions, duration_s: float, limit_s: float
 ) -> dict[str, Flight]:
     from heli_lab.law.files import load_law
-    from heli_lab.law.trial import try_law
 
     flights = {}
     laws = [load_law(path, limit_s) if path is not None else None for path in (first, second)]
     for path, law in zip((first, second), laws, strict=True):
-        trial = try_law(law, address, seconds)
+        trial = _fly_trial(law, options, duration_s)
         name = law.name if law is not None else "the board's own"
         flights[name if name not in flights else str(path)] = trial.flight
-        if trial.report is not None and trial.report.taken_over:
-            say(str(trial.report))
+        if trial.taken_over:
+            say(f"law {name}: the board's control law took over: {trial.taken_over}")
     return flights
 
 
-def _fly_trial(
-    law: Law | None, address: str, seconds: float, log: Path | None = None, rig: str | None = None
-) -> str:
-    from heli_host.cli.board import check_board_rig
+def _fly_trial(law: Law | None, options: FlightOptions, duration_s: float) -> LawTrial:
+    """Fly a trial of a law and keep no file of it."""
+    import tempfile
+    from dataclasses import replace
 
-    from heli_lab.law.trial import try_law
+    from heli_lab.law.trial import trial_plan
 
-    def check(heli: Heli) -> None:
-        _say_note(heli)
-        check_board_rig(heli, rig)
-
-    return str(try_law(law, address, seconds, log, check))
-
-
-def _say_note(heli: Heli) -> None:
-    from heli_host.link.transport import transport_note
-
-    if note := transport_note(heli.session.transport):
-        say_progress(note)
+    before = QUIET.set(True)
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            kept = replace(options, log=Path(folder) / "trial.mcap")
+            return _fly(law, kept, trial_plan(duration_s), "")[1]
+    finally:
+        QUIET.reset(before)
 
 
 VERB = Verb(app, "Laboratory")

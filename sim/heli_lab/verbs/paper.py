@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from heli_host.cli.say import say, say_files
+from heli_host.cli.options import JsonOption
+from heli_host.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.cli.simulated import DEFAULT_RIG, SeedOption
 from heli_host.cli.verb import Verb
 
@@ -26,7 +27,6 @@ app = typer.Typer(
 
 RigName = Annotated[str, typer.Option("--rig", metavar="NAME|FILE", help="Simulated rig.")]
 ModelName = Annotated[str, typer.Option("--model", metavar="NAME", help="Simulated equations of motion.")]
-JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Results as JSON.")]
 _MODEL = "multibody"
 _DPI = 130
 _HEAVIER_ROTOR = "M_f"
@@ -35,7 +35,7 @@ _HEAVIER_ROTOR = "M_f"
 
 @app.command("tables")
 def tables(
-    rig: RigName = DEFAULT_RIG, model: ModelName = _MODEL, seed: SeedOption = 1, json: JsonFile = None
+    rig: RigName = DEFAULT_RIG, model: ModelName = _MODEL, seed: SeedOption = 1, json: JsonOption = None
 ) -> None:
     """Print Tables 2 to 5 and estimates from simulated bench tests.
 
@@ -44,13 +44,13 @@ def tables(
     from heli_host.cli.outputs import check_result_places
     from heli_host.cli.progress_bar import WorkBar
 
-    from heli_lab.page import write_json
     from heli_lab.paper.experiments import read_thrust
     from heli_lab.paper.rig_table import fit_rig
     from heli_lab.paper.tables import fit_table
     from heli_lab.paper.text import table_lines, tables_json
 
     check_result_places(json)
+    data_on_stdout(json)
     plant = _plant(rig, model)
     with WorkBar() as bar:
         bar.show("bench tests", 0.0)
@@ -67,12 +67,11 @@ def tables(
         by_rig = fit_rig(plant.rig, records, line, lambda done: bar.show("fitting Table 2", 0.4 + 0.6 * done))
     for text in table_lines(line, by_rig, tables_):
         say(text)
-    if json is not None:
-        write_json(json, tables_json(plant, line, by_rig, tables_))
+    write_result(json, tables_json(plant, line, by_rig, tables_))
 
 
 @app.command("gains")
-def gains(rig: RigName = DEFAULT_RIG, json: JsonFile = None) -> None:
+def gains(rig: RigName = DEFAULT_RIG, json: JsonOption = None) -> None:
     """Check the stability of pitch and travel for every interpretation of Table 6.
 
     The plants are the linearised equations (30) and the linearised multibody model.
@@ -83,21 +82,21 @@ def gains(rig: RigName = DEFAULT_RIG, json: JsonFile = None) -> None:
     from heli_sim.model.named import model_named
     from heli_sim.rig import load_rig
 
-    from heli_lab.page import write_json
     from heli_lab.paper.table6 import verdicts
     from heli_lab.paper.text import gain_lines
 
     check_result_places(json)
+    data_on_stdout(json)
     loaded = load_rig(rig)
     by_model = {name: verdicts(model_named(name), loaded) for name in ("paper", "multibody")}
     for text in gain_lines(by_model):
         say(text)
-    if json is not None:
-        write_json(json, {name: [asdict(verdict) for verdict in rows] for name, rows in by_model.items()})
+    verdicts_by_model = {name: [asdict(verdict) for verdict in rows] for name, rows in by_model.items()}
+    write_result(json, {"models": verdicts_by_model})
 
 
 @app.command("models")
-def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonFile = None) -> None:
+def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonOption = None) -> None:
     """Compare the paper's equations with a flight of a multibody rig.
 
     Every model, printed and corrected, simulates the flight open loop over 2 s with the parameters of the rig
@@ -109,12 +108,12 @@ def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonFile = No
     from heli_host.cli.progress_bar import WorkBar
     from heli_sim.model.named import MODELS, model_named
 
-    from heli_lab.page import write_json
     from heli_lab.paper.compare import model_errors
     from heli_lab.paper.experiments import fly_plan
     from heli_lab.paper.text import model_lines
 
     check_result_places(json)
+    data_on_stdout(json)
     plant = _plant(rig, _MODEL)
     with WorkBar() as bar:
         flown = fly_plan("sine", plant, "sine", None, seed, lambda done: bar.show("flying", 0.5 * done))
@@ -124,8 +123,7 @@ def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonFile = No
         )
     for text in model_lines(errors_by_model):
         say(text)
-    if json is not None:
-        write_json(json, {distance.model: asdict(distance) for distance in errors_by_model})
+    write_result(json, {"models": {distance.model: asdict(distance) for distance in errors_by_model}})
 
 
 @app.command("equations")

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from heli_host.cli.say import say, say_files
+from heli_host.cli.options import JsonOption
+from heli_host.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.cli.verb import Verb
-
-from heli_lab.fit_options import NumbersOption
 
 if TYPE_CHECKING:
     from heli_lab.pool import RigPopulation
@@ -31,38 +30,38 @@ def pool(
             show_default=False,
         ),
     ] = None,
-    out: Annotated[
+    save_rig: Annotated[
         Path | None,
-        typer.Option("--out", metavar="FILE", help="Write a rig file with the prior for another rig, TOML."),
+        typer.Option("--save-rig", metavar="FILE", help="Write the prior for another rig as a rig, TOML."),
     ] = None,
-    json: NumbersOption = None,
+    json: JsonOption = None,
 ) -> None:
     """Combine diagnoses of several rigs and estimate how their parameters vary.
 
     The rigs must be of one type. Prints the mean of each parameter, its standard deviation between rigs, and
-    the share of rigs with each cause. With --out it also writes a rig file: the prior for another rig, to
-    identify or diagnose with --rig.
+    the share of rigs with each cause. --save-rig writes the prior for another rig, to identify or diagnose it
+    with --rig.
 
-    Example: `heli-host pool lab1.json lab2.json lab3.json --out make.toml`
+    Example: `heli-host pool lab1.json lab2.json lab3.json --save-rig type.toml`
     """
     from dataclasses import asdict
 
     from heli_host.cli.outputs import check_result_places
     from heli_sim.rig import load_rig, write_rig
 
-    from heli_lab.page import write_json
     from heli_lab.pool import pool as pooled
     from heli_lab.pool import read_rig_diagnosis
 
-    check_result_places(out, json)
+    check_result_places(save_rig, json)
+    data_on_stdout(json)
     population = pooled([read_rig_diagnosis(path) for path in diagnoses])
     say(*_lines(population))
-    written = []
-    if out is not None:
+    written: list[Path | None] = []
+    if save_rig is not None:
         base = load_rig(rig or population.diagnoses[0].rig)
         comment = f"Pooled by heli-host pool from {len(population.diagnoses)} rigs."
-        write_rig(population.prior_rig(base, out.stem), out, comment)
-        written.append(out)
+        write_rig(population.prior_rig(base, save_rig.stem), save_rig, comment)
+        written.append(save_rig)
     if json is not None:
         content = {
             "machines": [diagnosis.label for diagnosis in population.diagnoses],
@@ -77,7 +76,7 @@ def pool(
                 for name, cause in population.causes.items()
             },
         }
-        write_json(json, content)
+        write_result(json, content)
         written.append(json)
     say_files(written)
 

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from heli_host.cli.say import data_on_stdout, say, say_files, write_numbers
+from heli_host.cli.options import JsonOption
+from heli_host.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.cli.simulated import DEFAULT_RIG, EffectFilesOption, SeedOption
 from heli_host.cli.verb import Verb
 
@@ -40,7 +41,7 @@ def tune(
             help="Effect that the rig has in addition to the model, such as rotor_lag=0.12.",
         ),
     ] = None,
-    effects: EffectFilesOption = None,
+    effect_file: EffectFilesOption = None,
     sensitivity: Annotated[
         float,
         typer.Option(
@@ -52,15 +53,11 @@ def tune(
         ),
     ] = 3.5,
     seed: SeedOption = 1,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="Parameters for the board, TOML.")
-    ] = None,
-    json: Annotated[
+    save_params: Annotated[
         Path | None,
-        typer.Option(
-            "--json", metavar="FILE", help="Gains, margins and flights as JSON, - for standard output."
-        ),
+        typer.Option("--save-params", metavar="FILE", help="Write the board's parameters, TOML."),
     ] = None,
+    json: JsonOption = None,
     figure: Annotated[
         Path | None, typer.Option("--figure", metavar="FILE", help="Flights and loops: .png, .pdf or .svg.")
     ] = None,
@@ -70,7 +67,7 @@ def tune(
     One set of gains must fly the rig and all corners of its uncertainty: thrust ± 20 %, counterweight ± 3 %,
     rotor lag 0 to 0.15 s, or a stated rotor_lag ± 25 %.
 
-    Example: `heli-host tune --rig mine.toml --out gains.toml`, then `heli-host params restore gains.toml`
+    Example: `heli-host tune --rig mine.toml --save-params gains.toml`
     """
     from heli_host.cli.outputs import check_result_places
     from heli_host.cli.progress_bar import WorkBar
@@ -86,12 +83,12 @@ def tune(
     from heli_lab.tune.flights import try_gains
 
     data_on_stdout(json)
-    check_result_places(out, json, figure=figure)
+    check_result_places(save_params, json, figure=figure)
     loaded = load_rig(rig)
-    given_effects = parse_effects(effect or (), effects or ())
+    given_effects = parse_effects(effect or (), effect_file or ())
     names = {effect_.name for effect_ in given_effects}
     all_effects = (
-        *(effect_ for effect_ in effects_of(loaded, effects or ()) if effect_.name not in names),
+        *(effect_ for effect_ in effects_of(loaded, effect_file or ()) if effect_.name not in names),
         *given_effects,
     )
     name = model or loaded.model or DEFAULT_MODEL
@@ -127,12 +124,12 @@ def tune(
         *_flight_lines(flown_trials),
     )
     written: list[Path | None] = []
-    if out is not None:
+    if save_params is not None:
         also = "".join(f", {effect.name}" for effect in all_effects)
         comment = f"heli-host tune: gains for rig {loaded.name}, model {name}{also}"
-        out.write_text(parameters_text(parameters, comment), encoding="utf-8")
-        written.append(out)
-    write_numbers(
+        save_params.write_text(parameters_text(parameters, comment), encoding="utf-8")
+        written.append(save_params)
+    write_result(
         json, _numbers(loaded, name, design, margins_of_plants, loop_effects, parameters, flown_trials)
     )
     written.append(json)
@@ -144,8 +141,11 @@ def tune(
         )
         written.append(figure)
     say_files(written)
-    if out is not None:
-        say(f"to fly with these gains: heli-host params restore {out}, or heli-host fly hover --params {out}")
+    if save_params is not None:
+        say(
+            f"to fly with these gains: heli-host fly hover --sil --params {save_params}; "
+            f"to set them on a board: heli-host params restore {save_params} --port PORT"
+        )
 
 
 def rounded_parameters(parameters: Mapping[str, float]) -> dict[str, float]:

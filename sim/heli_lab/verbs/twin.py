@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from heli_host.cli.say import say, say_files
+from heli_host.cli.options import JsonOption
+from heli_host.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.cli.simulated import DEFAULT_RIG
 from heli_host.cli.verb import Verb
 from heli_host.twins import HOURS
@@ -32,12 +33,12 @@ def twin(
             show_default=False,
         ),
     ] = DEFAULT_RIG,
-    healthy: Annotated[
+    nominal: Annotated[
         list[Path] | None,
         typer.Option(
-            "--healthy",
+            "--nominal",
             metavar="FLIGHT...",
-            help="Flights without a change, from which disturbances are estimated.",
+            help="Estimate disturbances from these flights of the unchanged rig.",
         ),
     ] = None,
     learn: Annotated[
@@ -48,9 +49,14 @@ def twin(
             help="Set the alarm threshold by simulated nominal flights, and write a twin file.",
         ),
     ] = None,
-    hours: Annotated[
+    false_alarm_interval_h: Annotated[
         float,
-        typer.Option("--hours", metavar="H", min=0.01, help="Mean time in the air between false alarms [h]."),
+        typer.Option(
+            "--false-alarm-interval-h",
+            metavar="H",
+            min=0.01,
+            help="Accept one false alarm in this many hours in the air.",
+        ),
     ] = HOURS,
     start_s: Annotated[
         float | None, typer.Option("--from", "--from-s", metavar="S", help="Ignore rows before this time.")
@@ -58,7 +64,7 @@ def twin(
     stop_s: Annotated[
         float | None, typer.Option("--to", "--to-s", metavar="S", help="Ignore rows from this time on.")
     ] = None,
-    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Results as JSON.")] = None,
+    json: JsonOption = None,
     figure: Annotated[
         Path | None,
         typer.Option("--figure", metavar="FILE", help="Figure of the evidence: .png, .pdf or .svg."),
@@ -66,10 +72,10 @@ def twin(
 ) -> None:
     """Detect when a rig diverges from its model, and report what changed.
 
-    --learn writes a twin file for --rig, and for --twin of page and fly. The alarms are at the same ticks as
-    live, with `heli-host page --twin` or `heli-host fly --twin`.
+    --learn writes a twin file for --rig, and for --twin of dashboard and fly. The alarms are at the same
+    ticks as live, with `heli-host dashboard --twin` or `heli-host fly --twin`.
 
-    Example: `heli-host twin flight.mcap --rig my-rig.toml --healthy monday.mcap`
+    Example: `heli-host twin flight.mcap --rig my-rig.toml --nominal monday.mcap`
     """
     # The matrices are small, so that more BLAS threads only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -77,7 +83,6 @@ def twin(
     from heli_host.cli.progress_bar import WorkBar
     from heli_host.log.flight_file import read_flight
 
-    from heli_lab.page import write_json
     from heli_lab.twin.calibration import write_calibration
     from heli_lab.twin.figure import draw_evidence
     from heli_lab.twin.files import open_rig
@@ -90,8 +95,9 @@ def twin(
     if learn is not None and learn.suffix.lower() != ".toml":
         raise typer.BadParameter(f"--learn {learn} is not a TOML file; give a name that ends in .toml")
     check_result_places(learn, json, figure=figure)
+    data_on_stdout(json)
     chosen = open_rig(rig)
-    others = healthy or []
+    others = nominal or []
     followed: list[Followed] = []
     with WorkBar() as bar:
         bar.show("reading", 0.0)
@@ -106,8 +112,8 @@ def twin(
             chosen = replace(chosen, calibration=replace(chosen.calibration, disturbances=disturbances))
         for path in flights or ():
             bar.show(f"following {path.name}", 0.9)
-            followed.append(follow_file(chosen, path, hours, start_s, stop_s))
-    written = [learn] if learn is not None else []
+            followed.append(follow_file(chosen, path, false_alarm_interval_h, start_s, stop_s))
+    written: list[Path | None] = [learn]
     for flight in followed:
         say(*(f"{flight.label}: {text}" for text in flight.sentences()))
         if flight.flown_rig not in ("", chosen.rig.name, Path(chosen.name).stem):
@@ -119,11 +125,10 @@ def twin(
         say(
             "the nominal flights have almost no disturbances, so any gust will be an alarm; give more flights"
         )
-    threshold_nats = chosen.calibration.threshold_nats(hours)
-    say(f"alarm threshold: {threshold_nats:.1f} nats, {_rate(hours)}; {_source(chosen)}")
-    if json is not None:
-        write_json(json, _numbers(chosen, followed, hours))
-        written.append(json)
+    threshold_nats = chosen.calibration.threshold_nats(false_alarm_interval_h)
+    say(f"alarm threshold: {threshold_nats:.1f} nats, {_rate(false_alarm_interval_h)}; {_source(chosen)}")
+    write_result(json, _numbers(chosen, followed, false_alarm_interval_h))
+    written.append(json)
     if figure is not None and followed:
         draw_evidence(followed, figure)
         written.append(figure)
@@ -146,7 +151,7 @@ def _numbers(chosen: TwinRig, flights: list[Followed], hours: float) -> dict[str
     disturbances = chosen.calibration.disturbances
     return {
         "rig": chosen.name,
-        "hours": hours,
+        "false_alarm_interval_h": hours,
         "threshold_nats": chosen.calibration.threshold_nats(hours),
         "disturbances": {
             "fast_std_Nm": disturbances.fast_std.tolist(),

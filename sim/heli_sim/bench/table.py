@@ -14,7 +14,7 @@ from heli_sim.errors import RigError
 BLANK: Final = "?"
 """A reading of the template that nobody has filled in yet."""
 TEMPLATE: Final = """\
-# Bench tests of a rig, for: heli-host rig weigh RIG THIS.toml --out NEW.toml
+# Bench tests of a rig, for: heli-host rig weigh RIG THIS.toml --save-rig NEW.toml
 # Write a number for each "?". Remove a table whose test was not done.
 # Tolerances are half widths that hold the truth with 95 %.
 

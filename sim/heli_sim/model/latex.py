@@ -38,7 +38,7 @@ _NAMES: Final[Mapping[str, str]] = {
     "drag_area_arm": "A_{1}",
     "drag_area_body": "A_{2}",
 }
-_LEAST_OPERATIONS: Final = 2
+_MIN_OPERATIONS: Final = 2
 """A part that comes up again is named from this many operations on."""
 
 
@@ -352,4 +352,4 @@ def _shared(roots: Iterable[ca.SX]) -> set[int]:
 
     for root in roots:
         visit(root)
-    return {key for key, count in parents.items() if count > 1 and size[key] >= _LEAST_OPERATIONS} - signs
+    return {key for key, count in parents.items() if count > 1 and size[key] >= _MIN_OPERATIONS} - signs

@@ -14,7 +14,7 @@ __all__ = [
     "on_axis",
     "rotor_climb_m_s",
     "rotor_height_m",
-    "since",
+    "smooth_step",
     "thrust_N",
     "upright_torque_Nm",
 ]
@@ -89,7 +89,7 @@ def upright_torque_Nm(state: Mapping[str, ca.SX], torque_Nm: ca.SX) -> ca.SX:
     return torque_Nm * ca.vertcat(-ca.sin(pitch), 0, ca.cos(pitch) * ca.cos(elevation))
 
 
-def since(time_s: ca.SX, moment_s: ca.SX) -> ca.SX:
+def smooth_step(time_s: ca.SX, moment_s: ca.SX) -> ca.SX:
     """Unit step at `moment_s` [s] of the time `time_s` [s], 0 before and 1 after, smoothed over some 20 ms so
     that it has a derivative to the moment.
     """

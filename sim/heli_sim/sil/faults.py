@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from heli_sim.errors import OptionError
-from heli_sim.sil.spans import NEVER, Span, edges_of, next_edge
+from heli_sim.sil.intervals import NEVER, Span, edges_of, next_edge
 
 
 @dataclass(frozen=True)

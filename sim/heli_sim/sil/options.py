@@ -12,8 +12,8 @@ from heli_host.declaration import AXES
 
 from heli_sim.errors import OptionError
 from heli_sim.sil.faults import FaultPlan
+from heli_sim.sil.intervals import Interval, Span
 from heli_sim.sil.rig_faults import RigFaults
-from heli_sim.sil.spans import During, Span
 
 _KEYS: Final = (
     *("board", "elf", "rig", "seed", "speed", "slice_ms", "flash", "reset_on_open"),
@@ -203,7 +203,7 @@ def _spans(key: str, text: str) -> tuple[Span, ...]:
     return tuple(spans)
 
 
-def parse_times(key: str, texts: Sequence[str]) -> tuple[During, ...]:
+def parse_times(key: str, texts: Sequence[str]) -> tuple[Interval, ...]:
     """Read stretches of time that may have no end.
 
     Parameters
@@ -228,13 +228,13 @@ def parse_times(key: str, texts: Sequence[str]) -> tuple[During, ...]:
         start, _, duration = text.partition(":")
         start_s, duration_s = _number(key, start), _number(key, duration) if duration else math.inf
         try:
-            found.append(During(start_s, duration_s))
+            found.append(Interval(start_s, duration_s))
         except OptionError as error:
             raise OptionError(f"{key}={text}: {error.cause}", error.remedy) from None
     return tuple(found)
 
 
-def parse_encoders_out(key: str, texts: Sequence[str]) -> tuple[tuple[str, During], ...]:
+def parse_encoders_out(key: str, texts: Sequence[str]) -> tuple[tuple[str, Interval], ...]:
     """Read which encoders are unplugged, and when.
 
     Parameters
@@ -257,6 +257,6 @@ def parse_encoders_out(key: str, texts: Sequence[str]) -> tuple[tuple[str, Durin
     found = []
     for text in texts:
         axis, _, times = text.partition(":")
-        (during,) = parse_times(key, [times or "0"])
-        found.append((axis, during))
+        (interval,) = parse_times(key, [times or "0"])
+        found.append((axis, interval))
     return tuple(found)

@@ -13,9 +13,9 @@ from heli_host.declaration import AXES
 
 from heli_sim import _native
 from heli_sim.errors import OptionError
-from heli_sim.sil.spans import During, edges_of, next_edge
+from heli_sim.sil.intervals import Interval, edges_of, next_edge
 
-_MOST_SCALE: Final = 16.0
+_MAX_SCALE: Final = 16.0
 """Largest scale of an encoder: discs of 1000 to 16000 lines are sold."""
 
 
@@ -29,11 +29,11 @@ class RigFaults:
 
     Parameters
     ----------
-    encoders_out : tuple of (str, During)
+    encoders_out : tuple of (str, Interval)
         Axes whose encoder is unplugged: nothing counts, and what moves meanwhile is lost.
-    stop_switch : tuple of During
+    stop_switch : tuple of Interval
         The hardware stop input is active.
-    supply_out : tuple of During
+    supply_out : tuple of Interval
         The motors have no supply: the board drives, and nothing turns.
     encoder_scales : tuple of float
         Counts of each encoder per count that the rig's file states, from the start on: 0.5 is an encoder
@@ -45,9 +45,9 @@ class RigFaults:
         When there is no such axis, or a scale is 0 or not finite.
     """
 
-    encoders_out: tuple[tuple[str, During], ...] = ()
-    stop_switch: tuple[During, ...] = ()
-    supply_out: tuple[During, ...] = ()
+    encoders_out: tuple[tuple[str, Interval], ...] = ()
+    stop_switch: tuple[Interval, ...] = ()
+    supply_out: tuple[Interval, ...] = ()
     encoder_scales: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
@@ -55,10 +55,10 @@ class RigFaults:
             if axis not in AXES:
                 raise OptionError(f"no encoder is called '{axis}'", f"axes are: {', '.join(AXES)}")
         for scale in self.encoder_scales:
-            if not (math.isfinite(scale) and 0.0 < abs(scale) <= _MOST_SCALE):
+            if not (math.isfinite(scale) and 0.0 < abs(scale) <= _MAX_SCALE):
                 raise OptionError(
                     f"an encoder's scale of {scale:g} is out of range",
-                    f"give a number from -{_MOST_SCALE:g} to {_MOST_SCALE:g}, but not 0",
+                    f"give a number from -{_MAX_SCALE:g} to {_MAX_SCALE:g}, but not 0",
                 )
 
     def next_edge(self, tick: int) -> int:
@@ -78,7 +78,7 @@ class RigFaults:
 
     @cached_property
     def _edges(self) -> tuple[int, ...]:
-        encoders_out = (during for _, during in self.encoders_out)
+        encoders_out = (interval for _, interval in self.encoders_out)
         return edges_of((*encoders_out, *self.stop_switch, *self.supply_out))
 
     def apply(self, tick: int, native: _native.World, board: _SimBoard) -> None:
@@ -95,10 +95,10 @@ class RigFaults:
         """
         if self.encoders_out:
             native.encoders_out = [
-                any(name == axis and during.holds(tick) for name, during in self.encoders_out)
+                any(name == axis and interval.holds(tick) for name, interval in self.encoders_out)
                 for axis in AXES
             ]
         if self.stop_switch:
-            board.set_stop(any(during.holds(tick) for during in self.stop_switch))
+            board.set_stop(any(interval.holds(tick) for interval in self.stop_switch))
         if self.supply_out:
-            native.supply_on = not any(during.holds(tick) for during in self.supply_out)
+            native.supply_on = not any(interval.holds(tick) for interval in self.supply_out)

@@ -26,8 +26,8 @@ from urllib.parse import parse_qsl, urlsplit
 from heli_sim.errors import EndpointError, OptionError, SimError
 from heli_sim.sil.clock import Clock, make_clock
 from heli_sim.sil.endpoint import Endpoint
+from heli_sim.sil.fault_console import FaultConsole
 from heli_sim.sil.options import DUE, SilOptions, parse_options
-from heli_sim.sil.rehearsal import Rehearsal
 from heli_sim.sil.rfc2217 import Rfc2217Endpoint
 from heli_sim.sil.tcp import TcpEndpoint
 from heli_sim.sil.world import SilWorld
@@ -100,7 +100,7 @@ def serve(
     world: SilWorld,
     clock: Clock,
     stop_fd: int | None = None,
-    rehearsal: Rehearsal | None = None,
+    console: FaultConsole | None = None,
 ) -> None:
     """Serve a world until told to stop.
 
@@ -110,7 +110,7 @@ def serve(
         How fast simulated time may pass.
     stop_fd : int or None
         File descriptor; serving ends as soon as something can be read from it, or it is at its end.
-    rehearsal : Rehearsal or None
+    console : FaultConsole or None
         Where a person says what goes wrong on the rig.
     """
     server = SilServer(endpoint, world, clock)
@@ -118,12 +118,12 @@ def serve(
     while True:
         wait_s = server.turn()
         # Looking for the stop costs little beside a turn, so it is done even when there is no time to wait.
-        words = rehearsal.watched() if rehearsal is not None else []
+        words = console.watched() if console is not None else []
         ready, _, _ = select.select(stops + server.watched() + words, [], [], wait_s)
         if stop_fd in ready:
             return
-        if rehearsal is not None:
-            rehearsal.listen(ready)
+        if console is not None:
+            console.listen(ready)
 
 
 def run_server(
@@ -168,7 +168,7 @@ def run_server(
             if (number := getattr(signal, name, None)) is not None:
                 signal.signal(number, signal.default_int_handler)
     world = SilWorld(options, boot_seed=secrets.randbits(64))
-    rehearsal = Rehearsal(world, words_fd, answer) if words_fd is not None else None
+    console = FaultConsole(world, words_fd, answer) if words_fd is not None else None
     endpoint: Endpoint
     if rfc2217 is not None:
         endpoint = Rfc2217Endpoint(*_address(rfc2217))
@@ -178,7 +178,7 @@ def run_server(
         endpoint = _pseudo_terminal(pty)
     try:
         on_ready(endpoint.url)
-        serve(endpoint, world, make_clock(options.speed), stop_fd, rehearsal)
+        serve(endpoint, world, make_clock(options.speed), stop_fd, console)
     except KeyboardInterrupt:
         pass
     finally:

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from heli_host.cli.options import JsonFlag
-from heli_host.cli.say import STDOUT, data_on_stdout, say, say_data, say_files, say_json
+from heli_host.cli.options import JsonOption
+from heli_host.cli.say import STDOUT, data_on_stdout, say, say_data, say_files, write_result
 from heli_host.cli.verb import Verb
 
-from heli_sim.told import found_of, half_width, plain, signed, with_tolerance
+from heli_sim.formatting import found_of, half_width, plain, signed, with_tolerance
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -33,7 +33,7 @@ RigArgument = Annotated[str, typer.Argument(metavar="NAME|FILE", help="Rig: a na
 
 
 @app.command("list")
-def list_rigs(json: JsonFlag = False) -> None:
+def list_rigs(json: JsonOption = None) -> None:
     """List the rigs that come with the package.
 
     Example: `heli-host rig list`
@@ -41,8 +41,8 @@ def list_rigs(json: JsonFlag = False) -> None:
     from heli_sim.rig import load_rig, rig_names
 
     rigs = {name: load_rig(name).description for name in rig_names()}
-    if json:
-        say_json({"rigs": [{"name": name, "description": text} for name, text in rigs.items()]})
+    listed = [{"name": name, "description": text} for name, text in rigs.items()]
+    if write_result(json, {"rigs": listed}):
         return
     say(*(f"{name}: {text}" for name, text in rigs.items()))
 
@@ -51,7 +51,7 @@ def list_rigs(json: JsonFlag = False) -> None:
 def show(
     rig: RigArgument,
     pattern: Annotated[str, typer.Argument(metavar="[TEXT]", help="Only names that contain it.")] = "",
-    json: JsonFlag = False,
+    json: JsonOption = None,
 ) -> None:
     """Show a rig's numbers: value, tolerance, unit, what each is and where it comes from.
 
@@ -65,14 +65,14 @@ def show(
 
     shown = load_rig(rig)
     meanings = {quantity.name: quantity.meaning for quantity in RIG_QUANTITIES}
-    if json:
-        every = dict(shown.items()) | {
-            f"{effect}.{name}": number
-            for effect, numbers in shown.effects.items()
-            for name, number in numbers.items()
-        }
-        numbers_shown = {name: asdict(number) for name, number in every.items() if pattern in name}
-        say_json({"name": shown.name, "description": shown.description, "numbers": numbers_shown})
+    every = dict(shown.items()) | {
+        f"{effect}.{name}": number
+        for effect, numbers in shown.effects.items()
+        for name, number in numbers.items()
+    }
+    numbers_shown = {name: asdict(number) for name, number in every.items() if pattern in name}
+    content = {"name": shown.name, "description": shown.description, "numbers": numbers_shown}
+    if write_result(json, content):
         return
     table = Table(box=None, pad_edge=False)
     for heading in ("name", "value", "+-", "unit"):
@@ -102,7 +102,7 @@ def show(
 @app.command("check")
 def check(
     rigs: Annotated[list[str], typer.Argument(metavar="NAME|FILE...", help="Rigs: names or TOML files.")],
-    json: JsonFlag = False,
+    json: JsonOption = None,
 ) -> None:
     """Check that rig files are complete, in the right units and possible, and that each rig can fly.
 
@@ -115,6 +115,7 @@ def check(
     from heli_sim.model.effects import effects_of
     from heli_sim.rig import load_rig
 
+    data_on_stdout(json)
     refused: list[RigError | EffectError] = []
     told: list[dict[str, Any]] = []
     grounded = 0
@@ -124,17 +125,15 @@ def check(
             effects_of(rig)
         except (RigError, EffectError) as error:
             told.append({"rig": name, "can_be": False, "why": str(error)})
-            if len(rigs) > 1 and not json:
+            if len(rigs) > 1:
                 say(f"{name}: {error}")
             refused.append(error)
             continue
         found = found_of(rig)
         grounded += not found.can_fly
         told.append({"rig": name, "can_be": True, "can_fly": found.can_fly, "found": list(found.words)})
-        if not json:
-            say(f"{name}: {'; '.join(found.words)}")
-    if json:
-        say_json({"rigs": told})
+        say(f"{name}: {'; '.join(found.words)}")
+    write_result(json, {"rigs": told})
     if len(rigs) > 1 and refused:
         raise RigError(f"{len(refused)} of {len(rigs)} rigs cannot be, see above", "correct them")
     if refused:
@@ -148,7 +147,7 @@ def diff(
     left: RigArgument,
     right: RigArgument,
     show_all: Annotated[bool, typer.Option("--all", "-a", help="Show what is the same too.")] = False,
-    json: JsonFlag = False,
+    json: JsonOption = None,
 ) -> None:
     """Compare two rigs, number by number, in tolerances. A star: beyond +-1, so not the same rig.
 
@@ -163,9 +162,8 @@ def diff(
 
     first, second = load_rig(left), load_rig(right)
     compared = compare_rigs(first, second)
-    if json:
-        shown = [one for one in compared if show_all or not one.same]
-        say_json({"left": first.name, "right": second.name, "numbers": [_compared(one) for one in shown]})
+    shown = [_compared(difference) for difference in compared if show_all or not difference.same]
+    if write_result(json, {"left": first.name, "right": second.name, "numbers": shown}):
         return
     table = Table(box=None, pad_edge=False)
     for heading in ("name", plain(first.name), plain(second.name), "unit", "tolerances"):
@@ -202,8 +200,8 @@ def new(
         typer.Option("--set", metavar="NAME=VALUE", help="One number, such as 'M_f=355+-4 g; scale'."),
     ] = None,
     description: Annotated[str, typer.Option("--description", metavar="TEXT", help="One line.")] = "",
-    anyway: Annotated[
-        bool, typer.Option("--anyway", help="Write numbers too that no table-top rig has.")
+    force: Annotated[
+        bool, typer.Option("--force", help="Write the rig even if a number is implausible for its size.")
     ] = False,
 ) -> None:
     """Describe a rig: from a table, from options, or where neither is given from a few questions.
@@ -232,8 +230,8 @@ def new(
         given = _asked(base)
     text = description or f"described by its builder, what is not stated as {base.name}"
     rig = described(out.stem, text, base, given)
-    if not anyway and (beyond := beyond_a_table({name: rig[name].value for name in rig})):
-        raise RigError(beyond[0], "correct it, or write it with --anyway")
+    if not force and (beyond := beyond_a_table({name: rig[name].value for name in rig})):
+        raise RigError(beyond[0], "correct it, or write it with --force")
     write_rig(
         rig, out, f"Written by heli-host rig new: {len(given)} numbers stated, the rest as {base.name}."
     )
@@ -271,15 +269,17 @@ def weigh_rig(
     tests: Annotated[
         Path | None, typer.Argument(metavar="[TESTS]", help="Bench tests, TOML; --template writes one.")
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="The rig found, TOML.")] = None,
+    save_rig: Annotated[
+        Path | None, typer.Option("--save-rig", metavar="FILE", help="Write the estimated rig, TOML.")
+    ] = None,
     template: Annotated[
         Path | None, typer.Option("--template", metavar="FILE", help="Write a table to fill in, and end.")
     ] = None,
-    json: JsonFlag = False,
+    json: JsonOption = None,
 ) -> None:
     """Find a rig's numbers by bench tests: thrust on a scale, the angle of balance, swings of a pendulum.
 
-    Example: `heli-host rig weigh mine.toml bench.toml --out weighed.toml`
+    Example: `heli-host rig weigh mine.toml bench.toml --save-rig weighed.toml`
     """
     from heli_host.cli.outputs import check_place
     from heli_host.files import parse_toml
@@ -293,7 +293,7 @@ def weigh_rig(
     if template is not None:
         check_place(template)
         template.write_text(TEMPLATE, encoding="utf-8")
-        say(f"fill in {template}, then: heli-host rig weigh {rig} {template} --out weighed.toml")
+        say(f"fill in {template}, then: heli-host rig weigh {rig} {template} --save-rig weighed.toml")
         return
     if tests is None:
         raise typer.BadParameter("give a file of bench tests; --template bench.toml writes one to fill in")
@@ -302,14 +302,13 @@ def weigh_rig(
     except ValueError as error:
         raise RigError(f"{tests} is not TOML: {error}", "correct that line") from None
     weighed = weigh(before, *bench_tests_from(table))
-    if out is not None:
-        check_place(out)
-        found = replace(weighed.rig, name=out.stem)
-        write_rig(found, out, f"Found by heli-host rig weigh from {tests.name} and {before.name}.")
-    if json:
-        numbers = {name: asdict(weighed.rig[name]) for name in weighed.found}
-        tested = [{**asdict(one), "off": one.off} for one in weighed.tested]
-        say_json({"rig": weighed.rig.name, "numbers": numbers, "tests": tested})
+    if save_rig is not None:
+        check_place(save_rig)
+        found = replace(weighed.rig, name=save_rig.stem)
+        write_rig(found, save_rig, f"Found by heli-host rig weigh from {tests.name} and {before.name}.")
+    numbers = {name: asdict(weighed.rig[name]) for name in weighed.found}
+    tested = [{**asdict(one), "off": one.off} for one in weighed.tested]
+    if write_result(json, {"rig": weighed.rig.name, "numbers": numbers, "tests": tested}):
         return
     for name in weighed.found:
         was, now = before[name], weighed.rig[name]
@@ -320,49 +319,63 @@ def weigh_rig(
         mark = f", {one.off:.1f} tolerances off: a wrong reading, or no such rig" if one.off > OFF else ""
         unit = "" if one.unit == "1" else f" {one.unit}"
         say(f"{one.what}: read {one.read:.4g}{unit}, the rig gives {one.after:.4g}{mark}")
-    if out is not None:
-        say_files([out])
+    say_files([save_rig])
 
 
 @app.command("export")
 def export_rig(
     rig: RigArgument,
-    to_mjcf: Annotated[
-        Path | None, typer.Option("--mjcf", metavar="FILE", help="Write MuJoCo's XML; - for standard output.")
+    format_: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            metavar="mjcf|fmu",
+            help="Write MuJoCo XML, or a functional mock-up unit of FMI 3.0.",
+            show_default=False,
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Write this file, XML also to standard output for -.  [default: RIG.xml or RIG.fmu]",
+            show_default=False,
+        ),
     ] = None,
-    fmu: Annotated[bool, typer.Option("--fmu", help="Write a functional mock-up unit: FMI 3.0.")] = False,
     effect: Annotated[
         list[str] | None,
         typer.Option("--effect", metavar="ID[=VALUE]", help="For an FMU: an effect beyond the rig's file."),
     ] = None,
     model: Annotated[str, typer.Option(metavar="NAME", help="Model of an FMU; else the file's.")] = "",
     seed: Annotated[int, typer.Option(min=0, help="Seed of what an FMU's effects leave to chance.")] = 1,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="FILE", help="The FMU; else NAME.fmu here.")
-    ] = None,
 ) -> None:
     """Write a rig for other simulators: MuJoCo, or as an FMU for Simulink, Modelica tools and FMPy.
 
     Of MuJoCo's file it says what that cannot tell. An FMU has the rig's effects, model exchange and
     co-simulation, its sources, and a binary for this system.
 
-    Example: `heli-host rig export makki2024 --mjcf makki2024.xml`
+    Example: `heli-host rig export makki2024 --format mjcf -o makki2024.xml`
     """
-    if (to_mjcf is None) == (not fmu):
-        raise typer.BadParameter("say what to write: --mjcf FILE or --fmu")
-    if to_mjcf is not None:
-        _export_mjcf(rig, to_mjcf)
+    if format_ == "mjcf":
+        if effect or model:
+            raise typer.BadParameter("--effect and --model apply to --format fmu only; leave them out")
+        _export_mjcf(rig, output)
+    elif format_ == "fmu":
+        _export_fmu(rig, effect or [], model, seed, output)
     else:
-        _export_fmu(rig, effect or [], model, seed, out)
+        raise typer.BadParameter(f"unknown --format '{format_}'; choose mjcf or fmu")
 
 
-def _export_mjcf(rig: str, target: Path) -> None:
+def _export_mjcf(rig: str, output: Path | None) -> None:
     from heli_host.cli.outputs import check_place
 
     from heli_sim.model.mjcf import mjcf, unsaid
     from heli_sim.rig import load_rig
 
     loaded = load_rig(rig)
+    target = output if output is not None else Path(f"{loaded.name}.xml")
     data_on_stdout(target)
     if str(target) == STDOUT:
         say_data(mjcf(loaded))

@@ -41,7 +41,7 @@ def sil(
     rig: simulated.RigOption = None,
     model: simulated.ModelOption = None,
     effect: simulated.EffectOption = None,
-    effects: simulated.EffectFilesOption = None,
+    effect_file: simulated.EffectFilesOption = None,
     encoder_out: Annotated[
         list[str] | None,
         typer.Option(
@@ -81,8 +81,8 @@ def sil(
     from heli_sim.rig import load_rig
     from heli_sim.rig.board import in_simulation, set_from_rig_text
     from heli_sim.sil.boards import choose
+    from heli_sim.sil.fault_console import HELP
     from heli_sim.sil.options import SilOptions, parse_encoders_out, parse_times
-    from heli_sim.sil.rehearsal import HELP
     from heli_sim.sil.rig_faults import RigFaults
     from heli_sim.sil.server import is_local, run_server
 
@@ -98,7 +98,7 @@ def sil(
         reset_on_open=reset_on_open,
         model=model or "",
         effects=tuple(effect or ()),
-        effect_files=tuple(map(str, effects or ())),
+        effect_files=tuple(map(str, effect_file or ())),
         rig_faults=RigFaults(
             encoders_out=parse_encoders_out("--encoder-out", encoder_out or ()),
             stop_switch=parse_times("--stop-switch", stop_switch or ()),

@@ -97,8 +97,8 @@ def test_rig_has_the_equation_on_request_and_flies_with_its_effect_file(
     flown = {}
     for name, more in {
         "without": (),
-        "with": ("--effects", path, "--effect", "proposed_term"),
-        "in_rig": ("--rig", "with_term.toml", "--effects", path),
+        "with": ("--effect-file", path, "--effect", "proposed_term"),
+        "in_rig": ("--rig", "with_term.toml", "--effect-file", path),
     }.items():
         ended = terminal("fly", "up.toml", "--sil", *more, "--speed", "max", "--log", f"{name}.mcap")
         assert ended.code == 0, ended.err
@@ -239,7 +239,7 @@ def test_command_writes_equation_and_effect_file(
     paths = tmp_path / "a.csv.gz", tmp_path / "b.csv.gz"
     for flight, path in zip(flights(unlisted=True), paths, strict=True):
         write_csv(flight, path)
-    files = ("--report", "why", "--json", "why.json", "--out", "with_term.toml", "--with-law")
+    files = ("--report", "why", "--json", "why.json", "--save-rig", "with_term.toml", "--with-term")
     ended = terminal("diagnose", paths[0], "--validate", paths[1], "--rig", "makki2024", *files)
     assert ended.code == 0, ended.err
     assert "proposed equation: torque.pitch = 0.0" in ended.out

@@ -16,15 +16,15 @@ import typer
 from heli_host.cli.board import is_due, is_due_native
 from heli_host.cli.finding import ENTRY_POINT_GROUP, Finding, Verdict
 from heli_host.cli.modem_manager import check_modem_manager
-from heli_host.cli.options import JsonFlag
-from heli_host.cli.say import say_json
+from heli_host.cli.options import JsonOption
+from heli_host.cli.say import write_result
 from heli_host.cli.verb import Verb
 
 if TYPE_CHECKING:
     from heli_host.link.transport import PortInfo
 
 
-def doctor(json: JsonFlag = False) -> None:
+def doctor(json: JsonOption = None) -> None:
     """Check this computer: Python, packages, compiler, serial port, ModemManager.
 
     Says the remedy of each problem; the exit code is 1 when something that is needed does not work.
@@ -36,11 +36,14 @@ def doctor(json: JsonFlag = False) -> None:
 
     from heli_host.errors import printable
 
-    if json:
-        found = list(examine())
-        bad = sum(one.verdict is Verdict.BAD for one in found)
-        shown = [{"verdict": one.verdict.value, "what": one.what, "remedy": one.remedy} for one in found]
-        say_json({"ready": not bad, "findings": shown})
+    if json is not None:
+        findings = list(examine())
+        bad = sum(finding.verdict is Verdict.BAD for finding in findings)
+        shown = [
+            {"verdict": finding.verdict.value, "what": finding.what, "remedy": finding.remedy}
+            for finding in findings
+        ]
+        write_result(json, {"ready": not bad, "findings": shown})
         raise typer.Exit(1 if bad else 0)
     marks = {Verdict.GOOD: "[green]✓[/]", Verdict.NOTE: "[yellow]–[/]", Verdict.BAD: "[red]✗[/]"}
     console = Console(highlight=False, soft_wrap=True)

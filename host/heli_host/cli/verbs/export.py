@@ -25,10 +25,14 @@ def export(
         bool,
         typer.Option("--blind", help="Leave out what flew: address, rig, effects, seed; seal it instead."),
     ] = False,
-    out: Annotated[
+    output: Annotated[
         Path | None,
         typer.Option(
-            "--out", "-o", metavar="FILE", help="File to write, - for standard output; else beside the log."
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Write this file, or standard output for -.  [default: next to the log]",
+            show_default=False,
         ),
     ] = None,
 ) -> None:
@@ -50,12 +54,12 @@ def export(
     flight = read_flight(log, allow_gaps=True)
     if blind:
         flight = _blind(flight, log)
-    if out is not None and str(out) == "-":
+    if output is not None and str(output) == "-":
         _to_stdout(flight, write, suffix)
         return
-    target = out if out is not None else log.with_name(_stem(log) + suffix)
+    target = output if output is not None else log.with_name(_stem(log) + suffix)
     if target.exists() and target.samefile(log):
-        raise typer.BadParameter(f"{target} is the log itself; name another file with --out")
+        raise typer.BadParameter(f"{target} is the log itself; name another file with --output")
     write(flight, target)
     gaps = f", {len(flight.gaps)} gaps" if len(flight.gaps) else ""
     say(f"{len(flight)} rows{gaps} -> {target}")

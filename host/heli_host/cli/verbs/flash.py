@@ -38,7 +38,7 @@ def flash(
 
     Example: `heli-host flash build/pio/due/firmware.bin`
     """
-    from heli_host.cli.board import find_board
+    from heli_host.cli.board import check_target
     from heli_host.cli.finding import Verdict
     from heli_host.cli.modem_manager import check_modem_manager
     from heli_host.declaration import LINK_HASH
@@ -47,7 +47,8 @@ def flash(
     image = read_image(file)
     say(f"{file}: {len(image.content)} bytes, firmware for the Due, link {LINK_HASH:08x}")
     uploader = find_bossac(bossac)
-    port = port if port is not None else find_board()
+    check_target(port, None)
+    assert port is not None
     if "://" in port:
         raise typer.BadParameter(f"{port} cannot be flashed: give a serial port of this computer")
     if uploader.doubtful:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from heli_host.cli.options import JsonFlag
-from heli_host.cli.say import say, say_json
+from heli_host.cli.options import JsonOption
+from heli_host.cli.say import say, write_result
 from heli_host.cli.verb import Verb
 
 if TYPE_CHECKING:
@@ -29,18 +29,18 @@ def info(
             help="Compare with the truth file of a blind flight, and show what flew.",
         ),
     ] = None,
-    json: JsonFlag = False,
+    json: JsonOption = None,
 ) -> None:
     """Say what a log holds: versions, duration, tracking errors, losses, and what is wrong with it.
 
     Example: `heli-host info flights/2026-01-31_12-00-00/flight.mcap --events`
     """
-    if json:
+    if json is not None:
         content = _content(flight_file)
         if truth is not None:
             content["truth"] = _checked(flight_file, truth)
-        say_json(content)
-        return
+        if write_result(json, content):
+            return
     if truth is not None:
         for name, value in _checked(flight_file, truth).items():
             # A rig's file has a hundred lines; the truth file holds them.
@@ -60,11 +60,11 @@ def info(
     if flight is None:
         return
     if events:
-        print("events:")
+        say("events:")
         for event in flight.events:
             say(f"  {event.t_s:10.3f} s  {event.name}: {event.text}")
     if parameters:
-        print("parameters:")
+        say("parameters:")
         for name, value in flight.parameters.items():
             say(f"  {name} = {value:g}")
     if plan:

@@ -14,7 +14,7 @@ from heli_host.cli.verb import Verb
 if TYPE_CHECKING:
     from heli_host.heli import Heli
 
-MOST_S = 30.0
+MAX_S = 30.0
 # The board switches off by itself when it has not heard of open loop for setpoint_hold_s (0.5 s).
 REFRESH_S = 0.1
 
@@ -24,8 +24,9 @@ def motors(
         float, typer.Option("--front-V", metavar="V", help="Front motor; 0 only enables.")
     ] = 0.0,
     back_V: Annotated[float, typer.Option("--back-V", metavar="V", help="Back motor; 0 only enables.")] = 0.0,
-    for_s: Annotated[
-        float, typer.Option("--for-s", metavar="S", min=0.1, max=MOST_S, help="How long; then off.")
+    duration_s: Annotated[
+        float,
+        typer.Option("--duration", metavar="S", min=0.1, max=MAX_S, help="Drive for this time in s."),
     ] = 2.0,
     clear_fault: ClearFaultOption = False,
     port: PortOption = None,
@@ -38,7 +39,7 @@ def motors(
     No propellers until docs/how-to/first-power-up.md says so: nothing holds the arm. Ctrl-C switches off
     at once, and so does the board itself when this program dies.
 
-    Example: `heli-host motors --front-V 1.0 --for-s 2`
+    Example: `heli-host motors --port /dev/ttyACM0 --front-V 1.0 --duration 2`
     """
     from heli_host.cli.board import clear_latched_fault, open_board
     from heli_host.setpoints import check_voltages
@@ -49,18 +50,18 @@ def motors(
         check_voltages(front_V, back_V, heli.params)
         heli.arm()
         try:
-            _drive(heli, front_V, back_V, for_s)
+            _drive(heli, front_V, back_V, duration_s)
         finally:
             heli.stop()
-        say(f"front {front_V:g} V, back {back_V:g} V for {for_s:g} s; drivers off again")
+        say(f"front {front_V:g} V, back {back_V:g} V for {duration_s:g} s; drivers off again")
 
 
-def _drive(heli: Heli, front_V: float, back_V: float, for_s: float) -> None:
+def _drive(heli: Heli, front_V: float, back_V: float, duration_s: float) -> None:
     from heli_host.declaration import Axes, State
     from heli_host.errors import CommandRefused, FlightAborted, fault_text
 
     start_s = heli.latest.t_s
-    while (passed_s := heli.latest.t_s - start_s) < for_s:
+    while (passed_s := heli.latest.t_s - start_s) < duration_s:
         try:
             heli.control(Axes(0), front_V, back_V)
         except CommandRefused as refused:
@@ -69,7 +70,7 @@ def _drive(heli: Heli, front_V: float, back_V: float, for_s: float) -> None:
             if heli.state is not State.FAULT:
                 raise
             raise FlightAborted(f"the board switched the motors off: {fault_text(heli.fault)}") from refused
-        heli.wait(min(REFRESH_S, for_s - passed_s))
+        heli.wait(min(REFRESH_S, duration_s - passed_s))
 
 
 VERB = Verb(motors, "Board")

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from heli_host.cli.options import JsonFlag, PortOption
-from heli_host.cli.say import say, say_json
+from heli_host.cli.options import JsonOption, PortOption
+from heli_host.cli.say import data_on_stdout, say, write_result
 from heli_host.cli.simulated import MAX_SPEED, SilOption, sil_address
 from heli_host.cli.verb import Verb
 
@@ -32,7 +32,7 @@ def list_parameters(
     long: Annotated[bool, typer.Option("--long", "-l", help="Say what each means too.")] = False,
     port: PortOption = None,
     sil: SilOption = False,
-    json: JsonFlag = False,
+    json: JsonOption = None,
 ) -> None:
     """List names, values, units and ranges; a star marks what differs from the default.
 
@@ -44,21 +44,19 @@ def list_parameters(
 
     with _board(port, sil) as heli:
         values = heli.params.dump()
-        if json:
-            specs = {name: heli.params.spec(name) for name in values if pattern in name}
-            say_json(
-                {
-                    name: {
-                        "value": values[name],
-                        "unit": spec.unit,
-                        "min": spec.min,
-                        "max": spec.max,
-                        "default": spec.default,
-                        "meaning": spec.meaning,
-                    }
-                    for name, spec in specs.items()
-                }
-            )
+        specs = {name: heli.params.spec(name) for name in values if pattern in name}
+        content = {
+            name: {
+                "value": values[name],
+                "unit": spec.unit,
+                "min": spec.min,
+                "max": spec.max,
+                "default": spec.default,
+                "meaning": spec.meaning,
+            }
+            for name, spec in specs.items()
+        }
+        if write_result(json, {"parameters": content}):
             return
         table = Table(box=None, pad_edge=False)
         for heading in ("name", "", "value", "unit", "range", *(("meaning",) if long else ())):
@@ -76,7 +74,7 @@ def list_parameters(
 
 
 @app.command("get")
-def get(name: NameArgument, port: PortOption = None, sil: SilOption = False, json: JsonFlag = False) -> None:
+def get(name: NameArgument, port: PortOption = None, sil: SilOption = False, json: JsonOption = None) -> None:
     """Print one parameter's value.
 
     Example: `heli-host params get hover_V`
@@ -85,9 +83,7 @@ def get(name: NameArgument, port: PortOption = None, sil: SilOption = False, jso
 
     spec = spec_of(name)
     with _board(port, sil) as heli:
-        if json:
-            say_json({"name": name, "value": heli.params[name], "unit": spec.unit})
-        else:
+        if not write_result(json, {"name": name, "value": heli.params[name], "unit": spec.unit}):
             say(f"{heli.params[name]:g}")
 
 
@@ -98,6 +94,7 @@ def set_parameter(
     save: SaveOption = False,
     port: PortOption = None,
     sil: SilOption = False,
+    json: JsonOption = None,
 ) -> None:
     """Set one parameter, in the board's memory or for good.
 
@@ -106,11 +103,23 @@ def set_parameter(
     from heli_host.parameters import checked
 
     spec = checked(name, value)
+    data_on_stdout(json)
     with _board(port, sil) as heli:
         before = heli.params[name]
         in_force = heli.params.set(name, value)
         unit = f" {spec.unit}" if spec.unit else ""
-        say(f"{name}: {before:g} -> {in_force:g}{unit}{_saved(heli.params.save() if save else None)}")
+        saved = heli.params.save() if save else None
+        say(f"{name}: {before:g} -> {in_force:g}{unit}{_saved(saved)}")
+        write_result(
+            json,
+            {
+                "name": name,
+                "before": before,
+                "value": in_force,
+                "unit": spec.unit,
+                "saved": saved is not None,
+            },
+        )
 
 
 @app.command("save")
@@ -149,6 +158,7 @@ def restore(
     save: SaveOption = False,
     port: PortOption = None,
     sil: SilOption = False,
+    json: JsonOption = None,
 ) -> None:
     """Set all parameters of a file; when one is refused, none is set.
 
@@ -160,11 +170,14 @@ def restore(
     values = read_parameters(file)
     for name, value in values.items():
         checked(name, value)
+    data_on_stdout(json)
     with _board(port, sil) as heli:
         changed = heli.params.restore(values)
         for name, value in changed.items():
             say(f"{name} -> {value:g}")
-        say(f"{len(changed)} of {len(values)} changed{_saved(heli.params.save() if save else None)}")
+        saved = heli.params.save() if save else None
+        say(f"{len(changed)} of {len(values)} changed{_saved(saved)}")
+        write_result(json, {"changed": dict(changed), "saved": saved is not None})
 
 
 def _board(port: str | None, sil: bool) -> AbstractContextManager[Heli]:

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from heli_host.cli.options import JsonFlag
-from heli_host.cli.say import say, say_files, say_json
+from heli_host.cli.options import JsonOption
+from heli_host.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.cli.verb import Verb
 
 
@@ -17,26 +17,30 @@ def plot(
     logs: Annotated[
         list[Path], typer.Argument(metavar="LOG...", help="A .mcap log; of several, .csv and .csv.gz too.")
     ],
-    out: Annotated[
+    figure: Annotated[
         Path | None,
         typer.Option(
-            "--out",
-            "-o",
+            "--figure",
             metavar="FILE",
-            help="A .png, .pdf or .svg; else figure.png beside it, or comparison.png here.",
+            help="Draw to .png, .pdf or .svg.  [default: figure.png next to the log, or comparison.png]",
+            show_default=False,
         ),
     ] = None,
-    json: JsonFlag = False,
+    json: JsonOption = None,
 ) -> None:
     """Draw setpoints, angles, voltages and events of a log; several are laid over each other and compared.
 
     Of each axis that had setpoints: rise, overshoot and settling of its largest step, tracking error (rms);
     of each flight its effort, the motors' voltages' rms about their mean.
 
-    Example: `heli-host plot pid.mcap lqr.mcap -o both.pdf`
+    Example: `heli-host plot pid.mcap lqr.mcap --figure both.pdf`
     """
-    if len(logs) > 1 or json:
-        _compare(logs, out, json)
+    from heli_host.cli.outputs import check_result_places
+
+    check_result_places(json, figure=figure)
+    data_on_stdout(json)
+    if len(logs) > 1 or json is not None:
+        _compare(logs, figure, json)
         return
     from heli_host.log.figure import write_figure
     from heli_host.log.reader import read_log
@@ -44,28 +48,29 @@ def plot(
 
     (log,) = logs
     read = read_log(log)
-    target = out if out is not None else log.with_name("figure.png")
+    target = figure if figure is not None else log.with_name("figure.png")
     write_figure(read.flight(), summarise(read), target)
     say(f"{read.ticks.size} ticks -> {target}")
 
 
-def _compare(logs: Sequence[Path], out: Path | None, json: bool) -> None:
-    from heli_host.log.comparison import MOST, comparison_lines, comparison_numbers, write_comparison
+def _compare(logs: Sequence[Path], figure: Path | None, json: Path | None) -> None:
+    from heli_host.log.comparison import MAX_FLIGHTS, comparison_lines, comparison_numbers, write_comparison
     from heli_host.log.flight_file import read_flight
 
-    if len(logs) > MOST:
-        raise typer.BadParameter(f"{len(logs)} flights on one page cannot be told apart; give {MOST} at most")
+    if len(logs) > MAX_FLIGHTS:
+        raise typer.BadParameter(
+            f"{len(logs)} flights on one page cannot be told apart; give {MAX_FLIGHTS} at most"
+        )
     labels = [str(log) for log in logs]
     if len(set(labels)) < len(labels):
         raise typer.BadParameter("a log is given twice; give each once")
     flights = {label: read_flight(log, allow_gaps=True) for label, log in zip(labels, logs, strict=True)}
     numbers = comparison_numbers(flights)
-    target = out
-    if out is not None or not json:
-        target = out if out is not None else Path("comparison.png")
+    target = figure
+    if figure is not None or json is None:
+        target = figure if figure is not None else Path("comparison.png")
         write_comparison(flights, target)
-    if json:
-        say_json({"flights": numbers, "figure": None if target is None else str(target)})
+    if write_result(json, {"flights": numbers, "figure": None if target is None else str(target)}):
         return
     say(*comparison_lines(numbers))
     say_files([target])

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from heli_host.cli.options import JsonFlag
+from heli_host.cli.options import JsonOption
 from heli_host.cli.verb import Verb
 
 
-def ports(json: JsonFlag = False) -> None:
+def ports(json: JsonOption = None) -> None:
     """List the serial ports, the Due's programming port first.
 
     Example: `heli-host ports`
@@ -16,26 +16,22 @@ def ports(json: JsonFlag = False) -> None:
     from rich.text import Text
 
     from heli_host.cli.board import is_due, is_due_native
-    from heli_host.cli.say import say_json
+    from heli_host.cli.say import write_result
     from heli_host.errors import printable
     from heli_host.link.transport import available_ports
 
     found = sorted(available_ports(), key=lambda port: not is_due(port))
-    if json:
-        say_json(
-            {
-                "ports": [
-                    {
-                        "device": port.device,
-                        "description": port.description,
-                        "stable_name": port.stable_name,
-                        "due": is_due(port),
-                        "due_native": is_due_native(port),
-                    }
-                    for port in found
-                ]
-            }
-        )
+    listed = [
+        {
+            "device": port.device,
+            "description": port.description,
+            "stable_name": port.stable_name,
+            "due": is_due(port),
+            "due_native": is_due_native(port),
+        }
+        for port in found
+    ]
+    if write_result(json, {"ports": listed}):
         return
     console = Console(highlight=False)
     if not found:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from heli_host.cli.options import ClearFaultOption, PortOption
-from heli_host.cli.say import say
+from heli_host.cli.options import ClearFaultOption, JsonOption, PortOption
+from heli_host.cli.say import data_on_stdout, say, write_result
 from heli_host.cli.simulated import RigOption, SilOption, SpeedOption, rig_name, sil_address
 from heli_host.cli.verb import Verb
 
@@ -31,7 +31,9 @@ def setpoint(
     pitch_deg: Annotated[
         float | None, typer.Option("--pitch-deg", metavar="DEG", help="Pitch; leaves travel free.")
     ] = None,
-    for_s: Annotated[float, typer.Option("--for-s", metavar="S", min=0.1, help="How long.")] = 10.0,
+    duration_s: Annotated[
+        float, typer.Option("--duration", metavar="S", min=0.1, help="Hold for this time in s.")
+    ] = 10.0,
     take_off: Annotated[bool, typer.Option("--take-off", help="Arm and take off first, if idle.")] = False,
     clear_fault: ClearFaultOption = False,
     keep: Annotated[
@@ -39,6 +41,7 @@ def setpoint(
         typer.Option("--keep", help="Do not land at the end; another command may take over."),
     ] = False,
     log: Annotated[Path | None, typer.Option("--log", metavar="FILE", help="Record into this log.")] = None,
+    json: JsonOption = None,
     port: PortOption = None,
     sil: SilOption = False,
     rig: RigOption = None,
@@ -46,7 +49,7 @@ def setpoint(
 ) -> None:
     """Step to a setpoint and hold it for a while, then land. Ctrl-C lands too.
 
-    Example: `heli-host setpoint --take-off --elevation-deg 5 --travel-deg 10 --for-s 20`
+    Example: `heli-host setpoint --sil --take-off --elevation-deg 5 --travel-deg 10 --duration 20`
     """
     given = {"elevation": elevation_deg, "pitch": pitch_deg, "travel": travel_deg}
     targets_deg = {axis: value for axis, value in given.items() if value is not None}
@@ -64,6 +67,7 @@ def setpoint(
 
     if log is not None:
         check_new(log)
+    data_on_stdout(json)
     axes = Axes.ELEVATION | Axes.PITCH if "pitch" in targets_deg else ALL_AXES
     with contextlib.ExitStack() as stack:
         heli = stack.enter_context(open_board(port, sil_address(rig=rig, speed=speed) if sil else None))
@@ -77,7 +81,7 @@ def setpoint(
             stack.enter_context(recorder)
         try:
             _start(heli, axes, take_off)
-            _hold(heli, targets_deg, for_s, recorder)
+            _hold(heli, targets_deg, duration_s, recorder)
         except (KeyboardInterrupt, LogWriteError):
             if heli.motors_may_run:
                 heli.land()
@@ -85,15 +89,26 @@ def setpoint(
         sample = heli.latest
         say(
             f"elevation {sample.elevation_deg:.1f}, pitch {sample.pitch_deg:.1f}, "
-            f"travel {sample.travel_deg:.1f} deg after {for_s:g} s"
+            f"travel {sample.travel_deg:.1f} deg after {duration_s:g} s"
         )
         if keep:
             # Ends the session but not the flight; the board holds level, and lands when nobody takes over.
             heli.session.close()
-            print("left flying: it holds level, and lands by itself unless another command takes over")
+            say("left flying: the board holds level, and lands unless another command takes over")
         else:
             heli.land()
-            print("landed")
+            say("landed")
+        write_result(
+            json,
+            {
+                "targets_deg": targets_deg,
+                "duration_s": duration_s,
+                "elevation_deg": sample.elevation_deg,
+                "pitch_deg": sample.pitch_deg,
+                "travel_deg": sample.travel_deg,
+                "landed": not keep,
+            },
+        )
 
 
 def _start(heli: Heli, axes: Axes, take_off: bool) -> None:
@@ -110,7 +125,7 @@ def _start(heli: Heli, axes: Axes, take_off: bool) -> None:
         heli.control(axes)
 
 
-def _hold(heli: Heli, targets_deg: Mapping[str, float], for_s: float, recorder: Recorder | None) -> None:
+def _hold(heli: Heli, targets_deg: Mapping[str, float], duration_s: float, recorder: Recorder | None) -> None:
     from heli_host.cli.progress import LiveLine
     from heli_host.declaration import State
     from heli_host.errors import FlightAborted, fault_text
@@ -118,14 +133,14 @@ def _hold(heli: Heli, targets_deg: Mapping[str, float], for_s: float, recorder: 
     heli.setpoint(**{f"{axis}_deg": value_deg for axis, value_deg in targets_deg.items()})
     start_s = heli.latest.t_s
     with LiveLine() as live:
-        while (passed_s := heli.latest.t_s - start_s) < for_s:
-            heli.wait(min(STEP_S, for_s - passed_s))
+        while (passed_s := heli.latest.t_s - start_s) < duration_s:
+            heli.wait(min(STEP_S, duration_s - passed_s))
             if recorder is not None:
                 recorder.check()
             sample = heli.latest
             if sample.state in (State.FAULT, State.IDLE):
                 raise FlightAborted(f"the motors were switched off: {fault_text(sample.fault)}")
-            live.show(sample, heli.counters, t_s=passed_s, phase="setpoint", left_s=for_s - passed_s)
+            live.show(sample, heli.counters, t_s=passed_s, phase="setpoint", left_s=duration_s - passed_s)
 
 
 VERB = Verb(setpoint, "Fly")

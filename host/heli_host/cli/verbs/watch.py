@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from heli_host.cli.options import ForOption, PortOption
+from heli_host.cli.options import DurationOption, PortOption
 from heli_host.cli.say import say
 from heli_host.cli.simulated import RigOption, SilOption, SpeedOption, sil_address
 from heli_host.cli.verb import Verb
@@ -22,7 +22,7 @@ LINE_EVERY_S = 1.0
 
 
 def watch(
-    for_s: ForOption = None,
+    duration_s: DurationOption = None,
     port: PortOption = None,
     sil: SilOption = False,
     rig: RigOption = None,
@@ -32,7 +32,7 @@ def watch(
 
     For the bench: turn an axis by hand and see which counter moves, and which way.
 
-    Example: `heli-host watch --for-s 60`
+    Example: `heli-host watch --port /dev/ttyACM0 --duration 60`
     """
     from heli_host.cli.board import board_text, open_board
 
@@ -42,20 +42,20 @@ def watch(
         if info.boot_fault:
             say(f"before that start: {info.boot_fault}")
         try:
-            _look(heli, for_s)
+            _look(heli, duration_s)
         except KeyboardInterrupt:
-            # This is how watching without --for-s is meant to end.
+            # Watching without --duration ends this way.
             print()
 
 
-def _look(heli: Heli, for_s: float | None) -> None:
+def _look(heli: Heli, duration_s: float | None) -> None:
     from heli_host.cli.live_display import LiveDisplay
 
     start_s = heli.latest.t_s
     passed_s = 0.0
     with LiveDisplay(LINE_EVERY_S) as live:
-        while for_s is None or passed_s < for_s:
-            heli.wait(STEP_S if for_s is None else min(STEP_S, for_s - passed_s))
+        while duration_s is None or passed_s < duration_s:
+            heli.wait(STEP_S if duration_s is None else min(STEP_S, duration_s - passed_s))
             passed_s = heli.latest.t_s - start_s
             if live.due:
                 _show(heli, live, passed_s)

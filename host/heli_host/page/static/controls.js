@@ -14,7 +14,7 @@ function element(name, properties = {}, ...children) {
 
 export class Controls {
   constructor(link, say) {
-    Object.assign(this, { link, say, hello: null, status: null, seats: null, target: {}, setpointDeg: {}, movedMs: -Infinity, pending: null, sliders: {}, rows: new Map() });
+    Object.assign(this, { link, say, hello: null, status: null, control: null, target: {}, setpointDeg: {}, movedMs: -Infinity, pending: null, sliders: {}, rows: new Map() });
     const press = (id, name, more = () => ({})) => $(id).addEventListener("click", () => this.ask(name, more()));
     press("take-off", "take_off");
     press("land", "land");
@@ -72,7 +72,7 @@ export class Controls {
     if (!answer.error) { field.value = ""; if (!answer.logged) this.say("marked on this page only: nothing is being recorded"); }
   }
 
-  get flies() { return this.seats?.pilot === this.hello?.you; }
+  get flies() { return this.control?.pilot === this.hello?.you; }
   get state() { return this.hello?.states[this.status?.state]?.name ?? ""; }
 
   greet(hello) {
@@ -214,21 +214,21 @@ export class Controls {
     $("link-list").replaceChildren(...Object.entries(rows).flatMap(([name, value]) => [element("dt", {}, name), element("dd", {}, String(value))]));
   }
 
-  seat(seats) {
-    const before = JSON.stringify(this.seats);
-    this.seats = seats;
-    if (before === JSON.stringify(seats)) return;
-    const box = $("seat"), button = (words, name, more) => element("button", { type: "button", onclick: () => this.ask(name, more) }, words);
-    const others = seats.clients - 1, audience = others > 0 ? ` ${others} other${others > 1 ? "s" : ""} watch.` : "";
+  showControl(control) {
+    const before = JSON.stringify(this.control);
+    this.control = control;
+    if (before === JSON.stringify(control)) return;
+    const box = $("control"), button = (words, name, more) => element("button", { type: "button", onclick: () => this.ask(name, more) }, words);
+    const others = control.clients - 1, audience = others > 0 ? ` ${others} other${others > 1 ? "s" : ""} watch.` : "";
     if (!this.flies) {
-      const asked = seats.asking === this.hello.you;
-      box.replaceChildren(`You watch; ${seats.pilot_name || "nobody"} flies${seats.present ? "" : ", but does not answer"}. Stop works from here too.`,
+      const asked = control.asking === this.hello.you;
+      box.replaceChildren(`You watch; ${control.pilot_name || "nobody"} flies${control.present ? "" : ", but does not answer"}. Stop works from here too.`,
         element("div", { className: "row" }, asked ? "You have asked; the pilot answers." : button("Ask for control", "ask")));
-    } else if (seats.asking) {
-      box.replaceChildren(element("strong", {}, `${seats.asking_name} asks for control.`),
+    } else if (control.asking) {
+      box.replaceChildren(element("strong", {}, `${control.asking_name} asks for control.`),
         element("div", { className: "row" }, button("Hand over", "grant"), button("Keep", "keep")));
     } else {
-      const share = element("input", { type: "checkbox", checked: seats.shared, onchange: () => this.ask("share", { on: share.checked }) });
+      const share = element("input", { type: "checkbox", checked: control.shared, onchange: () => this.ask("share", { on: share.checked }) });
       box.replaceChildren(`You fly.${audience}`, element("div", {}, element("label", {}, share, " others may change parameters")));
     }
     if (this.status) this.show(this.status);
@@ -240,7 +240,7 @@ export class Controls {
     while (list.children.length > EVENTS_SHOWN) list.lastChild.remove();
   }
 
-  get mayTune() { return this.flies || Boolean(this.seats?.shared); }
+  get mayTune() { return this.flies || Boolean(this.control?.shared); }
 
   buildParameters() {
     this.rows.clear();

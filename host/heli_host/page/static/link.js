@@ -10,7 +10,7 @@ function address(path, more = {}) {
   return `${scheme}//${location.host}${path}?${new URLSearchParams({ token, ...more })}`;
 }
 
-// An id that outlives loading the page anew, so that its seat is still its own.
+// An id that outlives reloading the page, so that its control lease stays valid.
 function ownId() {
   let id = sessionStorage.getItem("client");
   if (!id) {

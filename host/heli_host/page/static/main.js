@@ -89,7 +89,7 @@ function take(words, cameMs) {
     [statusMs, stale, lost] = [cameMs, false, false];
     alarm("");
   }
-  if (words.seats) controls.seat(words.seats);
+  if (words.control) controls.showControl(words.control);
 }
 
 function greet(news) {

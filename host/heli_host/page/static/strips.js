@@ -8,7 +8,7 @@ const STRIPS = [
   { title: "travel, deg", series: [["travel_rad", "travel", "#0b5394"], ["travel_setpoint_rad", "setpoint", "#b45f06"]] },
   { title: "motors, V", series: [["front_V", "front", "#14602c"], ["back_V", "back", "#741b47"]] },
 ];
-const MOST_DRAWN = 1e12; // of a program's signal: far beyond, uPlot's axis fails, and the drawing of all else with it
+const MAX_DRAWN = 1e12; // of a program's signal: far beyond, uPlot's axis fails, and the drawing of all else with it
 const INTERVAL_MS = 60;
 const LONGEST_MS = 600; // between two drawings, where the browser draws slowly: it has more to do than strips
 
@@ -88,7 +88,7 @@ export class Strips {
     if (isNew) this.own.set(name, { x: [], y: [] });
     const { x, y } = this.own.get(name);
     x.push(tick * this.tickS);
-    y.push(Math.abs(value) < MOST_DRAWN ? value : null);
+    y.push(Math.abs(value) < MAX_DRAWN ? value : null);
     if (x.length > 20000) { x.splice(0, 5000); y.splice(0, 5000); }
     if (isNew) this.build();
     this.changed = true;

@@ -30,7 +30,7 @@ _ROTORS: Final[Mapping[str, tuple[int, int]]] = {
     "front": (1, 0),
     "back": (0, 1),
 }
-_LEAST_s, _MOST_s = 0.02, 5.0
+_MIN_s, _MAX_s = 0.02, 5.0
 """Bounds of a lag's time constant: below, it is the filter's own step; above, a slow disturbance."""
 
 
@@ -284,7 +284,7 @@ def inner_prior(factor: Factor, inner_name: str, value: float) -> Prior:
     grid.
     """
     if inner_name == "s":
-        return Prior(value, value, _LEAST_s, _MOST_s)
+        return Prior(value, value, _MIN_s, _MAX_s)
     if inner_name == "k":
         return Prior(value, 0.3 * value, 0.3 * value, 3.0 * value)
     if inner_name == "slack":

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property
 
-from heli_sim.model.effects import EffectKind
+from heli_sim.model.effects import EffectSpec
 
 from heli_lab.diagnose.discover.equation import Equation
 from heli_lab.diagnose.search import Candidate, Hypothesis, ModelComparison, Screening, typical_candidate
@@ -37,7 +37,7 @@ class ListedEffects:
         self,
         comparison: ModelComparison,
         base: Hypothesis,
-        kinds: Mapping[str, EffectKind],
+        kinds: Mapping[str, EffectSpec],
         say: Callable[[str], None],
     ) -> None:
         self.comparison, self.base, self.kinds, self.say = comparison, base, kinds, say

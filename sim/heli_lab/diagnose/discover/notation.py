@@ -140,7 +140,7 @@ def effect_file(effect: EquationEffect, numbers: Mapping[str, tuple[float, float
 
 import casadi as ca
 from heli_sim.model import Effect, Stage
-from heli_sim.model.effects import EffectKind, Parameter
+from heli_sim.model.effects import EffectSpec, Parameter
 from heli_sim.rig import Prior{quantity}
 from typing_extensions import override
 
@@ -149,7 +149,7 @@ class ProposedTerm(Effect):
     """{formula}"""
 {"".join(body)}
 
-PROPOSED_TERM = EffectKind(
+PROPOSED_TERM = EffectSpec(
     id="{effect.name}",
     effect=ProposedTerm,
     sentence="{_sentence(equation)}",
@@ -163,7 +163,7 @@ PROPOSED_TERM = EffectKind(
 
 
 def _sentence(equation: Equation) -> str:
-    """Sentence of the effect, with its parameters in braces as `EffectKind` expects them."""
+    """Sentence of the effect, with its parameters in braces as `EffectSpec` expects them."""
     parts = []
     for channel in equation.channels:
         texts = {name: f"[{{{name}}}]" for name in _names(equation)}

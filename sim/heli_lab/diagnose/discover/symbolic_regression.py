@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-from heli_sim.model.effects import EffectKind
+from heli_sim.model.effects import EffectSpec
 
 from heli_lab.diagnose.discover.discovery import Discovery, Rival
 from heli_lab.diagnose.discover.equation import NAME, Equation, Group
@@ -197,7 +197,7 @@ def discover(
     base: Hypothesis,
     *,
     curve: Hypothesis | None = None,
-    kinds: Mapping[str, EffectKind] | None = None,
+    kinds: Mapping[str, EffectSpec] | None = None,
     refits: float = math.inf,
     say: Callable[[str], None] | None = None,
 ) -> Discovery | None:
@@ -212,7 +212,7 @@ def discover(
     curve : Hypothesis, optional
         The same model with spline terms in the place of what is missing: the score tests use its
         disturbances, and its log-likelihood shows how much there is to explain.
-    kinds : Mapping[str, EffectKind], optional
+    kinds : Mapping[str, EffectSpec], optional
         Catalogue by effect id: an equation that one of its effects fits equally well is dropped.
     refits : float
         Refits after which no further term is tried.

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from heli_sim.model.effects import EffectKind
+from heli_sim.model.effects import EffectSpec
 from heli_sim.rig import Rig
 
 from heli_lab.diagnose import thresholds
@@ -40,7 +40,7 @@ class AbsentTerm:
     z_from_rig: float
 
 
-def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectKind]) -> tuple[AbsentTerm, ...]:
+def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectSpec]) -> tuple[AbsentTerm, ...]:
     """Find terms whose parameters are zero within their standard errors.
 
     Parameters
@@ -49,7 +49,7 @@ def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectKind]) -> tuple[A
         The final model on the fitted flights.
     rig : Rig
         Nominal values of the parameters.
-    kinds : Mapping[str, EffectKind]
+    kinds : Mapping[str, EffectSpec]
         Catalogue by effect id; kinds that remove a term are tested.
 
     Returns

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from heli_sim.model.effects import EffectKind
+from heli_sim.model.effects import EffectSpec
 
 from heli_lab.diagnose.evaluate.absent_terms import AbsentTerm, absent_terms
 from heli_lab.diagnose.evaluate.prediction import Prediction, predict
@@ -41,7 +41,7 @@ class Assessment:
     verdict: Verdict
 
 
-def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, EffectKind]) -> Assessment:
+def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, EffectSpec]) -> Assessment:
     """Assess the result of a search.
 
     Parameters

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from heli_sim.model.effects import EffectKind
+from heli_sim.model.effects import EffectSpec
 
 from heli_lab.diagnose.search import Scored
 from heli_lab.diagnose.thresholds import DETECTION_STD_ERRORS
@@ -12,7 +12,7 @@ from heli_lab.estimation import Estimate
 from heli_lab.identify.uncertainty import uninformed_parameters
 
 
-def undetectable_effects(screened: Sequence[Scored], kinds: Mapping[str, EffectKind]) -> tuple[str, ...]:
+def undetectable_effects(screened: Sequence[Scored], kinds: Mapping[str, EffectSpec]) -> tuple[str, ...]:
     """Find the effects that would not be significant in these flights at their typical size.
 
     Parameters

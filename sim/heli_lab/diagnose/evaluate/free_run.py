@@ -26,7 +26,7 @@ from heli_lab.diagnose.thresholds import CALIBRATE_SHARE, CALIBRATE_s
 from heli_lab.errors import IdentifyError
 from heli_lab.identify import Fit, Problem, Record, solve, trace
 from heli_lab.identify.free import flight_constants
-from heli_lab.identify.thresholds import LEAST_SEGMENT_S
+from heli_lab.identify.thresholds import MIN_SEGMENT_S
 
 HORIZONS: Final[Mapping[str, int]] = {"0.5": 4, "1": 2, "2": 1}
 """Horizons [s], as the JSON names them, and into how many parts each divides a window of 2 s."""
@@ -201,7 +201,7 @@ def calibration_s(record: Record, requested_s: float | None = None) -> float:
         return min(CALIBRATE_s, most_s)
     if not requested_s >= 0.0:
         raise IdentifyError(f"{requested_s:g} s to calibrate on", "give 0 or more to --calibrate")
-    if requested_s > record.used_s - LEAST_SEGMENT_S:
+    if requested_s > record.used_s - MIN_SEGMENT_S:
         raise IdentifyError(
             f"{requested_s:g} s to calibrate on leave nothing of the {record.used_s:.3g} s of free flight in "
             f"{record.label}",
@@ -241,7 +241,7 @@ def _split(record: Record, seconds: float) -> tuple[Record, Record]:
         remaining -= cut - start
         first += [(start, cut)] if cut > start else []
         rest += [(cut, stop)] if stop > cut else []
-    least = round(LEAST_SEGMENT_S / record.step_s)
+    least = round(MIN_SEGMENT_S / record.step_s)
     rest = [(start, stop) for start, stop in rest if stop - start >= least] or rest
     return replace(record, segments=tuple(first)), replace(record, segments=tuple(rest))
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from heli_sim.model.effects import EffectKind
+from heli_sim.model.effects import EffectSpec
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.thresholds import MIN_STD_COUNTS, MIN_STD_SHARE, TIME_STD_FACTOR
@@ -30,14 +30,14 @@ class CauseParameter:
     unit: str
 
 
-def cause_parameters(fit: Fit, kind: EffectKind, start: Mapping[str, float]) -> dict[str, CauseParameter]:
+def cause_parameters(fit: Fit, kind: EffectSpec, start: Mapping[str, float]) -> dict[str, CauseParameter]:
     """Parameters of an effect by full name, as they are reported.
 
     Parameters
     ----------
     fit : Fit
         The model with the effect.
-    kind : EffectKind
+    kind : EffectSpec
         The effect's entry in the catalogue.
     start : Mapping[str, float]
         Values of parameters that were not estimated, by full name.
@@ -49,7 +49,7 @@ def cause_parameters(fit: Fit, kind: EffectKind, start: Mapping[str, float]) -> 
     }
 
 
-def reported_std(fit: Fit, kind: EffectKind) -> dict[str, float]:
+def reported_std(fit: Fit, kind: EffectSpec) -> dict[str, float]:
     """Compute standard errors that are not finer than what flights resolve.
 
     Voltages are held over a sample, so a time constant or delay is uncertain by a part of a sample, and by
@@ -60,7 +60,7 @@ def reported_std(fit: Fit, kind: EffectKind) -> dict[str, float]:
     ----------
     fit : Fit
         Estimates with standard errors.
-    kind : EffectKind
+    kind : EffectSpec
         The effect; it determines which parameters are sizes, and on what they act.
 
     Returns

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from heli_sim.model.effects import EffectKind
+from heli_sim.model.effects import EffectSpec
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose import thresholds
@@ -68,7 +68,7 @@ def judge(
     search: Search,
     residual: ResidualAnalysis,
     after: Prediction,
-    kinds: Mapping[str, EffectKind],
+    kinds: Mapping[str, EffectSpec],
     absent: bool,
 ) -> Verdict:
     """Decide the verdict.
@@ -99,7 +99,7 @@ def judge(
     return Verdict("cause_found" if random or absent else "explained", (), (), random)
 
 
-def _named(cause: Cause, kind: EffectKind, fit: Fit, unexplained: bool) -> NamedCause:
+def _named(cause: Cause, kind: EffectSpec, fit: Fit, unexplained: bool) -> NamedCause:
     parameters = cause_parameters(fit, kind, cause.candidate.effect.values)
     return NamedCause(
         cause.candidate,
@@ -117,7 +117,7 @@ def _named(cause: Cause, kind: EffectKind, fit: Fit, unexplained: bool) -> Named
     )
 
 
-def has_random_torque(residual: ResidualAnalysis, kinds: Mapping[str, EffectKind]) -> bool:
+def has_random_torque(residual: ResidualAnalysis, kinds: Mapping[str, EffectSpec]) -> bool:
     """Whether the fast disturbance is significant about one axis only, and of notable size and correlation
     time; `kinds` is the catalogue, which has its typical size.
     """

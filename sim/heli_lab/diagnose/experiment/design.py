@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from heli_sim.errors import SimError
-from heli_sim.model.effects import EffectKind
+from heli_sim.model.effects import EffectSpec
 
 from heli_lab.diagnose.evaluate import undetectable_effects
 from heli_lab.diagnose.experiment.simulation import expected_log_likelihood_ratio, simulate_experiment
@@ -124,7 +124,7 @@ class ExperimentDesign:
     plan: str
 
 
-def segment_for(kind: EffectKind) -> str:
+def segment_for(kind: EffectSpec) -> str:
     """Choose the segment that excites an effect of this `kind` best, by what it acts on; return its key."""
     if any(q.name.endswith("_at_s") for q in kind.parameters) or "fade" in kind.id:
         return "time"
@@ -171,7 +171,7 @@ class Pair:
 def discriminating_experiment(
     pair: Pair,
     comparison: ModelComparison,
-    kinds: Mapping[str, EffectKind],
+    kinds: Mapping[str, EffectSpec],
     enough: float,
 ) -> ExperimentDesign:
     """Choose the plan of the largest expected log-likelihood ratio between two hypotheses.
@@ -215,7 +215,7 @@ def discriminating_experiment(
 
 
 def informative_experiment(
-    reason: str, undetectable: Iterable[str], baseline: Hypothesis, kinds: Mapping[str, EffectKind]
+    reason: str, undetectable: Iterable[str], baseline: Hypothesis, kinds: Mapping[str, EffectSpec]
 ) -> ExperimentDesign:
     """Choose the plan that excites undetectable effects, and count those that it makes detectable.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from heli_sim.model.effects import EffectKind
+from heli_sim.model.effects import EffectSpec
 
 from heli_lab.diagnose.discover import spline_curve_of
 from heli_lab.diagnose.evaluate import Assessment
@@ -23,7 +23,7 @@ def propose_experiment(
     comparison: ModelComparison,
     search: Search,
     assessment: Assessment,
-    kinds: Mapping[str, EffectKind],
+    kinds: Mapping[str, EffectSpec],
     undetectable: Sequence[str],
 ) -> ExperimentDesign | None:
     """Propose the next flight.

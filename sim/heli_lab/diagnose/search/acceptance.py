@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from heli_sim.model.effects.kind import EffectKind
+from heli_sim.model.effects.spec import EffectSpec
 
 from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.search.candidate import Candidate, Scored
@@ -24,7 +24,7 @@ class Acceptance:
     """
 
     comparison: ModelComparison
-    kinds: Mapping[str, EffectKind]
+    kinds: Mapping[str, EffectSpec]
 
     def penalty(self, candidate: Candidate, grid_points: int = 0) -> float:
         """Complexity penalty in nats: BIC for the candidate's parameters, and the logarithm of the number of
@@ -63,7 +63,7 @@ class Acceptance:
 
 
 def is_significant(
-    hypothesis: Hypothesis, candidate: Candidate, kinds: Mapping[str, EffectKind], name: str | None = None
+    hypothesis: Hypothesis, candidate: Candidate, kinds: Mapping[str, EffectSpec], name: str | None = None
 ) -> bool:
     """Whether a size of an effect differs from its neutral value by two standard errors (Wald test).
 

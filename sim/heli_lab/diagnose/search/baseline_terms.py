@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
-from heli_sim.model.effects import EffectKind
+from heli_sim.model.effects import EffectSpec
 from heli_sim.rig import Prior, Rig
 
 from heli_lab.diagnose import thresholds
@@ -46,13 +46,13 @@ class RemovedTerm:
     log_likelihood_gain: float
 
 
-def tightly_specified(kind: EffectKind, rig: Rig) -> bool:
+def tightly_specified(kind: EffectSpec, rig: Rig) -> bool:
     """Whether a `rig` file gives the parameters of a term such narrow priors that no fit estimates them as
     zero; False if the rig does not have the term.
 
     Parameters
     ----------
-    kind : EffectKind
+    kind : EffectSpec
         The removal of the term.
     """
     return bool(kind.override) and all(
@@ -62,7 +62,7 @@ def tightly_specified(kind: EffectKind, rig: Rig) -> bool:
 
 
 def tightly_specified_terms(
-    comparison: ModelComparison, kinds: Iterable[EffectKind], screening: Screening
+    comparison: ModelComparison, kinds: Iterable[EffectSpec], screening: Screening
 ) -> list[RemovedTerm]:
     """Find tightly specified terms that the score test removes nearly as a whole.
 
@@ -70,7 +70,7 @@ def tightly_specified_terms(
     ----------
     comparison : ModelComparison
         The model and the rig.
-    kinds : iterable of EffectKind
+    kinds : iterable of EffectSpec
         Kinds of the catalogue; those that remove a term are tested.
     screening : Screening
         Scores about the present estimate.

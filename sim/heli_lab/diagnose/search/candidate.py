@@ -10,7 +10,7 @@ import numpy as np
 from heli_host.arrays import Floats
 from heli_sim.model.base import Effect
 from heli_sim.model.effect import Stage
-from heli_sim.model.effects.kind import EffectKind
+from heli_sim.model.effects.spec import EffectSpec
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Candidate:
         return values
 
 
-def typical_candidate(kind: EffectKind) -> Candidate:
+def typical_candidate(kind: EffectSpec) -> Candidate:
     """Make an effect of this `kind` with its typical size, as a start of a refit."""
     return Candidate(kind.id, kind.make(kind.typical), kind.size)
 
@@ -95,7 +95,7 @@ class Scored:
     tried: int
 
 
-def effect_candidates(kind: EffectKind, seconds: float) -> list[Candidate]:
+def effect_candidates(kind: EffectSpec, seconds: float) -> list[Candidate]:
     """Lay out the grid of an effect of this `kind` over a flight of so many `seconds`."""
     scan = kind.grid_values(seconds)
     candidates = []
@@ -106,6 +106,6 @@ def effect_candidates(kind: EffectKind, seconds: float) -> list[Candidate]:
     return candidates
 
 
-def compatible(kind: EffectKind, other: EffectKind) -> bool:
+def compatible(kind: EffectSpec, other: EffectSpec) -> bool:
     """Whether one model may have both effects `kind` and `other`: never two equations for the rotors' lag."""
-    return kind.goes_with(other) and not (kind.stage == other.stage == Stage.LAG)
+    return kind.compatible_with(other) and not (kind.stage == other.stage == Stage.LAG)

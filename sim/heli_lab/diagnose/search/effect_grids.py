@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
-from heli_sim.model.effects.kind import EffectKind
+from heli_sim.model.effects.spec import EffectSpec
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.search.candidate import Candidate, effect_candidates
@@ -50,13 +50,13 @@ class EffectGrids:
     disturbances: DisturbanceModel
     seconds: float
 
-    def candidates(self, kind: EffectKind) -> list[Candidate]:
+    def candidates(self, kind: EffectSpec) -> list[Candidate]:
         """Lay out the grid of an effect, at several sizes if it is not linear in its size."""
         frequency = next((q.name for q in kind.parameters if q.unit == "Hz" and q.name in kind.grid), None)
         if frequency is not None:
             peaks = self._peaks(kind.acts_on.rpartition(".")[2])
             numbers = tuple(
-                replace(number, grid=peaks) if kind.full(number.what) == frequency else number
+                replace(number, grid=peaks) if kind.full(number.name) == frequency else number
                 for number in kind.numbers
             )
             candidates = effect_candidates(replace(kind, numbers=numbers), self.seconds)
@@ -114,7 +114,7 @@ class EffectGrids:
         return tuple(float(frequency_Hz[i]) for i in top[:_PEAKS]) or (0.5,)
 
 
-def _thinned(kind: EffectKind, seconds: float, jumps: tuple[float, ...]) -> EffectKind:
+def _thinned(kind: EffectSpec, seconds: float, jumps: tuple[float, ...]) -> EffectSpec:
     """The effect with coarser grids, with `jumps` in the grid of a moment; the best point's neighbourhood is
     refined later.
     """
@@ -126,12 +126,12 @@ def _thinned(kind: EffectKind, seconds: float, jumps: tuple[float, ...]) -> Effe
         return tuple(sorted({*thinned, *jumps})) if what == "at_s" else thinned
 
     numbers = tuple(
-        number if number.grid is None else replace(number, grid=thin(number.what)) for number in kind.numbers
+        number if number.grid is None else replace(number, grid=thin(number.name)) for number in kind.numbers
     )
     return replace(kind, numbers=numbers)
 
 
-def _scaled(kind: EffectKind, candidate: Candidate, share: float) -> Mapping[str, float]:
+def _scaled(kind: EffectSpec, candidate: Candidate, share: float) -> Mapping[str, float]:
     return {
         **candidate.effect.values,
         **{name: share * kind.typical[name] for name in kind.size},

@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from heli_sim.model.effects.kind import EffectKind
+from heli_sim.model.effects.spec import EffectSpec
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose import thresholds
@@ -27,7 +27,7 @@ class ForwardSelection:
 
     Parameters
     ----------
-    removable : sequence of EffectKind
+    removable : sequence of EffectSpec
         Terms of the baseline that may be removed.
     rounds : list of Round
         The rounds so far.
@@ -36,11 +36,11 @@ class ForwardSelection:
     comparison: ModelComparison
     acceptance: Acceptance
     progress: Progress
-    removable: Sequence[EffectKind]
+    removable: Sequence[EffectSpec]
     rounds: list[Round] = field(default_factory=list)
 
     @property
-    def kinds(self) -> Mapping[str, EffectKind]:
+    def kinds(self) -> Mapping[str, EffectSpec]:
         """Catalogue by effect id."""
         return self.acceptance.kinds
 
@@ -195,7 +195,7 @@ def refit_on_grid(
 
 
 def resting_friction(
-    base: Hypothesis, screening: Screening, kinds: Mapping[str, EffectKind], known: Collection[str]
+    base: Hypothesis, screening: Screening, kinds: Mapping[str, EffectSpec], known: Collection[str]
 ) -> list[Scored]:
     """Propose dry friction of typical size for axes that rest for long: a score test linearises, and friction
     that holds an axis has no derivative.
@@ -221,7 +221,7 @@ def resting_friction(
     return proposals
 
 
-def _grid_neighbours(scored: Scored, kinds: Mapping[str, EffectKind]) -> list[list[Candidate]]:
+def _grid_neighbours(scored: Scored, kinds: Mapping[str, EffectSpec]) -> list[list[Candidate]]:
     """The candidate itself; then, if only a grid searches one of its parameters, the candidates at larger
     values, and those at smaller values, each list from the nearest on.
     """
@@ -246,5 +246,5 @@ def _grid_neighbours(scored: Scored, kinds: Mapping[str, EffectKind]) -> list[li
     ]
 
 
-def _acts_on(kind: EffectKind, channel: str) -> bool:
+def _acts_on(kind: EffectSpec, channel: str) -> bool:
     return kind.acts_on == channel or (channel.startswith("thrust") and kind.acts_on in ("thrust", "input"))

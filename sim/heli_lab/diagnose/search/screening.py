@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
-from heli_sim.model.effects.kind import EffectKind
+from heli_sim.model.effects.spec import EffectSpec
 
 from heli_lab.diagnose.search.candidate import Candidate, Scored
 from heli_lab.diagnose.search.effect_grids import EffectGrids
@@ -77,7 +77,7 @@ class Screening:
             linear.release()
             maker.release()
 
-    def effects(self, kinds: Iterable[EffectKind]) -> list[Scored]:
+    def effects(self, kinds: Iterable[EffectSpec]) -> list[Scored]:
         """Score the effects `kinds`, each at the best point of its grid, the highest score first."""
         places = {kind.id: (kind, self._grids.candidates(kind)) for kind in kinds}
         flat = [candidate for _, candidates in places.values() for candidate in candidates]
@@ -272,7 +272,7 @@ def _possible(candidate: Candidate, coefficients: Floats) -> bool:
 
 
 def _best_on_grid(
-    screening: Screening, kind: EffectKind, candidates: Sequence[Candidate], scores: Sequence[Score]
+    screening: Screening, kind: EffectSpec, candidates: Sequence[Candidate], scores: Sequence[Score]
 ) -> Scored | None:
     """The best point of an effect's grid, refined; None if the priors forbid the signs at all points."""
     allowed = [
@@ -288,7 +288,7 @@ def _best_on_grid(
     return best
 
 
-def _refined(screening: Screening, kind: EffectKind, candidates: Sequence[Candidate], best: Scored) -> Scored:
+def _refined(screening: Screening, kind: EffectSpec, candidates: Sequence[Candidate], best: Scored) -> Scored:
     """Halve the grid's distance about its best point, in parameters with three values and more."""
     for name in best.candidate.grid:
         values = sorted({tried.grid[name] for tried in candidates})

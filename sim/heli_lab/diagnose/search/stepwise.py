@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from heli_sim.model.effects.kind import EffectKind
+from heli_sim.model.effects.spec import EffectSpec
 
 from heli_lab.diagnose.search.acceptance import Acceptance
 from heli_lab.diagnose.search.backward import BackwardElimination
@@ -54,9 +54,9 @@ class Search:
 
 def search(
     comparison: ModelComparison,
-    kinds: Mapping[str, EffectKind],
+    kinds: Mapping[str, EffectSpec],
     *,
-    removable: Sequence[EffectKind] = (),
+    removable: Sequence[EffectSpec] = (),
     say: Callable[[str, float], None] | None = None,
     refits: float = math.inf,
 ) -> Search:
@@ -66,9 +66,9 @@ def search(
     ----------
     comparison : ModelComparison
         The model and the flights.
-    kinds : Mapping[str, EffectKind]
+    kinds : Mapping[str, EffectSpec]
         Effects that may be added, by id.
-    removable : sequence of EffectKind
+    removable : sequence of EffectSpec
         Kinds that remove a term of the baseline whose parameters the rig file specifies tightly.
     say : callable, optional
         Called with the present step in words, and with the share of the diagnosis that is done, 0 to 1.

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from heli_sim.model.effects.catalogue import catalogue
-from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.effects.parse import effect_numbers, effects_of, parse_effects
 from heli_sim.model.effects.rotor_lag import RotorLag
 from heli_sim.model.effects.rotor_speed_lag import RotorSpeedLag
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 
 __all__ = [
-    "EffectKind",
+    "EffectSpec",
     "Parameter",
     "RotorLag",
     "RotorSpeedLag",

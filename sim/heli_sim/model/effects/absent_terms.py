@@ -9,7 +9,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior
 
@@ -65,8 +65,8 @@ _SHARE: Final = Parameter(
 )
 
 
-def _kind(name: str, words: str, numbers: tuple[str, ...], equation: str) -> EffectKind:
-    return EffectKind(
+def _spec(name: str, words: str, numbers: tuple[str, ...], equation: str) -> EffectSpec:
+    return EffectSpec(
         id=name,
         effect=RemovedTerm,
         sentence=f"{{share}} of {words} is not there",
@@ -81,9 +81,9 @@ def _kind(name: str, words: str, numbers: tuple[str, ...], equation: str) -> Eff
     )
 
 
-KINDS: Final = (
-    *(_kind(name, *term) for name, term in TERMS.items()),
-    EffectKind(
+SPECS: Final = (
+    *(_spec(name, *term) for name, term in TERMS.items()),
+    EffectSpec(
         id="removed.differential_travel",
         effect=RemovedDifferentialTravel,
         sentence="{share} of P_18, the travel torque of the difference of the thrusts at pitch, is not there",

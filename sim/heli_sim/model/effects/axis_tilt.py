@@ -9,7 +9,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.model.parts import AXES
 from heli_sim.rig.quantity import Prior
 
@@ -54,7 +54,7 @@ def _moment_kg_m(p: Mapping[str, ca.SX], q: ca.SX) -> ca.SX:
     return ca.vertcat(along * ca.cos(q[2]) - y * ca.sin(q[2]), along * ca.sin(q[2]) + y * ca.cos(q[2]), up)
 
 
-KIND: Final = EffectKind(
+SPEC: Final = EffectSpec(
     id="axis_tilt",
     effect=AxisTilt,
     sentence="the travel axis leans: plumb is off by {x_rad} towards the arm at travel 0 and {y_rad} across",

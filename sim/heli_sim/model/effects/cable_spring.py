@@ -8,7 +8,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.model.parts import on_axis
 from heli_sim.rig.quantity import Prior
 
@@ -28,8 +28,8 @@ class CableSpring(Effect):
         return at.state[f"{self.place}_rad"] - self.own(at, "rest_rad")
 
 
-def _kind(axis: str) -> EffectKind:
-    return EffectKind(
+def _spec(axis: str) -> EffectSpec:
+    return EffectSpec(
         id=f"cable_spring.{axis}",
         effect=CableSpring,
         sentence=f"a cable pulls {axis} with {{Nm_per_rad}} towards {{rest_rad}}",
@@ -47,4 +47,4 @@ def _kind(axis: str) -> EffectKind:
     )
 
 
-KINDS: Final = (_kind("elevation"), _kind("travel"))
+SPECS: Final = (_spec("elevation"), _spec("travel"))

@@ -18,20 +18,20 @@ import numpy as np
 from heli_sim.errors import EffectError
 from heli_sim.model.base import Model
 from heli_sim.model.effect import Effect
-from heli_sim.model.effects.kind import EffectKind
+from heli_sim.model.effects.spec import EffectSpec
 from heli_sim.model.multibody import MultibodyModel
 from heli_sim.model.paper import PaperModel
 from heli_sim.rig import load_rig
 
 
-def catalogue(extra: Sequence[str | Path] = ()) -> dict[str, EffectKind]:
-    """All effects by their ids: those that come with the package first, by `EffectKind.rank`; then the
+def catalogue(extra: Sequence[str | Path] = ()) -> dict[str, EffectSpec]:
+    """All effects by their ids: those that come with the package first, by `EffectSpec.rank`; then the
     users', in the order given.
 
     Parameters
     ----------
     extra : sequence of str or Path
-        Users' files, each a Python module with `EffectKind` objects at its top level.
+        Users' files, each a Python module with `EffectSpec` objects at its top level.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def catalogue(extra: Sequence[str | Path] = ()) -> dict[str, EffectKind]:
 
 
 @functools.cache
-def _built_in() -> tuple[EffectKind, ...]:
+def _built_in() -> tuple[EffectSpec, ...]:
     """Kinds of all modules of this folder; the sort is stable, so that a file's own order holds."""
     package = importlib.import_module(__name__.rpartition(".")[0])
     names = sorted(f"{package.__name__}.{info.name}" for info in pkgutil.iter_modules(package.__path__))
@@ -57,12 +57,12 @@ def _built_in() -> tuple[EffectKind, ...]:
     return tuple(sorted(kinds, key=lambda kind: kind.rank))
 
 
-def _kinds_of(path: Path) -> list[EffectKind]:
+def _kinds_of(path: Path) -> list[EffectSpec]:
     module = _module(path)
     found = list(_kinds_in(module))
     if not found:
         raise EffectError(
-            f"effect file {path} has no EffectKind at its top level", "see docs/how-to/extending.md"
+            f"effect file {path} has no EffectSpec at its top level", "see docs/reference/effects.md"
         )
     for kind in found:
         _try(path, kind)
@@ -84,21 +84,21 @@ def _module(path: Path) -> ModuleType:
     return module
 
 
-def _kinds_in(module: ModuleType) -> Iterator[EffectKind]:
+def _kinds_in(module: ModuleType) -> Iterator[EffectSpec]:
     seen = set()
     for value in vars(module).values():
         for kind in value if isinstance(value, tuple | list) else (value,):
-            if isinstance(kind, EffectKind) and id(kind) not in seen:
+            if isinstance(kind, EffectSpec) and id(kind) not in seen:
                 seen.add(id(kind))
                 yield kind
 
 
-def _try(path: Path, kind: EffectKind) -> None:
+def _try(path: Path, kind: EffectSpec) -> None:
     """Evaluate a model with the effect, so that what is wrong with it shows here and not during a fit."""
     where = f"effect file {path}: '{kind.id}'"
     if not (inspect.isclass(kind.effect) and issubclass(kind.effect, Effect)):
         raise EffectError(
-            f"{where}: effect must be a class derived from Effect", "see docs/how-to/extending.md"
+            f"{where}: effect must be a class derived from Effect", "see docs/reference/effects.md"
         )
     if not kind.numbers or not kind.size:
         raise EffectError(f"{where} has no number with size=True", "say which one measures it")
@@ -106,7 +106,7 @@ def _try(path: Path, kind: EffectKind) -> None:
     if not models:
         raise EffectError(
             f"{where} needs {', '.join({*kind.needs, *kind.override})}, which no model has",
-            "name what a model has; see docs/how-to/extending.md",
+            "name what a model has; see docs/reference/effects.md",
         )
     try:
         kind.describe(kind.typical)

@@ -9,7 +9,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior
 
@@ -66,8 +66,8 @@ class CoulombFrictionOfMeasuredRate(CoulombFriction):
         return ca.if_else(is_at_rest, at_rest_Nm, -on_axis(self.place, moving_Nm))
 
 
-def _kind(axis: str, typical_Nm: float) -> EffectKind:
-    return EffectKind(
+def _spec(axis: str, typical_Nm: float) -> EffectSpec:
+    return EffectSpec(
         id=f"coulomb_friction.{axis}",
         effect=CoulombFriction,
         sentence=f"the {axis} axis has dry friction of {{Nm}}",
@@ -101,4 +101,4 @@ def _kind(axis: str, typical_Nm: float) -> EffectKind:
     )
 
 
-KINDS: Final = tuple(_kind(axis, size) for axis, size in zip(AXES, (0.03, 0.01, 0.02), strict=True))
+SPECS: Final = tuple(_spec(axis, size) for axis, size in zip(AXES, (0.03, 0.01, 0.02), strict=True))

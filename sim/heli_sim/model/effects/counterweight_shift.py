@@ -9,9 +9,9 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.model.effects.thrust_step import moments_s
-from heli_sim.model.parts import since
+from heli_sim.model.parts import smooth_step
 from heli_sim.rig.quantity import Prior
 
 
@@ -20,11 +20,11 @@ class CounterweightShift(Effect):
 
     @override
     def modified_parameters(self, at: Operands) -> Mapping[str, ca.SX]:
-        moved = self.own(at, "m") * since(at.time_s, self.own(at, "at_s"))
+        moved = self.own(at, "m") * smooth_step(at.time_s, self.own(at, "at_s"))
         return {"L_b": at.parameter["L_b"] + moved}
 
 
-KIND: Final = EffectKind(
+SPEC: Final = EffectSpec(
     id="counterweight_shift",
     effect=CounterweightShift,
     sentence="the counterweight slips by {m} outwards at {at_s}",

@@ -8,7 +8,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior
 
@@ -25,8 +25,8 @@ class DragQuadratic(Effect):
         return on_axis(axis, -self.own(at, "Nms2") * rate * ca.fabs(rate))
 
 
-def _kind(axis: str, symbol: str, typical_Nms2: float, prior: Prior, source: str) -> EffectKind:
-    return EffectKind(
+def _spec(axis: str, symbol: str, typical_Nms2: float, prior: Prior, source: str) -> EffectSpec:
+    return EffectSpec(
         id=f"{axis}_drag_quadratic",
         effect=DragQuadratic,
         sentence=f"the air brakes {axis} by {{Nms2}}, with the square of its rate",
@@ -41,8 +41,8 @@ def _kind(axis: str, symbol: str, typical_Nms2: float, prior: Prior, source: str
 
 _BROADSIDE: Final = "drag of bodies: the square of the speed; (22) of the paper has it for travel alone"
 
-KINDS: Final = (
-    _kind(AXES[0], r"\theta", 0.1, Prior(0.0, 0.5, -0.5, 2.0), _BROADSIDE),
-    _kind(AXES[1], r"\phi", 0.02, Prior(0.0, 0.1, -0.5, 2.0), _BROADSIDE),
-    _kind(AXES[2], r"\psi", 0.07, Prior(0.0, 0.5, -0.5, 2.0), "(22) of the paper, made to oppose motion"),
+SPECS: Final = (
+    _spec(AXES[0], r"\theta", 0.1, Prior(0.0, 0.5, -0.5, 2.0), _BROADSIDE),
+    _spec(AXES[1], r"\phi", 0.02, Prior(0.0, 0.1, -0.5, 2.0), _BROADSIDE),
+    _spec(AXES[2], r"\psi", 0.07, Prior(0.0, 0.5, -0.5, 2.0), "(22) of the paper, made to oppose motion"),
 )

@@ -8,7 +8,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.rig.quantity import Prior
 
 
@@ -31,7 +31,7 @@ class EdgewiseFlow(Effect):
         return thrust_N * (1 + self.own(at, "s_per_m") * edgewise_m_s * ca.vertcat(-1, 1))
 
 
-KIND: Final = EffectKind(
+SPEC: Final = EffectSpec(
     id="edgewise_flow",
     effect=EdgewiseFlow,
     sentence=(

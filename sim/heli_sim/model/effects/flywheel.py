@@ -9,7 +9,7 @@ from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.gyroscopic_torque import wheel_torque_Nm
-from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.model.parts import upright_torque_Nm
 from heli_sim.rig.quantity import Prior, Quantity
 
@@ -33,7 +33,7 @@ class Flywheel(Effect):
         return (at.volts_V[0] + at.volts_V[1] - self.own(at, "both_V")) / self.own(at, "s")
 
 
-KIND: Final = EffectKind(
+SPEC: Final = EffectSpec(
     id="flywheel",
     effect=Flywheel,
     sentence=(

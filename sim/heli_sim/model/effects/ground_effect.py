@@ -8,7 +8,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.model.parts import rotor_height_m
 from heli_sim.rig.quantity import Prior
 
@@ -28,7 +28,7 @@ class GroundEffect(Effect):
         return thrust_N * (1 + self.own(at, "share") * ca.exp(-above_m / self.own(at, "height_m")))
 
 
-KIND: Final = EffectKind(
+SPEC: Final = EffectSpec(
     id="ground_effect",
     effect=GroundEffect,
     sentence="at the table the rotors push {share} more; over {height_m} of height this falls by a factor e",

@@ -8,7 +8,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.rig.quantity import Prior
 
 
@@ -40,7 +40,7 @@ def wheel_torque_Nm(at: Operands, momentum_Nms: ca.SX) -> ca.SX:
     )
 
 
-KIND: Final = EffectKind(
+SPEC: Final = EffectSpec(
     id="gyroscopic_torque",
     effect=GyroscopicTorque,
     sentence=(

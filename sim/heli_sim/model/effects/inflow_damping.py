@@ -8,7 +8,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.model.parts import rotor_climb_m_s
 from heli_sim.rig.quantity import Prior
 
@@ -33,7 +33,7 @@ _AT_N: Final = 1.0
 """Thrust of which the share is lost, where the loss is the same at any."""
 
 
-KIND: Final = EffectKind(
+SPEC: Final = EffectSpec(
     id="inflow_damping",
     effect=InflowDamping,
     sentence="each rotor loses a share of {s_per_m} of its thrust to its own climb along its axis",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from heli_sim.model.effect import Effect, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.rig.quantity import Prior
 
 
@@ -13,7 +13,7 @@ class InputDelay(Effect):
     """Pure delay of both voltages; whoever integrates the model hands it late voltages."""
 
 
-KIND: Final = EffectKind(
+SPEC: Final = EffectSpec(
     id="input_delay",
     effect=InputDelay,
     sentence="the voltages act {s} late",

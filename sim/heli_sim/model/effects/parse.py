@@ -10,7 +10,7 @@ from pathlib import Path
 from heli_sim.errors import EffectError
 from heli_sim.model.effect import Effect
 from heli_sim.model.effects.catalogue import catalogue
-from heli_sim.model.effects.kind import EffectKind
+from heli_sim.model.effects.spec import EffectSpec
 from heli_sim.rig import Number, Prior, Rig
 
 
@@ -54,7 +54,7 @@ def effects_of(rig: Rig, extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]
     for name, numbers in rig.effects.items():
         where = f"rig '{rig.name}'"
         kind = _known(kinds, name, where)
-        units = {one.what: one.unit for one in kind.numbers}
+        units = {one.name: one.unit for one in kind.numbers}
         for what, number in numbers.items():
             if what not in units:
                 raise EffectError(f"{where}: effect '{name}' has no '{what}'", f"it has: {', '.join(units)}")
@@ -62,7 +62,7 @@ def effects_of(rig: Rig, extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]
                 raise EffectError(
                     f"{where}: {what} of '{name}' is in '{number.unit}'", f"give it in '{units[what]}'"
                 )
-        missing = [one.what for one in kind.numbers if one.prior is not None and one.what not in numbers]
+        missing = [one.name for one in kind.numbers if one.prior is not None and one.name not in numbers]
         if missing:
             raise EffectError(f"{where}: effect '{name}' lacks {', '.join(missing)}", "add each")
         effect = kind.make({kind.full(what): number.value for what, number in numbers.items()})
@@ -70,27 +70,27 @@ def effects_of(rig: Rig, extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]
     return tuple(made)
 
 
-def _stated_priors(kind: EffectKind, numbers: Mapping[str, Number]) -> dict[str, Prior]:
+def _stated_priors(kind: EffectSpec, numbers: Mapping[str, Number]) -> dict[str, Prior]:
     """Priors by full name of the numbers whose tolerance a rig's file states: normal, with half of it as the
     standard deviation, as of the rig's own numbers, within the effect's bounds.
     """
     return {
         name: replace(prior, mean=numbers[what].value, std=0.5 * numbers[what].tolerance)
-        for what, name in ((one.what, kind.full(one.what)) for one in kind.numbers)
+        for what, name in ((one.name, kind.full(one.name)) for one in kind.numbers)
         for prior in [kind.priors.get(name)]
         if prior is not None and what in numbers and numbers[what].tolerance > 0.0
     }
 
 
 def effect_numbers(
-    kind: EffectKind, values: Mapping[str, float], tolerances: Mapping[str, float], source: str
+    kind: EffectSpec, values: Mapping[str, float], tolerances: Mapping[str, float], source: str
 ) -> dict[str, Number]:
     """Numbers of an effect by short name, as a rig holds them in ``rig.effects``.
 
     Parameters
     ----------
     values : Mapping[str, float]
-        Values by full name; `EffectKind.neutral` for those not given.
+        Values by full name; `EffectSpec.neutral` for those not given.
     tolerances : Mapping[str, float]
         Half widths of the 95 % intervals by full name; 0 for those not given.
     source : str
@@ -98,15 +98,15 @@ def effect_numbers(
     """
     known = {**kind.neutral, **values}
     return {
-        one.what: Number(
-            known[kind.full(one.what)], one.unit, tolerances.get(kind.full(one.what), 0.0), source
+        one.name: Number(
+            known[kind.full(one.name)], one.unit, tolerances.get(kind.full(one.name), 0.0), source
         )
         for one in kind.numbers
     }
 
 
-def _each(texts: Sequence[str], kinds: Mapping[str, EffectKind]) -> list[tuple[EffectKind, dict[str, float]]]:
-    result: list[tuple[EffectKind, dict[str, float]]] = []
+def _each(texts: Sequence[str], kinds: Mapping[str, EffectSpec]) -> list[tuple[EffectSpec, dict[str, float]]]:
+    result: list[tuple[EffectSpec, dict[str, float]]] = []
     for text in texts:
         name, equals, rest = text.partition("=")
         kind = _known(kinds, name.strip(), f"--effect {text}")
@@ -119,7 +119,7 @@ def _each(texts: Sequence[str], kinds: Mapping[str, EffectKind]) -> list[tuple[E
     return result
 
 
-def _known(kinds: Mapping[str, EffectKind], name: str, where: str) -> EffectKind:
+def _known(kinds: Mapping[str, EffectSpec], name: str, where: str) -> EffectSpec:
     if name in kinds:
         return kinds[name]
     near = [kind for kind in kinds if kind.startswith(f"{name}.")]
@@ -128,26 +128,26 @@ def _known(kinds: Mapping[str, EffectKind], name: str, where: str) -> EffectKind
     raise EffectError(f"{where}: there is no effect '{name}'", hint)
 
 
-def _in_proportion(kind: EffectKind, value: str) -> dict[str, str]:
+def _in_proportion(kind: EffectSpec, value: str) -> dict[str, str]:
     """Texts of the other sizes for one of the first, where that is a number."""
     first, *others = (one for one in kind.numbers if one.size)
     try:
         factor = float(value) / first.typical
     except ValueError:
         return {}
-    return {one.what: repr(factor * one.typical) for one in others}
+    return {one.name: repr(factor * one.typical) for one in others}
 
 
-def _values(kind: EffectKind, rest: str, text: str) -> dict[str, float]:
+def _values(kind: EffectSpec, rest: str, text: str) -> dict[str, float]:
     if ":" not in rest:
         value, at, moment = rest.partition("@")
-        given = {kind.numbers[0].what: value, **_in_proportion(kind, value)}
+        given = {kind.numbers[0].name: value, **_in_proportion(kind, value)}
         if at:
             given["at_s"] = moment
     else:
         pairs = [pair.partition(":") for pair in rest.split(",")]
         given = {what.strip(): value for what, _, value in pairs}
-    names = [one.what for one in kind.numbers]
+    names = [one.name for one in kind.numbers]
     values = {}
     for spelled, value in given.items():
         what = spelled.removeprefix(f"{kind.prefix}_")

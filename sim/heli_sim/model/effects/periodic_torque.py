@@ -9,7 +9,7 @@ import numpy as np
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior
 
@@ -32,9 +32,9 @@ def _frequencies_Hz(seconds: float) -> tuple[float, ...]:
     return tuple(np.arange(0.05, _HIGHEST_Hz, 0.5 / seconds).tolist())
 
 
-def _kind(axis: str, typical_Nm: float) -> EffectKind:
+def _spec(axis: str, typical_Nm: float) -> EffectSpec:
     wide = Prior(0.0, 2 * typical_Nm, -1.0, 1.0)
-    return EffectKind(
+    return EffectSpec(
         id=f"periodic_torque.{axis}",
         effect=PeriodicTorque,
         sentence=f"a torque of {{sin_Nm}} (sine) and {{cos_Nm}} (cosine) shakes {axis} at {{Hz}}",
@@ -53,4 +53,4 @@ def _kind(axis: str, typical_Nm: float) -> EffectKind:
     )
 
 
-KINDS: Final = tuple(_kind(axis, size) for axis, size in zip(AXES, (0.05, 0.01, 0.03), strict=True))
+SPECS: Final = tuple(_spec(axis, size) for axis, size in zip(AXES, (0.05, 0.01, 0.03), strict=True))

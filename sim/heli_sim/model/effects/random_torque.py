@@ -8,7 +8,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior, Quantity
 
@@ -34,8 +34,8 @@ class RandomTorque(Effect):
         return self.own(at, "Nm") * ca.sqrt(1 - ca.exp(-2 * step_s / self.own(at, "s"))) * normal
 
 
-def _kind(axis: str, typical_Nm: float) -> EffectKind:
-    return EffectKind(
+def _spec(axis: str, typical_Nm: float) -> EffectSpec:
+    return EffectSpec(
         id=f"random_torque.{axis}",
         effect=RandomTorque,
         sentence=f"gusts of {{Nm}} (standard deviation) that last {{s}} push {axis}",
@@ -60,4 +60,4 @@ def _kind(axis: str, typical_Nm: float) -> EffectKind:
     )
 
 
-KINDS: Final = tuple(_kind(axis, size) for axis, size in zip(AXES, (0.03, 0.005, 0.02), strict=True))
+SPECS: Final = tuple(_spec(axis, size) for axis, size in zip(AXES, (0.03, 0.005, 0.02), strict=True))

@@ -9,10 +9,10 @@ from typing_extensions import override
 
 from heli_sim.errors import PlantError
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.rig.quantity import Prior, Quantity
 
-LEAST_LAG_s: Final = 0.004
+MIN_LAG_s: Final = 0.004
 """Shortest lag that is integrated, s: Runge-Kutta steps of 10 ms, as identification takes them, are stable
 down to 3.6 ms."""
 
@@ -29,7 +29,7 @@ class RotorLag(Effect):
     lag_s : float
         Time constant, s. Real rigs of this kind show 0.09 to 0.15 s.
     **fields : object
-        What `EffectKind.make` gives instead.
+        What `EffectSpec.make` gives instead.
 
     Raises
     ------
@@ -43,7 +43,7 @@ class RotorLag(Effect):
                 raise PlantError(
                     f"rotor_lag_s = {lag_s} must not be negative", "leave the effect out instead"
                 )
-            made = KIND.make({"rotor_lag_s": lag_s})
+            made = SPEC.make({"rotor_lag_s": lag_s})
             fields = {name: getattr(made, name) for name in Effect.__dataclass_fields__}
         super().__init__(**fields)  # type: ignore[arg-type]
 
@@ -57,18 +57,18 @@ class RotorLag(Effect):
 
     @override
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        share = ca.fmin(self.own(at, self.time_constant) / LEAST_LAG_s, 1.0)
+        share = ca.fmin(self.own(at, self.time_constant) / MIN_LAG_s, 1.0)
         return share * self._reached_N(at) + (1 - share) * thrust_N
 
     @override
     def state_rates(self, at: Operands) -> ca.SX:
-        return (at.thrust_N - self._reached_N(at)) / ca.fmax(self.own(at, self.time_constant), LEAST_LAG_s)
+        return (at.thrust_N - self._reached_N(at)) / ca.fmax(self.own(at, self.time_constant), MIN_LAG_s)
 
     def _reached_N(self, at: Operands) -> ca.SX:
         return ca.vertcat(self.own(at, "front_N"), self.own(at, "back_N"))
 
 
-KIND: Final = EffectKind(
+SPEC: Final = EffectSpec(
     id="rotor_lag",
     effect=RotorLag,
     sentence="the rotors' thrust lags their voltage by {s}",

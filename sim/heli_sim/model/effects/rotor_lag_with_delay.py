@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import ClassVar, Final
 
 from heli_sim.model.effect import Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
-from heli_sim.model.effects.rotor_lag import KIND as LAG
+from heli_sim.model.effects.rotor_lag import SPEC as LAG
 from heli_sim.model.effects.rotor_lag import RotorLag
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.rig.quantity import Prior
 
 
@@ -17,7 +17,7 @@ class RotorLagWithDelay(RotorLag):
     time_constant: ClassVar[str] = "lag_s"
 
 
-KIND: Final = EffectKind(
+SPEC: Final = EffectSpec(
     id="rotor_lag_with_delay",
     effect=RotorLagWithDelay,
     sentence="the rotors' thrust lags voltages that act {delay_s} late by {lag_s}",

@@ -8,7 +8,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.model.parts import upright_torque_Nm
 from heli_sim.rig.quantity import Prior
 
@@ -26,7 +26,7 @@ class RotorReactionTorque(Effect):
         return upright_torque_Nm(at.state, torque)
 
 
-KIND: Final = EffectKind(
+SPEC: Final = EffectSpec(
     id="rotor_reaction_torque",
     effect=RotorReactionTorque,
     sentence="the rotors' air drag turns the rig about their axes by {front_m} (front) and {back_m} (back)",

@@ -9,8 +9,8 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
-from heli_sim.model.effects.rotor_lag import LEAST_LAG_s
+from heli_sim.model.effects.rotor_lag import MIN_LAG_s
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.rig.quantity import Prior, Quantity
 
 
@@ -38,12 +38,12 @@ class RotorSpeedLag(Effect):
 
     @override
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        share = ca.fmin(self.own(at, "s") / LEAST_LAG_s, 1.0)
+        share = ca.fmin(self.own(at, "s") / MIN_LAG_s, 1.0)
         return share * self._squared_N(at) + (1 - share) * thrust_N
 
     @override
     def state_rates(self, at: Operands) -> ca.SX:
-        return (at.volts_V - self._speed_V(at)) / ca.fmax(self.own(at, "s"), LEAST_LAG_s)
+        return (at.volts_V - self._speed_V(at)) / ca.fmax(self.own(at, "s"), MIN_LAG_s)
 
     @property
     @override
@@ -61,7 +61,7 @@ class RotorSpeedLag(Effect):
         return ca.vertcat(self.own(at, "front_V"), self.own(at, "back_V"))
 
 
-KIND: Final = EffectKind(
+SPEC: Final = EffectSpec(
     id="rotor_speed_lag",
     effect=RotorSpeedLag,
     sentence="the rotors' speed lags their voltage by {s}, and their thrust is the square of the speed",

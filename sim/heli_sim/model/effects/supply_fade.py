@@ -8,7 +8,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.model.effects.thrust_fade import bends_per_s, share_left
 from heli_sim.rig.quantity import Prior
 
@@ -26,7 +26,7 @@ class SupplyFade(Effect):
         return volts_V * share_left(at.time_s, self.own(at, "per_s"), self.own(at, "bend_per_s"))
 
 
-KIND: Final = EffectKind(
+SPEC: Final = EffectSpec(
     id="supply_fade",
     effect=SupplyFade,
     sentence="the supply's voltage fades by {per_s} at first, levelling off at {bend_per_s}",

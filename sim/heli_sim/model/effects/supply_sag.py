@@ -8,7 +8,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.rig.quantity import Prior
 
 
@@ -29,7 +29,7 @@ class SupplySag(Effect):
 _LINE_V: Final = 1.0
 """With a shared line, the share lost is that of a motor at this voltage."""
 
-KIND: Final = EffectKind(
+SPEC: Final = EffectSpec(
     id="supply_sag",
     effect=SupplySag,
     sentence="the supply sags by {per_V}, a share for each volt on either motor",

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from heli_sim.model.effects.catalogue import catalogue
-from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 
 BEGIN: Final = "<!-- table of effects, written by python -m heli_sim.model.effects.table -->"
 END: Final = "<!-- end of the table -->"
@@ -29,7 +29,7 @@ def with_table(text: str) -> str:
     return f"{before}{BEGIN}\n{table()}\n{END}{after}"
 
 
-def _row(kind: EffectKind) -> str:
+def _row(kind: EffectSpec) -> str:
     equation = kind.equation.replace("|", r"\vert ")
     numbers = "; ".join(_number(one) for one in kind.numbers)
     return f"| `{kind.id}` | {kind.describe(kind.typical)} | ${equation}$ | {numbers} |"
@@ -40,7 +40,7 @@ def _number(one: Parameter) -> str:
     unit = "" if one.unit == "1" else f" {one.unit}"
     bounds = "fixed" if one.prior is None else f"{_bound(low, '-')} to {_bound(high, '')}"
     grid = ", grid" if one.grid is not None else ""
-    return f"`{one.what}` {one.meaning}:{unit} {bounds}{grid}, {one.typical:g}"
+    return f"`{one.name}` {one.meaning}:{unit} {bounds}{grid}, {one.typical:g}"
 
 
 def _bound(value: float, sign: str) -> str:

@@ -8,7 +8,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.rig.quantity import Prior
 
 
@@ -21,7 +21,7 @@ class ThrustAsymmetry(Effect):
         return thrust_N * ca.vertcat(1 + share, 1 - share)
 
 
-KIND: Final = EffectKind(
+SPEC: Final = EffectSpec(
     id="thrust_asymmetry",
     effect=ThrustAsymmetry,
     sentence="the front rotor pushes {share} more, and the back rotor as much less, than their mean",

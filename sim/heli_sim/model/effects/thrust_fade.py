@@ -8,7 +8,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.rig.quantity import Prior
 
 
@@ -36,7 +36,7 @@ def bends_per_s(seconds: float) -> tuple[float, ...]:
     return (0.0, 0.5 / seconds, 1.0 / seconds, 3.0 / seconds)
 
 
-KIND: Final = EffectKind(
+SPEC: Final = EffectSpec(
     id="thrust_fade",
     effect=ThrustFade,
     sentence="the thrust fades by {per_s} at first, levelling off at {bend_per_s}",

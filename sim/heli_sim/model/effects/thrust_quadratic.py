@@ -8,7 +8,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.rig.quantity import Prior
 
 
@@ -22,7 +22,7 @@ class ThrustQuadratic(Effect):
         return thrust_N * (1 + self.own(at, "share") * (above_V / self.own(at, "pivot_V") - 1))
 
 
-KIND: Final = EffectKind(
+SPEC: Final = EffectSpec(
     id="thrust_quadratic",
     effect=ThrustQuadratic,
     sentence="{share} of the thrust at {pivot_V} above the dead zone goes with the square of the voltage",

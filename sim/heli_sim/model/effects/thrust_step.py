@@ -8,8 +8,8 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
-from heli_sim.model.parts import since
+from heli_sim.model.effects.spec import EffectSpec, Parameter
+from heli_sim.model.parts import smooth_step
 from heli_sim.rig.quantity import Prior
 
 
@@ -18,7 +18,7 @@ class ThrustStep(Effect):
 
     @override
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        left = 1 - self.own(at, "share") * since(at.time_s, self.own(at, "at_s"))
+        left = 1 - self.own(at, "share") * smooth_step(at.time_s, self.own(at, "at_s"))
         return thrust_N * (ca.vertcat(left, 1) if self.place == "front" else ca.vertcat(1, left))
 
 
@@ -27,8 +27,8 @@ def moments_s(seconds: float) -> tuple[float, ...]:
     return tuple(float(second) for second in range(1, max(2, int(seconds))))
 
 
-def _kind(rotor: str) -> EffectKind:
-    return EffectKind(
+def _spec(rotor: str) -> EffectSpec:
+    return EffectSpec(
         id=f"thrust_step.{rotor}",
         effect=ThrustStep,
         sentence=f"the {rotor} rotor loses {{share}} of its thrust at {{at_s}}",
@@ -44,4 +44,4 @@ def _kind(rotor: str) -> EffectKind:
     )
 
 
-KINDS: Final = (_kind("front"), _kind("back"))
+SPECS: Final = (_spec("front"), _spec("back"))

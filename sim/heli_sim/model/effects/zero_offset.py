@@ -8,7 +8,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior
 
@@ -21,8 +21,8 @@ class ZeroOffset(Effect):
         return angles_rad + on_axis(self.place, self.own(at, "rad"))
 
 
-def _kind(axis: str) -> EffectKind:
-    return EffectKind(
+def _spec(axis: str) -> EffectSpec:
+    return EffectSpec(
         id=f"zero_offset.{axis}",
         effect=ZeroOffset,
         sentence=f"the {axis} encoder shows {{rad}} too much",
@@ -35,4 +35,4 @@ def _kind(axis: str) -> EffectKind:
     )
 
 
-KINDS: Final = tuple(_kind(axis) for axis in AXES)
+SPECS: Final = tuple(_spec(axis) for axis in AXES)

@@ -1,4 +1,4 @@
-"""The newest minutes of a flight as raw numbers, read by many at their own pace."""
+"""A ring buffer of raw telemetry: one thread writes, each reader reads at its own pace."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from heli_host.link.telemetry import CHANNEL_COUNT
 
 @dataclass(frozen=True)
 class Cut:
-    """Rows taken from a tape.
+    """A copy of consecutive or thinned rows of a buffer.
 
     Parameters
     ----------
     tick : ndarray of int64, shape (n,)
-        Device time [tick], counted on over 2^32.
+        Device time [tick of 1 ms], unwrapped beyond 2^32.
     raw : ndarray of int32, shape (n, channels)
         Raw numbers in the order of the declaration's ``CHANNELS``.
     end : int
-        Position after the last row; the next cut begins there.
+        Position after the last row; the reader passes it to the next `TelemetryBuffer.cut`.
     reset : bool
-        Whether what was read before does not go on in these: the tape was cleared, or ran away from its
-        reader.
+        True if rows are missing between the reader's position and the first of these: the buffer was cleared,
+        or overwrote them before they were read.
     thinned : bool
-        Whether rows between them were left out.
+        True if rows between these were left out to respect the limit.
     """
 
     tick: npt.NDArray[np.int64]
@@ -37,8 +37,8 @@ class Cut:
     thinned: bool
 
 
-class Tape:
-    """Keeps the newest rows, at most `capacity`; one thread appends, any number read."""
+class TelemetryBuffer:
+    """Keeps the newest `capacity` rows. One thread may append; any number of threads may read."""
 
     def __init__(self, capacity: int) -> None:
         self._tick = np.empty(capacity, np.int64)
@@ -49,12 +49,12 @@ class Tape:
 
     @property
     def end(self) -> int:
-        """Position after the newest row: rows ever written."""
+        """Position after the newest row: the number of rows ever written."""
         with self._lock:
             return self._written
 
     def clear(self) -> None:
-        """Forget all rows: time begins anew."""
+        """Remove all rows, because the device's time starts again at 0."""
         with self._lock:
             self._begin = self._written
 
@@ -64,9 +64,9 @@ class Tape:
         Parameters
         ----------
         tick : ndarray of int64, shape (n,)
-            Device time [tick], rising.
+            Device time [tick of 1 ms], increasing.
         raw : ndarray of int32, shape (n, channels)
-            Raw numbers in the order of the declaration.
+            Raw numbers in the order of the declaration's ``CHANNELS``.
         """
         capacity = len(self._tick)
         kept_tick, kept_raw = tick[-capacity:], raw[-capacity:]
@@ -79,14 +79,15 @@ class Tape:
             self._begin = max(self._begin, self._written - capacity)
 
     def cut(self, position: int, most: int) -> Cut:
-        """Take the rows from a position on.
+        """Return a copy of the rows from a position to the newest.
 
         Parameters
         ----------
         position : int
-            Where the reader is: the `end` of its last cut, 0 in the beginning.
+            Position of the reader: `Cut.end` of its last cut, or 0.
         most : int
-            Rows to take at most; of more, every second, third, ... is taken, and always the newest.
+            Greatest number of rows. If there are more, every second, third, ... row is returned; the newest
+            is always included.
         """
         with self._lock:
             start = max(position, self._begin)

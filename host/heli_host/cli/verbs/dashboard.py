@@ -1,4 +1,4 @@
-"""``heli-host page``: see a flight live in the browser, and fly from there."""
+"""``heli-host dashboard``: see a flight live in the browser, and fly from there."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ import typer
 from heli_host.cli import simulated
 from heli_host.cli.options import PortOption, flight_folder
 from heli_host.cli.say import say
-from heli_host.cli.twin_options import OnChangeOption, TwinOption, check_on_change, open_watch, read_twin
+from heli_host.cli.twin_options import OnAlarmOption, TwinOption, lands_on_alarm, open_watch, read_twin
 from heli_host.cli.verb import Verb
 
 if TYPE_CHECKING:
     from heli_host.fly.plan import Plan
     from heli_host.fly.recorder import Recorder
     from heli_host.heli import Heli
+    from heli_host.law_program import LawProgram
     from heli_host.page.cockpit import Cockpit
     from heli_host.page.serve import Address
-    from heli_host.tape import Tape
     from heli_host.twins import TwinMaker
 
 STEP_S = 0.5
 """Between two looks at whether the board is still there."""
 
 
-def page(
+def dashboard(
     plans: Annotated[
         list[str] | None,
         typer.Argument(metavar="[PLAN...]", help="TOML files with plans to offer besides the built-in ones."),
@@ -41,7 +41,7 @@ def page(
     rig: simulated.RigOption = None,
     model: simulated.ModelOption = None,
     effect: simulated.EffectOption = None,
-    effects: simulated.EffectFilesOption = None,
+    effect_file: simulated.EffectFilesOption = None,
     seed: simulated.SeedOption = 1,
     flown: Annotated[
         list[str] | None,
@@ -60,9 +60,9 @@ def page(
         ),
     ] = None,
     twin: TwinOption = None,
-    on_change: OnChangeOption = None,
-    log: Annotated[
-        Path | None, typer.Option("--log", metavar="FILE", help="Play this log again instead of flying.")
+    on_alarm: OnAlarmOption = None,
+    replay: Annotated[
+        Path | None, typer.Option("--replay", metavar="FILE", help="Show this log instead of a board.")
     ] = None,
     host: Annotated[
         str,
@@ -76,32 +76,37 @@ def page(
 
     Open the address that is printed. Space, Esc and the large button stop the motors.
 
-    Example: `heli-host page --sil`
+    Example: `heli-host dashboard --sil`
     """
+    from heli_host.cli.board import check_target
     from heli_host.fly.plan import load_plan, plan_names
     from heli_host.laws import read_law
 
-    given = [name for name, value in (("--log", log), ("--port", port), ("--sil", sil)) if value]
-    if log is not None and len(given) > 1 and port is None:
-        raise typer.BadParameter(f"give one of {' and '.join(given)}")
+    if replay is not None and sil:
+        raise typer.BadParameter("--replay and --sil exclude each other; give one of them")
     if not sil:
-        simulated.refuse_without_sil(board=board, elf=elf, model=model, effect=effect, effects=effects)
-    lands = check_on_change(twin, on_change)
-    if log is not None:
+        simulated.refuse_without_sil(
+            board=board, elf=elf, model=model, effect=effect, effect_file=effect_file
+        )
+    lands = lands_on_alarm(twin, on_alarm)
+    if replay is not None:
         if twin is not None:
             raise typer.BadParameter(
-                f"--twin flies beside a board; of a log: heli-host twin {log} --rig {twin}"
+                f"--twin needs a board; compare a log with: heli-host twin {replay} --rig {twin}"
             )
         if flown or laws or plans:
-            raise typer.BadParameter(f"--log {log} is played again, nothing flies; leave plans and laws out")
-        _replay(log, rig, host, http_port)
+            raise typer.BadParameter(
+                f"--replay {replay} shows a log and flies nothing; leave plans and laws out"
+            )
+        _replay(replay, rig, host, http_port)
         return
+    check_target(port, sil)
     named = [one for one in (*(plans or ()), *(flown or ())) if one not in plan_names()]
     offered = [load_plan(name) for name in (*plan_names(), *dict.fromkeys(named))]
     begun = [load_plan(name).name for name in flown or ()]
     tapes = [read_law(path) for path in laws or ()]
     address = simulated.sil_address(
-        rig=rig, seed=seed, board=board, elf=elf, model=model, effect=effect, effect_files=effects
+        rig=rig, seed=seed, board=board, elf=elf, model=model, effect=effect, effect_files=effect_file
     )
     _fly(
         port, address if sil else None, rig, offered, begun, tapes, (read_twin(twin), lands), host, http_port
@@ -114,7 +119,7 @@ def _fly(
     rig: str | None,
     plans: Sequence[Plan],
     begun: Sequence[str],
-    laws: Sequence[Tape],
+    laws: Sequence[LawProgram],
     twin: tuple[TwinMaker | None, bool],
     host: str,
     http_port: int,
@@ -188,9 +193,9 @@ def _wait(heli: Heli) -> None:
             heli.session.wait_for(lambda: False, STEP_S)
     except KeyboardInterrupt:
         if heli.motors_may_run:
-            print("landing; Ctrl-C stops the motors", flush=True)
+            say("landing; Ctrl-C stops the motors")
             heli.land()
-            print("landed")
+            say("landed")
 
 
 def _replay(log: Path, rig: str | None, host: str, http_port: int) -> None:
@@ -238,4 +243,4 @@ def _say(served: Address) -> None:
     say(f"page: {served.page}", f"programs join {served.program}", "Ctrl-C ends it")
 
 
-VERB = Verb(page, "Fly")
+VERB = Verb(dashboard, "Fly", aliases=("page",))

@@ -18,7 +18,7 @@ _TICKS_PER_S: Final = 1000
 
 
 @dataclass(frozen=True)
-class During:
+class Interval:
     """A stretch of simulated time that may have no end.
 
     Parameters
@@ -62,7 +62,7 @@ class During:
         return first <= tick < after
 
 
-class Span(During):
+class Span(Interval):
     """A stretch of simulated time that ends: `duration_s` is finite; an OptionError when it is not."""
 
     def __post_init__(self) -> None:
@@ -70,7 +70,7 @@ class Span(During):
             raise self._refused("write start:length in seconds, at least 0.001 long")
 
 
-def edges_of(spans: Iterable[During]) -> tuple[int, ...]:
+def edges_of(spans: Iterable[Interval]) -> tuple[int, ...]:
     """Ticks at which one of the `spans` begins or ends, in order, and `NEVER` behind them."""
     return (*sorted(edge for span in spans for edge in span.edges() if edge < NEVER), NEVER)
 

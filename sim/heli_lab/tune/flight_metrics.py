@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from heli_host.arrays import Floats
 from heli_host.flight import Flight
-from heli_host.flight.response import Answer, answer_of, rms
+from heli_host.flight.response import StepMetrics, rms, step_metrics
 
 from heli_lab.tune.design import TRAVEL_STEP_DEG
 
@@ -36,7 +36,7 @@ class Phases:
 
 
 @dataclass(frozen=True)
-class StepMetrics:
+class FlightMetrics:
     """Performance of a set of gains in a test flight.
 
     Parameters
@@ -64,9 +64,9 @@ class StepMetrics:
     pitch_max_deg: float
 
 
-def step_metrics(
+def flight_metrics(
     flight: Flight, path_deg: Callable[[Floats], Floats], phases: Phases, outcome: str
-) -> StepMetrics:
+) -> FlightMetrics:
     """Measure a test flight; metrics of phases that it did not reach are infinite.
 
     Parameters
@@ -82,14 +82,14 @@ def step_metrics(
     back, sine = _between(t_s, phases.back_s, phases.sine_s), _between(t_s, phases.sine_s, phases.end_s)
     error_deg = angles_deg[sine] - path_deg(t_s[sine])
     steps = ((step, phases.step_s, 0.0, TRAVEL_STEP_DEG), (back, phases.back_s, TRAVEL_STEP_DEG, 0.0))
-    answers = [answer_of(t_s[rows] - at_s, travel[rows], *ends) for rows, at_s, *ends in steps]
+    measured = [step_metrics(t_s[rows] - at_s, travel[rows], *ends) for rows, at_s, *ends in steps]
     start_deg = float(elevation[rise][0]) if rise.any() else 0.0
-    take_off = answer_of(t_s[rise] - phases.take_off_s, elevation[rise], start_deg, 0.0)
-    return StepMetrics(
+    take_off = step_metrics(t_s[rise] - phases.take_off_s, elevation[rise], start_deg, 0.0)
+    return FlightMetrics(
         outcome=outcome,
         take_off_s=_settling_s(take_off),
-        overshoot_percent=max(_nan_to_infinite(answer.overshoot_percent) for answer in answers),
-        settling_time_s=max(_settling_s(answer) for answer in answers),
+        overshoot_percent=max(_nan_to_infinite(metrics.overshoot_percent) for metrics in measured),
+        settling_time_s=max(_settling_s(metrics) for metrics in measured),
         travel_rms_deg=_nan_to_infinite(rms(error_deg[:, 2])),
         elevation_rms_deg=_nan_to_infinite(rms(error_deg[:, 0])),
         pitch_max_deg=float(np.abs(pitch).max(initial=0.0)),
@@ -100,8 +100,8 @@ def _between(t_s: Floats, start_s: float, stop_s: float) -> npt.NDArray[np.bool_
     return (t_s >= start_s) & (t_s < stop_s)
 
 
-def _settling_s(answer: Answer) -> float:
-    return _nan_to_infinite(answer.settling_s)
+def _settling_s(metrics: StepMetrics) -> float:
+    return _nan_to_infinite(metrics.settling_s)
 
 
 def _nan_to_infinite(value: float) -> float:

@@ -1,12 +1,13 @@
-// The law that came over the link, in flight: its inputs, its clock, its voltages, and its end.
+// A law that came over the link, in flight: its inputs, clock and voltages, and the end of its
+// flight.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
 
 #include "board.hpp"
+#include "control/bumpless_transfer.hpp"
 #include "control/controller.hpp"
-#include "control/fade.hpp"
 #include "control/rate_filter.hpp"
 #include "law/guard.hpp"
 #include "law/recovery.hpp"
@@ -20,44 +21,46 @@ using control::Bank;
 using control::ControlInput;
 using control::ControlOutput;
 
-// What acted in the tick before, as it was logged.
+// Motor voltages of the previous tick, in the telemetry's units.
 struct Acted {
   std::int32_t front_raw = 0;
   std::int32_t back_raw = 0;
 };
 
-class Guest {
+class UploadedLaw {
  public:
   Tape& tape() { return tape_; }
 
-  // Idle loop, like a Controller's.
+  // Idle loop, as Controller::derive().
   void derive(const params::Params& params, Bank bank);
 
-  // Tick: what follows.
+  // Everything below: the tick only.
   bool flying() const { return tape_.flying(); }
-  // Flies from this tick on; `acted` is what the voltages fade from.
+  // Flies from this tick on; the voltages fade from `acted` to the law's.
   link::Reply engage(const Acted& acted);
   link::Reply set_parameter(const link::LawSetMessage& message);
-  // Hands over to the board's own law.
-  void leave(Takeover reason, float value);
+  // Ends the flight; the board's own law takes over.
+  void hand_over(Takeover reason, float value);
 
-  // One tick of it. False: it has left, and `out` is not filled in.
+  // Runs one tick. False: its flight has ended, and `out` is not filled in.
   bool update(const ControlInput& in, Bank bank, ControlOutput& out);
-  // What acted then; behind each update().
-  void note(const Acted& acted) { acted_ = acted; }
+  // After each update(): the voltages that acted.
+  void set_acted(const Acted& acted) { acted_ = acted; }
   std::int32_t setpoint_raw(std::size_t axis) const { return setpoint_raw_[axis]; }
   std::int32_t signal_raw(std::size_t place) const { return signal_raw_[place]; }
 
-  // What follows its flight; the core ends it where the board's own law does not fly the arm.
+  // Brings the arm to rest after its flight; the core stops it when the board's own law does not
+  // fly.
   Recovery& recovery() { return recovery_; }
-  // One tick of it; true in the first.
+  // Runs one tick of the recovery; true in the first.
   bool recover(ControlInput& in, Bank bank);
 
-  // From the beginning of a flight until the news of its end was taken, and the arm is in hand.
+  // True from the start of a flight until poll_event() has reported its end and the recovery is
+  // over.
   bool busy() const { return busy_; }
-  void settle() { busy_ = flying() || news_waits_ || recovery_.active(); }
-  // True once for each beginning and end of a flight.
-  bool take_news(link::EventMessage& news);
+  void update_busy() { busy_ = flying() || event_waits_ || recovery_.active(); }
+  // True once for each start and end of a flight.
+  bool poll_event(link::EventMessage& event);
 
  private:
   struct Limits {
@@ -71,33 +74,33 @@ class Guest {
   };
 
   void choose_signals();
-  void see(const ControlInput& in, const Limits& limits);
-  Judgement take_outputs(const Limits& limits);
+  void read_inputs(const ControlInput& in, const Limits& limits);
+  GuardVerdict read_outputs(const Limits& limits);
   void limit(ControlOutput& out, const Limits& limits) const;
 
-  bool busy_ = false;  // first, where every tick reaches it at once
+  bool busy_ = false;  // the first member, which every tick reads with the fewest instructions
   Tape tape_;
   Guard guard_;
   Recovery recovery_;
   Limits limits_[control::kBanks];
 
   std::uint32_t phase_ = 0;  // ticks since the call began
-  bool called_ = false;      // an output has come
-  bool fresh_ = false;       // the first one has, in this tick
+  bool called_ = false;      // the law has given an output
+  bool fresh_ = false;       // its first output came in this tick
   Acted acted_;
-  Wish wish_;
-  Wish before_;
-  control::Fade front_fade_;
-  control::Fade back_fade_;
+  LawOutput output_;
+  LawOutput before_;
+  control::BumplessTransfer front_fade_;
+  control::BumplessTransfer back_fade_;
   control::RateFilter setpoint_rate_[kAxisCount];
   control::RateFilter setpoint_acceleration_[kAxisCount];
   std::int32_t given_raw_[kAxisCount] = {};
   std::int32_t setpoint_raw_[kAxisCount] = {};
   std::int32_t signal_raw_[link::kLawSignals] = {};
-  bool follows_given_[kAxisCount] = {};          // logs the board's setpoint, not one of its own
-  std::uint32_t given_signal_[kAxisCount] = {};  // that tells the board's; beyond the last: none
-  bool news_waits_ = false;
-  link::EventMessage news_;
+  bool follows_given_[kAxisCount] = {};          // logs the board's setpoint instead of an output
+  std::uint32_t given_signal_[kAxisCount] = {};  // that logs the board's; past the last: none
+  bool event_waits_ = false;
+  link::EventMessage event_;
 };
 
 }  // namespace heli::law

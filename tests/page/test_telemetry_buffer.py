@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from heli_host.errors import LinkError
 from heli_host.link.telemetry import CHANNEL_COUNT
-from heli_host.page.tape import Cut, Tape
+from heli_host.page.telemetry_buffer import Cut, TelemetryBuffer
 from heli_host.page.wire import RESET, THINNED, pack, unpack
 from hypothesis import given
 from hypothesis import strategies as st
@@ -26,27 +26,27 @@ def check_rows(cut: Cut) -> None:
 
 @given(st.lists(st.integers(0, 40), max_size=20), st.lists(st.booleans(), min_size=20, max_size=20))
 def test_a_reader_that_keeps_up_gets_each_row_once(counts: list[int], reads: list[bool]) -> None:
-    tape, position, written, got = Tape(1000), 0, 0, []
+    buffer, position, written, got = TelemetryBuffer(1000), 0, 0, []
     for count, read in zip(counts, reads, strict=False):
-        tape.append(*rows(written, count))
+        buffer.append(*rows(written, count))
         written += count
         if read:
-            cut = tape.cut(position, 1000)
+            cut = buffer.cut(position, 1000)
             position = cut.end
             got += cut.tick.tolist()
             assert not cut.reset
             assert not cut.thinned
             check_rows(cut)
-    got += tape.cut(position, 1000).tick.tolist()
+    got += buffer.cut(position, 1000).tick.tolist()
     assert got == list(range(written))
 
 
 @given(st.integers(1, 500), st.integers(1, 60))
 def test_a_reader_that_fell_behind_gets_some_rows_and_the_newest(written: int, most: int) -> None:
-    tape = Tape(100)
+    buffer = TelemetryBuffer(100)
     for first in range(0, written, 7):
-        tape.append(*rows(first, min(7, written - first)))
-    cut = tape.cut(0, most)
+        buffer.append(*rows(first, min(7, written - first)))
+    cut = buffer.cut(0, most)
     assert 0 < len(cut.tick) <= most
     assert cut.tick[-1] == written - 1
     assert cut.reset == (written > 100)
@@ -57,20 +57,20 @@ def test_a_reader_that_fell_behind_gets_some_rows_and_the_newest(written: int, m
 
 
 def test_more_than_fits_keeps_the_newest() -> None:
-    tape = Tape(10)
-    tape.append(*rows(0, 25))
-    cut = tape.cut(0, 100)
+    buffer = TelemetryBuffer(10)
+    buffer.append(*rows(0, 25))
+    cut = buffer.cut(0, 100)
     assert cut.tick.tolist() == list(range(15, 25))
-    assert tape.end == 25
+    assert buffer.end == 25
     check_rows(cut)
 
 
 def test_what_was_cleared_is_not_read_and_the_reader_is_told() -> None:
-    tape = Tape(100)
-    tape.append(*rows(0, 20))
-    tape.clear()
-    tape.append(*rows(5, 3))
-    cut = tape.cut(10, 100)
+    buffer = TelemetryBuffer(100)
+    buffer.append(*rows(0, 20))
+    buffer.clear()
+    buffer.append(*rows(5, 3))
+    cut = buffer.cut(10, 100)
     assert cut.tick.tolist() == [5, 6, 7]
     assert cut.reset
 

@@ -9,18 +9,18 @@ from typing import Final
 
 from heli_host.declaration import AXES
 
+from heli_sim.sil.intervals import Interval
 from heli_sim.sil.rig_faults import RigFaults
-from heli_sim.sil.spans import During
 from heli_sim.sil.world import SilWorld
 
 _TICK_s: Final = 1e-3
-_MOST_BYTES: Final = 4096
+_MAX_BYTES: Final = 4096
 _AXES: Final = "|".join(AXES)
 HELP: Final = f"stop, release, pull {_AXES}, plug {_AXES}, supply off, supply on, help"
 """The lines that are understood."""
 
 
-class Rehearsal:
+class FaultConsole:
     """Does to a world what a person types, a line a fault; it lasts until another line ends it.
 
     Parameters
@@ -55,13 +55,13 @@ class Rehearsal:
         if self._fd not in ready:
             return
         try:
-            data = os.read(self._fd, _MOST_BYTES)
+            data = os.read(self._fd, _MAX_BYTES)
         except OSError:
             # A terminal that was closed.
             data = b""
         self._ended = not data
         *lines, unfinished = (self._unfinished + data).split(b"\n")
-        self._unfinished = unfinished[:_MOST_BYTES]
+        self._unfinished = unfinished[:_MAX_BYTES]
         for line in lines:
             if words := line.decode("ascii", "replace").split():
                 self._say(f"{self._world.time_s:.1f} s: {self.obey(words)}")
@@ -106,22 +106,24 @@ class Rehearsal:
         self._world.rig_faults = faults
         return text
 
-    def _from_now(self) -> During:
-        return During(self._world.time_s)
+    def _from_now(self) -> Interval:
+        return Interval(self._world.time_s)
 
-    def _until_now(self, spans: tuple[During, ...]) -> tuple[During, ...]:
+    def _until_now(self, spans: tuple[Interval, ...]) -> tuple[Interval, ...]:
         tick = self._world.tick
         # One that begins with this very tick has not been noticed yet, and has no length.
         return tuple(
-            replace(during, duration_s=self._world.time_s - during.start_s) if during.holds(tick) else during
-            for during in spans
-            if during.edges()[0] != tick
+            replace(interval, duration_s=self._world.time_s - interval.start_s)
+            if interval.holds(tick)
+            else interval
+            for interval in spans
+            if interval.edges()[0] != tick
         )
 
-    def _plugged(self, faults: RigFaults, axis: str) -> tuple[tuple[str, During], ...]:
-        mine = tuple(during for name, during in faults.encoders_out if name == axis)
+    def _plugged(self, faults: RigFaults, axis: str) -> tuple[tuple[str, Interval], ...]:
+        mine = tuple(interval for name, interval in faults.encoders_out if name == axis)
         others = tuple(pair for pair in faults.encoders_out if pair[0] != axis)
-        return (*others, *((axis, during) for during in self._until_now(mine)))
+        return (*others, *((axis, interval) for interval in self._until_now(mine)))
 
     def _in_background(self) -> bool:
         """Whether a read would stop this process: started with ``&``, it leaves the terminal to the shell."""

@@ -1,4 +1,4 @@
-#include "law/guest.hpp"
+#include "law/uploaded_law.hpp"
 
 #include "control/math.hpp"
 #include "conversion.hpp"
@@ -34,7 +34,7 @@ Quantity volts(std::int32_t raw) {
 
 static_assert(link::kFrontPerUnit == link::kBackPerUnit, "both voltages have one scale");
 
-// Place among the outputs, new states included.
+// Its place among the outputs, new states included.
 std::uint32_t first_not_finite(const Tape& tape) {
   const std::uint32_t count = tape.shape().outputs();
   std::uint32_t place = 0;
@@ -46,7 +46,7 @@ std::uint32_t first_not_finite(const Tape& tape) {
 
 }  // namespace
 
-void Guest::derive(const params::Params& params, Bank bank) {
+void UploadedLaw::derive(const params::Params& params, Bank bank) {
   Limits& l = limits_[bank];
   l.guard = guard_limits_of(params);
   l.recovery = recovery_limits_of(params);
@@ -61,7 +61,7 @@ void Guest::derive(const params::Params& params, Bank bank) {
   l.differential_max_V = Quantity::of(params.get(Param::differential_max_V));
 }
 
-link::Reply Guest::engage(const Acted& acted) {
+link::Reply UploadedLaw::engage(const Acted& acted) {
   if (flying()) {
     return {};
   }
@@ -76,7 +76,7 @@ link::Reply Guest::engage(const Acted& acted) {
   acted_ = acted;
   before_.front_V = volts(acted.front_raw);
   before_.back_V = volts(acted.back_raw);
-  wish_ = before_;
+  output_ = before_;
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     setpoint_rate_[axis].restart();
     setpoint_acceleration_[axis].restart();
@@ -87,13 +87,13 @@ link::Reply Guest::engage(const Acted& acted) {
   choose_signals();
   tape_.fly(true);
   busy_ = true;
-  news_ = {0, static_cast<std::uint8_t>(link::Event::law_engaged), 0, 0,
-           static_cast<float>(tape_.shape().divisor)};
-  news_waits_ = true;
+  event_ = {0, static_cast<std::uint8_t>(link::Event::law_engaged), 0, 0,
+            static_cast<float>(tape_.shape().divisor)};
+  event_waits_ = true;
   return {};
 }
 
-link::Reply Guest::set_parameter(const link::LawSetMessage& message) {
+link::Reply UploadedLaw::set_parameter(const link::LawSetMessage& message) {
   const LawState state = tape_.state();
   if (state != LawState::ready && state != LawState::flying) {
     return {link::Result::bad_law, static_cast<std::uint8_t>(LawError::not_loaded), 0.0F};
@@ -105,7 +105,7 @@ link::Reply Guest::set_parameter(const link::LawSetMessage& message) {
   return {link::Result::ok, message.index, message.value};
 }
 
-bool Guest::recover(ControlInput& in, Bank bank) {
+bool UploadedLaw::recover(ControlInput& in, Bank bank) {
   const Limits& limits = limits_[bank];
   const Quantity lift_V =
       spare_lift_V(before_.front_V, before_.back_V, in.angle_rad[kElevation], limits.guard);
@@ -113,31 +113,31 @@ bool Guest::recover(ControlInput& in, Bank bank) {
   return recovery_.begins();
 }
 
-void Guest::leave(Takeover reason, float value) {
+void UploadedLaw::hand_over(Takeover reason, float value) {
   tape_.fly(false);
   recovery_.start();
-  news_ = {0, static_cast<std::uint8_t>(link::Event::law_taken_over),
-           static_cast<std::uint8_t>(reason), 0, value};
-  news_waits_ = true;
+  event_ = {0, static_cast<std::uint8_t>(link::Event::law_taken_over),
+            static_cast<std::uint8_t>(reason), 0, value};
+  event_waits_ = true;
 }
 
-bool Guest::take_news(link::EventMessage& news) {
-  if (!news_waits_) {
+bool UploadedLaw::poll_event(link::EventMessage& event) {
+  if (!event_waits_) {
     return false;
   }
-  news_waits_ = false;
-  news = news_;
+  event_waits_ = false;
+  event = event_;
   return true;
 }
 
-// Where a law logs a setpoint of its own, a signal that is free tells the one that it was given: a
-// log without it could not be replayed.
-void Guest::choose_signals() {
+// If a law logs its own setpoint, a free signal logs the setpoint that the board gave it: without
+// that, the flight could not be replayed from its log.
+void UploadedLaw::choose_signals() {
   std::uint32_t free = tape_.shape().signals;
   for (std::uint32_t axis = 0; axis < kAxisCount; ++axis) {
     const auto given = static_cast<std::uint32_t>(LawInput::elevation_setpoint_rad) + axis;
     const std::uint32_t reads = tape_.inputs_read() & (1U << given | moving_inputs(axis));
-    follows_given_[axis] = tape_.passes(Shape::kFirstSetpoint + axis, given);
+    follows_given_[axis] = tape_.passes_input(Shape::kFirstSetpoint + axis, given);
     given_signal_[axis] = link::kLawSignals;
     if (!follows_given_[axis] && reads != 0U && free < link::kLawSignals) {
       given_signal_[axis] = free++;
@@ -145,9 +145,8 @@ void Guest::choose_signals() {
   }
 }
 
-// Whatever a log cannot tell exactly is given as the log tells it, so that a flight can be
-// replayed bit for bit.
-void Guest::see(const ControlInput& in, const Limits& limits) {
+// Inputs are rounded as the log rounds them, so that a flight can be replayed bit for bit.
+void UploadedLaw::read_inputs(const ControlInput& in, const Limits& limits) {
   const std::uint32_t read = tape_.inputs_read();
   const auto give = [this, read](LawInput first, std::size_t axis, Quantity value) {
     const std::size_t input = static_cast<std::size_t>(first) + axis;
@@ -180,7 +179,7 @@ void Guest::see(const ControlInput& in, const Limits& limits) {
   }
 }
 
-Judgement Guest::take_outputs(const Limits& limits) {
+GuardVerdict UploadedLaw::read_outputs(const Limits& limits) {
   const Shape& shape = tape_.shape();
   for (std::uint32_t place = 0; place < Shape::kFirstSignal + shape.signals; ++place) {
     if (!is_finite(tape_.output(place))) {
@@ -190,11 +189,11 @@ Judgement Guest::take_outputs(const Limits& limits) {
   const auto volts_of = [this, &limits](std::size_t place) {
     return clamp(to_quantity(tape_.output(place)), limits.motor_min_V, limits.motor_max_V);
   };
-  const Wish fresh{volts_of(0), volts_of(1),
-                   to_quantity(tape_.output(Shape::kFirstSetpoint + kPitch))};
+  const LawOutput fresh{volts_of(0), volts_of(1),
+                        to_quantity(tape_.output(Shape::kFirstSetpoint + kPitch))};
   if (called_) {
-    const Quantity front_V = control::magnitude(fresh.front_V - wish_.front_V);
-    const Quantity back_V = control::magnitude(fresh.back_V - wish_.back_V);
+    const Quantity front_V = control::magnitude(fresh.front_V - output_.front_V);
+    const Quantity back_V = control::magnitude(fresh.back_V - output_.back_V);
     const Quantity jump_V = front_V > back_V ? front_V : back_V;
     if (jump_V > limits.guard.jump_max_V) {
       return {Takeover::voltage_jump, jump_V.to_float()};
@@ -202,7 +201,7 @@ Judgement Guest::take_outputs(const Limits& limits) {
   }
   fresh_ = !called_;
   called_ = true;
-  wish_ = fresh;
+  output_ = fresh;
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     if (!follows_given_[axis]) {
       const Quantity own_rad = to_quantity(tape_.output(Shape::kFirstSetpoint + axis));
@@ -213,14 +212,14 @@ Judgement Guest::take_outputs(const Limits& limits) {
     const Bits signal = tape_.output(Shape::kFirstSignal + k);
     signal_raw_[k] = to_whole(multiply(signal, bits_of(kSignalPerUnit[k])));
   }
-  // What is not finite in a state would reach the voltages only at the next call.
-  if (!tape_.take_new_states()) {
+  // A state that is not finite would reach the voltages only at the next call.
+  if (!tape_.commit_states()) {
     return {Takeover::not_finite, static_cast<float>(first_not_finite(tape_))};
   }
   return {};
 }
 
-void Guest::limit(ControlOutput& out, const Limits& limits) const {
+void UploadedLaw::limit(ControlOutput& out, const Limits& limits) const {
   const Quantity front_V = out.front_V;
   const Quantity back_V = out.back_V;
   const Quantity middle_V = (front_V + back_V).half();
@@ -234,13 +233,13 @@ void Guest::limit(ControlOutput& out, const Limits& limits) const {
   out.back_saturated = control::magnitude(out.back_V - back_V) > kSame_V;
 }
 
-bool Guest::update(const ControlInput& in, Bank bank, ControlOutput& out) {
+bool UploadedLaw::update(const ControlInput& in, Bank bank, ControlOutput& out) {
   const Limits& limits = limits_[bank];
-  see(in, limits);
-  Judgement judgement{};
+  read_inputs(in, limits);
+  GuardVerdict judgement{};
   fresh_ = false;
   if (phase_ < tape_.ticks() && tape_.run(phase_)) {
-    judgement = take_outputs(limits);
+    judgement = read_outputs(limits);
   }
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     if (!called_ || follows_given_[axis]) {
@@ -251,13 +250,13 @@ bool Guest::update(const ControlInput& in, Bank bank, ControlOutput& out) {
     }
   }
   if (!called_) {
-    wish_.pitch_setpoint_rad = in.angle_rad[kPitch];
+    output_.pitch_setpoint_rad = in.angle_rad[kPitch];
   }
   if (judgement.reason == Takeover::command) {
-    judgement = guard_.check(in, wish_, before_, limits.guard);
+    judgement = guard_.check(in, output_, before_, limits.guard);
   }
   if (judgement.reason != Takeover::command) {
-    leave(judgement.reason, judgement.value);
+    hand_over(judgement.reason, judgement.value);
     return false;
   }
   ++phase_;
@@ -265,17 +264,17 @@ bool Guest::update(const ControlInput& in, Bank bank, ControlOutput& out) {
     phase_ = 0;
   }
   out = {};
-  out.front_V = front_fade_.apply(wish_.front_V, before_.front_V, fresh_, limits.bumpless_keep);
-  out.back_V = back_fade_.apply(wish_.back_V, before_.back_V, fresh_, limits.bumpless_keep);
+  out.front_V = front_fade_.apply(output_.front_V, before_.front_V, fresh_, limits.bumpless_keep);
+  out.back_V = back_fade_.apply(output_.back_V, before_.back_V, fresh_, limits.bumpless_keep);
   if (!called_) {
     out.front_V = before_.front_V;
     out.back_V = before_.back_V;
   }
   limit(out, limits);
-  before_ = {out.front_V, out.back_V, wish_.pitch_setpoint_rad};
+  before_ = {out.front_V, out.back_V, output_.pitch_setpoint_rad};
   out.front_V = clamp(out.front_V + in.excitation_front_V, limits.motor_min_V, limits.motor_max_V);
   out.back_V = clamp(out.back_V + in.excitation_back_V, limits.motor_min_V, limits.motor_max_V);
-  out.pitch_setpoint_rad = wish_.pitch_setpoint_rad;
+  out.pitch_setpoint_rad = output_.pitch_setpoint_rad;
   return true;
 }
 

@@ -32,7 +32,7 @@ class Parameter:
 
     Parameters
     ----------
-    what : str
+    name : str
         Its name, without the effect's; ends in the unit.
     unit : str
         Unit, spelled as in rig files; ``1`` for a share.
@@ -55,7 +55,7 @@ class Parameter:
         flight's length in s.
     """
 
-    what: str
+    name: str
     unit: str
     meaning: str
     typical: float
@@ -73,7 +73,7 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class EffectKind:
+class EffectSpec:
     """An effect of the catalogue.
 
     Parameters
@@ -142,35 +142,35 @@ class EffectKind:
     @property
     def parameters(self) -> tuple[Quantity, ...]:
         """Its numbers by their full names, as a model with the effect has them."""
-        return tuple(Quantity(self.full(one.what), one.unit, one.meaning) for one in self.numbers)
+        return tuple(Quantity(self.full(one.name), one.unit, one.meaning) for one in self.numbers)
 
     @property
     def priors(self) -> dict[str, Prior]:
         """What is known before a flight of each number that a flight may find, by full name."""
-        return {self.full(one.what): one.prior for one in self.numbers if one.prior is not None}
+        return {self.full(one.name): one.prior for one in self.numbers if one.prior is not None}
 
     @property
     def neutral(self) -> dict[str, float]:
         """Values of all numbers at which the effect does nothing, by full name."""
-        return {self.full(one.what): one.neutral_value for one in self.numbers}
+        return {self.full(one.name): one.neutral_value for one in self.numbers}
 
     @property
     def typical(self) -> dict[str, float]:
         """Values of all parameters at which the effect shows clearly, by full name."""
-        return {self.full(one.what): one.typical for one in self.numbers}
+        return {self.full(one.name): one.typical for one in self.numbers}
 
     @property
     def size(self) -> tuple[str, ...]:
         """Full names of the numbers that enter about linearly and measure the size."""
-        return tuple(self.full(one.what) for one in self.numbers if one.size)
+        return tuple(self.full(one.name) for one in self.numbers if one.size)
 
     @property
     def grid(self) -> dict[str, GridValues]:
         """Parameters in which the likelihood is multimodal, by full name, with the values to start from."""
-        return {self.full(one.what): one.grid for one in self.numbers if one.grid is not None}
+        return {self.full(one.name): one.grid for one in self.numbers if one.grid is not None}
 
     def full(self, what: str) -> str:
-        """Full name of a number, such as ``thrust_step_front_share``, whose last part is `what`."""
+        """Full name of a number, such as ``thrust_step_front_share``, whose last part is `name`."""
         return f"{self.prefix}_{what}"
 
     def suits(self, model: Model) -> bool:
@@ -181,7 +181,7 @@ class EffectKind:
             return False
         return {*self.needs, *self.override} <= {quantity.name for quantity in model.parameters}
 
-    def goes_with(self, other: EffectKind) -> bool:
+    def compatible_with(self, other: EffectSpec) -> bool:
         """Whether one model may have this and the `other` effect: not both where one of them contains the
         other, or where both delay the voltages.
         """
@@ -256,8 +256,8 @@ class EffectKind:
         """
         known = {**self.neutral, **values}
         texts = {
-            one.what: format_estimate(
-                known[self.full(one.what)], (stds or {}).get(self.full(one.what)), one.unit
+            one.name: format_estimate(
+                known[self.full(one.name)], (stds or {}).get(self.full(one.name)), one.unit
             )
             for one in self.numbers
         }

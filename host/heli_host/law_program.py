@@ -1,4 +1,4 @@
-"""A control law as the board takes it: a tape of instructions over cells, with the names of what it tells.
+"""A control law as the board takes it: a program of instructions over cells, with the names of what it tells.
 
 What makes tapes from Python is the laboratory; here they are only held, counted and packed.
 docs/reference/link.md says what every word means.
@@ -21,7 +21,7 @@ from heli_host.declaration import (
     LAW_FORMAT,
     LAW_INPUT_COST,
     LAW_INPUTS,
-    LAW_MOST_TICKS,
+    LAW_MAX_TICKS,
     LAW_MOVING_COST,
     LAW_OUTPUT_COST,
     LAW_SIGNAL_COST,
@@ -63,7 +63,7 @@ class Term:
 
 @dataclass(frozen=True)
 class Instruction:
-    """One operation of a tape.
+    """One operation of a program.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class Instruction:
 
 
 @dataclass(frozen=True)
-class Tape:
+class LawProgram:
     """A law that a board can run.
 
     Parameters
@@ -154,12 +154,12 @@ class Tape:
                 "simplify it: fewer states, fewer unrolled iterations",
             )
         needed = self.ticks
-        if needed > min(self.divisor, LAW_MOST_TICKS):
+        if needed > min(self.divisor, LAW_MAX_TICKS):
             fitting = next((d for d in DIVISORS if d >= needed), None)
             raise BadLaw(
                 f"a call costs up to {self.cost} instructions, a tick has {LAW_TICK_COST} for it",
                 f"at {TICK_Hz / fitting:g} Hz it fits: a call is spread over {needed} ticks"
-                if fitting is not None and needed <= LAW_MOST_TICKS
+                if fitting is not None and needed <= LAW_MAX_TICKS
                 else "simplify it: it fits no rate",
             )
 
@@ -212,7 +212,7 @@ class Tape:
         )
 
     @property
-    def told(self) -> tuple[str, ...]:
+    def signal_names(self) -> tuple[str, ...]:
         """What the log's signals hold, in order: its own, then the board's setpoints where it logs others."""
         given = (f"board_{axis}_setpoint_rad" for axis in self.own_setpoints)
         return (*self.signals, *given)[:LAW_SIGNALS]
@@ -247,20 +247,20 @@ class Tape:
 
 
 class LawLike(Protocol):
-    """What has a tape: a law of the laboratory."""
+    """What has a program: a law of the laboratory."""
 
     @property
-    def tape(self) -> Tape:
+    def program(self) -> LawProgram:
         """The law as the board takes it."""
         ...
 
 
-def tape_of(law: Tape | LawLike) -> Tape:
-    """Return the tape of a law, or the tape itself.
+def program_of(law: LawProgram | LawLike) -> LawProgram:
+    """Return the program of a law, or the program itself.
 
     Parameters
     ----------
-    law : Tape or LawLike
+    law : LawProgram or LawLike
         What is to fly.
 
     Raises
@@ -268,13 +268,13 @@ def tape_of(law: Tape | LawLike) -> Tape:
     BadLaw
         It is neither, or a law that no board could run.
     """
-    tape = law if isinstance(law, Tape) else getattr(law, "tape", None)
-    if not isinstance(tape, Tape):
+    program = law if isinstance(law, LawProgram) else getattr(law, "program", None)
+    if not isinstance(program, LawProgram):
         raise BadLaw(
             f"a {type(law).__name__} is not a control law",
-            "give what @control_law or from_gain makes, or its tape",
+            "give what @control_law or from_gain makes, or its program",
         )
-    return tape
+    return program
 
 
 def hash_of(words: Sequence[int]) -> int:

@@ -1,4 +1,4 @@
-"""Who flies: one pilot, who hands control over when asked, and is there only while his page answers."""
+"""The control lease: one client is the pilot, until it hands control over or its page stops answering."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import threading
 from dataclasses import dataclass
 
 PRESENT_S = 0.5
-"""How old the pilot's last sign may be for setpoints to go out [s]: ten are due in it.
-Older, they are missing to the board, which holds after ``setpoint_hold_s`` more and lands after
-``setpoint_land_s``. A closed or crashed page is told at once by its socket."""
+"""Greatest age of the pilot's last sign of life at which setpoints are sent [s]. Ten signs are due in that
+time. After it the board gets no setpoints: it holds level after ``setpoint_hold_s`` more, and lands after
+``setpoint_land_s``. A page that was closed or has crashed counts as absent immediately, because its socket
+closes. Shorter: a busy browser interrupts the flight. Longer: a dead page keeps flying for longer."""
 ABSENT_S = 3.0
-"""How long the pilot may be away for a request to be granted without him [s]: a page that loads anew keeps
-its seat."""
+"""Absence of the pilot after which another client gets control without the pilot's answer [s]. Shorter: a
+page that is reloaded loses control. Longer: nobody can take over from a dead page."""
 
 
 @dataclass
@@ -22,17 +23,19 @@ class _Client:
     beat_s: float
 
 
-class Seats:
-    """Clients by their ids, and which of them flies; may be asked from any thread.
+class ControlLease:
+    """The connected clients, and which of them is the pilot. All methods may be called from any thread.
+
+    Nothing here talks to the board. `present` decides whether setpoints are sent.
 
     Attributes
     ----------
     pilot : str or None
-        Id of the pilot; kept while he is away, until somebody asks.
+        Id of the pilot. It stays the pilot while it is disconnected, until another client asks for control.
     asking : str or None
-        Id of who asks for control.
+        Id of the client that asks for control and waits for the pilot's answer.
     shared : bool
-        Whether clients that do not fly may change parameters.
+        True if clients other than the pilot may change parameters.
     """
 
     def __init__(self) -> None:
@@ -43,18 +46,21 @@ class Seats:
         self._lock = threading.RLock()
 
     def join(self, client: str, name: str, now_s: float, *, may_fly: bool = True) -> bool:
-        """Add a client; the first that may fly is the pilot. False when one of this id is connected.
+        """Add a client. It becomes the pilot if there is none and `may_fly` is true.
 
         Parameters
         ----------
         client : str
-            Id.
+            Id of the client.
         name : str
-            Name for people.
+            Name that other clients' pages show.
         now_s : float
-            Host time [s].
-        may_fly : bool
-            Whether it becomes the pilot where there is none.
+            Monotonic time of the host [s]; counts as the client's first sign of life.
+
+        Returns
+        -------
+        bool
+            False if a client with this id is connected already; nothing is changed then.
         """
         with self._lock:
             known = self._clients.get(client)
@@ -66,12 +72,15 @@ class Seats:
             return True
 
     def leave(self, client: str) -> None:
-        """Note that a client is gone; a pilot keeps the seat until somebody asks for it.
+        """Mark a client as disconnected and withdraw its request for control.
+
+        A disconnected pilot keeps the lease until another client asks for it, but counts as absent: no
+        setpoints are sent.
 
         Parameters
         ----------
         client : str
-            Id.
+            Id of the client.
         """
         with self._lock:
             if client in self._clients:
@@ -82,97 +91,108 @@ class Seats:
                 self._clients.pop(client, None)
 
     def beat(self, client: str, now_s: float) -> None:
-        """Note a sign of life.
+        """Record a sign of life of a client.
 
         Parameters
         ----------
         client : str
-            Id.
+            Id of the client.
         now_s : float
-            Host time [s].
+            Monotonic time of the host [s].
         """
         with self._lock:
             if client in self._clients:
                 self._clients[client].beat_s = now_s
 
     def pilot_age_s(self, now_s: float) -> float:
-        """How old the pilot's last sign is [s]; infinite without a pilot who is connected.
+        """Return the age of the pilot's last sign of life [s]; infinite if no pilot is connected.
 
         Parameters
         ----------
         now_s : float
-            Host time [s].
+            Monotonic time of the host [s].
         """
-        # Asked with the link's lock held: what it reads are single references, so it takes no lock of its
-        # own.
+        # Called with the link's lock held. It reads single references only, so it needs no lock; taking one
+        # could deadlock with a thread that holds it and waits for the link.
         pilot = self._clients.get(self.pilot or "")
         return now_s - pilot.beat_s if pilot is not None and pilot.connected else float("inf")
 
     def present(self, now_s: float) -> bool:
-        """Whether the pilot's page lives.
+        """Whether the pilot's page has given a sign of life within `PRESENT_S`.
 
         Parameters
         ----------
         now_s : float
-            Host time [s].
+            Monotonic time of the host [s].
         """
         return self.pilot_age_s(now_s) <= PRESENT_S
 
     def ask(self, client: str, now_s: float) -> bool:
-        """Ask for control; True when it is had at once, because nobody is there to be asked.
+        """Request control for a client.
 
         Parameters
         ----------
         client : str
-            Id of who asks.
+            Id of the client that wants to fly.
         now_s : float
-            Host time [s].
+            Monotonic time of the host [s].
+
+        Returns
+        -------
+        bool
+            True if the client is the pilot now: it was already, there was no pilot, or the pilot has been
+            absent for `ABSENT_S`. False if the pilot must answer first.
         """
         with self._lock:
             if client == self.pilot:
                 return True
             if self.pilot is None or self.pilot_age_s(now_s) > ABSENT_S:
-                self._seat(client)
+                self._grant(client)
                 return True
             self.asking = client
             return False
 
     def answer(self, client: str, grant: bool) -> bool:
-        """Answer who asks; only the pilot can. True when control was handed over.
+        """Answer the pending request for control.
 
         Parameters
         ----------
         client : str
-            Id of who answers.
+            Id of the client that answers; the call does nothing unless it is the pilot.
         grant : bool
-            Whether to hand control over.
+            True hands control over, False keeps it.
+
+        Returns
+        -------
+        bool
+            True if control was handed over.
         """
         with self._lock:
             if client != self.pilot or self.asking is None:
                 return False
             if grant:
-                self._seat(self.asking)
+                self._grant(self.asking)
             self.asking = None
             return grant
 
     def name(self, client: str | None) -> str:
-        """Name of a client for people, empty for nobody.
+        """Return the display name of a client; empty if it is unknown or None.
 
         Parameters
         ----------
         client : str or None
-            Id.
+            Id of the client.
         """
         with self._lock:
             known = self._clients.get(client or "")
             return known.name if known is not None else ""
 
     def count(self) -> int:
-        """How many are connected."""
+        """Return the number of connected clients."""
         with self._lock:
-            return sum(one.connected for one in self._clients.values())
+            return sum(client.connected for client in self._clients.values())
 
-    def _seat(self, client: str) -> None:
+    def _grant(self, client: str) -> None:
         before, self.pilot, self.asking = self.pilot, client, None
         if before is not None and before in self._clients and not self._clients[before].connected:
             del self._clients[before]

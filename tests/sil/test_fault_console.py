@@ -12,7 +12,7 @@ import pytest
 from heli_host.declaration import ArmMessage, Result
 from heli_sim import _native
 from heli_sim.sil.clock import TimedClock
-from heli_sim.sil.rehearsal import HELP, Rehearsal
+from heli_sim.sil.fault_console import HELP, FaultConsole
 from heli_sim.sil.server import serve
 from heli_sim.sil.tcp import TcpEndpoint
 
@@ -30,17 +30,17 @@ class Person:
     def __init__(self, host: Host) -> None:
         self.answers: list[str] = []
         self._fd, self._pen = os.pipe()
-        self.rehearsal = Rehearsal(host.world, self._fd, self.answers.append)
+        self.console = FaultConsole(host.world, self._fd, self.answers.append)
 
     def type_in(self, text: str) -> str:
         os.write(self._pen, text.encode())
-        assert self.rehearsal.watched() == [self._fd]
-        self.rehearsal.listen([self._fd])
+        assert self.console.watched() == [self._fd]
+        self.console.listen([self._fd])
         return self.answers[-1] if self.answers else ""
 
     def leave(self) -> None:
         os.close(self._pen)
-        self.rehearsal.listen([self._fd])
+        self.console.listen([self._fd])
 
     def close(self) -> None:
         os.close(self._fd)
@@ -150,19 +150,19 @@ def test_what_was_asked_for_at_the_start_can_be_ended_and_comes_all_the_same() -
 
 def test_when_the_lines_end_the_board_is_served_on(person: Person) -> None:
     person.leave()
-    assert person.rehearsal.watched() == []
+    assert person.console.watched() == []
 
 
 def test_in_the_background_the_terminal_is_left_to_the_shell(
     host: Host, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     master, terminal = pty.openpty()
-    rehearsal = Rehearsal(host.world, terminal, print)
-    monkeypatch.setattr("heli_sim.sil.rehearsal.os.tcgetpgrp", lambda fd: os.getpgrp())
-    assert rehearsal.watched() == [terminal]
+    console = FaultConsole(host.world, terminal, print)
+    monkeypatch.setattr("heli_sim.sil.fault_console.os.tcgetpgrp", lambda fd: os.getpgrp())
+    assert console.watched() == [terminal]
     # A process that reads then is stopped by the system, and the board with it.
-    monkeypatch.setattr("heli_sim.sil.rehearsal.os.tcgetpgrp", lambda fd: os.getpgrp() + 1)
-    assert rehearsal.watched() == []
+    monkeypatch.setattr("heli_sim.sil.fault_console.os.tcgetpgrp", lambda fd: os.getpgrp() + 1)
+    assert console.watched() == []
     os.close(terminal)
     os.close(master)
 
@@ -180,7 +180,7 @@ def test_a_served_board_listens_while_it_flies(host: Host, person: Person) -> No
     endpoint = TcpEndpoint("127.0.0.1", 0)
     patience = threading.Timer(PATIENCE_s, os.write, (stop_pen, b"x"))
     patience.start()
-    serve(endpoint, host.world, TimedClock(1.0), stop_fd, Rehearsal(host.world, reader, say))
+    serve(endpoint, host.world, TimedClock(1.0), stop_fd, FaultConsole(host.world, reader, say))
     patience.cancel()
     endpoint.close()
     assert heard and "travel encoder is unplugged" in heard[0]

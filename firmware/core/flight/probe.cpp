@@ -1,0 +1,104 @@
+#include "flight/probe.hpp"
+
+#include "control/math.hpp"
+#include "flight/balance.hpp"
+
+namespace heli::flight {
+
+using Answer = link::Probe;
+
+namespace {
+
+// An arm that dry friction holds is asked again and again: after 2.5, 5 and then each 10 s. An
+// arm that moves by itself is asked after 2.5 s again.
+constexpr std::uint8_t kMostPatience = 2;
+// Counts until then are what the tilt has caused: 3 s.
+constexpr std::uint32_t kAftermath_updates = 750;
+// Longest tilt to one side, 2 s: twice what pitch needs to follow. Longer, a dead axis turns by
+// more than 30 degrees.
+constexpr std::uint32_t kLongest_updates = 500;
+// The pitch at which the arm was still, over half a second.
+constexpr int kAveraging = 7;
+
+Quantity part(Quantity value, int shift) { return Quantity::from_raw(value.raw() >> shift); }
+
+Quantity towards(Quantity from, Quantity to, Quantity step) {
+  return from + control::clamp(to - from, -step, step);
+}
+
+}  // namespace
+
+Answer Probe::update(const Asked& axis, const ProbeLimits& limits) {
+  if (stage_ == Stage::listens) {
+    balance_rad_ += part(axis.pitch_rad - balance_rad_, kAveraging);
+    return listen(axis, limits);
+  }
+  return axis.held ? tilt(axis, limits) : end(Answer::stopped);
+}
+
+Answer Probe::listen(const Asked& axis, const ProbeLimits& limits) {
+  ++calm_updates_;
+  if (axis.moved && calm_updates_ > kAftermath_updates) {
+    patience_ = 0;
+  }
+  silent_updates_ = axis.moved || !axis.held ? 0U : silent_updates_ + 1U;
+  const bool silent = silent_updates_ >= limits.silence_updates << patience_;
+  const bool steady = control::magnitude(axis.pitch_rad - balance_rad_) < limits.steady_rad &&
+                      control::magnitude(balance_rad_) < limits.most_rad;
+  if (limits.silence_updates == 0U || !axis.may_begin || !steady || !(silent || axis.doubted)) {
+    return Answer::none;
+  }
+  for (std::size_t side = 0; side < 2; ++side) {
+    rate_[side] = {};
+    turned_[side] = {};
+    most_[side] = {};
+  }
+  // Against the loop first: its error may be what turns an axis that it cannot see.
+  side_ = axis.error_rad > Quantity{} ? 1 : 0;
+  tilted_updates_ = 0;
+  tilt_rad_ = {};
+  stage_ = Stage::first;
+  return Answer::asked;
+}
+
+Answer Probe::tilt(const Asked& axis, const ProbeLimits& limits) {
+  if (axis.moved) {
+    patience_ = patience_ < kMostPatience ? static_cast<std::uint8_t>(patience_ + 1U) : patience_;
+    return end(Answer::counts);
+  }
+  const Quantity away_rad = axis.pitch_rad - balance_rad_;
+  integrate(0, away_rad - limits.friction_rad);
+  integrate(1, -away_rad - limits.friction_rad);
+  if (most_[side_] > limits.moved_least) {
+    if (stage_ == Stage::second) {
+      return end(Answer::silent);
+    }
+    stage_ = Stage::second;
+    side_ ^= 1U;
+    tilted_updates_ = 0;
+  } else if (++tilted_updates_ > kLongest_updates) {
+    return end(Answer::stopped);
+  }
+  tilt_rad_ = towards(tilt_rad_, side_ == 0U ? limits.tilt_rad : -limits.tilt_rad, limits.step_rad);
+  return Answer::none;
+}
+
+Answer Probe::end(Answer answer) {
+  silent_updates_ = 0;
+  calm_updates_ = 0;
+  stage_ = Stage::listens;
+  return answer;
+}
+
+// From rest, as friction lets it: it stops what the tilt does not drive.
+void Probe::integrate(std::size_t side, Quantity beyond) {
+  rate_[side] += part(beyond, Balance::kShift);
+  if (rate_[side] < Quantity{}) {
+    rate_[side] = {};
+    turned_[side] = {};
+  }
+  turned_[side] += part(rate_[side], Balance::kShift);
+  most_[side] = turned_[side] > most_[side] ? turned_[side] : most_[side];
+}
+
+}  // namespace heli::flight

@@ -1,0 +1,264 @@
+"""A flight of plans from the options of the command line, for `fly` and for verbs that fly a control law."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import typer
+
+from heli_host.cli import simulated
+from heli_host.cli.gains import check_gains, chosen_parameters
+from heli_host.cli.options import flight_folder
+from heli_host.cli.say import STDOUT, data_on_stdout, say, say_files, say_progress
+from heli_host.cli.twin_options import lands_on_alarm, open_watch, read_twin
+
+if TYPE_CHECKING:
+    from heli_host.fly.plan import Plan
+    from heli_host.fly.runner import Progress
+    from heli_host.heli import Heli
+    from heli_host.log.summary import FlightSummary
+
+DEFAULT_SEED: Final = 1
+
+
+@dataclass(frozen=True)
+class FlightOptions:
+    """Options of a verb that flies, as typed; see ``heli-host fly --help``.
+
+    Parameters
+    ----------
+    port, sil : str or None, bool
+        The board: ``--port`` or ``HELI_PORT``, or ``--sil``.
+    board, elf, rig, model, effect, effect_file, speed, seed
+        The simulation. A `rig` also names the rig of a real board.
+    blind : bool
+        Whether files hide what flew.
+    clear_fault : bool
+        Whether a latched fault is cleared first.
+    gains, params : str or None, Path or None
+        Parameters to fly with.
+    twin, on_alarm : str or None
+        Twin that flies along, and what its alarm does.
+    log, json, figure : Path or None
+        Files to write.
+    """
+
+    port: str | None = None
+    sil: bool = False
+    board: str | None = None
+    elf: Path | None = None
+    rig: str | None = None
+    model: str | None = None
+    effect: Sequence[str] | None = None
+    effect_file: Sequence[Path] | None = None
+    speed: str = "1"
+    seed: int | None = None
+    blind: bool = False
+    clear_fault: bool = False
+    gains: str | None = None
+    params: Path | None = None
+    twin: str | None = None
+    on_alarm: str | None = None
+    log: Path | None = None
+    json: Path | None = None
+    figure: Path | None = None
+
+    def address(self) -> str | None:
+        """Return the address of the simulated board, None for a real one.
+
+        Raises
+        ------
+        typer.BadParameter
+            An option is invalid, applies only to a simulated board, or names a second board.
+        PortError
+            No board is named.
+        """
+        from heli_host.cli.board import check_target
+
+        simulated.parse_speed(self.speed)
+        if not self.sil:
+            simulated.refuse_without_sil(
+                board=self.board,
+                elf=self.elf,
+                model=self.model,
+                effect=self.effect,
+                effect_file=self.effect_file,
+                blind=self.blind,
+            )
+        check_target(self.port, self.sil)
+        if not self.sil:
+            return None
+        return simulated.sil_address(
+            rig=self.rig,
+            speed=self.speed,
+            seed=DEFAULT_SEED if self.seed is None else self.seed,
+            board=self.board,
+            elf=self.elf,
+            model=self.model,
+            effect=self.effect,
+            effect_files=self.effect_file,
+        )
+
+
+@dataclass(frozen=True)
+class FlownFlight:
+    """A flight that was flown.
+
+    Parameters
+    ----------
+    summary : FlightSummary
+        Outcome, tracking errors and losses.
+    log : Path
+        The file with every tick.
+    lines : tuple of str
+        Lines about it for the user.
+    files : tuple of Path or None
+        Files that it left.
+    """
+
+    summary: FlightSummary
+    log: Path
+    lines: tuple[str, ...]
+    files: tuple[Path | None, ...]
+
+    def report(self) -> None:
+        """Print the lines and the names of the files."""
+        say(*self.lines)
+        say_files(self.files)
+
+    def end(self) -> None:
+        """Raise KeyboardInterrupt after a flight that Ctrl-C ended, FlightAborted after any other flight that
+        was not completed.
+        """
+        from heli_host.errors import FlightAborted
+        from heli_host.fly.interrupts import was_interrupted
+
+        if was_interrupted(self.summary.outcome):
+            raise KeyboardInterrupt
+        if not self.summary.completed:
+            raise FlightAborted(self.summary.outcome)
+
+
+def fly_plans(
+    options: FlightOptions,
+    plans: Sequence[Plan],
+    *,
+    plan_names: Sequence[str] = (),
+    on_taken_off: Callable[[Heli], object] | None = None,
+    on_flown: Callable[[Heli], object] | None = None,
+) -> FlownFlight:
+    """Fly plans on the board that the options name; write log, summary and figure.
+
+    Parameters
+    ----------
+    options : FlightOptions
+        Options of the command line.
+    plans : sequence of Plan
+        Plans to fly one after the other.
+    plan_names : sequence of str
+        The same as typed, for the truth file of a blind flight.
+    on_taken_off, on_flown : callable taking Heli, optional
+        Called when the plans begin, and after the landing.
+
+    Raises
+    ------
+    typer.BadParameter
+        Options are invalid or contradict each other; no port was opened.
+    HeliError
+        A file cannot be read or written, or the board refuses the flight.
+    """
+    from heli_host.cli.board import board_text, check_board_rig, clear_latched_fault, open_board
+    from heli_host.cli.outputs import check_result_places
+    from heli_host.cli.progress import LiveLine
+    from heli_host.cli.report import summary_lines
+    from heli_host.fly.runner import fly
+    from heli_host.link.transport import transport_label, transport_note, transport_rig
+    from heli_host.log.blind import Truth, truth_path
+    from heli_host.log.disk import check_new
+    from heli_host.published_gains import load_gains
+
+    land_on_alarm = lands_on_alarm(options.twin, options.on_alarm)
+    if options.blind and options.twin is not None:
+        raise typer.BadParameter("--twin names what has changed; leave it out, or leave out --blind")
+    if options.seed is None:
+        # A known seed lets a reader fly the same flight with each effect, and compare byte by byte.
+        options = replace(options, seed=secrets.randbelow(1 << 31) if options.blind else DEFAULT_SEED)
+    address = options.address()
+    check_gains(options.gains, options.sil)
+    parameters = chosen_parameters(options.params, options.gains)
+    log, json, figure = options.log, options.json, options.figure
+    check_result_places(json, figure=figure)
+    data_on_stdout(json)
+    if log is not None:
+        check_new(log)
+    truth = None
+    if options.blind and address is not None:
+        truth = Truth.seal(
+            simulated.flown(
+                address,
+                rig=options.rig,
+                model=options.model,
+                effect=options.effect,
+                effect_files=options.effect_file,
+                seed=options.seed or 0,
+                plans=plan_names,
+            )
+        )
+    maker = read_twin(options.twin)
+    with open_board(options.port, address) as heli:
+        if options.clear_fault:
+            clear_latched_fault(heli)
+        load_gains(heli.params, options.gains)
+        if parameters:
+            heli.params.restore(parameters)
+        check_board_rig(heli, options.rig)
+        everything = log is None and json is None and figure is None
+        folder = flight_folder() if log is None else log.parent
+        log = log if log is not None else folder / "flight.mcap"
+        json, figure = (folder / "summary.json", folder / "figure.png") if everything else (json, figure)
+        text, transport = board_text(heli, hidden=options.blind), heli.session.transport
+        key = truth_path(log)
+        if truth is not None:
+            truth.write(key)
+        if note := transport_note(transport):
+            say_progress(note)
+        say_progress(text, f"flying: {', then '.join(plan.title for plan in plans)}")
+        watch = open_watch(heli, maker)
+        with LiveLine() as live:
+
+            def show(progress: Progress) -> None:
+                live.show(
+                    progress.sample,
+                    progress.counters,
+                    t_s=progress.t_s,
+                    phase=progress.phase,
+                    left_s=progress.left_s,
+                )
+
+            summary = fly(
+                heli,
+                plans,
+                log_path=log,
+                json_path=json if str(json) != STDOUT else None,
+                figure_path=figure,
+                on_progress=show,
+                rig_name="" if options.blind else simulated.rig_name(options.rig, simulated=options.sil),
+                rig=options.rig or transport_rig(transport),
+                board_name=transport_label(transport).partition(",")[0].removesuffix(" board"),
+                twin=watch,
+                land_on_change=land_on_alarm,
+                sealed=truth.digest if truth is not None else "",
+                on_taken_off=(lambda: on_taken_off(heli)) if on_taken_off is not None else None,
+            )
+        if on_flown is not None:
+            on_flown(heli)
+    lines = [*summary_lines(summary), f"board: {text}"]
+    if watch is not None:
+        lines.append(f"twin: {watch.words()}")
+    if truth is not None:
+        lines += [f"sealed: {truth.digest}", f"truth, not for those who search: {key}"]
+    return FlownFlight(summary, log, tuple(lines), (log, json, figure))

@@ -1,0 +1,71 @@
+"""``--json FILE`` is the same option in every verb that has a result; ``-`` is standard output."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from heli_host.cli.entry import command_line
+
+from tests.cli.terminal import Terminal
+from tests.cli.test_machine_readable import leaves
+
+pytestmark = pytest.mark.medium
+
+LAW = str(Path(__file__).resolve().parents[2] / "docs/laws/lqr.py")
+SIL = ("--sil", "--speed", "max")
+WITHOUT = {"export", "flash", "motors", "watch", "sil", "dashboard"}
+"""Verbs whose result is a file, a served board, or only what is shown live."""
+WITHOUT_PARTS = {
+    *("law export", "paper equations", "paper figures", "params dump", "params save"),
+    *("rig export", "rig new"),
+}
+
+
+def test_every_verb_with_a_result_takes_a_json_file() -> None:
+    found = set()
+    for name, leaf in leaves(command_line()).items():
+        options = [one for one in leaf.params if "--json" in one.opts]  # type: ignore[attr-defined]
+        if not leaf.hidden and not options:  # type: ignore[attr-defined]
+            found.add(name)
+        assert all(one.metavar == "FILE" and not one.is_flag for one in options), name
+    assert found == WITHOUT | WITHOUT_PARTS
+
+
+@pytest.mark.parametrize(
+    ("words", "key"),
+    [
+        (("params", "set", "hover_V", "1.5", "--sil"), "value"),
+        (("record", *SIL, "--duration", "1", "-o", "a.mcap"), "ticks_logged"),
+        (("setpoint", *SIL, "--take-off", "--elevation-deg", "2", "--duration", "1"), "elevation_deg"),
+        (("fly", "short.toml", *SIL, "--log", "b.mcap"), "outcome"),
+        (("law", "fly", LAW, *SIL, "--duration", "2", "--log", "c.mcap"), "trial"),
+        (("rig", "check", "makki2024"), "rigs"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else " ".join(value[:2]),
+)
+def test_a_result_on_standard_output_is_json_alone(
+    words: tuple[str, ...], key: str, terminal: Terminal
+) -> None:
+    Path("short.toml").write_text('[[segment]]\nkind = "hold"\nduration_s = 1\n')
+    ended = terminal(*words, "--json", "-")
+    assert ended.code == 0, ended.err
+    content: dict[str, Any] = json.loads(ended.out)
+    assert content["schema"] == 1
+    assert key in content
+
+
+def test_a_result_in_a_file_leaves_the_text_where_it_was(terminal: Terminal) -> None:
+    ended = terminal("rig", "check", "makki2024", "--json", "new/rigs.json")
+    assert "makki2024: " in ended.out
+    assert json.loads(Path("new/rigs.json").read_text())["rigs"][0]["can_fly"]
+
+
+def test_the_old_names_of_record_and_dashboard_work_and_are_not_listed(terminal: Terminal) -> None:
+    assert terminal("log", *SIL, "--duration", "0.2", "-o", "a.mcap").code == 0
+    assert terminal("page", "--help").code == 0
+    listed = terminal("--help").out
+    assert "record" in listed and "dashboard" in listed
+    assert not [line for line in listed.splitlines() if line.strip("│ ").startswith(("log ", "page "))]

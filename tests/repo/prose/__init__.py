@@ -1,0 +1,1 @@
+"""Checks of what people read: words, sentences, paragraphs, numbers and abbreviations."""

@@ -1,0 +1,203 @@
+"""Where people read text of this project, and the text itself: documents, docstrings, help and messages."""
+
+from __future__ import annotations
+
+import ast
+import itertools
+import re
+import subprocess
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from markdown_it import MarkdownIt
+from markdown_it.token import Token
+
+MARKDOWN = MarkdownIt("commonmark").enable("table")
+CODE = "`x`"
+"""Stands for code in backticks: one word of a sentence, and no word to look at."""
+SOURCES = ("host/heli_host/*.py", "sim/heli_sim/*.py", "sim/heli_lab/*.py")
+GENERATED = ("host/heli_host/declaration.py",)
+FIELD = re.compile(r"^\w[\w ]*\n-{3,}\n", re.MULTILINE)
+END = re.compile(
+    r"(?<=[.!?])(?<!e\.g\.)(?<!i\.e\.)(?<!vs\.)(?<!cf\.)(?<!Eq\.)(?<!Fig\.)(?<!al\.)[\"')*_]*\s+(?=[\"'(*_`]*[A-Z0-9`])"
+)
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph, heading, cell, docstring part or message.
+
+    Parameters
+    ----------
+    file : str
+        Path from the repository's root.
+    line : int
+        First line of the paragraph, counted from 1.
+    kind : str
+        ``document``, ``docstring``, ``message`` or ``help``.
+    is_prose : bool
+        False for a heading, a cell of a table or a message: these have words, and no sentences to count.
+    content : str
+        Without markup; code is replaced by `CODE`.
+    """
+
+    file: str
+    line: int
+    kind: str
+    is_prose: bool
+    content: str
+
+
+def sources(root: Path) -> list[Path]:
+    """Tracked files with text that people read."""
+    listed = subprocess.run(
+        [
+            "git",
+            "ls-files",
+            "--cached",
+            "--others",
+            "--exclude-standard",
+            "*.md",
+            "docs/course/*.py",
+            "firmware/link.toml",
+            *SOURCES,
+        ],
+        cwd=root,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.splitlines()
+    return [root / name for name in sorted(set(listed)) if name not in GENERATED and (root / name).is_file()]
+
+
+def sentences_of(text: Text) -> list[str]:
+    """Sentences of prose; none of a heading or a cell."""
+    return [part for part in END.split(text.content) if part.strip()] if text.is_prose else []
+
+
+def texts_of(path: Path, root: Path) -> Iterator[Text]:
+    """Yield what a person reads of a file, in its order."""
+    name = path.relative_to(root).as_posix()
+    source = path.read_text()
+    if path.suffix == ".md":
+        yield from _markdown(source, name, 1)
+    elif path.name == "link.toml":
+        yield from _meanings(source, name)
+    elif name.startswith("docs/course/"):
+        yield from _notebook(source, name)
+    else:
+        yield from _python(source, name)
+
+
+def _plain(inline: Token) -> str:
+    """Text of a paragraph without its markup."""
+    parts = []
+    for child in inline.children or []:
+        if child.type == "text":
+            parts.append(child.content)
+        elif child.type == "code_inline":
+            parts.append(CODE)
+        elif child.type in ("softbreak", "hardbreak"):
+            parts.append(" ")
+    return "".join(parts)
+
+
+def _markdown(source: str, name: str, first_line: int) -> Iterator[Text]:
+    front = re.match(r"---\n.*?\n---\n", source, re.DOTALL)
+    if front:
+        source = "\n" * front[0].count("\n") + source[front.end() :]
+    tokens = MARKDOWN.parse(source)
+    for before, token in itertools.pairwise(tokens):
+        if token.type != "inline" or token.map is None:
+            continue
+        yield Text(
+            name, first_line + token.map[0], "document", before.type == "paragraph_open", _plain(token)
+        )
+
+
+def _notebook(source: str, name: str) -> Iterator[Text]:
+    """Cells of Markdown in a notebook of Jupytext's percent format."""
+    for match in re.finditer(r"^# %% \[markdown\].*\n((?:#.*\n|\n)*)", source, re.MULTILINE):
+        line = source[: match.start(1)].count("\n") + 1
+        cell = re.sub(r"^# ?", "", match[1], flags=re.MULTILINE)
+        yield from _markdown(cell, name, line)
+
+
+def _meanings(source: str, name: str) -> Iterator[Text]:
+    """Explanations in the declaration of the link, which become tables."""
+
+    def walk(node: object) -> Iterator[str]:
+        if isinstance(node, dict):
+            for key, value in node.items():
+                if isinstance(value, str) and key in ("meaning", "doc", "help", "what"):
+                    yield value
+                else:
+                    yield from walk(value)
+        elif isinstance(node, list):
+            for value in node:
+                yield from walk(value)
+
+    for meaning in walk(tomllib.loads(source)):
+        at = source.find(meaning[:40])
+        yield Text(name, source[: max(at, 0)].count("\n") + 1, "message", False, meaning)
+
+
+def _is_public(name: str) -> bool:
+    return not name.startswith("_")
+
+
+def _python(source: str, name: str) -> Iterator[Text]:
+    tree = ast.parse(source)
+    is_verb = "/verbs/" in name
+    documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    for node in ast.walk(tree):
+        if isinstance(node, documented):
+            public = isinstance(node, ast.Module) or _is_public(node.name)
+            doc = ast.get_docstring(node) if public else None
+            if doc:
+                line = 1 if isinstance(node, ast.Module) else node.lineno
+                yield from _docstring(doc, name, line, "help" if is_verb else "docstring")
+        elif isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
+            for text in _strings(node.exc):
+                yield Text(name, node.lineno, "message", False, text)
+        elif isinstance(node, ast.keyword) and node.arg == "help":
+            for text in _strings(node.value):
+                yield Text(name, node.value.lineno, "help", False, text)
+
+
+def _docstring(doc: str, name: str, line: int, kind: str) -> Iterator[Text]:
+    headers = list(FIELD.finditer(doc))
+    prose = doc[: headers[0].start()] if headers else doc
+    entries = doc[headers[0].start() :] if headers else ""
+    for paragraph in re.split(r"\n\s*\n", prose):
+        if (
+            paragraph.strip()
+            and not re.match(r"\s*(?:>>>|\.\. |    |\|)", paragraph)
+            and "::" not in paragraph
+        ):
+            yield Text(name, line, kind, True, _without_code(paragraph))
+    # Entries of arguments: their texts are indented, their heads are names and types.
+    for text in re.findall(r"(?:^[ ]{4,}\S.*\n?)+", entries, re.MULTILINE):
+        if ">>>" not in text:
+            yield Text(name, line, kind, True, _without_code(text))
+
+
+def _without_code(text: str) -> str:
+    text = re.sub(r"``.+?``|`[^`]+`(?:_)?", CODE, text, flags=re.DOTALL)
+    return re.sub(r"\s+", " ", text).strip()
+
+
+def _strings(node: ast.AST) -> Iterator[str]:
+    """Text of a message: its constants, with a placeholder for what is filled in."""
+    if isinstance(node, ast.JoinedStr):
+        yield _without_code(
+            "".join(str(part.value) if isinstance(part, ast.Constant) else CODE for part in node.values)
+        )
+    elif isinstance(node, ast.Constant):
+        if isinstance(node.value, str) and " " in node.value:
+            yield _without_code(node.value)
+    else:
+        for child in ast.iter_child_nodes(node):
+            yield from _strings(child)

@@ -1,0 +1,80 @@
+"""The check of words and sentences sees what it is there for, and accepts good sentences."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.repo.prose.__main__ import HERE, check, findings, long_share
+from tests.repo.prose.rules import Rules
+
+RULES = Rules.read(HERE / "words.toml")
+BAD = {
+    "word": "The program tells the user what happened.",
+    "sentence": " ".join(["The board reads the encoder and"] * 7) + " stops.",
+    "paragraph": " ".join(["The board reads the encoder."] * 20),
+    "opening": "Of these flights the program keeps two.",
+    "numbers": "The errors are 3 degrees, 4 degrees and 5 degrees.",
+    "abbreviation": "An LQR holds the arm.",
+}
+GOOD = {
+    "code": "Run `tell 1 2 3 4` in a folder.",
+    "uncertain": "The lag is 0.080 s ± 0.006 s, and the delay is 0.017 s.",
+    "expanded": "An LQR (linear-quadratic regulator) holds the arm.",
+    "names": "The BTS7960 driver works with Python 3.11 on a 3-DOF rig.",
+    "question": "What happens when the cable is pulled?",
+    "fence": "```console\n$ heli-host tell 1 2 3 4\n```",
+    "cell": "| a | b |\n|---|---|\n| 1, 2, 3 and 4 counts | x |",
+}
+
+
+def rules_broken(tmp_path: Path, name: str, content: str) -> list[str]:
+    page = tmp_path / name
+    page.parent.mkdir(parents=True, exist_ok=True)
+    page.write_text(content)
+    return [finding.rule for finding in findings([page], RULES, tmp_path)]
+
+
+@pytest.mark.parametrize("rule", BAD)
+def test_a_bad_sentence_breaks_its_rule_and_no_other(rule: str, tmp_path: Path) -> None:
+    assert rules_broken(tmp_path, "docs/page.md", BAD[rule] + "\n") == [rule]
+
+
+@pytest.mark.parametrize("what", GOOD)
+def test_a_good_sentence_breaks_no_rule(what: str, tmp_path: Path) -> None:
+    assert not rules_broken(tmp_path, "docs/page.md", GOOD[what] + "\n")
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        '"""The program tells it."""\n',
+        'def fly() -> None:\n    """Fly.\n\n    The program tells it.\n    """\n',
+        'def fly(x):\n    raise ValueError(f"the file {x} tells nothing")\n',
+        'X = option(help="Tell it.")\n',
+    ],
+    ids=["module", "function", "message", "help"],
+)
+def test_text_inside_of_python_is_read(source: str, tmp_path: Path) -> None:
+    assert rules_broken(tmp_path, "host/heli_host/module.py", source) == ["word"]
+
+
+def test_private_docstrings_and_code_are_not_read(tmp_path: Path) -> None:
+    source = (
+        'def _tell() -> None:\n    """Tell it."""\n\n\ndef fly(tell: bool) -> None:\n    """Fly `tell`."""\n'
+    )
+    assert not rules_broken(tmp_path, "host/heli_host/module.py", source)
+
+
+def test_an_exception_covers_its_count_and_must_shrink_with_it(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("It tells. It tells.\n")
+    seen = list(findings([page], RULES, tmp_path))
+    assert [check(seen, {("page.md", "word"): count}) for count in (1, 2, 3)] == [False, True, False]
+
+
+def test_long_sentences_are_counted_in_documents(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("Short. " + "Word" + " word" * 30 + "end.\n")
+    assert long_share([page], RULES, tmp_path) == (1, 2)
