@@ -329,7 +329,7 @@ void Core::tick(TickTiming timing) {
   seen_.hardware_stop = board_.hardware_stop();
   seen_.link_age_ticks = link_.ticks_since_host_frame();
   seen_.params_usable = store_.source() != link::ParamsSource::corrupt;
-  seen_.law_busy = guest_.busy();
+  seen_.law_busy = uploaded_.busy();
   supervisor_.observe(seen_, derived.limits, derived.bounds, derived.tracking);
 
   if (const link::Request* request = link_.take_request()) {

@@ -232,7 +232,7 @@ Verdict Tracking::check(const Tracked& tracked, const TrackingLimits& limits) {
 
 bool Tracking::is_motionless(std::size_t i, const Tracked& tracked, const TrackingLimits& limits) {
   const Balance& balance = axes_[i].balance;
-  const Quantity most = limits.balance[i].moved_most;
+  const Quantity most = limits.balance[i].moved_max;
   if (i != kTravel) {
     return balance.moved() > most;
   }
