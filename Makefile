@@ -24,7 +24,7 @@ fly: ## fly the simulated helicopter: make fly [SPEED=5|max] [PLANS="hover sine"
 
 docs: ## build the site: build/docs/index.html; any warning or broken link fails
 	@.ci/setup docs
-	@.venv/bin/python -m sphinx --quiet --fail-on-warning --keep-going --builder html docs build/docs
+	@.venv/bin/python -m sphinx --quiet --fail-on-warning --keep-going --fresh-env --builder html docs build/docs
 	@echo "open build/docs/index.html"
 
 quick: ## the tests that are quick each: what one types after an edit

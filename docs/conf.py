@@ -28,6 +28,8 @@ root_doc = "index"
 exclude_patterns = ["_extensions", "_static", "figures/README.md", "laws/README.md", "matlab/README.md"]
 suppress_warnings: list[str] = []
 
+# Two hyphens are an option, not a dash.
+smartquotes = False
 myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]
 myst_heading_anchors = 4
 myst_links_external_new_tab = False

@@ -14,16 +14,23 @@ from heli_host.cli import app
 EVERYWHERE = {"--help", "--quiet"}
 
 
-def table(header: Sequence[str], rows: Sequence[Sequence[nodes.Node]]) -> nodes.table:
+def table(header: Sequence[str], rows: Sequence[Sequence[Sequence[nodes.Node]]]) -> nodes.table:
     """Make a table of cells that are given as nodes."""
     group = nodes.tgroup("", *(nodes.colspec(colwidth=1) for _ in header), cols=len(header))
     head = nodes.row("", *(nodes.entry("", nodes.paragraph("", word)) for word in header))
-    body = [nodes.row("", *(nodes.entry("", nodes.paragraph("", "", cell)) for cell in row)) for row in rows]
+    body = [nodes.row("", *(nodes.entry("", nodes.paragraph("", "", *cell)) for cell in row)) for row in rows]
     group += [nodes.thead("", head), nodes.tbody("", *body)]
     return nodes.table("", group)
 
 
-def options(name: str, command: Any) -> Iterator[tuple[nodes.Node, nodes.Node]]:
+def words(text: str) -> Iterator[nodes.Node]:
+    """Text, in which what is between backticks is code."""
+    for position, part in enumerate(text.split("`")):
+        if part:
+            yield nodes.literal("", part) if position % 2 else nodes.Text(part)
+
+
+def options(name: str, command: Any) -> Iterator[tuple[list[nodes.Node], list[nodes.Node]]]:
     """Arguments and options: how each is written, and its help."""
     context = command.make_context(name, [], resilient_parsing=True)
     for parameter in command.params:
@@ -31,7 +38,7 @@ def options(name: str, command: Any) -> Iterator[tuple[nodes.Node, nodes.Node]]:
             continue
         written, text = parameter.get_help_record(context)
         # Of an argument the record has the type too: PLAN... <list[str]>.
-        yield nodes.literal("", written.partition(" <")[0]), nodes.Text(" ".join(text.split()))
+        yield [nodes.literal("", written.partition(" <")[0])], list(words(" ".join(text.split())))
 
 
 def described(title: str, command: Any) -> nodes.section:
@@ -39,13 +46,7 @@ def described(title: str, command: Any) -> nodes.section:
     section = nodes.section(ids=[title.replace(" ", "-")], names=[title])
     section += nodes.title("", "", nodes.literal("", title))
     for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
-        text = " ".join(paragraph.replace("\b", "").split())
-        label, is_example, example = text.partition("Example: ")
-        section += (
-            nodes.paragraph("", label + "Example: ", nodes.literal("", example))
-            if is_example
-            else nodes.paragraph("", text)
-        )
+        section += nodes.paragraph("", "", *words(" ".join(paragraph.replace("\b", "").split())))
     rows = list(options(title, command))
     if rows and not getattr(command, "commands", None):
         section += table(("option", "meaning"), rows)

@@ -68,8 +68,7 @@ PARAMETERS = """\
 The board has these parameters. `heli-host params list --long` prints them, and `heli-host params set NAME VALUE --save` changes one.
 `heli-host tune` writes those of a control law for your rig. `firmware/generate.py` writes this page from `firmware/link.toml`.
 
-- *least*, *most*: the board refuses a value outside this range.
-- *numbers*: which numbers of the range are allowed.
+- *range*: the board refuses every other value.
 - *set*: when the parameter may change; `idle` means only while the motors are off.
 """
 
@@ -168,16 +167,13 @@ def generate_parameters(d: Table) -> str:
     out = [
         PARAMETERS,
         *markdown_table(
-            ["#", "name", "unit", "least", "most", "numbers", "default", "set", "meaning"],
+            ["#", "name", "default", "range", "set", "meaning"],
             [
                 [
                     str(i),
                     f"`{p['name']}`",
-                    p["unit"],
-                    f"{p['min']:g}",
-                    f"{p['max']:g}",
-                    numbers_of(p),
-                    f"{p['default']:g}",
+                    f"{p['default']:g} {p['unit']}".rstrip(),
+                    f"{p['min']:g} to {p['max']:g}{kind_of(p)}",
                     p["when"],
                     p["meaning"],
                 ]
@@ -188,7 +184,7 @@ def generate_parameters(d: Table) -> str:
     return "\n".join(out).rstrip("\n") + "\n"
 
 
-def numbers_of(param: Table) -> str:
-    """Which numbers between its ends a parameter takes."""
-    kind = "whole" if param.get("integer", False) else "all"
-    return f"{kind}, not 0" if param.get("nonzero", False) else kind
+def kind_of(param: Table) -> str:
+    """Which numbers between its ends a parameter takes, if not all."""
+    whole = ", whole" if param.get("integer", False) else ""
+    return whole + (", not 0" if param.get("nonzero", False) else "")

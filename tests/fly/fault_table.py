@@ -1,4 +1,4 @@
-"""The fault table of docs/reference/failures.md: what fails, what the board does, how soon, what the host reports.
+"""The table of docs/reference/failures.md: what fails, what the board does, how soon, what the host reports.
 
 ``python -m tests.fly.fault_table`` flies its rows on the emulated Due and prints it. What fails at any moment
 of a flight is in `fault_sweep`.

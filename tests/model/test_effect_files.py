@@ -22,7 +22,7 @@ from heli_sim.rig import Number, Rig, load_rig, write_rig
 from heli_sim.sil.options import SilOptions, parse_url
 from heli_sim.sil.plant_factory import plant_of
 
-DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "extending.md"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 COMMON = [
     *("rotor_lag", "rotor_speed_lag", "rotor_lag_with_delay", "input_delay"),
     *("thrust_quadratic", "thrust_asymmetry", "thrust_fade", "thrust_step.front", "thrust_step.back"),
@@ -44,7 +44,9 @@ MEASURED = ["edgewise_flow", "gyroscopic_torque", "flywheel"]
 
 def example() -> str:
     """The file that the document shows."""
-    found = re.search(r"^```python\n(.*?)^```$", DOCUMENT.read_text(), re.MULTILINE | re.DOTALL)
+    found = re.search(
+        r"^```python\n(.*?)^```$", (DOCS / "how-to/extending.md").read_text(), re.MULTILINE | re.DOTALL
+    )
     assert found is not None
     return found[1]
 
@@ -94,7 +96,7 @@ def test_numbers_are_said_with_as_many_digits_as_their_error_knows() -> None:
 
 
 def test_the_documents_table_is_todays() -> None:
-    text = DOCUMENT.read_text()
+    text = (DOCS / "reference/effects.md").read_text()
     assert text == with_table(text), "run python -m heli_sim.model.effects.table"
 
 

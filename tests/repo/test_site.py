@@ -59,8 +59,8 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
 def test_a_broken_link_fails_the_site(tmp_path: Path) -> None:
     docs = tmp_path / "docs"
     (docs / "_extensions").mkdir(parents=True)
-    for name in ("conf.py", "_extensions/mathml.py"):
-        (docs / name).write_text((DOCS / name).read_text())
+    for path in (DOCS / "conf.py", *(DOCS / "_extensions").glob("*.py")):
+        (docs / path.relative_to(DOCS)).write_text(path.read_text())
     (docs / "_static").mkdir()
     (tmp_path / "pyproject.toml").write_text((ROOT / "pyproject.toml").read_text())
     (docs / "index.md").write_text("# Site\n\n[gone](gone.md)\n")

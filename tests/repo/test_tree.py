@@ -1,12 +1,14 @@
-"""Nothing in the tree depends on the machine that it was written on, and every room says what lives there."""
+"""Nothing in the tree depends on the machine that it was written on; folders and files say what they are."""
 
 from __future__ import annotations
 
+import ast
 import re
 import subprocess
 import tomllib
 from pathlib import Path
 
+import heli_host
 import pytest
 
 pytestmark = pytest.mark.medium
@@ -25,16 +27,22 @@ def tracked() -> list[Path]:
     return [ROOT / name for name in names.splitlines() if (ROOT / name).is_file()]
 
 
-def rooms() -> list[Path]:
-    """Every folder with sources in it."""
-    folders = {path.parent for path in tracked() if path.suffix in (".py", ".cpp", ".hpp", ".toml")}
-    return sorted(folders - {ROOT})
+def folders() -> list[Path]:
+    """Every folder with sources in it, but for those of the documents."""
+    found = {path.parent for path in tracked() if path.suffix in (".py", ".cpp", ".hpp", ".toml")}
+    return sorted(folder for folder in found - {ROOT} if ROOT / "docs" not in (folder, *folder.parents))
 
 
-def readme_of(room: Path) -> Path:
-    """A folder's own README, or the one of the room that it is a corner of."""
-    own = room / "README.md"
-    return own if own.exists() or room.parent == ROOT else room.parent / "README.md"
+def purpose_of(folder: Path) -> str:
+    """What a folder is for: its README, or for tests the docstring of its package; or those of its parent."""
+    for place in (folder, folder.parent):
+        for name in ("README.md", "__init__.py"):
+            text = (place / name).read_text() if (place / name).exists() and place != ROOT else ""
+            if name == "README.md" and text:
+                return text
+            if name == "__init__.py" and ROOT / "tests" in (place, *place.parents) and text:
+                return ast.get_docstring(ast.parse(text)) or ""
+    return ""
 
 
 def test_no_path_of_a_build_machine() -> None:
@@ -75,11 +83,42 @@ def test_no_large_file() -> None:
     assert not large
 
 
-@pytest.mark.parametrize("room", rooms(), ids=lambda room: str(room.relative_to(ROOT)))
-def test_room_says_what_lives_there(room: Path) -> None:
-    readme = readme_of(room)
-    assert readme.exists(), f"{room.relative_to(ROOT)} has no README.md of about ten lines"
-    assert 3 <= len(readme.read_text().splitlines()) <= 60
+@pytest.mark.parametrize("folder", folders(), ids=lambda folder: str(folder.relative_to(ROOT)))
+def test_a_folder_says_what_it_is_for(folder: Path) -> None:
+    assert 1 <= len(purpose_of(folder).splitlines()) <= 60
+
+
+def first_words(path: Path) -> str:
+    """What the first lines of a source say that it is."""
+    text = path.read_text()
+    if path.suffix == ".py":
+        return (ast.get_docstring(ast.parse(text)) or "") if text.strip() else "empty"
+    return text.partition("\n")[0].removeprefix("//") if text.startswith("//") else ""
+
+
+def test_a_source_file_says_first_what_it_is() -> None:
+    sources = [
+        path for path in tracked() if path.suffix in (".py", ".hpp", ".js") and "vendor" not in path.parts
+    ]
+    silent = [str(path.relative_to(ROOT)) for path in sources if len(first_words(path).strip()) < 5]
+    # What a test claims, and what a notebook teaches, is in its names and its cells.
+    allowed = ("tests/", "docs/course/", "docs/laws/")
+    assert not [path for path in silent if not path.startswith(allowed)]
+
+
+def test_the_version_is_the_same_everywhere() -> None:
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert heli_host.__version__ == version
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"({version})" in (ROOT / "CHANGELOG.md").read_text()
+
+
+@pytest.mark.parametrize(
+    "name", ["CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "LICENSE", "SECURITY.md"]
+)
+def test_the_readme_leads_to_what_a_community_expects(name: str) -> None:
+    assert (ROOT / name).is_file()
+    assert f"]({name})" in (ROOT / "README.md").read_text()
 
 
 def test_nothing_is_left_unfinished() -> None:

@@ -256,7 +256,9 @@ class Service:
         else:
             self._tell(
                 client,
-                _refused(asked, f"nothing is called {name[:40]!r} here", "see docs/reference/dashboard-protocol.md"),
+                _refused(
+                    asked, f"nothing is called {name[:40]!r} here", "see docs/reference/dashboard-protocol.md"
+                ),
             )
 
     def _lease_action(self, client: Outbox, name: str, asked: Mapping[str, Any]) -> None:

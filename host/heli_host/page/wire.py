@@ -1,4 +1,4 @@
-"""Messages on the page's WebSocket, JSON texts and binary frames, as docs/how-to/dashboard.md has them.
+"""Messages on the page's WebSocket, JSON texts and binary frames; see docs/reference/dashboard-protocol.md.
 
 A frame begins with a header of 24 bytes, little-endian: kind (u8, 1), flags (u8: bit 0 rows between these
 were left out, bit 1 rows before the first are missing), channels (u16), frame number (u32), rows (u32),

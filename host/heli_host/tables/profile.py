@@ -163,7 +163,9 @@ def read_profile(path: Path) -> Profile:
     except OSError as error:
         raise FlightDataError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
     except ValueError as error:
-        raise FlightDataError(f"{path}: not a profile: {error}", "see docs/reference/file-formats.md") from error
+        raise FlightDataError(
+            f"{path}: not a profile: {error}", "see docs/reference/file-formats.md"
+        ) from error
     reader = _Reader(str(path))
     known = {
         "about",
