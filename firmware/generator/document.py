@@ -50,7 +50,7 @@ first_tick u32 | count u8 | widths {nibble_bytes} bytes | bases {base_bytes} byt
 FAULTS = """\
 # Faults
 
-The board reports a fault by number and name. This page lists every fault with its meaning and its remedy; for a longer answer, see
+The board reports a fault by number and name. This page lists every fault with its meaning and what to do; for a longer answer, see
 [troubleshooting](../how-to/troubleshooting.md). The column *limit* names the parameter that sets the threshold: see
 [Parameters](parameters.md). `firmware/generate.py` writes this page from `firmware/link.toml`.
 
@@ -145,7 +145,7 @@ def generate_faults(d: Table) -> str:
         *(f"- `{kind}`: {meaning}" for kind, meaning in FAULT_KINDS.items() if kind in kinds),
         "",
         *markdown_table(
-            ["code", "name", "kind", "limit", "meaning", "remedy"],
+            ["code", "name", "kind", "limit", "meaning", "do"],
             [
                 [
                     str(f["code"]),
