@@ -30,7 +30,7 @@ def fed(values: np.ndarray, sensitivity: np.ndarray) -> LikelihoodRatio:
     ratio = LikelihoodRatio(CHANGES, COUNT_rad)
     ratio.begin_onset(0, np.zeros((4, COLUMNS, ONSETS)))
     for value, one in zip(values, sensitivity, strict=True):
-        ratio.take(Innovation(value, np.repeat(one[:, :, None], ONSETS, axis=2)))
+        ratio.update(Innovation(value, np.repeat(one[:, :, None], ONSETS, axis=2)))
     return ratio
 
 
@@ -85,7 +85,7 @@ def test_the_window_keeps_the_likeliest_onset_of_each_half_second() -> None:
         seen = np.zeros((3, COLUMNS, ONSETS))
         seen[:] = np.where(ages > 0, 1.0, 0.0)
         jump = 2.0 if block > 2 * RECENT + 5 else 0.0
-        ratio.take(Innovation(rng.normal(size=3) + jump, 5.0 * seen))
+        ratio.update(Innovation(rng.normal(size=3) + jump, 5.0 * seen))
         ratio.begin_onset(block, moved)
     (found,) = (one for one in ratio.ranking() if one.change.id == "thrust_step.front")
     assert abs(found.onset_block - (2 * RECENT + 5)) <= 3
@@ -113,13 +113,13 @@ def test_no_alarm_is_called_for_before_the_level() -> None:
 def test_numbers_that_were_found_in_flights_give_no_more_alarms_than_stated() -> None:
     """Windows of two means that are known from flights six times as long: one error for all of a rig's."""
     rng = np.random.default_rng(6)
-    rigs, windows, taught_s, stated = 1000, 400, 90.0, 0.2
+    rigs, windows, training_s, stated = 1000, 400, 90.0, 0.2
     known = 0.5 * (rng.normal(size=(20_000, 2)) ** 2).sum(axis=1)
     course = [(SEGMENT_s * i + 1.0, one) for i, one in enumerate(known)]
-    error = rng.normal(size=(rigs, 1, 2)) * (WINDOW_s / taught_s) ** 0.5
+    error = rng.normal(size=(rigs, 1, 2)) * (WINDOW_s / training_s) ** 0.5
     found = 0.5 * ((rng.normal(size=(rigs, windows, 2)) + error) ** 2).sum(axis=2)
     expected = rigs * windows * SEGMENT_s / 3600.0 / stated
-    alarms = np.sum(found > fit_tail([course], taught_s).threshold_nats(stated))
+    alarms = np.sum(found > fit_tail([course], training_s).threshold_nats(stated))
     believed = np.sum(found > fit_tail([course]).threshold_nats(stated))
     assert 0.8 * expected < alarms < 1.2 * expected
     assert believed > 1.7 * expected

@@ -119,7 +119,7 @@ def fly(
             sealed=sealed,
         )
         tolerance = Tolerance.widest([plan.tolerance for plan in loaded])
-        end_when = (lambda: twin.parted) if twin is not None and land_on_change else None
+        end_when = (lambda: twin.alarm) if twin is not None and land_on_change else None
         if twin is not None:
             twin.listen(lambda news: recorder.note(EVENT, news.text))
         with Interrupts() as interrupts:

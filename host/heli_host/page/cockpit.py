@@ -412,7 +412,7 @@ class Cockpit:
         ghost = self._twin.ghost_rad()
         return {
             "words": self._twin.words(),
-            "parted": bool(self._twin.parted),
+            "alarm": bool(self._twin.alarm),
             "ghost_rad": [round(angle, 4) for angle in ghost] if ghost is not None else None,
         }
 

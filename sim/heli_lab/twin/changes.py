@@ -32,7 +32,7 @@ class Change:
         Parameters of the extended model by which it is a derivative, one or two; `SUPPLY` for a share of both
         voltages, one of `SCALES` for a share of an encoder's counts. Of several in one entry, joined by
         ``+``, each changes alike.
-    grows : bool
+    is_ramp : bool
         Whether it grows with the time since its onset, at a constant rate.
     non_negative : bool
         Whether its first number cannot be negative.
@@ -41,7 +41,7 @@ class Change:
         could be anything costs a hypothesis, so that one which may be anything does not win by that.
     unit : str
         Of the first number, as `format_estimate` takes it.
-    loses, gains : str
+    positive_text, negative_text : str
         What it is in words if its first number is positive, and if it is negative; ``{}`` is its amount.
     """
 
@@ -49,14 +49,16 @@ class Change:
     numbers: tuple[str, ...]
     sizes: tuple[float, ...]
     unit: str
-    loses: str
-    gains: str
-    grows: bool = False
+    positive_text: str
+    negative_text: str
+    is_ramp: bool = False
     non_negative: bool = False
 
     def words(self, size: float, std: float) -> str:
         """Describe it in words, with the `size` of its first number and its standard error `std`."""
-        return (self.gains if size < 0 else self.loses).format(format_estimate(abs(size), std, self.unit))
+        return (self.negative_text if size < 0 else self.positive_text).format(
+            format_estimate(abs(size), std, self.unit)
+        )
 
 
 def _all() -> tuple[Change, ...]:
@@ -126,7 +128,7 @@ def _all() -> tuple[Change, ...]:
             "1/s",
             "both rotors lose {} of their thrust",
             "both rotors gain {} of their thrust",
-            grows=True,
+            is_ramp=True,
         ),
         Change(
             "supply_step",

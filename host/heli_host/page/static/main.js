@@ -115,7 +115,7 @@ function showStatus(news) {
   $("state").dataset.kind = news.connected ? KINDS[state?.name] ?? "" : "bad";
   const twin = news.twin ? ` ${news.twin.words}` : "";
   const words = !news.connected ? "The board does not answer: it holds, then lands by itself. It is looked for." : fault ? `${fault.meaning}: ${fault.remedy}.` : (state?.words ?? "") + twin;
-  if (news.twin?.parted) $("state").dataset.parted = "yes"; else delete $("state").dataset.parted;
+  if (news.twin?.alarm) $("state").dataset.alarm = "yes"; else delete $("state").dataset.alarm;
   put("words", words);
   controls.show(news);
 }

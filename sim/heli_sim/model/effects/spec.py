@@ -169,9 +169,9 @@ class EffectSpec:
         """Parameters in which the likelihood is multimodal, by full name, with the values to start from."""
         return {self.full(one.name): one.grid for one in self.numbers if one.grid is not None}
 
-    def full(self, what: str) -> str:
+    def full(self, name: str) -> str:
         """Full name of a number, such as ``thrust_step_front_share``, whose last part is `name`."""
-        return f"{self.prefix}_{what}"
+        return f"{self.prefix}_{name}"
 
     def suits(self, model: Model) -> bool:
         """Whether a model has what the effect changes: the numbers that the effect needs, or the term that it
