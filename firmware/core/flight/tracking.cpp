@@ -55,8 +55,8 @@ constexpr float kProbeTilt = 1.5F;
 constexpr float kProbeRise_s = 0.4F;
 // The tilt that dry friction may hold, likewise: 4 degrees or 28 mN m on the paper's rig.
 constexpr float kFrictionTilt = 0.5F;
-// Pitch is steady within this of its average: 2 degrees. Beyond, the loop drives the arm already.
-constexpr float kSteadyTilt = 0.25F;
+// Pitch is steady within this of its average: 1.2 degrees. Beyond, the loop drives the arm already.
+constexpr float kSteadyTilt = 0.15F;
 // Travel by which the tilt must have turned the arm: the play of an encoder, and two counts.
 constexpr float kAnswer_rad = 0.8F * kRadPerDeg;
 
@@ -189,10 +189,8 @@ Verdict Tracking::check(const Tracked& tracked, const TrackingLimits& limits) {
   const std::int32_t moved = way(axis.count, seen.count[i]);
   const bool still = started && driven && within_count(moved);
 
-  // A tilt that asks is judged by its answer: it ends level, and without speed.
-  const bool asked = i == kTravel && asks();
 
-  if (lifts && driven && !asked) {
+  if (lifts && driven) {
     const Quantity free = i == kElevation ? drive - limits.hover_V_per_rad * seen.angle_rad[i]
                           : i == kPitch   ? drive - limits.pitch_V_per_rad * seen.angle_rad[i]
                                           : drive;
@@ -200,6 +198,10 @@ Verdict Tracking::check(const Tracked& tracked, const TrackingLimits& limits) {
                         limits.balance[i]);
   } else {
     axis.balance.pause();
+  }
+  if (i == kTravel && asks()) {
+    // A tilt that asks is judged by its answer: it ends level, and without speed.
+    axis.balance.stay();
   }
   if (i != kTravel) {
     axis.average = started ? averaged(axis.average, drive) : drive;
