@@ -421,6 +421,7 @@ void Supervisor::advance() {
   check_tracking();
   check_ages();
 
+  levels_ = false;
   switch (state_) {
     case State::closed_loop:
     case State::hold:
@@ -429,6 +430,7 @@ void Supervisor::advance() {
     case State::landing:
     case State::emergency_landing:
       setpoints_.descend(*bounds_, limits_->rest_rad - kBelowRest_rad);
+      levels_ = seen_->tick - entered_tick_ > limits_->landing_timeout_ticks / 2U;
       if (touched_down()) {
         trigger(Trigger::touchdown);
       } else if (seen_->tick - entered_tick_ > limits_->landing_timeout_ticks) {
