@@ -119,12 +119,13 @@ def test_an_arm_that_dry_friction_holds_counts_under_the_tilt_and_flies_on(frict
 @pytest.mark.medium
 def test_an_arm_that_has_answered_is_asked_after_a_longer_silence() -> None:
     arm = Arm()
+    # Else the loop winds up against the friction, which is a reason to ask sooner.
+    arm.harness.set("travel_ki", 0.0)
     arm.hover(50.0)
     waits_s = [after - before for before, after in pairwise(asked_s(arm))]
     assert asked_s(arm)[0] < 4.0
-    assert waits_s[0] > 5.0
-    assert waits_s[-1] > 10.0
     assert len(waits_s) >= 3
+    assert min(waits_s) > 5.0
 
 
 def test_travel_that_counts_by_itself_is_not_asked() -> None:
@@ -157,14 +158,31 @@ def test_a_pitch_that_does_not_follow_gives_no_answer_and_no_fault() -> None:
     assert arm.harness.state is State.CLOSED_LOOP
 
 
-def test_a_landing_ends_no_question_that_it_has_begun_with() -> None:
+def test_a_landing_without_an_answer_levels_pitch_and_does_not_close_travel() -> None:
     arm = Arm(dead=True)
     arm.hover(3.5)
     assert arm.answers[-1][1] is Probe.ASKED
     arm.harness.ask(d.LandMessage(0))
-    arm.hover(3.0)
-    assert arm.answers[-1][1] is Probe.SILENT
-    assert arm.harness.state is State.EMERGENCY_LANDING
+    arm.hover(1.5)
+    assert arm.answers[-1][1] is Probe.STOPPED
+    arm.harness.move(travel_deg=10.0)
+    arm.hover(1.0)
+    assert arm.harness.state is State.LANDING
+    assert abs(arm.pitch_setpoint_deg) < 0.2
+
+
+def test_a_landing_that_does_not_come_down_levels_pitch_after_half_its_time() -> None:
+    arm = Arm(friction_deg=90.0)
+    arm.harness.set("travel_silence_s", 0.0)
+    arm.harness.set("travel_motion_deg", 90.0)
+    arm.travel_deg = 10.0
+    arm.hover(4.0)
+    arm.harness.ask(d.LandMessage(0))
+    arm.travel_deg = 15.0
+    arm.hover(5.0)
+    assert abs(arm.pitch_setpoint_deg) > 1.0
+    arm.hover(2.5)
+    assert abs(arm.pitch_setpoint_deg) < 0.2
 
 
 def test_a_landing_begins_no_question() -> None:

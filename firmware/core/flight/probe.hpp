@@ -34,6 +34,7 @@ struct Asked {
   bool moved = false;      // its encoder has counted
   Quantity error_rad;
   Quantity pitch_rad;
+  control::Share lift;  // that a tilt turns, of what carries the level arm
 };
 
 class Probe {

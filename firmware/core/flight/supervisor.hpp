@@ -41,8 +41,9 @@ class Supervisor {
   Quantity setpoint_rad(std::size_t axis) const { return setpoints_.angle_rad(axis); }
   // The setpoint goes on to its target from there.
   void go_on_from(std::size_t axis, Quantity angle_rad) { setpoints_.go_on_from(axis, angle_rad); }
-  // Travel's loop waits while a tilt asks whether travel counts, and at the end of a landing that
-  // does not come down: to hold a tilt takes so much voltage that the arm may not sink.
+  // Travel's loop waits while a tilt asks whether travel counts, in a landing that such a tilt has
+  // not answered, and at the end of a landing that does not come down: to hold a tilt takes so much
+  // voltage that the arm may not sink.
   bool travel_waits() const { return levels_ || tracking_.asks(); }
   Quantity waiting_pitch_rad() const {
     return levels_ ? Quantity{} : tracking_.probe().pitch_rad();
@@ -102,6 +103,7 @@ class Supervisor {
   std::uint32_t fresh_tick_ = 0;        // last accepted stream value
   std::uint32_t voltage_end_tick_ = 0;  // streamed voltage acts until then
   bool levels_ = false;                 // pitch, to land
+  bool lands_level_ = false;            // from the beginning
   std::uint32_t quiet_ticks_ = 0;       // at rest on the table while landing
   AtArming at_arming_{};
   std::uint32_t refused_streams_ = 0;

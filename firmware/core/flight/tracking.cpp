@@ -131,6 +131,13 @@ ProbeLimits probe_limits_of(const params::Params& params) {
   return limits;
 }
 
+// The share of the lift that carries the arm at this elevation. A lower arm may need less.
+control::Share lift_at(Quantity elevation_rad, Gain lift_per_rad) {
+  constexpr Quantity kOne = Quantity::of(1.0F);
+  const Quantity lift = control::clamp(kOne + lift_per_rad * elevation_rad, Quantity{}, kOne);
+  return control::Share::from_raw(lift.raw() * (1 << (30 - 24)));
+}
+
 // For people: volts, and how far travel must have turned, in degrees.
 float seen_of(std::size_t axis, Quantity drive, Quantity moved, const BalanceLimits& limits) {
   if (axis != kTravel) {
@@ -160,6 +167,8 @@ TrackingLimits tracking_limits_of(const params::Params& params) {
   l.table_rad = rad(Param::elevation_rest_deg) + kTable_rad;
   l.tilt_rad = rad(Param::elevation_rest_deg) + kTilt_rad;
   l.hover_V = Quantity::of(params.get(Param::hover_V));
+  l.lift_per_rad =
+      Gain::of(params.get(Param::hover_slope) * kDegPerRad / params.get(Param::hover_V));
   l.hover_V_per_rad = Gain::of(params.get(Param::hover_slope) * kDegPerRad);
   l.pitch_V_per_rad = Gain::of(params.get(Param::pitch_hold_ff) * kDegPerRad);
   return l;
@@ -238,7 +247,7 @@ bool Tracking::is_motionless(std::size_t i, const Tracked& tracked, const Tracki
   if (i != kTravel) {
     return balance.moved() > most;
   }
-  if (tracked.descends || !tracked.may_ask || limits.probe.silence_updates == 0U ||
+  if (!tracked.may_ask || limits.probe.silence_updates == 0U ||
       balance.coasts() || balance.beyond() > limits.probe.friction_rad) {
     return balance.moved() > (tracked.descends ? most.half() : most);
   }
@@ -259,9 +268,9 @@ Verdict Tracking::ask(const Tracked& tracked, const TrackingLimits& limits) {
   }
   const Quantity elevation_rad = seen.angle_rad[kElevation];
   news_ = probe_.update({tracked.may_ask && elevation_rad > limits.table_rad,
-                         !tracked.descends && elevation_rad > limits.tilt_rad, doubted_, moved,
+                         elevation_rad > limits.tilt_rad, doubted_, moved,
                          tracked.setpoint_rad[kTravel] - seen.angle_rad[kTravel],
-                         seen.angle_rad[kPitch]},
+                         seen.angle_rad[kPitch], lift_at(elevation_rad, limits.lift_per_rad)},
                         limits.probe);
   doubted_ = false;
   if (news_ == link::Probe::silent) {

@@ -30,6 +30,7 @@ struct TrackingLimits {
   control::DeadZone dead_zone;
   Quantity table_rad;    // below this elevation the table may carry the arm
   Quantity tilt_rad;     // above this elevation a tilt may ask
+  Gain lift_per_rad;     // by which the share of the level arm's lift changes with elevation
   Gain hover_V_per_rad;  // by which the lift changes that carries the arm
   Gain pitch_V_per_rad;  // by which the difference changes that holds a tilt
   Quantity hover_V;      // lift that carries it; up to there nothing need move on the table
