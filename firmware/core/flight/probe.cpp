@@ -53,8 +53,8 @@ Answer Probe::listen(const Asked& axis, const ProbeLimits& limits) {
     turned_[side] = {};
     most_[side] = {};
   }
-  // Against the loop first: its error may be what turns an axis that it cannot see.
-  side_ = axis.error_rad > Quantity{} ? 1 : 0;
+  // Towards the setpoint first: an arm that friction holds moves closer by it.
+  side_ = axis.error_rad < Quantity{} ? 1 : 0;
   tilted_updates_ = 0;
   tilt_rad_ = {};
   stage_ = Stage::first;
