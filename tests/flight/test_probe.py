@@ -22,7 +22,7 @@ PITCH_s = 0.2
 
 
 class Arm:
-    """An arm that hangs level: pitch follows the board's setpoint with a lag, and turns travel against dry friction.
+    """An arm that flies level: pitch follows its setpoint with a lag, and turns travel against dry friction.
 
     Parameters
     ----------

@@ -338,8 +338,7 @@ void Supervisor::check_tracking() {
     return;
   }
   const std::uint8_t closed = axes();
-  Tracked tracked{
-      *seen_, {}, closed, state_ == State::streamed ? kAllAxes : closed, false, false};
+  Tracked tracked{*seen_, {}, closed, state_ == State::streamed ? kAllAxes : closed, false, false};
   tracked.setpoint_rad[kElevation] = setpoints_.angle_rad(kElevation);
   tracked.setpoint_rad[kPitch] = seen_->pitch_setpoint_rad;
   tracked.setpoint_rad[kTravel] = setpoints_.angle_rad(kTravel);
@@ -349,8 +348,7 @@ void Supervisor::check_tracking() {
     tracked.closed = static_cast<std::uint8_t>(closed & ~link::axes::elevation);
   }
   // A law that came over the link decides on its voltages itself.
-  tracked.may_ask =
-      (closed & link::axes::travel) != 0U && !tracked.descends && !seen_->law_busy;
+  tracked.may_ask = (closed & link::axes::travel) != 0U && !tracked.descends && !seen_->law_busy;
   Verdict verdict{Fault::none, 0.0F};
   if (Tracking::is_turn_to_ask(seen_->tick)) {
     verdict = tracking_.ask(tracked, *tracking_limits_);

@@ -198,7 +198,6 @@ Verdict Tracking::check(const Tracked& tracked, const TrackingLimits& limits) {
   const std::int32_t moved = way(axis.count, seen.count[i]);
   const bool still = started && driven && within_count(moved);
 
-
   if (lifts && driven) {
     const Quantity free = i == kElevation ? drive - limits.hover_V_per_rad * seen.angle_rad[i]
                           : i == kPitch   ? drive - limits.pitch_V_per_rad * seen.angle_rad[i]
@@ -247,8 +246,8 @@ bool Tracking::is_motionless(std::size_t i, const Tracked& tracked, const Tracki
   if (i != kTravel) {
     return balance.moved() > most;
   }
-  if (!tracked.may_ask || limits.probe.silence_updates == 0U ||
-      balance.coasts() || balance.beyond() > limits.probe.friction_rad) {
+  if (!tracked.may_ask || limits.probe.silence_updates == 0U || balance.coasts() ||
+      balance.beyond() > limits.probe.friction_rad) {
     return balance.moved() > (tracked.descends ? most.half() : most);
   }
   doubted_ = balance.moved() > most;
@@ -267,11 +266,11 @@ Verdict Tracking::ask(const Tracked& tracked, const TrackingLimits& limits) {
     probe_count_ = seen.count[kTravel];
   }
   const Quantity elevation_rad = seen.angle_rad[kElevation];
-  news_ = probe_.update({tracked.may_ask && elevation_rad > limits.table_rad,
-                         elevation_rad > limits.tilt_rad, doubted_, moved,
-                         tracked.setpoint_rad[kTravel] - seen.angle_rad[kTravel],
-                         seen.angle_rad[kPitch], lift_at(elevation_rad, limits.lift_per_rad)},
-                        limits.probe);
+  news_ = probe_.update(
+      {tracked.may_ask && elevation_rad > limits.table_rad, elevation_rad > limits.tilt_rad,
+       doubted_, moved, tracked.setpoint_rad[kTravel] - seen.angle_rad[kTravel],
+       seen.angle_rad[kPitch], lift_at(elevation_rad, limits.lift_per_rad)},
+      limits.probe);
   doubted_ = false;
   if (news_ == link::Probe::silent) {
     return {Fault::travel_motionless,

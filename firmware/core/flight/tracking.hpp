@@ -84,7 +84,7 @@ class Tracking {
   Probe probe_;
   link::Probe news_ = link::Probe::none;
   std::int32_t probe_count_ = 0;  // of travel, when it last moved
-  std::uint8_t started_ = 0;  // link::axes bits, and kAsks
+  std::uint8_t started_ = 0;      // link::axes bits, and kAsks
 };
 
 }  // namespace heli::flight

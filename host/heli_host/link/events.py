@@ -118,7 +118,9 @@ def event_kind(message: EventMessage) -> str:
 
 
 def _name(
-    kind: type[Event | Probe | Reset | State | Takeover | Trigger | Excitation | Result], value: int, prefix: str = ""
+    kind: type[Event | Probe | Reset | State | Takeover | Trigger | Excitation | Result],
+    value: int,
+    prefix: str = "",
 ) -> str:
     try:
         return kind(value).name.lower()
