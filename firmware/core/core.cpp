@@ -182,12 +182,12 @@ ControlOutput Core::drive(Bank bank) {
   const flight::Setpoint elevation = supervisor_.setpoint(kElevation);
   const flight::Setpoint pitch = supervisor_.setpoint(kPitch);
   const flight::Setpoint travel = supervisor_.setpoint(kTravel);
-  const bool asks = supervisor_.asks();
+  const bool waits = supervisor_.travel_waits();
   // All at once: cleared first and then filled, it takes 40 instructions more.
   const ControlInput in{
       {seen_.angle_rad[kElevation], seen_.angle_rad[kPitch], seen_.angle_rad[kTravel]},
       {seen_.rate_rad_s[kElevation], seen_.rate_rad_s[kPitch], seen_.rate_rad_s[kTravel]},
-      {elevation.angle_rad, asks ? supervisor_.asked_pitch_rad() : pitch.angle_rad,
+      {elevation.angle_rad, waits ? supervisor_.waiting_pitch_rad() : pitch.angle_rad,
        travel.angle_rad},
       {elevation.rate_rad_s, pitch.rate_rad_s, travel.rate_rad_s},
       {elevation.acceleration_rad_s2, pitch.acceleration_rad_s2, travel.acceleration_rad_s2},
@@ -196,7 +196,7 @@ ControlOutput Core::drive(Bank bank) {
       supervisor_.open_voltages().back_V,
       excitation.front_V,
       excitation.back_V,
-      asks};
+      waits};
   return law_.update(in, bank);
 }
 

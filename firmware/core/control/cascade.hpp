@@ -41,7 +41,7 @@ class Cascade final : public Controller {
     BumplessTransfer back_fade;
     std::uint8_t axes = 0;
     bool started = false;
-    bool asks = false;
+    bool travel_waits = false;
     Quantity front_V;  // motor volts of the previous tick, without excitation
     Quantity back_V;
     Quantity collective_V;  // lift volts achieved in the previous tick, without excitation

@@ -14,7 +14,7 @@ namespace heli::control {
 struct ControlInput {
   Quantity angle_rad[kAxisCount];
   Quantity rate_rad_s[kAxisCount];
-  Quantity setpoint_rad[kAxisCount];  // pitch counts only while travel is not closed
+  Quantity setpoint_rad[kAxisCount];  // pitch counts only while travel is open or waits
   Quantity setpoint_rate_rad_s[kAxisCount];
   Quantity setpoint_acceleration_rad_s2[kAxisCount];
   std::uint8_t axes = 0;  // link::axes bits of the closed loops
@@ -22,7 +22,7 @@ struct ControlInput {
   Quantity open_back_V;
   Quantity excitation_front_V;  // added to the motors
   Quantity excitation_back_V;
-  bool asks = false;  // a tilt asks whether travel counts: pitch is held as if travel were open
+  bool travel_waits = false;  // travel stays closed, but pitch goes to its own setpoint for now
 };
 
 struct ControlOutput {
