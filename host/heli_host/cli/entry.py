@@ -29,7 +29,9 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="heli-host",
-    help="Fly a 3-DOF laboratory helicopter: a board on a serial port, or the simulated one.",
+    help="Fly, identify and diagnose a 3-DOF laboratory helicopter, real or simulated.\n\n"
+    "See `heli-host COMMAND --help` for options and examples. No command opens a board unless you "
+    "name it with --port or HELI_PORT, or use the simulation with --sil.",
     no_args_is_help=True,
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
@@ -59,11 +61,11 @@ def _be_quiet(wanted: bool) -> None:
 def _every_verb(
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_say_version, is_eager=True, help="Say the version and end."),
+        typer.Option("--version", callback=_say_version, is_eager=True, help="Print the version and exit."),
     ] = False,
     quiet: Annotated[
         bool,
-        typer.Option("--quiet", "-q", callback=_be_quiet, help="Only results and errors: no progress."),
+        typer.Option("--quiet", "-q", callback=_be_quiet, help="Print results and errors only, no progress."),
     ] = False,
 ) -> None:
     """Options that come before any verb."""

@@ -17,26 +17,33 @@ if TYPE_CHECKING:
     from heli_host.heli import Heli
 
 app = typer.Typer(
-    help="Read and set the board's parameters.\n\nExample: `heli-host params set hover_V 1.5 --save`",
+    help="Read and set the board's parameters.\n\n"
+    "See `heli-host params COMMAND --help` for options and examples.",
     no_args_is_help=True,
     rich_markup_mode="markdown",
 )
 
-NameArgument = Annotated[str, typer.Argument(metavar="NAME", help="Parameter, as params list shows it.")]
+NameArgument = Annotated[
+    str, typer.Argument(metavar="NAME", help="Use this parameter, as params list names it.")
+]
 SaveOption = Annotated[bool, typer.Option("--save", help="Write all parameters to the board's flash too.")]
 
 
 @app.command("list")
 def list_parameters(
-    pattern: Annotated[str, typer.Argument(metavar="[TEXT]", help="Only names that contain it.")] = "",
-    long: Annotated[bool, typer.Option("--long", "-l", help="Say what each means too.")] = False,
+    pattern: Annotated[
+        str, typer.Argument(metavar="[TEXT]", help="Show only names that contain this text.")
+    ] = "",
+    long: Annotated[bool, typer.Option("--long", "-l", help="Explain each parameter too.")] = False,
     port: PortOption = None,
     sil: SilOption = False,
     json: JsonOption = None,
 ) -> None:
-    """List names, values, units and ranges; a star marks what differs from the default.
+    """List the board's parameters with values, units and ranges.
 
-    Example: `heli-host params list pitch --long`
+    A star marks each value that differs from its default. Nothing is changed.
+
+    Example: `heli-host params list pitch --long --port /dev/ttyACM0`
     """
     from rich.console import Console
     from rich.markup import escape
@@ -75,9 +82,11 @@ def list_parameters(
 
 @app.command("get")
 def get(name: NameArgument, port: PortOption = None, sil: SilOption = False, json: JsonOption = None) -> None:
-    """Print one parameter's value.
+    """Print the value of one parameter.
 
-    Example: `heli-host params get hover_V`
+    Prints the value in the board's memory. Nothing is changed.
+
+    Example: `heli-host params get hover_V --port /dev/ttyACM0`
     """
     from heli_host.parameters import spec_of
 
@@ -90,15 +99,18 @@ def get(name: NameArgument, port: PortOption = None, sil: SilOption = False, jso
 @app.command("set", context_settings={"ignore_unknown_options": True})
 def set_parameter(
     name: NameArgument,
-    value: Annotated[float, typer.Argument(metavar="VALUE", help="New value, in the parameter's unit.")],
+    value: Annotated[float, typer.Argument(metavar="VALUE", help="Set this value, in the parameter's unit.")],
     save: SaveOption = False,
     port: PortOption = None,
     sil: SilOption = False,
     json: JsonOption = None,
 ) -> None:
-    """Set one parameter, in the board's memory or for good.
+    """Set one parameter in the board's memory.
 
-    Example: `heli-host params set hover_V 1.5 --save`
+    The value is lost when the board restarts, unless you add --save. Saving works only while the board is
+    idle.
+
+    Example: `heli-host params set hover_V 1.5 --save --port /dev/ttyACM0`
     """
     from heli_host.parameters import checked
 
@@ -124,9 +136,11 @@ def set_parameter(
 
 @app.command("save")
 def save_parameters(port: PortOption = None, sil: SilOption = False) -> None:
-    """Write all parameters to the board's flash; only while it is idle.
+    """Write all parameters to the board's flash.
 
-    Example: `heli-host params save`
+    The board must be idle. The saved values replace the former ones.
+
+    Example: `heli-host params save --port /dev/ttyACM0`
     """
     with _board(port, sil) as heli:
         say(f"parameters saved, generation {heli.params.save()}")
@@ -134,13 +148,15 @@ def save_parameters(port: PortOption = None, sil: SilOption = False) -> None:
 
 @app.command("dump")
 def dump(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="TOML file to write.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Write the parameters to this TOML file.")],
     port: PortOption = None,
     sil: SilOption = False,
 ) -> None:
-    """Write all parameters into a TOML file.
+    """Write all parameters of the board to a TOML file.
 
-    Example: `heli-host params dump rig7.toml`
+    An existing file is replaced. The board stays unchanged.
+
+    Example: `heli-host params dump rig7.toml --port /dev/ttyACM0`
     """
     from heli_host.cli.board import board_versions
     from heli_host.parameter_file import parameters_text
@@ -154,15 +170,18 @@ def dump(
 
 @app.command("restore")
 def restore(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="TOML file that params dump wrote.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Read the parameters from this TOML file.")],
     save: SaveOption = False,
     port: PortOption = None,
     sil: SilOption = False,
     json: JsonOption = None,
 ) -> None:
-    """Set all parameters of a file; when one is refused, none is set.
+    """Set all parameters that a TOML file contains.
 
-    Example: `heli-host params restore rig7.toml --save`
+    If the board refuses one value, none is set. The values are lost when the board restarts, unless you add
+    --save.
+
+    Example: `heli-host params restore rig7.toml --save --port /dev/ttyACM0`
     """
     from heli_host.parameter_file import read_parameters
     from heli_host.parameters import checked

@@ -15,7 +15,7 @@ from heli_host.cli.verb import Verb
 
 def plot(
     logs: Annotated[
-        list[Path], typer.Argument(metavar="LOG...", help="A .mcap log; of several, .csv and .csv.gz too.")
+        list[Path], typer.Argument(metavar="LOG...", help="Draw this .mcap log, or several logs and tables.")
     ],
     figure: Annotated[
         Path | None,
@@ -28,10 +28,11 @@ def plot(
     ] = None,
     json: JsonOption = None,
 ) -> None:
-    """Draw setpoints, angles, voltages and events of a log; several are laid over each other and compared.
+    """Draw a log, or compare several logs in one figure.
 
-    Of each axis that had setpoints: rise, overshoot and settling of its largest step, tracking error (rms);
-    of each flight its effort, the motors' voltages' rms about their mean.
+    The figure shows setpoints, angles, voltages and events. For several logs it also prints metrics. For each
+    axis with setpoints these are rise time, overshoot, settling time and RMS tracking error. The effort of a
+    flight is the RMS voltage of its motors about their mean.
 
     Example: `heli-host plot pid.mcap lqr.mcap --figure both.pdf`
     """
