@@ -108,7 +108,7 @@ def set_parameter(session: Session, tape: Tape, name: str, value: float) -> floa
     names = [one for one, _ in tape.parameters]
     if name not in names:
         known = ", ".join(names) or "none"
-        raise BadLaw(f"the law {tape.name} has no parameter {name}", f"it has: {known}")
+        raise BadLaw(f"control law {tape.name} has no parameter {name}", f"it has: {known}")
     check_number(f"parameter {name}", value)
     return session.command(LawSetMessage(0, names.index(name), value)).value
 
@@ -204,7 +204,10 @@ def engage(heli: Vehicle, tape: Tape, parameters: Mapping[str, float] | None = N
     if not found:
         told = [text for event in heli.session.events if (text := takeover_text(event))]
         reason = f": {told[-1][0]} ({told[-1][1]:.4g})" if told else ""
-        raise FlightAborted(f"the law {tape.name} was taken over at once{reason}", "simulate it: law check")
+        raise FlightAborted(
+            f"control law {tape.name} was taken over immediately{reason}",
+            "simulate it first with heli-host law check",
+        )
     return found[0]
 
 

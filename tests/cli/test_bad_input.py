@@ -220,5 +220,5 @@ def test_debug_shows_the_traceback(terminal: Terminal, monkeypatch: pytest.Monke
 
 def test_an_option_is_no_file(terminal: Terminal, tmp_path: Path) -> None:
     line = refusal(terminal("rig", "export", "makki2024", "--format", "mjcf", "-o", "--quiet"), code=ASKED)
-    assert "--quiet stands where a file's name was expected" in line
+    assert "--quiet is an option, but a file name is needed there" in line
     assert not list(tmp_path.iterdir())

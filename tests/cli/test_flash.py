@@ -399,7 +399,7 @@ def test_a_board_that_flies_is_not_flashed(
         # Ends the session but not the flight: the board holds level for a while.
         heli.session.close()
         ended = terminal("flash", image, "--port", board.url, "--yes", "--bossac", uploader.program)
-    assert "land or stop first" in refusal(ended, code=LINK)
+    assert "land first, or stop the motors" in refusal(ended, code=LINK)
     assert uploader.calls == []
 
 

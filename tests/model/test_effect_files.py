@@ -81,15 +81,15 @@ def test_an_equation_can_be_drawn_and_a_sentence_said(id: str) -> None:
     kind = catalogue()[id]
     MathTextParser("path").parse(f"${kind.equation}$")
     sentence = kind.describe(kind.typical, {name: 0.01 * abs(value) for name, value in kind.typical.items()})
-    assert " +- " in sentence and "{" not in sentence and not sentence.endswith(".")
+    assert " ± " in sentence and "{" not in sentence and not sentence.endswith(".")
 
 
 def test_numbers_are_said_with_as_many_digits_as_their_error_knows() -> None:
-    assert format_estimate(0.12345, 0.0123, "s") == "0.123 +- 0.012 s"
-    assert format_estimate(0.12345, 0.042, "s") == "0.12 +- 0.04 s"
-    assert format_estimate(0.0398, 0.0002, "1") == "3.980 +- 0.020 %"
-    assert format_estimate(np.radians(1.5), np.radians(0.2), "rad") == "1.50 +- 0.20 deg"
-    assert format_estimate(1234.5, 21.0, "N") == "1234 +- 21 N"
+    assert format_estimate(0.12345, 0.0123, "s") == "0.123 ± 0.012 s"
+    assert format_estimate(0.12345, 0.042, "s") == "0.12 ± 0.04 s"
+    assert format_estimate(0.0398, 0.0002, "1") == "3.980 ± 0.020 %"
+    assert format_estimate(np.radians(1.5), np.radians(0.2), "rad") == "1.50 ± 0.20 deg"
+    assert format_estimate(1234.5, 21.0, "N") == "1234 ± 21 N"
     assert format_estimate(0.1, None, "s") == "0.1 s"
 
 

@@ -157,7 +157,7 @@ def _leave_the_terminal() -> None:
 
 def _explain(error: Exception) -> tuple[str, int]:
     """One line and an exit code for any error."""
-    from heli_host.errors import HeliError
+    from heli_host.errors import HeliError, file_remedy
 
     if isinstance(error, _UsageError):
         return _usage_text(error)
@@ -167,7 +167,7 @@ def _explain(error: Exception) -> tuple[str, int]:
         return str(error), error.exit_code
     if isinstance(error, OSError):
         name = f"{error.filename}: " if error.filename else ""
-        return f"{name}{error.strerror or error}; choose another place or make room for it", EXIT_FILE
+        return f"{name}{error.strerror or error}; {file_remedy(error)}", EXIT_FILE
     if isinstance(error, ModuleNotFoundError):
         return f"the Python package {error.name} is missing; run: {_remedy(error.name or '')}", EXIT_ASKED
     summary = " ".join(f"{type(error).__name__}: {error}".split())

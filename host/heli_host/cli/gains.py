@@ -66,9 +66,9 @@ def check_gains(gains: str | None, sil: bool) -> None:
     if gains is None:
         return
     if gains not in SETS:
-        raise typer.BadParameter(f"--gains {gains} is unknown; give {' or '.join(SETS)}")
+        raise typer.BadParameter(f"unknown --gains '{gains}'; choose {' or '.join(SETS)}")
     if not sil:
         raise typer.BadParameter(
-            f"--gains {gains} does not stand the thrust lag of real rotors: add --sil, "
+            f"--gains {gains} is unstable with the thrust lag of real rotors; add --sil, "
             "or set the gains one by one with heli-host params"
         )

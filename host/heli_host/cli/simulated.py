@@ -108,7 +108,9 @@ def parse_speed(text: str) -> float | None:
     except ValueError:
         speed = 0.0
     if not 0.0 < speed < 1e4:
-        raise typer.BadParameter(f"--speed takes a number between 0 and 10000, or {MAX_SPEED}, not '{text}'")
+        raise typer.BadParameter(
+            f"invalid --speed '{text}'; give a number between 0 and 10000, or {MAX_SPEED}"
+        )
     return speed
 
 
@@ -118,9 +120,9 @@ def which_board(board: str | None, elf: Path | None) -> str:
     """
     board = board if board is not None else ("due" if elf is not None else "native")
     if board not in BOARDS:
-        raise typer.BadParameter(f"--board takes {', '.join(BOARDS)}, not '{board}'")
+        raise typer.BadParameter(f"unknown --board '{board}'; choose {', '.join(BOARDS)}")
     if board == "native" and elf is not None:
-        raise typer.BadParameter("--elf runs on --board due only; leave one of them out")
+        raise typer.BadParameter("--elf needs the emulated Due; add --board due, or leave one of them out")
     return board
 
 
@@ -219,4 +221,4 @@ def refuse_without_sil(**options: object) -> None:
     given = [f"--{name.replace('_', '-')}" for name, value in options.items() if value]
     if given:
         verb = "is" if len(given) == 1 else "are"
-        raise typer.BadParameter(f"{' and '.join(given)} {verb} for a simulated board; add --sil")
+        raise typer.BadParameter(f"{' and '.join(given)} {verb} for a simulated board only; add --sil")

@@ -68,14 +68,14 @@ def read_request(words: str) -> Request:
     try:
         asked = json.loads(words)
     except (ValueError, RecursionError):
-        raise BadRequest("the message is not JSON", "see docs/page.md", {}) from None
+        raise BadRequest("the message is not JSON", "see docs/page.md for the requests", {}) from None
     if not isinstance(asked, dict) or not isinstance(asked.get("do"), str):
-        raise BadRequest("the message is not a request", "see docs/page.md", {})
+        raise BadRequest("the message is not a request", "see docs/page.md for the requests", {})
     usable: dict[str, Any] = {}
     for name in ("id", "do"):
         value = asked.get(name)
         if value is not None and not _is_short(value):
-            raise BadRequest(f"{name} of the request is not usable", "send a text or a whole number", usable)
+            raise BadRequest(f"{name} of the request is invalid", "send a text or an integer", usable)
         _check(name, value, usable)
         usable[name] = value
     for name, value in asked.items():

@@ -96,7 +96,7 @@ def fit_tail(flights: Sequence[Sequence[tuple[float, float]]], taught_s: float =
     maxima = [maximum for course in flights for maximum in segment_maxima(course)]
     if len(maxima) < 10:
         raise TwinError(
-            f"{len(maxima)} segments of {SEGMENT_s:g} s of healthy flight are too few to tell what is normal",
+            f"{len(maxima)} segments of {SEGMENT_s:g} s of nominal flight are too few for a threshold",
             "give a longer flight",
         )
     level = float(np.quantile(maxima, _LEVEL))
@@ -188,12 +188,12 @@ def parse_calibration(data: Mapping[str, Any], name: str) -> Calibration:
         numbers[key] = np.array(values, float)
     excesses = _table(data, "tail", name).get("excesses")
     if not isinstance(excesses, int) or isinstance(excesses, bool) or excesses < 1:
-        raise TwinError(f"{name}: tail.excesses is no count", _AGAIN)
+        raise TwinError(f"{name}: tail.excesses is not a count", _AGAIN)
     tail = {}
     for key in ("level_nats", "per_hour", "scale_nats"):
         value = _table(data, "tail", name).get(key)
         if value is None or not _is_number(value):
-            raise TwinError(f"{name}: tail.{key} is no number", _AGAIN)
+            raise TwinError(f"{name}: tail.{key} is not a number", _AGAIN)
         tail[key] = float(value)
     return Calibration(
         DisturbanceModel(**numbers), Tail(**tail, excesses=excesses), str(data.get("source", ""))

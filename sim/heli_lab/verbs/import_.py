@@ -72,7 +72,7 @@ def import_(
     from heli_sim.rig import load_rig
 
     if (profile is None) == (not guess):
-        raise typer.BadParameter("give one of --profile and --guess")
+        raise typer.BadParameter("import needs exactly one of --profile and --guess; give one")
     data_on_stdout(json)
     known = load_rig(rig) if rig is not None else None
     tables = [read_table(path) for path in files]

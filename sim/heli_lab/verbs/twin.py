@@ -93,7 +93,7 @@ def twin(
     from heli_lab.twin.learn import learn as learn_calibration
 
     if not flights and learn is None:
-        raise typer.BadParameter("give a flight, or --learn FILE")
+        raise typer.BadParameter("no flight is given; give one, or --learn FILE")
     if learn is not None and learn.suffix.lower() != ".toml":
         raise typer.BadParameter(f"--learn {learn} is not a TOML file; give a name that ends in .toml")
     check_result_places(learn, json, figure=figure)

@@ -79,7 +79,7 @@ def show(
     if write_result(json, content):
         return
     table = Table(box=None, pad_edge=False)
-    for heading in ("name", "value", "+-", "unit"):
+    for heading in ("name", "value", "tolerance", "unit"):
         table.add_column(heading, no_wrap=True)
     table.add_column("meaning; source", overflow="fold")
     for name, number in shown.items():
@@ -97,7 +97,9 @@ def show(
                     plain(f"effect; {number.source}"),
                 )
     if not table.row_count:
-        raise typer.BadParameter(f"no number's name contains '{pattern}'")
+        raise typer.BadParameter(
+            f"no rig parameter's name contains '{pattern}'; heli-host rig show RIG lists all"
+        )
     console = _console()
     console.print(f"{plain(shown.name)}: {plain(shown.description)}")
     console.print(table)
@@ -141,7 +143,7 @@ def check(
         say(f"{name}: {'; '.join(found.words)}")
     write_result(json, {"rigs": told})
     if len(rigs) > 1 and refused:
-        raise RigError(f"{len(refused)} of {len(rigs)} rigs cannot be, see above", "correct them")
+        raise RigError(f"{len(refused)} of {len(rigs)} rig files are wrong, see above", "correct them")
     if refused:
         raise refused[0]
     if grounded:
@@ -237,7 +239,7 @@ def new(
     base = load_rig(like)
     check_place(out)
     if out.exists():
-        raise RigError(f"{out} is there already", "give another name; no rig is overwritten")
+        raise RigError(f"{out} exists already", "give another name, because no rig is overwritten")
     given = {}
     if table is not None:
         given = numbers_from_table(read_text(table), str(table))
@@ -318,7 +320,9 @@ def weigh_rig(
         say(f"fill in {template}, then: heli-host rig weigh {rig} {template} --save-rig weighed.toml")
         return
     if tests is None:
-        raise typer.BadParameter("give a file of bench tests; --template bench.toml writes one to fill in")
+        raise typer.BadParameter(
+            "no bench tests are given; write a table to fill in with --template bench.toml"
+        )
     try:
         table = parse_toml(read_text(tests))
     except ValueError as error:
@@ -336,7 +340,8 @@ def weigh_rig(
         was, now = before[name], weighed.rig[name]
         moved = abs(now.value - was.value) / was.tolerance if was.tolerance else 0.0
         mark = f", {moved:.1f} tolerances off: a wrong reading, or a wrong rig file" if moved > OFF else ""
-        say(f"{name}: {with_tolerance(was)} -> {now.value:.4g} +-{now.tolerance:.2g} {now.unit}{mark}")
+        after = f"{now.value:.4g} (tolerance {now.tolerance:.2g}) {now.unit}"
+        say(f"{name}: {with_tolerance(was)} -> {after}{mark}")
     for one in weighed.tested:
         mark = f", {one.off:.1f} tolerances off: a wrong reading, or no such rig" if one.off > OFF else ""
         unit = "" if one.unit == "1" else f" {one.unit}"

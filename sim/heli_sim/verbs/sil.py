@@ -79,7 +79,10 @@ def sil(
     Example: `heli-host sil --pty ./due`, and in another terminal: `heli-host fly hover --port ./due`
     """
     if (pty, tcp, rfc2217).count(None) != 2:
-        raise typer.BadParameter("give one of --pty PATH, --tcp HOST:PORT and --rfc2217 HOST:PORT")
+        raise typer.BadParameter(
+            "sil needs exactly one port to serve; give one of --pty PATH, --tcp HOST:PORT and --rfc2217 "
+            "HOST:PORT"
+        )
     from heli_sim.rig import load_rig
     from heli_sim.rig.board import in_simulation, set_from_rig_text
     from heli_sim.sil.boards import choose

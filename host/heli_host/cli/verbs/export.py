@@ -51,7 +51,9 @@ def export(
     Example: `heli-host export flights/2026-01-31_12-00-00/flight.mcap --csv`
     """
     if csv + mat + parquet + ros2 != 1:
-        raise typer.BadParameter("give one of --csv, --mat, --parquet and --ros2")
+        raise typer.BadParameter(
+            "export needs exactly one format; give one of --csv, --mat, --parquet and --ros2"
+        )
     from heli_host.log.flight_file import read_flight
 
     write, suffix = _format(csv, mat, parquet)

@@ -57,7 +57,9 @@ def flash(
     check_target(port, None)
     assert port is not None
     if "://" in port:
-        raise typer.BadParameter(f"{port} cannot be flashed: give a serial port of this computer")
+        raise typer.BadParameter(
+            f"{port} is not a serial port of this computer; give one, such as /dev/ttyACM0"
+        )
     if uploader.doubtful:
         say(f"note: {_doubt(uploader)}")
     manager = check_modem_manager(due_is_present=True)
@@ -67,7 +69,9 @@ def flash(
     kept = _keep_parameters(port)
     if not yes:
         if not sys.stdin.isatty():
-            raise typer.BadParameter("nobody can be asked whether to erase the board: add --yes")
+            raise typer.BadParameter(
+                "standard input is not a terminal, so erasing cannot be confirmed; add --yes"
+            )
         typer.confirm("This erases the whole flash, the saved parameters too. Go on?", abort=True)
 
     say(f"erasing the board on {port}")
@@ -106,7 +110,9 @@ def _keep_parameters(port: str) -> Path | None:
         return None
     with heli:
         if heli.motors_may_run:
-            raise FlashError(f"the board on {port} is {heli.state.name.lower()}", "land or stop first")
+            raise FlashError(
+                f"the board on {port} is {heli.state.name.lower()}", "land first, or stop the motors"
+            )
         say(f"found: {board_text(heli)}")
         values = heli.params.dump()
         if all(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,6 +15,7 @@ from heli_host.cli.simulated import MAX_SPEED, SilOption, sil_address
 from heli_host.cli.verb import Verb
 
 if TYPE_CHECKING:
+    from heli_host.declaration import ParamSpec
     from heli_host.heli import Heli
 
 app = typer.Typer(
@@ -46,7 +48,6 @@ def list_parameters(
     Example: `heli-host params list pitch --long --port /dev/ttyACM0`
     """
     from rich.console import Console
-    from rich.markup import escape
     from rich.table import Table
 
     with _board(port, sil) as heli:
@@ -65,19 +66,40 @@ def list_parameters(
         }
         if write_result(json, {"parameters": content}):
             return
+        if not specs:
+            raise typer.BadParameter(
+                f"no parameter's name contains '{pattern}'; heli-host params list lists all"
+            )
+        if long:
+            _print_with_meanings(specs, values)
+            return
         table = Table(box=None, pad_edge=False)
-        for heading in ("name", "", "value", "unit", "range", *(("meaning",) if long else ())):
-            table.add_column(heading, no_wrap=heading != "meaning")
-        for name, value in values.items():
-            spec = heli.params.spec(name)
-            if pattern in name:
-                meaning = (escape(spec.meaning),) if long else ()
-                mark = "" if abs(value - spec.default) <= 1e-6 * max(1.0, abs(value)) else "*"
-                limits = f"{spec.min:g} .. {spec.max:g}"
-                table.add_row(name, mark, f"{value:g}", spec.unit, limits, *meaning)
-    if not table.row_count:
-        raise typer.BadParameter(f"no parameter's name contains '{pattern}'")
+        for heading in ("name", "", "value", "unit", "range"):
+            table.add_column(heading, no_wrap=True)
+        for name, spec in specs.items():
+            table.add_row(name, _mark(spec, values[name]), f"{values[name]:g}", spec.unit, _limits(spec))
     Console(highlight=False).print(table)
+
+
+def _print_with_meanings(specs: Mapping[str, ParamSpec], values: Mapping[str, float]) -> None:
+    """Print each parameter on one line, and its meaning indented below it, within the terminal's width."""
+    from rich.console import Console
+    from rich.padding import Padding
+    from rich.text import Text
+
+    console = Console(highlight=False)
+    for name, spec in specs.items():
+        unit = f" {spec.unit}" if spec.unit else ""
+        console.print(Text(f"{name} = {values[name]:g}{unit}{_mark(spec, values[name])}  ({_limits(spec)})"))
+        console.print(Padding(Text(spec.meaning), (0, 0, 0, 4)))
+
+
+def _mark(spec: ParamSpec, value: float) -> str:
+    return "" if abs(value - spec.default) <= 1e-6 * max(1.0, abs(value)) else "*"
+
+
+def _limits(spec: ParamSpec) -> str:
+    return f"{spec.min:g} .. {spec.max:g}"
 
 
 @app.command("get")

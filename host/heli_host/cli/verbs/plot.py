@@ -59,10 +59,10 @@ def _compare(logs: Sequence[Path], figure: Path | None, json: Path | None) -> No
     from heli_host.log.flight_file import read_flight
 
     if len(logs) > MOST:
-        raise typer.BadParameter(f"{len(logs)} flights on one page cannot be told apart; give {MOST} at most")
+        raise typer.BadParameter(f"{len(logs)} flights are too many for one figure; give at most {MOST}")
     labels = [str(log) for log in logs]
     if len(set(labels)) < len(labels):
-        raise typer.BadParameter("a log is given twice; give each once")
+        raise typer.BadParameter("the same log is given twice; give each log once")
     flights = {label: read_flight(log, allow_gaps=True) for label, log in zip(labels, logs, strict=True)}
     numbers = comparison_numbers(flights)
     target = figure

@@ -66,7 +66,9 @@ def setpoint(
     if not targets_deg:
         raise typer.BadParameter("give at least one of --elevation-deg, --travel-deg and --pitch-deg")
     if "pitch" in targets_deg and "travel" in targets_deg:
-        raise typer.BadParameter("give --travel-deg or --pitch-deg: flying to a travel needs the pitch")
+        raise typer.BadParameter(
+            "--travel-deg and --pitch-deg exclude each other, because pitch controls travel; give one of them"
+        )
     from heli_host.cli.board import check_board_rig, clear_latched_fault, open_board
     from heli_host.declaration import Axes
     from heli_host.errors import LogWriteError
