@@ -189,14 +189,14 @@ def test_effects_are_read_from_the_command_line() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("rotor_lg=0.1", "there is no effect 'rotor_lg'; did you mean rotor_lag?"),
+        ("rotor_lg=0.1", "unknown effect 'rotor_lg'; did you mean rotor_lag?"),
         ("backlash=0.1", "did you mean backlash.elevation or backlash.pitch or backlash.travel?"),
         ("rotor_lag=fast", "s = 'fast' is not a number; give one"),
         ("rotor_lag=-1", "rotor_lag_s = -1 s is out of range; give 0 to 0.6"),
         ("rotor_lag=nan", "out of range"),
         ("rotor_lag=0.1@3", "'rotor_lag' has no 'at_s'; it has: s"),
         ("axis_tilt=z:1", "'axis_tilt' has no 'z'; it has: x_rad, y_rad"),
-        ("", "there is no effect ''"),
+        ("", "unknown effect ''"),
     ],
 )
 def test_a_badly_spelled_effect_is_refused_in_one_line(text: str, message: str) -> None:

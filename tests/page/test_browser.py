@@ -350,7 +350,9 @@ def test_a_law_is_chosen_its_signal_drawn_and_why_it_was_taken_over_said(
         page.fill("#law-kp", "17")
         page.keyboard.press("Enter")
         click(page, "#take-off")
-        expect(page.locator("#law-said")).to_contain_text("the board's own control law took over: voltage jump")
+        expect(page.locator("#law-said")).to_contain_text(
+            "the board's own control law took over: voltage jump"
+        )
         expect(page.locator("#strips")).to_contain_text("wanted_pitch")
         axe = Axe().run(page).response["violations"]
         assert not [one["id"] for one in axe if one["impact"] in ("serious", "critical")]
