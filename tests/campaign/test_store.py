@@ -118,5 +118,5 @@ def test_a_second_campaign_is_kept_out(tmp_path: Path) -> None:
 
 def test_a_place_that_cannot_be_written_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(CampaignError, match="results cannot be kept"):
+    with pytest.raises(CampaignError, match="results cannot be saved"):
         Store(tmp_path / "file")

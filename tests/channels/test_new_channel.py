@@ -215,7 +215,7 @@ except LogError as error:
 """
     rows, said = flown.copy.run("-c", program, str(flown.before / "flight.mcap")).splitlines()
     assert int(rows) == len(read_flight(flown.before / "flight.mcap"))
-    assert "no channel tick_echo" in said and "read it with the version that wrote it" in said
+    assert "no channel tick_echo" in said and "read it with the heli-host version that wrote it" in said
 
 
 def test_every_declared_channel_is_put_once() -> None:

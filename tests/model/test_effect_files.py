@@ -83,15 +83,15 @@ def test_an_equation_can_be_drawn_and_a_sentence_said(id: str) -> None:
     kind = catalogue()[id]
     MathTextParser("path").parse(f"${kind.equation}$")
     sentence = kind.describe(kind.typical, {name: 0.01 * abs(value) for name, value in kind.typical.items()})
-    assert " +- " in sentence and "{" not in sentence and not sentence.endswith(".")
+    assert " ± " in sentence and "{" not in sentence and not sentence.endswith(".")
 
 
 def test_numbers_are_said_with_as_many_digits_as_their_error_knows() -> None:
-    assert format_estimate(0.12345, 0.0123, "s") == "0.123 +- 0.012 s"
-    assert format_estimate(0.12345, 0.042, "s") == "0.12 +- 0.04 s"
-    assert format_estimate(0.0398, 0.0002, "1") == "3.980 +- 0.020 %"
-    assert format_estimate(np.radians(1.5), np.radians(0.2), "rad") == "1.50 +- 0.20 deg"
-    assert format_estimate(1234.5, 21.0, "N") == "1234 +- 21 N"
+    assert format_estimate(0.12345, 0.0123, "s") == "0.123 ± 0.012 s"
+    assert format_estimate(0.12345, 0.042, "s") == "0.12 ± 0.04 s"
+    assert format_estimate(0.0398, 0.0002, "1") == "3.980 ± 0.020 %"
+    assert format_estimate(np.radians(1.5), np.radians(0.2), "rad") == "1.50 ± 0.20 deg"
+    assert format_estimate(1234.5, 21.0, "N") == "1234 ± 21 N"
     assert format_estimate(0.1, None, "s") == "0.1 s"
 
 
@@ -191,14 +191,14 @@ def test_effects_are_read_from_the_command_line() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("rotor_lg=0.1", "there is no effect 'rotor_lg'; did you mean rotor_lag?"),
+        ("rotor_lg=0.1", "unknown effect 'rotor_lg'; did you mean rotor_lag?"),
         ("backlash=0.1", "did you mean backlash.elevation or backlash.pitch or backlash.travel?"),
         ("rotor_lag=fast", "s = 'fast' is not a number; give one"),
         ("rotor_lag=-1", "rotor_lag_s = -1 s is out of range; give 0 to 0.6"),
         ("rotor_lag=nan", "out of range"),
         ("rotor_lag=0.1@3", "'rotor_lag' has no 'at_s'; it has: s"),
         ("axis_tilt=z:1", "'axis_tilt' has no 'z'; it has: x_rad, y_rad"),
-        ("", "there is no effect ''"),
+        ("", "unknown effect ''"),
     ],
 )
 def test_a_badly_spelled_effect_is_refused_in_one_line(text: str, message: str) -> None:

@@ -57,7 +57,7 @@ def test_what_is_wrong_with_a_file_is_told(tmp_path: Path, old: str, new: str, t
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ("twin", "give a flight"),
+        ("twin", "no flight is given; give one"),
         ("twin nowhere.mcap", "nowhere.mcap"),
         ("twin --learn monday.mcap", "give a name that ends in .toml"),
         ("twin nowhere.mcap --rig nobody", "nobody"),

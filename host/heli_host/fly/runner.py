@@ -168,7 +168,7 @@ def _written(path: Path, recorder: Recorder) -> Log:
 def _loaded(plans: PlanLike | Sequence[PlanLike]) -> list[Plan]:
     listed = [plans] if isinstance(plans, Plan | str | Path) else list(plans)
     if not listed:
-        raise PlanError("no plan is given", "name one, such as hover")
+        raise PlanError("no plan is given", "give at least one plan, such as hover")
     return [plan if isinstance(plan, Plan) else load_plan(plan) for plan in listed]
 
 

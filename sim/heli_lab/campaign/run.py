@@ -62,7 +62,7 @@ class Campaign:
         seen: set[str] = set()
         for case in self.cases:
             if case.name in seen:
-                raise CampaignError(f"two cases are called {case.name}", "let their settings differ")
+                raise CampaignError(f"two cases have the name {case.name}", "let their settings differ")
             seen.add(case.name)
 
     @property
@@ -249,8 +249,9 @@ def _attended(client: Client, orders: dict[str, Job], bad: set[str]) -> Iterator
         order = tasks.pop(future)
         if future.cancelled():
             raise CampaignError(
-                f"the scheduler is gone; {ended} of {len(orders)} cases have ended in this run and are kept",
-                "the same command goes on with the others",
+                f"the scheduler has stopped; {ended} of {len(orders)} cases have ended in this run and "
+                "are saved",
+                "run the same command again to continue with the others",
             )
         came = _came(future, order, lost)
         if isinstance(came, Answer):

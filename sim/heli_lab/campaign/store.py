@@ -57,7 +57,7 @@ class Store:
             self.token = mark.read_text()
         except OSError as error:
             raise CampaignError(
-                f"results cannot be kept in {folder}: {error.strerror}", "give another --output"
+                f"results cannot be saved in {folder}: {error.strerror}", "give another --output"
             ) from None
 
     @contextmanager

@@ -90,10 +90,17 @@ def _parameters(identification: Identification) -> dict[str, Any]:
     for parameter, value, std in zip(problem.free, fit.theta, fit.std.values(), strict=True):
         remark = "on its bound" if parameter.name in fit.at_bound else ""
         remark = remark or ("uninformed" if parameter.name in identification.uninformed_parameters else "")
-        prior = f"{parameter.prior.mean:g} ± {2 * parameter.prior.std:g}"
-        text = f"{rounded(value, std)} ± {rounded(2 * std, std)}"
+        prior = f"{parameter.prior.mean:g} ± {parameter.prior.std:g}"
+        text = f"{rounded(value, std)} ± {rounded(std, std)}"
         rows.append([parameter.name, text, parameter.unit, prior, f"{std / parameter.prior.std:.2g}", remark])
-    heads = ["parameter", "found ± 2 std", "unit", "prior ± 2 std", "std over prior's", ""]
+    heads = [
+        "parameter",
+        "estimate ± 1 standard error",
+        "unit",
+        "prior ± 1 standard error",
+        "standard error over prior's",
+        "",
+    ]
     return {"heads": heads, "rows": rows}
 
 

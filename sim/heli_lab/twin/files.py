@@ -79,4 +79,4 @@ def _parsed(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise TwinError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
     except ValueError as error:
-        raise TwinError(f"{path} is not TOML: {error}", "fix it there") from error
+        raise TwinError(f"{path} is not TOML: {error}", "correct that line") from error

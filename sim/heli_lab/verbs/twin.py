@@ -22,14 +22,15 @@ if TYPE_CHECKING:
 
 def twin(
     flights: Annotated[
-        list[Path] | None, typer.Argument(metavar="[FLIGHT...]", help="Flights: .mcap, .csv or .csv.gz.")
+        list[Path] | None,
+        typer.Argument(metavar="[FLIGHT...]", help="Check these flights: .mcap, .csv or .csv.gz."),
     ] = None,
     rig: Annotated[
         str,
         typer.Option(
             "--rig",
             metavar="NAME|FILE",
-            help=f"Rig with its effects, or a file from --learn.  [default: {DEFAULT_RIG}]",
+            help=f"Compare with this rig, or a file of --learn.  [default: {DEFAULT_RIG}]",
             show_default=False,
         ),
     ] = DEFAULT_RIG,
@@ -46,7 +47,7 @@ def twin(
         typer.Option(
             "--learn",
             metavar="FILE",
-            help="Set the alarm threshold by simulated nominal flights, and write a twin file.",
+            help="Set the alarm threshold by simulation, and write this twin file.",
         ),
     ] = None,
     false_alarm_interval_h: Annotated[
@@ -67,13 +68,14 @@ def twin(
     json: JsonOption = None,
     figure: Annotated[
         Path | None,
-        typer.Option("--figure", metavar="FILE", help="Figure of the evidence: .png, .pdf or .svg."),
+        typer.Option("--figure", metavar="FILE", help="Draw the evidence over time: .png, .pdf or .svg."),
     ] = None,
 ) -> None:
     """Detect when a rig diverges from its model, and report what changed.
 
-    --learn writes a twin file for --rig, and for --twin of dashboard and fly. The alarms are at the same
-    ticks as live, with `heli-host dashboard --twin` or `heli-host fly --twin`.
+    Compares finished flights with the model. The alarms are at the same ticks as live with `heli-host fly
+    --twin`. --learn writes a twin file for --rig and --twin. Without --learn, --json and --figure the result
+    is only printed.
 
     Example: `heli-host twin flight.mcap --rig my-rig.toml --nominal monday.mcap`
     """
@@ -91,7 +93,7 @@ def twin(
     from heli_lab.twin.monitor import monitor_file
 
     if not flights and learn is None:
-        raise typer.BadParameter("give a flight, or --learn FILE")
+        raise typer.BadParameter("no flight is given; give one, or --learn FILE")
     if learn is not None and learn.suffix.lower() != ".toml":
         raise typer.BadParameter(f"--learn {learn} is not a TOML file; give a name that ends in .toml")
     check_result_places(learn, json, figure=figure)

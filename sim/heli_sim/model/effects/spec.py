@@ -282,7 +282,7 @@ class EffectSpec:
 
 
 def format_estimate(value: float, std: float | None, unit: str) -> str:
-    """Format an estimate with its standard error as people read it, such as ``0.12 +- 0.01 s``: two digits of
+    """Format an estimate with its standard error as people read it, such as ``0.12 ± 0.01 s``: two digits of
     the error, three of a number without one.
 
     Parameters
@@ -302,5 +302,5 @@ def format_estimate(value: float, std: float | None, unit: str) -> str:
     # Two digits where they begin with 1 or 2, one digit otherwise.
     digits = -math.floor(np.log10(std)) + (1 if std / 10 ** math.floor(np.log10(std)) < 2.95 else 0)
     if digits <= 0:
-        return f"{round(value, digits):.0f} +- {round(std, digits):.0f}{name}"
-    return f"{value:.{digits}f} +- {std:.{digits}f}{name}"
+        return f"{round(value, digits):.0f} ± {round(std, digits):.0f}{name}"
+    return f"{value:.{digits}f} ± {std:.{digits}f}{name}"
