@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-LINK_HASH = 0xE2BF64AA
-LINK_VERSION = "1.3"
+LINK_HASH = 0x93B30B31
+LINK_VERSION = "1.4"
 FIRMWARE_VERSION = "0.1.0"
 PROTOCOL = 1
 BAUD = 250000
@@ -340,6 +340,7 @@ class Param(IntEnum):
     EXCITATION_MAX_V = 70  # V: largest amplitude that excite accepts
     EXCITATION_MAX_S = 71  # s: longest duration that excite accepts
     TELEMETRY_BATCH_TICKS = 72  # tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
+    CONTROLLER = 73  # : compiled controller that flies: its row in the board's table; a number beyond the last row is refused
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -394,6 +395,7 @@ class MessageId(IntEnum):
     LAW_FLY = 20  # Flies the law from the next tick on, or has the board's own take over. ack.detail: the state.
     LAW_SET = 21  # Sets a parameter of the law, in flight too; lasts until the next upload. ack.value: the value in force.
     LAW_READ = 22  # Asks which law the board has.
+    CONTROLLER_READ = 23  # Asks for the name of a compiled controller.
     SETPOINT = 32  # Target to be reached at a device tick. The board ramps to it linearly, within its slew limits.
     VOLTAGES = 33  # Motor voltages in the streamed state.
     FOLLOWING = 34  # Setpoints that the host's law follows in the streamed state: logged, and nothing else. In other states it is not looked at.
@@ -403,6 +405,7 @@ class MessageId(IntEnum):
     PARAMS = 131  # Parameter values, as many as `count` says (at most 32), in table order.
     STATUS = 132  # Counters since start; sent once a second with request = 0, and on status_read.
     LAW = 135  # The law that the board has.
+    CONTROLLER = 136  # The name of a compiled controller, in ASCII, 0 behind its end.
     TELEMETRY = 133  # A batch of consecutive ticks, delta-coded; layout below.
     EVENT = 134  # Something happened; also visible in telemetry, but with its reason here.
 
@@ -553,6 +556,7 @@ PARAMS: tuple[ParamSpec, ...] = (
     ParamSpec(70, "excitation_max_V", "V", 0.0, 12.0, 2.0, False, False, True, "largest amplitude that excite accepts"),
     ParamSpec(71, "excitation_max_s", "s", 1.0, 600.0, 120.0, False, False, True, "longest duration that excite accepts"),
     ParamSpec(72, "telemetry_batch_ticks", "tick", 4.0, 32.0, 20.0, False, True, False, "ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data"),
+    ParamSpec(73, "controller", "", 0.0, 7.0, 0.0, False, True, True, "compiled controller that flies: its row in the board's table; a number beyond the last row is refused"),
 )
 
 FAULTS: tuple[FaultSpec, ...] = (
@@ -1459,6 +1463,34 @@ class LawReadMessage:
 
 
 @dataclass(frozen=True, slots=True)
+class ControllerReadMessage:
+    """Asks for the name of a compiled controller.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    index : int
+        value of the parameter `controller`
+    """
+
+    ID: ClassVar[MessageId] = MessageId.CONTROLLER_READ
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BB")
+    REPLY: ClassVar[MessageId] = MessageId.CONTROLLER
+    request: int
+    index: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.index)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ControllerReadMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
 class SetpointMessage:
     """Target to be reached at a device tick. The board ramps to it linearly, within its slew limits.
 
@@ -1808,6 +1840,48 @@ class LawMessage:
 
     @classmethod
     def unpack(cls, payload: bytes) -> LawMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerMessage:
+    """The name of a compiled controller, in ASCII, 0 behind its end.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    index : int
+        as asked
+    count : int
+        controllers that the board was built with
+    name_0 : int
+        characters 1 to 4, the first in the low byte; 0 beyond the last controller
+    name_1 : int
+        characters 5 to 8
+    name_2 : int
+        characters 9 to 12
+    name_3 : int
+        characters 13 to 16
+    """
+
+    ID: ClassVar[MessageId] = MessageId.CONTROLLER
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBBIIII")
+    request: int
+    index: int
+    count: int
+    name_0: int
+    name_1: int
+    name_2: int
+    name_3: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.index, self.count, self.name_0, self.name_1, self.name_2, self.name_3)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ControllerMessage:
         """Read the fixed fields from the start of ``payload``."""
         return cls(*cls.STRUCT.unpack_from(payload))
 

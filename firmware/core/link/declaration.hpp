@@ -9,9 +9,9 @@
 
 namespace heli::link {
 
-inline constexpr std::uint32_t kLinkHash = 0xe2bf64aaU;
+inline constexpr std::uint32_t kLinkHash = 0x93b30b31U;
 inline constexpr std::uint8_t kLinkMajor = 1;
-inline constexpr std::uint8_t kLinkMinor = 3;
+inline constexpr std::uint8_t kLinkMinor = 4;
 inline constexpr std::uint8_t kFirmwareMajor = 0;
 inline constexpr std::uint8_t kFirmwareMinor = 1;
 inline constexpr std::uint8_t kFirmwarePatch = 0;
@@ -295,8 +295,9 @@ enum class Param : std::uint8_t {
   excitation_max_V = 70,  // V: largest amplitude that excite accepts
   excitation_max_s = 71,  // s: longest duration that excite accepts
   telemetry_batch_ticks = 72,  // tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
+  controller = 73,  // : compiled controller that flies: its row in the board's table; a number beyond the last row is refused
 };
-inline constexpr std::size_t kParamCount = 73;
+inline constexpr std::size_t kParamCount = 74;
 
 struct ParamInfo {
   float min;
@@ -380,6 +381,7 @@ inline constexpr ParamInfo kParams[kParamCount] = {
     {0.0F, 12.0F, 2.0F, false, false, true},  // excitation_max_V
     {1.0F, 600.0F, 120.0F, false, false, true},  // excitation_max_s
     {4.0F, 32.0F, 20.0F, false, true, false},  // telemetry_batch_ticks
+    {0.0F, 7.0F, 0.0F, false, true, true},  // controller
 };
 
 enum class Channel : std::uint8_t {
@@ -503,6 +505,7 @@ enum class MessageId : std::uint8_t {
   law_fly = 20,
   law_set = 21,
   law_read = 22,
+  controller_read = 23,
   setpoint = 32,
   voltages = 33,
   following = 34,
@@ -512,6 +515,7 @@ enum class MessageId : std::uint8_t {
   params = 131,
   status = 132,
   law = 135,
+  controller = 136,
   telemetry = 133,
   event = 134,
 };
@@ -951,6 +955,24 @@ struct LawReadMessage {
   }
 };
 
+// Asks for the name of a compiled controller.
+struct ControllerReadMessage {
+  static constexpr MessageId kId = MessageId::controller_read;
+  static constexpr std::size_t kSize = 2;
+  std::uint8_t request = {};  // -
+  std::uint8_t index = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u8(to + 1, index);
+  }
+  static ControllerReadMessage read([[maybe_unused]] const std::uint8_t* from) {
+    ControllerReadMessage m;
+    m.request = get_u8(from + 0);
+    m.index = get_u8(from + 1);
+    return m;
+  }
+};
+
 // Target to be reached at a device tick. The board ramps to it linearly, within its slew limits.
 struct SetpointMessage {
   static constexpr MessageId kId = MessageId::setpoint;
@@ -1220,6 +1242,39 @@ struct LawMessage {
     m.divisor = get_u8(from + 6);
     m.ticks = get_u8(from + 7);
     m.cost = get_u32(from + 8);
+    return m;
+  }
+};
+
+// The name of a compiled controller, in ASCII, 0 behind its end.
+struct ControllerMessage {
+  static constexpr MessageId kId = MessageId::controller;
+  static constexpr std::size_t kSize = 19;
+  std::uint8_t request = {};  // -
+  std::uint8_t index = {};  // -
+  std::uint8_t count = {};  // -
+  std::uint32_t name_0 = {};  // -
+  std::uint32_t name_1 = {};  // -
+  std::uint32_t name_2 = {};  // -
+  std::uint32_t name_3 = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u8(to + 1, index);
+    put_u8(to + 2, count);
+    put_u32(to + 3, name_0);
+    put_u32(to + 7, name_1);
+    put_u32(to + 11, name_2);
+    put_u32(to + 15, name_3);
+  }
+  static ControllerMessage read([[maybe_unused]] const std::uint8_t* from) {
+    ControllerMessage m;
+    m.request = get_u8(from + 0);
+    m.index = get_u8(from + 1);
+    m.count = get_u8(from + 2);
+    m.name_0 = get_u32(from + 3);
+    m.name_1 = get_u32(from + 7);
+    m.name_2 = get_u32(from + 11);
+    m.name_3 = get_u32(from + 15);
     return m;
   }
 };

@@ -42,8 +42,11 @@ def list_parameters(
     from rich.markup import escape
     from rich.table import Table
 
+    from heli_host.controllers import controller_names
+
     with _board(port, sil) as heli:
         values = heli.params.dump()
+        names = controller_names(heli.session)
         if json:
             specs = {name: heli.params.spec(name) for name in values if pattern in name}
             say_json(
@@ -55,6 +58,7 @@ def list_parameters(
                         "max": spec.max,
                         "default": spec.default,
                         "meaning": spec.meaning,
+                        **({"names": names} if name == "controller" else {}),
                     }
                     for name, spec in specs.items()
                 }
@@ -66,7 +70,8 @@ def list_parameters(
         for name, value in values.items():
             spec = heli.params.spec(name)
             if pattern in name:
-                meaning = (escape(spec.meaning),) if long else ()
+                text = _with_names(spec.meaning, names) if name == "controller" else spec.meaning
+                meaning = (escape(text),) if long else ()
                 mark = "" if abs(value - spec.default) <= 1e-6 * max(1.0, abs(value)) else "*"
                 limits = f"{spec.min:g} .. {spec.max:g}"
                 table.add_row(name, mark, f"{value:g}", spec.unit, limits, *meaning)
@@ -171,6 +176,10 @@ def _board(port: str | None, sil: bool) -> AbstractContextManager[Heli]:
     from heli_host.cli.board import open_board
 
     return open_board(port, sil_address(speed=MAX_SPEED) if sil else None)
+
+
+def _with_names(meaning: str, names: tuple[str, ...]) -> str:
+    return f"{meaning}: {', '.join(f'{row} is {name}' for row, name in enumerate(names))}"
 
 
 def _saved(generation: int | None) -> str:
