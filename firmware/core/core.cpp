@@ -51,7 +51,7 @@ Core::Core(Board& board, law::Simplex& laws, law::UploadedLaw& uploaded)
 void Core::start() {
   store_.load(params_);
   if (params_.get(link::Param::controller) >= static_cast<float>(laws_.names().count)) {
-    params_.set(link::Param::controller, 0.0F, true);
+    store_.drop(params_, link::Param::controller);
   }
   refresh_derived();
   const BootReport report = board_.boot_report();

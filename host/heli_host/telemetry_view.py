@@ -41,7 +41,7 @@ class BoardInfo:
     boot_id : int
         Another one after every start.
     params_source : str
-        Where its parameters came from: ``defaults``, ``stored``, ``fallback`` or ``corrupt``.
+        Where its parameters came from: ``defaults``, ``stored``, ``fallback``, ``corrupt`` or ``migrated``.
     """
 
     board: str

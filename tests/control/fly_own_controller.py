@@ -32,7 +32,7 @@ def rate_rad_s(angle_rad: NDArray[np.float64], cutoff_Hz: float) -> NDArray[np.f
     smooth = angle_rad - angle_rad[0]
     for _ in range(2):
         smooth = lfilter([share], [1.0, share - 1.0], smooth)
-    return np.gradient(smooth) * TICKS_PER_S
+    return np.asarray(np.gradient(smooth) * TICKS_PER_S, float)
 
 
 def differential(heli: Heli, flown: Samples) -> dict[str, float]:

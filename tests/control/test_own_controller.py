@@ -91,6 +91,6 @@ def test_the_due_builds_it_within_its_bounds_and_divides_nowhere_in_a_tick(tmp_p
     if shutil.which("arm-none-eabi-g++") is None:
         pytest.skip("the cross-compiler is not installed: make setup")
     copy = followed(tmp_path / "copy")
-    command = ["make", "-s", "-j2", "-C", copy.root / "firmware" / "due", f"BUILD={tmp_path / 'build'}"]
+    command = ["make", "-s", "-j2", "-C", f"{copy.root}/firmware/due", f"BUILD={tmp_path}/build"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

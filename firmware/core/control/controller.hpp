@@ -69,7 +69,7 @@ class Controller {
 
   // After shadow() and before update(), if the arm has to be recovered from the uploaded law: the
   // next update() acts immediately, without a smooth transfer from that law's voltages.
-  virtual void take_over() {}
+  virtual void take_over() = 0;
 
  protected:
   ~Controller() = default;

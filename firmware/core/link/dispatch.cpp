@@ -54,6 +54,7 @@ constexpr CommandInfo kCommands[] = {
     entry<LawSetMessage>(Kind::remote, 2, 2, 1),
     entry<LawReadMessage>(Kind::local),
     entry<ControllerReadMessage>(Kind::local),
+    entry<ParamsOriginReadMessage>(Kind::local),
     entry<SetpointMessage>(Kind::stream, 4, 1, 3),
     entry<VoltagesMessage>(Kind::stream, 0, 0, 2),
     entry<FollowingMessage>(Kind::stream, 0, 0, 3),
@@ -147,6 +148,8 @@ void Dispatcher::local(const Frame& frame) {
       return law_read(frame);
     case MessageId::controller_read:
       return controller_read(frame);
+    case MessageId::params_origin_read:
+      return params_origin_read(frame);
     default: {
       StatusMessage status;
       status.request = frame.payload[0];
@@ -238,6 +241,20 @@ void Dispatcher::controller_read(const Frame& frame) {
   reply.name_1 = get_u32(characters + 4);
   reply.name_2 = get_u32(characters + 8);
   reply.name_3 = get_u32(characters + 12);
+  send(reply);
+}
+
+void Dispatcher::params_origin_read(const Frame& frame) {
+  const params::Origin& origin = store_.origin();
+  ParamsOriginMessage reply;
+  reply.request = frame.payload[0];
+  reply.source = static_cast<std::uint8_t>(store_.source());
+  reply.schema = origin.schema;
+  reply.kept = origin.kept;
+  reply.dropped = origin.dropped;
+  reply.new_0 = origin.fresh[0];
+  reply.new_1 = origin.fresh[1];
+  reply.new_2 = origin.fresh[2];
   send(reply);
 }
 

@@ -88,6 +88,7 @@ class Dispatcher {
   void params_read(const Frame& frame);
   void law_read(const Frame& frame);
   void controller_read(const Frame& frame);
+  void params_origin_read(const Frame& frame);
   void report(const Frame& frame, const law::UploadCheck& finding);
   void remote(MessageId id, const std::uint8_t* payload, std::uint8_t size);
   void stream(const CommandInfo& info, const Frame& frame, std::uint32_t tick);

@@ -155,17 +155,21 @@ def restore(
     port: PortOption = None,
     sil: SilOption = False,
 ) -> None:
-    """Set all parameters of a file; when one is refused, none is set.
+    """Set all parameters of a file; if the board refuses one, none is set.
+
+    From a file of another parameter schema, known parameters are kept, and the others are listed.
 
     Example: `heli-host params restore rig7.toml --save`
     """
-    from heli_host.parameter_file import read_parameters
-    from heli_host.parameters import checked
+    from heli_host.parameter_file import read_parameter_set
 
-    values = read_parameters(file)
-    for name, value in values.items():
-        checked(name, value)
+    given = read_parameter_set(file)
+    values = given.values
+    for reason in given.dropped:
+        say(f"dropped: {reason}")
     with _board(port, sil) as heli:
+        for name in given.new:
+            say(f"not in {file}: {name} stays {heli.params[name]:g}")
         changed = heli.params.restore(values)
         for name, value in changed.items():
             say(f"{name} -> {value:g}")
