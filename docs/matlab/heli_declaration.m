@@ -3,8 +3,8 @@ function d = heli_declaration()
 %
 % Written by firmware/generate.py from firmware/link.toml. Do not edit.
 
-d.link_version = '1.3';
-d.link_hash = uint32(2267235153);
+d.link_version = '1.4';
+d.link_hash = uint32(3410462492);
 d.protocol = 1;
 d.baud = 250000;
 d.tick_us = 1000;
@@ -35,6 +35,8 @@ d.messages.law_end = struct('id', 19, 'fields', {{'request'}}, 'types', {{'u8'}}
 d.messages.law_fly = struct('id', 20, 'fields', {{'request', 'on'}}, 'types', {{'u8', 'u8'}}, 'reply', 'ack');
 d.messages.law_set = struct('id', 21, 'fields', {{'request', 'index', 'value'}}, 'types', {{'u8', 'u8', 'f32'}}, 'reply', 'ack');
 d.messages.law_read = struct('id', 22, 'fields', {{'request'}}, 'types', {{'u8'}}, 'reply', 'law');
+d.messages.controller_read = struct('id', 23, 'fields', {{'request', 'index'}}, 'types', {{'u8', 'u8'}}, 'reply', 'controller');
+d.messages.params_origin_read = struct('id', 24, 'fields', {{'request'}}, 'types', {{'u8'}}, 'reply', 'params_origin');
 d.messages.setpoint = struct('id', 32, 'fields', {{'apply_tick', 'elevation_rad', 'pitch_rad', 'travel_rad'}}, 'types', {{'u32', 'f32', 'f32', 'f32'}}, 'reply', '');
 d.messages.voltages = struct('id', 33, 'fields', {{'front_V', 'back_V', 'valid_ms'}}, 'types', {{'f32', 'f32', 'u16'}}, 'reply', '');
 d.messages.following = struct('id', 34, 'fields', {{'elevation_rad', 'pitch_rad', 'travel_rad'}}, 'types', {{'f32', 'f32', 'f32'}}, 'reply', '');
@@ -44,6 +46,8 @@ d.messages.pong = struct('id', 130, 'fields', {{'request', 'host_us', 'tick'}}, 
 d.messages.params = struct('id', 131, 'fields', {{'request', 'first', 'count'}}, 'types', {{'u8', 'u8', 'u8'}}, 'reply', '');
 d.messages.status = struct('id', 132, 'fields', {{'request', 'tick', 'frames_ok', 'frames_bad', 'frames_lost', 'duplicates', 'stale_streams', 'ticks_dropped', 'overruns', 'tick_max_us', 'illegal_elevation', 'illegal_pitch', 'illegal_travel', 'setpoint_rate_Hz'}}, 'types', {{'u8', 'u32', 'u32', 'u32', 'u32', 'u32', 'u32', 'u32', 'u32', 'u16', 'u16', 'u16', 'u16', 'u16'}}, 'reply', '');
 d.messages.law = struct('id', 135, 'fields', {{'request', 'hash', 'state', 'divisor', 'ticks', 'cost'}}, 'types', {{'u8', 'u32', 'u8', 'u8', 'u8', 'u32'}}, 'reply', '');
+d.messages.controller = struct('id', 136, 'fields', {{'request', 'index', 'count', 'name_0', 'name_1', 'name_2', 'name_3'}}, 'types', {{'u8', 'u8', 'u8', 'u32', 'u32', 'u32', 'u32'}}, 'reply', '');
+d.messages.params_origin = struct('id', 137, 'fields', {{'request', 'source', 'schema', 'kept', 'dropped', 'new_0', 'new_1', 'new_2'}}, 'types', {{'u8', 'u8', 'u32', 'u8', 'u8', 'u32', 'u32', 'u32'}}, 'reply', '');
 d.messages.telemetry = struct('id', 133, 'fields', {{'first_tick', 'count'}}, 'types', {{'u32', 'u8'}}, 'reply', '');
 d.messages.event = struct('id', 134, 'fields', {{'tick', 'kind', 'detail', 'cause', 'value'}}, 'types', {{'u32', 'u8', 'u8', 'u8', 'f32'}}, 'reply', '');
 
@@ -114,6 +118,7 @@ d.enums.params_source.defaults = 0;
 d.enums.params_source.stored = 1;
 d.enums.params_source.fallback = 2;
 d.enums.params_source.corrupt = 3;
+d.enums.params_source.migrated = 4;
 d.enums.excitation.none = 0;
 d.enums.excitation.step = 1;
 d.enums.excitation.doublet = 2;
@@ -258,6 +263,7 @@ d.parameters = {
   'excitation_max_V', 'V', 0, 12, 2
   'excitation_max_s', 's', 1, 600, 120
   'telemetry_batch_ticks', 'tick', 4, 32, 20
+  'controller', '', 0, 7, 0
 };
 
 % Faults: code, name, what it means and what to do.

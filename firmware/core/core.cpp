@@ -38,18 +38,21 @@ std::int32_t wire(Quantity value, Wire per_unit) { return product<0>(value, per_
 
 }  // namespace
 
-Core::Core(Board& board, control::Controller& law, law::UploadedLaw& uploaded)
+Core::Core(Board& board, law::Simplex& laws, law::UploadedLaw& uploaded)
     : board_(board),
-      law_(law),
+      laws_(laws),
       uploaded_(uploaded),
       store_(board),
-      link_(board, params_, store_, uploaded.tape()),
+      link_(board, params_, store_, uploaded.tape(), laws.names()),
       supervisor_(link_) {
   refresh_derived();
 }
 
 void Core::start() {
   store_.load(params_);
+  if (params_.get(link::Param::controller) >= static_cast<float>(laws_.names().count)) {
+    store_.drop(params_, link::Param::controller);
+  }
   refresh_derived();
   const BootReport report = board_.boot_report();
   link_.push_event({0, static_cast<std::uint8_t>(Event::boot), report.reset, report.boot_fault,
@@ -61,7 +64,7 @@ void Core::refresh_derived() {
   const auto spare = static_cast<Bank>(1U - active_.load(std::memory_order_relaxed));
   derived_[spare] = {conversion_of(params_, board_.duty_full()), flight::limits_of(params_),
                      flight::setpoint_limits_of(params_), flight::tracking_limits_of(params_)};
-  law_.derive(params_, spare);
+  laws_.derive(control::IdleLoop(nullptr), params_, spare);
   derived_revision_ = revision;
   active_.store(spare, std::memory_order_release);
 }
@@ -106,12 +109,8 @@ Reply Core::execute(const link::Request& request, const EncoderReading& reading)
   const bool idle = supervisor_.state() == State::idle;
   const Reply not_idle{Result::bad_state, static_cast<std::uint8_t>(supervisor_.state()), 0.0F};
   switch (request.id) {
-    case MessageId::param_set: {
-      const auto message = request.as<link::ParamSetMessage>();
-      const auto which = static_cast<link::Param>(message.index);
-      const Result result = params_.set(which, message.value, idle);
-      return {result, message.index, result == Result::ok ? params_.get(which) : message.value};
-    }
+    case MessageId::param_set:
+      return set_parameter(request.as<link::ParamSetMessage>(), idle);
     case MessageId::params_default:
       if (!idle) {
         return not_idle;
@@ -140,6 +139,16 @@ Reply Core::execute(const link::Request& request, const EncoderReading& reading)
   }
 }
 
+Reply Core::set_parameter(const link::ParamSetMessage& message, bool idle) {
+  const auto which = static_cast<link::Param>(message.index);
+  // The declaration does not know how many controllers this board was built with.
+  const bool no_such_row =
+      which == link::Param::controller && message.value >= static_cast<float>(laws_.names().count);
+  const Result result =
+      no_such_row ? Result::out_of_range : params_.set(which, message.value, idle);
+  return {result, message.index, result == Result::ok ? params_.get(which) : message.value};
+}
+
 Reply Core::fly_law(bool on) {
   const auto state = static_cast<std::uint8_t>(supervisor_.state());
   if (!on) {
@@ -166,7 +175,7 @@ ControlOutput Core::drive(Bank bank) {
     uploaded_.hand_over(link::Takeover::state, static_cast<float>(supervisor_.state()));
   }
   if (!supervisor_.motors_enabled() || supervisor_.state() == State::armed) {
-    law_.reset();
+    laws_.init(bank);
     ControlOutput off{};
     off.pitch_setpoint_rad = seen_.angle_rad[kPitch];
     return off;
@@ -197,7 +206,7 @@ ControlOutput Core::drive(Bank bank) {
       excitation.front_V,
       excitation.back_V,
       waits};
-  return law_.update(in, bank);
+  return laws_.update(in, bank);
 }
 
 void Core::actuate(const ControlOutput& out, const Conversion& c) {

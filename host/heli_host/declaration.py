@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-LINK_HASH = 0x87234351
-LINK_VERSION = "1.3"
+LINK_HASH = 0xCB47871C
+PARAMS_HASH = 0xF6FEF19E
+LINK_VERSION = "1.4"
 FIRMWARE_VERSION = "0.1.0"
 PROTOCOL = 1
 BAUD = 250000
@@ -147,7 +148,8 @@ class ParamsSource(IntEnum):
     DEFAULTS = 0  # no stored set: the declared defaults
     STORED = 1  # the newest valid copy in flash
     FALLBACK = 2  # the newest copy was damaged; the older valid copy is used
-    CORRUPT = 3  # both copies damaged or from another declaration: defaults, and arming is refused until a save
+    CORRUPT = 3  # both copies damaged or of another format: defaults, and arming is refused until a save
+    MIGRATED = 4  # the newest valid copy, saved under another schema of the parameters: known values kept, new parameters at their defaults; see params_origin
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -355,6 +357,7 @@ class Param(IntEnum):
     EXCITATION_MAX_V = 71  # V: largest amplitude that excite accepts
     EXCITATION_MAX_S = 72  # s: longest duration that excite accepts
     TELEMETRY_BATCH_TICKS = 73  # tick: ticks per telemetry batch: 20 saves bandwidth, 5 reduces the delay for a host controller
+    CONTROLLER = 74  # : compiled controller that flies: its row in the board's table; a number beyond the last row is refused
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -409,6 +412,8 @@ class MessageId(IntEnum):
     LAW_FLY = 20  # Flies the law from the next tick on, or has the board's own take over. ack.detail: the state.
     LAW_SET = 21  # Sets a parameter of the law, in flight too; lasts until the next upload. ack.value: the value in force.
     LAW_READ = 22  # Asks which law the board has.
+    CONTROLLER_READ = 23  # Asks for the name of a compiled controller.
+    PARAMS_ORIGIN_READ = 24  # Asks which parameters the stored set gave at the start, and which not.
     SETPOINT = 32  # Target to be reached at a device tick. The board ramps to it linearly, within its slew limits.
     VOLTAGES = 33  # Motor voltages in the streamed state.
     FOLLOWING = 34  # Setpoints that the host's law follows in the streamed state: logged, and nothing else. In other states it is not looked at.
@@ -418,6 +423,8 @@ class MessageId(IntEnum):
     PARAMS = 131  # Parameter values, as many as `count` says (at most 32), in table order.
     STATUS = 132  # Counters since start; sent once a second with request = 0, and on status_read.
     LAW = 135  # The law that the board has.
+    CONTROLLER = 136  # The name of a compiled controller, in ASCII, 0 behind its end.
+    PARAMS_ORIGIN = 137  # What the board made of its stored parameters at the start, or of the last save.
     TELEMETRY = 133  # A batch of consecutive ticks, delta-coded; layout below.
     EVENT = 134  # Something happened; also visible in telemetry, but with its reason here.
 
@@ -442,6 +449,7 @@ class ParamSpec:
     nonzero: bool
     integer: bool
     idle_only: bool
+    id: int
     meaning: str
 
 
@@ -495,80 +503,81 @@ class ChannelSpec:
 
 
 PARAMS: tuple[ParamSpec, ...] = (
-    ParamSpec(0, "elevation_counts_per_rev", "count", -65536.0, 65536.0, 4096.0, True, False, True, "elevation encoder counts per revolution, x4; a negative number reverses its direction"),
-    ParamSpec(1, "pitch_counts_per_rev", "count", -65536.0, 65536.0, 4096.0, True, False, True, "pitch encoder counts per revolution, x4; a negative number reverses its direction"),
-    ParamSpec(2, "travel_counts_per_rev", "count", -65536.0, 65536.0, 4096.0, True, False, True, "travel encoder counts per revolution, x4; a negative number reverses its direction"),
-    ParamSpec(3, "elevation_rest_deg", "deg", -60.0, 0.0, -25.0, False, False, True, "elevation when the arm rests on the table, so that level is zero"),
-    ParamSpec(4, "supply_V", "V", 5.0, 24.0, 12.0, False, False, True, "supply voltage of the motor drivers, which full duty gives"),
-    ParamSpec(5, "motor_min_V", "V", -24.0, 0.0, 0.0, False, False, True, "lowest motor voltage; 0 never reverses a rotor"),
-    ParamSpec(6, "motor_max_V", "V", 0.5, 24.0, 10.0, False, False, True, "highest motor voltage"),
-    ParamSpec(7, "motor_front_sign", "", -1.0, 1.0, 1.0, True, True, True, "-1 swaps the front motor's leads in software"),
-    ParamSpec(8, "motor_back_sign", "", -1.0, 1.0, 1.0, True, True, True, "-1 swaps the back motor's leads in software"),
-    ParamSpec(9, "dead_zone_V", "V", 0.0, 5.0, 1.0, False, False, False, "voltage below which a rotor gives no thrust (paper eq. 31); the control law adds it"),
-    ParamSpec(10, "hover_V", "V", 0.0, 20.0, 1.4, False, False, False, "sum of both voltages, above the dead zone, that holds the arm level"),
-    ParamSpec(11, "hover_slope", "V/deg", -1.0, 1.0, 0.06, False, False, False, "change of hover_V with elevation: masses below the axis need more lift at a higher elevation"),
-    ParamSpec(12, "elevation_kp", "V/deg", 0.0, 20.0, 0.28, False, False, False, "elevation proportional gain (paper Table 6: 0.5)"),
-    ParamSpec(13, "elevation_ki", "V/(deg s)", 0.0, 20.0, 0.49, False, False, False, "elevation integral gain (paper Table 6: 1)"),
-    ParamSpec(14, "elevation_kd", "V s/deg", 0.0, 20.0, 0.22, False, False, False, "elevation derivative gain, on the measurement (paper Table 6: 0.1)"),
-    ParamSpec(15, "elevation_rate_ff", "", 0.0, 1.0, 1.0, False, False, False, "share of the setpoint's rate that the derivative term subtracts; 0 is derivative on measurement only"),
-    ParamSpec(16, "elevation_acceleration_ff", "V s2/deg", 0.0, 1.0, 0.036, False, False, False, "voltage sum per setpoint acceleration: inertia / (thrust gain x arm)"),
-    ParamSpec(17, "pitch_kp", "V/deg", 0.0, 20.0, 0.09, False, False, False, "pitch proportional gain (paper Table 6: 0.66)"),
-    ParamSpec(18, "pitch_ki", "V/(deg s)", 0.0, 20.0, 0.0025, False, False, False, "pitch integral gain (paper Table 6: 3)"),
-    ParamSpec(19, "pitch_kd", "V s/deg", 0.0, 20.0, 0.028, False, False, False, "pitch derivative gain, on the measurement (paper Table 6: 0.1)"),
-    ParamSpec(20, "pitch_hold_ff", "V/deg", -1.0, 1.0, 0.033, False, False, False, "difference of the voltages per degree of pitch setpoint, against masses below the pitch axis"),
-    ParamSpec(21, "travel_kp", "deg/deg", 0.0, 20.0, 0.6, False, False, False, "travel proportional gain to the pitch setpoint (paper Table 6 with P and I exchanged: 0.7)"),
-    ParamSpec(22, "travel_ki", "deg/(deg s)", 0.0, 20.0, 0.06, False, False, False, "travel integral gain (paper Table 6 with P and I exchanged: 0.13)"),
-    ParamSpec(23, "travel_kd", "deg s/deg", 0.0, 20.0, 3.15, False, False, False, "travel derivative gain, on the measurement (paper Table 6: 1.462)"),
-    ParamSpec(24, "travel_rate_ff", "", 0.0, 1.0, 1.0, False, False, False, "share of the setpoint's rate that the derivative term subtracts; 0 is derivative on measurement only"),
-    ParamSpec(25, "travel_acceleration_ff", "deg s2/deg", 0.0, 20.0, 1.09, False, False, False, "pitch per setpoint acceleration: inertia / (hover thrust x arm)"),
-    ParamSpec(26, "elevation_integral_max_V", "V", 0.0, 20.0, 3.0, False, False, False, "bound of the elevation integrator"),
-    ParamSpec(27, "pitch_integral_max_V", "V", 0.0, 20.0, 2.0, False, False, False, "bound of the pitch integrator"),
-    ParamSpec(28, "travel_integral_max_deg", "deg", 0.0, 45.0, 10.0, False, False, False, "bound of the travel integrator"),
-    ParamSpec(29, "elevation_filter_Hz", "Hz", 0.5, 200.0, 6.0, False, False, False, "cut-off of the elevation rate filter (two poles)"),
-    ParamSpec(30, "pitch_filter_Hz", "Hz", 0.5, 200.0, 16.0, False, False, False, "cut-off of the pitch rate filter (two poles)"),
-    ParamSpec(31, "travel_filter_Hz", "Hz", 0.5, 200.0, 3.0, False, False, False, "cut-off of the travel rate filter (two poles)"),
-    ParamSpec(32, "pitch_setpoint_max_deg", "deg", 1.0, 45.0, 30.0, False, False, False, "bound of the pitch setpoint, from the travel loop or the host"),
-    ParamSpec(33, "differential_max_V", "V", 0.1, 24.0, 1.4, False, False, False, "bound of front minus back; pitch has priority in the mixer, so more would lift the arm"),
-    ParamSpec(34, "elevation_slew_deg_s", "deg/s", 0.5, 200.0, 15.0, False, False, False, "fastest change of the elevation setpoint"),
-    ParamSpec(35, "pitch_slew_deg_s", "deg/s", 1.0, 1000.0, 90.0, False, False, False, "fastest change of the pitch setpoint, from the travel loop or the host"),
-    ParamSpec(36, "travel_slew_deg_s", "deg/s", 0.5, 200.0, 20.0, False, False, False, "fastest change of the travel setpoint"),
-    ParamSpec(37, "elevation_acceleration_deg_s2", "deg/s2", 1.0, 2000.0, 29.0, False, False, False, "fastest change of the elevation setpoint's rate, which makes a step a smooth ramp"),
-    ParamSpec(38, "travel_acceleration_deg_s2", "deg/s2", 1.0, 2000.0, 4.5, False, False, False, "fastest change of the travel setpoint's rate; travel can only accelerate by tilting"),
-    ParamSpec(39, "bumpless_s", "s", 0.02, 5.0, 0.3, False, False, False, "time constant of the smooth change between modes"),
-    ParamSpec(40, "elevation_max_deg", "deg", 1.0, 60.0, 24.0, False, False, True, "elevation above which the motors are cut; setpoints are refused from 2 degrees below it"),
-    ParamSpec(41, "pitch_max_deg", "deg", 5.0, 80.0, 45.0, False, False, True, "pitch beyond which the motors are cut"),
-    ParamSpec(42, "travel_max_deg", "deg", 10.0, 3600.0, 175.0, False, False, True, "travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it"),
-    ParamSpec(43, "elevation_rate_max_deg_s", "deg/s", 10.0, 1000.0, 120.0, False, False, True, "elevation rate beyond which the motors are cut"),
-    ParamSpec(44, "pitch_rate_max_deg_s", "deg/s", 10.0, 2000.0, 400.0, False, False, True, "pitch rate beyond which the motors are cut"),
-    ParamSpec(45, "travel_rate_max_deg_s", "deg/s", 10.0, 1000.0, 150.0, False, False, True, "travel rate beyond which the motors are cut"),
-    ParamSpec(46, "encoder_illegal_max", "", 0.0, 1000.0, 5.0, False, False, True, "illegal transitions of one encoder since arming that are tolerated"),
-    ParamSpec(47, "overrun_max", "", 0.0, 1000.0, 10.0, False, False, True, "late ticks since arming that are tolerated"),
-    ParamSpec(48, "elevation_following_max_deg", "deg", 1.0, 180.0, 15.0, False, False, True, "following error of elevation, from its shaped setpoint, beyond which the motors are cut after following_s"),
-    ParamSpec(49, "pitch_following_max_deg", "deg", 1.0, 180.0, 20.0, False, False, True, "following error of pitch beyond which the motors are cut after following_s"),
-    ParamSpec(50, "travel_following_max_deg", "deg", 1.0, 3600.0, 30.0, False, False, True, "following error of travel, from its shaped setpoint, beyond which the board lands after following_s"),
-    ParamSpec(51, "following_s", "s", 0.1, 10.0, 1.0, False, False, True, "how long a following error beyond its limit is tolerated"),
-    ParamSpec(52, "elevation_motion_V", "V", 0.1, 48.0, 1.2, False, False, True, "change of both voltages' sum, dead zones apart, that must move elevation within motion_s; at take-off, beyond hover_V"),
-    ParamSpec(53, "pitch_motion_V", "V", 0.1, 48.0, 0.5, False, False, True, "change of front minus back, dead zones apart, that must move pitch within motion_s"),
-    ParamSpec(54, "motion_s", "s", 0.1, 10.0, 0.5, False, False, True, "how long a driven elevation or pitch may stay within one count"),
-    ParamSpec(55, "travel_motion_deg", "deg", 0.5, 90.0, 8.0, False, False, True, "pitch beyond the balanced one that must move travel within travel_motion_s"),
-    ParamSpec(56, "travel_motion_s", "s", 0.1, 30.0, 1.0, False, False, True, "with travel_motion_deg: a smaller excess is tolerated for longer, by its double integral over time"),
-    ParamSpec(57, "travel_silence_s", "s", 0.0, 60.0, 2.5, False, False, True, "how long travel may be without a count, in the air and held by the board, before a short tilt checks its encoder; 0: never"),
-    ParamSpec(58, "elevation_gain", "rad/(s2 V)", 0.02, 10.0, 0.485, False, False, False, "acceleration of elevation per volt of the sum: thrust gain k L_a / J_theta; judges what elevation must have moved by"),
-    ParamSpec(59, "pitch_gain", "rad/(s2 V)", 0.1, 100.0, 2.97, False, False, False, "acceleration of pitch per volt of front minus back: k L_h / J_phi; judges what pitch must have moved by"),
-    ParamSpec(60, "travel_gain", "1/s2", 0.05, 100.0, 0.5, False, False, False, "acceleration of travel per radian of pitch at hover: thrust that carries the arm, times L_a / J_psi; judges what travel must have moved by"),
-    ParamSpec(61, "law_jump_max_V", "V", 0.1, 48.0, 2.5, False, False, True, "change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link"),
-    ParamSpec(62, "law_envelope", "", 0.2, 1.0, 0.8, False, False, True, "share of the angle and rate limits, and of the following errors, beyond which it takes over"),
-    ParamSpec(63, "arm_rate_max_deg_s", "deg/s", 0.1, 100.0, 3.0, False, False, True, "arming needs every axis slower than this"),
-    ParamSpec(64, "arm_elevation_tolerance_deg", "deg", 0.1, 60.0, 2.0, False, False, True, "arming needs the elevation this close to rest"),
-    ParamSpec(65, "arm_pitch_tolerance_deg", "deg", 0.1, 60.0, 10.0, False, False, True, "arming needs the pitch this close to level"),
-    ParamSpec(66, "setpoint_hold_s", "s", 0.05, 5.0, 0.5, False, False, True, "time without a recent setpoint after which the board holds level"),
-    ParamSpec(67, "setpoint_land_s", "s", 0.1, 30.0, 2.0, False, False, True, "time without a recent setpoint after which the board lands"),
-    ParamSpec(68, "landing_rate_deg_s", "deg/s", 0.5, 60.0, 8.0, False, False, False, "descent of the elevation setpoint while landing"),
-    ParamSpec(69, "landing_timeout_s", "s", 1.0, 60.0, 12.0, False, False, True, "longest landing; then the motors are switched off with a fault"),
-    ParamSpec(70, "voltage_valid_max_ms", "ms", 5.0, 500.0, 100.0, False, False, True, "longest time that a streamed voltage acts"),
-    ParamSpec(71, "excitation_max_V", "V", 0.0, 12.0, 2.0, False, False, True, "largest amplitude that excite accepts"),
-    ParamSpec(72, "excitation_max_s", "s", 1.0, 600.0, 120.0, False, False, True, "longest duration that excite accepts"),
-    ParamSpec(73, "telemetry_batch_ticks", "tick", 4.0, 32.0, 20.0, False, True, False, "ticks per telemetry batch: 20 saves bandwidth, 5 reduces the delay for a host controller"),
+    ParamSpec(0, "elevation_counts_per_rev", "count", -65536.0, 65536.0, 4096.0, True, False, True, 52847, "elevation encoder counts per revolution, x4; a negative number reverses its direction"),
+    ParamSpec(1, "pitch_counts_per_rev", "count", -65536.0, 65536.0, 4096.0, True, False, True, 33298, "pitch encoder counts per revolution, x4; a negative number reverses its direction"),
+    ParamSpec(2, "travel_counts_per_rev", "count", -65536.0, 65536.0, 4096.0, True, False, True, 56105, "travel encoder counts per revolution, x4; a negative number reverses its direction"),
+    ParamSpec(3, "elevation_rest_deg", "deg", -60.0, 0.0, -25.0, False, False, True, 18648, "elevation when the arm rests on the table, so that level is zero"),
+    ParamSpec(4, "supply_V", "V", 5.0, 24.0, 12.0, False, False, True, 14206, "supply voltage of the motor drivers, which full duty gives"),
+    ParamSpec(5, "motor_min_V", "V", -24.0, 0.0, 0.0, False, False, True, 40861, "lowest motor voltage; 0 never reverses a rotor"),
+    ParamSpec(6, "motor_max_V", "V", 0.5, 24.0, 10.0, False, False, True, 44159, "highest motor voltage"),
+    ParamSpec(7, "motor_front_sign", "", -1.0, 1.0, 1.0, True, True, True, 39247, "-1 swaps the front motor's leads in software"),
+    ParamSpec(8, "motor_back_sign", "", -1.0, 1.0, 1.0, True, True, True, 44112, "-1 swaps the back motor's leads in software"),
+    ParamSpec(9, "dead_zone_V", "V", 0.0, 5.0, 1.0, False, False, False, 7221, "voltage below which a rotor gives no thrust (paper eq. 31); the control law adds it"),
+    ParamSpec(10, "hover_V", "V", 0.0, 20.0, 1.4, False, False, False, 45436, "sum of both voltages, above the dead zone, that holds the arm level"),
+    ParamSpec(11, "hover_slope", "V/deg", -1.0, 1.0, 0.06, False, False, False, 62739, "change of hover_V with elevation: masses below the axis need more lift at a higher elevation"),
+    ParamSpec(12, "elevation_kp", "V/deg", 0.0, 20.0, 0.28, False, False, False, 59537, "elevation proportional gain (paper Table 6: 0.5)"),
+    ParamSpec(13, "elevation_ki", "V/(deg s)", 0.0, 20.0, 0.49, False, False, False, 50189, "elevation integral gain (paper Table 6: 1)"),
+    ParamSpec(14, "elevation_kd", "V s/deg", 0.0, 20.0, 0.22, False, False, False, 36612, "elevation derivative gain, on the measurement (paper Table 6: 0.1)"),
+    ParamSpec(15, "elevation_rate_ff", "", 0.0, 1.0, 1.0, False, False, False, 30968, "share of the setpoint's rate that the derivative term subtracts; 0 is derivative on measurement only"),
+    ParamSpec(16, "elevation_acceleration_ff", "V s2/deg", 0.0, 1.0, 0.036, False, False, False, 41366, "voltage sum per setpoint acceleration: inertia / (thrust gain x arm)"),
+    ParamSpec(17, "pitch_kp", "V/deg", 0.0, 20.0, 0.09, False, False, False, 19686, "pitch proportional gain (paper Table 6: 0.66)"),
+    ParamSpec(18, "pitch_ki", "V/(deg s)", 0.0, 20.0, 0.0025, False, False, False, 19601, "pitch integral gain (paper Table 6: 3)"),
+    ParamSpec(19, "pitch_kd", "V s/deg", 0.0, 20.0, 0.028, False, False, False, 16416, "pitch derivative gain, on the measurement (paper Table 6: 0.1)"),
+    ParamSpec(20, "pitch_hold_ff", "V/deg", -1.0, 1.0, 0.033, False, False, False, 36726, "difference of the voltages per degree of pitch setpoint, against masses below the pitch axis"),
+    ParamSpec(21, "travel_kp", "deg/deg", 0.0, 20.0, 0.6, False, False, False, 18791, "travel proportional gain to the pitch setpoint (paper Table 6 with P and I exchanged: 0.7)"),
+    ParamSpec(22, "travel_ki", "deg/(deg s)", 0.0, 20.0, 0.06, False, False, False, 54432, "travel integral gain (paper Table 6 with P and I exchanged: 0.13)"),
+    ParamSpec(23, "travel_kd", "deg s/deg", 0.0, 20.0, 3.15, False, False, False, 13136, "travel derivative gain, on the measurement (paper Table 6: 1.462)"),
+    ParamSpec(24, "travel_rate_ff", "", 0.0, 1.0, 1.0, False, False, False, 10459, "share of the setpoint's rate that the derivative term subtracts; 0 is derivative on measurement only"),
+    ParamSpec(25, "travel_acceleration_ff", "deg s2/deg", 0.0, 20.0, 1.09, False, False, False, 14566, "pitch per setpoint acceleration: inertia / (hover thrust x arm)"),
+    ParamSpec(26, "elevation_integral_max_V", "V", 0.0, 20.0, 3.0, False, False, False, 31496, "bound of the elevation integrator"),
+    ParamSpec(27, "pitch_integral_max_V", "V", 0.0, 20.0, 2.0, False, False, False, 33512, "bound of the pitch integrator"),
+    ParamSpec(28, "travel_integral_max_deg", "deg", 0.0, 45.0, 10.0, False, False, False, 15807, "bound of the travel integrator"),
+    ParamSpec(29, "elevation_filter_Hz", "Hz", 0.5, 200.0, 6.0, False, False, False, 42134, "cut-off of the elevation rate filter (two poles)"),
+    ParamSpec(30, "pitch_filter_Hz", "Hz", 0.5, 200.0, 16.0, False, False, False, 37074, "cut-off of the pitch rate filter (two poles)"),
+    ParamSpec(31, "travel_filter_Hz", "Hz", 0.5, 200.0, 3.0, False, False, False, 31395, "cut-off of the travel rate filter (two poles)"),
+    ParamSpec(32, "pitch_setpoint_max_deg", "deg", 1.0, 45.0, 30.0, False, False, False, 62937, "bound of the pitch setpoint, from the travel loop or the host"),
+    ParamSpec(33, "differential_max_V", "V", 0.1, 24.0, 1.4, False, False, False, 48257, "bound of front minus back; pitch has priority in the mixer, so more would lift the arm"),
+    ParamSpec(34, "elevation_slew_deg_s", "deg/s", 0.5, 200.0, 15.0, False, False, False, 10933, "fastest change of the elevation setpoint"),
+    ParamSpec(35, "pitch_slew_deg_s", "deg/s", 1.0, 1000.0, 90.0, False, False, False, 13902, "fastest change of the pitch setpoint, from the travel loop or the host"),
+    ParamSpec(36, "travel_slew_deg_s", "deg/s", 0.5, 200.0, 20.0, False, False, False, 47362, "fastest change of the travel setpoint"),
+    ParamSpec(37, "elevation_acceleration_deg_s2", "deg/s2", 1.0, 2000.0, 29.0, False, False, False, 25307, "fastest change of the elevation setpoint's rate, which makes a step a smooth ramp"),
+    ParamSpec(38, "travel_acceleration_deg_s2", "deg/s2", 1.0, 2000.0, 4.5, False, False, False, 54873, "fastest change of the travel setpoint's rate; travel can only accelerate by tilting"),
+    ParamSpec(39, "bumpless_s", "s", 0.02, 5.0, 0.3, False, False, False, 5611, "time constant of the smooth change between modes"),
+    ParamSpec(40, "elevation_max_deg", "deg", 1.0, 60.0, 24.0, False, False, True, 57010, "elevation above which the motors are cut; setpoints are refused from 2 degrees below it"),
+    ParamSpec(41, "pitch_max_deg", "deg", 5.0, 80.0, 45.0, False, False, True, 32123, "pitch beyond which the motors are cut"),
+    ParamSpec(42, "travel_max_deg", "deg", 10.0, 3600.0, 175.0, False, False, True, 23820, "travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it"),
+    ParamSpec(43, "elevation_rate_max_deg_s", "deg/s", 10.0, 1000.0, 120.0, False, False, True, 38917, "elevation rate beyond which the motors are cut"),
+    ParamSpec(44, "pitch_rate_max_deg_s", "deg/s", 10.0, 2000.0, 400.0, False, False, True, 64419, "pitch rate beyond which the motors are cut"),
+    ParamSpec(45, "travel_rate_max_deg_s", "deg/s", 10.0, 1000.0, 150.0, False, False, True, 42965, "travel rate beyond which the motors are cut"),
+    ParamSpec(46, "encoder_illegal_max", "", 0.0, 1000.0, 5.0, False, False, True, 7961, "illegal transitions of one encoder since arming that are tolerated"),
+    ParamSpec(47, "overrun_max", "", 0.0, 1000.0, 10.0, False, False, True, 61050, "late ticks since arming that are tolerated"),
+    ParamSpec(48, "elevation_following_max_deg", "deg", 1.0, 180.0, 15.0, False, False, True, 7603, "following error of elevation, from its shaped setpoint, beyond which the motors are cut after following_s"),
+    ParamSpec(49, "pitch_following_max_deg", "deg", 1.0, 180.0, 20.0, False, False, True, 321, "following error of pitch beyond which the motors are cut after following_s"),
+    ParamSpec(50, "travel_following_max_deg", "deg", 1.0, 3600.0, 30.0, False, False, True, 63735, "following error of travel, from its shaped setpoint, beyond which the board lands after following_s"),
+    ParamSpec(51, "following_s", "s", 0.1, 10.0, 1.0, False, False, True, 14065, "how long a following error beyond its limit is tolerated"),
+    ParamSpec(52, "elevation_motion_V", "V", 0.1, 48.0, 1.2, False, False, True, 11783, "change of both voltages' sum, dead zones apart, that must move elevation within motion_s; at take-off, beyond hover_V"),
+    ParamSpec(53, "pitch_motion_V", "V", 0.1, 48.0, 0.5, False, False, True, 15865, "change of front minus back, dead zones apart, that must move pitch within motion_s"),
+    ParamSpec(54, "motion_s", "s", 0.1, 10.0, 0.5, False, False, True, 45910, "how long a driven elevation or pitch may stay within one count"),
+    ParamSpec(55, "travel_motion_deg", "deg", 0.5, 90.0, 8.0, False, False, True, 51749, "pitch beyond the balanced one that must move travel within travel_motion_s"),
+    ParamSpec(56, "travel_motion_s", "s", 0.1, 30.0, 1.0, False, False, True, 26309, "with travel_motion_deg: a smaller excess is tolerated for longer, by its double integral over time"),
+    ParamSpec(57, "travel_silence_s", "s", 0.0, 60.0, 2.5, False, False, True, 47652, "how long travel may be without a count, in the air and held by the board, before a short tilt checks its encoder; 0: never"),
+    ParamSpec(58, "elevation_gain", "rad/(s2 V)", 0.02, 10.0, 0.485, False, False, False, 12260, "acceleration of elevation per volt of the sum: thrust gain k L_a / J_theta; judges what elevation must have moved by"),
+    ParamSpec(59, "pitch_gain", "rad/(s2 V)", 0.1, 100.0, 2.97, False, False, False, 62647, "acceleration of pitch per volt of front minus back: k L_h / J_phi; judges what pitch must have moved by"),
+    ParamSpec(60, "travel_gain", "1/s2", 0.05, 100.0, 0.5, False, False, False, 47475, "acceleration of travel per radian of pitch at hover: thrust that carries the arm, times L_a / J_psi; judges what travel must have moved by"),
+    ParamSpec(61, "law_jump_max_V", "V", 0.1, 48.0, 2.5, False, False, True, 49258, "change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link"),
+    ParamSpec(62, "law_envelope", "", 0.2, 1.0, 0.8, False, False, True, 51186, "share of the angle and rate limits, and of the following errors, beyond which it takes over"),
+    ParamSpec(63, "arm_rate_max_deg_s", "deg/s", 0.1, 100.0, 3.0, False, False, True, 43912, "arming needs every axis slower than this"),
+    ParamSpec(64, "arm_elevation_tolerance_deg", "deg", 0.1, 60.0, 2.0, False, False, True, 4074, "arming needs the elevation this close to rest"),
+    ParamSpec(65, "arm_pitch_tolerance_deg", "deg", 0.1, 60.0, 10.0, False, False, True, 2930, "arming needs the pitch this close to level"),
+    ParamSpec(66, "setpoint_hold_s", "s", 0.05, 5.0, 0.5, False, False, True, 62867, "time without a recent setpoint after which the board holds level"),
+    ParamSpec(67, "setpoint_land_s", "s", 0.1, 30.0, 2.0, False, False, True, 30307, "time without a recent setpoint after which the board lands"),
+    ParamSpec(68, "landing_rate_deg_s", "deg/s", 0.5, 60.0, 8.0, False, False, False, 47532, "descent of the elevation setpoint while landing"),
+    ParamSpec(69, "landing_timeout_s", "s", 1.0, 60.0, 12.0, False, False, True, 4700, "longest landing; then the motors are switched off with a fault"),
+    ParamSpec(70, "voltage_valid_max_ms", "ms", 5.0, 500.0, 100.0, False, False, True, 46174, "longest time that a streamed voltage acts"),
+    ParamSpec(71, "excitation_max_V", "V", 0.0, 12.0, 2.0, False, False, True, 50530, "largest amplitude that excite accepts"),
+    ParamSpec(72, "excitation_max_s", "s", 1.0, 600.0, 120.0, False, False, True, 26314, "longest duration that excite accepts"),
+    ParamSpec(73, "telemetry_batch_ticks", "tick", 4.0, 32.0, 20.0, False, True, False, 49108, "ticks per telemetry batch: 20 saves bandwidth, 5 reduces the delay for a host controller"),
+    ParamSpec(74, "controller", "", 0.0, 7.0, 0.0, False, True, True, 6747, "compiled controller that flies: its row in the board's table; a number beyond the last row is refused"),
 )
 
 FAULTS: tuple[FaultSpec, ...] = (
@@ -1475,6 +1484,59 @@ class LawReadMessage:
 
 
 @dataclass(frozen=True, slots=True)
+class ControllerReadMessage:
+    """Asks for the name of a compiled controller.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    index : int
+        value of the parameter `controller`
+    """
+
+    ID: ClassVar[MessageId] = MessageId.CONTROLLER_READ
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BB")
+    REPLY: ClassVar[MessageId] = MessageId.CONTROLLER
+    request: int
+    index: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.index)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ControllerReadMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class ParamsOriginReadMessage:
+    """Asks which parameters the stored set gave at the start, and which not.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    """
+
+    ID: ClassVar[MessageId] = MessageId.PARAMS_ORIGIN_READ
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
+    REPLY: ClassVar[MessageId] = MessageId.PARAMS_ORIGIN
+    request: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ParamsOriginReadMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
 class SetpointMessage:
     """Target to be reached at a device tick. The board ramps to it linearly, within its slew limits.
 
@@ -1824,6 +1886,93 @@ class LawMessage:
 
     @classmethod
     def unpack(cls, payload: bytes) -> LawMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerMessage:
+    """The name of a compiled controller, in ASCII, 0 behind its end.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    index : int
+        as asked
+    count : int
+        controllers that the board was built with
+    name_0 : int
+        characters 1 to 4, the first in the low byte; 0 beyond the last controller
+    name_1 : int
+        characters 5 to 8
+    name_2 : int
+        characters 9 to 12
+    name_3 : int
+        characters 13 to 16
+    """
+
+    ID: ClassVar[MessageId] = MessageId.CONTROLLER
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBBIIII")
+    request: int
+    index: int
+    count: int
+    name_0: int
+    name_1: int
+    name_2: int
+    name_3: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.index, self.count, self.name_0, self.name_1, self.name_2, self.name_3)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ControllerMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class ParamsOriginMessage:
+    """What the board made of its stored parameters at the start, or of the last save.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    source : int
+        where the parameters came from [enum params_source]
+    schema : int
+        hash of the schema under which they were stored
+    kept : int
+        stored values in force
+    dropped : int
+        stored values that no parameter takes: unknown, or out of range
+    new_0 : int
+        bit i: parameter i had no usable stored value and has its default
+    new_1 : int
+        parameters 32 to 63
+    new_2 : int
+        parameters 64 to 95
+    """
+
+    ID: ClassVar[MessageId] = MessageId.PARAMS_ORIGIN
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBIBBIII")
+    request: int
+    source: int
+    schema: int
+    kept: int
+    dropped: int
+    new_0: int
+    new_1: int
+    new_2: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.source, self.schema, self.kept, self.dropped, self.new_0, self.new_1, self.new_2)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ParamsOriginMessage:
         """Read the fixed fields from the start of ``payload``."""
         return cls(*cls.STRUCT.unpack_from(payload))
 

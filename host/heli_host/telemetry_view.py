@@ -41,7 +41,7 @@ class BoardInfo:
     boot_id : int
         Number that changes with every start.
     params_source : str
-        Source of the board's parameters: ``defaults``, ``stored``, ``fallback`` or ``corrupt``.
+        Where its parameters came from: ``defaults``, ``stored``, ``fallback``, ``corrupt`` or ``migrated``.
     """
 
     board: str

@@ -52,7 +52,10 @@ Bytes copy_of(const nb::bytes& from) { return {data_of(from), data_of(from) + fr
 class LinkHarness {
  public:
   LinkHarness(std::int16_t duty_full, std::size_t page_bytes)
-      : board(duty_full, page_bytes), store(board), link(board, params, store, tape) {
+      : board(duty_full, page_bytes), store(board), link(board, params, store, tape, controllers) {
+    controllers.name[0] = "cascade";
+    controllers.name[1] = "sixteen_letters_and_more";
+    controllers.count = 2;
     store.load(params);
   }
 
@@ -60,6 +63,7 @@ class LinkHarness {
   Params params;
   Store store;
   heli::law::Tape tape;
+  heli::link::ControllerNames controllers;
   Link link;
 };
 

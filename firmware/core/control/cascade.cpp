@@ -6,7 +6,7 @@ namespace heli::control {
 
 namespace axes = link::axes;
 
-void Cascade::derive(const params::Params& params, Bank bank) {
+void Cascade::derive(IdleLoop, const params::Params& params, Bank bank) {
   constants_[bank] = cascade_constants_of(params);
 }
 

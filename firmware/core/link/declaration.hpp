@@ -9,9 +9,10 @@
 
 namespace heli::link {
 
-inline constexpr std::uint32_t kLinkHash = 0x87234351U;
+inline constexpr std::uint32_t kLinkHash = 0xcb47871cU;
+inline constexpr std::uint32_t kParamsHash = 0xf6fef19eU;
 inline constexpr std::uint8_t kLinkMajor = 1;
-inline constexpr std::uint8_t kLinkMinor = 3;
+inline constexpr std::uint8_t kLinkMinor = 4;
 inline constexpr std::uint8_t kFirmwareMajor = 0;
 inline constexpr std::uint8_t kFirmwareMinor = 1;
 inline constexpr std::uint8_t kFirmwarePatch = 0;
@@ -122,9 +123,10 @@ enum class ParamsSource : std::uint8_t {
   defaults = 0,  // no stored set: the declared defaults
   stored = 1,  // the newest valid copy in flash
   fallback = 2,  // the newest copy was damaged; the older valid copy is used
-  corrupt = 3,  // both copies damaged or from another declaration: defaults, and arming is refused until a save
+  corrupt = 3,  // both copies damaged or of another format: defaults, and arming is refused until a save
+  migrated = 4,  // the newest valid copy, saved under another schema of the parameters: known values kept, new parameters at their defaults; see params_origin
 };
-inline constexpr std::size_t kParamsSourceCount = 4;
+inline constexpr std::size_t kParamsSourceCount = 5;
 
 // Kinds of excitation generated on board and added to the motor voltages.
 enum class Excitation : std::uint8_t {
@@ -307,8 +309,9 @@ enum class Param : std::uint8_t {
   excitation_max_V = 71,  // V: largest amplitude that excite accepts
   excitation_max_s = 72,  // s: longest duration that excite accepts
   telemetry_batch_ticks = 73,  // tick: ticks per telemetry batch: 20 saves bandwidth, 5 reduces the delay for a host controller
+  controller = 74,  // : compiled controller that flies: its row in the board's table; a number beyond the last row is refused
 };
-inline constexpr std::size_t kParamCount = 74;
+inline constexpr std::size_t kParamCount = 75;
 
 struct ParamInfo {
   float min;
@@ -317,82 +320,84 @@ struct ParamInfo {
   bool nonzero;
   bool integer;
   bool idle_only;
+  std::uint16_t id;  // in stored sets
 };
 inline constexpr ParamInfo kParams[kParamCount] = {
-    {-65536.0F, 65536.0F, 4096.0F, true, false, true},  // elevation_counts_per_rev
-    {-65536.0F, 65536.0F, 4096.0F, true, false, true},  // pitch_counts_per_rev
-    {-65536.0F, 65536.0F, 4096.0F, true, false, true},  // travel_counts_per_rev
-    {-60.0F, 0.0F, -25.0F, false, false, true},  // elevation_rest_deg
-    {5.0F, 24.0F, 12.0F, false, false, true},  // supply_V
-    {-24.0F, 0.0F, 0.0F, false, false, true},  // motor_min_V
-    {0.5F, 24.0F, 10.0F, false, false, true},  // motor_max_V
-    {-1.0F, 1.0F, 1.0F, true, true, true},  // motor_front_sign
-    {-1.0F, 1.0F, 1.0F, true, true, true},  // motor_back_sign
-    {0.0F, 5.0F, 1.0F, false, false, false},  // dead_zone_V
-    {0.0F, 20.0F, 1.4F, false, false, false},  // hover_V
-    {-1.0F, 1.0F, 0.06F, false, false, false},  // hover_slope
-    {0.0F, 20.0F, 0.28F, false, false, false},  // elevation_kp
-    {0.0F, 20.0F, 0.49F, false, false, false},  // elevation_ki
-    {0.0F, 20.0F, 0.22F, false, false, false},  // elevation_kd
-    {0.0F, 1.0F, 1.0F, false, false, false},  // elevation_rate_ff
-    {0.0F, 1.0F, 0.036F, false, false, false},  // elevation_acceleration_ff
-    {0.0F, 20.0F, 0.09F, false, false, false},  // pitch_kp
-    {0.0F, 20.0F, 0.0025F, false, false, false},  // pitch_ki
-    {0.0F, 20.0F, 0.028F, false, false, false},  // pitch_kd
-    {-1.0F, 1.0F, 0.033F, false, false, false},  // pitch_hold_ff
-    {0.0F, 20.0F, 0.6F, false, false, false},  // travel_kp
-    {0.0F, 20.0F, 0.06F, false, false, false},  // travel_ki
-    {0.0F, 20.0F, 3.15F, false, false, false},  // travel_kd
-    {0.0F, 1.0F, 1.0F, false, false, false},  // travel_rate_ff
-    {0.0F, 20.0F, 1.09F, false, false, false},  // travel_acceleration_ff
-    {0.0F, 20.0F, 3.0F, false, false, false},  // elevation_integral_max_V
-    {0.0F, 20.0F, 2.0F, false, false, false},  // pitch_integral_max_V
-    {0.0F, 45.0F, 10.0F, false, false, false},  // travel_integral_max_deg
-    {0.5F, 200.0F, 6.0F, false, false, false},  // elevation_filter_Hz
-    {0.5F, 200.0F, 16.0F, false, false, false},  // pitch_filter_Hz
-    {0.5F, 200.0F, 3.0F, false, false, false},  // travel_filter_Hz
-    {1.0F, 45.0F, 30.0F, false, false, false},  // pitch_setpoint_max_deg
-    {0.1F, 24.0F, 1.4F, false, false, false},  // differential_max_V
-    {0.5F, 200.0F, 15.0F, false, false, false},  // elevation_slew_deg_s
-    {1.0F, 1000.0F, 90.0F, false, false, false},  // pitch_slew_deg_s
-    {0.5F, 200.0F, 20.0F, false, false, false},  // travel_slew_deg_s
-    {1.0F, 2000.0F, 29.0F, false, false, false},  // elevation_acceleration_deg_s2
-    {1.0F, 2000.0F, 4.5F, false, false, false},  // travel_acceleration_deg_s2
-    {0.02F, 5.0F, 0.3F, false, false, false},  // bumpless_s
-    {1.0F, 60.0F, 24.0F, false, false, true},  // elevation_max_deg
-    {5.0F, 80.0F, 45.0F, false, false, true},  // pitch_max_deg
-    {10.0F, 3600.0F, 175.0F, false, false, true},  // travel_max_deg
-    {10.0F, 1000.0F, 120.0F, false, false, true},  // elevation_rate_max_deg_s
-    {10.0F, 2000.0F, 400.0F, false, false, true},  // pitch_rate_max_deg_s
-    {10.0F, 1000.0F, 150.0F, false, false, true},  // travel_rate_max_deg_s
-    {0.0F, 1000.0F, 5.0F, false, false, true},  // encoder_illegal_max
-    {0.0F, 1000.0F, 10.0F, false, false, true},  // overrun_max
-    {1.0F, 180.0F, 15.0F, false, false, true},  // elevation_following_max_deg
-    {1.0F, 180.0F, 20.0F, false, false, true},  // pitch_following_max_deg
-    {1.0F, 3600.0F, 30.0F, false, false, true},  // travel_following_max_deg
-    {0.1F, 10.0F, 1.0F, false, false, true},  // following_s
-    {0.1F, 48.0F, 1.2F, false, false, true},  // elevation_motion_V
-    {0.1F, 48.0F, 0.5F, false, false, true},  // pitch_motion_V
-    {0.1F, 10.0F, 0.5F, false, false, true},  // motion_s
-    {0.5F, 90.0F, 8.0F, false, false, true},  // travel_motion_deg
-    {0.1F, 30.0F, 1.0F, false, false, true},  // travel_motion_s
-    {0.0F, 60.0F, 2.5F, false, false, true},  // travel_silence_s
-    {0.02F, 10.0F, 0.485F, false, false, false},  // elevation_gain
-    {0.1F, 100.0F, 2.97F, false, false, false},  // pitch_gain
-    {0.05F, 100.0F, 0.5F, false, false, false},  // travel_gain
-    {0.1F, 48.0F, 2.5F, false, false, true},  // law_jump_max_V
-    {0.2F, 1.0F, 0.8F, false, false, true},  // law_envelope
-    {0.1F, 100.0F, 3.0F, false, false, true},  // arm_rate_max_deg_s
-    {0.1F, 60.0F, 2.0F, false, false, true},  // arm_elevation_tolerance_deg
-    {0.1F, 60.0F, 10.0F, false, false, true},  // arm_pitch_tolerance_deg
-    {0.05F, 5.0F, 0.5F, false, false, true},  // setpoint_hold_s
-    {0.1F, 30.0F, 2.0F, false, false, true},  // setpoint_land_s
-    {0.5F, 60.0F, 8.0F, false, false, false},  // landing_rate_deg_s
-    {1.0F, 60.0F, 12.0F, false, false, true},  // landing_timeout_s
-    {5.0F, 500.0F, 100.0F, false, false, true},  // voltage_valid_max_ms
-    {0.0F, 12.0F, 2.0F, false, false, true},  // excitation_max_V
-    {1.0F, 600.0F, 120.0F, false, false, true},  // excitation_max_s
-    {4.0F, 32.0F, 20.0F, false, true, false},  // telemetry_batch_ticks
+    {-65536.0F, 65536.0F, 4096.0F, true, false, true, 0xce6fU},  // elevation_counts_per_rev
+    {-65536.0F, 65536.0F, 4096.0F, true, false, true, 0x8212U},  // pitch_counts_per_rev
+    {-65536.0F, 65536.0F, 4096.0F, true, false, true, 0xdb29U},  // travel_counts_per_rev
+    {-60.0F, 0.0F, -25.0F, false, false, true, 0x48d8U},  // elevation_rest_deg
+    {5.0F, 24.0F, 12.0F, false, false, true, 0x377eU},  // supply_V
+    {-24.0F, 0.0F, 0.0F, false, false, true, 0x9f9dU},  // motor_min_V
+    {0.5F, 24.0F, 10.0F, false, false, true, 0xac7fU},  // motor_max_V
+    {-1.0F, 1.0F, 1.0F, true, true, true, 0x994fU},  // motor_front_sign
+    {-1.0F, 1.0F, 1.0F, true, true, true, 0xac50U},  // motor_back_sign
+    {0.0F, 5.0F, 1.0F, false, false, false, 0x1c35U},  // dead_zone_V
+    {0.0F, 20.0F, 1.4F, false, false, false, 0xb17cU},  // hover_V
+    {-1.0F, 1.0F, 0.06F, false, false, false, 0xf513U},  // hover_slope
+    {0.0F, 20.0F, 0.28F, false, false, false, 0xe891U},  // elevation_kp
+    {0.0F, 20.0F, 0.49F, false, false, false, 0xc40dU},  // elevation_ki
+    {0.0F, 20.0F, 0.22F, false, false, false, 0x8f04U},  // elevation_kd
+    {0.0F, 1.0F, 1.0F, false, false, false, 0x78f8U},  // elevation_rate_ff
+    {0.0F, 1.0F, 0.036F, false, false, false, 0xa196U},  // elevation_acceleration_ff
+    {0.0F, 20.0F, 0.09F, false, false, false, 0x4ce6U},  // pitch_kp
+    {0.0F, 20.0F, 0.0025F, false, false, false, 0x4c91U},  // pitch_ki
+    {0.0F, 20.0F, 0.028F, false, false, false, 0x4020U},  // pitch_kd
+    {-1.0F, 1.0F, 0.033F, false, false, false, 0x8f76U},  // pitch_hold_ff
+    {0.0F, 20.0F, 0.6F, false, false, false, 0x4967U},  // travel_kp
+    {0.0F, 20.0F, 0.06F, false, false, false, 0xd4a0U},  // travel_ki
+    {0.0F, 20.0F, 3.15F, false, false, false, 0x3350U},  // travel_kd
+    {0.0F, 1.0F, 1.0F, false, false, false, 0x28dbU},  // travel_rate_ff
+    {0.0F, 20.0F, 1.09F, false, false, false, 0x38e6U},  // travel_acceleration_ff
+    {0.0F, 20.0F, 3.0F, false, false, false, 0x7b08U},  // elevation_integral_max_V
+    {0.0F, 20.0F, 2.0F, false, false, false, 0x82e8U},  // pitch_integral_max_V
+    {0.0F, 45.0F, 10.0F, false, false, false, 0x3dbfU},  // travel_integral_max_deg
+    {0.5F, 200.0F, 6.0F, false, false, false, 0xa496U},  // elevation_filter_Hz
+    {0.5F, 200.0F, 16.0F, false, false, false, 0x90d2U},  // pitch_filter_Hz
+    {0.5F, 200.0F, 3.0F, false, false, false, 0x7aa3U},  // travel_filter_Hz
+    {1.0F, 45.0F, 30.0F, false, false, false, 0xf5d9U},  // pitch_setpoint_max_deg
+    {0.1F, 24.0F, 1.4F, false, false, false, 0xbc81U},  // differential_max_V
+    {0.5F, 200.0F, 15.0F, false, false, false, 0x2ab5U},  // elevation_slew_deg_s
+    {1.0F, 1000.0F, 90.0F, false, false, false, 0x364eU},  // pitch_slew_deg_s
+    {0.5F, 200.0F, 20.0F, false, false, false, 0xb902U},  // travel_slew_deg_s
+    {1.0F, 2000.0F, 29.0F, false, false, false, 0x62dbU},  // elevation_acceleration_deg_s2
+    {1.0F, 2000.0F, 4.5F, false, false, false, 0xd659U},  // travel_acceleration_deg_s2
+    {0.02F, 5.0F, 0.3F, false, false, false, 0x15ebU},  // bumpless_s
+    {1.0F, 60.0F, 24.0F, false, false, true, 0xdeb2U},  // elevation_max_deg
+    {5.0F, 80.0F, 45.0F, false, false, true, 0x7d7bU},  // pitch_max_deg
+    {10.0F, 3600.0F, 175.0F, false, false, true, 0x5d0cU},  // travel_max_deg
+    {10.0F, 1000.0F, 120.0F, false, false, true, 0x9805U},  // elevation_rate_max_deg_s
+    {10.0F, 2000.0F, 400.0F, false, false, true, 0xfba3U},  // pitch_rate_max_deg_s
+    {10.0F, 1000.0F, 150.0F, false, false, true, 0xa7d5U},  // travel_rate_max_deg_s
+    {0.0F, 1000.0F, 5.0F, false, false, true, 0x1f19U},  // encoder_illegal_max
+    {0.0F, 1000.0F, 10.0F, false, false, true, 0xee7aU},  // overrun_max
+    {1.0F, 180.0F, 15.0F, false, false, true, 0x1db3U},  // elevation_following_max_deg
+    {1.0F, 180.0F, 20.0F, false, false, true, 0x0141U},  // pitch_following_max_deg
+    {1.0F, 3600.0F, 30.0F, false, false, true, 0xf8f7U},  // travel_following_max_deg
+    {0.1F, 10.0F, 1.0F, false, false, true, 0x36f1U},  // following_s
+    {0.1F, 48.0F, 1.2F, false, false, true, 0x2e07U},  // elevation_motion_V
+    {0.1F, 48.0F, 0.5F, false, false, true, 0x3df9U},  // pitch_motion_V
+    {0.1F, 10.0F, 0.5F, false, false, true, 0xb356U},  // motion_s
+    {0.5F, 90.0F, 8.0F, false, false, true, 0xca25U},  // travel_motion_deg
+    {0.1F, 30.0F, 1.0F, false, false, true, 0x66c5U},  // travel_motion_s
+    {0.0F, 60.0F, 2.5F, false, false, true, 0xba24U},  // travel_silence_s
+    {0.02F, 10.0F, 0.485F, false, false, false, 0x2fe4U},  // elevation_gain
+    {0.1F, 100.0F, 2.97F, false, false, false, 0xf4b7U},  // pitch_gain
+    {0.05F, 100.0F, 0.5F, false, false, false, 0xb973U},  // travel_gain
+    {0.1F, 48.0F, 2.5F, false, false, true, 0xc06aU},  // law_jump_max_V
+    {0.2F, 1.0F, 0.8F, false, false, true, 0xc7f2U},  // law_envelope
+    {0.1F, 100.0F, 3.0F, false, false, true, 0xab88U},  // arm_rate_max_deg_s
+    {0.1F, 60.0F, 2.0F, false, false, true, 0x0feaU},  // arm_elevation_tolerance_deg
+    {0.1F, 60.0F, 10.0F, false, false, true, 0x0b72U},  // arm_pitch_tolerance_deg
+    {0.05F, 5.0F, 0.5F, false, false, true, 0xf593U},  // setpoint_hold_s
+    {0.1F, 30.0F, 2.0F, false, false, true, 0x7663U},  // setpoint_land_s
+    {0.5F, 60.0F, 8.0F, false, false, false, 0xb9acU},  // landing_rate_deg_s
+    {1.0F, 60.0F, 12.0F, false, false, true, 0x125cU},  // landing_timeout_s
+    {5.0F, 500.0F, 100.0F, false, false, true, 0xb45eU},  // voltage_valid_max_ms
+    {0.0F, 12.0F, 2.0F, false, false, true, 0xc562U},  // excitation_max_V
+    {1.0F, 600.0F, 120.0F, false, false, true, 0x66caU},  // excitation_max_s
+    {4.0F, 32.0F, 20.0F, false, true, false, 0xbfd4U},  // telemetry_batch_ticks
+    {0.0F, 7.0F, 0.0F, false, true, true, 0x1a5bU},  // controller
 };
 
 enum class Channel : std::uint8_t {
@@ -516,6 +521,8 @@ enum class MessageId : std::uint8_t {
   law_fly = 20,
   law_set = 21,
   law_read = 22,
+  controller_read = 23,
+  params_origin_read = 24,
   setpoint = 32,
   voltages = 33,
   following = 34,
@@ -525,6 +532,8 @@ enum class MessageId : std::uint8_t {
   params = 131,
   status = 132,
   law = 135,
+  controller = 136,
+  params_origin = 137,
   telemetry = 133,
   event = 134,
 };
@@ -964,6 +973,39 @@ struct LawReadMessage {
   }
 };
 
+// Asks for the name of a compiled controller.
+struct ControllerReadMessage {
+  static constexpr MessageId kId = MessageId::controller_read;
+  static constexpr std::size_t kSize = 2;
+  std::uint8_t request = {};  // -
+  std::uint8_t index = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u8(to + 1, index);
+  }
+  static ControllerReadMessage read([[maybe_unused]] const std::uint8_t* from) {
+    ControllerReadMessage m;
+    m.request = get_u8(from + 0);
+    m.index = get_u8(from + 1);
+    return m;
+  }
+};
+
+// Asks which parameters the stored set gave at the start, and which not.
+struct ParamsOriginReadMessage {
+  static constexpr MessageId kId = MessageId::params_origin_read;
+  static constexpr std::size_t kSize = 1;
+  std::uint8_t request = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+  }
+  static ParamsOriginReadMessage read([[maybe_unused]] const std::uint8_t* from) {
+    ParamsOriginReadMessage m;
+    m.request = get_u8(from + 0);
+    return m;
+  }
+};
+
 // Target to be reached at a device tick. The board ramps to it linearly, within its slew limits.
 struct SetpointMessage {
   static constexpr MessageId kId = MessageId::setpoint;
@@ -1233,6 +1275,75 @@ struct LawMessage {
     m.divisor = get_u8(from + 6);
     m.ticks = get_u8(from + 7);
     m.cost = get_u32(from + 8);
+    return m;
+  }
+};
+
+// The name of a compiled controller, in ASCII, 0 behind its end.
+struct ControllerMessage {
+  static constexpr MessageId kId = MessageId::controller;
+  static constexpr std::size_t kSize = 19;
+  std::uint8_t request = {};  // -
+  std::uint8_t index = {};  // -
+  std::uint8_t count = {};  // -
+  std::uint32_t name_0 = {};  // -
+  std::uint32_t name_1 = {};  // -
+  std::uint32_t name_2 = {};  // -
+  std::uint32_t name_3 = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u8(to + 1, index);
+    put_u8(to + 2, count);
+    put_u32(to + 3, name_0);
+    put_u32(to + 7, name_1);
+    put_u32(to + 11, name_2);
+    put_u32(to + 15, name_3);
+  }
+  static ControllerMessage read([[maybe_unused]] const std::uint8_t* from) {
+    ControllerMessage m;
+    m.request = get_u8(from + 0);
+    m.index = get_u8(from + 1);
+    m.count = get_u8(from + 2);
+    m.name_0 = get_u32(from + 3);
+    m.name_1 = get_u32(from + 7);
+    m.name_2 = get_u32(from + 11);
+    m.name_3 = get_u32(from + 15);
+    return m;
+  }
+};
+
+// What the board made of its stored parameters at the start, or of the last save.
+struct ParamsOriginMessage {
+  static constexpr MessageId kId = MessageId::params_origin;
+  static constexpr std::size_t kSize = 20;
+  std::uint8_t request = {};  // -
+  std::uint8_t source = {};  // enum params_source
+  std::uint32_t schema = {};  // -
+  std::uint8_t kept = {};  // -
+  std::uint8_t dropped = {};  // -
+  std::uint32_t new_0 = {};  // -
+  std::uint32_t new_1 = {};  // -
+  std::uint32_t new_2 = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u8(to + 1, source);
+    put_u32(to + 2, schema);
+    put_u8(to + 6, kept);
+    put_u8(to + 7, dropped);
+    put_u32(to + 8, new_0);
+    put_u32(to + 12, new_1);
+    put_u32(to + 16, new_2);
+  }
+  static ParamsOriginMessage read([[maybe_unused]] const std::uint8_t* from) {
+    ParamsOriginMessage m;
+    m.request = get_u8(from + 0);
+    m.source = get_u8(from + 1);
+    m.schema = get_u32(from + 2);
+    m.kept = get_u8(from + 6);
+    m.dropped = get_u8(from + 7);
+    m.new_0 = get_u32(from + 8);
+    m.new_1 = get_u32(from + 12);
+    m.new_2 = get_u32(from + 16);
     return m;
   }
 };

@@ -50,9 +50,12 @@ def list_parameters(
     from rich.console import Console
     from rich.table import Table
 
+    from heli_host.controllers import controller_names
+
     with _board(port, sil) as heli:
         values = heli.params.dump()
         specs = {name: heli.params.spec(name) for name in values if pattern in name}
+        names = controller_names(heli.session)
         content = {
             name: {
                 "value": values[name],
@@ -61,6 +64,7 @@ def list_parameters(
                 "max": spec.max,
                 "default": spec.default,
                 "meaning": spec.meaning,
+                **({"names": names} if name == "controller" else {}),
             }
             for name, spec in specs.items()
         }
@@ -71,7 +75,7 @@ def list_parameters(
                 f"no parameter's name contains '{pattern}'; heli-host params list lists all"
             )
         if long:
-            _print_with_meanings(specs, values)
+            _print_with_meanings(specs, values, names)
             return
         table = Table(box=None, pad_edge=False)
         for heading in ("name", "", "value", "unit", "range"):
@@ -81,7 +85,9 @@ def list_parameters(
     Console(highlight=False).print(table)
 
 
-def _print_with_meanings(specs: Mapping[str, ParamSpec], values: Mapping[str, float]) -> None:
+def _print_with_meanings(
+    specs: Mapping[str, ParamSpec], values: Mapping[str, float], names: tuple[str, ...]
+) -> None:
     """Print each parameter on one line, and its meaning indented below it, within the terminal's width."""
     from rich.console import Console
     from rich.padding import Padding
@@ -91,7 +97,8 @@ def _print_with_meanings(specs: Mapping[str, ParamSpec], values: Mapping[str, fl
     for name, spec in specs.items():
         unit = f" {spec.unit}" if spec.unit else ""
         console.print(Text(f"{name} = {values[name]:g}{unit}{_mark(spec, values[name])}  ({_limits(spec)})"))
-        console.print(Padding(Text(spec.meaning), (0, 0, 0, 4)))
+        meaning = _with_names(spec.meaning, names) if name == "controller" else spec.meaning
+        console.print(Padding(Text(meaning), (0, 0, 0, 4)))
 
 
 def _mark(spec: ParamSpec, value: float) -> str:
@@ -201,30 +208,42 @@ def restore(
     """Set all parameters that a TOML file contains.
 
     If the board refuses one value, none is set. The values are lost when the board restarts, unless you add
-    --save.
+    --save. From a file of another parameter schema, known parameters are kept, and the others are listed.
 
     Example: `heli-host params restore rig7.toml --save --port /dev/ttyACM0`
     """
-    from heli_host.parameter_file import read_parameters
-    from heli_host.parameters import checked
+    from heli_host.parameter_file import read_parameter_set
 
-    values = read_parameters(file)
-    for name, value in values.items():
-        checked(name, value)
+    given = read_parameter_set(file)
+    values = given.values
     data_on_stdout(json)
+    for reason in given.dropped:
+        say(f"dropped: {reason}")
     with _board(port, sil) as heli:
+        for name in given.new:
+            say(f"not in {file}: {name} stays {heli.params[name]:g}")
         changed = heli.params.restore(values)
         for name, value in changed.items():
             say(f"{name} -> {value:g}")
         saved = heli.params.save() if save else None
         say(f"{len(changed)} of {len(values)} changed{_saved(saved)}")
-        write_result(json, {"changed": dict(changed), "saved": saved is not None})
+        result = {
+            "changed": dict(changed),
+            "dropped": list(given.dropped),
+            "new": list(given.new),
+            "saved": saved is not None,
+        }
+        write_result(json, result)
 
 
 def _board(port: str | None, sil: bool) -> AbstractContextManager[Heli]:
     from heli_host.cli.board import open_board
 
     return open_board(port, sil_address(speed=MAX_SPEED) if sil else None)
+
+
+def _with_names(meaning: str, names: tuple[str, ...]) -> str:
+    return f"{meaning}: {', '.join(f'{row} is {name}' for row, name in enumerate(names))}"
 
 
 def _saved(generation: int | None) -> str:
