@@ -23,7 +23,7 @@ from heli_lab.errors import CampaignError
 if TYPE_CHECKING:
     import pyarrow as pa
 
-PACKAGES: Final = ("distributed", "pyarrow")
+STORED_PACKAGES: Final = ("distributed", "pyarrow")
 """Packages of the extra ``campaign`` that nothing else of the laboratory needs."""
 TABLE: Final = "cases.parquet"
 OWN: Final = ("failure", "cpu_s", "seconds", "where", "key")
@@ -125,7 +125,7 @@ class Store:
 
 def _check_packages() -> None:
     """Look for what the extra installs before any work is done; other extras have a part of it only."""
-    for name in PACKAGES:
+    for name in STORED_PACKAGES:
         try:
             spec = importlib.util.find_spec(name)
         except ValueError:
