@@ -271,28 +271,12 @@ void Core::log_law(link::Sample& sample) {
 void Core::log_tick(const ControlOutput& out, TickTiming timing) {
   link::Sample& sample = link_.next_sample();
   sample.tick = seen_.tick;
-  const auto put = [&sample](link::Channel channel, std::int32_t value) {
-    sample.raw[static_cast<std::size_t>(channel)] = value;
-  };
   using link::Channel;
-  put(Channel::elevation_count, seen_.count[kElevation]);
-  put(Channel::pitch_count, seen_.count[kPitch]);
-  put(Channel::travel_count, seen_.count[kTravel]);
   // A host that streams voltages may send the setpoints that its law follows.
   const bool streamed = supervisor_.follows();
   const auto setpoint = [this, streamed](std::size_t axis, Quantity board_rad) {
     return streamed ? supervisor_.following_rad(axis) : board_rad;
   };
-  put(Channel::elevation_setpoint,
-      wire(setpoint(kElevation, supervisor_.setpoint_rad(kElevation)), kElevationSetpointWire));
-  put(Channel::pitch_setpoint, wire(setpoint(kPitch, out.pitch_setpoint_rad), kPitchSetpointWire));
-  put(Channel::travel_setpoint,
-      wire(setpoint(kTravel, supervisor_.setpoint_rad(kTravel)), kTravelSetpointWire));
-  put(Channel::front, wire(seen_.acted.front_V, kFrontWire));
-  put(Channel::back, wire(seen_.acted.back_V, kBackWire));
-  put(Channel::state, static_cast<std::int32_t>(supervisor_.state()));
-  put(Channel::fault, static_cast<std::int32_t>(supervisor_.fault()));
-  put(Channel::trigger, static_cast<std::int32_t>(supervisor_.cause()));
   std::uint8_t flags = 0;
   const auto raise = [&flags](bool condition, std::uint8_t bit) {
     flags = static_cast<std::uint8_t>(flags | (condition ? bit : 0U));
@@ -303,11 +287,27 @@ void Core::log_tick(const ControlOutput& out, TickTiming timing) {
   raise(supervisor_.link_alive(), link::flags::link_alive);
   raise(out.pitch_limited, link::flags::pitch_limited);
   raise(timing.late, link::flags::overrun);
-  put(Channel::signal_1, 0);
-  put(Channel::signal_2, 0);
-  put(Channel::signal_3, 0);
-  put(Channel::signal_4, 0);
-  put(Channel::flags, flags);
+  link::SampleWriter(sample)
+      .put<Channel::elevation_count>(seen_.count[kElevation])
+      .put<Channel::pitch_count>(seen_.count[kPitch])
+      .put<Channel::travel_count>(seen_.count[kTravel])
+      .put<Channel::elevation_setpoint>(
+          wire(setpoint(kElevation, supervisor_.setpoint_rad(kElevation)), kElevationSetpointWire))
+      .put<Channel::pitch_setpoint>(
+          wire(setpoint(kPitch, out.pitch_setpoint_rad), kPitchSetpointWire))
+      .put<Channel::travel_setpoint>(
+          wire(setpoint(kTravel, supervisor_.setpoint_rad(kTravel)), kTravelSetpointWire))
+      .put<Channel::front>(wire(seen_.acted.front_V, kFrontWire))
+      .put<Channel::back>(wire(seen_.acted.back_V, kBackWire))
+      .put<Channel::state>(static_cast<std::int32_t>(supervisor_.state()))
+      .put<Channel::fault>(static_cast<std::int32_t>(supervisor_.fault()))
+      .put<Channel::trigger>(static_cast<std::int32_t>(supervisor_.cause()))
+      .put<Channel::signal_1>(0)
+      .put<Channel::signal_2>(0)
+      .put<Channel::signal_3>(0)
+      .put<Channel::signal_4>(0)
+      .put<Channel::flags>(flags)
+      .done();
   if (uploaded_.busy()) {
     log_law(sample);
   }

@@ -16,6 +16,7 @@
 #include "law/simplex.hpp"
 #include "law/uploaded_law.hpp"
 #include "link/link.hpp"
+#include "link/sample_writer.hpp"
 #include "params/params.hpp"
 #include "params/store.hpp"
 

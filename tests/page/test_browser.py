@@ -344,9 +344,9 @@ def test_a_law_is_chosen_its_signal_drawn_and_why_it_was_taken_over_said(
     with patient_page(tmp_path, laws) as served, tabs(chromium) as opened:
         page = opened.open(served.address.page)
         click(page, "#laws >> text=steady")
-        expect(page.locator("#law-said")).to_have_text("steady is on the board, and flies after the take-off")
+        expect(page.locator("#law-said")).to_have_text("steady is loaded, and flies after take-off")
         click(page, "#laws >> text=tired")
-        expect(page.locator("#law-said")).to_have_text("tired is on the board, and flies after the take-off")
+        expect(page.locator("#law-said")).to_have_text("tired is loaded, and flies after take-off")
         page.fill("#law-kp", "17")
         page.keyboard.press("Enter")
         click(page, "#take-off")

@@ -11,7 +11,7 @@ import numpy as np
 from heli_host.flight import Flight
 from heli_host.log.flight_file import read_flight
 from heli_lab.estimation import estimate
-from heli_lab.identify.flight_model import RigParameters, kinematic_filter, model_functions
+from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
 from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.files import DEFAULT_CALIBRATION, TwinRig
 from heli_lab.twin.flights import count_rad_of
@@ -37,7 +37,7 @@ def twin_of(pair: str, back: bool = False) -> TwinRig:
     parameter_vector = RigParameters(model, rig, [record])
     found = estimate(
         parameter_vector,
-        [kinematic_filter(record)],
+        [filter_record(record)],
         model_functions(model, parameter_vector.quantities),
         parameter_vector.start,
     )

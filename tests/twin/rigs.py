@@ -9,7 +9,7 @@ from heli_host.errors import HeliError
 from heli_host.flight import Flight
 from heli_lab.estimation import BLOCK_s, DisturbanceModel, estimate
 from heli_lab.identify import prepare
-from heli_lab.identify.flight_model import RigParameters, kinematic_filter, model_functions
+from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
 from heli_lab.twin.calibration import Calibration, fit_tail
 from heli_lab.twin.files import TwinRig
 from heli_lab.twin.flights import count_rad_of
@@ -115,7 +115,7 @@ def identified(model: Model, training_flights: list[Flight]) -> tuple[Model, Rig
     parameter_vector = RigParameters(start, base, records)
     functions = model_functions(start, parameter_vector.quantities)
     found = estimate(
-        parameter_vector, [kinematic_filter(record) for record in records], functions, parameter_vector.start
+        parameter_vector, [filter_record(record) for record in records], functions, parameter_vector.start
     )
     values = {
         one.quantity: float(value)

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from heli_lab.twin import twin as twin_module
 from heli_lab.twin.calibration import Calibration, Tail
-from heli_lab.twin.changes import CHANGES
+from heli_lab.twin.changes import all_changes
 from heli_lab.twin.files import DEFAULT_CALIBRATION
 from heli_lab.twin.likelihood_ratio import ONSETS, ChangeCandidate, LikelihoodRatio
 from heli_lab.twin.samples import Samples
 from heli_lab.twin.twin import PERSISTENCE_BLOCKS, DIAGNOSIS_DELAY_s, Twin
 from heli_sim.rig import load_rig
+
+CHANGES = all_changes()
 
 THRESHOLD_nats = 9.0
 MUCH, LITTLE = [10.0], [1.0]

@@ -8,7 +8,7 @@ from typing import Any
 from heli_sim.model.parts import AXES
 
 from heli_lab.identify.check import Check
-from heli_lab.identify.figures import figure_of_correlations, figure_of_flight, figure_of_parameters
+from heli_lab.identify.figures import figure_of_correlations, figure_of_parameters, identification_figure
 from heli_lab.identify.result import Identification, rounded
 from heli_lab.identify.thresholds import NOTHING_LEFT
 from heli_lab.identify.uncertainty import Combination
@@ -16,7 +16,9 @@ from heli_lab.page import folder_with, write_page
 from heli_lab.page.drawing import Drawing
 
 
-def write_report(identification: Identification, folder: str | Path, drawing: Drawing | None = None) -> Path:
+def write_identification_report(
+    identification: Identification, folder: str | Path, drawing: Drawing | None = None
+) -> Path:
     """Write index.html, result.json and the figures as PNG into a `folder`, made if it is missing; return the
     page. A `drawing` that was begun earlier has its process beside ready.
     """
@@ -24,7 +26,7 @@ def write_report(identification: Identification, folder: str | Path, drawing: Dr
     folder = folder_with(identification.json(), folder)
     flights = [
         {
-            "address": drawing.add(figure_of_flight(trace, role), folder / f"{role}-{number}.png"),
+            "address": drawing.add(identification_figure(trace, role), folder / f"{role}-{number}.png"),
             "meaning": f"{trace.label}, {role}",
         }
         for role, traces in (

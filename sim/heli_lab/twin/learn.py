@@ -18,7 +18,7 @@ from heli_sim.rig import Rig
 
 from heli_lab.estimation import BLOCK_s, DisturbanceModel, estimate
 from heli_lab.identify import Record, prepare
-from heli_lab.identify.flight_model import RigParameters, kinematic_filter, model_functions
+from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
 from heli_lab.twin.calibration import DEFAULT_DISTURBANCES, Calibration, Tail, fit_tail
 from heli_lab.twin.flights import count_rad_of, samples_of
 from heli_lab.twin.healthy_flights import fly_simulated, random_plan, with_process_noise
@@ -57,7 +57,7 @@ def learn_disturbances(model: Model, rig: Rig, records: Sequence[Record]) -> Dis
     parameter_vector = RigParameters(model, rig, records, fixed)
     functions = model_functions(model, parameter_vector.quantities)
     estimate_ = estimate(
-        parameter_vector, [kinematic_filter(record) for record in records], functions, parameter_vector.start
+        parameter_vector, [filter_record(record) for record in records], functions, parameter_vector.start
     )
     return estimate_.disturbances
 

@@ -71,7 +71,7 @@ def identify(
     from heli_sim.rig import write_rig
 
     from heli_lab.fit_inputs import fit_inputs, part_of, parts, read_flights, refuse_wrong_signs
-    from heli_lab.identify.report import verdict, write_report
+    from heli_lab.identify.report import verdict, write_identification_report
     from heli_lab.identify.run import identify as find
     from heli_lab.page.drawing import Drawing
     from heli_lab.threads import default_thread_count
@@ -112,7 +112,7 @@ def identify(
             written.append(save_rig)
         if report is not None:
             bar.show("drawing", 0.9)
-            written.append(write_report(identification, report, drawing))
+            written.append(write_identification_report(identification, report, drawing))
         write_result(json, identification.json())
         written.append(json)
     _print(identification)

@@ -14,6 +14,7 @@ from heli_host.cli.say import QUIET, data_on_stdout, say, say_files, write_resul
 from heli_host.cli.simulated import DEFAULT_RIG, MAX_SPEED, SeedOption
 from heli_host.cli.twin_options import OnAlarmOption, TwinOption
 from heli_host.cli.verb import Verb
+from heli_host.declaration import Takeover
 from heli_host.laws import FILE_LIMIT_s
 
 if TYPE_CHECKING:
@@ -43,6 +44,7 @@ DurationOption = Annotated[
     typer.Option("--duration", metavar="S", min=1.0, max=600.0, help="Fly each law for this time in s."),
 ]
 _MAX_POLES = 4
+_LANDED = Takeover.STATE.name.lower()
 _CHECK_s = 15.0
 """Flight time with the law on each rig of `law check` [s]."""
 
@@ -310,7 +312,9 @@ def _fly(law: Law | None, options: FlightOptions, plan: Plan, typed: str) -> tup
     reasons: list[str] = []
 
     def note_takeovers(heli: Heli) -> None:
-        reasons.extend(text[0] for event in heli.session.events if (text := takeover_text(event)))
+        # The landing ends closed loop, which the board reports as a takeover too.
+        texts = (takeover_text(event) for event in heli.session.events)
+        reasons.extend(text[0] for text in texts if text is not None and text[0] != _LANDED)
 
     program = law.program if law is not None else None
     flown = fly_plans(

@@ -65,9 +65,9 @@ def tune(
 ) -> None:
     """Design gains for a rig, print stability margins, and test them in simulation.
 
-    One set of gains must fly the rig within its uncertainty. That is thrust up to 20 % off, counterweight up
-    to 3 % off, and rotor lag 0 to 0.15 s, or a stated rotor_lag up to 25 % off. Without --save-params the
-    gains are only tested.
+    One set of gains must fly the rig within its uncertainty. Thrust may be 20 % off, and counterweight 3 %.
+    The rotor lag may be 0 to 0.15 s, or 25 % off a stated rotor_lag. Without --save-params the gains are only
+    tested.
 
     Example: `heli-host tune --rig mine.toml --save-params gains.toml`
     """

@@ -66,6 +66,7 @@ SPEC: Final = EffectSpec(
         Parameter("y_rad", "rad", "lean a_y across the arm", 0.0, Prior(0.0, 0.1, -0.5, 0.5), size=True),
     ),
     needs=("M_f", "M_b", "M_w", "M_h", "M_l", "L_a", "L_b", "L_h", "L_phi", "L_theta", "L_x", "g"),
+    linearisable=True,
     rank=140,
     source="potential of the five masses of Table 2",
 )

@@ -73,6 +73,30 @@ class Parameter:
 
 
 @dataclass(frozen=True)
+class ChangeSpec:
+    """An effect as a sudden change of a rig, which a twin can detect in flight.
+
+    Parameters
+    ----------
+    sizes : tuple of float
+        Prior standard deviation of each number of the change, SI: the size that such changes usually have.
+    positive, negative : str
+        Sentence for a positive and for a negative first number; ``{}`` is its amount.
+    numbers : tuple of str
+        Parameters by which the change is a derivative, by full name, at most two; empty for the effect's
+        first parameter alone. Names joined by ``+`` change alike.
+    is_ramp : bool
+        True if the change grows from its onset at a constant rate; False for a step.
+    """
+
+    sizes: tuple[float, ...]
+    positive: str
+    negative: str
+    numbers: tuple[str, ...] = ()
+    is_ramp: bool = False
+
+
+@dataclass(frozen=True)
 class EffectSpec:
     """An effect of the catalogue.
 
@@ -111,6 +135,14 @@ class EffectSpec:
     contains : Mapping[str, Mapping[str, str]]
         Effects that this one is with the rest of its parameters at their neutral values (nested models): by
         id, for each of their parameters that of this one; both named without the effects' names.
+    linearisable : bool
+        True if a linear model at hover contains the effect. False for what is not smooth there or biases a
+        measurement only. The design of gains reports effects that its linear plants do not contain.
+    time_varying : bool
+        True if the effect changes the rig during a flight, as a step or a fade; it is then in no linear
+        plant, and an experiment for it must last.
+    change : ChangeSpec or None
+        The effect as a sudden change in flight; None if a twin does not look for it.
     rank : int
         Place in the catalogue, lowest first; equal ranks by the name of the file.
     """
@@ -132,6 +164,9 @@ class EffectSpec:
     baseline: bool = False
     override: Mapping[str, float] = field(default_factory=dict)
     contains: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    linearisable: bool = False
+    time_varying: bool = False
+    change: ChangeSpec | None = None
     rank: int = 500
 
     @property
@@ -168,6 +203,12 @@ class EffectSpec:
     def grid(self) -> dict[str, GridValues]:
         """Parameters in which the likelihood is multimodal, by full name, with the values to start from."""
         return {self.full(one.name): one.grid for one in self.numbers if one.grid is not None}
+
+    @property
+    def is_one_sided(self) -> bool:
+        """Whether the first number cannot be negative, as a friction."""
+        prior = self.numbers[0].prior
+        return prior is not None and prior.low >= 0.0
 
     def full(self, name: str) -> str:
         """Full name of a number, such as ``thrust_step_front_share``, whose last part is `name`."""
@@ -230,6 +271,7 @@ class EffectSpec:
             delay=self.full(self.delay) if self.delay else "",
             stage=self.stage,
             noise_inputs=self.noise_inputs,
+            linearisable=self.linearisable and not self.time_varying,
             measured_as={self.full(state): axis for state, axis in self.measured_as.items()},
             multimodal=tuple(name for name in self.grid if name in self.priors),
         )
