@@ -1,10 +1,10 @@
 # %% [markdown]
 # # 1. Fly and look
 #
-# **Goals.** You can fly the helicopter from Python, read a flight as arrays, and say in numbers how well it followed.
+# **Goals.** You can fly the helicopter from Python, read a flight as arrays, and measure how well it followed its setpoints.
 #
-# **Before.** [python.md](../how-to/python.md), its first page. Three axes: *elevation* of the long arm, *pitch* of the short one,
-# *travel* about the vertical. Two voltages.
+# **Before.** Read the beginning of [From Python](../how-to/python.md). The rig has three axes: *elevation* of the long arm, *pitch* of the
+# short arm, and *travel* about the vertical. Its two inputs are the motor voltages.
 
 # %%
 import heli_host
@@ -22,7 +22,7 @@ with heli_host.connect("sil://", land_on_exit=True) as heli:
 flown  # in a notebook this line draws the flight
 
 # %% [markdown]
-# **Task 1.** Which way does pitch go first when travel is asked to grow, and why? Look at the figure, then at the sign.
+# **Task 1.** The setpoint of travel grows. Which way does pitch go first, and why? Look at the figure, then at the sign.
 
 # %%
 t_s = flown.t_s - flown.t_s[0]
@@ -42,8 +42,8 @@ rms_deg = np.sqrt(np.mean((travel[t_s > t_s[-1] - 4.0] - target_deg) ** 2))
 print(f"overshoot {overshoot_deg:.1f} deg, settled after {settling_s:.1f} s, rms {rms_deg:.2f} deg")
 
 # %% [markdown]
-# **Task 3.** Does elevation notice that travel moves? Tilted thrust lifts less: by how much did the arm sink, and what did
-# the voltages do?
+# **Task 3.** How does a motion of travel affect elevation? Tilted thrust lifts less. By how much did the arm sink, and how did the voltages
+# change?
 
 # %%
 table = flown.dataframe()
@@ -65,6 +65,6 @@ assert -2.0 < sink_deg < 0.5
 
 # %% [markdown]
 # **Common mistakes.**
-# - Radians and degrees: `travel_rad` is what is stored, `travel_deg` what you read. Setpoints are given in degrees.
-# - `heli.samples()` without `last_s` has the take-off in it: its overshoot is not yours.
-# - `time.sleep` instead of `heli.wait`: in simulation time passes only while something waits for the board.
+# - You mix radians and degrees. A log stores `travel_rad`; `travel_deg` is the same angle in degrees. Setpoints are in degrees.
+# - You call `heli.samples()` without `last_s`. The samples then include the take-off and its overshoot.
+# - You use `time.sleep` instead of `heli.wait`. Simulated time passes only while the program waits for the board.

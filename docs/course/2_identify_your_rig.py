@@ -1,10 +1,10 @@
 # %% [markdown]
 # # 2. Identify your rig
 #
-# **Goals.** You get a rig's numbers from a flight, each with a standard error, and know which numbers that flight cannot tell.
+# **Goals.** You estimate rig parameters from a flight, each with a standard error. You know which parameters the flight does not determine.
 #
-# **Before.** [identifying.md](../how-to/identifying.md). The rig of this notebook has stronger rotors and more friction about travel
-# than its file says; on a real rig skip the first cell and give the port.
+# **Before.** Read [Identify](../how-to/identifying.md). The rig of this notebook has stronger rotors and more friction about travel
+# than its file states. On a real rig, skip the first cell and give the port.
 
 # %%
 from pathlib import Path
@@ -27,7 +27,8 @@ flight = heli_host.read_flight(folder / "flight.mcap")
 flight
 
 # %% [markdown]
-# **Task 1.** Fit 18 s of it. Which numbers moved, and by how many of their *prior* standard deviations?
+# **Task 1.** Fit 18 s of the flight. Which parameters changed, and by how many of their *prior* standard deviations? The prior is what you
+# know before the flight: the tolerance in the rig file is two standard deviations.
 
 # %%
 found = identify(MultibodyModel(), believed, [flight], stop_s=22.0)
@@ -41,14 +42,15 @@ for name, number in mine.items():
         )
 
 # %% [markdown]
-# **Task 2.** A flight tells combinations: thrust over mass, mass times length. Which numbers did this one not inform?
+# **Task 2.** A flight determines combinations of parameters, such as thrust over mass, or mass times length. Which parameters did this flight not
+# determine?
 
 # %%
 print(found.uninformed_parameters)
 
 # %% [markdown]
-# **Task 3.** Fit the hover before the sines alone (3 s) and compare the standard error of `friction_travel`. Why is a hover so
-# much poorer?
+# **Task 3.** Fit only the hover before the sines (3 s), and compare the standard error of `friction_travel`. Why does a hover contain so
+# much less information?
 
 # %%
 hover = identify(MultibodyModel(), believed, [flight.between(3.0, 7.0)])
@@ -68,6 +70,6 @@ assert np.isclose(mine["M_h"].value, believed["M_h"].value, rtol=0.05), "a prior
 
 # %% [markdown]
 # **Common mistakes.**
-# - Reading a value without its standard error. A number whose error is as wide as its prior was not measured.
-# - Fitting take-off and landing: the table is not in the model. `start_s` and `stop_s` cut.
-# - Judging the fit on the flight that was fitted: fly a second one and give it as `validation`.
+# - You read a value without its standard error. If the error is as large as its prior, the flight did not measure the parameter.
+# - You fit take-off and landing. The model does not contain the table. Cut the flight with `start_s` and `stop_s`.
+# - You judge the fit on the fitted flight. Fly a second one, and pass it as `validation`.

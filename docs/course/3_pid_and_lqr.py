@@ -1,9 +1,10 @@
 # %% [markdown]
 # # 3. A PID and an LQR, compared
 #
-# **Goals.** You design two laws from one linear model, know their margins before they fly, and compare them on the board.
+# **Goals.** You design two controllers from one linear model: a PD controller, and an LQR (linear-quadratic regulator). You compute their
+# stability margins before they fly, and compare the result with the board's PID cascade in flight.
 #
-# **Before.** [tuning.md](../how-to/tuning.md), [controllers.md](../how-to/controllers.md).
+# **Before.** Read [Tune](../how-to/tuning.md) and [Controllers](../how-to/controllers.md).
 
 # %%
 import control
@@ -19,8 +20,8 @@ plant = heli_lab.linearise(rig)
 print(plant.state_labels, np.round(control.poles(plant), 2))
 
 # %% [markdown]
-# **Task 1.** Elevation by hand: a PD law on the sum of the voltages. Place the damping at 0.8 and the natural frequency at 2 rad/s.
-# Both rotors lift, so the input is the collective: half the sum of the columns of B, times two.
+# **Task 1.** Design a PD controller for elevation by hand. Choose a damping of 0.8 and a natural frequency of 2 rad/s. Both rotors lift. The
+# code below therefore uses the sum of B's two columns, divided by two.
 
 # %%
 A = plant.A[np.ix_([0, 3], [0, 3])]
@@ -32,7 +33,7 @@ closed = A - B @ np.array([[kp, kd]])
 print(f"kp {kp:.2f} V/rad, kd {kd:.2f} V s/rad, poles {np.round(np.linalg.eigvals(closed), 2)}")
 
 # %% [markdown]
-# **Task 2.** Pitch and travel by LQR: travel is moved by pitch, and pitch by the difference of the voltages.
+# **Task 2.** Design an LQR for pitch and travel. The difference of the voltages moves pitch, and pitch moves travel.
 
 # %%
 tilt = [1, 2, 4, 5]
@@ -43,7 +44,7 @@ print(np.round(K_tilt, 2), np.round(poles, 2))
 
 
 # %% [markdown]
-# **Task 3.** How much more gain, and how much delay, does each loop stand? Cut the loop at its input.
+# **Task 3.** How much additional gain and delay does each loop tolerate? Cut the loop at its input.
 
 
 # %%
@@ -62,7 +63,7 @@ for name, loop in {
     print(f"{name}: gain {gain:.1f}, phase {phase:.0f} deg, delay {1e3 * delay_s:.0f} ms")
 
 # %% [markdown]
-# **Task 4.** Fly both: the whole law as one gain matrix on the board, at 1 kHz, against the board's own PID cascade.
+# **Task 4.** Fly your controller as one gain matrix on the board at 1 kHz. Fly the board's own PID cascade for comparison.
 
 # %%
 K = np.zeros((2, 6))
@@ -97,6 +98,7 @@ assert rms_deg["mine"] < 4.0 and rms_deg["cascade"] < 1.5
 
 # %% [markdown]
 # **Common mistakes.**
-# - `K` on angles in degrees. Everything inside is radians.
-# - No integral: a law of gains stops where gravity and gain agree. Where is the error of `mine` larger, and what would remove it?
-# - Margins without the rotors' lag: `heli_lab.linearise(rig, effects=["rotor_lag=0.1"])`, and look again.
+# - You apply `K` to angles in degrees. All angles inside are in radians.
+# - Your controller has no integral term, so that gravity causes a constant error. In which axis is the error of `mine` larger, and how would you
+#   remove it?
+# - You compute the margins without the rotors' lag. Try `heli_lab.linearise(rig, effects=["rotor_lag=0.1"])`.

@@ -1,10 +1,10 @@
 # %% [markdown]
 # # 4. What does my model get wrong?
 #
-# **Goals.** You see a model's error where it counts (free runs), tell noise from structure, and get from a residual to the torque that
-# is missing.
+# **Goals.** You measure a model's error with open-loop simulations (free runs). You distinguish noise from structure. You compute the missing
+# torque from the model's error.
 #
-# **Before.** [diagnosing.md](../how-to/diagnosing.md). This rig's cable pulls travel back to where it was laid: a spring that no model has.
+# **Before.** Read [Diagnose](../how-to/diagnosing.md). The cable of this rig pulls travel back like a spring, which the model does not contain.
 
 # %%
 from pathlib import Path
@@ -27,8 +27,8 @@ flight = heli_host.read_flight(folder / "flight.mcap")
 flying = flight.between(12.0, 42.0)
 
 # %% [markdown]
-# **Task 1.** Free runs: start the model from the measured state, give it the voltages alone for two seconds, and compare. The state's
-# rates are slopes of the measured angles.
+# **Task 1.** Free runs: start the model from the measured state, simulate two seconds with the logged voltages alone, and compare with the
+# measurement. The initial rates are slopes of the measured angles.
 
 # %%
 plant = Plant(MultibodyModel(), rig)
@@ -49,7 +49,7 @@ print(
 )
 
 # %% [markdown]
-# **Task 2.** Is it noise? Draw the error of travel after two seconds against where travel was. Noise would be a cloud.
+# **Task 2.** Is the error noise? Plot the error of travel after two seconds against travel at the start. Noise would give an unstructured cloud.
 
 # %%
 where_rad = np.array([flying.travel_rad[start] for start in range(100, len(flying) - RUN, RUN)])
@@ -61,9 +61,12 @@ plt.close()
 print(f"correlation {correlation:+.2f}")
 
 # %% [markdown]
-# **Task 3.** The torque that is missing: acceleration measured less acceleration by the model, times the inertia about travel. Its slope
-# against travel is the spring. The acceleration is again a slope over a tenth of a second: differences from row to row would show the
-# encoder's steps, and a spring of a third of its size.
+# **Task 3.** Compute the missing torque:
+#
+# missing torque = inertia about travel x (measured acceleration - acceleration of the model)
+#
+# Its slope against travel is the spring constant, with a minus sign. The measured acceleration is a slope over a tenth of a second. Differences
+# from row to row would show the encoder's steps, and give only a third of the spring constant.
 
 # %%
 model = plant.model
@@ -83,7 +86,7 @@ estimate = -np.polyfit(flying.travel_rad[every], missing_Nm, 1)[0]
 print(f"a spring of {estimate:.3f} N m/rad; hidden was {SPRING}")
 
 # %% [markdown]
-# **Task 4.** Now let the machine do it, with an interval and all alternatives tried. This takes a minute.
+# **Task 4.** `diagnose` does the same, tries all alternatives, and gives a standard error (±). This takes a minute.
 
 # %% tags=["long"]
 from heli_lab.diagnose import diagnose, summary
@@ -107,6 +110,6 @@ assert abs(estimate - SPRING) < 0.015
 
 # %% [markdown]
 # **Common mistakes.**
-# - One-step prediction: over a millisecond every model is right. Only free runs show what is missing.
-# - Smoothing the rates so much that the delay looks like physics.
-# - Naming the first cause that fits: fit its rivals too. That is what task 4 does.
+# - You use one-step predictions. Over one millisecond every model is right. Only free runs show a missing effect.
+# - You smooth the rates too much. The delay of the filter then looks like physics.
+# - You accept the first cause that fits. Fit its rivals too, as task 4 does.

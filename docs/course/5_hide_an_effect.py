@@ -1,10 +1,10 @@
 # %% [markdown]
 # # 5. Hide an effect for your neighbour to find
 #
-# **Goals.** You make a blind experiment: the truth is sealed before the analysis, the data tell nothing by the way, and the judgement
-# is fixed beforehand.
+# **Goals.** You run a blind experiment. You seal the truth before the analysis. The data do not reveal it. The rule of judgement is fixed
+# beforehand.
 #
-# **Before.** [effects.md](../reference/effects.md) lists what can be hidden.
+# **Before.** Choose an effect from [Effects](../reference/effects.md).
 
 # %%
 import hashlib
@@ -23,8 +23,8 @@ from heli_sim.rig import load_rig
 folder = Path("course/05")  # the files of this notebook
 
 # %% [markdown]
-# **Task 1, you.** Choose an effect and a size. Seal it: the digest goes to the neighbour now, effect and salt when it is over. The salt
-# keeps the neighbour from trying all effects against the digest.
+# **Task 1, you.** Choose an effect and a size, and seal them. Give your neighbour the digest now, and the effect and the salt at the end. The
+# salt prevents your neighbour from trying all effects against the digest.
 
 # %%
 SECRET = "rotor_lag=0.1"
@@ -34,7 +34,7 @@ sealed = hashlib.sha256(f"{SECRET}:{salt}".encode()).hexdigest()
 print("sealed:", sealed)
 
 # %% [markdown]
-# **Task 2, you.** Fly it, twice. Hand over six columns and nothing else: a log says which rig and which board it was.
+# **Task 2, you.** Fly with the effect, twice. Hand over six columns and nothing else, because a log names the rig and the board.
 
 # %%
 for name, plan, seed in (("a", "identify", 1), ("b", "step", 2)):
@@ -48,8 +48,8 @@ for name, plan, seed in (("a", "identify", 1), ("b", "step", 2)):
 handed_over = (folder / "a.csv").read_text() + (folder / "b.csv").read_text()
 
 # %% [markdown]
-# **Task 3, your neighbour.** Look before you compute: which axis is off, and does it lag or lean? Then diagnose. Write the answer down
-# with its confidence, *before* the seal is opened.
+# **Task 3, your neighbour.** Look before you compute. Which axis has an error? Is it a delay or an offset? Then diagnose. Write down the
+# answer with its confidence *before* the seal is opened.
 
 # %%
 given = [heli_host.read_flight(folder / f"{name}.csv") for name in "ab"]
@@ -63,8 +63,14 @@ print(summary(result))
 assert answer == ["rotor_lag"]
 
 # %% [markdown]
-# **Task 4, both.** Open the seal, and judge by what was agreed: right name, one point; size within 10 %, another; *unexplained* where
-# something was hidden, none; a wrong name, one less.
+# **Task 4, both.** Open the seal, and judge by the agreed rule:
+#
+# | answer | points |
+# |---|---|
+# | the right name | 1 |
+# | also the size, within 10 % | 1 more |
+# | *unexplained*, although an effect was hidden | 0 |
+# | a wrong name | -1 |
 
 
 # %%
@@ -85,7 +91,7 @@ assert handed_over.splitlines()[0] == "t_s,front_V,back_V,elevation_rad,pitch_ra
 
 # %% [markdown]
 # **Common mistakes.**
-# - Handing over the log: its metadata hold the address of the simulated board, effect included. On the command line,
-#   `heli-host fly --sil --blind` and `heli-host export --blind` leave it out and seal it.
-# - An effect too small to see: `heli-host diagnose` lists what a flight could not have shown. That is not the neighbour's fault.
-# - Changing the rule of judgement after the seal is open.
+# - You hand over the log. Its metadata hold the address of the simulated board, which includes the effect. On the command line,
+#   `heli-host fly --sil --blind` and `heli-host export --blind` seal the address and omit it.
+# - The effect is too small. `heli-host diagnose` lists the effects that a flight could not have shown. That is not the neighbour's fault.
+# - You change the rule of judgement after the seal is open.

@@ -1,10 +1,13 @@
 # %% [markdown]
 # # 6. Plan the next experiment
 #
-# **Goals.** You know what a flight will tell *before* it is flown: sensitivities, Fisher's information, expected standard errors; and
-# you choose the flight that tells most.
+# **Goals.** You predict how precisely a flight determines the parameters *before* you fly it. You use sensitivities, the Fisher information and
+# expected standard errors. Then you choose the most informative flight.
 #
-# **Before.** Notebook 2. A parameter is seen by how much the angles change with it, against the encoders' step of 0.088 degrees.
+# **Before.** Do notebook 2. A parameter is visible if the angles change with it by more than the encoders' step of 0.088 degrees.
+#
+# The sensitivities J are the derivatives of all angles by the parameters. With a measurement noise of standard deviation s, the Fisher information is J'J / s².
+# The square roots of the diagonal of its inverse are the expected standard errors.
 
 # %%
 import numpy as np
@@ -48,8 +51,8 @@ def expected_errors(volts_V):
 
 
 # %% [markdown]
-# **Task 1.** Three flights of 8 s: slow, lively on both rotors together, lively on the difference too. Guess first: which parameter does
-# each tell?
+# **Task 1.** Compare three flights of 8 s. The first is slow. The second strongly excites both rotors together. The third also excites their
+# difference. Guess first: which parameters does each flight determine?
 
 # %%
 slow = 0.02 * np.sin(2.0 * np.pi * 0.1 * t_s)
@@ -66,8 +69,8 @@ for name, volts_V in flights.items():
     print(name, dict(zip(names, np.round(100.0 * found[name], 4).tolist(), strict=True)), "%")
 
 # %% [markdown]
-# **Task 2.** Twice as long, or twice as lively? Information grows with the length, and with the *square* of what moves. Why does the
-# error of `thrust_gain` hardly care?
+# **Task 2.** Is it better to fly twice as long, or with twice the amplitude? Information grows with the length, and with the *square* of the
+# amplitude. Why does the error of `thrust_gain` hardly change?
 
 # %%
 half = hover_V + 0.5 * (flights["apart"] - hover_V)
@@ -75,8 +78,8 @@ gain = expected_errors(half) / found["apart"]
 print("half the amplitude costs in error:", np.round(gain, 2))
 
 # %% [markdown]
-# **Task 3.** Where must you stop? The linear answer says *more*; stops, the table and the rotors' dead zone say otherwise. Look at how
-# far each flight goes.
+# **Task 3.** Where must you stop? The linear theory always asks for more amplitude. Stops, the table and the rotors' dead zone limit it. Look
+# how far the third flight goes.
 
 # %%
 reach_deg = np.rad2deg(np.abs(angles_rad(rig, flights["apart"])).max(axis=0))
@@ -93,7 +96,7 @@ assert reach_deg[0] < rig["elevation_max"].value and reach_deg[1] < rig["pitch_m
 
 # %% [markdown]
 # **Common mistakes.**
-# - Exciting one axis and fitting all. What does not move is not measured.
-# - Optimising the flight for the model you believe: if a rival model is possible, plan the flight that tells them apart
-#   (`next_flight` of [diagnosing.md](../how-to/diagnosing.md)).
-# - Forgetting the priors: a parameter that is known to 1 % beforehand needs no flight.
+# - You excite one axis and fit all. An axis that does not move is not measured.
+# - You optimise the flight for the model that you believe. If a rival model is possible, plan the flight that distinguishes them
+#   (`next_flight` of [Diagnose](../how-to/diagnosing.md)).
+# - You forget the priors. A parameter that you know to 1 % beforehand needs no flight.
