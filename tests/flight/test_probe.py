@@ -30,12 +30,19 @@ class Arm:
         Whether the travel encoder is out.
     friction_deg : float
         Tilt that dry friction holds.
+    calm : bool
+        Whether pitch stands still to the count, as only simulations do.
     parameters : float
         Of the board.
     """
 
     def __init__(
-        self, *, dead: bool = False, friction_deg: float = FRICTION_20_mNm_DEG, **parameters: float
+        self,
+        *,
+        dead: bool = False,
+        friction_deg: float = FRICTION_20_mNm_DEG,
+        calm: bool = False,
+        **parameters: float,
     ) -> None:
         self.harness = Harness(tracked=True)
         for name, value in ({"elevation_motion_V": 48.0, "pitch_motion_V": 48.0} | parameters).items():
@@ -45,6 +52,7 @@ class Arm:
         self.harness.close_loops()
         self.dead = dead
         self.friction_deg = friction_deg
+        self.stir_deg = 0.0 if calm else 0.5
         self.decoder = TelemetryDecoder()
         self.pitch_setpoint_deg = 0.0
         self.pitch_deg = self.travel_deg = self.rate_deg_s = 0.0
@@ -59,7 +67,8 @@ class Arm:
                 harness.setpoint(travel_deg=0.0)
             self._turn(0.001 * STEP_ms)
             shown_deg = 0.0 if self.dead else self.travel_deg + swing_deg * (k // 50 % 2)
-            harness.move(pitch_deg=self.pitch_deg, travel_deg=shown_deg)
+            stir_deg = self.stir_deg * (k // 75 % 2)
+            harness.move(pitch_deg=self.pitch_deg + stir_deg, travel_deg=shown_deg)
             before = len(harness.frames)
             harness.tick(STEP_ms)
             batches = [f.payload for f in harness.frames[before:] if f.id == d.MessageId.TELEMETRY]
@@ -128,6 +137,12 @@ def test_an_arm_that_has_answered_is_asked_after_a_longer_silence() -> None:
 def test_travel_that_counts_by_itself_is_not_asked() -> None:
     arm = Arm()
     arm.hover(10.0, swing_deg=0.3)
+    assert arm.answers == []
+
+
+def test_an_arm_whose_pitch_is_still_is_not_asked() -> None:
+    arm = Arm(calm=True)
+    arm.hover(30.0)
     assert arm.answers == []
 
 

@@ -37,7 +37,7 @@ def test_a_file_of_another_schema_keeps_what_is_known(tmp_path: Path) -> None:
     given = read_parameter_set(written(tmp_path, *changes))
     assert given.values["hover_V"] == 1.75
     assert len(given.values) == len(PARAMS) - 1
-    assert given.dropped == ("there is no parameter hover_curve",)
+    assert given.dropped == ("unknown parameter hover_curve",)
     assert given.new == ("hover_slope",)
 
 

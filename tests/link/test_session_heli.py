@@ -229,7 +229,7 @@ def test_excitations_go_by_name_and_a_wrong_name_lists_the_right_ones() -> None:
     heli.excite("chirp", 0.25, -0.5, start_Hz=0.5, stop_Hz=4.0, duration_s=8.0)
     sent = ExciteMessage.unpack(b"\0" + board.executed[-1][1:])
     assert sent == ExciteMessage(0, Excitation.CHIRP, 0.25, -0.5, 0.5, 4.0, 8.0, 1)
-    with pytest.raises(ParameterError, match="no excitation wobble; choose from step, doublet"):
+    with pytest.raises(ParameterError, match="unknown excitation wobble; choose from step, doublet"):
         heli.excite("wobble", 1.0)
 
 
@@ -237,7 +237,7 @@ def test_excitations_go_by_name_and_a_wrong_name_lists_the_right_ones() -> None:
 def test_waiting_for_what_does_not_happen_ends_in_device_time() -> None:
     heli = connected(FakeBoard())
     began = heli.latest.tick
-    with pytest.raises(WaitTimeout, match="did not happen in 2 s"):
+    with pytest.raises(WaitTimeout, match="did not happen within 2 s"):
         heli.wait_until(lambda sample: sample.state is State.FAULT, 2.0)
     assert 2000 <= heli.latest.tick - began <= 2100
 
@@ -257,7 +257,7 @@ def test_parameters_read_set_and_save_by_name() -> None:
 @pytest.mark.parametrize(
     ("name", "value", "words"),
     [
-        ("hover_v", 1.0, "no parameter hover_v; did you mean hover_V"),
+        ("hover_v", 1.0, "unknown parameter hover_v; did you mean hover_V"),
         ("hover_V", 21.0, "hover_V = 21 is out of range; give a number from 0 to 20 V"),
         ("hover_V", math.nan, "hover_V = nan is out of range"),
         ("pitch_counts_per_rev", 0.0, "not 0"),
@@ -300,7 +300,7 @@ def test_a_dump_of_which_one_value_is_refused_changes_nothing() -> None:
         return reply
 
     board._execute = refuse_supply  # type: ignore[method-assign]
-    with pytest.raises(CommandRefused, match="supply_V may only be set while idle; land or stop first"):
+    with pytest.raises(CommandRefused, match="supply_V may only be set while idle; land first, or stop"):
         heli.params.restore({"hover_V": 2.0, "pitch_kp": 0.5, "supply_V": 13.0, "pitch_kd": 0.5})
     assert heli.params.dump() == before
 
@@ -420,7 +420,7 @@ def test_a_200_Hz_law_in_python_flies_the_simulated_board_and_its_latency_is_mea
 def test_a_setpoint_for_a_board_whose_loops_are_open_is_an_error() -> None:
     board = FakeBoard()
     heli = connected(board)
-    with pytest.raises(SetpointError, match="the board is idle, nothing would follow a setpoint"):
+    with pytest.raises(SetpointError, match="the board is idle, and does not follow setpoints"):
         heli.setpoint(elevation_deg=1.0)
     heli.arm()
     with pytest.raises(SetpointError, match="the board is armed"):

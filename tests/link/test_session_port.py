@@ -43,18 +43,18 @@ def test_1200_baud_is_refused_by_name_before_anything_is_opened(url: str) -> Non
 
 def test_a_missing_port_is_one_line_that_says_which_exist() -> None:
     with pytest.raises(
-        PortError, match=r"no usable port /dev/nothing-there; (ports that exist|no serial port exists)"
+        PortError, match=r"cannot open port /dev/nothing-there; (choose an existing port|no serial port exists)"
     ):
         open_transport("/dev/nothing-there")
 
 
 def test_an_unknown_scheme_is_one_line() -> None:
-    with pytest.raises(LinkError, match="nothing installed provides nosuch:// links"):
+    with pytest.raises(LinkError, match="no installed package provides nosuch:// links"):
         open_transport("nosuch://x")
 
 
 def test_a_page_is_no_board_and_the_line_says_what_joins_it() -> None:
-    with pytest.raises(PortError, match=r"page://127.0.0.1:80/ is a page, no board; join .*heli_host\.join"):
+    with pytest.raises(PortError, match=r"page://127.0.0.1:80/ is a dashboard, not a board; join .*heli_host\.join"):
         heli_host.connect("page://127.0.0.1:80/?token=secret")
 
 

@@ -61,7 +61,7 @@ def test_nothing_that_starts_motors_is_sent_after_a_stop_until_it_is_released() 
     session = opened(board)
     session.stop_now()
     for command in (ArmMessage(0), ControlMessage(0, 7, 0.0, 0.0)):
-        with pytest.raises(LinkError, match="a stop came before"):
+        with pytest.raises(LinkError, match="a stop cancelled this command"):
             session.command(command)
     assert not heard(board, MessageId.ARM)
     assert session.command(ParamSetMessage(0, Param.HOVER_V, 2.0)).value == 2.0
@@ -76,7 +76,7 @@ def test_a_wish_from_before_the_stop_releases_nothing() -> None:
     stops = session.stops
     session.stop_now()
     assert not session.release_stop(stops)
-    with pytest.raises(LinkError, match="a stop came before"):
+    with pytest.raises(LinkError, match="a stop cancelled this command"):
         session.command(ArmMessage(0))
 
 

@@ -86,7 +86,7 @@ def test_a_cache_that_others_can_write_is_refused(folder: Path, mode: int) -> No
     folder.mkdir()
     folder.chmod(mode)
     with pytest.raises(
-        PlantError, match=r"others can write to the cache .*; see who wrote there, then: rm -r"
+        PlantError, match=r"others can write to the cache .*; check who wrote there, then remove it with: rm -r"
     ):
         cache_folder()
 

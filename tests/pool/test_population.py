@@ -152,7 +152,7 @@ def test_rigs_of_two_types_and_of_one_name_are_refused(tmp_path: Path) -> None:
     with pytest.raises(PoolError, match="not of one type: machine0: rig makki2024"):
         population(tmp_path, item, other)
     machine = population(tmp_path, item).diagnoses[0]
-    with pytest.raises(PoolError, match="two diagnoses are called machine0"):
+    with pytest.raises(PoolError, match="two diagnoses have the name machine0"):
         pool([machine, machine])
     with pytest.raises(PoolError, match="machine0 and again are the same diagnosis"):
         pool([machine, replace(machine, label="again")])

@@ -17,10 +17,16 @@ constexpr std::uint32_t kAftermath_updates = 750;
 // Longest tilt to one side, 2 s: twice what pitch needs to follow. Longer, a dead axis turns by
 // more than 30 degrees.
 constexpr std::uint32_t kLongest_updates = 500;
+// Pitch that has moved by kStir_rad (tracking.cpp) stirs the arm for so long, 1 s. Whatever turns
+// travel shows in pitch first, also a travel loop that winds up. Where pitch is still, as in a
+// simulation without disturbances, silence is no news, and a tilt would only spoil the flight.
+// Longer: a step that settles in calm ends in a tilt. Shorter: a dead axis under weak disturbances
+// is asked late.
+constexpr std::uint32_t kStirred_updates = 250;
 // The pitch at which the arm was still, over half a second.
-constexpr int kAveraging = 7;
+constexpr int kBalanceAveraging = 7;
 
-Quantity part(Quantity value, int shift) { return Quantity::from_raw(value.raw() >> shift); }
+Quantity halved(Quantity value, int shift) { return Quantity::from_raw(value.raw() >> shift); }
 
 Quantity towards(Quantity from, Quantity to, Quantity step) {
   return from + control::clamp(to - from, -step, step);
@@ -30,7 +36,7 @@ Quantity towards(Quantity from, Quantity to, Quantity step) {
 
 Answer Probe::update(const Asked& axis, const ProbeLimits& limits) {
   if (stage_ == Stage::listens) {
-    balance_rad_ += part(axis.pitch_rad - balance_rad_, kAveraging);
+    balance_rad_ += halved(axis.pitch_rad - balance_rad_, kBalanceAveraging);
     return listen(axis, limits);
   }
   return axis.held ? tilt(axis, limits) : end(Answer::stopped);
@@ -41,7 +47,12 @@ Answer Probe::listen(const Asked& axis, const ProbeLimits& limits) {
   if (axis.moved && calm_updates_ > kAftermath_updates) {
     patience_ = 0;
   }
-  silent_updates_ = axis.moved || !axis.held ? 0U : silent_updates_ + 1U;
+  still_updates_ = axis.stirred ? 0U : still_updates_ + 1U;
+  if (axis.moved || !axis.held) {
+    silent_updates_ = 0;
+  } else if (still_updates_ < kStirred_updates) {
+    ++silent_updates_;
+  }
   const bool silent = silent_updates_ >= limits.silence_updates << patience_;
   const bool steady = control::magnitude(axis.pitch_rad - balance_rad_) < limits.steady_rad &&
                       control::magnitude(balance_rad_) < limits.most_rad;
@@ -93,12 +104,12 @@ Answer Probe::end(Answer answer) {
 
 // From rest, as friction lets it: it stops what the tilt does not drive.
 void Probe::integrate(std::size_t side, Quantity beyond) {
-  rate_[side] += part(beyond, Balance::kShift);
+  rate_[side] += halved(beyond, Balance::kShift);
   if (rate_[side] < Quantity{}) {
     rate_[side] = {};
     turned_[side] = {};
   }
-  turned_[side] += part(rate_[side], Balance::kShift);
+  turned_[side] += halved(rate_[side], Balance::kShift);
   most_[side] = turned_[side] > most_[side] ? turned_[side] : most_[side];
 }
 

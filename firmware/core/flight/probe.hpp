@@ -17,7 +17,7 @@ namespace heli::flight {
 using control::Quantity;
 
 struct ProbeLimits {
-  std::uint32_t silence_updates;  // without a count before it asks; 0: it never asks
+  std::uint32_t silence_updates;  // without a count, while pitch counts; 0: it never asks
   Quantity tilt_rad;
   Quantity step_rad;      // of the tilt, per update
   Quantity steady_rad;    // of pitch: beyond, the loop itself tilts the arm
@@ -32,6 +32,7 @@ struct Asked {
   bool may_begin = false;  // a tilt, now
   bool doubted = false;    // for another reason than its silence
   bool moved = false;      // its encoder has counted
+  bool stirred = false;    // pitch has counted: something disturbs the arm
   Quantity error_rad;
   Quantity pitch_rad;
   control::Share lift;  // that a tilt turns, of what carries the level arm
@@ -64,6 +65,7 @@ class Probe {
   std::uint8_t patience_ = 0;         // doublings of the silence that it accepts
   std::uint8_t side_ = 0;             // of the tilt: 0 is up
   std::uint32_t silent_updates_ = 0;  // without counts
+  std::uint32_t still_updates_ = 0;   // since pitch counted
   std::uint32_t calm_updates_ = 0;    // since it last asked
   std::uint32_t tilted_updates_ = 0;  // to this side
   Quantity tilt_rad_;

@@ -31,6 +31,9 @@ constexpr Quantity kTilt_rad = Quantity::of(8.0F * kRadPerDeg);
 // What the drive did on average before the axis came to rest, over 512 ticks: where a swing turns
 // round, the drive of a single tick may be anything.
 constexpr int kAveraging = 7;
+// A change of pitch that is news to travel. Lower: calm flights are asked by a tilt. Higher: weak
+// disturbances turn a dead axis before it is asked. Moderate ones tilt the paper's rig by 1 degree.
+constexpr Quantity kStir_rad = Quantity::of(0.35F * kRadPerDeg);
 
 // Shares of the drive that must move an axis.
 struct Shares {
@@ -260,6 +263,11 @@ Verdict Tracking::ask(const Tracked& tracked, const TrackingLimits& limits) {
     started_ |= kAsks;
     probe_.restart();
     probe_count_ = seen.count[kTravel];
+    stir_rad_ = seen.angle_rad[kPitch];
+  }
+  const bool stirred = magnitude(seen.angle_rad[kPitch] - stir_rad_) > kStir_rad;
+  if (stirred) {
+    stir_rad_ = seen.angle_rad[kPitch];
   }
   const bool moved = !within_count(way(probe_count_, seen.count[kTravel]));
   if (moved) {
@@ -268,7 +276,7 @@ Verdict Tracking::ask(const Tracked& tracked, const TrackingLimits& limits) {
   const Quantity elevation_rad = seen.angle_rad[kElevation];
   news_ = probe_.update(
       {tracked.may_ask && elevation_rad > limits.table_rad, elevation_rad > limits.tilt_rad,
-       doubted_, moved, tracked.setpoint_rad[kTravel] - seen.angle_rad[kTravel],
+       doubted_, moved, stirred, tracked.setpoint_rad[kTravel] - seen.angle_rad[kTravel],
        seen.angle_rad[kPitch], lift_at(elevation_rad, limits.lift_per_rad)},
       limits.probe);
   doubted_ = false;

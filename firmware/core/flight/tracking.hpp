@@ -84,6 +84,7 @@ class Tracking {
   Probe probe_;
   link::Probe news_ = link::Probe::none;
   std::int32_t probe_count_ = 0;  // of travel, when it last moved
+  Quantity stir_rad_;             // pitch, when it last moved enough to stir the arm
   std::uint8_t started_ = 0;      // link::axes bits, and kAsks
 };
 
