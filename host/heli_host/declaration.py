@@ -100,7 +100,7 @@ class LawError(IntEnum):
 
 
 class LawState(IntEnum):
-    """What the board knows of a law."""
+    """State of the uploaded law on the board."""
 
     NONE = 0  # no law
     RECEIVING = 1  # an upload has begun and is not complete
@@ -117,9 +117,9 @@ class Takeover(IntEnum):
     COMMAND = 0  # asked for; value 0
     NOT_FINITE = 1  # an output, a signal or a new state was not a number or infinite; value = its place: voltages, setpoints, signals, states
     VOLTAGE_JUMP = 2  # a voltage jumped from one tick to the next; value in V
-    ELEVATION_ENVELOPE = 3  # elevation could not be braked any more before its limits; value = angle foreseen in deg
-    PITCH_ENVELOPE = 4  # pitch could not be braked any more before its limit; value = angle foreseen in deg
-    TRAVEL_ENVELOPE = 5  # travel could not be braked any more before its limit; value = angle foreseen in deg
+    ELEVATION_ENVELOPE = 3  # elevation could not be braked any more before its limits; value = predicted angle in deg
+    PITCH_ENVELOPE = 4  # pitch could not be braked any more before its limit; value = predicted angle in deg
+    TRAVEL_ENVELOPE = 5  # travel could not be braked any more before its limit; value = predicted angle in deg
     ELEVATION_FOLLOWING = 6  # elevation stayed too far from the board's setpoint; value in deg
     PITCH_FOLLOWING = 7  # pitch stayed too far from the law's own setpoint; value in deg
     TRAVEL_FOLLOWING = 8  # travel stayed too far from the board's setpoint; value in deg
@@ -168,7 +168,7 @@ class Excitation(IntEnum):
 
 
 class Event(IntEnum):
-    """What an event message reports."""
+    """Kinds of event messages."""
 
     BOOT = 0  # first message after start; detail = reset cause, value = boot id
     STATE = 1  # state changed; detail = new state, cause = the supervisor event that did it
@@ -188,7 +188,7 @@ class Event(IntEnum):
 
 
 class Probe(IntEnum):
-    """What the board reports of a tilt by which it checks a travel encoder that has long been silent."""
+    """Result of a tilt that checks a travel encoder without counts for a long time."""
 
     NONE = 0  # nothing
     ASKED = 1  # the tilt begins
@@ -387,7 +387,7 @@ class Channel(IntEnum):
 class MessageId(IntEnum):
     """Second byte of a frame."""
 
-    HELLO = 1  # Opens a session. Its layout and welcome's never change, so that any two versions can tell each other apart.
+    HELLO = 1  # Opens a session. Its layout and welcome's never change, so that any two versions recognise each other.
     PING = 2  # Heartbeat and clock exchange.
     ARM = 3  # Runs the pre-flight checks; enables the drivers at zero voltage when they pass.
     STOP = 4  # Motors off now, from any state; also ends the armed state.
@@ -821,7 +821,7 @@ OPERATIONS: tuple[OperationSpec, ...] = (
 
 @dataclass(frozen=True, slots=True)
 class HelloMessage:
-    """Opens a session. Its layout and welcome's never change, so that any two versions can tell each other apart.
+    """Opens a session. Its layout and welcome's never change, so that any two versions recognise each other.
 
     Parameters
     ----------
@@ -1481,7 +1481,7 @@ class SetpointMessage:
     Parameters
     ----------
     apply_tick : int
-        tick at which the target is to be reached; past: at once; more than 500 ahead: refused [tick]
+        tick at which the target is to be reached; past: immediately; more than 500 ahead: refused [tick]
     elevation_rad : float
         elevation target [rad]
     pitch_rad : float
@@ -1632,7 +1632,7 @@ class WelcomeMessage:
     boot_fault : int
         fault recorded before that start, 0 for none [enum fault]
     boot_id : int
-        24 random bits, new at every start; with the tick it tells a reconnect from a reboot
+        24 random bits, new at every start; with the tick it distinguishes a reconnection from a restart
     tick : int
         device time [tick]
     params_source : int

@@ -84,7 +84,7 @@ enum class LawError : std::uint8_t {
 };
 inline constexpr std::size_t kLawErrorCount = 18;
 
-// What the board knows of a law.
+// State of the uploaded law on the board.
 enum class LawState : std::uint8_t {
   none = 0,  // no law
   receiving = 1,  // an upload has begun and is not complete
@@ -98,9 +98,9 @@ enum class Takeover : std::uint8_t {
   command = 0,  // asked for; value 0
   not_finite = 1,  // an output, a signal or a new state was not a number or infinite; value = its place: voltages, setpoints, signals, states
   voltage_jump = 2,  // a voltage jumped from one tick to the next; value in V
-  elevation_envelope = 3,  // elevation could not be braked any more before its limits; value = angle foreseen in deg
-  pitch_envelope = 4,  // pitch could not be braked any more before its limit; value = angle foreseen in deg
-  travel_envelope = 5,  // travel could not be braked any more before its limit; value = angle foreseen in deg
+  elevation_envelope = 3,  // elevation could not be braked any more before its limits; value = predicted angle in deg
+  pitch_envelope = 4,  // pitch could not be braked any more before its limit; value = predicted angle in deg
+  travel_envelope = 5,  // travel could not be braked any more before its limit; value = predicted angle in deg
   elevation_following = 6,  // elevation stayed too far from the board's setpoint; value in deg
   pitch_following = 7,  // pitch stayed too far from the law's own setpoint; value in deg
   travel_following = 8,  // travel stayed too far from the board's setpoint; value in deg
@@ -137,7 +137,7 @@ enum class Excitation : std::uint8_t {
 };
 inline constexpr std::size_t kExcitationCount = 6;
 
-// What an event message reports.
+// Kinds of event messages.
 enum class Event : std::uint8_t {
   boot = 0,  // first message after start; detail = reset cause, value = boot id
   state = 1,  // state changed; detail = new state, cause = the supervisor event that did it
@@ -154,7 +154,7 @@ enum class Event : std::uint8_t {
 };
 inline constexpr std::size_t kEventCount = 12;
 
-// What the board reports of a tilt by which it checks a travel encoder that has long been silent.
+// Result of a tilt that checks a travel encoder without counts for a long time.
 enum class Probe : std::uint8_t {
   none = 0,  // nothing
   asked = 1,  // the tilt begins
@@ -529,7 +529,7 @@ enum class MessageId : std::uint8_t {
   event = 134,
 };
 
-// Opens a session. Its layout and welcome's never change, so that any two versions can tell each other apart.
+// Opens a session. Its layout and welcome's never change, so that any two versions recognise each other.
 struct HelloMessage {
   static constexpr MessageId kId = MessageId::hello;
   static constexpr std::size_t kSize = 9;
