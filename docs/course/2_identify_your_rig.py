@@ -37,7 +37,7 @@ for name, number in mine.items():
     if prior.tolerance and abs(number.value - prior.value) > 0.5 * prior.tolerance:
         moved = 2.0 * (number.value - prior.value) / prior.tolerance
         print(
-            f"{name}: {prior.value:g} -> {number.value:.4g} +- {number.tolerance:.2g} {number.unit}, {moved:+.1f} sigma"
+            f"{name}: {prior.value:g} -> {number.value:.4g} (tolerance {number.tolerance:.2g}) {number.unit}, {moved:+.1f} sigma"
         )
 
 # %% [markdown]

@@ -94,7 +94,7 @@ second = heli_host.read_flight(folder / "second.mcap")
 result = diagnose(MultibodyModel(), rig, [flight.between(12.0, 34.0)], [second])
 print(summary(result))
 for cause in result.verdict.causes:
-    sizes = {name: f"{one.value:.3g} +- {one.std:.1g} {one.unit}" for name, one in cause.parameters.items()}
+    sizes = {name: f"{one.value:.3g} ± {one.std:.1g} {one.unit}" for name, one in cause.parameters.items()}
     print(cause.effect, f"confidence {cause.confidence:.2f}", sizes, "ambiguous with", cause.ambiguous_with)
 assert [cause.effect for cause in result.verdict.causes] == ["cable_spring.travel"]
 

@@ -3,8 +3,8 @@ function d = heli_declaration()
 %
 % Written by firmware/generate.py from firmware/link.toml. Do not edit.
 
-d.link_version = '1.3';
-d.link_hash = uint32(2267235153);
+d.link_version = '1.4';
+d.link_hash = uint32(3410462492);
 d.protocol = 1;
 d.baud = 250000;
 d.tick_us = 1000;
@@ -35,6 +35,8 @@ d.messages.law_end = struct('id', 19, 'fields', {{'request'}}, 'types', {{'u8'}}
 d.messages.law_fly = struct('id', 20, 'fields', {{'request', 'on'}}, 'types', {{'u8', 'u8'}}, 'reply', 'ack');
 d.messages.law_set = struct('id', 21, 'fields', {{'request', 'index', 'value'}}, 'types', {{'u8', 'u8', 'f32'}}, 'reply', 'ack');
 d.messages.law_read = struct('id', 22, 'fields', {{'request'}}, 'types', {{'u8'}}, 'reply', 'law');
+d.messages.controller_read = struct('id', 23, 'fields', {{'request', 'index'}}, 'types', {{'u8', 'u8'}}, 'reply', 'controller');
+d.messages.params_origin_read = struct('id', 24, 'fields', {{'request'}}, 'types', {{'u8'}}, 'reply', 'params_origin');
 d.messages.setpoint = struct('id', 32, 'fields', {{'apply_tick', 'elevation_rad', 'pitch_rad', 'travel_rad'}}, 'types', {{'u32', 'f32', 'f32', 'f32'}}, 'reply', '');
 d.messages.voltages = struct('id', 33, 'fields', {{'front_V', 'back_V', 'valid_ms'}}, 'types', {{'f32', 'f32', 'u16'}}, 'reply', '');
 d.messages.following = struct('id', 34, 'fields', {{'elevation_rad', 'pitch_rad', 'travel_rad'}}, 'types', {{'f32', 'f32', 'f32'}}, 'reply', '');
@@ -44,6 +46,8 @@ d.messages.pong = struct('id', 130, 'fields', {{'request', 'host_us', 'tick'}}, 
 d.messages.params = struct('id', 131, 'fields', {{'request', 'first', 'count'}}, 'types', {{'u8', 'u8', 'u8'}}, 'reply', '');
 d.messages.status = struct('id', 132, 'fields', {{'request', 'tick', 'frames_ok', 'frames_bad', 'frames_lost', 'duplicates', 'stale_streams', 'ticks_dropped', 'overruns', 'tick_max_us', 'illegal_elevation', 'illegal_pitch', 'illegal_travel', 'setpoint_rate_Hz'}}, 'types', {{'u8', 'u32', 'u32', 'u32', 'u32', 'u32', 'u32', 'u32', 'u32', 'u16', 'u16', 'u16', 'u16', 'u16'}}, 'reply', '');
 d.messages.law = struct('id', 135, 'fields', {{'request', 'hash', 'state', 'divisor', 'ticks', 'cost'}}, 'types', {{'u8', 'u32', 'u8', 'u8', 'u8', 'u32'}}, 'reply', '');
+d.messages.controller = struct('id', 136, 'fields', {{'request', 'index', 'count', 'name_0', 'name_1', 'name_2', 'name_3'}}, 'types', {{'u8', 'u8', 'u8', 'u32', 'u32', 'u32', 'u32'}}, 'reply', '');
+d.messages.params_origin = struct('id', 137, 'fields', {{'request', 'source', 'schema', 'kept', 'dropped', 'new_0', 'new_1', 'new_2'}}, 'types', {{'u8', 'u8', 'u32', 'u8', 'u8', 'u32', 'u32', 'u32'}}, 'reply', '');
 d.messages.telemetry = struct('id', 133, 'fields', {{'first_tick', 'count'}}, 'types', {{'u32', 'u8'}}, 'reply', '');
 d.messages.event = struct('id', 134, 'fields', {{'tick', 'kind', 'detail', 'cause', 'value'}}, 'types', {{'u32', 'u8', 'u8', 'u8', 'f32'}}, 'reply', '');
 
@@ -114,6 +118,7 @@ d.enums.params_source.defaults = 0;
 d.enums.params_source.stored = 1;
 d.enums.params_source.fallback = 2;
 d.enums.params_source.corrupt = 3;
+d.enums.params_source.migrated = 4;
 d.enums.excitation.none = 0;
 d.enums.excitation.step = 1;
 d.enums.excitation.doublet = 2;
@@ -258,35 +263,36 @@ d.parameters = {
   'excitation_max_V', 'V', 0, 12, 2
   'excitation_max_s', 's', 1, 600, 120
   'telemetry_batch_ticks', 'tick', 4, 32, 20
+  'controller', '', 0, 7, 0
 };
 
 % Faults: code, name, what it means and what to do.
 d.faults = {
   1, 'elevation_limit', 'elevation above its limit', 'lower the setpoint, or check the gains and the elevation encoder''s sign'
   2, 'pitch_limit', 'pitch beyond its limit', 'check the gains, the motor order and the pitch encoder''s sign'
-  3, 'travel_limit', 'travel beyond its limit: the cables wind up', 'bring the arm back by hand and zero it'
+  3, 'travel_limit', 'travel beyond its limit, so that the cables wind up', 'bring the arm back by hand and zero it'
   4, 'elevation_rate', 'elevation moved faster than its limit', 'check the gains and the elevation encoder'
   5, 'pitch_rate', 'pitch moved faster than its limit', 'check the gains and the pitch encoder'
   6, 'travel_rate', 'travel moved faster than its limit', 'check the gains and the travel encoder'
   7, 'encoder_elevation', 'too many illegal transitions of the elevation encoder', 'check its wiring and pull-ups'
   8, 'encoder_pitch', 'too many illegal transitions of the pitch encoder', 'check its wiring and pull-ups'
   9, 'encoder_travel', 'too many illegal transitions of the travel encoder', 'check its wiring and pull-ups'
-  10, 'landing_timeout', 'the table was not reached in time', 'check that nothing holds the arm; hover_V may be too high'
+  10, 'landing_timeout', 'the arm did not reach the table in time', 'check that nothing holds the arm; hover_V may be too high'
   11, 'tick_overrun', 'too many control ticks ran late', 'report it with the log: the firmware missed its deadline'
   12, 'hardware_stop', 'the hardware stop input is active', 'release the stop, then clear the fault'
   13, 'elevation_following', 'elevation stayed too far from its setpoint for following_s', 'check thrust, hover_V and the elevation encoder; tune the gains for this rig'
   14, 'pitch_following', 'pitch stayed too far from its setpoint for following_s', 'check that both rotors push, then the gains and the pitch encoder'
   15, 'travel_following', 'travel stayed too far from its setpoint for following_s', 'check what holds or drives the arm round, the gains and the travel encoder'
-  16, 'encoder_overload', 'edges of an encoder came faster than the board counts, so that its angle is wrong', 'look for noise on its lines, a missing ground or pull-up; then zero the axis'
-  17, 'elevation_motionless', 'the collective changed by enough to move the arm, and elevation did not count', 'check the elevation encoder''s plug, the motors'' supply and enable lines; a heavier rig needs its own hover_V (tune)'
-  18, 'pitch_motionless', 'the voltages'' difference changed by enough to tilt the short arm, and pitch did not count', 'check the pitch encoder''s plug, then that both rotors push'
-  19, 'travel_motionless', 'pitch tilted by enough and for long enough to turn the arm, and travel did not count; value: how far it must have turned, in deg', 'check the travel encoder''s plug, then what holds the arm'
+  16, 'encoder_overload', 'encoder edges came faster than the board can count, so the angle is wrong', 'look for noise on its lines, a missing ground or pull-up; then zero the axis'
+  17, 'elevation_motionless', 'the sum of both voltages changed enough to move the arm, but the elevation encoder did not count', 'check the elevation encoder''s plug, the motors'' supply and enable lines; a heavier rig needs its own hover_V (tune)'
+  18, 'pitch_motionless', 'the difference of the voltages changed enough to tilt the short arm, but the pitch encoder did not count', 'check the pitch encoder''s plug, then that both rotors push'
+  19, 'travel_motionless', 'pitch tilted long enough to turn the arm, but the travel encoder did not count; value: predicted travel in deg', 'check the travel encoder''s plug, then what holds the arm'
   20, 'not_at_rest', 'the arm does not rest on the table', 'let it rest on the table and zero it'
   21, 'moving', 'an axis is moving', 'wait until everything is still'
   22, 'link_not_alive', 'no recent frame from the host', 'keep the session open while arming'
   23, 'parameters_invalid', 'the stored parameters are damaged or contradict each other', 'restore or set them, then params save'
   24, 'pitch_not_level', 'the short arm is not level', 'level it, or zero it while level'
-  30, 'watchdog', 'the watchdog reset the board: control tick or idle loop had hung', 'report it with the log'
+  30, 'watchdog', 'the watchdog reset the board, because control tick or idle loop hung', 'report it with the log'
   31, 'hard_fault', 'the processor faulted; bridges were switched off and the board reset', 'report it with the log'
   32, 'unexpected_interrupt', 'an interrupt without a handler; bridges were switched off and the board reset', 'report it with the log'
 };

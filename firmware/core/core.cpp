@@ -38,18 +38,21 @@ std::int32_t wire(Quantity value, Wire per_unit) { return product<0>(value, per_
 
 }  // namespace
 
-Core::Core(Board& board, control::Controller& law, law::UploadedLaw& uploaded)
+Core::Core(Board& board, law::Simplex& laws, law::UploadedLaw& uploaded)
     : board_(board),
-      law_(law),
+      laws_(laws),
       uploaded_(uploaded),
       store_(board),
-      link_(board, params_, store_, uploaded.tape()),
+      link_(board, params_, store_, uploaded.tape(), laws.names()),
       supervisor_(link_) {
   refresh_derived();
 }
 
 void Core::start() {
   store_.load(params_);
+  if (params_.get(link::Param::controller) >= static_cast<float>(laws_.names().count)) {
+    store_.drop(params_, link::Param::controller);
+  }
   refresh_derived();
   const BootReport report = board_.boot_report();
   link_.push_event({0, static_cast<std::uint8_t>(Event::boot), report.reset, report.boot_fault,
@@ -61,7 +64,7 @@ void Core::refresh_derived() {
   const auto spare = static_cast<Bank>(1U - active_.load(std::memory_order_relaxed));
   derived_[spare] = {conversion_of(params_, board_.duty_full()), flight::limits_of(params_),
                      flight::setpoint_limits_of(params_), flight::tracking_limits_of(params_)};
-  law_.derive(params_, spare);
+  laws_.derive(control::IdleLoop(nullptr), params_, spare);
   derived_revision_ = revision;
   active_.store(spare, std::memory_order_release);
 }
@@ -106,12 +109,8 @@ Reply Core::execute(const link::Request& request, const EncoderReading& reading)
   const bool idle = supervisor_.state() == State::idle;
   const Reply not_idle{Result::bad_state, static_cast<std::uint8_t>(supervisor_.state()), 0.0F};
   switch (request.id) {
-    case MessageId::param_set: {
-      const auto message = request.as<link::ParamSetMessage>();
-      const auto which = static_cast<link::Param>(message.index);
-      const Result result = params_.set(which, message.value, idle);
-      return {result, message.index, result == Result::ok ? params_.get(which) : message.value};
-    }
+    case MessageId::param_set:
+      return set_parameter(request.as<link::ParamSetMessage>(), idle);
     case MessageId::params_default:
       if (!idle) {
         return not_idle;
@@ -140,6 +139,16 @@ Reply Core::execute(const link::Request& request, const EncoderReading& reading)
   }
 }
 
+Reply Core::set_parameter(const link::ParamSetMessage& message, bool idle) {
+  const auto which = static_cast<link::Param>(message.index);
+  // The declaration does not know how many controllers this board was built with.
+  const bool no_such_row =
+      which == link::Param::controller && message.value >= static_cast<float>(laws_.names().count);
+  const Result result =
+      no_such_row ? Result::out_of_range : params_.set(which, message.value, idle);
+  return {result, message.index, result == Result::ok ? params_.get(which) : message.value};
+}
+
 Reply Core::fly_law(bool on) {
   const auto state = static_cast<std::uint8_t>(supervisor_.state());
   if (!on) {
@@ -166,7 +175,7 @@ ControlOutput Core::drive(Bank bank) {
     uploaded_.hand_over(link::Takeover::state, static_cast<float>(supervisor_.state()));
   }
   if (!supervisor_.motors_enabled() || supervisor_.state() == State::armed) {
-    law_.reset();
+    laws_.init(bank);
     ControlOutput off{};
     off.pitch_setpoint_rad = seen_.angle_rad[kPitch];
     return off;
@@ -182,12 +191,12 @@ ControlOutput Core::drive(Bank bank) {
   const flight::Setpoint elevation = supervisor_.setpoint(kElevation);
   const flight::Setpoint pitch = supervisor_.setpoint(kPitch);
   const flight::Setpoint travel = supervisor_.setpoint(kTravel);
-  const bool asks = supervisor_.asks();
+  const bool waits = supervisor_.travel_waits();
   // All at once: cleared first and then filled, it takes 40 instructions more.
   const ControlInput in{
       {seen_.angle_rad[kElevation], seen_.angle_rad[kPitch], seen_.angle_rad[kTravel]},
       {seen_.rate_rad_s[kElevation], seen_.rate_rad_s[kPitch], seen_.rate_rad_s[kTravel]},
-      {elevation.angle_rad, asks ? supervisor_.asked_pitch_rad() : pitch.angle_rad,
+      {elevation.angle_rad, waits ? supervisor_.waiting_pitch_rad() : pitch.angle_rad,
        travel.angle_rad},
       {elevation.rate_rad_s, pitch.rate_rad_s, travel.rate_rad_s},
       {elevation.acceleration_rad_s2, pitch.acceleration_rad_s2, travel.acceleration_rad_s2},
@@ -196,8 +205,8 @@ ControlOutput Core::drive(Bank bank) {
       supervisor_.open_voltages().back_V,
       excitation.front_V,
       excitation.back_V,
-      asks};
-  return law_.update(in, bank);
+      waits};
+  return laws_.update(in, bank);
 }
 
 void Core::actuate(const ControlOutput& out, const Conversion& c) {
@@ -262,28 +271,12 @@ void Core::log_law(link::Sample& sample) {
 void Core::log_tick(const ControlOutput& out, TickTiming timing) {
   link::Sample& sample = link_.next_sample();
   sample.tick = seen_.tick;
-  const auto put = [&sample](link::Channel channel, std::int32_t value) {
-    sample.raw[static_cast<std::size_t>(channel)] = value;
-  };
   using link::Channel;
-  put(Channel::elevation_count, seen_.count[kElevation]);
-  put(Channel::pitch_count, seen_.count[kPitch]);
-  put(Channel::travel_count, seen_.count[kTravel]);
   // A host that streams voltages may send the setpoints that its law follows.
   const bool streamed = supervisor_.follows();
   const auto setpoint = [this, streamed](std::size_t axis, Quantity board_rad) {
     return streamed ? supervisor_.following_rad(axis) : board_rad;
   };
-  put(Channel::elevation_setpoint,
-      wire(setpoint(kElevation, supervisor_.setpoint_rad(kElevation)), kElevationSetpointWire));
-  put(Channel::pitch_setpoint, wire(setpoint(kPitch, out.pitch_setpoint_rad), kPitchSetpointWire));
-  put(Channel::travel_setpoint,
-      wire(setpoint(kTravel, supervisor_.setpoint_rad(kTravel)), kTravelSetpointWire));
-  put(Channel::front, wire(seen_.acted.front_V, kFrontWire));
-  put(Channel::back, wire(seen_.acted.back_V, kBackWire));
-  put(Channel::state, static_cast<std::int32_t>(supervisor_.state()));
-  put(Channel::fault, static_cast<std::int32_t>(supervisor_.fault()));
-  put(Channel::trigger, static_cast<std::int32_t>(supervisor_.cause()));
   std::uint8_t flags = 0;
   const auto raise = [&flags](bool condition, std::uint8_t bit) {
     flags = static_cast<std::uint8_t>(flags | (condition ? bit : 0U));
@@ -294,11 +287,27 @@ void Core::log_tick(const ControlOutput& out, TickTiming timing) {
   raise(supervisor_.link_alive(), link::flags::link_alive);
   raise(out.pitch_limited, link::flags::pitch_limited);
   raise(timing.late, link::flags::overrun);
-  put(Channel::signal_1, 0);
-  put(Channel::signal_2, 0);
-  put(Channel::signal_3, 0);
-  put(Channel::signal_4, 0);
-  put(Channel::flags, flags);
+  link::SampleWriter(sample)
+      .put<Channel::elevation_count>(seen_.count[kElevation])
+      .put<Channel::pitch_count>(seen_.count[kPitch])
+      .put<Channel::travel_count>(seen_.count[kTravel])
+      .put<Channel::elevation_setpoint>(
+          wire(setpoint(kElevation, supervisor_.setpoint_rad(kElevation)), kElevationSetpointWire))
+      .put<Channel::pitch_setpoint>(
+          wire(setpoint(kPitch, out.pitch_setpoint_rad), kPitchSetpointWire))
+      .put<Channel::travel_setpoint>(
+          wire(setpoint(kTravel, supervisor_.setpoint_rad(kTravel)), kTravelSetpointWire))
+      .put<Channel::front>(wire(seen_.acted.front_V, kFrontWire))
+      .put<Channel::back>(wire(seen_.acted.back_V, kBackWire))
+      .put<Channel::state>(static_cast<std::int32_t>(supervisor_.state()))
+      .put<Channel::fault>(static_cast<std::int32_t>(supervisor_.fault()))
+      .put<Channel::trigger>(static_cast<std::int32_t>(supervisor_.cause()))
+      .put<Channel::signal_1>(0)
+      .put<Channel::signal_2>(0)
+      .put<Channel::signal_3>(0)
+      .put<Channel::signal_4>(0)
+      .put<Channel::flags>(flags)
+      .done();
   if (uploaded_.busy()) {
     log_law(sample);
   }

@@ -13,8 +13,10 @@
 #include "flight/setpoints.hpp"
 #include "flight/supervisor.hpp"
 #include "flight/tracking.hpp"
+#include "law/simplex.hpp"
 #include "law/uploaded_law.hpp"
 #include "link/link.hpp"
+#include "link/sample_writer.hpp"
 #include "params/params.hpp"
 #include "params/store.hpp"
 
@@ -28,8 +30,8 @@ struct TickTiming {
 
 class Core {
  public:
-  // `uploaded` is the law that may come over the link; it flies when `law` runs it.
-  Core(Board& board, control::Controller& law, law::UploadedLaw& uploaded);
+  // `uploaded` is the law that may come over the link; `laws` runs it or a compiled controller.
+  Core(Board& board, law::Simplex& laws, law::UploadedLaw& uploaded);
 
   // Once, before the first tick: loads the parameters, announces the boot.
   void start();
@@ -56,6 +58,7 @@ class Core {
   void measure(const EncoderReading& reading, const Conversion& c);
   void zero(const EncoderReading& reading, std::uint8_t axes);
   link::Reply execute(const link::Request& request, const EncoderReading& reading);
+  link::Reply set_parameter(const link::ParamSetMessage& message, bool idle);
   link::Reply fly_law(bool on);
   control::ControlOutput drive(control::Bank bank);
   void actuate(const control::ControlOutput& out, const Conversion& c);
@@ -63,7 +66,7 @@ class Core {
   void log_tick(const control::ControlOutput& out, TickTiming timing);
 
   Board& board_;
-  control::Controller& law_;
+  law::Simplex& laws_;
   law::UploadedLaw& uploaded_;
   params::Params params_;
   params::Store store_;

@@ -1,8 +1,10 @@
-// The core and the laws that it is built with: what a board runs. The one file that names a law.
+// The core and the controllers that it is built with: what a board runs. The one file that names a
+// controller.
 #pragma once
 
 #include "board.hpp"
 #include "control/cascade.hpp"
+#include "control/controller_table.hpp"
 #include "core.hpp"
 #include "law/simplex.hpp"
 #include "law/uploaded_law.hpp"
@@ -10,11 +12,17 @@
 namespace heli {
 
 struct FlightCode {
-  explicit FlightCode(Board& board) : simplex(cascade, uploaded), core(board, simplex, uploaded) {}
+  explicit FlightCode(Board& board) : core(board, simplex, uploaded) {}
 
   control::Cascade cascade;
+
+  // The parameter `controller` selects a row; row 0 is the default.
+  control::ControllerTable controllers{{
+      {"cascade", cascade},
+  }};
+
   law::UploadedLaw uploaded;
-  law::Simplex simplex;
+  law::Simplex simplex{controllers, uploaded};
   Core core;
 };
 

@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
-from firmware.generator.declared import Table, camel, full_fields, link_hash, rows, size_of
+from firmware.generator.declared import (
+    Table,
+    camel,
+    full_fields,
+    link_hash,
+    param_id,
+    params_hash,
+    rows,
+    size_of,
+)
 from firmware.generator.laws import cpp_laws
 
 CPP_TYPE = {
@@ -40,6 +49,7 @@ def generate_cpp(d: Table) -> str:
         "namespace heli::link {",
         "",
         f"inline constexpr std::uint32_t kLinkHash = 0x{link_hash(d):08x}U;",
+        f"inline constexpr std::uint32_t kParamsHash = 0x{params_hash(d):08x}U;",
         f"inline constexpr std::uint8_t kLinkMajor = {major};",
         f"inline constexpr std::uint8_t kLinkMinor = {minor};",
         f"inline constexpr std::uint8_t kFirmwareMajor = {firmware[0]};",
@@ -79,13 +89,16 @@ def generate_cpp(d: Table) -> str:
         "  bool nonzero;",
         "  bool integer;",
         "  bool idle_only;",
+        "  std::uint16_t id;  // in stored sets",
         "};",
         "inline constexpr ParamInfo kParams[kParamCount] = {",
     ]
     for p in d["param"]:
         flags = [p.get("nonzero", False), p.get("integer", False), p["when"] == "idle"]
         numbers = ", ".join(cpp_float(p[k]) for k in ("min", "max", "default"))
-        out.append(f"    {{{numbers}, {', '.join(str(f).lower() for f in flags)}}},  // {p['name']}")
+        out.append(
+            f"    {{{numbers}, {', '.join(str(f).lower() for f in flags)}, 0x{param_id(p):04x}U}},  // {p['name']}"
+        )
     out += ["};", ""]
     out.append("enum class Channel : std::uint8_t {")
     out += [f"  {c['name']} = {i},  // {c['unit']}: {c['meaning']}" for i, c in enumerate(d["channel"])]

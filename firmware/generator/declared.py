@@ -21,7 +21,8 @@ STRUCT_CODE = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q", "i16": "h", "i32":
 # Differences of samples are 32 bits wide at most, and whole numbers.
 CHANNEL_TYPES = ("u8", "u16", "u32", "i16", "i32")
 CHANNEL_KEYS = {"name", "type", "unit", "scale", "meaning"}
-MAX_PARAMS = 120
+# Six bytes each in a stored set of 512; see core/params/README.md.
+MAX_PARAMS = 82
 
 # What becomes an enumeration without being declared as one.
 TABLES = ("channel", "param", "fault", "message_id")
@@ -117,6 +118,25 @@ def link_hash(declaration: Table) -> int:
     return int.from_bytes(hashlib.sha256(canonical.encode()).digest()[:4], "big")
 
 
+def param_id(param: Table) -> int:
+    """Number of a parameter in stored sets, from what its value means: name, unit and kind.
+
+    A parameter that is moved in the table keeps its number. One that gets another unit is another parameter.
+    """
+    meant = json.dumps([param["name"], param["unit"], param.get("integer", False)])
+    return int.from_bytes(hashlib.sha256(meant.encode()).digest()[:2], "big")
+
+
+def params_hash(declaration: Table) -> int:
+    """First four bytes of SHA-256 over what stored values mean and may be, in no order.
+
+    Whatever else the link hash covers may change without a stored set becoming another one's.
+    """
+    keys = ("name", "unit", "min", "max", "nonzero", "integer")
+    body = sorted(json.dumps([p.get(key, False) for key in keys]) for p in declaration["param"])
+    return int.from_bytes(hashlib.sha256("\n".join(body).encode()).digest()[:4], "big")
+
+
 def check(declaration: Table) -> None:
     """Raise DeclarationError for the first thing that is wrong."""
     check_names(declaration)
@@ -132,6 +152,13 @@ def check(declaration: Table) -> None:
             raise DeclarationError(f"{p['name']}: default outside its range")
         if p["when"] not in ("idle", "always"):
             raise DeclarationError(f"{p['name']}: when must be idle or always")
+    ids: dict[int, str] = {}
+    for p in params:
+        other = ids.setdefault(param_id(p), p["name"])
+        if other != p["name"]:
+            raise DeclarationError(
+                f"{p['name']} and {other} have the same number in flash; rename the new one"
+            )
     for fault in declaration["fault"]:
         if "parameter" in fault and fault["parameter"] not in names:
             raise DeclarationError(f"fault {fault['name']} names an unknown parameter")

@@ -5,7 +5,17 @@ from __future__ import annotations
 import json
 
 from firmware.generator import channels
-from firmware.generator.declared import STRUCT_CODE, Table, axes, camel, full_fields, link_hash, rows
+from firmware.generator.declared import (
+    STRUCT_CODE,
+    Table,
+    axes,
+    camel,
+    full_fields,
+    link_hash,
+    param_id,
+    params_hash,
+    rows,
+)
 from firmware.generator.laws import python_laws
 
 PY_TYPE = {"f32": "float"}
@@ -105,6 +115,7 @@ def generate_python(d: Table) -> str:
         "    from numpy.typing import NDArray",
         "",
         f"LINK_HASH = 0x{link_hash(d):08X}",
+        f"PARAMS_HASH = 0x{params_hash(d):08X}",
         f'LINK_VERSION = "{link["version"]}"',
         f'FIRMWARE_VERSION = "{link["firmware"]}"',
         f"PROTOCOL = {link['protocol']}",
@@ -143,6 +154,7 @@ def generate_python(d: Table) -> str:
         "    nonzero: bool",
         "    integer: bool",
         "    idle_only: bool",
+        "    id: int",
         "    meaning: str",
         "",
         "",
@@ -199,7 +211,8 @@ def generate_python(d: Table) -> str:
     ]
     for i, p in enumerate(d["param"]):
         values = [i, p["name"], p["unit"], float(p["min"]), float(p["max"]), float(p["default"])]
-        values += [p.get("nonzero", False), p.get("integer", False), p["when"] == "idle", p["meaning"]]
+        values += [p.get("nonzero", False), p.get("integer", False), p["when"] == "idle"]
+        values += [param_id(p), p["meaning"]]
         out.append(f"    ParamSpec({', '.join(json_or_bool(v) for v in values)}),")
     out += [")", "", "FAULTS: tuple[FaultSpec, ...] = ("]
     for f in d["fault"]:

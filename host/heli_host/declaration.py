@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-LINK_HASH = 0x87234351
-LINK_VERSION = "1.3"
+LINK_HASH = 0xCB47871C
+PARAMS_HASH = 0xF6FEF19E
+LINK_VERSION = "1.4"
 FIRMWARE_VERSION = "0.1.0"
 PROTOCOL = 1
 BAUD = 250000
@@ -27,9 +28,9 @@ MAX_TELEMETRY_PAYLOAD = 480
 class Axis(IntEnum):
     """Axes in the order used everywhere: in telemetry, masks and messages."""
 
-    ELEVATION = 0  # long arm up and down; positive is up
-    PITCH = 1  # short arm about the long arm; positive when the front rotor pushes more
-    TRAVEL = 2  # about the vertical; accelerates positive at positive pitch
+    ELEVATION = 0  # angle of the long arm; positive is up
+    PITCH = 1  # angle of the short arm about the long arm; positive if the front rotor pushes more
+    TRAVEL = 2  # angle about the vertical; a positive pitch accelerates it positively
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -43,10 +44,10 @@ class State(IntEnum):
     CLOSED_LOOP = 2  # the on-board control law flies the axes of the mask
     OPEN_LOOP = 3  # fixed voltages plus excitation, no axis closed
     STREAMED = 4  # voltages streamed by the host, each valid for a bounded time
-    HOLD = 5  # no fresh setpoint: hovering level in place
+    HOLD = 5  # no recent setpoint: the board hovers level in place
     LANDING = 6  # controlled descent to the table, then motors off
-    FAULT = 7  # motors off and latched until clear_fault
-    EMERGENCY_LANDING = 8  # controlled descent after a fault that leaves elevation and pitch in hand; travel is open, then motors off and the fault latched
+    FAULT = 7  # motors off; the fault stays until clear_fault
+    EMERGENCY_LANDING = 8  # controlled descent after a fault, with elevation and pitch controlled and travel free; then motors off, and the fault stays until clear_fault
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -57,9 +58,9 @@ class Result(IntEnum):
 
     OK = 0  # done
     UNKNOWN_COMMAND = 1  # no such message id
-    BAD_LENGTH = 2  # payload length does not fit the message
-    BAD_VALUE = 3  # a field is out of range or not finite; detail says which, by its position on the wire counted from 0
-    BAD_STATE = 4  # not allowed in the present state; detail is the state
+    BAD_LENGTH = 2  # the payload length is wrong for this message
+    BAD_VALUE = 3  # a field is out of range or not finite; detail is its position in the message, from 0
+    BAD_STATE = 4  # not allowed in the current state; detail is the state
     CHECK_FAILED = 5  # a pre-flight check failed; detail is the fault code
     OUT_OF_RANGE = 6  # parameter value outside its range; detail is the parameter
     NO_SUCH_PARAMETER = 7  # parameter index beyond the table
@@ -78,19 +79,19 @@ class LawError(IntEnum):
 
     NONE = 0  # nothing is wrong
     NOT_LOADED = 1  # no law is loaded; value 0
-    FLYING = 2  # a law flies: the one that is loaded cannot be replaced; value 0
-    TOO_LONG = 3  # longer than an upload may be; value = most words
-    WRONG_PART = 4  # a part beyond the end, or without a beginning; value = its first word
+    FLYING = 2  # the loaded law flies, so it cannot be replaced; value 0
+    TOO_LONG = 3  # longer than an upload may be; value = largest number of words
+    WRONG_PART = 4  # a part beyond the end, or before law_begin; value = its first word
     INCOMPLETE = 5  # parts are missing; value = words received
-    WRONG_HASH = 6  # the hash is not that of the words received; value 0
+    WRONG_HASH = 6  # the hash does not match the received words; value 0
     WRONG_FORMAT = 7  # another version of the format, or counts that do not fit the length; value = words that the counts ask for
     TOO_LARGE = 8  # more cells than there are; value = cells asked for
     UNKNOWN_OPERATION = 9  # no such operation; value = place of the instruction
     BAD_CELL = 10  # a cell that may not be written, or an output from beyond the cells; value = place of the instruction, or of the output behind the last
     NOT_WRITTEN = 11  # a cell is read before it is written; value = place of the instruction, or of the output behind the last
     BAD_NUMBER = 12  # a constant, a parameter or a first state that is not finite; value = its place among them
-    BAD_DIVISOR = 13  # the rate is no whole part of the tick's; value = divisor
-    TOO_COSTLY = 14  # does not fit the ticks of its period; value = ticks that it needs
+    BAD_DIVISOR = 13  # the tick rate is not a multiple of the law's rate; value = divisor
+    TOO_COSTLY = 14  # needs more ticks than its period has; value = ticks that it needs
     NO_SUCH_PARAMETER = 15  # the law has fewer parameters; value = how many
     BAD_SUM = 17  # a sum of products without terms, with too many, or beyond the end; value = place of the word
     NOT_FLYING = 16  # all three loops of the board must be closed, and the arm in flight; value = state
@@ -103,9 +104,9 @@ class LawState(IntEnum):
     """State of the uploaded law on the board."""
 
     NONE = 0  # no law
-    RECEIVING = 1  # an upload has begun and is not complete
+    RECEIVING = 1  # an upload has started and is not complete
     READY = 2  # verified; may fly
-    FLYING = 3  # its voltages act
+    FLYING = 3  # it controls the motors
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -114,12 +115,12 @@ class LawState(IntEnum):
 class Takeover(IntEnum):
     """Why the board's own law took over."""
 
-    COMMAND = 0  # asked for; value 0
-    NOT_FINITE = 1  # an output, a signal or a new state was not a number or infinite; value = its place: voltages, setpoints, signals, states
+    COMMAND = 0  # the host requested it; value 0
+    NOT_FINITE = 1  # an output, a signal or a new state was not finite; value = its position among voltages, setpoints, signals, states
     VOLTAGE_JUMP = 2  # a voltage jumped from one tick to the next; value in V
-    ELEVATION_ENVELOPE = 3  # elevation could not be braked any more before its limits; value = predicted angle in deg
-    PITCH_ENVELOPE = 4  # pitch could not be braked any more before its limit; value = predicted angle in deg
-    TRAVEL_ENVELOPE = 5  # travel could not be braked any more before its limit; value = predicted angle in deg
+    ELEVATION_ENVELOPE = 3  # elevation could not stop before its limits; value = predicted angle in deg
+    PITCH_ENVELOPE = 4  # pitch could not stop before its limit; value = predicted angle in deg
+    TRAVEL_ENVELOPE = 5  # travel could not stop before its limit; value = predicted angle in deg
     ELEVATION_FOLLOWING = 6  # elevation stayed too far from the board's setpoint; value in deg
     PITCH_FOLLOWING = 7  # pitch stayed too far from the law's own setpoint; value in deg
     TRAVEL_FOLLOWING = 8  # travel stayed too far from the board's setpoint; value in deg
@@ -134,8 +135,8 @@ class Reset(IntEnum):
 
     POWER_UP = 0  # power applied
     USER = 1  # reset line: opening the port, or the button
-    WATCHDOG = 2  # the watchdog fired: control tick or idle loop had hung
-    SOFTWARE = 3  # reset asked for by the firmware after it recorded a fault
+    WATCHDOG = 2  # the watchdog fired, because control tick or idle loop hung
+    SOFTWARE = 3  # the firmware reset itself after it recorded a fault
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -147,7 +148,8 @@ class ParamsSource(IntEnum):
     DEFAULTS = 0  # no stored set: the declared defaults
     STORED = 1  # the newest valid copy in flash
     FALLBACK = 2  # the newest copy was damaged; the older valid copy is used
-    CORRUPT = 3  # both copies damaged or from another declaration: defaults, and arming is refused until a save
+    CORRUPT = 3  # both copies damaged or of another format: defaults, and arming is refused until a save
+    MIGRATED = 4  # the newest valid copy, saved under another schema of the parameters: known values kept, new parameters at their defaults; see params_origin
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -248,29 +250,29 @@ class Fault(IntEnum):
     NONE = 0  # no fault
     ELEVATION_LIMIT = 1  # elevation above its limit
     PITCH_LIMIT = 2  # pitch beyond its limit
-    TRAVEL_LIMIT = 3  # travel beyond its limit: the cables wind up
+    TRAVEL_LIMIT = 3  # travel beyond its limit, so that the cables wind up
     ELEVATION_RATE = 4  # elevation moved faster than its limit
     PITCH_RATE = 5  # pitch moved faster than its limit
     TRAVEL_RATE = 6  # travel moved faster than its limit
     ENCODER_ELEVATION = 7  # too many illegal transitions of the elevation encoder
     ENCODER_PITCH = 8  # too many illegal transitions of the pitch encoder
     ENCODER_TRAVEL = 9  # too many illegal transitions of the travel encoder
-    LANDING_TIMEOUT = 10  # the table was not reached in time
+    LANDING_TIMEOUT = 10  # the arm did not reach the table in time
     TICK_OVERRUN = 11  # too many control ticks ran late
     HARDWARE_STOP = 12  # the hardware stop input is active
     ELEVATION_FOLLOWING = 13  # elevation stayed too far from its setpoint for following_s
     PITCH_FOLLOWING = 14  # pitch stayed too far from its setpoint for following_s
     TRAVEL_FOLLOWING = 15  # travel stayed too far from its setpoint for following_s
-    ENCODER_OVERLOAD = 16  # edges of an encoder came faster than the board counts, so that its angle is wrong
-    ELEVATION_MOTIONLESS = 17  # the collective changed by enough to move the arm, and elevation did not count
-    PITCH_MOTIONLESS = 18  # the voltages' difference changed by enough to tilt the short arm, and pitch did not count
-    TRAVEL_MOTIONLESS = 19  # pitch tilted by enough and for long enough to turn the arm, and travel did not count; value: how far it must have turned, in deg
+    ENCODER_OVERLOAD = 16  # encoder edges came faster than the board can count, so the angle is wrong
+    ELEVATION_MOTIONLESS = 17  # the sum of both voltages changed enough to move the arm, but the elevation encoder did not count
+    PITCH_MOTIONLESS = 18  # the difference of the voltages changed enough to tilt the short arm, but the pitch encoder did not count
+    TRAVEL_MOTIONLESS = 19  # pitch tilted long enough to turn the arm, but the travel encoder did not count; value: predicted travel in deg
     NOT_AT_REST = 20  # the arm does not rest on the table
     MOVING = 21  # an axis is moving
     LINK_NOT_ALIVE = 22  # no recent frame from the host
     PARAMETERS_INVALID = 23  # the stored parameters are damaged or contradict each other
     PITCH_NOT_LEVEL = 24  # the short arm is not level
-    WATCHDOG = 30  # the watchdog reset the board: control tick or idle loop had hung
+    WATCHDOG = 30  # the watchdog reset the board, because control tick or idle loop hung
     HARD_FAULT = 31  # the processor faulted; bridges were switched off and the board reset
     UNEXPECTED_INTERRUPT = 32  # an interrupt without a handler; bridges were switched off and the board reset
 
@@ -281,32 +283,32 @@ class Fault(IntEnum):
 class Param(IntEnum):
     """Position of each parameter in the table."""
 
-    ELEVATION_COUNTS_PER_REV = 0  # count: elevation encoder counts a revolution, x4; negative reverses its direction
-    PITCH_COUNTS_PER_REV = 1  # count: pitch encoder counts a revolution, x4; negative reverses its direction
-    TRAVEL_COUNTS_PER_REV = 2  # count: travel encoder counts a revolution, x4; negative reverses its direction
-    ELEVATION_REST_DEG = 3  # deg: elevation when the arm rests on the table; makes level zero
-    SUPPLY_V = 4  # V: supply of the motor drivers; full duty means this voltage
+    ELEVATION_COUNTS_PER_REV = 0  # count: elevation encoder counts per revolution, x4; a negative number reverses its direction
+    PITCH_COUNTS_PER_REV = 1  # count: pitch encoder counts per revolution, x4; a negative number reverses its direction
+    TRAVEL_COUNTS_PER_REV = 2  # count: travel encoder counts per revolution, x4; a negative number reverses its direction
+    ELEVATION_REST_DEG = 3  # deg: elevation when the arm rests on the table, so that level is zero
+    SUPPLY_V = 4  # V: supply voltage of the motor drivers, which full duty gives
     MOTOR_MIN_V = 5  # V: lowest motor voltage; 0 never reverses a rotor
     MOTOR_MAX_V = 6  # V: highest motor voltage
     MOTOR_FRONT_SIGN = 7  # : -1 swaps the front motor's leads in software
     MOTOR_BACK_SIGN = 8  # : -1 swaps the back motor's leads in software
-    DEAD_ZONE_V = 9  # V: voltage below which a rotor gives no thrust (paper eq. 31); added back by the control law
-    HOVER_V = 10  # V: feed-forward of the sum of both voltages above the dead zone that carries the arm at level
-    HOVER_SLOPE = 11  # V/deg: change of hover_V with elevation: masses that hang below the axis want more lift the higher the arm is
+    DEAD_ZONE_V = 9  # V: voltage below which a rotor gives no thrust (paper eq. 31); the control law adds it
+    HOVER_V = 10  # V: sum of both voltages, above the dead zone, that holds the arm level
+    HOVER_SLOPE = 11  # V/deg: change of hover_V with elevation: masses below the axis need more lift at a higher elevation
     ELEVATION_KP = 12  # V/deg: elevation proportional gain (paper Table 6: 0.5)
     ELEVATION_KI = 13  # V/(deg s): elevation integral gain (paper Table 6: 1)
     ELEVATION_KD = 14  # V s/deg: elevation derivative gain, on the measurement (paper Table 6: 0.1)
-    ELEVATION_RATE_FF = 15  # : share of the setpoint's own rate that the derivative term does not brake; 0 is derivative on measurement alone
-    ELEVATION_ACCELERATION_FF = 16  # V s2/deg: collective for the setpoint's own acceleration: inertia over thrust gain and arm
+    ELEVATION_RATE_FF = 15  # : share of the setpoint's rate that the derivative term subtracts; 0 is derivative on measurement only
+    ELEVATION_ACCELERATION_FF = 16  # V s2/deg: voltage sum per setpoint acceleration: inertia / (thrust gain x arm)
     PITCH_KP = 17  # V/deg: pitch proportional gain (paper Table 6: 0.66)
     PITCH_KI = 18  # V/(deg s): pitch integral gain (paper Table 6: 3)
     PITCH_KD = 19  # V s/deg: pitch derivative gain, on the measurement (paper Table 6: 0.1)
-    PITCH_HOLD_FF = 20  # V/deg: difference of the voltages that holds a degree of pitch setpoint against masses that hang below the pitch axis
+    PITCH_HOLD_FF = 20  # V/deg: difference of the voltages per degree of pitch setpoint, against masses below the pitch axis
     TRAVEL_KP = 21  # deg/deg: travel proportional gain to the pitch setpoint (paper Table 6 with P and I exchanged: 0.7)
     TRAVEL_KI = 22  # deg/(deg s): travel integral gain (paper Table 6 with P and I exchanged: 0.13)
     TRAVEL_KD = 23  # deg s/deg: travel derivative gain, on the measurement (paper Table 6: 1.462)
-    TRAVEL_RATE_FF = 24  # : share of the setpoint's own rate that the derivative term does not brake; 0 is derivative on measurement alone
-    TRAVEL_ACCELERATION_FF = 25  # deg s2/deg: pitch for the setpoint's own acceleration: inertia over hover thrust and arm
+    TRAVEL_RATE_FF = 24  # : share of the setpoint's rate that the derivative term subtracts; 0 is derivative on measurement only
+    TRAVEL_ACCELERATION_FF = 25  # deg s2/deg: pitch per setpoint acceleration: inertia / (hover thrust x arm)
     ELEVATION_INTEGRAL_MAX_V = 26  # V: bound of the elevation integrator
     PITCH_INTEGRAL_MAX_V = 27  # V: bound of the pitch integrator
     TRAVEL_INTEGRAL_MAX_DEG = 28  # deg: bound of the travel integrator
@@ -314,13 +316,13 @@ class Param(IntEnum):
     PITCH_FILTER_HZ = 30  # Hz: cut-off of the pitch rate filter (two poles)
     TRAVEL_FILTER_HZ = 31  # Hz: cut-off of the travel rate filter (two poles)
     PITCH_SETPOINT_MAX_DEG = 32  # deg: bound of the pitch setpoint, from the travel loop or the host
-    DIFFERENTIAL_MAX_V = 33  # V: bound of front minus back: pitch has priority in the mixer, so more than this would lift the arm
+    DIFFERENTIAL_MAX_V = 33  # V: bound of front minus back; pitch has priority in the mixer, so more would lift the arm
     ELEVATION_SLEW_DEG_S = 34  # deg/s: fastest change of the elevation setpoint
     PITCH_SLEW_DEG_S = 35  # deg/s: fastest change of the pitch setpoint, from the travel loop or the host
     TRAVEL_SLEW_DEG_S = 36  # deg/s: fastest change of the travel setpoint
-    ELEVATION_ACCELERATION_DEG_S2 = 37  # deg/s2: fastest change of the elevation setpoint's rate: a step becomes a ramp that starts and stops gently
+    ELEVATION_ACCELERATION_DEG_S2 = 37  # deg/s2: fastest change of the elevation setpoint's rate, which makes a step a smooth ramp
     TRAVEL_ACCELERATION_DEG_S2 = 38  # deg/s2: fastest change of the travel setpoint's rate; travel can only accelerate by tilting
-    BUMPLESS_S = 39  # s: time constant with which the jump of a mode change is faded out
+    BUMPLESS_S = 39  # s: time constant of the smooth change between modes
     ELEVATION_MAX_DEG = 40  # deg: elevation above which the motors are cut; setpoints are refused from 2 degrees below it
     PITCH_MAX_DEG = 41  # deg: pitch beyond which the motors are cut
     TRAVEL_MAX_DEG = 42  # deg: travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it
@@ -335,7 +337,7 @@ class Param(IntEnum):
     FOLLOWING_S = 51  # s: how long a following error beyond its limit is tolerated
     ELEVATION_MOTION_V = 52  # V: change of both voltages' sum, dead zones apart, that must move elevation within motion_s; at take-off, beyond hover_V
     PITCH_MOTION_V = 53  # V: change of front minus back, dead zones apart, that must move pitch within motion_s
-    MOTION_S = 54  # s: how long a driven elevation or pitch may stay within a count
+    MOTION_S = 54  # s: how long a driven elevation or pitch may stay within one count
     TRAVEL_MOTION_DEG = 55  # deg: pitch beyond the balanced one that must move travel within travel_motion_s
     TRAVEL_MOTION_S = 56  # s: with travel_motion_deg: a smaller excess is tolerated for longer, by its double integral over time
     TRAVEL_SILENCE_S = 57  # s: how long travel may be without a count, in the air and held by the board, before a short tilt checks its encoder; 0: never
@@ -347,14 +349,15 @@ class Param(IntEnum):
     ARM_RATE_MAX_DEG_S = 63  # deg/s: arming needs every axis slower than this
     ARM_ELEVATION_TOLERANCE_DEG = 64  # deg: arming needs the elevation this close to rest
     ARM_PITCH_TOLERANCE_DEG = 65  # deg: arming needs the pitch this close to level
-    SETPOINT_HOLD_S = 66  # s: without a fresh setpoint for this long the board holds level
-    SETPOINT_LAND_S = 67  # s: without a fresh setpoint for this long the board lands
+    SETPOINT_HOLD_S = 66  # s: time without a recent setpoint after which the board holds level
+    SETPOINT_LAND_S = 67  # s: time without a recent setpoint after which the board lands
     LANDING_RATE_DEG_S = 68  # deg/s: descent of the elevation setpoint while landing
-    LANDING_TIMEOUT_S = 69  # s: landing takes at most this long; then motors off with a fault
-    VOLTAGE_VALID_MAX_MS = 70  # ms: a streamed voltage acts at most this long, whatever its sender asked for
+    LANDING_TIMEOUT_S = 69  # s: longest landing; then the motors are switched off with a fault
+    VOLTAGE_VALID_MAX_MS = 70  # ms: longest time that a streamed voltage acts
     EXCITATION_MAX_V = 71  # V: largest amplitude that excite accepts
     EXCITATION_MAX_S = 72  # s: longest duration that excite accepts
-    TELEMETRY_BATCH_TICKS = 73  # tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
+    TELEMETRY_BATCH_TICKS = 73  # tick: ticks per telemetry batch: 20 saves bandwidth, 5 reduces the delay for a host controller
+    CONTROLLER = 74  # : compiled controller that flies: its row in the board's table; a number beyond the last row is refused
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -409,6 +412,8 @@ class MessageId(IntEnum):
     LAW_FLY = 20  # Flies the law from the next tick on, or has the board's own take over. ack.detail: the state.
     LAW_SET = 21  # Sets a parameter of the law, in flight too; lasts until the next upload. ack.value: the value in force.
     LAW_READ = 22  # Asks which law the board has.
+    CONTROLLER_READ = 23  # Asks for the name of a compiled controller.
+    PARAMS_ORIGIN_READ = 24  # Asks which parameters the stored set gave at the start, and which not.
     SETPOINT = 32  # Target to be reached at a device tick. The board ramps to it linearly, within its slew limits.
     VOLTAGES = 33  # Motor voltages in the streamed state.
     FOLLOWING = 34  # Setpoints that the host's law follows in the streamed state: logged, and nothing else. In other states it is not looked at.
@@ -418,6 +423,8 @@ class MessageId(IntEnum):
     PARAMS = 131  # Parameter values, as many as `count` says (at most 32), in table order.
     STATUS = 132  # Counters since start; sent once a second with request = 0, and on status_read.
     LAW = 135  # The law that the board has.
+    CONTROLLER = 136  # The name of a compiled controller, in ASCII, 0 behind its end.
+    PARAMS_ORIGIN = 137  # Origin of the parameters at the start, or since the last save.
     TELEMETRY = 133  # A batch of consecutive ticks, delta-coded; layout below.
     EVENT = 134  # Something happened; also visible in telemetry, but with its reason here.
 
@@ -442,6 +449,7 @@ class ParamSpec:
     nonzero: bool
     integer: bool
     idle_only: bool
+    id: int
     meaning: str
 
 
@@ -495,108 +503,109 @@ class ChannelSpec:
 
 
 PARAMS: tuple[ParamSpec, ...] = (
-    ParamSpec(0, "elevation_counts_per_rev", "count", -65536.0, 65536.0, 4096.0, True, False, True, "elevation encoder counts a revolution, x4; negative reverses its direction"),
-    ParamSpec(1, "pitch_counts_per_rev", "count", -65536.0, 65536.0, 4096.0, True, False, True, "pitch encoder counts a revolution, x4; negative reverses its direction"),
-    ParamSpec(2, "travel_counts_per_rev", "count", -65536.0, 65536.0, 4096.0, True, False, True, "travel encoder counts a revolution, x4; negative reverses its direction"),
-    ParamSpec(3, "elevation_rest_deg", "deg", -60.0, 0.0, -25.0, False, False, True, "elevation when the arm rests on the table; makes level zero"),
-    ParamSpec(4, "supply_V", "V", 5.0, 24.0, 12.0, False, False, True, "supply of the motor drivers; full duty means this voltage"),
-    ParamSpec(5, "motor_min_V", "V", -24.0, 0.0, 0.0, False, False, True, "lowest motor voltage; 0 never reverses a rotor"),
-    ParamSpec(6, "motor_max_V", "V", 0.5, 24.0, 10.0, False, False, True, "highest motor voltage"),
-    ParamSpec(7, "motor_front_sign", "", -1.0, 1.0, 1.0, True, True, True, "-1 swaps the front motor's leads in software"),
-    ParamSpec(8, "motor_back_sign", "", -1.0, 1.0, 1.0, True, True, True, "-1 swaps the back motor's leads in software"),
-    ParamSpec(9, "dead_zone_V", "V", 0.0, 5.0, 1.0, False, False, False, "voltage below which a rotor gives no thrust (paper eq. 31); added back by the control law"),
-    ParamSpec(10, "hover_V", "V", 0.0, 20.0, 1.4, False, False, False, "feed-forward of the sum of both voltages above the dead zone that carries the arm at level"),
-    ParamSpec(11, "hover_slope", "V/deg", -1.0, 1.0, 0.06, False, False, False, "change of hover_V with elevation: masses that hang below the axis want more lift the higher the arm is"),
-    ParamSpec(12, "elevation_kp", "V/deg", 0.0, 20.0, 0.28, False, False, False, "elevation proportional gain (paper Table 6: 0.5)"),
-    ParamSpec(13, "elevation_ki", "V/(deg s)", 0.0, 20.0, 0.49, False, False, False, "elevation integral gain (paper Table 6: 1)"),
-    ParamSpec(14, "elevation_kd", "V s/deg", 0.0, 20.0, 0.22, False, False, False, "elevation derivative gain, on the measurement (paper Table 6: 0.1)"),
-    ParamSpec(15, "elevation_rate_ff", "", 0.0, 1.0, 1.0, False, False, False, "share of the setpoint's own rate that the derivative term does not brake; 0 is derivative on measurement alone"),
-    ParamSpec(16, "elevation_acceleration_ff", "V s2/deg", 0.0, 1.0, 0.036, False, False, False, "collective for the setpoint's own acceleration: inertia over thrust gain and arm"),
-    ParamSpec(17, "pitch_kp", "V/deg", 0.0, 20.0, 0.09, False, False, False, "pitch proportional gain (paper Table 6: 0.66)"),
-    ParamSpec(18, "pitch_ki", "V/(deg s)", 0.0, 20.0, 0.0025, False, False, False, "pitch integral gain (paper Table 6: 3)"),
-    ParamSpec(19, "pitch_kd", "V s/deg", 0.0, 20.0, 0.028, False, False, False, "pitch derivative gain, on the measurement (paper Table 6: 0.1)"),
-    ParamSpec(20, "pitch_hold_ff", "V/deg", -1.0, 1.0, 0.033, False, False, False, "difference of the voltages that holds a degree of pitch setpoint against masses that hang below the pitch axis"),
-    ParamSpec(21, "travel_kp", "deg/deg", 0.0, 20.0, 0.6, False, False, False, "travel proportional gain to the pitch setpoint (paper Table 6 with P and I exchanged: 0.7)"),
-    ParamSpec(22, "travel_ki", "deg/(deg s)", 0.0, 20.0, 0.06, False, False, False, "travel integral gain (paper Table 6 with P and I exchanged: 0.13)"),
-    ParamSpec(23, "travel_kd", "deg s/deg", 0.0, 20.0, 3.15, False, False, False, "travel derivative gain, on the measurement (paper Table 6: 1.462)"),
-    ParamSpec(24, "travel_rate_ff", "", 0.0, 1.0, 1.0, False, False, False, "share of the setpoint's own rate that the derivative term does not brake; 0 is derivative on measurement alone"),
-    ParamSpec(25, "travel_acceleration_ff", "deg s2/deg", 0.0, 20.0, 1.09, False, False, False, "pitch for the setpoint's own acceleration: inertia over hover thrust and arm"),
-    ParamSpec(26, "elevation_integral_max_V", "V", 0.0, 20.0, 3.0, False, False, False, "bound of the elevation integrator"),
-    ParamSpec(27, "pitch_integral_max_V", "V", 0.0, 20.0, 2.0, False, False, False, "bound of the pitch integrator"),
-    ParamSpec(28, "travel_integral_max_deg", "deg", 0.0, 45.0, 10.0, False, False, False, "bound of the travel integrator"),
-    ParamSpec(29, "elevation_filter_Hz", "Hz", 0.5, 200.0, 6.0, False, False, False, "cut-off of the elevation rate filter (two poles)"),
-    ParamSpec(30, "pitch_filter_Hz", "Hz", 0.5, 200.0, 16.0, False, False, False, "cut-off of the pitch rate filter (two poles)"),
-    ParamSpec(31, "travel_filter_Hz", "Hz", 0.5, 200.0, 3.0, False, False, False, "cut-off of the travel rate filter (two poles)"),
-    ParamSpec(32, "pitch_setpoint_max_deg", "deg", 1.0, 45.0, 30.0, False, False, False, "bound of the pitch setpoint, from the travel loop or the host"),
-    ParamSpec(33, "differential_max_V", "V", 0.1, 24.0, 1.4, False, False, False, "bound of front minus back: pitch has priority in the mixer, so more than this would lift the arm"),
-    ParamSpec(34, "elevation_slew_deg_s", "deg/s", 0.5, 200.0, 15.0, False, False, False, "fastest change of the elevation setpoint"),
-    ParamSpec(35, "pitch_slew_deg_s", "deg/s", 1.0, 1000.0, 90.0, False, False, False, "fastest change of the pitch setpoint, from the travel loop or the host"),
-    ParamSpec(36, "travel_slew_deg_s", "deg/s", 0.5, 200.0, 20.0, False, False, False, "fastest change of the travel setpoint"),
-    ParamSpec(37, "elevation_acceleration_deg_s2", "deg/s2", 1.0, 2000.0, 29.0, False, False, False, "fastest change of the elevation setpoint's rate: a step becomes a ramp that starts and stops gently"),
-    ParamSpec(38, "travel_acceleration_deg_s2", "deg/s2", 1.0, 2000.0, 4.5, False, False, False, "fastest change of the travel setpoint's rate; travel can only accelerate by tilting"),
-    ParamSpec(39, "bumpless_s", "s", 0.02, 5.0, 0.3, False, False, False, "time constant with which the jump of a mode change is faded out"),
-    ParamSpec(40, "elevation_max_deg", "deg", 1.0, 60.0, 24.0, False, False, True, "elevation above which the motors are cut; setpoints are refused from 2 degrees below it"),
-    ParamSpec(41, "pitch_max_deg", "deg", 5.0, 80.0, 45.0, False, False, True, "pitch beyond which the motors are cut"),
-    ParamSpec(42, "travel_max_deg", "deg", 10.0, 3600.0, 175.0, False, False, True, "travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it"),
-    ParamSpec(43, "elevation_rate_max_deg_s", "deg/s", 10.0, 1000.0, 120.0, False, False, True, "elevation rate beyond which the motors are cut"),
-    ParamSpec(44, "pitch_rate_max_deg_s", "deg/s", 10.0, 2000.0, 400.0, False, False, True, "pitch rate beyond which the motors are cut"),
-    ParamSpec(45, "travel_rate_max_deg_s", "deg/s", 10.0, 1000.0, 150.0, False, False, True, "travel rate beyond which the motors are cut"),
-    ParamSpec(46, "encoder_illegal_max", "", 0.0, 1000.0, 5.0, False, False, True, "illegal transitions of one encoder since arming that are tolerated"),
-    ParamSpec(47, "overrun_max", "", 0.0, 1000.0, 10.0, False, False, True, "late ticks since arming that are tolerated"),
-    ParamSpec(48, "elevation_following_max_deg", "deg", 1.0, 180.0, 15.0, False, False, True, "following error of elevation, from its shaped setpoint, beyond which the motors are cut after following_s"),
-    ParamSpec(49, "pitch_following_max_deg", "deg", 1.0, 180.0, 20.0, False, False, True, "following error of pitch beyond which the motors are cut after following_s"),
-    ParamSpec(50, "travel_following_max_deg", "deg", 1.0, 3600.0, 30.0, False, False, True, "following error of travel, from its shaped setpoint, beyond which the board lands after following_s"),
-    ParamSpec(51, "following_s", "s", 0.1, 10.0, 1.0, False, False, True, "how long a following error beyond its limit is tolerated"),
-    ParamSpec(52, "elevation_motion_V", "V", 0.1, 48.0, 1.2, False, False, True, "change of both voltages' sum, dead zones apart, that must move elevation within motion_s; at take-off, beyond hover_V"),
-    ParamSpec(53, "pitch_motion_V", "V", 0.1, 48.0, 0.5, False, False, True, "change of front minus back, dead zones apart, that must move pitch within motion_s"),
-    ParamSpec(54, "motion_s", "s", 0.1, 10.0, 0.5, False, False, True, "how long a driven elevation or pitch may stay within a count"),
-    ParamSpec(55, "travel_motion_deg", "deg", 0.5, 90.0, 8.0, False, False, True, "pitch beyond the balanced one that must move travel within travel_motion_s"),
-    ParamSpec(56, "travel_motion_s", "s", 0.1, 30.0, 1.0, False, False, True, "with travel_motion_deg: a smaller excess is tolerated for longer, by its double integral over time"),
-    ParamSpec(57, "travel_silence_s", "s", 0.0, 60.0, 2.5, False, False, True, "how long travel may be without a count, in the air and held by the board, before a short tilt checks its encoder; 0: never"),
-    ParamSpec(58, "elevation_gain", "rad/(s2 V)", 0.02, 10.0, 0.485, False, False, False, "acceleration of elevation per volt of the sum: thrust gain k L_a / J_theta; judges what elevation must have moved by"),
-    ParamSpec(59, "pitch_gain", "rad/(s2 V)", 0.1, 100.0, 2.97, False, False, False, "acceleration of pitch per volt of front minus back: k L_h / J_phi; judges what pitch must have moved by"),
-    ParamSpec(60, "travel_gain", "1/s2", 0.05, 100.0, 0.5, False, False, False, "acceleration of travel per radian of pitch at hover: thrust that carries the arm, times L_a / J_psi; judges what travel must have moved by"),
-    ParamSpec(61, "law_jump_max_V", "V", 0.1, 48.0, 2.5, False, False, True, "change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link"),
-    ParamSpec(62, "law_envelope", "", 0.2, 1.0, 0.8, False, False, True, "share of the angle and rate limits, and of the following errors, beyond which it takes over"),
-    ParamSpec(63, "arm_rate_max_deg_s", "deg/s", 0.1, 100.0, 3.0, False, False, True, "arming needs every axis slower than this"),
-    ParamSpec(64, "arm_elevation_tolerance_deg", "deg", 0.1, 60.0, 2.0, False, False, True, "arming needs the elevation this close to rest"),
-    ParamSpec(65, "arm_pitch_tolerance_deg", "deg", 0.1, 60.0, 10.0, False, False, True, "arming needs the pitch this close to level"),
-    ParamSpec(66, "setpoint_hold_s", "s", 0.05, 5.0, 0.5, False, False, True, "without a fresh setpoint for this long the board holds level"),
-    ParamSpec(67, "setpoint_land_s", "s", 0.1, 30.0, 2.0, False, False, True, "without a fresh setpoint for this long the board lands"),
-    ParamSpec(68, "landing_rate_deg_s", "deg/s", 0.5, 60.0, 8.0, False, False, False, "descent of the elevation setpoint while landing"),
-    ParamSpec(69, "landing_timeout_s", "s", 1.0, 60.0, 12.0, False, False, True, "landing takes at most this long; then motors off with a fault"),
-    ParamSpec(70, "voltage_valid_max_ms", "ms", 5.0, 500.0, 100.0, False, False, True, "a streamed voltage acts at most this long, whatever its sender asked for"),
-    ParamSpec(71, "excitation_max_V", "V", 0.0, 12.0, 2.0, False, False, True, "largest amplitude that excite accepts"),
-    ParamSpec(72, "excitation_max_s", "s", 1.0, 600.0, 120.0, False, False, True, "longest duration that excite accepts"),
-    ParamSpec(73, "telemetry_batch_ticks", "tick", 4.0, 32.0, 20.0, False, True, False, "ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data"),
+    ParamSpec(0, "elevation_counts_per_rev", "count", -65536.0, 65536.0, 4096.0, True, False, True, 52847, "elevation encoder counts per revolution, x4; a negative number reverses its direction"),
+    ParamSpec(1, "pitch_counts_per_rev", "count", -65536.0, 65536.0, 4096.0, True, False, True, 33298, "pitch encoder counts per revolution, x4; a negative number reverses its direction"),
+    ParamSpec(2, "travel_counts_per_rev", "count", -65536.0, 65536.0, 4096.0, True, False, True, 56105, "travel encoder counts per revolution, x4; a negative number reverses its direction"),
+    ParamSpec(3, "elevation_rest_deg", "deg", -60.0, 0.0, -25.0, False, False, True, 18648, "elevation when the arm rests on the table, so that level is zero"),
+    ParamSpec(4, "supply_V", "V", 5.0, 24.0, 12.0, False, False, True, 14206, "supply voltage of the motor drivers, which full duty gives"),
+    ParamSpec(5, "motor_min_V", "V", -24.0, 0.0, 0.0, False, False, True, 40861, "lowest motor voltage; 0 never reverses a rotor"),
+    ParamSpec(6, "motor_max_V", "V", 0.5, 24.0, 10.0, False, False, True, 44159, "highest motor voltage"),
+    ParamSpec(7, "motor_front_sign", "", -1.0, 1.0, 1.0, True, True, True, 39247, "-1 swaps the front motor's leads in software"),
+    ParamSpec(8, "motor_back_sign", "", -1.0, 1.0, 1.0, True, True, True, 44112, "-1 swaps the back motor's leads in software"),
+    ParamSpec(9, "dead_zone_V", "V", 0.0, 5.0, 1.0, False, False, False, 7221, "voltage below which a rotor gives no thrust (paper eq. 31); the control law adds it"),
+    ParamSpec(10, "hover_V", "V", 0.0, 20.0, 1.4, False, False, False, 45436, "sum of both voltages, above the dead zone, that holds the arm level"),
+    ParamSpec(11, "hover_slope", "V/deg", -1.0, 1.0, 0.06, False, False, False, 62739, "change of hover_V with elevation: masses below the axis need more lift at a higher elevation"),
+    ParamSpec(12, "elevation_kp", "V/deg", 0.0, 20.0, 0.28, False, False, False, 59537, "elevation proportional gain (paper Table 6: 0.5)"),
+    ParamSpec(13, "elevation_ki", "V/(deg s)", 0.0, 20.0, 0.49, False, False, False, 50189, "elevation integral gain (paper Table 6: 1)"),
+    ParamSpec(14, "elevation_kd", "V s/deg", 0.0, 20.0, 0.22, False, False, False, 36612, "elevation derivative gain, on the measurement (paper Table 6: 0.1)"),
+    ParamSpec(15, "elevation_rate_ff", "", 0.0, 1.0, 1.0, False, False, False, 30968, "share of the setpoint's rate that the derivative term subtracts; 0 is derivative on measurement only"),
+    ParamSpec(16, "elevation_acceleration_ff", "V s2/deg", 0.0, 1.0, 0.036, False, False, False, 41366, "voltage sum per setpoint acceleration: inertia / (thrust gain x arm)"),
+    ParamSpec(17, "pitch_kp", "V/deg", 0.0, 20.0, 0.09, False, False, False, 19686, "pitch proportional gain (paper Table 6: 0.66)"),
+    ParamSpec(18, "pitch_ki", "V/(deg s)", 0.0, 20.0, 0.0025, False, False, False, 19601, "pitch integral gain (paper Table 6: 3)"),
+    ParamSpec(19, "pitch_kd", "V s/deg", 0.0, 20.0, 0.028, False, False, False, 16416, "pitch derivative gain, on the measurement (paper Table 6: 0.1)"),
+    ParamSpec(20, "pitch_hold_ff", "V/deg", -1.0, 1.0, 0.033, False, False, False, 36726, "difference of the voltages per degree of pitch setpoint, against masses below the pitch axis"),
+    ParamSpec(21, "travel_kp", "deg/deg", 0.0, 20.0, 0.6, False, False, False, 18791, "travel proportional gain to the pitch setpoint (paper Table 6 with P and I exchanged: 0.7)"),
+    ParamSpec(22, "travel_ki", "deg/(deg s)", 0.0, 20.0, 0.06, False, False, False, 54432, "travel integral gain (paper Table 6 with P and I exchanged: 0.13)"),
+    ParamSpec(23, "travel_kd", "deg s/deg", 0.0, 20.0, 3.15, False, False, False, 13136, "travel derivative gain, on the measurement (paper Table 6: 1.462)"),
+    ParamSpec(24, "travel_rate_ff", "", 0.0, 1.0, 1.0, False, False, False, 10459, "share of the setpoint's rate that the derivative term subtracts; 0 is derivative on measurement only"),
+    ParamSpec(25, "travel_acceleration_ff", "deg s2/deg", 0.0, 20.0, 1.09, False, False, False, 14566, "pitch per setpoint acceleration: inertia / (hover thrust x arm)"),
+    ParamSpec(26, "elevation_integral_max_V", "V", 0.0, 20.0, 3.0, False, False, False, 31496, "bound of the elevation integrator"),
+    ParamSpec(27, "pitch_integral_max_V", "V", 0.0, 20.0, 2.0, False, False, False, 33512, "bound of the pitch integrator"),
+    ParamSpec(28, "travel_integral_max_deg", "deg", 0.0, 45.0, 10.0, False, False, False, 15807, "bound of the travel integrator"),
+    ParamSpec(29, "elevation_filter_Hz", "Hz", 0.5, 200.0, 6.0, False, False, False, 42134, "cut-off of the elevation rate filter (two poles)"),
+    ParamSpec(30, "pitch_filter_Hz", "Hz", 0.5, 200.0, 16.0, False, False, False, 37074, "cut-off of the pitch rate filter (two poles)"),
+    ParamSpec(31, "travel_filter_Hz", "Hz", 0.5, 200.0, 3.0, False, False, False, 31395, "cut-off of the travel rate filter (two poles)"),
+    ParamSpec(32, "pitch_setpoint_max_deg", "deg", 1.0, 45.0, 30.0, False, False, False, 62937, "bound of the pitch setpoint, from the travel loop or the host"),
+    ParamSpec(33, "differential_max_V", "V", 0.1, 24.0, 1.4, False, False, False, 48257, "bound of front minus back; pitch has priority in the mixer, so more would lift the arm"),
+    ParamSpec(34, "elevation_slew_deg_s", "deg/s", 0.5, 200.0, 15.0, False, False, False, 10933, "fastest change of the elevation setpoint"),
+    ParamSpec(35, "pitch_slew_deg_s", "deg/s", 1.0, 1000.0, 90.0, False, False, False, 13902, "fastest change of the pitch setpoint, from the travel loop or the host"),
+    ParamSpec(36, "travel_slew_deg_s", "deg/s", 0.5, 200.0, 20.0, False, False, False, 47362, "fastest change of the travel setpoint"),
+    ParamSpec(37, "elevation_acceleration_deg_s2", "deg/s2", 1.0, 2000.0, 29.0, False, False, False, 25307, "fastest change of the elevation setpoint's rate, which makes a step a smooth ramp"),
+    ParamSpec(38, "travel_acceleration_deg_s2", "deg/s2", 1.0, 2000.0, 4.5, False, False, False, 54873, "fastest change of the travel setpoint's rate; travel can only accelerate by tilting"),
+    ParamSpec(39, "bumpless_s", "s", 0.02, 5.0, 0.3, False, False, False, 5611, "time constant of the smooth change between modes"),
+    ParamSpec(40, "elevation_max_deg", "deg", 1.0, 60.0, 24.0, False, False, True, 57010, "elevation above which the motors are cut; setpoints are refused from 2 degrees below it"),
+    ParamSpec(41, "pitch_max_deg", "deg", 5.0, 80.0, 45.0, False, False, True, 32123, "pitch beyond which the motors are cut"),
+    ParamSpec(42, "travel_max_deg", "deg", 10.0, 3600.0, 175.0, False, False, True, 23820, "travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it"),
+    ParamSpec(43, "elevation_rate_max_deg_s", "deg/s", 10.0, 1000.0, 120.0, False, False, True, 38917, "elevation rate beyond which the motors are cut"),
+    ParamSpec(44, "pitch_rate_max_deg_s", "deg/s", 10.0, 2000.0, 400.0, False, False, True, 64419, "pitch rate beyond which the motors are cut"),
+    ParamSpec(45, "travel_rate_max_deg_s", "deg/s", 10.0, 1000.0, 150.0, False, False, True, 42965, "travel rate beyond which the motors are cut"),
+    ParamSpec(46, "encoder_illegal_max", "", 0.0, 1000.0, 5.0, False, False, True, 7961, "illegal transitions of one encoder since arming that are tolerated"),
+    ParamSpec(47, "overrun_max", "", 0.0, 1000.0, 10.0, False, False, True, 61050, "late ticks since arming that are tolerated"),
+    ParamSpec(48, "elevation_following_max_deg", "deg", 1.0, 180.0, 15.0, False, False, True, 7603, "following error of elevation, from its shaped setpoint, beyond which the motors are cut after following_s"),
+    ParamSpec(49, "pitch_following_max_deg", "deg", 1.0, 180.0, 20.0, False, False, True, 321, "following error of pitch beyond which the motors are cut after following_s"),
+    ParamSpec(50, "travel_following_max_deg", "deg", 1.0, 3600.0, 30.0, False, False, True, 63735, "following error of travel, from its shaped setpoint, beyond which the board lands after following_s"),
+    ParamSpec(51, "following_s", "s", 0.1, 10.0, 1.0, False, False, True, 14065, "how long a following error beyond its limit is tolerated"),
+    ParamSpec(52, "elevation_motion_V", "V", 0.1, 48.0, 1.2, False, False, True, 11783, "change of both voltages' sum, dead zones apart, that must move elevation within motion_s; at take-off, beyond hover_V"),
+    ParamSpec(53, "pitch_motion_V", "V", 0.1, 48.0, 0.5, False, False, True, 15865, "change of front minus back, dead zones apart, that must move pitch within motion_s"),
+    ParamSpec(54, "motion_s", "s", 0.1, 10.0, 0.5, False, False, True, 45910, "how long a driven elevation or pitch may stay within one count"),
+    ParamSpec(55, "travel_motion_deg", "deg", 0.5, 90.0, 8.0, False, False, True, 51749, "pitch beyond the balanced one that must move travel within travel_motion_s"),
+    ParamSpec(56, "travel_motion_s", "s", 0.1, 30.0, 1.0, False, False, True, 26309, "with travel_motion_deg: a smaller excess is tolerated for longer, by its double integral over time"),
+    ParamSpec(57, "travel_silence_s", "s", 0.0, 60.0, 2.5, False, False, True, 47652, "how long travel may be without a count, in the air and held by the board, before a short tilt checks its encoder; 0: never"),
+    ParamSpec(58, "elevation_gain", "rad/(s2 V)", 0.02, 10.0, 0.485, False, False, False, 12260, "acceleration of elevation per volt of the sum: thrust gain k L_a / J_theta; judges what elevation must have moved by"),
+    ParamSpec(59, "pitch_gain", "rad/(s2 V)", 0.1, 100.0, 2.97, False, False, False, 62647, "acceleration of pitch per volt of front minus back: k L_h / J_phi; judges what pitch must have moved by"),
+    ParamSpec(60, "travel_gain", "1/s2", 0.05, 100.0, 0.5, False, False, False, 47475, "acceleration of travel per radian of pitch at hover: thrust that carries the arm, times L_a / J_psi; judges what travel must have moved by"),
+    ParamSpec(61, "law_jump_max_V", "V", 0.1, 48.0, 2.5, False, False, True, 49258, "change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link"),
+    ParamSpec(62, "law_envelope", "", 0.2, 1.0, 0.8, False, False, True, 51186, "share of the angle and rate limits, and of the following errors, beyond which it takes over"),
+    ParamSpec(63, "arm_rate_max_deg_s", "deg/s", 0.1, 100.0, 3.0, False, False, True, 43912, "arming needs every axis slower than this"),
+    ParamSpec(64, "arm_elevation_tolerance_deg", "deg", 0.1, 60.0, 2.0, False, False, True, 4074, "arming needs the elevation this close to rest"),
+    ParamSpec(65, "arm_pitch_tolerance_deg", "deg", 0.1, 60.0, 10.0, False, False, True, 2930, "arming needs the pitch this close to level"),
+    ParamSpec(66, "setpoint_hold_s", "s", 0.05, 5.0, 0.5, False, False, True, 62867, "time without a recent setpoint after which the board holds level"),
+    ParamSpec(67, "setpoint_land_s", "s", 0.1, 30.0, 2.0, False, False, True, 30307, "time without a recent setpoint after which the board lands"),
+    ParamSpec(68, "landing_rate_deg_s", "deg/s", 0.5, 60.0, 8.0, False, False, False, 47532, "descent of the elevation setpoint while landing"),
+    ParamSpec(69, "landing_timeout_s", "s", 1.0, 60.0, 12.0, False, False, True, 4700, "longest landing; then the motors are switched off with a fault"),
+    ParamSpec(70, "voltage_valid_max_ms", "ms", 5.0, 500.0, 100.0, False, False, True, 46174, "longest time that a streamed voltage acts"),
+    ParamSpec(71, "excitation_max_V", "V", 0.0, 12.0, 2.0, False, False, True, 50530, "largest amplitude that excite accepts"),
+    ParamSpec(72, "excitation_max_s", "s", 1.0, 600.0, 120.0, False, False, True, 26314, "longest duration that excite accepts"),
+    ParamSpec(73, "telemetry_batch_ticks", "tick", 4.0, 32.0, 20.0, False, True, False, 49108, "ticks per telemetry batch: 20 saves bandwidth, 5 reduces the delay for a host controller"),
+    ParamSpec(74, "controller", "", 0.0, 7.0, 0.0, False, True, True, 6747, "compiled controller that flies: its row in the board's table; a number beyond the last row is refused"),
 )
 
 FAULTS: tuple[FaultSpec, ...] = (
     FaultSpec(1, "elevation_limit", "trip", "elevation_max_deg", "elevation above its limit", "lower the setpoint, or check the gains and the elevation encoder's sign"),
     FaultSpec(2, "pitch_limit", "trip", "pitch_max_deg", "pitch beyond its limit", "check the gains, the motor order and the pitch encoder's sign"),
-    FaultSpec(3, "travel_limit", "trip", "travel_max_deg", "travel beyond its limit: the cables wind up", "bring the arm back by hand and zero it"),
+    FaultSpec(3, "travel_limit", "trip", "travel_max_deg", "travel beyond its limit, so that the cables wind up", "bring the arm back by hand and zero it"),
     FaultSpec(4, "elevation_rate", "trip", "elevation_rate_max_deg_s", "elevation moved faster than its limit", "check the gains and the elevation encoder"),
     FaultSpec(5, "pitch_rate", "trip", "pitch_rate_max_deg_s", "pitch moved faster than its limit", "check the gains and the pitch encoder"),
     FaultSpec(6, "travel_rate", "trip", "travel_rate_max_deg_s", "travel moved faster than its limit", "check the gains and the travel encoder"),
     FaultSpec(7, "encoder_elevation", "trip", "encoder_illegal_max", "too many illegal transitions of the elevation encoder", "check its wiring and pull-ups"),
     FaultSpec(8, "encoder_pitch", "trip", "encoder_illegal_max", "too many illegal transitions of the pitch encoder", "check its wiring and pull-ups"),
     FaultSpec(9, "encoder_travel", "trip", "encoder_illegal_max", "too many illegal transitions of the travel encoder", "check its wiring and pull-ups"),
-    FaultSpec(10, "landing_timeout", "trip", "landing_timeout_s", "the table was not reached in time", "check that nothing holds the arm; hover_V may be too high"),
+    FaultSpec(10, "landing_timeout", "trip", "landing_timeout_s", "the arm did not reach the table in time", "check that nothing holds the arm; hover_V may be too high"),
     FaultSpec(11, "tick_overrun", "trip", "overrun_max", "too many control ticks ran late", "report it with the log: the firmware missed its deadline"),
     FaultSpec(12, "hardware_stop", "trip", None, "the hardware stop input is active", "release the stop, then clear the fault"),
     FaultSpec(13, "elevation_following", "trip", "elevation_following_max_deg", "elevation stayed too far from its setpoint for following_s", "check thrust, hover_V and the elevation encoder; tune the gains for this rig"),
     FaultSpec(14, "pitch_following", "trip", "pitch_following_max_deg", "pitch stayed too far from its setpoint for following_s", "check that both rotors push, then the gains and the pitch encoder"),
     FaultSpec(15, "travel_following", "land", "travel_following_max_deg", "travel stayed too far from its setpoint for following_s", "check what holds or drives the arm round, the gains and the travel encoder"),
-    FaultSpec(16, "encoder_overload", "trip", None, "edges of an encoder came faster than the board counts, so that its angle is wrong", "look for noise on its lines, a missing ground or pull-up; then zero the axis"),
-    FaultSpec(17, "elevation_motionless", "trip", "elevation_motion_V", "the collective changed by enough to move the arm, and elevation did not count", "check the elevation encoder's plug, the motors' supply and enable lines; a heavier rig needs its own hover_V (tune)"),
-    FaultSpec(18, "pitch_motionless", "trip", "pitch_motion_V", "the voltages' difference changed by enough to tilt the short arm, and pitch did not count", "check the pitch encoder's plug, then that both rotors push"),
-    FaultSpec(19, "travel_motionless", "land", "travel_motion_deg", "pitch tilted by enough and for long enough to turn the arm, and travel did not count; value: how far it must have turned, in deg", "check the travel encoder's plug, then what holds the arm"),
+    FaultSpec(16, "encoder_overload", "trip", None, "encoder edges came faster than the board can count, so the angle is wrong", "look for noise on its lines, a missing ground or pull-up; then zero the axis"),
+    FaultSpec(17, "elevation_motionless", "trip", "elevation_motion_V", "the sum of both voltages changed enough to move the arm, but the elevation encoder did not count", "check the elevation encoder's plug, the motors' supply and enable lines; a heavier rig needs its own hover_V (tune)"),
+    FaultSpec(18, "pitch_motionless", "trip", "pitch_motion_V", "the difference of the voltages changed enough to tilt the short arm, but the pitch encoder did not count", "check the pitch encoder's plug, then that both rotors push"),
+    FaultSpec(19, "travel_motionless", "land", "travel_motion_deg", "pitch tilted long enough to turn the arm, but the travel encoder did not count; value: predicted travel in deg", "check the travel encoder's plug, then what holds the arm"),
     FaultSpec(20, "not_at_rest", "check", "arm_elevation_tolerance_deg", "the arm does not rest on the table", "let it rest on the table and zero it"),
     FaultSpec(21, "moving", "check", "arm_rate_max_deg_s", "an axis is moving", "wait until everything is still"),
     FaultSpec(22, "link_not_alive", "check", "setpoint_hold_s", "no recent frame from the host", "keep the session open while arming"),
     FaultSpec(23, "parameters_invalid", "check", None, "the stored parameters are damaged or contradict each other", "restore or set them, then params save"),
     FaultSpec(24, "pitch_not_level", "check", "arm_pitch_tolerance_deg", "the short arm is not level", "level it, or zero it while level"),
-    FaultSpec(30, "watchdog", "boot", None, "the watchdog reset the board: control tick or idle loop had hung", "report it with the log"),
+    FaultSpec(30, "watchdog", "boot", None, "the watchdog reset the board, because control tick or idle loop hung", "report it with the log"),
     FaultSpec(31, "hard_fault", "boot", None, "the processor faulted; bridges were switched off and the board reset", "report it with the log"),
     FaultSpec(32, "unexpected_interrupt", "boot", None, "an interrupt without a handler; bridges were switched off and the board reset", "report it with the log"),
 )
@@ -1475,6 +1484,59 @@ class LawReadMessage:
 
 
 @dataclass(frozen=True, slots=True)
+class ControllerReadMessage:
+    """Asks for the name of a compiled controller.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    index : int
+        value of the parameter `controller`
+    """
+
+    ID: ClassVar[MessageId] = MessageId.CONTROLLER_READ
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BB")
+    REPLY: ClassVar[MessageId] = MessageId.CONTROLLER
+    request: int
+    index: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.index)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ControllerReadMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class ParamsOriginReadMessage:
+    """Asks which parameters the stored set gave at the start, and which not.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    """
+
+    ID: ClassVar[MessageId] = MessageId.PARAMS_ORIGIN_READ
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
+    REPLY: ClassVar[MessageId] = MessageId.PARAMS_ORIGIN
+    request: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ParamsOriginReadMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
 class SetpointMessage:
     """Target to be reached at a device tick. The board ramps to it linearly, within its slew limits.
 
@@ -1632,7 +1694,7 @@ class WelcomeMessage:
     boot_fault : int
         fault recorded before that start, 0 for none [enum fault]
     boot_id : int
-        24 random bits, new at every start; with the tick it distinguishes a reconnection from a restart
+        24 random bits, new at every start; together with the tick it distinguishes a reconnect from a reboot
     tick : int
         device time [tick]
     params_source : int
@@ -1824,6 +1886,93 @@ class LawMessage:
 
     @classmethod
     def unpack(cls, payload: bytes) -> LawMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerMessage:
+    """The name of a compiled controller, in ASCII, 0 behind its end.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    index : int
+        as asked
+    count : int
+        controllers that the board was built with
+    name_0 : int
+        characters 1 to 4, the first in the low byte; 0 beyond the last controller
+    name_1 : int
+        characters 5 to 8
+    name_2 : int
+        characters 9 to 12
+    name_3 : int
+        characters 13 to 16
+    """
+
+    ID: ClassVar[MessageId] = MessageId.CONTROLLER
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBBIIII")
+    request: int
+    index: int
+    count: int
+    name_0: int
+    name_1: int
+    name_2: int
+    name_3: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.index, self.count, self.name_0, self.name_1, self.name_2, self.name_3)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ControllerMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class ParamsOriginMessage:
+    """Origin of the parameters at the start, or since the last save.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    source : int
+        where the parameters came from [enum params_source]
+    schema : int
+        hash of the schema under which they were stored
+    kept : int
+        stored values in force
+    dropped : int
+        stored values that no parameter takes: unknown, or out of range
+    new_0 : int
+        bit i: parameter i had no usable stored value and has its default
+    new_1 : int
+        parameters 32 to 63
+    new_2 : int
+        parameters 64 to 95
+    """
+
+    ID: ClassVar[MessageId] = MessageId.PARAMS_ORIGIN
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBIBBIII")
+    request: int
+    source: int
+    schema: int
+    kept: int
+    dropped: int
+    new_0: int
+    new_1: int
+    new_2: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.source, self.schema, self.kept, self.dropped, self.new_0, self.new_1, self.new_2)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ParamsOriginMessage:
         """Read the fixed fields from the start of ``payload``."""
         return cls(*cls.STRUCT.unpack_from(payload))
 

@@ -36,12 +36,44 @@ simulation, and ``IdentifyError`` of the laboratory below that.
 
 from __future__ import annotations
 
+import errno
 from typing import ClassVar
 
 from heli_host.declaration import FAULTS, PARAMS, Fault, FaultSpec, LawError, MessageId, Param, Result, State
 
 MAX_CHARACTERS = 2000
 """Longest cause and longest remedy: a file may hold a name of a megabyte."""
+
+
+def listening_remedy(error: Exception, option: str) -> str:
+    """Return what to do when a program cannot listen on an address, by the reason of the `error`.
+
+    Parameters
+    ----------
+    option : str
+        Option that holds the port, for the message.
+    """
+    number = getattr(error, "errno", None)
+    if number == errno.EADDRINUSE:
+        return f"give {option} another port, or 0 for a free one"
+    if number in (errno.EACCES, errno.EPERM):
+        return f"give {option} a port above 1023"
+    if isinstance(error, OverflowError):
+        return f"give {option} a port from 0 to 65535"
+    return "give an address of this computer, such as 127.0.0.1"
+
+
+def file_remedy(error: OSError) -> str:
+    """Return what to do when a file cannot be read or written, by the reason of the `error`."""
+    if error.errno == errno.ENOENT:
+        return "check the path"
+    if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+        return "change its permissions, or choose another path"
+    if error.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", None), errno.EFBIG):
+        return "free disk space, or choose another disk"
+    if error.errno in (errno.EISDIR, errno.ENOTDIR, errno.EEXIST):
+        return "give the path of a file"
+    return "check that the path names a readable file on a working disk"
 
 
 def printable(text: str) -> str:
@@ -219,7 +251,7 @@ class CommandRefused(LinkError):
                 )
             self.parameter = param.name
             if self.result == Result.UNSAFE_NOW:
-                return f"{param.name} may only be set while idle", "land or stop first"
+                return f"{param.name} may only be set while idle", "land first, or stop the motors"
             return f"{param.name} does not take this value", f"give {range_text(Param(detail))}"
         if self.result == Result.BAD_LAW:
             return _law_text(detail, self.value)
@@ -312,9 +344,9 @@ _STATE_REMEDIES: dict[State | None, str] = {
     State.LANDING: "wait until it has landed",
     State.EMERGENCY_LANDING: "wait until it has landed, then see which fault it was",
     State.HOLD: "send setpoints again, or land",
-    State.CLOSED_LOOP: "land or stop first",
-    State.OPEN_LOOP: "land or stop first",
-    State.STREAMED: "land or stop first",
+    State.CLOSED_LOOP: "land first, or stop the motors",
+    State.OPEN_LOOP: "land first, or stop the motors",
+    State.STREAMED: "land first, or stop the motors",
 }
 
 

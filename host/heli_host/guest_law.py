@@ -108,7 +108,7 @@ def set_parameter(session: Session, program: LawProgram, name: str, value: float
     names = [one for one, _ in program.parameters]
     if name not in names:
         known = ", ".join(names) or "none"
-        raise BadLaw(f"the law {program.name} has no parameter {name}", f"it has: {known}")
+        raise BadLaw(f"control law {program.name} has no parameter {name}", f"it has: {known}")
     check_number(f"parameter {name}", value)
     return session.command(LawSetMessage(0, names.index(name), value)).value
 
@@ -207,7 +207,8 @@ def engage(heli: Vehicle, program: LawProgram, parameters: Mapping[str, float] |
         told = [text for event in heli.session.events if (text := takeover_text(event))]
         reason = f": {told[-1][0]} ({told[-1][1]:.4g})" if told else ""
         raise FlightAborted(
-            f"the law {program.name} was taken over at once{reason}", "simulate it: law check"
+            f"control law {program.name} was taken over immediately{reason}",
+            "simulate it first with heli-host law check",
         )
     return found[0]
 

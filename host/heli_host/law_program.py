@@ -272,7 +272,7 @@ def program_of(law: LawProgram | LawLike) -> LawProgram:
     if not isinstance(program, LawProgram):
         raise BadLaw(
             f"a {type(law).__name__} is not a control law",
-            "give what @control_law or from_gain makes, or its program",
+            "give the result of @control_law or from_gain, or its program",
         )
     return program
 
@@ -306,11 +306,13 @@ def check_number(what: str, value: float) -> None:
     try:
         single = struct.unpack("<f", struct.pack("<f", value))[0]
     except (struct.error, TypeError):
-        raise BadLaw(f"the {what} is {value!r}, no number", "give a number") from None
+        raise BadLaw(f"the {what} is {value!r}, not a number", "give a number") from None
     except OverflowError:
         single = math.inf
     if not math.isfinite(single):
-        raise BadLaw(f"the {what} is {value:g}", "give a finite number; single precision ends at 3.4e38")
+        raise BadLaw(
+            f"the {what} is {value:g}", "give a finite number below 3.4e38, the limit of single precision"
+        )
 
 
 def rate_problem(rate_Hz: float) -> tuple[str, str]:

@@ -38,9 +38,10 @@ def read_law(path: Path) -> LawProgram:
     Raises
     ------
     BadLaw
-        The file is missing, fails, does not end or holds no law; or no installed package reads laws.
+        The file is missing, fails, does not end or holds no law; or no installed package can read
+        control laws.
     """
     for entry in entry_points(group=ENTRY_POINT_GROUP):
         reader: LawReader = entry.load()
         return reader(path)
-    raise BadLaw("no installed package reads laws", "install heli-host with its laboratory")
+    raise BadLaw("no installed package can read control laws", "install heli-host with the package heli_lab")

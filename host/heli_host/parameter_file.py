@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
+from heli_host.declaration import PARAMS, PARAMS_HASH
 from heli_host.errors import ParameterError
 from heli_host.files import TOML_BYTES, parse_toml, read_file
-from heli_host.parameters import spec_of
+from heli_host.parameters import checked, spec_of
 
 TABLE = "parameters"
 """Table of the file that holds the values."""
+UNITS = "units"
+"""Table of the file that holds their units."""
+SCHEMA = "schema"
+"""Entry of the file that says under which schema of the parameters it was written."""
 
 
 def parameters_text(values: Mapping[str, float], comment: str) -> str:
@@ -28,11 +34,68 @@ def parameters_text(values: Mapping[str, float], comment: str) -> str:
     ParameterError
         A name is not declared.
     """
-    lines = [f"# {comment}", "", f"[{TABLE}]"]
+    units = {name: spec_of(name).unit for name in values}
+    lines = [f"# {comment}", f'{SCHEMA} = "{PARAMS_HASH:08x}"', "", f"[{TABLE}]"]
     for name, value in values.items():
-        unit = spec_of(name).unit
-        lines.append(f"{name} = {value!r}" + (f"  # {unit}" if unit else ""))
+        lines.append(f"{name} = {value!r}" + (f"  # {units[name]}" if units[name] else ""))
+    lines += ["", f"[{UNITS}]", *(f'{name} = "{unit}"' for name, unit in units.items())]
     return "\n".join(lines) + "\n"
+
+
+@dataclass(frozen=True)
+class ParameterSet:
+    """Parameters of a file, as far as this host's declaration takes them.
+
+    Parameters
+    ----------
+    values : dict of str to float
+        Values by name, in declared units.
+    dropped : tuple of str
+        One reason per value that is not used.
+    new : tuple of str
+        Declared parameters that the file does not name.
+    """
+
+    values: dict[str, float]
+    dropped: tuple[str, ...]
+    new: tuple[str, ...]
+
+
+def read_parameter_set(file: Path) -> ParameterSet:
+    """Read parameters that may have been written under another schema of the parameters.
+
+    Under this host's own schema, or without one, every value has to be valid. Under another schema, known
+    parameters with the declared unit and a valid value are kept, and the others dropped.
+
+    Parameters
+    ----------
+    file : Path
+        A file as `parameters_text` writes it.
+
+    Raises
+    ------
+    ParameterError
+        The file cannot be read, holds anything but numbers, or breaks its own schema.
+    """
+    values, content = _read(file)
+    units = content.get(UNITS)
+    other_schema = content.get(SCHEMA, f"{PARAMS_HASH:08x}") != f"{PARAMS_HASH:08x}"
+    kept: dict[str, float] = {}
+    dropped: list[str] = []
+    for name, value in values.items():
+        try:
+            unit = checked(name, value).unit
+        except ParameterError as error:
+            if not other_schema:
+                raise
+            dropped.append(error.cause)
+            continue
+        stated = units.get(name, unit) if isinstance(units, dict) else unit
+        if other_schema and stated != unit:
+            dropped.append(f"{name} was in {stated or 'no unit'} and is in {unit or 'no unit'} now")
+        else:
+            kept[name] = value
+    return ParameterSet(kept, tuple(dropped), tuple(spec.name for spec in PARAMS if spec.name not in values))
 
 
 def read_parameters(file: Path) -> dict[str, float]:
@@ -48,6 +111,11 @@ def read_parameters(file: Path) -> dict[str, float]:
     ParameterError
         The file cannot be read, or holds anything but numbers.
     """
+    return _read(file)[0]
+
+
+def _read(file: Path) -> tuple[dict[str, float], dict[str, object]]:
+    """The values of a file, and all else that it holds."""
     remedy = "give a file that params dump wrote"
     try:
         content = parse_toml(read_file(file, TOML_BYTES).decode("utf-8"))
@@ -63,4 +131,4 @@ def read_parameters(file: Path) -> dict[str, float]:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise ParameterError(f"{file}: {name} is not a number", "correct that line")
         values[name] = float(value)
-    return values
+    return values, content

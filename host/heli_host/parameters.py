@@ -193,7 +193,7 @@ def spec_of(name: str) -> ParamSpec:
     if name not in _INDEX:
         near = difflib.get_close_matches(name, _INDEX, 3)
         hint = f"did you mean {' or '.join(near)}?" if near else "heli-host params list shows all"
-        raise ParameterError(f"there is no parameter {name}", hint)
+        raise ParameterError(f"unknown parameter {name}", hint)
     return PARAMS[_INDEX[name]]
 
 

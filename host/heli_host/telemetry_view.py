@@ -41,7 +41,7 @@ class BoardInfo:
     boot_id : int
         Number that changes with every start.
     params_source : str
-        Source of the board's parameters: ``defaults``, ``stored``, ``fallback`` or ``corrupt``.
+        Where its parameters came from: ``defaults``, ``stored``, ``fallback``, ``corrupt`` or ``migrated``.
     """
 
     board: str
@@ -232,7 +232,8 @@ class TelemetryView:
         self.session.wait_for(looked_at)
         if not found:
             raise WaitTimeout(
-                f"what was waited for did not happen in {timeout_s:g} s", "look at heli.events for why"
+                f"the expected change did not happen within {timeout_s:g} s",
+                "read heli.events for the reason",
             )
         return found[0]
 

@@ -1,8 +1,7 @@
-"""A twin beside a flight: a model of the rig that says when the rig is no longer what it was.
+"""Change detection during a flight: a twin, a model of the rig, raises an alarm when the rig changes.
 
-Nothing here knows a model. A package that does offers a function in the entry-point group
-``heli_host.twins``; what it makes is fed with every tick, in a thread of its own, so that it holds nothing
-up.
+This file contains no model. A package that has one offers a function in the entry-point group
+``heli_host.twins``. Its twin gets every tick, in a separate thread, so that it does not delay the link.
 """
 
 from __future__ import annotations
@@ -24,26 +23,27 @@ if TYPE_CHECKING:
     from heli_host.link.telemetry import Ticks
 
 ENTRY_POINT_GROUP: Final = "heli_host.twins"
-PARTED: Final = "parted"
-"""Kind of the news that the rig is no longer the rig."""
+ALARM: Final = "alarm"
+"""Kind of the news that the rig has changed."""
 EVENT: Final = "twin"
-"""Kind of the log's events that a twin causes."""
-HOURS: Final = 10.0
-"""Free flight in which one false alarm is allowed, h."""
+"""Kind of the events that a twin writes into the log."""
+FALSE_ALARM_INTERVAL_h: Final = 10.0
+"""Mean time of free flight between two false alarms, h."""
 
 
 @dataclass(frozen=True)
 class TwinNews:
-    """Something that a twin says.
+    """A message of a twin.
 
     Parameters
     ----------
     kind : str
-        ``free``, ``waits``, ``parted`` or ``named``.
+        ``free`` when it begins to compare, ``waits`` when it pauses, ``alarm`` when the rig has changed,
+        ``diagnosed`` with the final ranking of causes, ``failed`` when the twin itself failed.
     tick : int
-        Device time [tick], counted on.
+        Device time [tick of 1 ms], unwrapped beyond 2^32.
     text : str
-        For a person.
+        Message for people.
     """
 
     kind: str
@@ -52,80 +52,82 @@ class TwinNews:
 
 
 class LiveTwin(Protocol):
-    """What a package makes that knows models."""
+    """A twin that a package with a model provides. One thread calls all its methods, except `ghost_rad` and
+    `words`, which any thread may call.
+    """
 
-    def take(self, tick: npt.NDArray[np.int64], raw: npt.NDArray[np.int32]) -> Sequence[TwinNews]:
-        """Take ticks in, and say what there is to say.
+    def update(self, tick: npt.NDArray[np.int64], raw: npt.NDArray[np.int32]) -> Sequence[TwinNews]:
+        """Process ticks and return the messages that they cause.
 
         Parameters
         ----------
         tick : ndarray of int64, shape (n,)
-            Device time [tick], counted on over 2^32.
+            Device time [tick of 1 ms], unwrapped beyond 2^32.
         raw : ndarray of int32, shape (n, channels)
             Raw numbers in the order of the declaration's ``CHANNELS``.
         """
         ...
 
     def ghost_rad(self) -> tuple[float, float, float] | None:
-        """Elevation, pitch and travel of the twin that flew by itself for a moment; None where it does not
-        fly.
+        """Elevation, pitch and travel [rad] that a short open-loop simulation (free run) predicts for now;
+        None while the twin waits.
         """
         ...
 
     def words(self) -> str:
-        """What it does or has found, in one line."""
+        """Return the twin's status in one line."""
         ...
 
 
 TwinMaker = Callable[[Mapping[str, float], float], LiveTwin]
-"""Makes a twin for a board's parameters, with one false alarm in so many hours of free flight."""
+"""Makes a twin from the board's parameters and the mean time of free flight between two false alarms [h]."""
 TwinOpener = Callable[[str], TwinMaker]
 
 
 def open_twin(name: str) -> TwinMaker:
-    """Read what a twin is made of, before there is a board.
+    """Read a rig or a twin's file, and return a function that makes its twin once a board is connected.
 
     Parameters
     ----------
     name : str
-        Name of a rig, path of its file, or of a twin's file.
+        Name of a rig, path of its file, or path of a twin's file.
 
     Raises
     ------
     HeliError
-        No package offers twins, or there is no such rig.
+        No installed package offers twins, or the rig is unknown.
     """
     for entry in entry_points(group=ENTRY_POINT_GROUP):
         opener: TwinOpener = entry.load()
         return opener(name)
-    raise HeliError("no installed package offers twins", "install heli-host with its laboratory")
+    raise HeliError("no installed package provides twins", "install heli-host with the package heli_lab")
 
 
 class TwinWatch:
-    """Feeds a twin from a session, and hands on what it says.
+    """Passes the ticks of a session to a twin, and the twin's messages to listeners.
 
-    In lockstep it is fed where the ticks come, so that a simulated flight is the same every time; else in a
-    thread of its own.
+    Over a port the twin runs in a separate thread. In lockstep it runs in the thread that reads, so that a
+    simulated flight is reproducible. A twin that fails is switched off; the flight goes on.
 
     Parameters
     ----------
     session : Session
-        Connected.
+        Connected session.
     twin : LiveTwin
-        Made by what `open_twin` returns.
+        Twin for this session's board.
     on_change : callable, optional
-        Called once, from that thread, when the rig is no longer the rig.
+        Called once, in the twin's thread, at the first alarm.
 
     Attributes
     ----------
-    parted : str
-        What the twin said when it parted, empty until then.
+    alarm : str
+        Text of the first alarm; empty until then.
     trouble : str
-        Why it no longer follows, if it does not.
+        Error of a twin that failed; otherwise empty.
     """
 
     def __init__(self, session: Session, twin: LiveTwin, on_change: Callable[[], None] | None = None) -> None:
-        self.parted = ""
+        self.alarm = ""
         self.trouble = ""
         self._session, self._twin, self._on_change = session, twin, on_change
         self._listeners: list[Callable[[TwinNews], None]] = []
@@ -139,25 +141,25 @@ class TwinWatch:
         self._unsubscribe = session.subscribe_ticks(self._take_ticks)
 
     def listen(self, listener: Callable[[TwinNews], None]) -> None:
-        """Have news told, from the thread that feeds the twin.
+        """Register a callback for the twin's messages.
 
         Parameters
         ----------
         listener : callable taking TwinNews
-            Is told.
+            Called in the twin's thread with each message.
         """
         self._listeners.append(listener)
 
     def ghost_rad(self) -> tuple[float, float, float] | None:
-        """Elevation, pitch and travel of the ghost; None where there is none."""
+        """Elevation, pitch and travel [rad] of the free run; None if there is none."""
         return self._twin.ghost_rad() if not self.trouble else None
 
     def words(self) -> str:
-        """What the twin does or has found, in one line."""
+        """Return the twin's status in one line."""
         return self.trouble or self._twin.words()
 
     def close(self) -> None:
-        """End, after what has come is taken in."""
+        """Process the ticks that have arrived, then end the twin's thread."""
         self._unsubscribe()
         if self._thread is not None:
             self._queue.put(None)
@@ -179,15 +181,15 @@ class TwinWatch:
         if self.trouble:
             return
         try:
-            said = self._twin.take(tick, raw)
+            messages = self._twin.update(tick, raw)
         except (ArithmeticError, ValueError, HeliError) as error:
             # A twin that fails must not end the flight that it watches.
-            self.trouble = f"the twin failed and no longer follows: {error}"
-            said = [TwinNews("failed", int(tick[-1]) if len(tick) else 0, self.trouble)]
-        for news in said:
-            first = news.kind == PARTED and not self.parted
+            self.trouble = f"the twin failed and is switched off: {error}"
+            messages = [TwinNews("failed", int(tick[-1]) if len(tick) else 0, self.trouble)]
+        for news in messages:
+            first = news.kind == ALARM and not self.alarm
             if first:
-                self.parted = news.text
+                self.alarm = news.text
             for listener in self._listeners:
                 listener(news)
             if first and self._on_change is not None:

@@ -214,7 +214,7 @@ class Vehicle(OpenLoopCommands):
         if state not in _FOLLOWING:
             name = state.name.lower() if state is not None else "not heard yet"
             raise SetpointError(
-                f"the board is {name}, nothing would follow a setpoint", "call take_off() first, or control()"
+                f"the board is {name}, and does not follow setpoints", "call take_off() first, or control()"
             )
         apply_tick = self.session.device_tick() + round(lead_s / TICK_S)
         targets_rad = {f"{axis}_rad": float(np.radians(value)) for axis, value in targets_deg.items()}

@@ -11,18 +11,18 @@ from heli_host.cli.simulated import DEFAULT_RIG
 DEFAULT_MODEL = "multibody"
 
 FlightsArgument = Annotated[
-    list[Path], typer.Argument(metavar="FLIGHT...", help="Flights to fit: .mcap, .csv or .csv.gz.")
+    list[Path], typer.Argument(metavar="FLIGHT...", help="Fit these flights: .mcap, .csv or .csv.gz.")
 ]
 ValidateOption = Annotated[
     list[Path] | None,
-    typer.Option("--validate", metavar="FLIGHT...", help="Other flights, to evaluate the result."),
+    typer.Option("--validate", metavar="FLIGHT...", help="Evaluate the result on these flights."),
 ]
 KnownRigOption = Annotated[
     str,
     typer.Option(
         "--rig",
         metavar="NAME|FILE",
-        help=f"Prior parameters and tolerances.  [default: {DEFAULT_RIG}]",
+        help=f"Use this rig's parameters and tolerances as priors.  [default: {DEFAULT_RIG}]",
         show_default=False,
     ),
 ]
@@ -31,7 +31,7 @@ EquationsOption = Annotated[
     typer.Option(
         "--model",
         metavar="NAME",
-        help=f"Equations of motion.  [default: those named in the rig file, or {DEFAULT_MODEL}]",
+        help=f"Use these equations of motion.  [default: the rig's, or {DEFAULT_MODEL}]",
         show_default=False,
     ),
 ]
@@ -64,7 +64,8 @@ SkipSignCheckOption = Annotated[
     typer.Option("--skip-sign-check", help="Fit even if signs, zeros, units or motion look wrong."),
 ]
 ReportOption = Annotated[
-    Path | None, typer.Option("--report", metavar="DIR", help="Folder for an HTML report with figures.")
+    Path | None,
+    typer.Option("--report", metavar="DIR", help="Write an HTML report with figures into this folder."),
 ]
 SaveRigOption = Annotated[
     Path | None, typer.Option("--save-rig", metavar="FILE", help="Write the estimated rig, TOML.")

@@ -47,7 +47,7 @@ def cache_folder() -> Path:
         if os.access(folder, os.W_OK):
             danger = open_to_others(folder)
             if danger:
-                raise PlantError(danger, f"see who wrote there, then: rm -r {folder}")
+                raise PlantError(danger, f"check who wrote there, then remove it with: rm -r {folder}")
             return folder
     except OSError:
         pass

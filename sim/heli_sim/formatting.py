@@ -64,7 +64,7 @@ def with_tolerance(number: Number | None) -> str:
     """Write a `number` with its tolerance; a dash for none."""
     if number is None:
         return "-"
-    return f"{number.value:g} +-{number.tolerance:g}" if number.tolerance else f"{number.value:g}"
+    return f"{number.value:g} (tolerance {number.tolerance:g})" if number.tolerance else f"{number.value:g}"
 
 
 def signed(tolerances: float) -> str:

@@ -15,7 +15,7 @@ from itertools import zip_longest
 from multiprocessing import get_context
 from pathlib import Path
 
-from heli_lab.campaign import Answer, Campaign, Store, run_campaign
+from heli_lab.campaign import Campaign, JobResult, Store, run_campaign
 from heli_lab.campaign import Case as CampaignCase
 from heli_lab.campaign.run import State
 
@@ -118,7 +118,7 @@ def _done(cases: Sequence[Case], given: argparse.Namespace) -> Iterator[tuple[Ro
     keys = {case.key(code): case.name for case in named.values()}
     # What was judged once is taken from there only by code that would judge the same.
     again = (lambda _: True) if given.keep else (lambda answer: bool(answer.failure))
-    ended: queue.SimpleQueue[Answer | BaseException | None] = queue.SimpleQueue()
+    ended: queue.SimpleQueue[JobResult | BaseException | None] = queue.SimpleQueue()
 
     def work() -> None:
         def say(state: State) -> None:

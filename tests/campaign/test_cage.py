@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 
 import pytest
-from heli_lab.campaign import Answer, Case
+from heli_lab.campaign import Case, JobResult
 from heli_lab.campaign.worker_process import Limits, WorkerProcess
 
 from tests.campaign.killer import PATIENCE_s, kill_all, start
@@ -26,7 +26,7 @@ def cage() -> Iterator[WorkerProcess]:
         yield one
 
 
-def done(cage: WorkerProcess, how: str) -> Answer:
+def done(cage: WorkerProcess, how: str) -> JobResult:
     return cage.run(Case(how, "tests.campaign.works:bad", {"how": how}), "key")
 
 

@@ -90,7 +90,7 @@ def test_a_cluster_loses_workers_and_its_scheduler_and_the_campaign_goes_on(tmp_
         kill_all(cluster.parts[0])
         output, _ = program.communicate(timeout=300)
         assert program.returncode != 0
-        assert b"the scheduler is gone" in output and b"the same command goes on" in output
+        assert b"the scheduler has stopped" in output and b"run the same command again" in output
     done, before = ended(folder), begun(log)
     assert 15 <= len(done) < COUNT
     again = start(*words)

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from heli_lab.campaign import Answer, Campaign, Case, Store, run_campaign
+from heli_lab.campaign import Campaign, Case, JobResult, Store, run_campaign
 from heli_lab.campaign.store import row_of
 from heli_lab.campaign.worker_process import Limits
 from heli_lab.errors import CampaignError
@@ -62,7 +62,7 @@ def test_the_table_follows_from_parts_and_from_results_without_a_row(tmp_path: P
     import pyarrow.parquet as pq
 
     store = Store(tmp_path)
-    answers = [Answer(case.name, case.key("test"), {"square": n**2}) for n, case in enumerate(CASES)]
+    answers = [JobResult(case.name, case.key("test"), {"square": n**2}) for n, case in enumerate(CASES)]
     for answer in answers:
         store.keep(answer)
     store.append([row_of(CASES[0], answers[0])])
@@ -118,5 +118,5 @@ def test_a_second_campaign_is_kept_out(tmp_path: Path) -> None:
 
 def test_a_place_that_cannot_be_written_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(CampaignError, match="results cannot be kept"):
+    with pytest.raises(CampaignError, match="results cannot be saved"):
         Store(tmp_path / "file")

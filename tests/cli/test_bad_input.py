@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import random
+import socket
 import threading
 from pathlib import Path
 
 import pytest
+from heli_host.errors import file_remedy
 from serial.tools import list_ports
 
 from tests.cli.terminal import Terminal, refusal
@@ -172,7 +175,7 @@ def test_a_log_under_the_name_of_a_table_is_not_recorded(
     terminal: Terminal, tmp_path: Path, words: tuple[str, ...]
 ) -> None:
     line = refusal(terminal(*words, "a.csv", *SIL), code=FILE)
-    assert "a.csv: a log is an .mcap file; " in line and "heli-host export --csv" in line
+    assert "a.csv, because a log is an .mcap file; " in line and "heli-host export --csv" in line
     assert not list(tmp_path.iterdir())
 
 
@@ -214,11 +217,42 @@ def test_sil_refuses_an_address_without_a_port(terminal: Terminal) -> None:
 
 def test_debug_shows_the_traceback(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HELI_DEBUG", "1")
-    with pytest.raises(Exception, match="no parameter"):
+    with pytest.raises(Exception, match="unknown parameter"):
         terminal("params", "get", "hover", "--sil")
 
 
 def test_an_option_is_no_file(terminal: Terminal, tmp_path: Path) -> None:
     line = refusal(terminal("rig", "export", "makki2024", "--format", "mjcf", "-o", "--quiet"), code=ASKED)
-    assert "--quiet stands where a file's name was expected" in line
+    assert "--quiet is an option, but a file name is needed there" in line
     assert not list(tmp_path.iterdir())
+
+
+def test_an_address_of_another_computer_is_not_taken_for_a_used_port(terminal: Terminal) -> None:
+    line = refusal(terminal("dashboard", *SIL[:1], "--host", "192.0.2.9"), code=LINK)
+    assert "give an address of this computer, such as 127.0.0.1" in line
+    assert "port" not in line.partition("; ")[2]
+
+
+def test_a_used_port_asks_for_another_port(terminal: Terminal) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        line = refusal(terminal("dashboard", *SIL[:1], "--http-port", str(port)), code=LINK)
+    assert "give --http-port another port, or 0 for a free one" in line
+
+
+@pytest.mark.parametrize(
+    ("number", "remedy"),
+    [
+        (errno.ENOENT, "check the path"),
+        (errno.EACCES, "change its permissions"),
+        (errno.ENOSPC, "free disk space"),
+        (errno.EISDIR, "give the path of a file"),
+    ],
+)
+def test_the_remedy_of_a_file_follows_from_the_reason(number: int, remedy: str) -> None:
+    assert remedy in file_remedy(OSError(number, os.strerror(number)))
+
+
+def test_a_missing_image_does_not_ask_for_disk_space(terminal: Terminal) -> None:
+    line = refusal(terminal("flash", "nofile.bin", "--port", "/dev/ttyACM0"), code=FILE)
+    assert line.endswith("No such file or directory; check the path")

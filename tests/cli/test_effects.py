@@ -41,11 +41,11 @@ def test_an_effect_changes_the_flight_and_the_seed_its_chance(terminal: Terminal
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--sil", "--effect", "rotor_lg=0.1"), "there is no effect 'rotor_lg'; did you mean rotor_lag?"),
+        (("--sil", "--effect", "rotor_lg=0.1"), "unknown effect 'rotor_lg'; did you mean rotor_lag?"),
         (("--sil", "--effect", "rotor_lag=9"), "rotor_lag_s = 9 s is out of range; give 0 to 0.6"),
         (("--sil", "--effect-file", "nowhere.py"), "cannot be read; give a Python file"),
-        (("--sil", "--model", "papr"), "there is no model 'papr'; did you mean paper"),
-        (("--effect", "rotor_lag"), "for a simulated board; add --sil"),
+        (("--sil", "--model", "papr"), "unknown model 'papr'; did you mean paper"),
+        (("--effect", "rotor_lag"), "for a simulated board only; add --sil"),
     ],
 )
 def test_what_cannot_be_flown_is_refused_in_one_line(
@@ -67,4 +67,4 @@ def test_a_rigs_effects_are_shown_and_checked(terminal: Terminal, tmp_path: Path
     path.write_text(path.read_text().replace("rotor_lag", "rotor_lg"))
     ended = terminal("rig", "check", path)
     assert ended.code != 0
-    assert "there is no effect 'rotor_lg'; did you mean rotor_lag?" in ended.err
+    assert "unknown effect 'rotor_lg'; did you mean rotor_lag?" in ended.err

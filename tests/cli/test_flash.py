@@ -302,8 +302,8 @@ def test_a_missing_file_is_named(terminal: Terminal) -> None:
         (b"", "0 bytes"),
         (image_bytes()[:200], "200 bytes"),
         (image_bytes() + bytes(512 * 1024), "bytes"),
-        (b"\xff" * 4096, "stack at 0xffffffff"),
-        (image_bytes(stack=0x2008_9000), "stack at 0x20089000"),
+        (b"\xff" * 4096, "its stack is at 0xffffffff"),
+        (image_bytes(stack=0x2008_9000), "its stack is at 0x20089000"),
         (image_bytes(entry=ENTRY - 1), "entry"),
         (image_bytes(entry=0x0010_0001), "entry"),
         (image_bytes(link_hash=LINK_HASH ^ 1), f"{LINK_HASH:08x}"),
@@ -348,7 +348,7 @@ def test_a_program_that_is_no_bossac_is_refused(tmp_path: Path) -> None:
         find_bossac(program)
     program.write_text("#!/bin/sh\necho hello\n")
     program.chmod(0o755)
-    with pytest.raises(UploaderError, match="is no bossac"):
+    with pytest.raises(UploaderError, match="is not bossac"):
         find_bossac(program)
 
 
@@ -399,7 +399,7 @@ def test_a_board_that_flies_is_not_flashed(
         # Ends the session but not the flight: the board holds level for a while.
         heli.session.close()
         ended = terminal("flash", image, "--port", board.url, "--yes", "--bossac", uploader.program)
-    assert "land or stop first" in refusal(ended, code=LINK)
+    assert "land first, or stop the motors" in refusal(ended, code=LINK)
     assert uploader.calls == []
 
 

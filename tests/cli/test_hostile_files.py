@@ -188,7 +188,7 @@ def test_a_table_that_unpacks_to_more_than_any_flight_is_refused(
         (NAMES + "," * 100_000 + "\n", "has 100001 columns, the header 6"),
         (NAMES + "\n" * 1001 + ROWS, "more than 1000 lines"),
         (NAMES + ROWS + "1e300,1,1,0,0,0\n", "t_s jumps by 1e"),
-        (NAMES + ROWS.replace("0.050,", "1e300,"), "t_s does not rise"),
+        (NAMES + ROWS.replace("0.050,", "1e300,"), "t_s does not increase"),
         (NAMES + f"0,{'9' * 400},1,0,0,0\n" * 50, "front_V is inf"),
         (
             NAMES + "".join(f"{k * 1e-3},1,1,0,0,{(-1) ** k * 1e308}\n" for k in range(50)),

@@ -55,6 +55,7 @@ def test_a_result_on_standard_output_is_json_alone(
     content: dict[str, Any] = json.loads(ended.out)
     assert content["schema"] == 1
     assert key in content
+    assert content.get("trial", {"taken_over": ""})["taken_over"] == ""
 
 
 def test_a_result_in_a_file_leaves_the_text_where_it_was(terminal: Terminal) -> None:

@@ -1,4 +1,4 @@
-"""The core flies whatever law it is given, through the interface alone, and trusts none."""
+"""The core flies the controller that is selected, through the interface alone, and trusts none."""
 
 from __future__ import annotations
 
@@ -57,24 +57,24 @@ def test_a_law_is_given_the_measured_state_the_setpoints_and_the_axes() -> None:
     assert law.axes == 3
 
 
-def test_a_law_starts_anew_whenever_the_motors_were_off() -> None:
+def test_a_law_starts_again_whenever_the_motors_were_off() -> None:
     law = ToldLaw()
     harness = Harness(law=law)
     harness.tick(10)
-    assert law.resets > 10
+    assert law.inits > 10
     assert law.updates == 0
     assert harness.arm().result == Result.OK
-    armed = law.resets
+    armed = law.inits
     harness.tick(10)
-    assert law.resets == armed + 10
+    assert law.inits == armed + 10
     assert harness.close_loops().result == Result.OK
-    closed = law.resets
+    closed = law.inits
     harness.tick(10)
-    assert law.resets == closed
+    assert law.inits == closed
     assert law.updates > 10
     assert harness.ask(d.StopMessage(0)).result == Result.OK
     harness.tick(10)
-    assert law.resets > closed + 9
+    assert law.inits > closed + 9
 
 
 @pytest.mark.parametrize(
@@ -137,3 +137,59 @@ def test_a_tick_in_the_middle_of_a_change_sees_nothing_of_it() -> None:
     assert seen == [4.0]
     harness.tick()
     assert law.hover_V_of_update == 5.0
+
+
+def two_controllers() -> tuple[Harness, ToldLaw, ToldLaw]:
+    """A board whose first controller asks for 2 V and whose second asks for 3 V."""
+    first, second = ToldLaw(), ToldLaw()
+    first.front_V, second.front_V = 2.0, 3.0
+    return Harness(law=first, other=second), first, second
+
+
+def test_the_selected_controller_flies_and_no_other() -> None:
+    harness, first, second = two_controllers()
+    assert harness.set("controller", 1.0).result == Result.OK
+    harness.fly()
+    harness.keep_flying(5, elevation_deg=REST_DEG)
+    assert harness.motors[0] == 3.0 * STEPS_PER_V
+    assert (first.updates, second.updates > 0) == (0, True)
+    harness.ask(d.StopMessage(0))
+    assert harness.set("controller", 0.0).result == Result.OK
+    harness.fly()
+    harness.keep_flying(5, elevation_deg=REST_DEG)
+    assert harness.motors[0] == 2.0 * STEPS_PER_V
+
+
+def test_a_controller_that_is_selected_begins_without_a_past() -> None:
+    harness, _, second = two_controllers()
+    harness.set("controller", 1.0)
+    before = second.inits
+    harness.tick(10)
+    assert second.inits == before + 10
+
+
+@pytest.mark.parametrize("state", [State.ARMED, State.CLOSED_LOOP, State.HOLD, State.LANDING])
+def test_no_controller_is_replaced_while_the_motors_may_run(state: State) -> None:
+    harness, first, second = two_controllers()
+    assert harness.arm().result == Result.OK
+    if state is not State.ARMED:
+        assert harness.close_loops().result == Result.OK
+        harness.tick(10)
+    if state is State.HOLD:
+        harness.tick(700)
+    if state is State.LANDING:
+        harness.ask(d.LandMessage(0))
+    assert harness.state == state
+    assert harness.set("controller", 1.0).result == Result.UNSAFE_NOW
+    updates = first.updates
+    harness.tick(5)
+    assert first.updates == updates + (0 if state is State.ARMED else 5)
+    assert (second.updates, second.inits) == (0, 0)
+
+
+def test_a_row_that_the_board_does_not_have_is_refused() -> None:
+    harness, first, second = two_controllers()
+    assert harness.set("controller", 2.0).result == Result.OUT_OF_RANGE
+    harness.fly()
+    harness.keep_flying(5, elevation_deg=REST_DEG)
+    assert (first.updates > 0, second.updates) == (True, 0)

@@ -82,15 +82,15 @@ def test_model_that_the_rig_names_is_the_one_that_is_fitted(
     write_rig(replace(load_rig("makki2024"), model="nobodys"), "mine.toml")
     ended = terminal(verb, tables[0], "--rig", "mine.toml")
     assert ended.code != 0
-    assert "there is no model 'nobodys'" in ended.err
+    assert "unknown model 'nobodys'" in ended.err
 
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (("missing.csv",), "missing.csv"),
-        (("a.csv.gz", "--rig", "nobodys"), "no rig 'nobodys'"),
-        (("a.csv.gz", "--model", "none"), "there is no model 'none'"),
+        (("a.csv.gz", "--rig", "nobodys"), "unknown rig 'nobodys'"),
+        (("a.csv.gz", "--model", "none"), "unknown model 'none'"),
         (("a.csv.gz", "--validate", "a.csv.gz"), "both fitted and validated on"),
         (("a.csv.gz", "--validate", "b.csv.gz", "--calibrate", "-1"), "--calibrate"),
         (("a.csv.gz", "--validate", "b.csv.gz", "--calibrate", "nan"), "--calibrate"),

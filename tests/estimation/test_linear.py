@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from heli_lab.estimation import Derivatives, LinearisedFlight, ModelFunctions, ReferenceTrajectory
-from heli_lab.identify.flight_model import RigParameters, kinematic_filter, model_functions
+from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 
@@ -22,7 +22,7 @@ def parts(effect: str = "") -> tuple[ReferenceTrajectory, ModelFunctions, RigPar
     """Course, equations and unknowns of a model with an effect."""
     model = MultibodyModel(parse_effects([effect] if effect else []))
     parameter_vector = RigParameters(model, RIG, [windy()])
-    return kinematic_filter(windy()), model_functions(model, parameter_vector.quantities), parameter_vector
+    return filter_record(windy()), model_functions(model, parameter_vector.quantities), parameter_vector
 
 
 def changed(effect: str, name: str, by: float) -> LinearisedFlight:
@@ -84,10 +84,10 @@ def test_course_moves_by_the_model_where_the_model_is_right() -> None:
 def test_followed_states_do_not_look_ahead() -> None:
     record = windy()
     cut = len(record.t_s) // 2
-    whole = kinematic_filter(record)
+    whole = filter_record(record)
     from dataclasses import replace
 
-    half = kinematic_filter(
+    half = filter_record(
         replace(
             record,
             t_s=record.t_s[:cut],
@@ -106,7 +106,7 @@ def test_axis_is_at_rest_where_its_count_stays_the_same_for_long() -> None:
     turned = np.arange(rows) * 3.0 * record.step_s / 0.3  # three counts in the time of a rest: never at rest
     stays = np.where((np.arange(rows) * record.step_s) % 2.0 < 1.5, 0.0, turned)
     angles = np.stack((turned, stays, np.zeros(rows)), axis=1)
-    reference = kinematic_filter(replace(record, angles_rad=np.floor(angles) * record.count_rad))
+    reference = filter_record(replace(record, angles_rad=np.floor(angles) * record.count_rad))
     assert not reference.at_rest[:, 0].any()
     assert 0.6 < reference.at_rest[:, 1].mean() < 0.75
     assert reference.at_rest[40:-40, 2].all()
@@ -126,7 +126,7 @@ def test_directions_say_where_in_a_play_an_axis_is(play_counts: float) -> None:
     for k in range(1, len(axis)):
         shaft[k] = np.clip(shaft[k - 1], axis[k] - half, axis[k] + half)
     angles = np.stack((np.round(shaft), np.zeros(len(axis)), np.zeros(len(axis))), axis=1)
-    reference = kinematic_filter(replace(record, angles_rad=angles * record.count_rad))
+    reference = filter_record(replace(record, angles_rad=angles * record.count_rad))
     rows = np.arange(len(reference.directions)) * reference.every
     place = ((axis - shaft) / half)[rows]
     # Straight from one side to the other, the places would be off by a quarter.

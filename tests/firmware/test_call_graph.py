@@ -16,8 +16,9 @@ pytestmark = pytest.mark.emulated
 
 FLAGS = ROOT / "firmware" / "due" / "compile.flags"
 PROGRAMS = ROOT / "tests" / "due" / "programs"
-FIRST = {"_ZN4Idle5firstEv", "_ZN4Tick5firstEv"}
-SECOND = {"_ZN4Idle6secondEv", "_ZN4Tick6secondEv"}
+SLOW_FIRST, SLOW_SECOND = "_ZN4Slow5firstE8IdleLoop", "_ZN4Slow6secondE8IdleLoop"
+FIRST = {"_ZN4Idle5firstEv", "_ZN4Tick5firstEv", SLOW_FIRST}
+SECOND = {"_ZN4Idle6secondEv", "_ZN4Tick6secondEv", SLOW_SECOND}
 LOOSE = {"loose_first", "loose_second"}
 
 
@@ -71,3 +72,14 @@ def test_a_call_through_a_pointer_reaches_all_that_it_may_and_a_virtual_one_its_
 ) -> None:
     assert reached <= calls.callees(caller)
     assert not calls.callees(caller) & (FIRST | SECOND | LOOSE) - reached
+
+
+@pytest.mark.parametrize("caller", ["calls_first", "calls_second_in_a_tail", "calls_a_member"])
+def test_an_interrupt_has_no_idle_loop_to_give_to_a_virtual_function(calls: Image, caller: str) -> None:
+    slow = {SLOW_FIRST, SLOW_SECOND}
+    assert calls.callees(caller) & slow
+    assert calls.callees(caller, idle_loop=False) == calls.callees(caller) - slow
+
+
+def test_an_interrupt_reaches_a_function_of_the_idle_loop_that_it_calls_by_name(calls: Image) -> None:
+    assert SLOW_FIRST in calls.reachable("calls_slow_directly", idle_loop=False)

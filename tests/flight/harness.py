@@ -26,7 +26,9 @@ class Harness:
     session : bool
         Open a session (hello) at once.
     law : flight.ToldLaw, optional
-        What the core flies; the law that boards fly if None.
+        Row 0 of the board's controllers; the controllers that boards have if None.
+    other : flight.ToldLaw, optional
+        Row 1; there is none if None.
     duty_full : int
         Duty of the board's full voltage.
     page_bytes : int
@@ -40,11 +42,12 @@ class Harness:
         self,
         session: bool = True,
         law: flight.ToldLaw | None = None,
+        other: flight.ToldLaw | None = None,
         duty_full: int = DUTY_FULL,
         page_bytes: int = PAGE_BYTES,
         tracked: bool = False,
     ) -> None:
-        self.core = flight.Harness(law, duty_full, page_bytes)
+        self.core = flight.Harness(law, other, duty_full, page_bytes)
         self.parser = FrameParser()
         self.sequence = 0
         self.request = 0
@@ -87,6 +90,7 @@ class Harness:
                         d.MessageId.PONG: d.PongMessage,
                         d.MessageId.STATUS: d.StatusMessage,
                         d.MessageId.PARAMS: d.ParamsMessage,
+                        d.MessageId.CONTROLLER: d.ControllerMessage,
                     }
                     return types[frame.id].unpack(frame.payload)
         raise AssertionError(f"no reply to {message}")

@@ -25,7 +25,7 @@ from heli_host.log.flight_file import read_flight
 from heli_lab.encoder_scale.estimate import ScaleEstimate, scales_of
 from heli_lab.encoder_scale.warning import MAX_SIGMAS, wrong_scale
 from heli_lab.tune.design import find_gains
-from heli_lab.twin.healthy_flights import in_weather
+from heli_lab.twin.healthy_flights import with_process_noise
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Model
 from heli_sim.model.effects import effects_of
@@ -66,7 +66,7 @@ def fly_drawn(plan: str, seed: int, axis: int = 0, scale: float = 1.0) -> tuple[
     # What the operator of this rig would have set.
     hover_V = float(sum(trim(MultibodyModel(), rig).volts_V)) - 2.0 * rig["dead_zone"].value
     options = SilOptions(seed=seed, rig_faults=faults)
-    return fly_one(in_weather(calm, weather), rig, plan, options, {"hover_V": hover_V})
+    return fly_one(with_process_noise(calm, weather), rig, plan, options, {"hover_V": hover_V})
 
 
 def fly_one(
@@ -154,12 +154,14 @@ def other_lines(flights: int) -> list[str]:
             continue
         rig = load_rig(name)
         model = model_named(rig.model or MultibodyModel.name, effects_of(rig))
-        gains = find_gains(rig).parameters
+        negative_text = find_gains(rig).parameters
         flown = []
         for plan in plan_names():
             for seed in range(HEALTHY_FROM, HEALTHY_FROM + flights):
                 *_, weather = true_rig(seed)
-                outcome, flight = fly_one(in_weather(model, weather), rig, plan, SilOptions(seed=seed), gains)
+                outcome, flight = fly_one(
+                    with_process_noise(model, weather), rig, plan, SilOptions(seed=seed), negative_text
+                )
                 if np.any(flight.voltages_V):
                     estimates = scales_of(flight, rig, model)
                     flown.append(Flown(outcome, estimates, wrong_scale(estimates)))

@@ -121,7 +121,7 @@ def test_without_space_for_the_flight_nothing_is_armed(
 def test_a_log_that_is_there_is_refused_before_anything_is_armed(tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_bytes(b"an older flight")
     with connect("sil://?seed=3") as heli:
-        with pytest.raises(LogWriteError, match="no log is written over"):
+        with pytest.raises(LogWriteError, match="never replaces a log"):
             fly(heli, short(), log_path=tmp_path / "a.mcap")
         assert heli.state is State.IDLE
     assert (tmp_path / "a.mcap").read_bytes() == b"an older flight"

@@ -159,7 +159,7 @@ HOLD = '[[segment]]\nkind = "hold"\nduration_s = 5\n'
         ("segment = 3", "it has no segment"),
         ('titel = "x"\n' + HOLD, "unknown key 'titel'; did you mean 'title'?"),
         ("title = 3\n" + HOLD, "title is 3, not a text"),
-        ("start = 3\n" + HOLD, "start is not a table"),
+        ("start = 3\n" + HOLD, "[start] is not a table"),
         ("[start]\nrate = 3\n" + HOLD, "a.toml, start: unknown key 'rate'; name the unit: rate_deg_s"),
         ('axes = ["elevation", "yaw"]\n' + HOLD, "axes is not a list of axes"),
         ('axes = ["travel"]\n' + HOLD, "axes lacks elevation or pitch"),
@@ -203,7 +203,7 @@ HOLD = '[[segment]]\nkind = "hold"\nduration_s = 5\n'
             "[[segment]]\nkind='excite'\nsignal='prbs'\nduration_s=3\nfront_V=0.2\nstop_Hz=9\nseed=0\n",
             "seed is 0",
         ),
-        ('[[segment]]\nkind = "land"\n' + HOLD, "segment 1 (land): something follows it"),
+        ('[[segment]]\nkind = "land"\n' + HOLD, "segment 1 (land): a segment follows it"),
     ],
 )
 def test_a_mistake_is_named_with_its_segment_key_and_remedy(text: str, said: str) -> None:
@@ -226,12 +226,12 @@ def test_a_mistake_is_named_with_its_segment_key_and_remedy(text: str, said: str
             "kind='sine'\nelevation_amplitude_deg=25\nperiod_s=60\nduration_s=60",
             "elevation_amplitude_deg takes elevation to 25",
         ),
-        ("kind='ramp'\ntravel_deg=90\nduration_s=1", "duration_s asks travel for 90 degrees a second"),
+        ("kind='ramp'\ntravel_deg=90\nduration_s=1", "duration_s moves travel by 90 degrees per second"),
         (
             "kind='sine'\ntravel_amplitude_deg=25\nperiod_s=2\nduration_s=20",
             "the board's travel_slew_deg_s is",
         ),
-        ("kind='waypoints'\npoints=[{at_s=1,travel_deg=90}]", "at_s asks travel for 135 degrees a second"),
+        ("kind='waypoints'\npoints=[{at_s=1,travel_deg=90}]", "at_s moves travel by 135 degrees per second"),
         (
             "kind='excite'\nsignal='step'\nfront_V=3\nduration_s=2",
             "front_V is 3; keep it within 2 (excitation_max_V)",

@@ -71,15 +71,15 @@ def wandering(made: Flight) -> Flight:
 
 
 SPOILED: dict[str, tuple[Spoil, int, str, str, str]] = {
-    "no voltages": (scaled(0.0, "front_V"), ASKED, "front_V", "data row 1 to 5000", "no voltages"),
+    "no voltages": (scaled(0.0, "front_V"), ASKED, "front_V", "data row 1 to 5000", "log the voltages"),
     "constant voltages": (
         lambda made: replace(made, front_V=np.full(ROWS, 1.7)),
         ASKED,
         "front_V",
         "data row 1 to 5000",
-        "never change",
+        "voltages that change",
     ),
-    "duties": (scaled(0.1, "front_V", "back_V"), ASKED, "front_V", "data row 375", "it is a duty"),
+    "duties": (scaled(0.1, "front_V", "back_V"), ASKED, "front_V", "data row 375", "is a duty cycle"),
     "a gap": (without_rows(1000, 1200), FILE, "t_s", "line 1002", "jumps by"),
     "not a number": (with_cell("pitch_rad", 1233, np.nan), FILE, "pitch_rad", "line 1235", "is nan"),
     "degrees": (
@@ -106,7 +106,7 @@ SPOILED: dict[str, tuple[Spoil, int, str, str, str]] = {
     "millivolts": (scaled(1000.0, "back_V"), FILE, "back_V", "line 126", "millivolts"),
     "milliseconds": (scaled(1000.0, "t_s"), FILE, "t_s", "line 3", "give t_s in seconds"),
     "an uneven clock": (wandering, ASKED, "t_s", "data row", "resample"),
-    "too few rows": (without_rows(5, ROWS), FILE, "t_s", "5 rows", "record a longer one"),
+    "too few rows": (without_rows(5, ROWS), FILE, "t_s", "5 rows", "record a flight of at least"),
     "too short": (without_rows(300, ROWS), ASKED, "t_s", "data row 1 to 300", "give a longer flight"),
     "never moving": (
         scaled(0.0, "elevation_rad", "pitch_rad", "travel_rad"),
@@ -168,12 +168,12 @@ def test_a_gap_is_left_out_on_request(terminal: Terminal, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("good.csv", "--rig", "nowhere"), "no rig 'nowhere'"),
+        (("good.csv", "--rig", "nowhere"), "unknown rig 'nowhere'"),
         (("good.csv", "--model", "multibdy"), "did you mean multibody?"),
         (("good.csv", "--free", "thrust_gian"), "did you mean thrust_gain?"),
         (("good.csv", "--free", "supply"), "no parameter 'supply'"),
         (("good.csv", "--free", "reverse_thrust"), "give it a tolerance"),
-        (("good.csv", "--free", "M_f", "--fix", "M_f"), "asked for and fixed at once"),
+        (("good.csv", "--free", "M_f", "--fix", "M_f"), "is in both --free and --fix"),
         (("good.csv", "--validate", "good.csv"), "both fitted and validated on"),
         (("good.csv", "good.csv"), "the same label"),
         (("good.csv", "--from", "9.5"), "no second of free flight"),

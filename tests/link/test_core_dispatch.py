@@ -12,6 +12,8 @@ from heli_host.declaration import (
     PARAMS,
     AckMessage,
     ArmMessage,
+    ControllerMessage,
+    ControllerReadMessage,
     Event,
     EventMessage,
     MessageId,
@@ -44,6 +46,7 @@ from tests.link.core_harness import (
 BY_BOARD_ALONE = (
     MessageId.HELLO, MessageId.PING, MessageId.PARAMS_READ, MessageId.STATUS_READ,
     MessageId.LAW_BEGIN, MessageId.LAW_PART, MessageId.LAW_END, MessageId.LAW_READ,
+    MessageId.CONTROLLER_READ, MessageId.PARAMS_ORIGIN_READ,
 )  # fmt: skip
 BY_TICK = [cls for cls in COMMANDS if cls.ID not in BY_BOARD_ALONE]
 NO_NUMBERS = [math.nan, math.inf, -math.inf]
@@ -280,3 +283,14 @@ def test_the_sequence_numbers_of_the_board_have_no_gap() -> None:
     frames = [frame for k in range(600) for frame in harness.turn(encode_frame(2, k, bytes(9)))]
     assert [b.seq for b in frames] == [(frames[0].seq + k) % 256 for k in range(len(frames))]
     assert len(frames) == 600
+
+
+def test_the_board_gives_the_names_of_its_controllers_and_how_many_it_has() -> None:
+    harness = open_harness()
+    for index, name in ((0, b"cascade"), (1, b"sixteen_letters_"), (2, b""), (255, b"")):
+        frames = harness.turn(harness.frame(ControllerReadMessage(9, index)), ticks=2)
+        (payload,) = of_kind(frames, MessageId.CONTROLLER)
+        answer = ControllerMessage.unpack(payload)
+        words = (answer.name_0, answer.name_1, answer.name_2, answer.name_3)
+        assert (answer.request, answer.index, answer.count) == (9, index, 2)
+        assert b"".join(word.to_bytes(4, "little") for word in words).rstrip(b"\0") == name

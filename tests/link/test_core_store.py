@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import struct
 import zlib
 
 import pytest
-from heli_host.declaration import LINK_HASH, PARAMS, ParamsSource
+from heli_host.declaration import PARAMS, PARAMS_HASH, ParamsSource
 from heli_test_native import link as core_link
 from hypothesis import given
 from hypothesis import strategies as st
@@ -140,21 +141,81 @@ def test_the_very_first_save_already_survives_damage_to_either_copy(page: int) -
     assert load(board) == (ParamsSource.FALLBACK, 3.0)
 
 
-def test_copies_of_another_declaration_are_not_used() -> None:
-    board = saved_board(3.0, 4.0)
+def entry(parameter: int) -> int:
+    """Where a saved set has a parameter: its number, then its value."""
+    return 12 + 6 * parameter
+
+
+def other_schema(board: core_link.Board) -> None:
+    """As if a firmware with other parameters had saved both copies."""
     for page in (0, 1):
-        rewrite(board, page, 4, (LINK_HASH ^ 1).to_bytes(4, "little"))
+        rewrite(board, page, 4, (PARAMS_HASH ^ 1).to_bytes(4, "little"))
+
+
+def origin(board: core_link.Board) -> tuple[int, int, list[int]]:
+    """Values kept, values dropped, and parameters without a stored value, at the next start."""
+    store = core_link.Store(board)
+    store.load(core_link.Params())
+    kept, dropped, bits = store.origin
+    return kept, dropped, [spec.index for spec in PARAMS if bits >> spec.index & 1]
+
+
+def test_a_set_of_another_schema_keeps_what_is_known() -> None:
+    board = saved_board(3.0, 4.0)
+    other_schema(board)
+    assert load(board) == (ParamsSource.MIGRATED, 4.0)
+    assert origin(board) == (len(PARAMS), 0, [])
+    assert save(board, 5.0)
+    assert load(board) == (ParamsSource.STORED, 5.0)
+
+
+def test_a_parameter_that_moved_in_the_table_keeps_its_value() -> None:
+    board = saved_board(3.0)
+    other_schema(board)
+    flash = board.flash
+    a, b = entry(HOVER), entry(0)
+    for page in (0, 1):
+        rewrite(board, page, a, flash[b : b + 6])
+        rewrite(board, page, b, flash[a : a + 6])
+    assert load(board) == (ParamsSource.MIGRATED, 3.0)
+
+
+def test_a_stored_value_that_nobody_knows_is_dropped_and_a_new_parameter_has_its_default() -> None:
+    board = saved_board(3.0)
+    other_schema(board)
+    unknown = next(number for number in range(0x10000) if number not in {spec.id for spec in PARAMS})
+    for page in (0, 1):
+        rewrite(board, page, entry(HOVER), unknown.to_bytes(2, "little"))
+    assert load(board) == (ParamsSource.MIGRATED, HOVER_DEFAULT)
+    assert origin(board) == (len(PARAMS) - 1, 1, [HOVER])
+
+
+@pytest.mark.parametrize("value", [1e9, -1e9, float("nan"), float("inf")])
+def test_a_stored_value_out_of_the_new_range_becomes_the_default_and_is_reported(value: float) -> None:
+    board = saved_board(3.0)
+    other_schema(board)
+    for page in (0, 1):
+        rewrite(board, page, entry(HOVER) + 2, struct.pack("<f", value))
+    assert load(board) == (ParamsSource.MIGRATED, HOVER_DEFAULT)
+    assert origin(board) == (len(PARAMS) - 1, 1, [HOVER])
+
+
+def test_sets_of_the_first_format_are_not_used() -> None:
+    # It has no numbers of parameters, only their places under a hash of the whole link.
+    board = core_link.Board(DUTY_FULL, PAGE)
+    head = struct.pack("<HBBII", 0x5048, 1, 73, 0xE2BF64AA, 1)
+    page = (head + struct.pack("<73f", *[3.0] * 73)).ljust(PAGE - 4, b"\xff")
+    page += zlib.crc32(page).to_bytes(4, "little")
+    board.flash = page + page
     assert load(board) == (ParamsSource.CORRUPT, HOVER_DEFAULT)
     assert save(board, 5.0)
     assert load(board) == (ParamsSource.STORED, 5.0)
-    assert save(board, 6.0)
-    assert load(board) == (ParamsSource.STORED, 6.0)
 
 
 def test_a_copy_with_a_value_out_of_range_is_not_used_whatever_its_crc() -> None:
     board = saved_board(3.0)
     for page in (0, 1):
-        rewrite(board, page, 12 + 4 * HOVER, bytes.fromhex("0000c07f"))
+        rewrite(board, page, entry(HOVER) + 2, bytes.fromhex("0000c07f"))
     assert load(board) == (ParamsSource.CORRUPT, HOVER_DEFAULT)
 
 

@@ -191,7 +191,9 @@ def test_a_callback_that_commands_while_another_does_gets_an_error_not_a_deadloc
     with open_session(rig) as session:
         rig.board.lose_replies = 3
         unsubscribe = session.subscribe_ticks(lambda _: (unsubscribe(), session.command(ArmMessage(0)))[0])
-        with pytest.raises(HeliError, match="a callback cannot send a command while another is on its way"):
+        with pytest.raises(
+            HeliError, match="a callback cannot send a command while another command waits for its answer"
+        ):
             session.command(ParamSetMessage(0, Param.HOVER_V, 1.0))
             session.wait(1.0)
 

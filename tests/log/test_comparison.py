@@ -153,7 +153,7 @@ def test_flights_are_laid_over_each_other_with_their_metrics(terminal: Terminal)
 def test_too_many_and_the_same_twice_are_refused(terminal: Terminal) -> None:
     write_csv(second_order(), "a.csv")
     assert "twice" in refusal(terminal("plot", "a.csv", "a.csv"), code=2)
-    assert "cannot be told apart" in refusal(terminal("plot", *(f"{i}.csv" for i in range(9))), code=2)
+    assert "are too many for one figure" in refusal(terminal("plot", *(f"{i}.csv" for i in range(9))), code=2)
 
 
 def test_figure_in_no_format_that_can_be_drawn_is_one_line(terminal: Terminal) -> None:

@@ -181,7 +181,7 @@ def test_damaged_schemas_are_read_from_the_index_or_refused(written: Written) ->
         changed = bytearray(data)
         changed[at] = ord("4")
         if refused:
-            with pytest.raises(LogError, match="how its numbers are to be read"):
+            with pytest.raises(LogError, match="in the description of its columns"):
                 _read(written, bytes(changed))
         else:
             log = _read(written, bytes(changed))

@@ -223,7 +223,7 @@ def test_a_disk_that_never_comes_back_is_given_up_after_the_flight(
 def test_a_log_that_is_there_is_not_touched(tmp_path: Path, background: bool) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(b"an older flight")
-    with pytest.raises(LogWriteError, match="no log is written over; give another name"):
+    with pytest.raises(LogWriteError, match="never replaces a log; give another name"):
         open_log(path, background=background)
     with pytest.raises(LogWriteError):
         check_new(path)

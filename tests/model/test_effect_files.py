@@ -2,44 +2,35 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+from heli_lab.diagnose.experiment.design import segment_for
+from heli_lab.tune.plants import loop_effects_of
+from heli_lab.twin import changes
 from heli_sim.errors import EffectError, RigError
 from heli_sim.model import MultibodyModel, effects
 from heli_sim.model.effects import catalogue, effect_numbers, parse_effects
 from heli_sim.model.effects.catalogue import _built_in
 from heli_sim.model.effects.spec import format_estimate
 from heli_sim.model.effects.table import with_table
-from heli_sim.model.parts import AXES
 from heli_sim.plant import Plant
 from heli_sim.rig import Number, Rig, load_rig, write_rig
 from heli_sim.sil.options import SilOptions, parse_url
 from heli_sim.sil.plant_factory import plant_of
 
-DOCS = Path(__file__).resolve().parents[2] / "docs"
-COMMON = [
-    *("rotor_lag", "rotor_speed_lag", "rotor_lag_with_delay", "input_delay"),
-    *("thrust_quadratic", "thrust_asymmetry", "thrust_fade", "thrust_step.front", "thrust_step.back"),
-    *("supply_sag", "supply_fade", "inflow_damping", "ground_effect", "rotor_reaction_torque"),
-    *(f"coulomb_friction.{axis}" for axis in AXES),
-    *(f"{axis}_drag_quadratic" for axis in AXES),
-    *("cable_spring.elevation", "cable_spring.travel", "axis_tilt"),
-    "counterweight_shift",
-    *(
-        f"{effect}.{axis}"
-        for effect in ("backlash", "encoder_eccentricity", "zero_offset", "periodic_torque", "random_torque")
-        for axis in AXES
-    ),
-]
+from tests.blind import test_cases
+from tests.model.effect_list import COMMON, MEASURED
 
-MEASURED = ["edgewise_flow", "gyroscopic_torque", "flywheel"]
-"""Effects that measured flights of real rigs showed beyond the common ones."""
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+DOCUMENT = DOCS / "reference" / "effects.md"
 
 
 def example() -> str:
@@ -58,10 +49,11 @@ def written(folder: Path, text: str) -> Path:
 
 
 def test_every_effect_of_the_list_is_there_in_its_order() -> None:
-    ids = list(catalogue())
     known = COMMON + MEASURED
-    assert ids[: len(known)] == known
-    assert all(id.startswith("removed.") for id in ids[len(known) :])
+    ids = list(catalogue())
+    assert [id for id in ids if id in known] == known
+    removed = [id for id in ids if id.startswith("removed.")]
+    assert removed and ids.index(removed[0]) > ids.index(known[-1])
 
 
 def test_no_two_effects_share_a_number_and_each_has_a_size_and_a_range() -> None:
@@ -83,15 +75,15 @@ def test_an_equation_can_be_drawn_and_a_sentence_said(id: str) -> None:
     kind = catalogue()[id]
     MathTextParser("path").parse(f"${kind.equation}$")
     sentence = kind.describe(kind.typical, {name: 0.01 * abs(value) for name, value in kind.typical.items()})
-    assert " +- " in sentence and "{" not in sentence and not sentence.endswith(".")
+    assert " ± " in sentence and "{" not in sentence and not sentence.endswith(".")
 
 
 def test_numbers_are_said_with_as_many_digits_as_their_error_knows() -> None:
-    assert format_estimate(0.12345, 0.0123, "s") == "0.123 +- 0.012 s"
-    assert format_estimate(0.12345, 0.042, "s") == "0.12 +- 0.04 s"
-    assert format_estimate(0.0398, 0.0002, "1") == "3.980 +- 0.020 %"
-    assert format_estimate(np.radians(1.5), np.radians(0.2), "rad") == "1.50 +- 0.20 deg"
-    assert format_estimate(1234.5, 21.0, "N") == "1234 +- 21 N"
+    assert format_estimate(0.12345, 0.0123, "s") == "0.123 ± 0.012 s"
+    assert format_estimate(0.12345, 0.042, "s") == "0.12 ± 0.04 s"
+    assert format_estimate(0.0398, 0.0002, "1") == "3.980 ± 0.020 %"
+    assert format_estimate(np.radians(1.5), np.radians(0.2), "rad") == "1.50 ± 0.20 deg"
+    assert format_estimate(1234.5, 21.0, "N") == "1234 ± 21 N"
     assert format_estimate(0.1, None, "s") == "0.1 s"
 
 
@@ -155,18 +147,63 @@ def test_the_documents_own_effect_passes_the_rules_for_docstrings(tmp_path: Path
     assert "D102" in subprocess.run([*ruff, path], capture_output=True, text=True, check=False).stdout
 
 
-def test_an_effect_file_in_the_folder_is_found_by_itself(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "draught.py").write_text(example())
-    with monkeypatch.context() as patched:
-        patched.setattr(effects, "__path__", [*effects.__path__, str(tmp_path)])
+@contextlib.contextmanager
+def in_the_folder(folder: Path, text: str) -> Iterator[None]:
+    """A file of this text counts as one of the package's effects in this block."""
+    (folder / "draught.py").write_text(text)
+    before = list(effects.__path__)
+    try:
+        effects.__path__ = [*before, str(folder)]
         _built_in.cache_clear()
+        yield
+    finally:
+        effects.__path__ = before
+        _built_in.cache_clear()
+        sys.modules.pop("heli_sim.model.effects.draught", None)
+
+
+def test_an_effect_file_in_the_folder_is_found_by_itself(tmp_path: Path) -> None:
+    with in_the_folder(tmp_path, example()):
         ids = list(catalogue())
-    _built_in.cache_clear()
-    sys.modules.pop("heli_sim.model.effects.draught", None)
     assert ids.index("gyroscopic_torque") < ids.index("draught") < ids.index("removed.dead_zone")
     assert "draught" not in catalogue()
+
+
+CHANGE = """    stage=Stage.TORQUE,
+    linearisable=True,
+    change=ChangeSpec((0.05,), "a draught of {} came", "a draught of {} came from behind"),
+"""
+
+
+@pytest.mark.medium
+def test_a_new_effect_is_one_file_and_the_generated_table(tmp_path: Path) -> None:
+    """Catalogue, table, twin, experiment and the design of gains take it all from the file."""
+    plain = example()
+    stated = plain.replace("    stage=Stage.TORQUE,\n", CHANGE).replace(
+        "import EffectSpec,", "import ChangeSpec, EffectSpec,"
+    )
+    with in_the_folder(tmp_path, stated):
+        assert "| `draught` |" in with_table(DOCUMENT.read_text())
+        test_every_effect_of_the_list_is_there_in_its_order()
+        test_cases.test_every_effect_of_the_list_is_hidden_in_two_sizes_or_in_disturbances_or_gone()
+        (change,) = (change for change in changes.changes_of(MultibodyModel()) if change.id == "draught")
+        assert change.numbers == ("draught_Nm",) and not change.non_negative
+        assert change.words(0.03, 0.01) == "a draught of 30 +- 10 mN m came"
+        assert "draught" in {effect.name for effect in changes.extended(MultibodyModel()).effects}
+        assert segment_for(catalogue()["draught"]) == "travel"
+        assert not loop_effects_of(parse_effects(["draught=0.03"])).excluded
+    with in_the_folder(tmp_path, plain):
+        assert loop_effects_of(parse_effects(["draught=0.03"])).excluded == ("draught",)
+    fades = plain.replace("    stage=Stage.TORQUE,\n", "    stage=Stage.TORQUE,\n    time_varying=True,\n")
+    with in_the_folder(tmp_path, fades):
+        assert segment_for(catalogue()["draught"]) == "time"
+
+
+def test_a_change_during_the_flight_is_in_no_linear_plant_and_is_reported() -> None:
+    slip = parse_effects(["counterweight_shift=0.005@20", "thrust_quadratic"])
+    assert loop_effects_of(slip).excluded == ("counterweight_shift",)
+    for kind in catalogue().values():
+        assert not (kind.linearisable and kind.time_varying), kind.id
 
 
 def test_a_file_that_is_not_there_is_named() -> None:
@@ -191,14 +228,14 @@ def test_effects_are_read_from_the_command_line() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("rotor_lg=0.1", "there is no effect 'rotor_lg'; did you mean rotor_lag?"),
+        ("rotor_lg=0.1", "unknown effect 'rotor_lg'; did you mean rotor_lag?"),
         ("backlash=0.1", "did you mean backlash.elevation or backlash.pitch or backlash.travel?"),
-        ("rotor_lag=fast", "s = 'fast' is not a number; give one"),
+        ("rotor_lag=fast", "s = 'fast' is not a number; give a number"),
         ("rotor_lag=-1", "rotor_lag_s = -1 s is out of range; give 0 to 0.6"),
         ("rotor_lag=nan", "out of range"),
         ("rotor_lag=0.1@3", "'rotor_lag' has no 'at_s'; it has: s"),
         ("axis_tilt=z:1", "'axis_tilt' has no 'z'; it has: x_rad, y_rad"),
-        ("", "there is no effect ''"),
+        ("", "unknown effect ''"),
     ],
 )
 def test_a_badly_spelled_effect_is_refused_in_one_line(text: str, message: str) -> None:

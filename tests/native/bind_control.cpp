@@ -18,6 +18,7 @@
 #include "control/mixer.hpp"
 #include "control/rate_filter.hpp"
 #include "convert.hpp"
+#include "idle_loop.hpp"
 
 namespace nb = nanobind;
 
@@ -30,7 +31,9 @@ using heli_test::Triple;
 // The cascade by itself.
 class Law {
  public:
-  explicit Law(const ParamValues& values) { law_.derive(heli_test::params_from(values), kBank); }
+  explicit Law(const ParamValues& values) {
+    law_.derive(heli::control::IdleLoopOfTests::make(), heli_test::params_from(values), kBank);
+  }
 
   auto update(const Triple& angle_rad, const Triple& rate_rad_s, const Triple& setpoint_rad,
               const Triple& setpoint_rate_rad_s, const Triple& setpoint_acceleration_rad_s2,

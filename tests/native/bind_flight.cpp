@@ -69,14 +69,14 @@ class Shaper {
   heli::flight::Setpoints setpoints_;
 };
 
-// A law that asks for the voltages it is told and remembers what it is given.
+// A controller whose voltages the test decides; it remembers its inputs.
 class ToldLaw final : public heli::control::Controller {
  public:
-  void derive(const heli::params::Params& params, Bank bank) override {
+  void derive(heli::control::IdleLoop, const heli::params::Params& params, Bank bank) override {
     hover_V_[bank] = params.get(heli::link::Param::hover_V);
     if (while_deriving) while_deriving();
   }
-  void reset() override { ++resets; }
+  void init() override { ++inits; }
   ControlOutput update(const ControlInput& in, Bank bank) override {
     ++updates;
     seen = in;
@@ -87,12 +87,21 @@ class ToldLaw final : public heli::control::Controller {
     out.pitch_setpoint_rad = Quantity::of(pitch_setpoint_rad);
     return out;
   }
+  void shadow(const ControlInput& in, Bank, const ControlOutput& acting) override {
+    ++shadows;
+    seen = in;
+    acting_front_V = acting.front_V.to_float();
+  }
+  void take_over() override { ++takeovers; }
 
   float front_V = 0.0F;
   float back_V = 0.0F;
   float pitch_setpoint_rad = 0.0F;
   std::function<void()> while_deriving;
-  int resets = 0;
+  int inits = 0;
+  int shadows = 0;
+  int takeovers = 0;
+  float acting_front_V = 0.0F;  // of the last shadow()
   int updates = 0;
   ControlInput seen{};
   float hover_V_of_update = 0.0F;  // the parameter as it stood in the bank of the last update()
@@ -105,14 +114,32 @@ Triple floats(const Quantity (&values)[heli::kAxisCount]) {
   return {values[0].to_float(), values[1].to_float(), values[2].to_float()};
 }
 
-// The flight code with its encoders, stop input and serial bytes in the test's hands; with a law of
-// the test's, or else what a board flies.
+// The flight code with two controllers of the test's: the first is the default.
+struct ToldCode {
+  ToldCode(heli::Board& board, ToldLaw& first, ToldLaw* second)
+      : controllers(table(first, second)), core(board, simplex, uploaded) {}
+
+  static heli::control::ControllerTable table(ToldLaw& first, ToldLaw* second) {
+    if (second == nullptr) {
+      return heli::control::ControllerTable({{"first", first}});
+    }
+    return heli::control::ControllerTable({{"first", first}, {"second", *second}});
+  }
+
+  heli::control::ControllerTable controllers;
+  heli::law::UploadedLaw uploaded;
+  heli::law::Simplex simplex{controllers, uploaded};
+  heli::Core core;
+};
+
+// The flight code with its encoders, stop input and serial bytes in the test's hands; with
+// controllers of the test's, or else what a board flies.
 class CoreHarness {
  public:
-  CoreHarness(ToldLaw* law, std::int16_t duty_full, std::size_t page_bytes)
+  CoreHarness(ToldLaw* law, ToldLaw* other, std::int16_t duty_full, std::size_t page_bytes)
       : board_(duty_full, page_bytes) {
     if (law != nullptr) {
-      core_.emplace(board_, *law, uploaded_);
+      told_.emplace(board_, *law, other);
     } else {
       code_.emplace(board_);
     }
@@ -160,11 +187,10 @@ class CoreHarness {
   // More than is sent between two calls of sent(), so that nothing is dropped.
   static constexpr std::size_t kRoom_bytes = 1U << 20U;
 
-  heli::Core& core() { return core_ ? *core_ : code_->core; }
+  heli::Core& core() { return told_ ? told_->core : code_->core; }
 
   HarnessBoard board_;
-  heli::law::UploadedLaw uploaded_;
-  std::optional<heli::Core> core_;
+  std::optional<ToldCode> told_;
   std::optional<heli::FlightCode> code_;
 };
 
@@ -193,7 +219,10 @@ void bind_flight(nb::module_& module) {
       .def_rw("back_V", &ToldLaw::back_V)
       .def_rw("pitch_setpoint_rad", &ToldLaw::pitch_setpoint_rad)
       .def_rw("while_deriving", &ToldLaw::while_deriving, nb::arg().none())
-      .def_ro("resets", &ToldLaw::resets)
+      .def_ro("inits", &ToldLaw::inits)
+      .def_ro("shadows", &ToldLaw::shadows)
+      .def_ro("takeovers", &ToldLaw::takeovers)
+      .def_ro("acting_front_V", &ToldLaw::acting_front_V)
       .def_ro("updates", &ToldLaw::updates)
       .def_ro("hover_V_of_update", &ToldLaw::hover_V_of_update)
       .def_prop_ro("angle_rad", [](const ToldLaw& law) { return floats(law.seen.angle_rad); })
@@ -201,8 +230,9 @@ void bind_flight(nb::module_& module) {
       .def_prop_ro("setpoint_rad", [](const ToldLaw& law) { return floats(law.seen.setpoint_rad); })
       .def_prop_ro("axes", [](const ToldLaw& law) { return law.seen.axes; });
   nb::class_<CoreHarness>(m, "Harness")
-      .def(nb::init<ToldLaw*, std::int16_t, std::size_t>(), "law"_a.none(), "duty_full"_a,
-           "page_bytes"_a, nb::keep_alive<1, 2>())
+      .def(nb::init<ToldLaw*, ToldLaw*, std::int16_t, std::size_t>(), "law"_a.none(),
+           "other"_a.none(), "duty_full"_a, "page_bytes"_a, nb::keep_alive<1, 2>(),
+           nb::keep_alive<1, 3>())
       .def("interrupt", &CoreHarness::interrupt, "late"_a = false)
       .def("tick", &CoreHarness::tick, "count"_a = 1, "late"_a = false)
       .def("encoders", &CoreHarness::encoders, "counts"_a, "illegal"_a)

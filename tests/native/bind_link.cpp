@@ -52,7 +52,10 @@ Bytes copy_of(const nb::bytes& from) { return {data_of(from), data_of(from) + fr
 class LinkHarness {
  public:
   LinkHarness(std::int16_t duty_full, std::size_t page_bytes)
-      : board(duty_full, page_bytes), store(board), link(board, params, store, tape) {
+      : board(duty_full, page_bytes), store(board), link(board, params, store, tape, controllers) {
+    controllers.name[0] = "cascade";
+    controllers.name[1] = "sixteen_letters_and_more";
+    controllers.count = 2;
     store.load(params);
   }
 
@@ -60,6 +63,7 @@ class LinkHarness {
   Params params;
   Store store;
   heli::law::Tape tape;
+  heli::link::ControllerNames controllers;
   Link link;
 };
 
@@ -206,6 +210,13 @@ void bind_params(nb::module_& m) {
       .def("load", [](Store& s, Params& p) { return static_cast<int>(s.load(p)); })
       .def("save", &Store::save)
       .def_prop_ro("source", [](const Store& s) { return static_cast<int>(s.source()); })
+      .def_prop_ro("origin",
+                   [](const Store& s) {
+                     const heli::params::Origin& from = s.origin();
+                     const std::uint64_t low = from.fresh[0] | std::uint64_t{from.fresh[1]} << 32U;
+                     const auto high = nb::int_(from.fresh[2]).attr("__lshift__")(64);
+                     return nb::make_tuple(from.kept, from.dropped, high.attr("__or__")(low));
+                   })
       .def_prop_ro("generation", &Store::generation);
 }
 

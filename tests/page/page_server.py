@@ -1,4 +1,4 @@
-"""A page's server over a simulated board in real time, as `heli-host dashboard --sil` has it."""
+"""A page's server over a simulated board in real time behind a port, as `heli-host dashboard --sil`."""
 
 from __future__ import annotations
 

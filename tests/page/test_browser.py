@@ -344,20 +344,22 @@ def test_a_law_is_chosen_its_signal_drawn_and_why_it_was_taken_over_said(
     with patient_page(tmp_path, laws) as served, tabs(chromium) as opened:
         page = opened.open(served.address.page)
         click(page, "#laws >> text=steady")
-        expect(page.locator("#law-said")).to_have_text("steady is on the board, and flies after the take-off")
+        expect(page.locator("#law-said")).to_have_text("steady is loaded, and flies after take-off")
         click(page, "#laws >> text=tired")
-        expect(page.locator("#law-said")).to_have_text("tired is on the board, and flies after the take-off")
+        expect(page.locator("#law-said")).to_have_text("tired is loaded, and flies after take-off")
         page.fill("#law-kp", "17")
         page.keyboard.press("Enter")
         click(page, "#take-off")
-        expect(page.locator("#law-said")).to_contain_text("the board's own law took over: voltage jump")
+        expect(page.locator("#law-said")).to_contain_text(
+            "the board's own control law took over: voltage jump"
+        )
         expect(page.locator("#strips")).to_contain_text("wanted_pitch")
         axe = Axe().run(page).response["violations"]
         assert not [one["id"] for one in axe if one["impact"] in ("serious", "critical")]
         click(page, "#laws >> text=steady")
         expect(page.locator("#said")).to_contain_text("land first")
         click(page, "#laws >> text=board's own")
-        expect(page.locator("#law-said")).to_have_text("the board's own law")
+        expect(page.locator("#law-said")).to_have_text("the board's own control law")
         page.keyboard.press("Space")
         until_state(page, "idle")
         assert not opened.wrong
@@ -390,7 +392,7 @@ def test_strips_pause_zoom_and_go_on(served: Served, window: Tabs) -> None:
     page.mouse.down()
     page.mouse.move(x + box["width"] * 0.98, y, steps=4)
     page.mouse.up()
-    expect(page.locator("#pause")).to_have_text("Go on")
+    expect(page.locator("#pause")).to_have_text("Continue")
     from_s, to_s = page.evaluate("heliPage.strips.range()")
     assert to_s - from_s == pytest.approx(0.08 * 20, rel=0.1)
     page.wait_for_timeout(300)

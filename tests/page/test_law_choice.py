@@ -77,7 +77,7 @@ def test_a_landing_is_nothing_to_be_told_of(heli: Heli) -> None:
 
 def test_what_cannot_be_chosen_is_said(heli: Heli) -> None:
     assert LawChoice(heli, []).status() is None
-    with pytest.raises(ParameterError, match="there is no law nosuch; choose from: steady"):
+    with pytest.raises(ParameterError, match="unknown control law nosuch; choose from: steady"):
         LawChoice(heli, [STEADY]).choose("nosuch")
     with pytest.raises(BadLaw, match="two laws have the same name: steady, steady"):
         LawChoice(heli, [STEADY, STEADY])
@@ -85,7 +85,7 @@ def test_what_cannot_be_chosen_is_said(heli: Heli) -> None:
 
 def test_a_parameter_of_the_law_is_changed_in_flight_and_kept_when_it_is_brought_anew(heli: Heli) -> None:
     laws = LawChoice(heli, [STEADY, TIRED])
-    with pytest.raises(ParameterError, match="no law is chosen"):
+    with pytest.raises(ParameterError, match="no control law is chosen"):
         laws.set("kp", 20.0)
     laws.choose("steady")
     with pytest.raises(BadLaw, match="the law steady has no parameter nosuch; it has: kp"):

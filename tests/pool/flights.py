@@ -13,7 +13,7 @@ from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_lab.estimation import estimate
 from heli_lab.identify import Record, prepare
-from heli_lab.identify.flight_model import RigParameters, kinematic_filter, model_functions
+from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
 from heli_lab.pool.rig_diagnosis import ParameterEstimate, without_prior
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
@@ -77,7 +77,7 @@ def pooled(rig: int, count: int) -> Pooled:
     parameter_vector = RigParameters(model, nominal, records)
     functions = model_functions(model, parameter_vector.quantities)
     references, theta, disturbances = (
-        [kinematic_filter(item) for item in records],
+        [filter_record(item) for item in records],
         parameter_vector.start,
         None,
     )

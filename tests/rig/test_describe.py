@@ -100,15 +100,15 @@ def test_answers_are_asked_again_until_they_can_be(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--set", "M_x=1"), "no number 'M_x'"),
-        (("--set", "M_f"), "states no number"),
-        (("--set", "M_f=heavy"), "is no number"),
+        (("--set", "M_x=1"), "unknown rig parameter 'M_x'"),
+        (("--set", "M_f"), "does not set a parameter"),
+        (("--set", "M_f=heavy"), "is not a number"),
         (("--set", "M_f=1 lb"), "give it in kg or g"),
         (("--set", "M_f=-1"), "M_f"),
         (("--table", "none.csv"), "cannot be read"),
-        (("--table", "odd.csv"), "has not the columns"),
+        (("--table", "odd.csv"), "must have the columns"),
         (("--table", "twice.csv"), "twice"),
-        (("--like", "nobodys", "--set", "M_f=1"), "no rig 'nobodys'"),
+        (("--like", "nobodys", "--set", "M_f=1"), "unknown rig 'nobodys'"),
     ],
 )
 def test_the_impossible_is_one_line(terminal: Terminal, arguments: tuple[str, ...], said: str) -> None:
@@ -120,5 +120,5 @@ def test_the_impossible_is_one_line(terminal: Terminal, arguments: tuple[str, ..
 
 def test_rig_that_is_there_is_not_overwritten(terminal: Terminal) -> None:
     Path("mine.toml").write_text("mine")
-    assert "is there already" in refusal(terminal("rig", "new", "mine.toml", "--set", "M_f=1"), code=2)
+    assert "exists already" in refusal(terminal("rig", "new", "mine.toml", "--set", "M_f=1"), code=2)
     assert Path("mine.toml").read_text() == "mine"

@@ -119,7 +119,7 @@ def test_template_is_refused_until_it_is_filled_in(terminal: Terminal) -> None:
     assert terminal("rig", "weigh", "makki2024", "--template", "bench.toml").code == 0
     words = ("rig", "weigh", "makki2024", "bench.toml", "--save-rig", "new.toml")
     line = refusal(terminal(*words), code=2)
-    assert "[thrust] front_g is not filled in yet; write what you read" in line
+    assert "[thrust] front_g is not filled in yet; write your reading" in line
     lines = filled().splitlines()
     template = Path("bench.toml").read_text().splitlines()
     changed = [k for k, (old, new) in enumerate(zip(template, lines, strict=True)) if old != new]
@@ -141,18 +141,21 @@ def test_template_filled_in_is_read(terminal: Terminal) -> None:
     ("table", "said"),
     [
         ("", "no bench test"),
-        ("[trust]\n", "no [trust]"),
-        ("thrust = 3", "is no table"),
+        ("[trust]\n", "unknown bench test [trust]"),
+        ("thrust = 3", "is not a table"),
         ("[thrust]\nvolts_V = [1, 2]\n", "needs volts_V"),
         ("[thrust]\nvolts_V = [1, 2]\nfront_g = [1]\n", "same length"),
-        ("[thrust]\nvolts_V = [1, 2]\nfront_g = [0, 0]\n", "make no line"),
-        ("[thrust]\nvolts_V = ['a']\nfront_g = [1]\n", "no list of numbers"),
+        ("[thrust]\nvolts_V = [1, 2]\nfront_g = [0, 0]\n", "too few for a line"),
+        ("[thrust]\nvolts_V = ['a']\nfront_g = [1]\n", "not a list of numbers"),
         ("[balance]\n", "lacks elevation_deg"),
-        ("[balance]\nelevation_deg = true\n", "is no number"),
-        ("[balance]\nelevation_deg = nan\n", "is no number"),
-        ("[balance]\nelevation_deg = -20\ntolerance_deg = 0\n", "more than 0"),
+        ("[balance]\nelevation_deg = true\n", "is not a number"),
+        ("[balance]\nelevation_deg = nan\n", "is not a number"),
+        ("[balance]\nelevation_deg = -20\ntolerance_deg = 0\n", "above 0"),
         ("[[swing]]\naxis = 'travel'\n", "travel has no rest"),
-        ("[[swing]]\naxis = 'pitch'\nswings = 2\nseconds = 5\nfrom_deg = 3\nto_deg = 4\n", "grows"),
+        (
+            "[[swing]]\naxis = 'pitch'\nswings = 2\nseconds = 5\nfrom_deg = 3\nto_deg = 4\n",
+            "has a growing amplitude",
+        ),
         ("[swing]\naxis = 'pitch'\n", "must be a list"),
         ("[balance", "is not TOML"),
     ],

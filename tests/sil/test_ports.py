@@ -229,7 +229,7 @@ def test_a_link_in_no_folder_is_refused(tmp_path: Path) -> None:
 
 def test_a_tcp_port_in_use_is_refused() -> None:
     first = TcpEndpoint()
-    with pytest.raises(EndpointError, match="choose another port"):
+    with pytest.raises(EndpointError, match="give HOST:PORT another port, or 0 for a free one"):
         TcpEndpoint("127.0.0.1", int(first.url.rpartition(":")[2]))
     first.close()
 

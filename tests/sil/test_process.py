@@ -97,7 +97,7 @@ def test_a_server_told_to_end_takes_its_port_away(tmp_path: Path, number: signal
 
 
 def test_a_board_that_cannot_start_says_why_in_one_line(tmp_path: Path) -> None:
-    with pytest.raises(EndpointError, match="no rig 'nosuchrig'") as error:
+    with pytest.raises(EndpointError, match="unknown rig 'nosuchrig'") as error:
         SilProcess(rig="nosuchrig")
     assert "\n" not in str(error.value)
     with pytest.raises(EndpointError, match="colour"):

@@ -181,8 +181,8 @@ def test_a_wrong_profile_is_refused_in_a_line(text: str, said: str, tmp_path: Pa
     ("entry", "wrong", "said"),
     [
         ("mirrored = false", "mirrored = 1", "neither true nor false"),
-        ("clip_V = [-1.0, 24.0]", "clip_V = [5, -5]", "least, largest"),
-        ("clip_V = [-1.0, 24.0]", "clip_V = 5", "least, largest"),
+        ("clip_V = [-1.0, 24.0]", "clip_V = [5, -5]", "smallest, largest"),
+        ("clip_V = [-1.0, 24.0]", "clip_V = 5", "smallest, largest"),
         ("factor = 2.0", "factor = 0", "not positive"),
     ],
 )

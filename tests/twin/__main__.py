@@ -16,9 +16,9 @@ import numpy as np
 from heli_host.flight import Flight
 from heli_lab.twin.calibration import Calibration, Tail, segment_maxima
 from heli_lab.twin.flights import count_rad_of, samples_of
-from heli_lab.twin.follow import follow_flight
 from heli_lab.twin.kalman_filter import TwinModel
-from heli_lab.twin.learn import NEVER
+from heli_lab.twin.learn import NO_ALARM
+from heli_lab.twin.monitor import monitor_flight
 from heli_lab.twin.twin import Twin
 from heli_sim.model.multibody import MultibodyModel
 from scipy.stats import binom
@@ -86,7 +86,7 @@ def of_healthy(rig: Known, count: int, seconds: float = 60.0) -> dict[str, Any]:
         "changed": [],
     }
     for flight in flights(rig.model, rig.rig, 10_000 * rig.seed + 1_000, count, seconds):
-        seen = follow_flight(rig.twin, flight, "healthy", HOURS)
+        seen = monitor_flight(rig.twin, flight, "healthy", HOURS)
         found["healthy"].append(
             {
                 "max_evidence_nats": seen.max_evidence_nats,
@@ -102,10 +102,10 @@ def of_changed(rig: Known, name: str, size: float, seed: int) -> dict[str, Any]:
     """Fly one rig with a change of its own `seed`."""
     model = MultibodyModel((*rig.model.effects, change(name, size)))
     (flight,) = flights(model, rig.rig, 10_000 * rig.seed + seed, 1)
-    seen = follow_flight(rig.twin, flight, name, HOURS)
+    seen = monitor_flight(rig.twin, flight, name, HOURS)
     onset_s = motors_on_s(flight) + ONSET_s
-    early = [event for event in seen.events if event.kind == "parted" and event.t_s < onset_s]
-    late = [event for event in seen.events if event.kind == "parted" and event.t_s >= onset_s]
+    early = [event for event in seen.events if event.kind == "alarm" and event.t_s < onset_s]
+    late = [event for event in seen.events if event.kind == "alarm" and event.t_s >= onset_s]
     words = [event for event in seen.alarms if event.t_s >= onset_s]
     entry: dict[str, Any] = {"change": name, "size": size, "early": len(early), "delay_s": None}
     if not (late and words):
@@ -124,12 +124,12 @@ def of_changed(rig: Known, name: str, size: float, seed: int) -> dict[str, Any]:
 def sigmas(rig: Known, flight: Flight, name: str, size: float, onset_s: float) -> float:
     """Standard errors that a change is large for who knows what changed and when, after `SEEN_s` of it."""
     samples, sample_s = samples_of(flight)
-    never = Calibration(rig.twin.calibration.disturbances, NEVER)
+    never = Calibration(rig.twin.calibration.disturbances, NO_ALARM)
     model = TwinModel(rig.twin.model, rig.twin.rig)
     twin = Twin(model, never, count_rad_of(flight, rig.rig), sample_s)
     zero = round(float(samples.number[0]) - float(flight.t_s[0]) / sample_s)
     rows = (samples.number - zero) * sample_s < onset_s + SEEN_s
-    twin.take(samples.part(rows))
+    twin.update(samples.select(rows))
     std = twin.standard_error(name, onset_s + zero * sample_s)
     return size / std if std is not None else 0.0
 

@@ -11,12 +11,12 @@ import numpy as np
 from heli_host.flight import Flight
 from heli_host.log.flight_file import read_flight
 from heli_lab.estimation import estimate
-from heli_lab.identify.flight_model import RigParameters, kinematic_filter, model_functions
+from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
 from heli_lab.twin.calibration import Calibration
-from heli_lab.twin.files import USUAL, TwinRig
+from heli_lab.twin.files import DEFAULT_CALIBRATION, TwinRig
 from heli_lab.twin.flights import count_rad_of
-from heli_lab.twin.follow import Followed, follow_flight
 from heli_lab.twin.learn import at_least_rounding
+from heli_lab.twin.monitor import TwinReport, monitor_flight
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import load_rig
@@ -37,7 +37,7 @@ def twin_of(pair: str, back: bool = False) -> TwinRig:
     parameter_vector = RigParameters(model, rig, [record])
     found = estimate(
         parameter_vector,
-        [kinematic_filter(record)],
+        [filter_record(record)],
         model_functions(model, parameter_vector.quantities),
         parameter_vector.start,
     )
@@ -51,7 +51,9 @@ def twin_of(pair: str, back: bool = False) -> TwinRig:
     )
     count_rad = count_rad_of(read_flight(MEASURED / f"{PAIRS[pair][1 if back else 0]}.csv.gz"), rig)
     disturbances = at_least_rounding(found.disturbances, model, numbers, count_rad)
-    return TwinRig(numbers, MultibodyModel(effects), Calibration(disturbances, USUAL.tail), pair)
+    return TwinRig(
+        numbers, MultibodyModel(effects), Calibration(disturbances, DEFAULT_CALIBRATION.tail), pair
+    )
 
 
 def other(pair: str, back: bool = False) -> tuple[str, Flight]:
@@ -60,9 +62,9 @@ def other(pair: str, back: bool = False) -> tuple[str, Flight]:
     return name, read_flight(MEASURED / f"{name}.csv.gz")
 
 
-def beside(twin: TwinRig, name: str, flight: Flight) -> Followed:
+def beside(twin: TwinRig, name: str, flight: Flight) -> TwinReport:
     """Fly the twin beside the part of a flight that its description calls sound."""
-    return follow_flight(twin, flight, name, 10.0, FROM_s, LANDS_s.get(name))
+    return monitor_flight(twin, flight, name, 10.0, FROM_s, LANDS_s.get(name))
 
 
 def told_wrong(flight: Flight, from_s: float) -> Flight:
@@ -88,10 +90,10 @@ def main() -> None:
             for share in MOMENTS:
                 at_s = FROM_s + share * (end_s - FROM_s)
                 seen = beside(twin, name, told_wrong(flight, at_s))
-                parted = [event for event in seen.events if event.kind == "parted"]
+                alarms = [event for event in seen.events if event.kind == "alarm"]
                 last = list(seen.alarms)
                 delays.append(
-                    (round(parted[0].t_s - at_s, 1), last[0].ranking[0].change.id) if parted else None
+                    (round(alarms[0].t_s - at_s, 1), last[0].ranking[0].change.id) if alarms else None
                 )
             print(f"  5 % more told from {MOMENTS} of it on: delay and name {delays}", flush=True)
 

@@ -9,11 +9,11 @@ from heli_host.errors import HeliError
 from heli_host.flight import Flight
 from heli_lab.estimation import BLOCK_s, DisturbanceModel, estimate
 from heli_lab.identify import prepare
-from heli_lab.identify.flight_model import RigParameters, kinematic_filter, model_functions
+from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
 from heli_lab.twin.calibration import Calibration, fit_tail
 from heli_lab.twin.files import TwinRig
 from heli_lab.twin.flights import count_rad_of
-from heli_lab.twin.healthy_flights import fly_simulated, in_weather, random_plan
+from heli_lab.twin.healthy_flights import fly_simulated, random_plan, with_process_noise
 from heli_lab.twin.kalman_filter import TwinModel
 from heli_lab.twin.learn import at_least_rounding, evidence
 from heli_sim.model import MultibodyModel
@@ -80,17 +80,17 @@ def true_rig(seed: int) -> tuple[Rig, Model, DisturbanceModel]:
 def known(seed: int, simulated: int) -> Known:
     """Draw a rig, fly it, identify it, and set the alarm by as many flights `simulated` of what was found."""
     rig, calm, disturbances = true_rig(seed)
-    model = in_weather(calm, disturbances)
-    taught = flights(model, rig, 10_000 * seed, TEACHING)
-    found, numbers, felt = identified(calm, taught)
+    model = with_process_noise(calm, disturbances)
+    training_flights = flights(model, rig, 10_000 * seed, TEACHING)
+    found, numbers, felt = identified(calm, training_flights)
     twin = TwinModel(found, numbers)
-    references = [evidence(twin, felt, flight) for flight in taught]
-    taught_s = BLOCK_s * sum(map(len, references))
-    again = in_weather(found, felt)
+    references = [evidence(twin, felt, flight) for flight in training_flights]
+    training_s = BLOCK_s * sum(map(len, references))
+    again = with_process_noise(found, felt)
     references += [
         evidence(twin, felt, flight) for flight in flights(again, numbers, 10_000 * seed + 5_000, simulated)
     ]
-    calibration = Calibration(felt, fit_tail(references, taught_s))
+    calibration = Calibration(felt, fit_tail(references, training_s))
     return Known(seed, rig, model, TwinRig(numbers, found, calibration, f"rig {seed}"), references)
 
 
@@ -107,15 +107,15 @@ def flights(model: Model, rig: Rig, seed: int, count: int, seconds: float = 60.0
     return found
 
 
-def identified(model: Model, taught: list[Flight]) -> tuple[Model, Rig, DisturbanceModel]:
+def identified(model: Model, training_flights: list[Flight]) -> tuple[Model, Rig, DisturbanceModel]:
     """Estimate numbers and weather from flights, from the nominal rig and typical effects on."""
     base = load_rig("makki2024")
     start = type(model)(parse_effects([effect.name for effect in model.effects]))
-    records = [prepare(flight, base, f"teaching {i}") for i, flight in enumerate(taught)]
+    records = [prepare(flight, base, f"teaching {i}") for i, flight in enumerate(training_flights)]
     parameter_vector = RigParameters(start, base, records)
     functions = model_functions(start, parameter_vector.quantities)
     found = estimate(
-        parameter_vector, [kinematic_filter(record) for record in records], functions, parameter_vector.start
+        parameter_vector, [filter_record(record) for record in records], functions, parameter_vector.start
     )
     values = {
         one.quantity: float(value)
@@ -127,5 +127,7 @@ def identified(model: Model, taught: list[Flight]) -> tuple[Model, Rig, Disturba
         replace(effect, values={name: values.get(name, was) for name, was in effect.values.items()})
         for effect in start.effects
     ]
-    disturbances = at_least_rounding(found.disturbances, start, numbers, count_rad_of(taught[0], numbers))
+    disturbances = at_least_rounding(
+        found.disturbances, start, numbers, count_rad_of(training_flights[0], numbers)
+    )
     return type(model)(tuple(effects)), numbers, disturbances

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from heli_lab.estimation import DisturbanceModel
 from heli_lab.twin.calibration import Calibration
-from heli_lab.twin.files import USUAL, TwinRig
-from heli_lab.twin.healthy_flights import in_weather
+from heli_lab.twin.files import DEFAULT_CALIBRATION, TwinRig
+from heli_lab.twin.healthy_flights import with_process_noise
 from scipy.special import bdtrc
 
 from tests.running.long import LONG, samples
@@ -34,8 +34,8 @@ def of(seed: int) -> Known:
         disturbances.slow_std,
         np.array([1.8, 1.4, 1.1]),
     )
-    twin = TwinRig(rig, model, Calibration(felt, USUAL.tail), f"rig {seed}")
-    return Known(seed, rig, in_weather(model, disturbances), twin, [])
+    twin = TwinRig(rig, model, Calibration(felt, DEFAULT_CALIBRATION.tail), f"rig {seed}")
+    return Known(seed, rig, with_process_noise(model, disturbances), twin, [])
 
 
 def test_alarms_are_as_seldom_as_stated_and_changes_have_their_names() -> None:

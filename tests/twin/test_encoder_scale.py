@@ -8,7 +8,7 @@ import pytest
 from heli_host.cli import run
 from heli_host.log.reader import read_log
 from heli_lab.twin.files import open_rig
-from heli_lab.twin.follow import follow_file
+from heli_lab.twin.monitor import monitor_file
 
 pytestmark = pytest.mark.slow
 PLAN = """
@@ -43,7 +43,7 @@ def flown(folder: Path, scale: str) -> Path:
 def test_half_the_counts_of_travel_are_named_in_flight(tmp_path: Path) -> None:
     log = flown(tmp_path, "travel:0.5")
     said = [str(event["message"]) for event in read_log(log).events if event["name"] == "twin"]
-    (named,) = follow_file(open_rig("makki2024"), log, 10.0).alarms
+    (named,) = monitor_file(open_rig("makki2024"), log, 10.0).alarms
     first = named.ranking[0]
     assert first.change.id == "encoder_scale.travel"
     # Linear in a change this large: its sign and its order are right.
@@ -52,5 +52,5 @@ def test_half_the_counts_of_travel_are_named_in_flight(tmp_path: Path) -> None:
 
 
 def test_right_scales_are_no_change(tmp_path: Path) -> None:
-    seen = follow_file(open_rig("makki2024"), flown(tmp_path, "travel:1"), 10.0)
+    seen = monitor_file(open_rig("makki2024"), flown(tmp_path, "travel:1"), 10.0)
     assert seen.free_s > 10.0 and not seen.alarms

@@ -12,7 +12,7 @@ from heli_host.errors import HeliError
 from heli_lab.estimation import DisturbanceModel
 from heli_lab.twin import learn
 from heli_lab.twin.calibration import Calibration, Tail, fit_tail, write_calibration
-from heli_lab.twin.files import USUAL, open_rig
+from heli_lab.twin.files import DEFAULT_CALIBRATION, open_rig
 
 CALIBRATION = Calibration(
     DisturbanceModel(np.array([0.01, 0.002, 0.003]), np.array([0.4, 0.5, 0.6]), np.full(3, 1e-3), np.ones(3)),
@@ -31,7 +31,7 @@ def test_a_file_gives_back_what_was_learned(tmp_path: Path) -> None:
 
 
 def test_a_rig_alone_has_the_usual_weather() -> None:
-    assert open_rig("makki2024").calibration is USUAL
+    assert open_rig("makki2024").calibration is DEFAULT_CALIBRATION
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_what_is_wrong_with_a_file_is_told(tmp_path: Path, old: str, new: str, t
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ("twin", "give a flight"),
+        ("twin", "no flight is given; give one"),
         ("twin nowhere.mcap", "nowhere.mcap"),
         ("twin --learn monday.mcap", "give a name that ends in .toml"),
         ("twin nowhere.mcap --rig nobody", "nobody"),
@@ -105,6 +105,6 @@ def test_learning_from_a_healthy_flight_writes_a_file_that_the_twin_takes(
     assert learned.calibration.tail.level_nats == pytest.approx(fit_tail(13 * [evidence], 60.0).level_nats)
     # A simulated flight without weather has next to none of it.
     fast_std_Nm = learned.calibration.disturbances.fast_std
-    assert np.any(fast_std_Nm < USUAL.disturbances.fast_std)
+    assert np.any(fast_std_Nm < DEFAULT_CALIBRATION.disturbances.fast_std)
     # A learned weather is not believed to be calmer than encoders can show.
     assert np.all(learned.calibration.disturbances.quantisation >= 1.0) and np.all(fast_std_Nm > 1e-4)

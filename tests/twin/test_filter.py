@@ -11,14 +11,14 @@ from heli_lab.estimation import DisturbanceModel
 from heli_lab.twin import twin as twin_module
 from heli_lab.twin.calibration import Calibration, Tail
 from heli_lab.twin.flights import count_rad_of, samples_of
-from heli_lab.twin.healthy_flights import fly_simulated, in_weather, random_plan
+from heli_lab.twin.healthy_flights import fly_simulated, random_plan, with_process_noise
 from heli_lab.twin.kalman_filter import KalmanFilter, TwinModel
 from heli_lab.twin.twin import Twin
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import Rig, load_rig
 
-NEVER = Tail(np.inf, 0.0, 0.0, 1)
-WEATHER = DisturbanceModel(
+NO_ALARM = Tail(np.inf, 0.0, 0.0, 1)
+DISTURBANCES = DisturbanceModel(
     np.array([0.01, 0.003, 0.006]), np.full(3, 0.5), np.array([1e-3, 5e-4, 5e-4]), np.array([1.6, 1.4, 1.1])
 )
 
@@ -26,7 +26,9 @@ WEATHER = DisturbanceModel(
 @cache
 def healthy() -> tuple[Rig, Flight]:
     rig = load_rig("makki2024")
-    return rig, fly_simulated(in_weather(MultibodyModel(), WEATHER), rig, random_plan(4, 46.0), 4)
+    return rig, fly_simulated(
+        with_process_noise(MultibodyModel(), DISTURBANCES), rig, random_plan(4, 46.0), 4
+    )
 
 
 def innovations(monkeypatch: pytest.MonkeyPatch, twin: Twin, flight: Flight) -> np.ndarray:
@@ -39,7 +41,7 @@ def innovations(monkeypatch: pytest.MonkeyPatch, twin: Twin, flight: Flight) -> 
         return result
 
     monkeypatch.setattr(KalmanFilter, "update", kept)
-    twin.take(samples_of(flight)[0])
+    twin.update(samples_of(flight)[0])
     return np.array(found)
 
 
@@ -47,7 +49,7 @@ def innovations(monkeypatch: pytest.MonkeyPatch, twin: Twin, flight: Flight) -> 
 def test_innovations_are_white_and_of_unit_variance(monkeypatch: pytest.MonkeyPatch) -> None:
     rig, flight = healthy()
     twin = Twin(
-        TwinModel(MultibodyModel(), rig), Calibration(WEATHER, NEVER), count_rad_of(flight, rig), 1e-3
+        TwinModel(MultibodyModel(), rig), Calibration(DISTURBANCES, NO_ALARM), count_rad_of(flight, rig), 1e-3
     )
     seen = innovations(monkeypatch, twin, flight)
     assert len(seen) > 900
@@ -66,12 +68,12 @@ def test_sensitivities_are_what_a_change_does_to_the_innovations(monkeypatch: py
     for sign in (-1.0, 1.0):
         moved = rig.replace(L_b=rig["L_b"].value + sign * share)
         model = TwinModel(MultibodyModel(), moved)
-        twin = Twin(model, Calibration(WEATHER, NEVER), count_rad_of(flight, rig), 1e-3)
+        twin = Twin(model, Calibration(DISTURBANCES, NO_ALARM), count_rad_of(flight, rig), 1e-3)
         values[sign] = innovations(monkeypatch, twin, flight)
         monkeypatch.undo()
     numeric = -(values[1.0] - values[-1.0]) / (2 * share)
     kept: list[np.ndarray] = []
-    monkeypatch.setattr(twin_module, "BEGINS_AFTER_s", np.inf)
+    monkeypatch.setattr(twin_module, "FILTER_SETTLING_s", np.inf)
     update = KalmanFilter.update
 
     def told(self: KalmanFilter, *arguments: object) -> object:
@@ -83,12 +85,12 @@ def test_sensitivities_are_what_a_change_does_to_the_innovations(monkeypatch: py
 
     model = TwinModel(MultibodyModel(), rig)
     columns = [entry for change in model.changes for entry in change.numbers]
-    twin = Twin(model, Calibration(WEATHER, NEVER), count_rad_of(flight, rig), 1e-3)
+    twin = Twin(model, Calibration(DISTURBANCES, NO_ALARM), count_rad_of(flight, rig), 1e-3)
     monkeypatch.setattr(KalmanFilter, "update", told)
     monkeypatch.setattr(
         "heli_lab.twin.likelihood_ratio.LikelihoodRatio.ages", lambda self, block: np.ones((len(columns), 42))
     )
-    twin.take(samples_of(flight)[0])
+    twin.update(samples_of(flight)[0])
     linear = np.array(kept)
     scale = np.abs(numeric).max()
     assert scale > 10.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from heli_lab.estimation import DisturbanceModel
-from heli_lab.twin.learn import SHOWS_s, at_least_rounding
+from heli_lab.twin.learn import DETECTABLE_WITHIN_s, at_least_rounding
 from heli_sim.model import MultibodyModel
 from heli_sim.model.linear import derivatives, trim
 from heli_sim.model.parts import AXES
@@ -22,12 +22,14 @@ def floored(disturbances: DisturbanceModel) -> DisturbanceModel:
 
 
 def moved_rad(rig: Rig, axis: int, torque_Nm: float) -> float:
-    """How far a torque moves an axis from hover within `SHOWS_s`, by the equations of motion."""
+    """How far a torque moves an axis from hover within `DETECTABLE_WITHIN_s`, by the equations of motion."""
     model = MultibodyModel()
     hover = trim(model, rig)
     pushed = rig.replace(**{f"torque_{AXES[axis]}": rig[f"torque_{AXES[axis]}"].value + torque_Nm})
     run = solve_ivp(
-        lambda _, state: derivatives(model, pushed, state, hover.volts_V).rates, (0, SHOWS_s), hover.state
+        lambda _, state: derivatives(model, pushed, state, hover.volts_V).rates,
+        (0, DETECTABLE_WITHIN_s),
+        hover.state,
     )
     return float(run.y[axis, -1] - hover.state[axis])
 
@@ -38,7 +40,7 @@ def test_the_least_gust_moves_its_axis_by_the_rounding(axis: int) -> None:
     moved = moved_rad(load_rig("makki2024"), axis, float(least.fast_std[axis]))
     # Pitch is a pendulum and damped: in half a second that takes a fifth.
     assert 0.75 * ROUNDING_rad[axis] < moved < 1.05 * ROUNDING_rad[axis]
-    assert least.correlation_time_s[axis] == SHOWS_s
+    assert least.correlation_time_s[axis] == DETECTABLE_WITHIN_s
 
 
 def test_rounding_is_no_less_than_that_of_an_encoder() -> None:
@@ -59,8 +61,10 @@ def test_weather_that_shows_is_left_as_it_was_found() -> None:
 def test_a_gust_too_short_to_show_is_raised_too() -> None:
     """Three times the least for a thirtieth of the time moves an axis less than the least does."""
     short = DisturbanceModel(
-        3.0 * floored(CALM).fast_std, np.full(3, SHOWS_s / 30), CALM.slow_std, np.ones(3)
+        3.0 * floored(CALM).fast_std, np.full(3, DETECTABLE_WITHIN_s / 30), CALM.slow_std, np.ones(3)
     )
     assert np.array_equal(floored(short).fast_std, floored(CALM).fast_std)
-    long = DisturbanceModel(3.0 * floored(CALM).fast_std, np.full(3, SHOWS_s / 10), CALM.slow_std, np.ones(3))
+    long = DisturbanceModel(
+        3.0 * floored(CALM).fast_std, np.full(3, DETECTABLE_WITHIN_s / 10), CALM.slow_std, np.ones(3)
+    )
     assert np.array_equal(floored(long).fast_std, long.fast_std)

@@ -21,7 +21,7 @@ def told(steps: list[Step]) -> list[object]:
     return [
         (
             s.index,
-            s.begins,
+            s.after_gap,
             s.flying,
             s.landing,
             s.samples,
@@ -35,18 +35,18 @@ def told(steps: list[Step]) -> list[object]:
 @given(st.integers(0, 50), st.lists(st.integers(1, 60), min_size=1, max_size=12))
 def test_steps_do_not_depend_on_the_pieces(first: int, sizes: list[int]) -> None:
     whole = made(first, sum(sizes))
-    at_once = list(Stepper(0.001).take(whole))
+    at_once = list(Stepper(0.001).update(whole))
     stepper, pieces, low = Stepper(0.001), [], 0
     for size in sizes:
-        pieces += list(stepper.take(whole.part(slice(low, low + size))))
+        pieces += list(stepper.update(whole.select(slice(low, low + size))))
         low += size
     assert told(pieces) == told(at_once)
 
 
 def test_a_step_holds_the_samples_of_its_ten_milliseconds() -> None:
     samples = made(13, 100)
-    first, second, *_ = Stepper(0.001).take(samples)
-    assert (first.index, first.begins, second.begins) == (2, True, False)
+    first, second, *_ = Stepper(0.001).update(samples)
+    assert (first.index, first.after_gap, second.after_gap) == (2, True, False)
     assert np.array_equal(first.volts_V, samples.volts_V[7:17])
     about = samples.angles_rad[(samples.number >= 25) & (samples.number <= 35)]
     assert second.measured_rad is not None
@@ -56,19 +56,19 @@ def test_a_step_holds_the_samples_of_its_ten_milliseconds() -> None:
 def test_a_short_gap_is_bridged_and_a_long_one_begins_anew() -> None:
     samples = made(0, 300)
     short = np.r_[0:103, 131:300]
-    steps = list(Stepper(0.001).take(samples.part(short)))
+    steps = list(Stepper(0.001).update(samples.select(short)))
     assert [s.index for s in steps] == list(range(30))
-    assert [s.begins for s in steps] == [True] + 29 * [False]
+    assert [s.after_gap for s in steps] == [True] + 29 * [False]
     assert steps[12].measured_rad is None
     assert np.allclose(steps[11].volts_V, samples.volts_V[102])
     long = np.r_[0:103, 183:300]
-    assert [s.index for s in Stepper(0.001).take(samples.part(long)) if s.begins] == [0, 19]
+    assert [s.index for s in Stepper(0.001).update(samples.select(long)) if s.after_gap] == [0, 19]
 
 
 def test_a_clock_that_begins_anew_begins_anew() -> None:
     stepper = Stepper(0.001)
-    list(stepper.take(made(500, 100)))
-    assert next(iter(stepper.take(made(0, 50)))).begins
+    list(stepper.update(made(500, 100)))
+    assert next(iter(stepper.update(made(0, 50)))).after_gap
 
 
 def test_a_board_that_lands_says_so() -> None:

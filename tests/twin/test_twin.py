@@ -11,8 +11,8 @@ import pytest
 from heli_host.cli import run
 from heli_host.log.reader import Log, read_log
 from heli_lab.twin.files import open_rig
-from heli_lab.twin.follow import Followed, follow_file
 from heli_lab.twin.live import open_twin
+from heli_lab.twin.monitor import TwinReport, monitor_file
 
 pytestmark = pytest.mark.slow
 CHANGED_s = 12.0
@@ -44,9 +44,9 @@ def flown() -> tuple[Path, int]:
 
 
 @cache
-def logged() -> tuple[Log, Followed]:
+def logged() -> tuple[Log, TwinReport]:
     path, _ = flown()
-    return read_log(path), follow_file(open_rig("makki2024"), path, 10.0)
+    return read_log(path), monitor_file(open_rig("makki2024"), path, 10.0)
 
 
 def test_the_change_is_found_named_and_measured() -> None:
@@ -57,7 +57,7 @@ def test_the_change_is_found_named_and_measured() -> None:
     assert first.change.id == "thrust_step.front"
     assert abs(first.size - 0.08) < 3 * first.std
     assert abs(named.onset_s - (motors_s + CHANGED_s)) < 1.0
-    assert "the front rotor lost" in named.text and "times likelier than the next" in named.text
+    assert "the front rotor lost" in named.text and "times more likely than the next" in named.text
 
 
 def test_the_flight_ends_in_a_landing_and_says_why() -> None:
@@ -66,7 +66,7 @@ def test_the_flight_ends_in_a_landing_and_says_why() -> None:
     words = [str(event["message"]) for event in log.events if event["name"] == "twin"]
     phases = [str(event["message"]) for event in log.events if event["name"] == "phase"]
     assert code != 0
-    assert any(text.startswith("parted at") for text in words)
+    assert any(text.startswith("alarm at") for text in words)
     assert phases[-1] == "landing"
     # Before the plan would have ended it.
     assert log.ticks["t_s"][-1] < 21.0
@@ -79,9 +79,9 @@ def test_live_and_afterwards_are_the_same_tick_for_tick() -> None:
     rng, low, live = np.random.default_rng(1), 0, []
     while low < len(number):
         high = low + int(rng.integers(1, 150))
-        live += twin.take(number[low:high], log.raw[low:high])
+        live += twin.update(number[low:high], log.raw[low:high])
         low = high
-    afterwards = [event for event in seen.events if event.kind != "named" or event.ranking]
+    afterwards = [event for event in seen.events if event.kind != "diagnosed" or event.ranking]
     zero = int(number[0])
     assert [news.kind for news in live] == [event.kind for event in afterwards]
     assert [news.tick - zero for news in live] == [round(event.t_s * 1e3) for event in afterwards]
@@ -89,13 +89,13 @@ def test_live_and_afterwards_are_the_same_tick_for_tick() -> None:
 
 def test_what_the_log_has_of_it_came_at_these_ticks() -> None:
     log, seen = logged()
-    written = [float(event["t_s"]) for event in log.events if str(event["message"]).startswith("parted at")]
-    parted = [event.t_s for event in seen.events if event.kind == "parted"]
+    written = [float(event["t_s"]) for event in log.events if str(event["message"]).startswith("alarm at")]
+    alarms = [event.t_s for event in seen.events if event.kind == "alarm"]
     # A step of 10 ms is told when it is complete, and a batch of ticks comes at once.
-    assert 0.0 <= written[0] - parted[0] < 0.06
+    assert 0.0 <= written[0] - alarms[0] < 0.06
 
 
 def test_nothing_is_said_of_a_part_before_the_change() -> None:
     path, _ = flown()
-    before = follow_file(open_rig("makki2024"), path, 10.0, stop_s=CHANGED_s)
+    before = monitor_file(open_rig("makki2024"), path, 10.0, stop_s=CHANGED_s)
     assert before.free_s > 5.0 and not before.alarms

@@ -6,7 +6,7 @@ namespace heli::control {
 
 namespace axes = link::axes;
 
-void Cascade::derive(const params::Params& params, Bank bank) {
+void Cascade::derive(IdleLoop, const params::Params& params, Bank bank) {
   constants_[bank] = cascade_constants_of(params);
 }
 
@@ -85,7 +85,7 @@ ControlOutput Cascade::step(const ControlInput& in, const CascadeConstants& c) {
   if (pitch_closed) {
     state_.pitch.integrate(c.pitch, pitch_error_rad, differential_excess_V);
   }
-  if ((in.axes & axes::travel) != 0U && !in.asks) {
+  if ((in.axes & axes::travel) != 0U && !in.travel_waits) {
     // Asking for more pitch is as useless when the mixer is at its limit as when the setpoint is.
     const Quantity excess = state_.pitch_setpoint_excess_rad != Quantity{}
                                 ? state_.pitch_setpoint_excess_rad
@@ -146,9 +146,9 @@ ControlOutput Cascade::all_open(const ControlInput& in, const CascadeConstants& 
 
 Quantity Cascade::follow_pitch_setpoint(const ControlInput& in, const CascadeConstants& c,
                                         bool changed) {
-  const bool travel_closed = (in.axes & axes::travel) != 0U && !in.asks;
-  const bool jumps = changed || in.asks != state_.asks;
-  state_.asks = in.asks;
+  const bool travel_closed = (in.axes & axes::travel) != 0U && !in.travel_waits;
+  const bool jumps = changed || in.travel_waits != state_.travel_waits;
+  state_.travel_waits = in.travel_waits;
   const Quantity wanted_rad = state_.pitch_setpoint_fade.apply(
       travel_closed ? pitch_for_travel(in, c) : in.setpoint_rad[kPitch], state_.pitch_setpoint_rad,
       jumps, c.bumpless_keep);

@@ -11,19 +11,17 @@ namespace heli::control {
 
 class Cascade final : public Controller {
  public:
-  void derive(const params::Params& params, Bank bank) override;
-  void reset() override { state_ = {}; }
+  void derive(IdleLoop, const params::Params& params, Bank bank) override;
+  void init() override { state_ = {}; }
   ControlOutput update(const ControlInput& in, Bank bank) override {
     return step(in, constants_[bank]);
   }
 
-  // In place of update() in a tick in which another law's voltages act. The integrators stand
-  // still: they know what this rig needs, and nothing of what the other law does.
-  void shadow(const ControlInput& in, Bank bank, const ControlOutput& acting);
+  // The integrators keep their values: they hold what this rig needs, and the uploaded law's errors
+  // are not theirs.
+  void shadow(const ControlInput& in, Bank bank, const ControlOutput& acting) override;
 
-  // After shadow(), before update(): its own voltages act at once, not after a fade from those of
-  // the other law, which may be what the arm has to be saved from.
-  void clear_transients() {
+  void take_over() override {
     state_.collective_fade.clear();
     state_.differential_fade.clear();
     state_.pitch_setpoint_fade.clear();
@@ -41,7 +39,7 @@ class Cascade final : public Controller {
     BumplessTransfer back_fade;
     std::uint8_t axes = 0;
     bool started = false;
-    bool asks = false;
+    bool travel_waits = false;
     Quantity front_V;  // motor volts of the previous tick, without excitation
     Quantity back_V;
     Quantity collective_V;  // lift volts achieved in the previous tick, without excitation

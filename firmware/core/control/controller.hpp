@@ -1,5 +1,5 @@
-// The seam of the control law. Whatever stands behind it gets the measured state and the setpoints
-// and gives two motor voltages; core, supervisor, link and telemetry know no more of it than this.
+// The interface of a compiled controller: measured state and setpoints in, two motor voltages out.
+// Core, supervisor, link and telemetry know nothing else of a controller.
 #pragma once
 
 #include <cstddef>
@@ -9,12 +9,16 @@
 #include "control/fixed.hpp"
 #include "params/params.hpp"
 
+namespace heli {
+class Core;
+}
+
 namespace heli::control {
 
 struct ControlInput {
   Quantity angle_rad[kAxisCount];
   Quantity rate_rad_s[kAxisCount];
-  Quantity setpoint_rad[kAxisCount];  // pitch counts only while travel is not closed
+  Quantity setpoint_rad[kAxisCount];  // pitch counts only while travel is open or waits
   Quantity setpoint_rate_rad_s[kAxisCount];
   Quantity setpoint_acceleration_rad_s2[kAxisCount];
   std::uint8_t axes = 0;  // link::axes bits of the closed loops
@@ -22,7 +26,7 @@ struct ControlInput {
   Quantity open_back_V;
   Quantity excitation_front_V;  // added to the motors
   Quantity excitation_back_V;
-  bool asks = false;  // a tilt asks whether travel counts: pitch is held as if travel were open
+  bool travel_waits = false;  // travel stays closed, but pitch goes to its own setpoint for now
 };
 
 struct ControlOutput {
@@ -34,24 +38,39 @@ struct ControlOutput {
   bool pitch_limited = false;
 };
 
-// What is derived from the parameters exists twice: ticks read one bank while the idle loop fills
-// the other, and the core switches all of it with one byte.
+// Constants derived from the parameters exist twice: ticks read one bank while the idle loop fills
+// the other, and the core switches banks by writing one byte.
 using Bank = std::uint8_t;
 inline constexpr std::size_t kBanks = 2;
 
+// Proof that the caller is the idle loop: only Core::poll() and start() make one. A function that
+// takes it may divide and take its time. firmware/due/report.py relies on it: no virtual call of an
+// interrupt reaches such a function.
+class IdleLoop {
+  friend class heli::Core;
+  friend struct IdleLoopOfTests;
+  explicit constexpr IdleLoop(std::nullptr_t) {}
+};
+
 class Controller {
  public:
-  // The idle loop's function comes first: firmware/due/report.py tells virtual calls apart by
-  // their place in the table, and the tick must not be able to reach this one.
+  // Puts the constants that update() needs from the parameters into `bank`, which no tick reads
+  // meanwhile. update() and shadow() get no bank that has not been filled.
+  virtual void derive(IdleLoop, const params::Params& params, Bank bank) = 0;
 
-  // Puts what update() needs of the parameters into `bank`, which no tick reads meanwhile. May
-  // divide and take its time. update() is given no bank that has not been filled.
-  virtual void derive(const params::Params& params, Bank bank) = 0;
+  // Once in each tick without a control law's voltages on the motors: forgets the last flight.
+  virtual void init() = 0;
 
-  // In each tick without a law's voltages on the motors: the next update() starts again.
-  virtual void reset() = 0;
-  // In each other tick, once.
+  // Once in each tick in which this controller flies.
   virtual ControlOutput update(const ControlInput& in, Bank bank) = 0;
+
+  // In place of update() in a tick in which an uploaded law's voltages `acting` drive the motors:
+  // keeps the state such that the next update() continues from there.
+  virtual void shadow(const ControlInput& in, Bank bank, const ControlOutput& acting) = 0;
+
+  // After shadow() and before update(), if the arm has to be recovered from the uploaded law: the
+  // next update() acts immediately, without a smooth transfer from that law's voltages.
+  virtual void take_over() = 0;
 
  protected:
   ~Controller() = default;

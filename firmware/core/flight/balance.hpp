@@ -43,6 +43,12 @@ class Balance {
     running_ = false;
     stay();
   }
+  // However it was driven since it last counted, it need not have moved; what it has shown holds.
+  void stay() {
+    coasts_ = false;
+    rate_ = Quantity{};
+    moved_ = Quantity{};
+  }
   // `moved_counts` since the last update with a motion: 0 while the axis is still.
   void update(Quantity angle_rad, Quantity rate_rad_s, Quantity drive, std::int32_t moved_counts,
               const BalanceLimits& limits);
@@ -60,11 +66,6 @@ class Balance {
     Quantity high;
   };
 
-  void stay() {
-    coasts_ = false;
-    rate_ = Quantity{};
-    moved_ = Quantity{};
-  }
   void coast(Quantity rate_rad_s, bool up, const BalanceLimits& limits);
   void learn(Quantity balance, bool up);
   void integrate(Quantity drive, const BalanceLimits& limits);

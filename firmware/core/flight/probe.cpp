@@ -53,8 +53,8 @@ Answer Probe::listen(const Asked& axis, const ProbeLimits& limits) {
     turned_[side] = {};
     most_[side] = {};
   }
-  // Against the loop first: its error may be what turns an axis that it cannot see.
-  side_ = axis.error_rad > Quantity{} ? 1 : 0;
+  // Towards the setpoint first: an arm that friction holds moves closer by it.
+  side_ = axis.error_rad < Quantity{} ? 1 : 0;
   tilted_updates_ = 0;
   tilt_rad_ = {};
   stage_ = Stage::first;
@@ -66,7 +66,7 @@ Answer Probe::tilt(const Asked& axis, const ProbeLimits& limits) {
     patience_ = patience_ < kMostPatience ? static_cast<std::uint8_t>(patience_ + 1U) : patience_;
     return end(Answer::counts);
   }
-  const Quantity away_rad = axis.pitch_rad - balance_rad_;
+  const Quantity away_rad = axis.lift * (axis.pitch_rad - balance_rad_);
   integrate(0, away_rad - limits.friction_rad);
   integrate(1, -away_rad - limits.friction_rad);
   if (most_[side_] > limits.moved_least) {

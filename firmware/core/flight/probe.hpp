@@ -34,6 +34,7 @@ struct Asked {
   bool moved = false;      // its encoder has counted
   Quantity error_rad;
   Quantity pitch_rad;
+  control::Share lift;  // that a tilt turns, of what carries the level arm
 };
 
 class Probe {
@@ -47,7 +48,8 @@ class Probe {
   Quantity pitch_rad() const { return balance_rad_ + tilt_rad_; }
   Quantity tilt_rad() const { return tilt_rad_; }
   // How far the arm must have turned, as `moved_least`. It may have rested near the end of what
-  // friction holds to one side. Then the tilt to the other side has to move it, so the smaller counts.
+  // friction holds to one side. Then the tilt to the other side has to move it, so the smaller
+  // counts.
   Quantity turned() const { return most_[0] < most_[1] ? most_[0] : most_[1]; }
 
  private:

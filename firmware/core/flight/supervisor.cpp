@@ -108,6 +108,7 @@ void Supervisor::enter(State next, Trigger cause) {
       setpoints_.hold_at(axis, closed ? setpoints_.of(axis).angle_rad : seen_->angle_rad[axis]);
     }
     setpoints_.hold_at(kPitch, Quantity{});
+    lands_level_ = tracking_.asks();
     quiet_ticks_ = 0;
   }
   if (next == State::fault) {
@@ -337,8 +338,7 @@ void Supervisor::check_tracking() {
     return;
   }
   const std::uint8_t closed = axes();
-  Tracked tracked{
-      *seen_, {}, closed, state_ == State::streamed ? kAllAxes : closed, false, false};
+  Tracked tracked{*seen_, {}, closed, state_ == State::streamed ? kAllAxes : closed, false, false};
   tracked.setpoint_rad[kElevation] = setpoints_.angle_rad(kElevation);
   tracked.setpoint_rad[kPitch] = seen_->pitch_setpoint_rad;
   tracked.setpoint_rad[kTravel] = setpoints_.angle_rad(kTravel);
@@ -348,7 +348,7 @@ void Supervisor::check_tracking() {
     tracked.closed = static_cast<std::uint8_t>(closed & ~link::axes::elevation);
   }
   // A law that came over the link decides on its voltages itself.
-  tracked.may_ask = (closed & link::axes::travel) != 0U && !seen_->law_busy;
+  tracked.may_ask = (closed & link::axes::travel) != 0U && !tracked.descends && !seen_->law_busy;
   Verdict verdict{Fault::none, 0.0F};
   if (Tracking::is_turn_to_ask(seen_->tick)) {
     verdict = tracking_.ask(tracked, *tracking_limits_);
@@ -421,6 +421,7 @@ void Supervisor::advance() {
   check_tracking();
   check_ages();
 
+  levels_ = false;
   switch (state_) {
     case State::closed_loop:
     case State::hold:
@@ -429,6 +430,7 @@ void Supervisor::advance() {
     case State::landing:
     case State::emergency_landing:
       setpoints_.descend(*bounds_, limits_->rest_rad - kBelowRest_rad);
+      levels_ = lands_level_ || seen_->tick - entered_tick_ > limits_->landing_timeout_ticks / 2U;
       if (touched_down()) {
         trigger(Trigger::touchdown);
       } else if (seen_->tick - entered_tick_ > limits_->landing_timeout_ticks) {

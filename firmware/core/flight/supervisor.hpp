@@ -43,9 +43,13 @@ class Supervisor {
   void continue_from(std::size_t axis, Quantity angle_rad) {
     setpoints_.continue_from(axis, angle_rad);
   }
-  // Whether a tilt asks if travel still counts: pitch goes there, and travel's loop waits.
-  bool asks() const { return tracking_.asks(); }
-  Quantity asked_pitch_rad() const { return tracking_.probe().pitch_rad(); }
+  // Travel's loop waits while a tilt asks whether travel counts, in a landing that such a tilt has
+  // not answered, and at the end of a landing that does not come down: to hold a tilt takes so much
+  // voltage that the arm may not sink.
+  bool travel_waits() const { return levels_ || tracking_.asks(); }
+  Quantity waiting_pitch_rad() const {
+    return levels_ ? Quantity{} : tracking_.probe().pitch_rad();
+  }
   // What the axes did until now says nothing of them.
   void restart_tracking() { tracking_.restart(); }
   // Whether a law of the host's flies and has told where to; those setpoints are only logged.
@@ -100,6 +104,8 @@ class Supervisor {
   std::uint32_t entered_tick_ = 0;
   std::uint32_t fresh_tick_ = 0;        // last accepted stream value
   std::uint32_t voltage_end_tick_ = 0;  // streamed voltage acts until then
+  bool levels_ = false;                 // pitch, to land
+  bool lands_level_ = false;            // from the beginning
   std::uint32_t quiet_ticks_ = 0;       // at rest on the table while landing
   AtArming at_arming_{};
   std::uint32_t refused_streams_ = 0;

@@ -55,8 +55,8 @@ constexpr float kProbeTilt = 1.5F;
 constexpr float kProbeRise_s = 0.4F;
 // The tilt that dry friction may hold, likewise: 4 degrees or 28 mN m on the paper's rig.
 constexpr float kFrictionTilt = 0.5F;
-// Pitch is steady within this of its average: 2 degrees. Beyond, the loop drives the arm already.
-constexpr float kSteadyTilt = 0.25F;
+// Pitch is steady within this of its average: 1.2 degrees. Beyond, the loop drives the arm already.
+constexpr float kSteadyTilt = 0.15F;
 // Travel by which the tilt must have turned the arm: the play of an encoder, and two counts.
 constexpr float kAnswer_rad = 0.8F * kRadPerDeg;
 
@@ -131,6 +131,13 @@ ProbeLimits probe_limits_of(const params::Params& params) {
   return limits;
 }
 
+// The share of the lift that carries the arm at this elevation. A lower arm may need less.
+control::Share lift_at(Quantity elevation_rad, Gain lift_per_rad) {
+  constexpr Quantity kOne = Quantity::of(1.0F);
+  const Quantity lift = control::clamp(kOne + lift_per_rad * elevation_rad, Quantity{}, kOne);
+  return control::Share::from_raw(lift.raw() * (1 << (30 - 24)));
+}
+
 // For people: volts, and how far travel must have turned, in degrees.
 float seen_of(std::size_t axis, Quantity drive, Quantity moved, const BalanceLimits& limits) {
   if (axis != kTravel) {
@@ -160,6 +167,8 @@ TrackingLimits tracking_limits_of(const params::Params& params) {
   l.table_rad = rad(Param::elevation_rest_deg) + kTable_rad;
   l.tilt_rad = rad(Param::elevation_rest_deg) + kTilt_rad;
   l.hover_V = Quantity::of(params.get(Param::hover_V));
+  l.lift_per_rad =
+      Gain::of(params.get(Param::hover_slope) * kDegPerRad / params.get(Param::hover_V));
   l.hover_V_per_rad = Gain::of(params.get(Param::hover_slope) * kDegPerRad);
   l.pitch_V_per_rad = Gain::of(params.get(Param::pitch_hold_ff) * kDegPerRad);
   return l;
@@ -189,10 +198,7 @@ Verdict Tracking::check(const Tracked& tracked, const TrackingLimits& limits) {
   const std::int32_t moved = way(axis.count, seen.count[i]);
   const bool still = started && driven && within_count(moved);
 
-  // A tilt that asks is judged by its answer: it ends level, and without speed.
-  const bool asked = i == kTravel && asks();
-
-  if (lifts && driven && !asked) {
+  if (lifts && driven) {
     const Quantity free = i == kElevation ? drive - limits.hover_V_per_rad * seen.angle_rad[i]
                           : i == kPitch   ? drive - limits.pitch_V_per_rad * seen.angle_rad[i]
                                           : drive;
@@ -200,6 +206,10 @@ Verdict Tracking::check(const Tracked& tracked, const TrackingLimits& limits) {
                         limits.balance[i]);
   } else {
     axis.balance.pause();
+  }
+  if (i == kTravel && asks()) {
+    // A tilt that asks is judged by its answer: it ends level, and without speed.
+    axis.balance.stay();
   }
   if (i != kTravel) {
     axis.average = started ? averaged(axis.average, drive) : drive;
@@ -236,8 +246,8 @@ bool Tracking::is_motionless(std::size_t i, const Tracked& tracked, const Tracki
   if (i != kTravel) {
     return balance.moved() > most;
   }
-  if (tracked.descends || !tracked.may_ask || limits.probe.silence_updates == 0U ||
-      balance.coasts() || balance.beyond() > limits.probe.friction_rad) {
+  if (!tracked.may_ask || limits.probe.silence_updates == 0U || balance.coasts() ||
+      balance.beyond() > limits.probe.friction_rad) {
     return balance.moved() > (tracked.descends ? most.half() : most);
   }
   doubted_ = balance.moved() > most;
@@ -256,11 +266,11 @@ Verdict Tracking::ask(const Tracked& tracked, const TrackingLimits& limits) {
     probe_count_ = seen.count[kTravel];
   }
   const Quantity elevation_rad = seen.angle_rad[kElevation];
-  news_ = probe_.update({tracked.may_ask && elevation_rad > limits.table_rad,
-                         !tracked.descends && elevation_rad > limits.tilt_rad, doubted_, moved,
-                         tracked.setpoint_rad[kTravel] - seen.angle_rad[kTravel],
-                         seen.angle_rad[kPitch]},
-                        limits.probe);
+  news_ = probe_.update(
+      {tracked.may_ask && elevation_rad > limits.table_rad, elevation_rad > limits.tilt_rad,
+       doubted_, moved, tracked.setpoint_rad[kTravel] - seen.angle_rad[kTravel],
+       seen.angle_rad[kPitch], lift_at(elevation_rad, limits.lift_per_rad)},
+      limits.probe);
   doubted_ = false;
   if (news_ == link::Probe::silent) {
     return {Fault::travel_motionless,

@@ -30,6 +30,7 @@ struct TrackingLimits {
   control::DeadZone dead_zone;
   Quantity table_rad;    // below this elevation the table may carry the arm
   Quantity tilt_rad;     // above this elevation a tilt may ask
+  Gain lift_per_rad;     // by which the share of the level arm's lift changes with elevation
   Gain hover_V_per_rad;  // by which the lift changes that carries the arm
   Gain pitch_V_per_rad;  // by which the difference changes that holds a tilt
   Quantity hover_V;      // lift that carries it; up to there nothing need move on the table
@@ -83,7 +84,7 @@ class Tracking {
   Probe probe_;
   link::Probe news_ = link::Probe::none;
   std::int32_t probe_count_ = 0;  // of travel, when it last moved
-  std::uint8_t started_ = 0;  // link::axes bits, and kAsks
+  std::uint8_t started_ = 0;      // link::axes bits, and kAsks
 };
 
 }  // namespace heli::flight

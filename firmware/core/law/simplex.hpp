@@ -1,26 +1,36 @@
-// The simplex architecture: an uploaded law flies, and the board's own law runs in its shadow, so
-// that it can take over from one tick to the next (L. Sha, "Using
-// simplicity to control complexity", IEEE Software 2001).
+// The simplex architecture: an uploaded law flies, and the board's own controller runs in its
+// shadow, so that it can take over from one tick to the next (L. Sha, "Using simplicity to control
+// complexity", IEEE Software 2001).
 #pragma once
 
-#include "control/cascade.hpp"
 #include "control/controller.hpp"
+#include "control/controller_table.hpp"
 #include "law/uploaded_law.hpp"
 
 namespace heli::law {
 
-class Simplex final : public control::Controller {
+class Simplex {
  public:
-  Simplex(control::Cascade& own, UploadedLaw& uploaded) : own_(own), uploaded_(uploaded) {}
+  Simplex(control::ControllerTable& controllers, UploadedLaw& uploaded)
+      : controllers_(controllers), uploaded_(uploaded), active_(&controllers.selected(0)) {}
 
-  void derive(const params::Params& params, Bank bank) override {
-    own_.derive(params, bank);
+  const link::ControllerNames& names() const { return controllers_.names(); }
+
+  void derive(control::IdleLoop idle, const params::Params& params, Bank bank) {
+    controllers_.derive(idle, params, bank);
     uploaded_.derive(params, bank);
   }
-  void reset() override { own_.reset(); }
-  ControlOutput update(const ControlInput& in, Bank bank) override {
+
+  // In each tick without a law's voltages on the motors, and only here, another controller becomes
+  // the active one: none is replaced in flight, whatever the parameters say.
+  void init(Bank bank) {
+    active_ = &controllers_.selected(bank);
+    active_->init();
+  }
+
+  ControlOutput update(const ControlInput& in, Bank bank) {
     if (!uploaded_.busy()) {
-      return own_.update(in, bank);
+      return active_->update(in, bank);
     }
     return update_both(in, bank);
   }
@@ -29,21 +39,22 @@ class Simplex final : public control::Controller {
   [[gnu::noinline]] ControlOutput update_both(const ControlInput& in, Bank bank) {
     ControlOutput out{};
     if (uploaded_.flying() && uploaded_.update(in, bank, out)) {
-      own_.shadow(in, bank, out);
+      active_->shadow(in, bank, out);
       return out;
     }
     if (!uploaded_.recovery().active()) {
-      return own_.update(in, bank);
+      return active_->update(in, bank);
     }
     ControlInput reachable = in;
     if (uploaded_.recover(reachable, bank)) {
-      own_.clear_transients();
+      active_->take_over();
     }
-    return own_.update(reachable, bank);
+    return active_->update(reachable, bank);
   }
 
-  control::Cascade& own_;
+  control::ControllerTable& controllers_;
   UploadedLaw& uploaded_;
+  control::Controller* active_;
 };
 
 }  // namespace heli::law

@@ -9,9 +9,10 @@
 
 namespace heli::link {
 
-inline constexpr std::uint32_t kLinkHash = 0x87234351U;
+inline constexpr std::uint32_t kLinkHash = 0xcb47871cU;
+inline constexpr std::uint32_t kParamsHash = 0xf6fef19eU;
 inline constexpr std::uint8_t kLinkMajor = 1;
-inline constexpr std::uint8_t kLinkMinor = 3;
+inline constexpr std::uint8_t kLinkMinor = 4;
 inline constexpr std::uint8_t kFirmwareMajor = 0;
 inline constexpr std::uint8_t kFirmwareMinor = 1;
 inline constexpr std::uint8_t kFirmwarePatch = 0;
@@ -23,9 +24,9 @@ inline constexpr std::size_t kMaxTelemetryPayload = 480;
 
 // Axes in the order used everywhere: in telemetry, masks and messages.
 enum class Axis : std::uint8_t {
-  elevation = 0,  // long arm up and down; positive is up
-  pitch = 1,  // short arm about the long arm; positive when the front rotor pushes more
-  travel = 2,  // about the vertical; accelerates positive at positive pitch
+  elevation = 0,  // angle of the long arm; positive is up
+  pitch = 1,  // angle of the short arm about the long arm; positive if the front rotor pushes more
+  travel = 2,  // angle about the vertical; a positive pitch accelerates it positively
 };
 inline constexpr std::size_t kAxisCount = 3;
 
@@ -36,10 +37,10 @@ enum class State : std::uint8_t {
   closed_loop = 2,  // the on-board control law flies the axes of the mask
   open_loop = 3,  // fixed voltages plus excitation, no axis closed
   streamed = 4,  // voltages streamed by the host, each valid for a bounded time
-  hold = 5,  // no fresh setpoint: hovering level in place
+  hold = 5,  // no recent setpoint: the board hovers level in place
   landing = 6,  // controlled descent to the table, then motors off
-  fault = 7,  // motors off and latched until clear_fault
-  emergency_landing = 8,  // controlled descent after a fault that leaves elevation and pitch in hand; travel is open, then motors off and the fault latched
+  fault = 7,  // motors off; the fault stays until clear_fault
+  emergency_landing = 8,  // controlled descent after a fault, with elevation and pitch controlled and travel free; then motors off, and the fault stays until clear_fault
 };
 inline constexpr std::size_t kStateCount = 9;
 
@@ -47,9 +48,9 @@ inline constexpr std::size_t kStateCount = 9;
 enum class Result : std::uint8_t {
   ok = 0,  // done
   unknown_command = 1,  // no such message id
-  bad_length = 2,  // payload length does not fit the message
-  bad_value = 3,  // a field is out of range or not finite; detail says which, by its position on the wire counted from 0
-  bad_state = 4,  // not allowed in the present state; detail is the state
+  bad_length = 2,  // the payload length is wrong for this message
+  bad_value = 3,  // a field is out of range or not finite; detail is its position in the message, from 0
+  bad_state = 4,  // not allowed in the current state; detail is the state
   check_failed = 5,  // a pre-flight check failed; detail is the fault code
   out_of_range = 6,  // parameter value outside its range; detail is the parameter
   no_such_parameter = 7,  // parameter index beyond the table
@@ -65,19 +66,19 @@ inline constexpr std::size_t kResultCount = 13;
 enum class LawError : std::uint8_t {
   none = 0,  // nothing is wrong
   not_loaded = 1,  // no law is loaded; value 0
-  flying = 2,  // a law flies: the one that is loaded cannot be replaced; value 0
-  too_long = 3,  // longer than an upload may be; value = most words
-  wrong_part = 4,  // a part beyond the end, or without a beginning; value = its first word
+  flying = 2,  // the loaded law flies, so it cannot be replaced; value 0
+  too_long = 3,  // longer than an upload may be; value = largest number of words
+  wrong_part = 4,  // a part beyond the end, or before law_begin; value = its first word
   incomplete = 5,  // parts are missing; value = words received
-  wrong_hash = 6,  // the hash is not that of the words received; value 0
+  wrong_hash = 6,  // the hash does not match the received words; value 0
   wrong_format = 7,  // another version of the format, or counts that do not fit the length; value = words that the counts ask for
   too_large = 8,  // more cells than there are; value = cells asked for
   unknown_operation = 9,  // no such operation; value = place of the instruction
   bad_cell = 10,  // a cell that may not be written, or an output from beyond the cells; value = place of the instruction, or of the output behind the last
   not_written = 11,  // a cell is read before it is written; value = place of the instruction, or of the output behind the last
   bad_number = 12,  // a constant, a parameter or a first state that is not finite; value = its place among them
-  bad_divisor = 13,  // the rate is no whole part of the tick's; value = divisor
-  too_costly = 14,  // does not fit the ticks of its period; value = ticks that it needs
+  bad_divisor = 13,  // the tick rate is not a multiple of the law's rate; value = divisor
+  too_costly = 14,  // needs more ticks than its period has; value = ticks that it needs
   no_such_parameter = 15,  // the law has fewer parameters; value = how many
   bad_sum = 17,  // a sum of products without terms, with too many, or beyond the end; value = place of the word
   not_flying = 16,  // all three loops of the board must be closed, and the arm in flight; value = state
@@ -87,20 +88,20 @@ inline constexpr std::size_t kLawErrorCount = 18;
 // State of the uploaded law on the board.
 enum class LawState : std::uint8_t {
   none = 0,  // no law
-  receiving = 1,  // an upload has begun and is not complete
+  receiving = 1,  // an upload has started and is not complete
   ready = 2,  // verified; may fly
-  flying = 3,  // its voltages act
+  flying = 3,  // it controls the motors
 };
 inline constexpr std::size_t kLawStateCount = 4;
 
 // Why the board's own law took over.
 enum class Takeover : std::uint8_t {
-  command = 0,  // asked for; value 0
-  not_finite = 1,  // an output, a signal or a new state was not a number or infinite; value = its place: voltages, setpoints, signals, states
+  command = 0,  // the host requested it; value 0
+  not_finite = 1,  // an output, a signal or a new state was not finite; value = its position among voltages, setpoints, signals, states
   voltage_jump = 2,  // a voltage jumped from one tick to the next; value in V
-  elevation_envelope = 3,  // elevation could not be braked any more before its limits; value = predicted angle in deg
-  pitch_envelope = 4,  // pitch could not be braked any more before its limit; value = predicted angle in deg
-  travel_envelope = 5,  // travel could not be braked any more before its limit; value = predicted angle in deg
+  elevation_envelope = 3,  // elevation could not stop before its limits; value = predicted angle in deg
+  pitch_envelope = 4,  // pitch could not stop before its limit; value = predicted angle in deg
+  travel_envelope = 5,  // travel could not stop before its limit; value = predicted angle in deg
   elevation_following = 6,  // elevation stayed too far from the board's setpoint; value in deg
   pitch_following = 7,  // pitch stayed too far from the law's own setpoint; value in deg
   travel_following = 8,  // travel stayed too far from the board's setpoint; value in deg
@@ -112,8 +113,8 @@ inline constexpr std::size_t kTakeoverCount = 10;
 enum class Reset : std::uint8_t {
   power_up = 0,  // power applied
   user = 1,  // reset line: opening the port, or the button
-  watchdog = 2,  // the watchdog fired: control tick or idle loop had hung
-  software = 3,  // reset asked for by the firmware after it recorded a fault
+  watchdog = 2,  // the watchdog fired, because control tick or idle loop hung
+  software = 3,  // the firmware reset itself after it recorded a fault
 };
 inline constexpr std::size_t kResetCount = 4;
 
@@ -122,9 +123,10 @@ enum class ParamsSource : std::uint8_t {
   defaults = 0,  // no stored set: the declared defaults
   stored = 1,  // the newest valid copy in flash
   fallback = 2,  // the newest copy was damaged; the older valid copy is used
-  corrupt = 3,  // both copies damaged or from another declaration: defaults, and arming is refused until a save
+  corrupt = 3,  // both copies damaged or of another format: defaults, and arming is refused until a save
+  migrated = 4,  // the newest valid copy, saved under another schema of the parameters: known values kept, new parameters at their defaults; see params_origin
 };
-inline constexpr std::size_t kParamsSourceCount = 4;
+inline constexpr std::size_t kParamsSourceCount = 5;
 
 // Kinds of excitation generated on board and added to the motor voltages.
 enum class Excitation : std::uint8_t {
@@ -205,60 +207,60 @@ enum class Fault : std::uint8_t {
   none = 0,
   elevation_limit = 1,  // trip: elevation above its limit
   pitch_limit = 2,  // trip: pitch beyond its limit
-  travel_limit = 3,  // trip: travel beyond its limit: the cables wind up
+  travel_limit = 3,  // trip: travel beyond its limit, so that the cables wind up
   elevation_rate = 4,  // trip: elevation moved faster than its limit
   pitch_rate = 5,  // trip: pitch moved faster than its limit
   travel_rate = 6,  // trip: travel moved faster than its limit
   encoder_elevation = 7,  // trip: too many illegal transitions of the elevation encoder
   encoder_pitch = 8,  // trip: too many illegal transitions of the pitch encoder
   encoder_travel = 9,  // trip: too many illegal transitions of the travel encoder
-  landing_timeout = 10,  // trip: the table was not reached in time
+  landing_timeout = 10,  // trip: the arm did not reach the table in time
   tick_overrun = 11,  // trip: too many control ticks ran late
   hardware_stop = 12,  // trip: the hardware stop input is active
   elevation_following = 13,  // trip: elevation stayed too far from its setpoint for following_s
   pitch_following = 14,  // trip: pitch stayed too far from its setpoint for following_s
   travel_following = 15,  // land: travel stayed too far from its setpoint for following_s
-  encoder_overload = 16,  // trip: edges of an encoder came faster than the board counts, so that its angle is wrong
-  elevation_motionless = 17,  // trip: the collective changed by enough to move the arm, and elevation did not count
-  pitch_motionless = 18,  // trip: the voltages' difference changed by enough to tilt the short arm, and pitch did not count
-  travel_motionless = 19,  // land: pitch tilted by enough and for long enough to turn the arm, and travel did not count; value: how far it must have turned, in deg
+  encoder_overload = 16,  // trip: encoder edges came faster than the board can count, so the angle is wrong
+  elevation_motionless = 17,  // trip: the sum of both voltages changed enough to move the arm, but the elevation encoder did not count
+  pitch_motionless = 18,  // trip: the difference of the voltages changed enough to tilt the short arm, but the pitch encoder did not count
+  travel_motionless = 19,  // land: pitch tilted long enough to turn the arm, but the travel encoder did not count; value: predicted travel in deg
   not_at_rest = 20,  // check: the arm does not rest on the table
   moving = 21,  // check: an axis is moving
   link_not_alive = 22,  // check: no recent frame from the host
   parameters_invalid = 23,  // check: the stored parameters are damaged or contradict each other
   pitch_not_level = 24,  // check: the short arm is not level
-  watchdog = 30,  // boot: the watchdog reset the board: control tick or idle loop had hung
+  watchdog = 30,  // boot: the watchdog reset the board, because control tick or idle loop hung
   hard_fault = 31,  // boot: the processor faulted; bridges were switched off and the board reset
   unexpected_interrupt = 32,  // boot: an interrupt without a handler; bridges were switched off and the board reset
 };
 
 enum class Param : std::uint8_t {
-  elevation_counts_per_rev = 0,  // count: elevation encoder counts a revolution, x4; negative reverses its direction
-  pitch_counts_per_rev = 1,  // count: pitch encoder counts a revolution, x4; negative reverses its direction
-  travel_counts_per_rev = 2,  // count: travel encoder counts a revolution, x4; negative reverses its direction
-  elevation_rest_deg = 3,  // deg: elevation when the arm rests on the table; makes level zero
-  supply_V = 4,  // V: supply of the motor drivers; full duty means this voltage
+  elevation_counts_per_rev = 0,  // count: elevation encoder counts per revolution, x4; a negative number reverses its direction
+  pitch_counts_per_rev = 1,  // count: pitch encoder counts per revolution, x4; a negative number reverses its direction
+  travel_counts_per_rev = 2,  // count: travel encoder counts per revolution, x4; a negative number reverses its direction
+  elevation_rest_deg = 3,  // deg: elevation when the arm rests on the table, so that level is zero
+  supply_V = 4,  // V: supply voltage of the motor drivers, which full duty gives
   motor_min_V = 5,  // V: lowest motor voltage; 0 never reverses a rotor
   motor_max_V = 6,  // V: highest motor voltage
   motor_front_sign = 7,  // : -1 swaps the front motor's leads in software
   motor_back_sign = 8,  // : -1 swaps the back motor's leads in software
-  dead_zone_V = 9,  // V: voltage below which a rotor gives no thrust (paper eq. 31); added back by the control law
-  hover_V = 10,  // V: feed-forward of the sum of both voltages above the dead zone that carries the arm at level
-  hover_slope = 11,  // V/deg: change of hover_V with elevation: masses that hang below the axis want more lift the higher the arm is
+  dead_zone_V = 9,  // V: voltage below which a rotor gives no thrust (paper eq. 31); the control law adds it
+  hover_V = 10,  // V: sum of both voltages, above the dead zone, that holds the arm level
+  hover_slope = 11,  // V/deg: change of hover_V with elevation: masses below the axis need more lift at a higher elevation
   elevation_kp = 12,  // V/deg: elevation proportional gain (paper Table 6: 0.5)
   elevation_ki = 13,  // V/(deg s): elevation integral gain (paper Table 6: 1)
   elevation_kd = 14,  // V s/deg: elevation derivative gain, on the measurement (paper Table 6: 0.1)
-  elevation_rate_ff = 15,  // : share of the setpoint's own rate that the derivative term does not brake; 0 is derivative on measurement alone
-  elevation_acceleration_ff = 16,  // V s2/deg: collective for the setpoint's own acceleration: inertia over thrust gain and arm
+  elevation_rate_ff = 15,  // : share of the setpoint's rate that the derivative term subtracts; 0 is derivative on measurement only
+  elevation_acceleration_ff = 16,  // V s2/deg: voltage sum per setpoint acceleration: inertia / (thrust gain x arm)
   pitch_kp = 17,  // V/deg: pitch proportional gain (paper Table 6: 0.66)
   pitch_ki = 18,  // V/(deg s): pitch integral gain (paper Table 6: 3)
   pitch_kd = 19,  // V s/deg: pitch derivative gain, on the measurement (paper Table 6: 0.1)
-  pitch_hold_ff = 20,  // V/deg: difference of the voltages that holds a degree of pitch setpoint against masses that hang below the pitch axis
+  pitch_hold_ff = 20,  // V/deg: difference of the voltages per degree of pitch setpoint, against masses below the pitch axis
   travel_kp = 21,  // deg/deg: travel proportional gain to the pitch setpoint (paper Table 6 with P and I exchanged: 0.7)
   travel_ki = 22,  // deg/(deg s): travel integral gain (paper Table 6 with P and I exchanged: 0.13)
   travel_kd = 23,  // deg s/deg: travel derivative gain, on the measurement (paper Table 6: 1.462)
-  travel_rate_ff = 24,  // : share of the setpoint's own rate that the derivative term does not brake; 0 is derivative on measurement alone
-  travel_acceleration_ff = 25,  // deg s2/deg: pitch for the setpoint's own acceleration: inertia over hover thrust and arm
+  travel_rate_ff = 24,  // : share of the setpoint's rate that the derivative term subtracts; 0 is derivative on measurement only
+  travel_acceleration_ff = 25,  // deg s2/deg: pitch per setpoint acceleration: inertia / (hover thrust x arm)
   elevation_integral_max_V = 26,  // V: bound of the elevation integrator
   pitch_integral_max_V = 27,  // V: bound of the pitch integrator
   travel_integral_max_deg = 28,  // deg: bound of the travel integrator
@@ -266,13 +268,13 @@ enum class Param : std::uint8_t {
   pitch_filter_Hz = 30,  // Hz: cut-off of the pitch rate filter (two poles)
   travel_filter_Hz = 31,  // Hz: cut-off of the travel rate filter (two poles)
   pitch_setpoint_max_deg = 32,  // deg: bound of the pitch setpoint, from the travel loop or the host
-  differential_max_V = 33,  // V: bound of front minus back: pitch has priority in the mixer, so more than this would lift the arm
+  differential_max_V = 33,  // V: bound of front minus back; pitch has priority in the mixer, so more would lift the arm
   elevation_slew_deg_s = 34,  // deg/s: fastest change of the elevation setpoint
   pitch_slew_deg_s = 35,  // deg/s: fastest change of the pitch setpoint, from the travel loop or the host
   travel_slew_deg_s = 36,  // deg/s: fastest change of the travel setpoint
-  elevation_acceleration_deg_s2 = 37,  // deg/s2: fastest change of the elevation setpoint's rate: a step becomes a ramp that starts and stops gently
+  elevation_acceleration_deg_s2 = 37,  // deg/s2: fastest change of the elevation setpoint's rate, which makes a step a smooth ramp
   travel_acceleration_deg_s2 = 38,  // deg/s2: fastest change of the travel setpoint's rate; travel can only accelerate by tilting
-  bumpless_s = 39,  // s: time constant with which the jump of a mode change is faded out
+  bumpless_s = 39,  // s: time constant of the smooth change between modes
   elevation_max_deg = 40,  // deg: elevation above which the motors are cut; setpoints are refused from 2 degrees below it
   pitch_max_deg = 41,  // deg: pitch beyond which the motors are cut
   travel_max_deg = 42,  // deg: travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it
@@ -287,7 +289,7 @@ enum class Param : std::uint8_t {
   following_s = 51,  // s: how long a following error beyond its limit is tolerated
   elevation_motion_V = 52,  // V: change of both voltages' sum, dead zones apart, that must move elevation within motion_s; at take-off, beyond hover_V
   pitch_motion_V = 53,  // V: change of front minus back, dead zones apart, that must move pitch within motion_s
-  motion_s = 54,  // s: how long a driven elevation or pitch may stay within a count
+  motion_s = 54,  // s: how long a driven elevation or pitch may stay within one count
   travel_motion_deg = 55,  // deg: pitch beyond the balanced one that must move travel within travel_motion_s
   travel_motion_s = 56,  // s: with travel_motion_deg: a smaller excess is tolerated for longer, by its double integral over time
   travel_silence_s = 57,  // s: how long travel may be without a count, in the air and held by the board, before a short tilt checks its encoder; 0: never
@@ -299,16 +301,17 @@ enum class Param : std::uint8_t {
   arm_rate_max_deg_s = 63,  // deg/s: arming needs every axis slower than this
   arm_elevation_tolerance_deg = 64,  // deg: arming needs the elevation this close to rest
   arm_pitch_tolerance_deg = 65,  // deg: arming needs the pitch this close to level
-  setpoint_hold_s = 66,  // s: without a fresh setpoint for this long the board holds level
-  setpoint_land_s = 67,  // s: without a fresh setpoint for this long the board lands
+  setpoint_hold_s = 66,  // s: time without a recent setpoint after which the board holds level
+  setpoint_land_s = 67,  // s: time without a recent setpoint after which the board lands
   landing_rate_deg_s = 68,  // deg/s: descent of the elevation setpoint while landing
-  landing_timeout_s = 69,  // s: landing takes at most this long; then motors off with a fault
-  voltage_valid_max_ms = 70,  // ms: a streamed voltage acts at most this long, whatever its sender asked for
+  landing_timeout_s = 69,  // s: longest landing; then the motors are switched off with a fault
+  voltage_valid_max_ms = 70,  // ms: longest time that a streamed voltage acts
   excitation_max_V = 71,  // V: largest amplitude that excite accepts
   excitation_max_s = 72,  // s: longest duration that excite accepts
-  telemetry_batch_ticks = 73,  // tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
+  telemetry_batch_ticks = 73,  // tick: ticks per telemetry batch: 20 saves bandwidth, 5 reduces the delay for a host controller
+  controller = 74,  // : compiled controller that flies: its row in the board's table; a number beyond the last row is refused
 };
-inline constexpr std::size_t kParamCount = 74;
+inline constexpr std::size_t kParamCount = 75;
 
 struct ParamInfo {
   float min;
@@ -317,82 +320,84 @@ struct ParamInfo {
   bool nonzero;
   bool integer;
   bool idle_only;
+  std::uint16_t id;  // in stored sets
 };
 inline constexpr ParamInfo kParams[kParamCount] = {
-    {-65536.0F, 65536.0F, 4096.0F, true, false, true},  // elevation_counts_per_rev
-    {-65536.0F, 65536.0F, 4096.0F, true, false, true},  // pitch_counts_per_rev
-    {-65536.0F, 65536.0F, 4096.0F, true, false, true},  // travel_counts_per_rev
-    {-60.0F, 0.0F, -25.0F, false, false, true},  // elevation_rest_deg
-    {5.0F, 24.0F, 12.0F, false, false, true},  // supply_V
-    {-24.0F, 0.0F, 0.0F, false, false, true},  // motor_min_V
-    {0.5F, 24.0F, 10.0F, false, false, true},  // motor_max_V
-    {-1.0F, 1.0F, 1.0F, true, true, true},  // motor_front_sign
-    {-1.0F, 1.0F, 1.0F, true, true, true},  // motor_back_sign
-    {0.0F, 5.0F, 1.0F, false, false, false},  // dead_zone_V
-    {0.0F, 20.0F, 1.4F, false, false, false},  // hover_V
-    {-1.0F, 1.0F, 0.06F, false, false, false},  // hover_slope
-    {0.0F, 20.0F, 0.28F, false, false, false},  // elevation_kp
-    {0.0F, 20.0F, 0.49F, false, false, false},  // elevation_ki
-    {0.0F, 20.0F, 0.22F, false, false, false},  // elevation_kd
-    {0.0F, 1.0F, 1.0F, false, false, false},  // elevation_rate_ff
-    {0.0F, 1.0F, 0.036F, false, false, false},  // elevation_acceleration_ff
-    {0.0F, 20.0F, 0.09F, false, false, false},  // pitch_kp
-    {0.0F, 20.0F, 0.0025F, false, false, false},  // pitch_ki
-    {0.0F, 20.0F, 0.028F, false, false, false},  // pitch_kd
-    {-1.0F, 1.0F, 0.033F, false, false, false},  // pitch_hold_ff
-    {0.0F, 20.0F, 0.6F, false, false, false},  // travel_kp
-    {0.0F, 20.0F, 0.06F, false, false, false},  // travel_ki
-    {0.0F, 20.0F, 3.15F, false, false, false},  // travel_kd
-    {0.0F, 1.0F, 1.0F, false, false, false},  // travel_rate_ff
-    {0.0F, 20.0F, 1.09F, false, false, false},  // travel_acceleration_ff
-    {0.0F, 20.0F, 3.0F, false, false, false},  // elevation_integral_max_V
-    {0.0F, 20.0F, 2.0F, false, false, false},  // pitch_integral_max_V
-    {0.0F, 45.0F, 10.0F, false, false, false},  // travel_integral_max_deg
-    {0.5F, 200.0F, 6.0F, false, false, false},  // elevation_filter_Hz
-    {0.5F, 200.0F, 16.0F, false, false, false},  // pitch_filter_Hz
-    {0.5F, 200.0F, 3.0F, false, false, false},  // travel_filter_Hz
-    {1.0F, 45.0F, 30.0F, false, false, false},  // pitch_setpoint_max_deg
-    {0.1F, 24.0F, 1.4F, false, false, false},  // differential_max_V
-    {0.5F, 200.0F, 15.0F, false, false, false},  // elevation_slew_deg_s
-    {1.0F, 1000.0F, 90.0F, false, false, false},  // pitch_slew_deg_s
-    {0.5F, 200.0F, 20.0F, false, false, false},  // travel_slew_deg_s
-    {1.0F, 2000.0F, 29.0F, false, false, false},  // elevation_acceleration_deg_s2
-    {1.0F, 2000.0F, 4.5F, false, false, false},  // travel_acceleration_deg_s2
-    {0.02F, 5.0F, 0.3F, false, false, false},  // bumpless_s
-    {1.0F, 60.0F, 24.0F, false, false, true},  // elevation_max_deg
-    {5.0F, 80.0F, 45.0F, false, false, true},  // pitch_max_deg
-    {10.0F, 3600.0F, 175.0F, false, false, true},  // travel_max_deg
-    {10.0F, 1000.0F, 120.0F, false, false, true},  // elevation_rate_max_deg_s
-    {10.0F, 2000.0F, 400.0F, false, false, true},  // pitch_rate_max_deg_s
-    {10.0F, 1000.0F, 150.0F, false, false, true},  // travel_rate_max_deg_s
-    {0.0F, 1000.0F, 5.0F, false, false, true},  // encoder_illegal_max
-    {0.0F, 1000.0F, 10.0F, false, false, true},  // overrun_max
-    {1.0F, 180.0F, 15.0F, false, false, true},  // elevation_following_max_deg
-    {1.0F, 180.0F, 20.0F, false, false, true},  // pitch_following_max_deg
-    {1.0F, 3600.0F, 30.0F, false, false, true},  // travel_following_max_deg
-    {0.1F, 10.0F, 1.0F, false, false, true},  // following_s
-    {0.1F, 48.0F, 1.2F, false, false, true},  // elevation_motion_V
-    {0.1F, 48.0F, 0.5F, false, false, true},  // pitch_motion_V
-    {0.1F, 10.0F, 0.5F, false, false, true},  // motion_s
-    {0.5F, 90.0F, 8.0F, false, false, true},  // travel_motion_deg
-    {0.1F, 30.0F, 1.0F, false, false, true},  // travel_motion_s
-    {0.0F, 60.0F, 2.5F, false, false, true},  // travel_silence_s
-    {0.02F, 10.0F, 0.485F, false, false, false},  // elevation_gain
-    {0.1F, 100.0F, 2.97F, false, false, false},  // pitch_gain
-    {0.05F, 100.0F, 0.5F, false, false, false},  // travel_gain
-    {0.1F, 48.0F, 2.5F, false, false, true},  // law_jump_max_V
-    {0.2F, 1.0F, 0.8F, false, false, true},  // law_envelope
-    {0.1F, 100.0F, 3.0F, false, false, true},  // arm_rate_max_deg_s
-    {0.1F, 60.0F, 2.0F, false, false, true},  // arm_elevation_tolerance_deg
-    {0.1F, 60.0F, 10.0F, false, false, true},  // arm_pitch_tolerance_deg
-    {0.05F, 5.0F, 0.5F, false, false, true},  // setpoint_hold_s
-    {0.1F, 30.0F, 2.0F, false, false, true},  // setpoint_land_s
-    {0.5F, 60.0F, 8.0F, false, false, false},  // landing_rate_deg_s
-    {1.0F, 60.0F, 12.0F, false, false, true},  // landing_timeout_s
-    {5.0F, 500.0F, 100.0F, false, false, true},  // voltage_valid_max_ms
-    {0.0F, 12.0F, 2.0F, false, false, true},  // excitation_max_V
-    {1.0F, 600.0F, 120.0F, false, false, true},  // excitation_max_s
-    {4.0F, 32.0F, 20.0F, false, true, false},  // telemetry_batch_ticks
+    {-65536.0F, 65536.0F, 4096.0F, true, false, true, 0xce6fU},  // elevation_counts_per_rev
+    {-65536.0F, 65536.0F, 4096.0F, true, false, true, 0x8212U},  // pitch_counts_per_rev
+    {-65536.0F, 65536.0F, 4096.0F, true, false, true, 0xdb29U},  // travel_counts_per_rev
+    {-60.0F, 0.0F, -25.0F, false, false, true, 0x48d8U},  // elevation_rest_deg
+    {5.0F, 24.0F, 12.0F, false, false, true, 0x377eU},  // supply_V
+    {-24.0F, 0.0F, 0.0F, false, false, true, 0x9f9dU},  // motor_min_V
+    {0.5F, 24.0F, 10.0F, false, false, true, 0xac7fU},  // motor_max_V
+    {-1.0F, 1.0F, 1.0F, true, true, true, 0x994fU},  // motor_front_sign
+    {-1.0F, 1.0F, 1.0F, true, true, true, 0xac50U},  // motor_back_sign
+    {0.0F, 5.0F, 1.0F, false, false, false, 0x1c35U},  // dead_zone_V
+    {0.0F, 20.0F, 1.4F, false, false, false, 0xb17cU},  // hover_V
+    {-1.0F, 1.0F, 0.06F, false, false, false, 0xf513U},  // hover_slope
+    {0.0F, 20.0F, 0.28F, false, false, false, 0xe891U},  // elevation_kp
+    {0.0F, 20.0F, 0.49F, false, false, false, 0xc40dU},  // elevation_ki
+    {0.0F, 20.0F, 0.22F, false, false, false, 0x8f04U},  // elevation_kd
+    {0.0F, 1.0F, 1.0F, false, false, false, 0x78f8U},  // elevation_rate_ff
+    {0.0F, 1.0F, 0.036F, false, false, false, 0xa196U},  // elevation_acceleration_ff
+    {0.0F, 20.0F, 0.09F, false, false, false, 0x4ce6U},  // pitch_kp
+    {0.0F, 20.0F, 0.0025F, false, false, false, 0x4c91U},  // pitch_ki
+    {0.0F, 20.0F, 0.028F, false, false, false, 0x4020U},  // pitch_kd
+    {-1.0F, 1.0F, 0.033F, false, false, false, 0x8f76U},  // pitch_hold_ff
+    {0.0F, 20.0F, 0.6F, false, false, false, 0x4967U},  // travel_kp
+    {0.0F, 20.0F, 0.06F, false, false, false, 0xd4a0U},  // travel_ki
+    {0.0F, 20.0F, 3.15F, false, false, false, 0x3350U},  // travel_kd
+    {0.0F, 1.0F, 1.0F, false, false, false, 0x28dbU},  // travel_rate_ff
+    {0.0F, 20.0F, 1.09F, false, false, false, 0x38e6U},  // travel_acceleration_ff
+    {0.0F, 20.0F, 3.0F, false, false, false, 0x7b08U},  // elevation_integral_max_V
+    {0.0F, 20.0F, 2.0F, false, false, false, 0x82e8U},  // pitch_integral_max_V
+    {0.0F, 45.0F, 10.0F, false, false, false, 0x3dbfU},  // travel_integral_max_deg
+    {0.5F, 200.0F, 6.0F, false, false, false, 0xa496U},  // elevation_filter_Hz
+    {0.5F, 200.0F, 16.0F, false, false, false, 0x90d2U},  // pitch_filter_Hz
+    {0.5F, 200.0F, 3.0F, false, false, false, 0x7aa3U},  // travel_filter_Hz
+    {1.0F, 45.0F, 30.0F, false, false, false, 0xf5d9U},  // pitch_setpoint_max_deg
+    {0.1F, 24.0F, 1.4F, false, false, false, 0xbc81U},  // differential_max_V
+    {0.5F, 200.0F, 15.0F, false, false, false, 0x2ab5U},  // elevation_slew_deg_s
+    {1.0F, 1000.0F, 90.0F, false, false, false, 0x364eU},  // pitch_slew_deg_s
+    {0.5F, 200.0F, 20.0F, false, false, false, 0xb902U},  // travel_slew_deg_s
+    {1.0F, 2000.0F, 29.0F, false, false, false, 0x62dbU},  // elevation_acceleration_deg_s2
+    {1.0F, 2000.0F, 4.5F, false, false, false, 0xd659U},  // travel_acceleration_deg_s2
+    {0.02F, 5.0F, 0.3F, false, false, false, 0x15ebU},  // bumpless_s
+    {1.0F, 60.0F, 24.0F, false, false, true, 0xdeb2U},  // elevation_max_deg
+    {5.0F, 80.0F, 45.0F, false, false, true, 0x7d7bU},  // pitch_max_deg
+    {10.0F, 3600.0F, 175.0F, false, false, true, 0x5d0cU},  // travel_max_deg
+    {10.0F, 1000.0F, 120.0F, false, false, true, 0x9805U},  // elevation_rate_max_deg_s
+    {10.0F, 2000.0F, 400.0F, false, false, true, 0xfba3U},  // pitch_rate_max_deg_s
+    {10.0F, 1000.0F, 150.0F, false, false, true, 0xa7d5U},  // travel_rate_max_deg_s
+    {0.0F, 1000.0F, 5.0F, false, false, true, 0x1f19U},  // encoder_illegal_max
+    {0.0F, 1000.0F, 10.0F, false, false, true, 0xee7aU},  // overrun_max
+    {1.0F, 180.0F, 15.0F, false, false, true, 0x1db3U},  // elevation_following_max_deg
+    {1.0F, 180.0F, 20.0F, false, false, true, 0x0141U},  // pitch_following_max_deg
+    {1.0F, 3600.0F, 30.0F, false, false, true, 0xf8f7U},  // travel_following_max_deg
+    {0.1F, 10.0F, 1.0F, false, false, true, 0x36f1U},  // following_s
+    {0.1F, 48.0F, 1.2F, false, false, true, 0x2e07U},  // elevation_motion_V
+    {0.1F, 48.0F, 0.5F, false, false, true, 0x3df9U},  // pitch_motion_V
+    {0.1F, 10.0F, 0.5F, false, false, true, 0xb356U},  // motion_s
+    {0.5F, 90.0F, 8.0F, false, false, true, 0xca25U},  // travel_motion_deg
+    {0.1F, 30.0F, 1.0F, false, false, true, 0x66c5U},  // travel_motion_s
+    {0.0F, 60.0F, 2.5F, false, false, true, 0xba24U},  // travel_silence_s
+    {0.02F, 10.0F, 0.485F, false, false, false, 0x2fe4U},  // elevation_gain
+    {0.1F, 100.0F, 2.97F, false, false, false, 0xf4b7U},  // pitch_gain
+    {0.05F, 100.0F, 0.5F, false, false, false, 0xb973U},  // travel_gain
+    {0.1F, 48.0F, 2.5F, false, false, true, 0xc06aU},  // law_jump_max_V
+    {0.2F, 1.0F, 0.8F, false, false, true, 0xc7f2U},  // law_envelope
+    {0.1F, 100.0F, 3.0F, false, false, true, 0xab88U},  // arm_rate_max_deg_s
+    {0.1F, 60.0F, 2.0F, false, false, true, 0x0feaU},  // arm_elevation_tolerance_deg
+    {0.1F, 60.0F, 10.0F, false, false, true, 0x0b72U},  // arm_pitch_tolerance_deg
+    {0.05F, 5.0F, 0.5F, false, false, true, 0xf593U},  // setpoint_hold_s
+    {0.1F, 30.0F, 2.0F, false, false, true, 0x7663U},  // setpoint_land_s
+    {0.5F, 60.0F, 8.0F, false, false, false, 0xb9acU},  // landing_rate_deg_s
+    {1.0F, 60.0F, 12.0F, false, false, true, 0x125cU},  // landing_timeout_s
+    {5.0F, 500.0F, 100.0F, false, false, true, 0xb45eU},  // voltage_valid_max_ms
+    {0.0F, 12.0F, 2.0F, false, false, true, 0xc562U},  // excitation_max_V
+    {1.0F, 600.0F, 120.0F, false, false, true, 0x66caU},  // excitation_max_s
+    {4.0F, 32.0F, 20.0F, false, true, false, 0xbfd4U},  // telemetry_batch_ticks
+    {0.0F, 7.0F, 0.0F, false, true, true, 0x1a5bU},  // controller
 };
 
 enum class Channel : std::uint8_t {
@@ -516,6 +521,8 @@ enum class MessageId : std::uint8_t {
   law_fly = 20,
   law_set = 21,
   law_read = 22,
+  controller_read = 23,
+  params_origin_read = 24,
   setpoint = 32,
   voltages = 33,
   following = 34,
@@ -525,6 +532,8 @@ enum class MessageId : std::uint8_t {
   params = 131,
   status = 132,
   law = 135,
+  controller = 136,
+  params_origin = 137,
   telemetry = 133,
   event = 134,
 };
@@ -964,6 +973,39 @@ struct LawReadMessage {
   }
 };
 
+// Asks for the name of a compiled controller.
+struct ControllerReadMessage {
+  static constexpr MessageId kId = MessageId::controller_read;
+  static constexpr std::size_t kSize = 2;
+  std::uint8_t request = {};  // -
+  std::uint8_t index = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u8(to + 1, index);
+  }
+  static ControllerReadMessage read([[maybe_unused]] const std::uint8_t* from) {
+    ControllerReadMessage m;
+    m.request = get_u8(from + 0);
+    m.index = get_u8(from + 1);
+    return m;
+  }
+};
+
+// Asks which parameters the stored set gave at the start, and which not.
+struct ParamsOriginReadMessage {
+  static constexpr MessageId kId = MessageId::params_origin_read;
+  static constexpr std::size_t kSize = 1;
+  std::uint8_t request = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+  }
+  static ParamsOriginReadMessage read([[maybe_unused]] const std::uint8_t* from) {
+    ParamsOriginReadMessage m;
+    m.request = get_u8(from + 0);
+    return m;
+  }
+};
+
 // Target to be reached at a device tick. The board ramps to it linearly, within its slew limits.
 struct SetpointMessage {
   static constexpr MessageId kId = MessageId::setpoint;
@@ -1233,6 +1275,75 @@ struct LawMessage {
     m.divisor = get_u8(from + 6);
     m.ticks = get_u8(from + 7);
     m.cost = get_u32(from + 8);
+    return m;
+  }
+};
+
+// The name of a compiled controller, in ASCII, 0 behind its end.
+struct ControllerMessage {
+  static constexpr MessageId kId = MessageId::controller;
+  static constexpr std::size_t kSize = 19;
+  std::uint8_t request = {};  // -
+  std::uint8_t index = {};  // -
+  std::uint8_t count = {};  // -
+  std::uint32_t name_0 = {};  // -
+  std::uint32_t name_1 = {};  // -
+  std::uint32_t name_2 = {};  // -
+  std::uint32_t name_3 = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u8(to + 1, index);
+    put_u8(to + 2, count);
+    put_u32(to + 3, name_0);
+    put_u32(to + 7, name_1);
+    put_u32(to + 11, name_2);
+    put_u32(to + 15, name_3);
+  }
+  static ControllerMessage read([[maybe_unused]] const std::uint8_t* from) {
+    ControllerMessage m;
+    m.request = get_u8(from + 0);
+    m.index = get_u8(from + 1);
+    m.count = get_u8(from + 2);
+    m.name_0 = get_u32(from + 3);
+    m.name_1 = get_u32(from + 7);
+    m.name_2 = get_u32(from + 11);
+    m.name_3 = get_u32(from + 15);
+    return m;
+  }
+};
+
+// Origin of the parameters at the start, or since the last save.
+struct ParamsOriginMessage {
+  static constexpr MessageId kId = MessageId::params_origin;
+  static constexpr std::size_t kSize = 20;
+  std::uint8_t request = {};  // -
+  std::uint8_t source = {};  // enum params_source
+  std::uint32_t schema = {};  // -
+  std::uint8_t kept = {};  // -
+  std::uint8_t dropped = {};  // -
+  std::uint32_t new_0 = {};  // -
+  std::uint32_t new_1 = {};  // -
+  std::uint32_t new_2 = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u8(to + 1, source);
+    put_u32(to + 2, schema);
+    put_u8(to + 6, kept);
+    put_u8(to + 7, dropped);
+    put_u32(to + 8, new_0);
+    put_u32(to + 12, new_1);
+    put_u32(to + 16, new_2);
+  }
+  static ParamsOriginMessage read([[maybe_unused]] const std::uint8_t* from) {
+    ParamsOriginMessage m;
+    m.request = get_u8(from + 0);
+    m.source = get_u8(from + 1);
+    m.schema = get_u32(from + 2);
+    m.kept = get_u8(from + 6);
+    m.dropped = get_u8(from + 7);
+    m.new_0 = get_u32(from + 8);
+    m.new_1 = get_u32(from + 12);
+    m.new_2 = get_u32(from + 16);
     return m;
   }
 };

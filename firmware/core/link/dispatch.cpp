@@ -53,6 +53,8 @@ constexpr CommandInfo kCommands[] = {
     entry<LawFlyMessage>(Kind::remote),
     entry<LawSetMessage>(Kind::remote, 2, 2, 1),
     entry<LawReadMessage>(Kind::local),
+    entry<ControllerReadMessage>(Kind::local),
+    entry<ParamsOriginReadMessage>(Kind::local),
     entry<SetpointMessage>(Kind::stream, 4, 1, 3),
     entry<VoltagesMessage>(Kind::stream, 0, 0, 2),
     entry<FollowingMessage>(Kind::stream, 0, 0, 3),
@@ -144,6 +146,10 @@ void Dispatcher::local(const Frame& frame) {
       return report(frame, tape_.end());
     case MessageId::law_read:
       return law_read(frame);
+    case MessageId::controller_read:
+      return controller_read(frame);
+    case MessageId::params_origin_read:
+      return params_origin_read(frame);
     default: {
       StatusMessage status;
       status.request = frame.payload[0];
@@ -216,6 +222,40 @@ void Dispatcher::law_read(const Frame& frame) {
     law.cost = tape_.cost();
   }
   send(law);
+}
+
+void Dispatcher::controller_read(const Frame& frame) {
+  const auto message = ControllerReadMessage::read(frame.payload);
+  std::uint8_t characters[ControllerNames::kCharacters] = {};
+  if (message.index < controllers_.count) {
+    const char* name = controllers_.name[message.index];
+    for (std::size_t i = 0; i < sizeof characters && name[i] != '\0'; ++i) {
+      characters[i] = static_cast<std::uint8_t>(name[i]);
+    }
+  }
+  ControllerMessage reply;
+  reply.request = message.request;
+  reply.index = message.index;
+  reply.count = static_cast<std::uint8_t>(controllers_.count);
+  reply.name_0 = get_u32(characters);
+  reply.name_1 = get_u32(characters + 4);
+  reply.name_2 = get_u32(characters + 8);
+  reply.name_3 = get_u32(characters + 12);
+  send(reply);
+}
+
+void Dispatcher::params_origin_read(const Frame& frame) {
+  const params::Origin& origin = store_.origin();
+  ParamsOriginMessage reply;
+  reply.request = frame.payload[0];
+  reply.source = static_cast<std::uint8_t>(store_.source());
+  reply.schema = origin.schema;
+  reply.kept = origin.kept;
+  reply.dropped = origin.dropped;
+  reply.new_0 = origin.fresh[0];
+  reply.new_1 = origin.fresh[1];
+  reply.new_2 = origin.fresh[2];
+  send(reply);
 }
 
 void Dispatcher::remote(MessageId id, const std::uint8_t* payload, std::uint8_t size) {

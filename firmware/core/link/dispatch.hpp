@@ -6,6 +6,7 @@
 
 #include "board.hpp"
 #include "law/tape.hpp"
+#include "link/controller_names.hpp"
 #include "link/declaration.hpp"
 #include "link/mailbox.hpp"
 #include "link/parser.hpp"
@@ -43,11 +44,12 @@ struct CommandInfo;
 class Dispatcher {
  public:
   Dispatcher(Board& board, const params::Params& params, params::Store& store, law::Tape& tape,
-             Mailbox& mailbox, StreamQueue& streams)
+             const ControllerNames& controllers, Mailbox& mailbox, StreamQueue& streams)
       : board_(board),
         params_(params),
         store_(store),
         tape_(tape),
+        controllers_(controllers),
         mailbox_(mailbox),
         streams_(streams) {}
 
@@ -85,6 +87,8 @@ class Dispatcher {
   void local(const Frame& frame);
   void params_read(const Frame& frame);
   void law_read(const Frame& frame);
+  void controller_read(const Frame& frame);
+  void params_origin_read(const Frame& frame);
   void report(const Frame& frame, const law::UploadCheck& finding);
   void remote(MessageId id, const std::uint8_t* payload, std::uint8_t size);
   void stream(const CommandInfo& info, const Frame& frame, std::uint32_t tick);
@@ -98,6 +102,7 @@ class Dispatcher {
   const params::Params& params_;
   params::Store& store_;
   law::Tape& tape_;
+  const ControllerNames& controllers_;
   Mailbox& mailbox_;
   StreamQueue& streams_;
 

@@ -17,8 +17,11 @@ constexpr std::uint32_t kStatusTicks = 1000000U / kTick_us;
 
 }  // namespace
 
-Link::Link(Board& board, params::Params& params, params::Store& store, law::Tape& tape)
-    : board_(board), params_(params), dispatcher_(board, params, store, tape, mailbox_, streams_) {}
+Link::Link(Board& board, params::Params& params, params::Store& store, law::Tape& tape,
+           const ControllerNames& controllers)
+    : board_(board),
+      params_(params),
+      dispatcher_(board, params, store, tape, controllers, mailbox_, streams_) {}
 
 void Link::poll() {
   // Parameters change by requests only, and none that changes one is with the tick just after

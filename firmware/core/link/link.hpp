@@ -37,7 +37,8 @@ class Link {
   // ticks_since_host_frame() while no session is open.
   static constexpr std::uint32_t kNever = 0xffffffffU;
 
-  Link(Board& board, params::Params& params, params::Store& store, law::Tape& tape);
+  Link(Board& board, params::Params& params, params::Store& store, law::Tape& tape,
+       const ControllerNames& controllers);
 
   // Idle loop: call again and again. Bounded work, never waits.
   void poll();

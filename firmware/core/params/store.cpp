@@ -10,7 +10,7 @@ namespace {
 
 constexpr std::size_t kPages = 2;
 constexpr std::uint16_t kMagic = 0x5048;  // "HP"
-constexpr std::uint8_t kFormat = 1;
+constexpr std::uint8_t kFormat = 2;
 
 constexpr std::size_t kMagicAt = 0;
 constexpr std::size_t kFormatAt = 2;
@@ -19,12 +19,15 @@ constexpr std::size_t kHashAt = 4;
 constexpr std::size_t kGenerationAt = 8;
 constexpr std::size_t kValuesAt = 12;
 constexpr std::size_t kCrcAt = kSetBytes - 4;
-static_assert(kValuesAt + 4 * link::kParamCount <= kCrcAt, "the parameters must fit one set");
+constexpr std::size_t kEntryBytes = 6;  // number of the parameter, then its value
+constexpr std::size_t kMaxEntries = (kCrcAt - kValuesAt) / kEntryBytes;
+static_assert(link::kParamCount <= kMaxEntries, "the parameters must fit one set");
+static_assert(link::kParamCount <= 8 * sizeof(Origin::fresh), "a bit for each parameter");
 
 enum class Content : std::uint8_t {
   erased,
   damaged,
-  foreign,  // whole, but from another declaration: says nothing about this one
+  foreign,  // whole, but of another format, or with values that its own schema forbids
   valid,
 };
 
@@ -40,8 +43,22 @@ bool all_ones(const std::uint8_t* page) {
   return true;
 }
 
-float value_at(const std::uint8_t* page, std::size_t index) {
-  return link::get_f32(page + kValuesAt + 4 * index);
+float value_at(const std::uint8_t* page, std::size_t entry) {
+  return link::get_f32(page + kValuesAt + kEntryBytes * entry + 2);
+}
+
+// The parameter of an entry; kParamCount if there is none.
+std::size_t parameter_at(const std::uint8_t* page, std::size_t entry) {
+  const std::uint16_t id = link::get_u16(page + kValuesAt + kEntryBytes * entry);
+  std::size_t index = 0;
+  while (index < link::kParamCount && link::kParams[index].id != id) {
+    ++index;
+  }
+  return index;
+}
+
+bool same_schema(const std::uint8_t* page) {
+  return link::get_u32(page + kHashAt) == link::kParamsHash;
 }
 
 Copy judge(const std::uint8_t* page) {
@@ -51,11 +68,13 @@ Copy judge(const std::uint8_t* page) {
   if (link::crc32(page, kCrcAt) != link::get_u32(page + kCrcAt)) return copy;
   copy.content = Content::foreign;
   if (link::get_u16(page + kMagicAt) != kMagic || page[kFormatAt] != kFormat ||
-      page[kCountAt] != link::kParamCount || link::get_u32(page + kHashAt) != link::kLinkHash) {
+      page[kCountAt] > kMaxEntries) {
     return copy;
   }
-  for (std::size_t i = 0; i < link::kParamCount; ++i) {
-    if (Params::check(static_cast<link::Param>(i), value_at(page, i)) != link::Result::ok) {
+  // Under another schema a value may be out of range here: load() drops it.
+  for (std::size_t i = 0; same_schema(page) && i < page[kCountAt]; ++i) {
+    const auto which = static_cast<link::Param>(parameter_at(page, i));
+    if (Params::check(which, value_at(page, i)) != link::Result::ok) {
       return copy;
     }
   }
@@ -80,6 +99,26 @@ std::size_t survey(Board& board, std::uint8_t* buffer, Copy (&copies)[kPages]) {
   return newest;
 }
 
+// Puts the values that a parameter takes into `params`, which has its defaults.
+Origin take(const std::uint8_t* page, Params& params) {
+  Origin origin;
+  origin.schema = link::get_u32(page + kHashAt);
+  for (std::size_t i = 0; i < link::kParamCount; ++i) {
+    origin.fresh[i / 32U] |= 1U << (i % 32U);
+  }
+  for (std::size_t entry = 0; entry < page[kCountAt]; ++entry) {
+    const std::size_t index = parameter_at(page, entry);
+    if (params.set(static_cast<link::Param>(index), value_at(page, entry), true) ==
+        link::Result::ok) {
+      origin.fresh[index / 32U] &= ~(1U << (index % 32U));
+      ++origin.kept;
+    } else {
+      ++origin.dropped;
+    }
+  }
+  return origin;
+}
+
 bool write_verified(Board& board, std::size_t page, const std::uint8_t* bytes) {
   if (!board.write_page(page, bytes, kSetBytes)) return false;
   std::uint8_t written[kSetBytes];
@@ -95,6 +134,7 @@ link::ParamsSource Store::load(Params& params) {
   const std::size_t newest = survey(board_, buffer, copies);
 
   params.defaults();
+  origin_ = {};
   link::ParamsSource source = link::ParamsSource::corrupt;
   if (newest == kPages) {
     generation_ = 0;
@@ -105,15 +145,24 @@ link::ParamsSource Store::load(Params& params) {
     }
   } else {
     board_.read_page(newest, buffer, kSetBytes);
-    for (std::size_t i = 0; i < link::kParamCount; ++i) {
-      params.set(static_cast<link::Param>(i), value_at(buffer, i), true);
-    }
+    origin_ = take(buffer, params);
     generation_ = copies[newest].generation;
     const bool other_damaged = copies[1 - newest].content == Content::damaged;
-    source = other_damaged ? link::ParamsSource::fallback : link::ParamsSource::stored;
+    source = !same_schema(buffer) ? link::ParamsSource::migrated
+             : other_damaged      ? link::ParamsSource::fallback
+                                  : link::ParamsSource::stored;
   }
   source_.store(source, std::memory_order_relaxed);
   return source;
+}
+
+void Store::drop(Params& params, link::Param which) {
+  const auto index = static_cast<std::size_t>(which);
+  params.set(which, link::kParams[index].initial, true);
+  origin_.fresh[index / 32U] |= 1U << (index % 32U);
+  --origin_.kept;
+  ++origin_.dropped;
+  source_.store(link::ParamsSource::migrated, std::memory_order_relaxed);
 }
 
 bool Store::save(const Params& params) {
@@ -128,10 +177,11 @@ bool Store::save(const Params& params) {
   link::put_u16(page + kMagicAt, kMagic);
   page[kFormatAt] = kFormat;
   page[kCountAt] = static_cast<std::uint8_t>(link::kParamCount);
-  link::put_u32(page + kHashAt, link::kLinkHash);
+  link::put_u32(page + kHashAt, link::kParamsHash);
   link::put_u32(page + kGenerationAt, generation);
   for (std::size_t i = 0; i < link::kParamCount; ++i) {
-    link::put_f32(page + kValuesAt + 4 * i, params.data()[i]);
+    link::put_u16(page + kValuesAt + kEntryBytes * i, link::kParams[i].id);
+    link::put_f32(page + kValuesAt + kEntryBytes * i + 2, params.data()[i]);
   }
   link::put_u32(page + kCrcAt, link::crc32(page, kCrcAt));
 
@@ -140,6 +190,9 @@ bool Store::save(const Params& params) {
   // and no damaged neighbour is taken for a newer one at the next start.
   if (newest == kPages) write_verified(board_, 1, page);
   generation_ = generation;
+  origin_ = {};
+  origin_.schema = link::kParamsHash;
+  origin_.kept = static_cast<std::uint8_t>(link::kParamCount);
   source_.store(link::ParamsSource::stored, std::memory_order_relaxed);
   return true;
 }

@@ -98,7 +98,17 @@ def open_board(port: str | None, sil: str | None = None) -> Iterator[Heli]:
     url = sil if sil is not None else port
     assert url is not None
     with heli_host.connect(url) as heli:
+        say_migration(heli)
         yield heli
+
+
+def say_migration(heli: Heli) -> None:
+    """Print a warning if the board's stored parameters are not all in force."""
+    from heli_host.cli.say import say_progress
+    from heli_host.parameter_origin import migration_text, read_origin
+
+    if heli.info.params_source == "migrated":
+        say_progress(f"warning: {migration_text(read_origin(heli.session))}")
 
 
 def check_board_rig(heli: Heli, rig: str | None) -> None:

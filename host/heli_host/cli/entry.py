@@ -29,7 +29,9 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="heli-host",
-    help="Fly a 3-DOF laboratory helicopter: a board on a serial port, or the simulated one.",
+    help="Fly, identify and diagnose a 3-DOF laboratory helicopter, real or simulated.\n\n"
+    "See `heli-host COMMAND --help` for options and examples. No command opens a board unless you "
+    "name it with --port or HELI_PORT, or use the simulation with --sil.",
     no_args_is_help=True,
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
@@ -59,11 +61,11 @@ def _be_quiet(wanted: bool) -> None:
 def _every_verb(
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_say_version, is_eager=True, help="Say the version and end."),
+        typer.Option("--version", callback=_say_version, is_eager=True, help="Print the version and exit."),
     ] = False,
     quiet: Annotated[
         bool,
-        typer.Option("--quiet", "-q", callback=_be_quiet, help="Only results and errors: no progress."),
+        typer.Option("--quiet", "-q", callback=_be_quiet, help="Print results and errors only, no progress."),
     ] = False,
 ) -> None:
     """Options that come before any verb."""
@@ -155,7 +157,7 @@ def _leave_the_terminal() -> None:
 
 def _explain(error: Exception) -> tuple[str, int]:
     """One line and an exit code for any error."""
-    from heli_host.errors import HeliError
+    from heli_host.errors import HeliError, file_remedy
 
     if isinstance(error, _UsageError):
         return _usage_text(error)
@@ -165,7 +167,7 @@ def _explain(error: Exception) -> tuple[str, int]:
         return str(error), error.exit_code
     if isinstance(error, OSError):
         name = f"{error.filename}: " if error.filename else ""
-        return f"{name}{error.strerror or error}; choose another place or make room for it", EXIT_FILE
+        return f"{name}{error.strerror or error}; {file_remedy(error)}", EXIT_FILE
     if isinstance(error, ModuleNotFoundError):
         return f"the Python package {error.name} is missing; run: {_remedy(error.name or '')}", EXIT_ASKED
     summary = " ".join(f"{type(error).__name__}: {error}".split())

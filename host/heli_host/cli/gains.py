@@ -13,7 +13,7 @@ GainsOption = Annotated[
     typer.Option(
         "--gains",
         metavar="paper|paper-printed",
-        help="Table 6 of the paper, P and I of travel exchanged or as printed; simulated boards only.",
+        help="Fly with Table 6 of the paper, in simulation only.",
         show_default=False,
     ),
 ]
@@ -22,7 +22,7 @@ ParamsFileOption = Annotated[
     typer.Option(
         "--params",
         metavar="FILE",
-        help="Parameters to fly with, as tune and params dump write them; in the board's memory, not saved.",
+        help="Fly with the parameters of this file, and do not save them.",
     ),
 ]
 
@@ -66,9 +66,9 @@ def check_gains(gains: str | None, sil: bool) -> None:
     if gains is None:
         return
     if gains not in SETS:
-        raise typer.BadParameter(f"--gains {gains} is unknown; give {' or '.join(SETS)}")
+        raise typer.BadParameter(f"unknown --gains '{gains}'; choose {' or '.join(SETS)}")
     if not sil:
         raise typer.BadParameter(
-            f"--gains {gains} does not stand the thrust lag of real rotors: add --sil, "
+            f"--gains {gains} is unstable with the thrust lag of real rotors; add --sil, "
             "or set the gains one by one with heli-host params"
         )

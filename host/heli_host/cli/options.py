@@ -54,4 +54,4 @@ def flight_folder(base: Path = Path("flights")) -> Path:
         except FileExistsError:
             continue
         return folder
-    raise typer.BadParameter(f"there are a hundred flights of this second in {base}; wait a moment")
+    raise typer.BadParameter(f"{base} already has 100 flights of this second; try again in a second")

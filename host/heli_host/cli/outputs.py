@@ -18,11 +18,12 @@ def check_place(path: Path) -> None:
     be written, or is an option behind one that lacks its file.
     """
     if str(path).startswith("--"):
-        raise typer.BadParameter(f"{path} stands where a file's name was expected; give one before it")
+        raise typer.BadParameter(f"{path} is an option, but a file name is needed there; give a file")
     folder = path.absolute().parent
     folder.mkdir(parents=True, exist_ok=True)
     if path.is_dir() or not os.access(path if path.exists() else folder, os.W_OK):
-        raise typer.BadParameter(f"{path} cannot be written; choose another place")
+        reason = "it is a folder" if path.is_dir() else "you have no permission to write there"
+        raise typer.BadParameter(f"cannot write {path}: {reason}; give another file")
 
 
 def check_result_places(*files: Path | None, figure: Path | None = None, report: Path | None = None) -> None:
@@ -43,7 +44,9 @@ def check_result_places(*files: Path | None, figure: Path | None = None, report:
         As `check_place` does, and for a figure in none of the formats that can be drawn.
     """
     if figure is not None and figure.suffix.lower() not in FIGURE_ENDS:
-        raise typer.BadParameter(f"--figure {figure}: give a file that ends in {', '.join(FIGURE_ENDS)}")
+        raise typer.BadParameter(
+            f"--figure {figure} has an unknown format; give a file that ends in {', '.join(FIGURE_ENDS)}"
+        )
     for target in (*files, figure):
         if target is not None and str(target) != STDOUT:
             check_place(target)

@@ -20,7 +20,9 @@ SilOption = Annotated[bool, typer.Option("--sil", help="Use the simulated board.
 RigOption = Annotated[
     str | None,
     typer.Option(
-        "--rig", metavar="NAME|FILE", help="Rig simulated: a name or a TOML file; of a real board: its name."
+        "--rig",
+        metavar="NAME|FILE",
+        help="Simulate this rig, or compare the real board with it.  [default: makki2024 with --sil]",
     ),
 ]
 BoardOption = Annotated[
@@ -28,21 +30,22 @@ BoardOption = Annotated[
     typer.Option(
         "--board",
         metavar="native|due|auto",
-        help="Board simulated: the flight code on this machine, or its ELF on an emulated Due; auto: the Due "
-        "when there is an ELF.  [default: native]",
+        help="Run the flight code on this machine, on an emulated Due, or choose.  [default: native]",
         show_default=False,
     ),
 ]
 ElfOption = Annotated[
     Path | None,
-    typer.Option("--elf", metavar="FILE", help="ELF for the emulated Due; else the newest that is built."),
+    typer.Option(
+        "--elf", metavar="FILE", help="Run this firmware on the emulated Due.  [default: newest build]"
+    ),
 ]
 ModelOption = Annotated[
     str | None,
     typer.Option(
         "--model",
         metavar="NAME",
-        help="Model simulated: multibody, paper, ...; else the one that the rig's file names, or multibody.",
+        help="Simulate these equations of motion.  [default: the rig's, or multibody]",
         show_default=False,
     ),
 ]
@@ -51,8 +54,7 @@ EffectOption = Annotated[
     typer.Option(
         "--effect",
         metavar="ID[=VALUE]",
-        help="Effect simulated beyond the model, such as rotor_lag=0.1 or thrust_step.front=0.1@25; may be "
-        "repeated. docs/reference/effects.md lists them.",
+        help="Add an effect to the simulation, such as rotor_lag=0.1. Repeatable.",
         show_default=False,
     ),
 ]
@@ -61,17 +63,15 @@ EffectFilesOption = Annotated[
     typer.Option(
         "--effect-file",
         metavar="FILE.py",
-        help="More effects; the file's code is run; may be repeated.",
+        help="Load effects from this file, and run its code. Repeatable.",
         show_default=False,
     ),
 ]
 SpeedOption = Annotated[
     str,
-    typer.Option("--speed", metavar="N|max", help="Simulated seconds a second, or max: as fast as possible."),
+    typer.Option("--speed", metavar="N|max", help="Simulate N seconds per second, or as fast as possible."),
 ]
-SeedOption = Annotated[
-    int, typer.Option("--seed", min=0, help="Seed of everything random in the simulation.")
-]
+SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed all random numbers of the simulation.")]
 FlightSeedOption = Annotated[
     int | None,
     typer.Option(
@@ -108,7 +108,9 @@ def parse_speed(text: str) -> float | None:
     except ValueError:
         speed = 0.0
     if not 0.0 < speed < 1e4:
-        raise typer.BadParameter(f"--speed takes a number between 0 and 10000, or {MAX_SPEED}, not '{text}'")
+        raise typer.BadParameter(
+            f"invalid --speed '{text}'; give a number between 0 and 10000, or {MAX_SPEED}"
+        )
     return speed
 
 
@@ -118,9 +120,9 @@ def which_board(board: str | None, elf: Path | None) -> str:
     """
     board = board if board is not None else ("due" if elf is not None else "native")
     if board not in BOARDS:
-        raise typer.BadParameter(f"--board takes {', '.join(BOARDS)}, not '{board}'")
+        raise typer.BadParameter(f"unknown --board '{board}'; choose {', '.join(BOARDS)}")
     if board == "native" and elf is not None:
-        raise typer.BadParameter("--elf runs on --board due only; leave one of them out")
+        raise typer.BadParameter("--elf needs the emulated Due; add --board due, or leave one of them out")
     return board
 
 
@@ -219,4 +221,4 @@ def refuse_without_sil(**options: object) -> None:
     given = [f"--{name.replace('_', '-')}" for name, value in options.items() if value]
     if given:
         verb = "is" if len(given) == 1 else "are"
-        raise typer.BadParameter(f"{' and '.join(given)} {verb} for a simulated board; add --sil")
+        raise typer.BadParameter(f"{' and '.join(given)} {verb} for a simulated board only; add --sil")

@@ -66,6 +66,6 @@ def open_watch(
     """Let a `twin`, as `read_twin` gives it, fly along with a board; an alarm calls `on_alarm`."""
     if twin is None:
         return None
-    from heli_host.twins import HOURS, TwinWatch
+    from heli_host.twins import FALSE_ALARM_INTERVAL_h, TwinWatch
 
-    return TwinWatch(heli.session, twin(dict(heli.params), HOURS), on_alarm)
+    return TwinWatch(heli.session, twin(dict(heli.params), FALSE_ALARM_INTERVAL_h), on_alarm)

@@ -119,7 +119,7 @@ def _ask(path: str) -> Bossac:
     text = done.stdout + done.stderr
     version = re.search(r"\(BOSSA\) Version (\S+)", text)
     if version is None:
-        raise UploaderError(f"{path} is no bossac: it does not tell its version", GET_BOSSAC)
+        raise UploaderError(f"{path} is not bossac: it prints no version", GET_BOSSAC)
     usb_option: tuple[str, ...] = ()
     if "--usb-port" in text:
         usb_option = ("--usb-port=0",)

@@ -44,7 +44,9 @@ def read_image(path: Path) -> FirmwareImage:
     """
     content = path.read_bytes()
     if content.startswith(b"\x7fELF"):
-        raise ImageError(f"{path} is an ELF file", f"give the .bin beside it ({path.with_suffix('.bin')})")
+        raise ImageError(
+            f"{path} is an ELF file", f"give the .bin file next to it ({path.with_suffix('.bin')})"
+        )
     if content.startswith(b":") and content[1:9].isalnum():
         raise ImageError(f"{path} is an Intel HEX file", _BUILD)
     if not VECTORS * 4 <= len(content) <= CODE_MAX_BYTES:
@@ -56,7 +58,7 @@ def read_image(path: Path) -> FirmwareImage:
     if struct.pack("<I", LINK_HASH) not in content:
         raise ImageError(
             f"{path} does not hold the hash of this host's link ({LINK_HASH:08x}): "
-            "it is other firmware, or of another release",
+            "it is other firmware, or firmware of another release",
             f"{_BUILD}, or use the heli_host that belongs to it",
         )
     return FirmwareImage(path, content)
@@ -67,12 +69,14 @@ def _check_vectors(path: Path, content: bytes) -> None:
     stack, *handlers = struct.unpack_from(f"<{VECTORS}I", content)
     code = range(FLASH_START, FLASH_START + len(content))
     if not (RAM_START < stack <= RAM_END and stack % 4 == 0):
-        raise ImageError(f"{path} does not begin as firmware for the Due: stack at {stack:#010x}", _BUILD)
+        raise ImageError(f"{path} is not firmware for the Due: its stack is at {stack:#010x}", _BUILD)
     # Bit 0 of a vector says Thumb, which is all that this processor runs; 0 is a vector that is not used.
     if not (handlers[0] & 1 and handlers[0] - 1 in code):
         raise ImageError(
-            f"{path} does not begin as firmware for the Due: entry at {handlers[0]:#010x}", _BUILD
+            f"{path} is not firmware for the Due: its entry point is at {handlers[0]:#010x}", _BUILD
         )
     for number, handler in enumerate(handlers[1:], 2):
         if handler and not (handler & 1 and handler - 1 in code):
-            raise ImageError(f"{path} is damaged: vector {number} leads to {handler:#010x}", _BUILD)
+            raise ImageError(
+                f"{path} is damaged: interrupt vector {number} points to {handler:#010x}", _BUILD
+            )

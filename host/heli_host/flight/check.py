@@ -49,7 +49,7 @@ def check(
     if len(flight) < MIN_ROWS:
         raise FlightDataError(
             f"{source}: t_s has only {len(flight)} rows",
-            f"a flight needs at least {MIN_ROWS}; record a longer one",
+            f"record a flight of at least {MIN_ROWS} rows",
         )
     for name, column in flight.columns().items():
         if name in flight.extra or column.dtype.kind != "f":
@@ -72,14 +72,14 @@ def _check_time(t_s: Floats, source: str, allow_gaps: bool, where: Callable[[int
     if back.size:
         row = int(back[0]) + 1
         raise FlightDataError(
-            f"{source}: t_s does not rise in {where(row)}: {t_s[row]:.9g} after {t_s[row - 1]:.9g} s",
-            "sort the rows by time and remove doubled ones",
+            f"{source}: t_s does not increase in {where(row)}: {t_s[row]:.9g} after {t_s[row - 1]:.9g} s",
+            "sort the rows by time, and remove duplicates",
         )
     typical_s = float(np.median(step_s))
     if typical_s > _MAX_STEP_S:
         raise FlightDataError(
-            f"{source}: t_s rises by {typical_s:g} a row, as in {where(1)}, which looks like milliseconds or "
-            "samples",
+            f"{source}: t_s increases by {typical_s:g} per row, as in {where(1)}, which looks like "
+            "milliseconds or samples",
             "give t_s in seconds",
         )
     gaps = find_gaps(t_s)
@@ -88,7 +88,7 @@ def _check_time(t_s: Floats, source: str, allow_gaps: bool, where: Callable[[int
         raise FlightDataError(
             f"{source}: t_s jumps by {step_s[row - 1]:.6g} s in {where(row)}, a step is "
             f"{typical_s:.6g} s ({gaps.size} gaps)",
-            "cut the flight there, or leave the missing rows out: --allow-gaps, in Python allow_gaps=True",
+            "cut the flight there, or skip the missing rows by --allow-gaps (in Python allow_gaps=True)",
         )
 
 
@@ -104,7 +104,7 @@ def _check_units(flight: Flight, source: str, where: Callable[[int], str]) -> No
         row, rate_rad_s = _usual_highest_rate(column, flight.step_s)
         if rate_rad_s > _MAX_RATE_RAD_S:
             raise FlightDataError(
-                f"{source}: {name} moves by {rate_rad_s:.3g} a second in {where(row)}, which {degrees[0]}",
+                f"{source}: {name} moves by {rate_rad_s:.3g} per second in {where(row)}, which {degrees[0]}",
                 degrees[1],
             )
     for name in (f"{axis}_rad" for axis in AXES):

@@ -117,7 +117,7 @@ class Flight(AngleViews):
             if column.shape != self.t_s.shape or column.ndim != 1:
                 raise FlightDataError(
                     f"column {name} has shape {column.shape}, t_s has {self.t_s.shape}",
-                    "give every column one value a row",
+                    "give every column one value per row",
                 )
 
     def __len__(self) -> int:

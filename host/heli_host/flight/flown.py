@@ -104,7 +104,7 @@ def of_its_law(flight: Flight) -> Flight:
         rows = flown_rows(flight)
     there = np.flatnonzero(rows)
     if there.size < MIN_ROWS:
-        raise FlightDataError("no control law flew in it", "give a flight under setpoints")
+        raise FlightDataError("the log contains no flight of a control law", "give a flight under setpoints")
     cut = flight.between(float(flight.t_s[there[0]]), float(flight.t_s[there[-1]]))
     return replace(cut, events=tuple(event for event in cut.events if event.name != PHASE_EVENT))
 

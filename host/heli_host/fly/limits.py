@@ -102,8 +102,9 @@ def check_motion(segment: Segment, at_deg: Floats, limits: Limits) -> None:
         rate_deg_s = motion.rate_deg_s[index]
         if rate_deg_s > limits.slew_deg_s[index] * (1.0 + 1e-9):
             raise PlanError(
-                f"{segment.where}: {segment.rate_key} asks {axis} for {rate_deg_s:.4g} degrees a second",
-                f"the board's {axis}_slew_deg_s is {limits.slew_deg_s[index]:g}: go slower, or raise it",
+                f"{segment.where}: {segment.rate_key} moves {axis} by {rate_deg_s:.4g} degrees per second",
+                f"the board's {axis}_slew_deg_s is {limits.slew_deg_s[index]:g}; lower the rate, or "
+                "raise that parameter",
             )
     excitation = segment.excitation
     if excitation is None:

@@ -140,7 +140,7 @@ class Plan:
         )
         for segment in segments[:-1]:
             if segment.kind == "land":
-                raise PlanError(f"{segment.where}: something follows it", "put land last; it may be left out")
+                raise PlanError(f"{segment.where}: a segment follows it", "put land last, or leave it out")
         tolerance = Tolerance.read(bounds, f"{source}, tolerance")
         return Plan(name, source, table.text("title", name), closed, start, segments, text, tolerance)
 
@@ -243,7 +243,7 @@ def load_plan(name: str | Path) -> Plan:
         close = difflib.get_close_matches(text, plan_names(), n=1)
         hint = f"did you mean {close[0]}? " if close else ""
         raise PlanError(
-            f"there is no plan {text!r}", f"{hint}give a file, or one of: {', '.join(plan_names())}"
+            f"unknown plan {text!r}", f"{hint}give a TOML file, or one of: {', '.join(plan_names())}"
         )
     try:
         return Plan.parse(read_file(path, TOML_BYTES).decode("utf-8"), str(path), path.stem)
@@ -344,7 +344,7 @@ def _read_axes(table: Table) -> tuple[str, ...]:
 
 def _read_start(values: Any, source: str) -> Start:
     if not isinstance(values, dict):
-        raise PlanError(f"{source}: start is not a table", "write [start] above its keys")
+        raise PlanError(f"{source}: [start] is not a table", "write [start] above its keys")
     table = Table(values, f"{source}, start", ("elevation_deg", "rate_deg_s", "settle_s"))
     usual = Start()
     return Start(

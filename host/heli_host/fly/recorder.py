@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 import heli_host
+from heli_host.controllers import controller_name
 from heli_host.declaration import LINK_HASH, LINK_VERSION, StatusMessage
 from heli_host.errors import HeliError, LogError
 from heli_host.flight.flown import PHASE_EVENT
@@ -276,6 +277,7 @@ class Recorder:
             "reset": info.reset,
             "boot_fault": info.boot_fault,
             "params_source": info.params_source,
+            "controller": controller_name(heli.session, heli.params["controller"]),
             "axes": " ".join(plans[0].axes) if plans else "",
         }
 

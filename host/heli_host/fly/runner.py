@@ -119,7 +119,7 @@ def fly(
             sealed=sealed,
         )
         tolerance = Tolerance.widest([plan.tolerance for plan in loaded])
-        end_when = (lambda: twin.parted) if twin is not None and land_on_change else None
+        end_when = (lambda: twin.alarm) if twin is not None and land_on_change else None
         if twin is not None:
             twin.listen(lambda news: recorder.note(EVENT, news.text))
         with Interrupts() as interrupts:
@@ -168,7 +168,7 @@ def _written(path: Path, recorder: Recorder) -> Log:
 def _loaded(plans: PlanLike | Sequence[PlanLike]) -> list[Plan]:
     listed = [plans] if isinstance(plans, Plan | str | Path) else list(plans)
     if not listed:
-        raise PlanError("no plan is given", "name one, such as hover")
+        raise PlanError("no plan is given", "give at least one plan, such as hover")
     return [plan if isinstance(plan, Plan) else load_plan(plan) for plan in listed]
 
 

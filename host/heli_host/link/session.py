@@ -232,7 +232,10 @@ class Session:
         """
         # A callback runs in the reading thread: to wait there for another's command would be for ever.
         if not self._one_command.acquire(blocking=not self._driver.in_reading_thread):
-            raise LinkError("a callback cannot send a command while another is on its way", "send it later")
+            raise LinkError(
+                "a callback cannot send a command while another command waits for its answer",
+                "send it after the callback has returned",
+            )
         try:
             self._driver.check()
             pending: Request | None = None
@@ -240,7 +243,7 @@ class Session:
                 self.wait_for(lambda: not self._engine.preempted, step_s=_LOCKSTEP_REPLY_STEP_S)
                 with self._driver.lock:
                     if self._latched and isinstance(command, _START_MOTORS):
-                        raise LinkError("a stop came before this command", "begin again")
+                        raise LinkError("a stop cancelled this command", "send the command again")
                     if not self._engine.preempted:
                         pending = self._engine.ask(command, self.transport.now_s(), timeout_s)
             self._driver.send_due()
@@ -355,7 +358,7 @@ class Session:
             size = ParamsMessage.STRUCT.size
             if head.first != len(values) or head.count == 0 or len(payload) != size + 4 * head.count:
                 raise LinkError(
-                    "the board's list of parameters is garbled", "flash the firmware of this release"
+                    "the board's list of parameters is damaged", "flash the firmware of this release"
                 )
             values += struct.unpack_from(f"<{head.count}f", payload, size)
         return tuple(values[: len(PARAMS)])
@@ -495,7 +498,7 @@ class Session:
             self._driver.pump(min(max(left_s, TICK_S), _LOCKSTEP_STEP_S))
         self.wait_for(passed)
         if engine.restarts != restarts:
-            raise LinkLost("the board restarted during the wait", "check its supply, then arm again")
+            raise LinkLost("the board restarted while the host waited", "check its supply, then arm again")
 
     def subscribe_ticks(self, callback: TicksCallback) -> Unsubscribe:
         """Register a callback for new samples.

@@ -282,7 +282,7 @@ class SerialTransport:
                 "it takes no bytes" if isinstance(error, serial.SerialTimeoutException) else "it went away"
             )
             raise LinkLost(
-                f"lost {self.url}: {reason}", "check cable and power; it is looked for again"
+                f"lost {self.url}: {reason}", "check cable and power; heli_host reconnects"
             ) from error
 
 
@@ -383,7 +383,7 @@ def open_transport(
     scheme = url.partition("://")[0].lower() if "://" in url else ""
     if scheme == _PAGE:
         raise PortError(
-            f"{url.partition('?')[0]} is a page, no board", "join its flight: heli_host.join(address)"
+            f"{url.partition('?')[0]} is a dashboard, not a board", "join its flight: heli_host.join(address)"
         )
     if scheme:
         for entry in entry_points(group=ENTRY_POINT_GROUP, name=scheme):
@@ -481,7 +481,7 @@ def _open_serial(url: str, baud: int) -> serial.SerialBase:
         if "protocol" in str(error):
             scheme = url.partition("://")[0]
             raise LinkError(
-                f"nothing installed provides {scheme}:// links",
+                f"no installed package provides {scheme}:// links",
                 "give a port name or socket://host:port, or install the package that provides it",
             ) from error
         raise BadBaud(f"{url} cannot run at {baud} baud", f"leave the rate at {BAUD}") from error
@@ -505,9 +505,11 @@ def _port_error(url: str, error: Exception) -> PortError:
         return PortError(f"cannot open {url}", "check that its other end is running and listening")
     ports = ", ".join(port.device for port in available_ports())
     exist = (
-        f"ports that exist: {ports}" if ports else "no serial port exists: plug the board in, or use sil://"
+        f"choose an existing port: {ports}"
+        if ports
+        else "plug the board in, because no serial port exists, or use sil://"
     )
-    return PortError(f"there is no usable port {url}", exist)
+    return PortError(f"cannot open port {url}", exist)
 
 
 def _keep_dtr_on_close(fd: int) -> None:

@@ -125,7 +125,7 @@ class Truth:
             raise LogError(
                 f"the truth file does not match {path}: its seal is {self.digest}, the flight's is "
                 f"{sealed or 'none, and its bytes differ'}",
-                "give the truth file of this flight; if it is, one of the two was changed",
+                "give the truth file of this flight; otherwise one of the two files was changed",
             )
 
 
@@ -205,7 +205,9 @@ def sealed_truth(flight: Flight, log: Path) -> Truth | None:
         return Truth.seal(flown)
     there = Truth.read(path)
     if there.flown != flown:
-        raise LogError(f"{path} is the truth file of another flight", "move it away, or rename the log")
+        raise LogError(
+            f"{path} is the truth file of another flight", "move it to another folder, or rename the log"
+        )
     return there
 
 

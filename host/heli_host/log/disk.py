@@ -399,12 +399,13 @@ def check_new(path: Path) -> None:
     """
     if path.suffix.lower() != ".mcap" and not _is_device(path):
         raise LogWriteError(
-            f"cannot record into {path}: a log is an .mcap file",
-            "give a name that ends in .mcap; heli-host export --csv makes a table of it afterwards",
+            f"cannot record into {path}, because a log is an .mcap file",
+            "give a name that ends in .mcap, and convert the log with heli-host export --csv",
         )
     if path.exists() and not _is_device(path):
         raise LogWriteError(
-            f"{path} is there already, and no log is written over", "give another name, or move it away"
+            f"{path} exists already, and heli-host never replaces a log",
+            "give another name, or move the file",
         )
 
 
@@ -429,7 +430,7 @@ def check_free_space(path: Path, duration_s: float) -> None:
         raise LogWriteError(
             f"the disk of the log {path} has {_megabytes(left)} left, the flight can need "
             f"{_megabytes(needed)}",
-            "free some disk space, or choose another place with --log",
+            "free disk space, or choose another disk with --log",
         )
     most = most_file_bytes()
     if most is not None and most < needed:
@@ -500,7 +501,7 @@ def _create(path: Path, overwrite: bool) -> io.FileIO:
         return io.FileIO(path, "w" if _is_device(path) else "x")
     except OSError as error:
         raise LogWriteError(
-            f"cannot write the log {path}: {error.strerror or error}", "choose another place with --log"
+            f"cannot write the log {path}: {error.strerror or error}", "choose another path with --log"
         ) from error
 
 

@@ -65,7 +65,9 @@ class Log:
         try:
             return {name: float(value) for name, value in self.metadata.get("parameters", {}).items()}
         except ValueError as error:
-            raise LogError(f"{self.path} holds a parameter that is no number", "copy it again") from error
+            raise LogError(
+                f"{self.path} contains a parameter that is not a number", "copy it again"
+            ) from error
 
     @property
     def law_signals(self) -> dict[str, str]:
@@ -107,7 +109,8 @@ class Log:
         ticks = self.ticks
         if len(ticks) == 0:
             raise TruncatedLog(
-                f"{self.path} holds no ticks", "the board was not heard, or the host died at once"
+                f"{self.path} holds no ticks",
+                "record again: the board sent nothing, or the host stopped immediately",
             )
         columns = self._columns()
         session = self.metadata.get("session", {})
@@ -190,8 +193,14 @@ def read_log(path: str | Path) -> Log:
     scan.run()
     if scan.layout is None:
         if scan.closed:
-            raise LogError(f"{path} has no topic {TICK_TOPIC}", "it is an MCAP file of another program")
-        raise TruncatedLog(f"{path} ends within its first {len(data)} bytes", "nothing was recorded in it")
+            raise LogError(
+                f"{path} has no topic {TICK_TOPIC}",
+                "give a log written by heli-host; this MCAP file is from another program",
+            )
+        raise TruncatedLog(
+            f"{path} is cut short within its first {len(data)} bytes",
+            "record the flight again: it contains no data",
+        )
     ticks = np.concatenate(scan.ticks) if scan.ticks else np.zeros(0, scan.layout.dtype)
     notes = scan.notes
     untrue = _disagreeing(ticks, scan.metadata.get("parameters", {}))

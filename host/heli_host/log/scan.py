@@ -199,7 +199,7 @@ class Scan:
         if missing:
             raise LogError(
                 f"{self.path} has no field {missing[0]} in its ticks",
-                "read it with the version that wrote it",
+                "read it with the heli-host version that wrote it",
             )
         self.layout, self._tick_channel = layout, channel.id
         self._record = tick_record(layout)
@@ -219,9 +219,7 @@ class Scan:
         from_index = self._index is not None and self._index.channels
         usual = self.layout == TICK_LAYOUT and sorted(self._topics()) == [EVENT_TOPIC, LINK_TOPIC, TICK_TOPIC]
         if self.layout is not None and not from_index and not usual:
-            raise LogError(
-                f"{self.path} is damaged where it says how its numbers are to be read", "copy it again"
-            )
+            raise LogError(f"{self.path} is damaged in the description of its columns", "copy it again")
 
     def _topics(self) -> list[str]:
         return [channel.topic for channel in self._channels.values()]

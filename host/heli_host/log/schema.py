@@ -153,7 +153,7 @@ def parse_layout(text: str) -> MessageLayout:
         match = _FIELD.fullmatch(line)
         code = _TYPES.get(match.group(1)) if match is not None else None
         if match is None or code is None or match.group(2) in names:
-            raise LogError(f"the log's schema has the line {line[:60]!r}", "it is not a log of this package")
+            raise LogError(f"the log's schema has the line {line[:60]!r}", "give a log written by heli-host")
         size = np.dtype(code).itemsize
         offset = -(-end // size) * size
         names.append(match.group(2))
@@ -287,6 +287,8 @@ def raw_ticks(records: NDArray[Any]) -> NDArray[np.int32]:
     raw = np.empty((len(records), len(Channel)), np.int32)
     for channel, spec in zip(Channel, CHANNELS, strict=True):
         if spec.field not in (records.dtype.names or ()):
-            raise LogError(f"the log has no channel {spec.name}", "read it with the version that wrote it")
+            raise LogError(
+                f"the log has no channel {spec.name}", "read it with the heli-host version that wrote it"
+            )
         raw[:, channel] = raw_numbers(records[spec.field], channel)
     return raw

@@ -123,7 +123,7 @@ class FlightSummary:
             path.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
         except OSError as error:
             raise LogWriteError(
-                f"cannot write {path}: {error.strerror or error}", "choose another place with --json"
+                f"cannot write {path}: {error.strerror or error}", "choose another path with --json"
             ) from error
 
 

@@ -162,7 +162,7 @@ def _read_bytes(path: Path) -> bytes:
         ) from error
     except (OSError, zlib.error) as error:
         raise FlightDataError(
-            f"{path}: not a gzip file, or a damaged one", "copy it again, or name it .csv if it is plain text"
+            f"{path}: not a gzip file, or damaged", "copy it again, or name it .csv if it is plain text"
         ) from error
     if len(data) > MAX_BYTES:
         raise FlightDataError(f"{path} unpacks to more than {MAX_BYTES >> 20} MiB", "cut it into pieces")
@@ -189,7 +189,9 @@ def _take_apart(data: bytes, path: Path) -> _Lines:
             break
     body = data[position:]
     if header.count(",") >= MAX_COLUMNS:
-        raise FlightDataError(f"{path} has more than {MAX_COLUMNS} columns", "leave out what is not needed")
+        raise FlightDataError(
+            f"{path} has more than {MAX_COLUMNS} columns", "remove columns that are not needed"
+        )
     names = tuple(name.strip().strip('"') for name in header.split(","))
     if b"#" not in body and b"\n\n" not in body:
         return _Lines(tuple(notes), names, body, number + 1, ())
@@ -212,7 +214,7 @@ def _check_names(names: tuple[str, ...], path: Path) -> None:
         raise FlightDataError(f"{path}: column {missing[0]} is missing", _missing_remedy(missing[0], names))
     doubled = next((name for name in names if names.count(name) > 1), None)
     if doubled is not None:
-        raise FlightDataError(f"{path}: column {doubled!r} is there twice", "rename or remove one of them")
+        raise FlightDataError(f"{path}: column {doubled!r} exists twice", "rename or remove one of them")
 
 
 def _missing_remedy(missing: str, names: tuple[str, ...]) -> str:

@@ -70,7 +70,7 @@ class PageClient:
         self._thread.start()
         if not self._wait(lambda: "hello" in self._known and "control" in self._known, _OPEN_S):
             self.close()
-            raise LinkError("the page's server let nobody in", "give the whole address that it printed")
+            raise LinkError("the dashboard refused the connection", "give the whole address that it printed")
 
     def __enter__(self) -> Self:
         return self
@@ -201,7 +201,7 @@ class PageClient:
                 socket.send("stop")
                 answer = socket.recv(_ANSWER_S)
         except (OSError, TimeoutError, WebSocketException) as error:
-            raise LinkError("the page's server does not answer", "use the rig's own stop switch") from error
+            raise LinkError("the dashboard does not answer", "use the rig's own stop switch") from error
         if answer != "stopped":
             raise LinkError(str(answer), "use the rig's own stop switch")
 
@@ -235,10 +235,11 @@ class PageClient:
         try:
             self._socket.send(json.dumps({"do": name, "id": number, **arguments}))
         except WebSocketException as error:
-            raise LinkError("the page's server is gone", "start it again") from error
+            raise LinkError("the dashboard has ended", "start it again") from error
         if not self._wait(lambda: number in self._answers, timeout_s):
             raise LinkError(
-                f"the page's server did not answer {name} in {timeout_s:g} s", "wait for what it does"
+                f"the dashboard did not answer {name} within {timeout_s:g} s",
+                "wait until its current action ends, then try again",
             )
         answer = self._answers.pop(number)
         if "error" in answer:
@@ -261,7 +262,8 @@ class PageClient:
         if not self._wait(lambda: self.state in states, timeout_s):
             names = " or ".join(str(state) for state in states)
             raise LinkError(
-                f"the board is {self.state}, not {names}, after {timeout_s:g} s", "see its events"
+                f"the board is {self.state}, not {names}, after {timeout_s:g} s",
+                "read its events for the reason",
             )
         return self.state
 
@@ -346,7 +348,8 @@ def join(address: str) -> PageClient:
     token = parse_qs(parts.query).get("token", [""])[0]
     if not address.startswith((SCHEME, "http://")) or not token:
         raise PortError(
-            f"{address} is no page's address", "give the whole address that heli-host dashboard printed"
+            f"{address} is not the address of a dashboard",
+            "give the whole address that heli-host dashboard printed",
         )
     base = f"ws://{parts.netloc}"
     with contextlib.ExitStack() as opened:
@@ -357,7 +360,7 @@ def join(address: str) -> PageClient:
             )
         except (OSError, TimeoutError, WebSocketException) as error:
             raise LinkError(
-                f"{parts.netloc} lets nobody in",
+                f"{parts.netloc} refuses the connection",
                 "check that heli-host dashboard runs, and give its whole address",
             ) from error
         return PageClient(opened.pop_all(), socket, f"{base}/stop?token={token}")

@@ -284,9 +284,9 @@ class Cockpit:
         for name in names:
             if name not in self._plans:
                 known = ", ".join(self._plans)
-                raise ParameterError(f"there is no plan {name:.40}", f"choose from {known}")
+                raise ParameterError(f"unknown plan {name:.40}", f"choose from {known}")
         if self._heli.state is not State.IDLE:
-            raise SetpointError("a plan begins on the table, with the motors off", "land first")
+            raise SetpointError("a plan starts only from the table, with the motors off", "land first")
         plans = [self._plans[name] for name in names]
         flight = PlanFlight(self._heli, plans, self._law.engage)
         own = self._recorder is None
@@ -294,7 +294,7 @@ class Cockpit:
             self._begin_recording(plans, flight.duration_s)
         recorder = self._recorder
         if recorder is None:
-            raise LinkError("the recording ended before the plan began", "start it again")
+            raise LinkError("the recording ended before the plan started", "start it again")
         self._flight = flight
         try:
             with self._busy(f"flying {', '.join(names)}"):
@@ -319,14 +319,14 @@ class Cockpit:
 
     def _setpoint(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
         if self._flight is not None:
-            raise SetpointError("a plan is flown, and sets the setpoints", "land to end it")
+            raise SetpointError("a plan flies now, and controls the setpoints", "land to end it")
         axes = ("elevation_deg", "travel_deg")
         self._heli.setpoint(**{name: number(arguments, name) for name in axes if name in arguments})
         return {}
 
     def _hold(self, _: Mapping[str, Any]) -> Mapping[str, Any]:
         if self._flight is not None:
-            raise SetpointError("a plan is flown, and sets the setpoints", "land to end it")
+            raise SetpointError("a plan flies now, and controls the setpoints", "land to end it")
         self._heli.hold()
         return {}
 
@@ -341,7 +341,7 @@ class Cockpit:
 
     def _undo_last(self, _: Mapping[str, Any]) -> Mapping[str, Any]:
         if not self._undo:
-            raise ParameterError("nothing was changed from this page", "there is nothing to undo")
+            raise ParameterError("this page has not changed any parameter", "change a parameter first")
         name, before = self._undo[-1]
         self._heli.params.set(name, before)
         self._undo.pop()
@@ -366,7 +366,7 @@ class Cockpit:
             if self._recorder is None:
                 self._begin_recording((), 0.0)
         elif self._flight is not None:
-            raise ParameterError("a plan is flown, and is always recorded", "land first")
+            raise ParameterError("a plan flies now, and is always recorded", "land first")
         else:
             self.close()
         return {}
@@ -412,7 +412,7 @@ class Cockpit:
         ghost = self._twin.ghost_rad()
         return {
             "words": self._twin.words(),
-            "parted": bool(self._twin.parted),
+            "alarm": bool(self._twin.alarm),
             "ghost_rad": [round(angle, 4) for angle in ghost] if ghost is not None else None,
         }
 

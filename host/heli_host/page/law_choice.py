@@ -51,7 +51,7 @@ class LawChoice:
         self._taken_over = ""
         if len(self._laws) < len(laws):
             names = ", ".join(law.name for law in laws)
-            raise BadLaw(f"two laws have the same name: {names}", "give one of them another name=")
+            raise BadLaw(f"two control laws have the same name: {names}", "give one of them another name=")
 
     def describe(self) -> list[dict[str, Any]]:
         """Return name, rate [Hz], cost [processor instructions per call] and signals of each law, as JSON."""
@@ -99,7 +99,7 @@ class LawChoice:
         """
         if name and name not in self._laws:
             known = ", ".join(self._laws) or "none was named: heli-host dashboard --law FILE.py"
-            raise ParameterError(f"there is no law {name:.40}", f"choose from: {known}")
+            raise ParameterError(f"unknown control law {name:.40}", f"choose from: {known}")
         state = self._heli.state
         if not name:
             if self._flies:
@@ -109,7 +109,7 @@ class LawChoice:
         elif state is State.CLOSED_LOOP:
             self._change_in_flight(name)
         else:
-            raise SetpointError(f"no law begins while the board is {state}", "land first")
+            raise SetpointError(f"no control law can start while the board is {state}", "land first")
         self.chosen, self._taken_over = name, ""
         return {"law": name}
 
@@ -138,7 +138,10 @@ class LawChoice:
             The board does not hold the law, for example after a reset.
         """
         if not self.chosen:
-            raise ParameterError("no law is chosen", "the board's own law has its gains among the parameters")
+            raise ParameterError(
+                "no control law is chosen",
+                "change the gains of the board's own law among its parameters, or choose a law",
+            )
         after = set_parameter(self._heli.session, self._laws[self.chosen], name, value)
         before = self._values[self.chosen].get(name, after)
         self._values[self.chosen][name] = after
@@ -178,7 +181,9 @@ class LawChoice:
     def _change_in_flight(self, name: str) -> None:
         has = loaded(self._heli.session)
         if has.hash != self._laws[name].hash or has.state not in (LawState.READY, LawState.FLYING):
-            raise SetpointError(f"the board has no law {name}, and takes one only on the table", "land first")
+            raise SetpointError(
+                f"the board has no control law {name}, and accepts one only on the table", "land first"
+            )
         if not self._flies:
             self._engage(name)
 

@@ -55,7 +55,8 @@ class Replay:
     def __init__(self, log: Log, rig: Mapping[str, float]) -> None:
         if not len(log.ticks):
             raise TruncatedLog(
-                f"{log.path} holds no ticks", "the board was not heard, or the host died at once"
+                f"{log.path} holds no ticks",
+                "record again: the board sent nothing, or the host stopped immediately",
             )
         self.buffer = TelemetryBuffer(round(KEPT_S / TICK_S))
         self._log, self._rig = log, dict(rig)

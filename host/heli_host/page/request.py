@@ -76,7 +76,7 @@ def read_request(words: str) -> Request:
     for name in ("id", "do"):
         value = asked.get(name)
         if value is not None and not _is_short(value):
-            raise BadRequest(f"{name} of the request is not usable", "send a text or a whole number", usable)
+            raise BadRequest(f"{name} of the request is invalid", "send a text or an integer", usable)
         _check(name, value, usable)
         usable[name] = value
     for name, value in asked.items():

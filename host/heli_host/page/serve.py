@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import uvicorn
 
-from heli_host.errors import PortError
+from heli_host.errors import PortError, listening_remedy
 from heli_host.page.guard import LOCAL_HOSTS, Guard, new_token
 from heli_host.page.service import Service
 from heli_host.page.source import Source
@@ -105,7 +105,7 @@ def serving(source: Source, host: str = "127.0.0.1", port: int = 0, token: str =
                 break
             started.wait(0.01)
         if not server.started:
-            raise PortError("the page's server did not start", "report it with what it printed")
+            raise PortError("the server of the dashboard did not start", "report this with what it printed")
         yield Address(host, listening.getsockname()[1], guard.token)
     finally:
         server.should_exit = True
@@ -125,6 +125,6 @@ def _listen(host: str, port: int) -> socket.socket:
         listening.close()
         reason = error.strerror or str(error)
         raise PortError(
-            f"cannot serve on {host}:{port}: {reason}", "choose another --http-port, or none"
+            f"cannot serve on {host}:{port}: {reason}", listening_remedy(error, "--http-port")
         ) from error
     return listening

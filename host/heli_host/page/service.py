@@ -20,7 +20,7 @@ from starlette.responses import Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from heli_host.errors import HeliError, printable
+from heli_host.errors import HeliError, file_remedy, printable
 from heli_host.page.control_lease import ControlLease
 from heli_host.page.files import page_file
 from heli_host.page.guard import Guard
@@ -295,7 +295,7 @@ class Service:
         except HeliError as error:
             self._tell(client, _refused(asked, error.cause, error.remedy))
         except OSError as error:
-            self._tell(client, _refused(asked, error.strerror or str(error), "choose another place"))
+            self._tell(client, _refused(asked, error.strerror or str(error), file_remedy(error)))
         except Exception as error:  # noqa: BLE001 - who asked must be answered, and asyncio would print a trace
             self._notes.warn(f"{name} of {client.name} failed: {type(error).__name__}: {error}")
             self._tell(client, _refused(asked, f"{name} failed: {type(error).__name__}", _REPORT))

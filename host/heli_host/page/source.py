@@ -194,7 +194,7 @@ def number(arguments: Mapping[str, Any], name: str) -> float:
     """
     value = arguments.get(name)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ParameterError(f"{name} is no number", "give one")
+        raise ParameterError(f"{name} is not a number", "give a number")
     return finite(name, value)
 
 

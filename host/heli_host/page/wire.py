@@ -82,10 +82,14 @@ def unpack(frame: bytes) -> Rows:
         The bytes are not a complete frame of this version.
     """
     if len(frame) < _HEADER.size:
-        raise LinkError("the page sent a frame that is cut short", "use the same version at both ends")
+        raise LinkError(
+            "the dashboard sent an incomplete frame", "use the same version of heli-host at both ends"
+        )
     kind, flags, channels, number, rows, state, fault, _, first = _HEADER.unpack_from(frame)
     if kind != _SAMPLES or len(frame) != _HEADER.size + 4 * rows * (1 + channels):
-        raise LinkError("the page sent a frame of another kind", "use the same version at both ends")
+        raise LinkError(
+            "the dashboard sent an unknown frame", "use the same version of heli-host at both ends"
+        )
     offsets = np.frombuffer(frame, "<u4", rows, _HEADER.size)
     raw = np.frombuffer(frame, "<i4", rows * channels, _HEADER.size + 4 * rows)
     return Rows(

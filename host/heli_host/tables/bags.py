@@ -42,7 +42,7 @@ def read_bag(path: Path) -> Table:
                 if file.suffix.lower() in (".mcap", ".bag"):
                     check_bag(file)
                 elif file.suffix == ".zstd":
-                    raise FlightDataError(f"{file} is compressed as a file", "unpack it with zstd -d")
+                    raise FlightDataError(f"{file} is compressed as a whole", "unpack it with zstd -d")
             with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
                 numbers = 0
                 for count, (connection, when_ns, raw) in enumerate(reader.messages(), 1):
@@ -73,7 +73,7 @@ def _table(path: Path, series: Mapping[str, tuple[Sequence[float], Sequence[floa
         t_s, place = np.unique(np.asarray(times, np.float64) - first_s, return_index=True)
         columns[name] = Column(np.asarray(values, np.float64)[place], "", t_s)
     if not columns:
-        raise FlightDataError(f"{path}: no numbers in it", "give a bag with the angles and the voltages")
+        raise FlightDataError(f"{path} contains no numbers", "give a bag with the angles and the voltages")
     return Table(str(path), columns)
 
 

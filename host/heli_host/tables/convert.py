@@ -101,7 +101,7 @@ def _column(table: Table, name: str) -> Floats:
         close = difflib.get_close_matches(name, table.columns, n=1)
         hint = f"did you mean '{close[0]}'? " if close else ""
         raise FlightDataError(
-            f"{table.source}: there is no column '{name}'",
+            f"{table.source}: unknown column '{name}'",
             f"{hint}it has {', '.join(list(table.columns)[:12])}",
         )
     return table.columns[name].values
@@ -188,6 +188,7 @@ def _pieces(t_s: Floats, part: Part, source: str) -> list[tuple[int, int]]:
     ]
     if not found:
         raise FlightDataError(
-            f"{source}: nothing is left of {t_s[0]:g} to {t_s[-1]:g} s", "leave less out in the profile"
+            f"{source}: the profile leaves out all rows from {t_s[0]:g} to {t_s[-1]:g} s",
+            "shorten leave_out_s in the profile",
         )
     return found

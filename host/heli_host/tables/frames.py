@@ -133,9 +133,7 @@ def _read(path: Path, reader: Callable[[Path], pandas.DataFrame], kind: str) -> 
                 f"reading {path} needs {name}", "pip install 'heli-host[import]'"
             ) from error
         except Exception as error:  # the reader raises whatever a damaged file makes it trip over
-            raise FlightDataError(
-                f"{path}: not a file of {kind}, or a damaged one", "save it again"
-            ) from error
+            raise FlightDataError(f"{path}: not a {kind} file, or damaged", "save it again") from error
         return _table(path, frame)
 
 
@@ -161,5 +159,7 @@ def _table(path: Path, frame: pandas.DataFrame) -> Table:
         if np.isfinite(values).mean() > _MIN_SHARE:
             columns[str(name)] = Column(values, unit)
     if not columns:
-        raise FlightDataError(f"{path}: no columns of numbers in it", "give a table: one row a sample")
+        raise FlightDataError(
+            f"{path}: the file has no columns of numbers", "give a table with one row per sample"
+        )
     return Table(str(path), columns)

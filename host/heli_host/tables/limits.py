@@ -41,7 +41,9 @@ def check_numbers(path: Path, count: int) -> None:
 def check_columns(path: Path, count: int) -> None:
     """Refuse the table at `path` if its `count` of columns is above `MAX_COLUMNS`."""
     if count > MAX_COLUMNS:
-        raise FlightDataError(f"{path} has more than {MAX_COLUMNS} columns", "leave out what is not needed")
+        raise FlightDataError(
+            f"{path} has more than {MAX_COLUMNS} columns", "remove columns that are not needed"
+        )
 
 
 @contextlib.contextmanager

@@ -59,7 +59,9 @@ def _read(path: Path) -> Table:
                 check_numbers(path, numbers)
                 columns[_free_name(found, columns)] = column
     if not columns:
-        raise FlightDataError(f"{path}: no signals of {_MIN_ROWS} rows or more in it", "save the log")
+        raise FlightDataError(
+            f"{path}: the file has no signals of at least {_MIN_ROWS} rows", "save the logged signals in it"
+        )
     clocked = [one for one in columns.values() if one.t_s is not None]
     if clocked and len(clocked) < len(columns):
         columns = _with_clock(columns, clocked[0])

@@ -218,36 +218,38 @@ class _Reader:
     def no_others(self, content: Mapping[str, Any], known: set[str], where: str) -> None:
         for name in content:
             if name not in known:
-                raise self.wrong(f"it has '{where}{name}', which is none of {', '.join(sorted(known))}")
+                raise self.wrong(
+                    f"it has '{where}{name}', which is unknown; choose from {', '.join(sorted(known))}"
+                )
 
     def table(self, content: Mapping[str, Any], name: str) -> Mapping[str, Any]:
         found = content.get(name, {})
         if not isinstance(found, Mapping):
-            raise self.wrong(f"{name} is no table")
+            raise self.wrong(f"{name} is not a table")
         return found
 
     def tables(self, content: Mapping[str, Any], name: str) -> list[Mapping[str, Any]]:
         found = content.get(name, [])
         if not isinstance(found, list) or not all(isinstance(one, Mapping) for one in found):
-            raise self.wrong(f"{name} is no list of tables: write [[{name}]]")
+            raise self.wrong(f"{name} is not a list of tables; write [[{name}]]")
         return found
 
     def text(self, content: Mapping[str, Any], name: str, default: str | None) -> str:
         found = content.get(name, default)
         if not isinstance(found, str):
-            raise self.wrong(f"'{name}' is missing or no text")
+            raise self.wrong(f"'{name}' is missing, or not a text")
         return found
 
     def number(self, content: Mapping[str, Any], name: str, default: float) -> float:
         found = content.get(name, default)
         if isinstance(found, bool) or not isinstance(found, int | float) or not math.isfinite(found):
-            raise self.wrong(f"'{name}' is no number")
+            raise self.wrong(f"'{name}' is not a number")
         return float(found)
 
     def one_of(self, content: Mapping[str, Any], name: str, default: str, known: tuple[str, ...]) -> str:
         found = self.text(content, name, default)
         if found not in known:
-            raise self.wrong(f"{name} = '{found}' is none of {', '.join(known)}")
+            raise self.wrong(f"unknown {name} = '{found}'; choose {', '.join(known)}")
         return found
 
     def truth(self, content: Mapping[str, Any], name: str) -> bool:
@@ -264,7 +266,9 @@ class _Reader:
             isinstance(one, int | float) and not isinstance(one, bool) for one in found
         )
         if not numbers or len(found) != 2 or not found[0] < found[1]:
-            raise self.wrong(f"clip_V = {found} is no [least, largest] voltage of a motor, such as [-5, 5]")
+            raise self.wrong(
+                f"clip_V = {found} is not a [smallest, largest] voltage of a motor, such as [-5, 5]"
+            )
         return float(found[0]), float(found[1])
 
     def sign(self, content: Mapping[str, Any]) -> float:
@@ -315,7 +319,7 @@ class _Reader:
             left_out = tuple((float(start), float(stop)) for start, stop in spans)
         except (TypeError, ValueError):
             raise self.wrong(
-                "leave_out_s is no list of [from, to] in seconds, such as [[0, 5], [33, 40]]"
+                "leave_out_s is not a list of [from, to] in seconds, such as [[0, 5], [33, 40]]"
             ) from None
         return self.text(one, "file", None), Part(left_out, self.text(one, "group", ""))
 

@@ -42,4 +42,4 @@ def read_table(path: Path) -> Table:
         from heli_host.tables.text import read_text
 
         return read_text(path)
-    raise FlightDataError(f"{path}: not a kind of file that can be imported", f"give {KINDS}")
+    raise FlightDataError(f"{path}: this kind of file cannot be imported", f"give {KINDS}")

@@ -78,7 +78,7 @@ class Table:
         t_s = fullest.t_s[fullest.t_s >= start_s]
         if t_s.size < 2:
             raise FlightDataError(
-                f"{self.source}: its signals have no time in common", "give the signals of one flight"
+                f"{self.source}: its signals have no common time span", "give the signals of one flight"
             )
         columns = {SHARED_TIME: Column(t_s - t_s[0], "s")}
         for name, one in clocked.items():

@@ -66,13 +66,15 @@ def read_text(path: Path) -> Table:
     dialect = find_dialect([*body[:_LOOKED_AT], *spread])
     if dialect is None:
         raise FlightDataError(
-            f"{path}: no columns of numbers in it", "give a table: one row a sample, separated by , ; or tabs"
+            f"{path}: the file has no columns of numbers",
+            "give a table with one row per sample, separated by , ; or tabs",
         )
     start = _first_row(body[:_LOOKED_AT], dialect, spread)
     header, rows = body[:start], body[start:]
     if not rows:
         raise FlightDataError(
-            f"{path}: no row of numbers in it", "give a table: one row a sample, separated by , ; or tabs"
+            f"{path}: the file has no row of numbers",
+            "give a table with one row per sample, separated by , ; or tabs",
         )
     width = len(_cells(rows[0], dialect))
     check_columns(path, width)
@@ -91,9 +93,7 @@ def read_text(path: Path) -> Table:
         )
     except ValueError as error:
         reason = " ".join(str(error).split())
-        raise FlightDataError(
-            f"{path}: not a table ({reason})", "look at its quotes and separators"
-        ) from error
+        raise FlightDataError(f"{path}: not a table ({reason})", "check its quotes and separators") from error
     columns = {}
     for index, name in enumerate(names):
         values = pandas.to_numeric(frame[index], errors="coerce").to_numpy(np.float64)
@@ -103,7 +103,9 @@ def read_text(path: Path) -> Table:
         elif np.isfinite(values).any():
             columns[name] = Column(values, units[index])
     if not columns:
-        raise FlightDataError(f"{path}: no columns of numbers in it", "give a table: one row a sample")
+        raise FlightDataError(
+            f"{path}: the file has no columns of numbers", "give a table with one row per sample"
+        )
     return Table(str(path), columns, notes, bool(header))
 
 
@@ -143,7 +145,7 @@ def _text(path: Path) -> str:
             with gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
                 data = packed.read(MAX_BYTES + 1)
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise FlightDataError(f"{path}: not a gzip file, or a damaged one", "copy it again") from error
+        raise FlightDataError(f"{path}: not a gzip file, or damaged", "copy it again") from error
     except OSError as error:
         raise FlightDataError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
     if len(data) > MAX_BYTES:

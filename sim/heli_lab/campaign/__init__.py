@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from heli_lab.campaign.case import Answer, Case
+from heli_lab.campaign.case import Case, JobResult
 from heli_lab.campaign.run import Campaign, run_campaign
 from heli_lab.campaign.store import Store
 
-__all__ = ["Answer", "Campaign", "Case", "Store", "run_campaign"]
+__all__ = ["Campaign", "Case", "JobResult", "Store", "run_campaign"]

@@ -47,7 +47,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Answer:
+class JobResult:
     """What came of a case.
 
     Parameters
@@ -82,6 +82,6 @@ class Answer:
         return asdict(self)
 
     @classmethod
-    def read(cls, content: Mapping[str, Any]) -> Answer:
+    def read(cls, content: Mapping[str, Any]) -> JobResult:
         """Read what `to_json` wrote as `content`; a KeyError or TypeError when it is none of these."""
         return cls(**{name: content[name] for name in cls.__dataclass_fields__})

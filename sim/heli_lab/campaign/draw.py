@@ -70,7 +70,7 @@ def drawn(rig: Rig, effects: Sequence[str], draw: str | Mapping[str, Mapping[str
     sized = list(effects)
     if isinstance(draw, str):
         if draw != TOLERANCES:
-            raise CampaignError(f'draw = "{draw}" is unknown', f'write draw = "{TOLERANCES}", or a table')
+            raise CampaignError(f'unknown draw = "{draw}"', f'write draw = "{TOLERANCES}", or a table')
         for name, number in rig.items():
             if number.tolerance > 0.0:
                 value = number.value + 0.5 * number.tolerance * float(random.standard_normal())
@@ -110,8 +110,8 @@ def check_form(name: str, how: object) -> None:
     }[form]
     if not good:
         raise CampaignError(
-            f"[draw] {name}: {form} = {value!r} cannot be",
-            "a share lies between 0 and 1, a factor is 1 or more, a range has two numbers",
+            f"[draw] {name}: {form} = {value!r} is invalid",
+            "give a share from 0 to 1, a factor of at least 1, or a range of two numbers",
         )
 
 

@@ -58,10 +58,10 @@ def _campaign(path: Path, table: Mapping[str, Any]) -> Campaign:
     title = table.get("title", path.stem)
     worst = table.get("worst", WORST.get(work, ""))
     if not isinstance(title, str) or not isinstance(worst, str):
-        raise CampaignError("title and worst are texts", "put them in quotes")
+        raise CampaignError("title and worst must be texts", "put them in quotes")
     lists = table.get("cases", {})
     if not isinstance(lists, dict):
-        raise CampaignError("cases is no table", "write [cases], and a list for each setting")
+        raise CampaignError("cases is not a table", "write [cases], and a list for each setting")
     if work in WORKS:
         _known(lists, tuple(DEFAULTS), "[cases]")
     values = {name: _values(name, given, path.parent) for name, given in lists.items()}
@@ -96,9 +96,9 @@ def _values(name: str, given: Any, folder: Path) -> list[Any]:
     if isinstance(given, dict):
         first, last = given.get("from"), given.get("to")
         if len(given) != 2 or type(first) is not int or type(last) is not int or last < first:
-            raise CampaignError(f"[cases] {name} is no range", f"write {name} = {{ from = 1, to = 50 }}")
+            raise CampaignError(f"[cases] {name} is not a range", f"write {name} = {{ from = 1, to = 50 }}")
         if last - first >= MAX_CASES:
-            raise CampaignError(f"[cases] {name} has {last - first + 1} values", f"at most {MAX_CASES}")
+            raise CampaignError(f"[cases] {name} has {last - first + 1} values", f"give at most {MAX_CASES}")
         return list(range(first, last + 1))
     several = given if isinstance(given, list) else [given]
     if name in _LISTS and not all(isinstance(entry, list) for entry in several):
@@ -118,9 +118,9 @@ def _check(name: str, value: Any) -> None:
     texts = wanted is list and isinstance(value, list) and all(isinstance(text, str) for text in value)
     if (wanted is list and not texts) or (wanted is not list and type(value) is not wanted):
         kind = {list: "a list of texts", int: "a whole number", str: "a text"}[wanted]
-        raise CampaignError(f"[cases] {name} = {value!r} cannot be", f"each value is {kind}")
+        raise CampaignError(f"[cases] {name} = {value!r} is invalid", f"each value is {kind}")
     if wanted is int and value < (0 if name == "seed" else 1):
-        raise CampaignError(f"[cases] {name} = {value} cannot be", "make it larger")
+        raise CampaignError(f"[cases] {name} = {value} is too small", "give a larger value")
 
 
 def _placed(name: str, value: Any, folder: Path) -> Any:
@@ -137,7 +137,7 @@ def _draw(given: Any) -> Any:
     if given in (TOLERANCES, {}):
         return given
     if not isinstance(given, dict):
-        raise CampaignError(f"draw = {given!r} cannot be", f'write draw = "{TOLERANCES}", or a table')
+        raise CampaignError(f"draw = {given!r} is invalid", f'write draw = "{TOLERANCES}", or a table')
     for name, how in given.items():
         check_form(name, how)
     return given
@@ -145,12 +145,12 @@ def _draw(given: Any) -> Any:
 
 def _limits(given: Any) -> Limits:
     if not isinstance(given, dict):
-        raise CampaignError("limits is no table", "write [limits]")
+        raise CampaignError("limits is not a table", "write [limits]")
     usual = Limits()
     _known(given, ("cpu_s", "wait_s"), "[limits]")
     for name, value in given.items():
         if not isinstance(value, int | float) or isinstance(value, bool) or not value > 0.0:
-            raise CampaignError(f"[limits] {name} = {value!r} cannot be", "give seconds above 0")
+            raise CampaignError(f"[limits] {name} = {value!r} is invalid", "give seconds above 0")
     cpu_s = float(given.get("cpu_s", usual.cpu_s))
     return Limits(cpu_s, float(given.get("wait_s", 10.0 * cpu_s)))
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from heli_host.errors import HeliError
 
-from heli_lab.campaign.case import Answer, Case, Cell, natural_order
+from heli_lab.campaign.case import Case, Cell, JobResult, natural_order
 from heli_lab.campaign.cluster import usable, workers_of
 from heli_lab.campaign.store import Store, row_of
 from heli_lab.campaign.worker import CodeMismatch, Job, release, run_job
@@ -62,7 +62,7 @@ class Campaign:
         seen: set[str] = set()
         for case in self.cases:
             if case.name in seen:
-                raise CampaignError(f"two cases are called {case.name}", "let their settings differ")
+                raise CampaignError(f"two cases have the name {case.name}", "let their settings differ")
             seen.add(case.name)
 
     @property
@@ -79,7 +79,7 @@ class State:
     ----------
     ended, failed, cases : int
         Cases that have ended, those of them that failed, and all.
-    newest : Answer or None
+    newest : JobResult or None
         The case that has just ended; None at the beginning.
     note : str
         What went wrong beside the cases, such as a worker that cannot be used; else empty.
@@ -88,7 +88,7 @@ class State:
     ended: int
     failed: int
     cases: int
-    newest: Answer | None = None
+    newest: JobResult | None = None
     note: str = ""
 
 
@@ -99,7 +99,7 @@ def run_campaign(
     scheduler: str | None = None,
     processes: int = 1,
     code: str | None = None,
-    again: Callable[[Answer], bool] | None = None,
+    again: Callable[[JobResult], bool] | None = None,
     say: Callable[[State], None] | None = None,
 ) -> list[dict[str, Any]]:
     """Do all cases that have not ended yet, and write the table of all; return its rows.
@@ -163,7 +163,7 @@ def _digest(campaign: Campaign) -> str:
         ) from None
 
 
-def _row(case: Case, answer: Answer) -> dict[str, Cell]:
+def _row(case: Case, answer: JobResult) -> dict[str, Cell]:
     """Line of the table; a case without a result has what was drawn for it too."""
     row = row_of(case, answer)
     if answer.failure:
@@ -177,7 +177,7 @@ def _row(case: Case, answer: Answer) -> dict[str, Cell]:
 
 
 def _kept_rows(
-    store: Store, keys: dict[str, Case], again: Callable[[Answer], bool] | None
+    store: Store, keys: dict[str, Case], again: Callable[[JobResult], bool] | None
 ) -> dict[str, dict[str, Any]]:
     """Rows of the cases that have ended; those that are in no part of the table are added to it."""
     answers = store.read(keys)
@@ -198,7 +198,7 @@ def _done(
     processes: int,
     code: str,
     compared: bool,
-) -> Iterator[tuple[Answer | None, str]]:
+) -> Iterator[tuple[JobResult | None, str]]:
     """Answers as they come; None and a note on what else there is to say. Other code than the installed one
     is not compared.
     """
@@ -232,7 +232,9 @@ def _done(
                 client.run(release, on_error="return")
 
 
-def _attended(client: Client, orders: dict[str, Job], bad: set[str]) -> Iterator[tuple[Answer | None, str]]:
+def _attended(
+    client: Client, orders: dict[str, Job], bad: set[str]
+) -> Iterator[tuple[JobResult | None, str]]:
     from distributed import as_completed
 
     def submit(order: Job) -> Future[Any]:
@@ -249,11 +251,12 @@ def _attended(client: Client, orders: dict[str, Job], bad: set[str]) -> Iterator
         order = tasks.pop(future)
         if future.cancelled():
             raise CampaignError(
-                f"the scheduler is gone; {ended} of {len(orders)} cases have ended in this run and are kept",
-                "the same command goes on with the others",
+                f"the scheduler has stopped; {ended} of {len(orders)} cases have ended in this run and "
+                "are saved",
+                "run the same command again to continue with the others",
             )
         came = _came(future, order, lost)
-        if isinstance(came, Answer):
+        if isinstance(came, JobResult):
             ended += 1
             yield came, ""
             continue
@@ -269,18 +272,18 @@ def _attended(client: Client, orders: dict[str, Job], bad: set[str]) -> Iterator
         completed.add(task)
 
 
-def _came(future: Future[Any], order: Job, lost: Counter[str]) -> Answer | CodeMismatch | None:
+def _came(future: Future[Any], order: Job, lost: Counter[str]) -> JobResult | CodeMismatch | None:
     """What came of a task; None where its worker was lost and another is to try."""
     from distributed import KilledWorker
 
     try:
-        came: Answer | CodeMismatch = future.result()
+        came: JobResult | CodeMismatch = future.result()
     except KilledWorker:
         lost[order.key] += 1
         if lost[order.key] < _LOST_WORKERS:
             return None
-        return Answer(order.case.name, order.key, failure="worker after worker was lost under it")
+        return JobResult(order.case.name, order.key, failure="worker after worker was lost under it")
     except Exception as error:  # noqa: BLE001 - whatever a worker raises belongs to the case
         text = " ".join(f"{type(error).__name__}: {error}".split())
-        return Answer(order.case.name, order.key, failure=f"its worker failed: {text}")
+        return JobResult(order.case.name, order.key, failure=f"its worker failed: {text}")
     return came

@@ -17,13 +17,13 @@ from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from heli_lab.campaign.case import Answer, Case, Cell, natural_order
+from heli_lab.campaign.case import Case, Cell, JobResult, natural_order
 from heli_lab.errors import CampaignError
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-PACKAGES: Final = ("distributed", "pyarrow")
+STORED_PACKAGES: Final = ("distributed", "pyarrow")
 """Packages of the extra ``campaign`` that nothing else of the laboratory needs."""
 TABLE: Final = "cases.parquet"
 OWN: Final = ("failure", "cpu_s", "seconds", "where", "key")
@@ -57,7 +57,7 @@ class Store:
             self.token = mark.read_text()
         except OSError as error:
             raise CampaignError(
-                f"results cannot be kept in {folder}: {error.strerror}", "give another --output"
+                f"results cannot be saved in {folder}: {error.strerror}", "give another --output"
             ) from None
 
     @contextmanager
@@ -83,7 +83,7 @@ class Store:
         """File of the result called `key`."""
         return self.cases / f"{key}.json"
 
-    def keep(self, answer: Answer) -> None:
+    def keep(self, answer: JobResult) -> None:
         """Write a result, unless it is there."""
         keep(self.cases, answer)
 
@@ -92,7 +92,7 @@ class Store:
         for key in keys:
             self.path(key).unlink(missing_ok=True)
 
-    def read(self, keys: Iterable[str]) -> dict[str, Answer]:
+    def read(self, keys: Iterable[str]) -> dict[str, JobResult]:
         """Read those of the results called `keys` that are there; one that cannot be read is none."""
         there = {path.stem for path in self.cases.glob("*.json")}
         read = {key: kept(self.cases, key) for key in keys if key in there}
@@ -125,7 +125,7 @@ class Store:
 
 def _check_packages() -> None:
     """Look for what the extra installs before any work is done; other extras have a part of it only."""
-    for name in PACKAGES:
+    for name in STORED_PACKAGES:
         try:
             spec = importlib.util.find_spec(name)
         except ValueError:
@@ -137,26 +137,26 @@ def _check_packages() -> None:
             )
 
 
-def row_of(case: Case, answer: Answer) -> dict[str, Cell]:
+def row_of(case: Case, answer: JobResult) -> dict[str, Cell]:
     """Line of the table: name and settings of a case, what its work returned, what it took."""
     settings = {name: _cell(value) for name, value in case.settings.items()}
     fields = {name: getattr(answer, name) for name in OWN}
     return {"case": case.name, **settings, **answer.row, **fields}
 
 
-def keep(folder: Path, answer: Answer) -> None:
+def keep(folder: Path, answer: JobResult) -> None:
     """Write a result into the `folder` of results as JSON, whole or not at all, unless it is there."""
     path = folder / f"{answer.key}.json"
     if kept(folder, answer.key) is None:
         _write_whole(path, json.dumps(answer.to_json(), indent=1).encode())
 
 
-def kept(folder: Path, key: str) -> Answer | None:
+def kept(folder: Path, key: str) -> JobResult | None:
     """Read the result called `key` from the `folder` of results; None where there is none that can be
     read.
     """
     try:
-        return Answer.read(json.loads((folder / f"{key}.json").read_text()))
+        return JobResult.read(json.loads((folder / f"{key}.json").read_text()))
     except (OSError, ValueError, KeyError, TypeError):
         return None
 

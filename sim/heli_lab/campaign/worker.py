@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 
-from heli_lab.campaign.case import Answer, Case
+from heli_lab.campaign.case import Case, JobResult
 from heli_lab.campaign.store import keep, kept
 from heli_lab.campaign.worker_process import Limits, WorkerProcess
 from heli_lab.code_digest import code_digest
@@ -118,7 +118,7 @@ def other_code(code: str, works: tuple[str, ...], modules: str = "") -> str:
     return "" if worker_code == code else f"its code has the digest {worker_code}, the campaign's has {code}"
 
 
-def run_job(order: Job) -> Answer | CodeMismatch:
+def run_job(order: Job) -> JobResult | CodeMismatch:
     """Have a case done in a process of its own, and keep its result.
 
     A result that is there already is taken: a cluster that has lost the worker which held it asks again.

@@ -25,7 +25,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import IO, Any, Final, Self
 
-from heli_lab.campaign.case import Answer, Case
+from heli_lab.campaign.case import Case, JobResult
 
 _ONE_THREAD: Final = {f"{name}_NUM_THREADS": "{threads}" for name in ("OMP", "OPENBLAS", "MKL")}
 _KILLED_AGAIN: Final = 2
@@ -89,7 +89,7 @@ class WorkerProcess:
                 self._orders.close()
         self._process = self._orders = None
 
-    def run(self, case: Case, key: str) -> Answer:
+    def run(self, case: Case, key: str) -> JobResult:
         """Do a case, whose result has the name `key`; what goes wrong is told in the answer."""
         started_s = time.monotonic()
         answer = self._attempt(case, key)
@@ -98,10 +98,10 @@ class WorkerProcess:
                 break
             answer = self._attempt(case, key)
         if answer is None:
-            answer = Answer(case.name, key, failure="its process was killed from outside, again and again")
-        return Answer(**{**answer.to_json(), "seconds": time.monotonic() - started_s})
+            answer = JobResult(case.name, key, failure="its process was killed from outside, again and again")
+        return JobResult(**{**answer.to_json(), "seconds": time.monotonic() - started_s})
 
-    def _attempt(self, case: Case, key: str) -> Answer | None:
+    def _attempt(self, case: Case, key: str) -> JobResult | None:
         """Do it once; None where the process was killed from outside."""
         if self._process is None or self._process.poll() is not None:
             self.close()
@@ -117,13 +117,13 @@ class WorkerProcess:
             line = self._answers.get(timeout=self.limits.wait_s)
         except queue.Empty:
             self.close()
-            return Answer(case.name, key, failure=f"no answer after {self.limits.wait_s:g} s: it hung")
+            return JobResult(case.name, key, failure=f"no answer after {self.limits.wait_s:g} s: it hung")
         if not line.endswith(b"\n"):
             return self._ended(case, key)
         reply = json.loads(line)
-        return Answer(case.name, key, reply["row"], reply["detail"], reply["failure"], reply["cpu_s"])
+        return JobResult(case.name, key, reply["row"], reply["detail"], reply["failure"], reply["cpu_s"])
 
-    def _ended(self, case: Case, key: str) -> Answer | None:
+    def _ended(self, case: Case, key: str) -> JobResult | None:
         """Say why the process has ended."""
         assert self._process
         code = self._process.wait()
@@ -131,10 +131,10 @@ class WorkerProcess:
         name = signal.Signals(-code).name if code < 0 else ""
         if name == "SIGXCPU" or code == _RAN_AWAY:
             limit_s = self.limits.cpu_s
-            return Answer(case.name, key, failure=f"over {limit_s:g} s of CPU: it ran away", cpu_s=limit_s)
+            return JobResult(case.name, key, failure=f"over {limit_s:g} s of CPU: it ran away", cpu_s=limit_s)
         if name in ("SIGKILL", "SIGTERM"):
             return None
-        return Answer(case.name, key, failure=f"its process crashed: {name or f'exit status {code}'}")
+        return JobResult(case.name, key, failure=f"its process crashed: {name or f'exit status {code}'}")
 
     def _start(self) -> None:
         threads = {name: text.format(threads=self.limits.threads) for name, text in _ONE_THREAD.items()}

@@ -15,10 +15,21 @@ SHOWN: Final = {
 }
 """Factor from an SI unit to the display unit, and its name."""
 
+_EVIDENCE: Final = ((1.0, "hardly any evidence"), (3.0, "some evidence"), (5.0, "strong evidence"))
+"""Upper limits of log-likelihood ratios in nats and their words. At 1 nat the data are 3 times as likely, at
+3 nats 20 times and at 5 nats 150 times."""
 _CHANNELS: Final = {
     "thrust.both": "a share of both thrusts",
     "thrust.difference": "an imbalance of the thrusts",
 }
+
+
+def evidence_in_words(log_likelihood_ratio: float) -> str:
+    """Write a `log_likelihood_ratio` in nats in words, by the scale of Kass and Raftery (1995), with the
+    number: ``very strong evidence (log-likelihood ratio 12 nats)``.
+    """
+    words = next((text for limit, text in _EVIDENCE if log_likelihood_ratio < limit), "very strong evidence")
+    return f"{words} (log-likelihood ratio {log_likelihood_ratio:.0f} nats)"
 
 
 def channel_in_words(channel: str) -> str:

@@ -29,7 +29,7 @@ from heli_lab.guess.reference import Reference, reference_of
 from heli_lab.guess.result import Ambiguity, Guess
 from heli_lab.guess.scales import AXES, MeasuredMotion, Scale, is_encoder, rad_of, scales, step_of
 from heli_lab.guess.sign_trials import try_sign_choices
-from heli_lab.guess.signals import Signals, signals_of
+from heli_lab.guess.signals import Signals, column_signals
 from heli_lab.guess.times import Clock, clock_of, longest_run, times_in_s
 
 _ANGLE_UNITS: Final = frozenset({*ANGLE_UNITS, COUNT})
@@ -78,7 +78,7 @@ def propose(table: Table, rig: Rig, rate_Hz: float | None = None) -> tuple[Guess
     t_s = np.arange(len(table)) / rate_Hz if rate_Hz else times_in_s(table, clock)
     table, t_s = longest_run(table, t_s)
     others = [name for name in table.columns if name != clock.column and not names.is_time(name)]
-    signals = signals_of(table, t_s, others)
+    signals = column_signals(table, t_s, others)
     encoders = {name for name in others if is_encoder(table.columns[name].values, reference)}
     ranked = assignments(signals, reference, encoders)
     if not ranked:

@@ -54,7 +54,7 @@ class Signals:
     inner: NDArray[np.bool_]
 
 
-def signals_of(table: Table, t_s: Floats, names: list[str]) -> Signals:
+def column_signals(table: Table, t_s: Floats, names: list[str]) -> Signals:
     """Resample the columns `names` of a table with times `t_s` [s] to even times, and low-pass them."""
     usable = np.isfinite(t_s)
     usable[usable] = np.concatenate(([True], np.diff(t_s[usable]) > 0.0))

@@ -18,7 +18,7 @@ from heli_lab.guess.axis_regression import axis_regressions, rest_elevation
 from heli_lab.guess.reference import Reference, reference_of
 from heli_lab.guess.scales import AXES
 from heli_lab.guess.sign_trials import try_sign_choices
-from heli_lab.guess.signals import signals_of
+from heli_lab.guess.signals import column_signals
 
 MIN_DURATION_S: Final = 5.0
 """Shorter flights are not checked [s]: fewer than five independent samples do not decide a sign."""
@@ -71,7 +71,7 @@ def wrong_signs(flight: Flight, rig: Rig) -> tuple[WrongSign, ...]:
     except IdentifyError:
         return ()
     table = Table("flight", {name: Column(getattr(flight, name)) for name in _COLUMNS})
-    signals = signals_of(table, flight.t_s, list(_COLUMNS))
+    signals = column_signals(table, flight.t_s, list(_COLUMNS))
     if any(np.ptp(signals.raw[name]) == 0.0 for name in _COLUMNS):
         return ()
     assignment = ColumnAssignment(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from heli_lab.identify.check import Check, Trace, check, trace, validate
-from heli_lab.identify.fit import Budget, Fit, Progress
+from heli_lab.identify.fit import Budget, Fit, FitProgress
 from heli_lab.identify.problem import Problem
 from heli_lab.identify.record import Record, prepare
 from heli_lab.identify.solve import solve
@@ -14,8 +14,8 @@ __all__ = [
     "Check",
     "Combination",
     "Fit",
+    "FitProgress",
     "Problem",
-    "Progress",
     "Record",
     "Trace",
     "check",

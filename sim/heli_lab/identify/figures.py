@@ -19,7 +19,7 @@ _MAX_POINTS = 6000
 _MUST_SEE_COUNTS = 1.0
 
 
-def figure_of_flight(trace: Trace, role: str) -> Figure:
+def identification_figure(trace: Trace, role: str) -> Figure:
     """Draw measured against predicted angles, with the error below each axis: six panels on one time axis.
     The title says the `role` of the flight.
     """

@@ -20,7 +20,7 @@ class Budget:
 
 
 @dataclass(frozen=True)
-class Progress:
+class FitProgress:
     """Where a fit is.
 
     Parameters

@@ -130,7 +130,7 @@ def model_functions(model: Model, free: Sequence[str]) -> ModelFunctions:
     return ModelFunctions(grey_box(model), free)
 
 
-def kinematic_filter(record: Record) -> ReferenceTrajectory:
+def filter_record(record: Record) -> ReferenceTrajectory:
     """Filter the angles of a flight without a model of the rig."""
     return estimation.kinematic_filter(record, _KINEMATICS)
 

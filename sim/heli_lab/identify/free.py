@@ -64,7 +64,7 @@ def free_parameters(
             raise _unknown(model, name)
         if name not in given and (name not in rig or rig[name].tolerance == 0):
             raise IdentifyError(
-                f"nothing is known of '{name}' beforehand", "give it a tolerance in the rig file, or fix it"
+                f"parameter '{name}' has no prior", "give it a tolerance in the rig file, or fix it"
             )
         parameters.append(
             FreeParameter(name, known[name].unit, given.get(name) or rig_prior(rig, name), name)
@@ -81,14 +81,14 @@ def estimated_names(model: Model, rig: Rig, free: Sequence[str] | None, fixed: S
         if name not in known:
             raise _unknown(model, name)
         if name in (free or ()):
-            raise IdentifyError(f"'{name}' is asked for and fixed at once", "leave one of them out")
+            raise IdentifyError(f"'{name}' is in both --free and --fix", "leave one of them out")
     names = [
         parameter.quantity
         for parameter in free_parameters(model, rig, free, {})
         if parameter.quantity not in fixed
     ]
     if not names:
-        raise IdentifyError("every number is fixed", "free at least one")
+        raise IdentifyError("every parameter is fixed", "estimate at least one with --free")
     return names
 
 

@@ -16,7 +16,7 @@ from heli_host.arrays import Floats, Integers
 
 from heli_lab.estimation.bounded_solve import bounded_solve
 from heli_lab.identify import thresholds
-from heli_lab.identify.fit import Budget, Progress
+from heli_lab.identify.fit import Budget, FitProgress
 from heli_lab.identify.grid import Grid
 from heli_lab.identify.initial_states import alternative_states, initial_state_guess
 from heli_lab.identify.problem import Evaluation, Problem
@@ -53,7 +53,11 @@ class LevenbergMarquardt:
     """
 
     def __init__(
-        self, problem: Problem, budget: Budget, robust: bool, on_progress: Callable[[Progress], None] | None
+        self,
+        problem: Problem,
+        budget: Budget,
+        robust: bool,
+        on_progress: Callable[[FitProgress], None] | None,
     ) -> None:
         self.problem = problem
         self.robust = robust
@@ -285,7 +289,7 @@ class LevenbergMarquardt:
         for number in range(most):
             if self.on_progress is not None:
                 done = share[0] + (share[1] - share[0]) * (1 - 0.5**number)
-                self.on_progress(Progress(stage, done, point.cost))
+                self.on_progress(FitProgress(stage, done, point.cost))
             move, states, std, promised = self._step(point)
             if self.out_of_budget():
                 return point, False

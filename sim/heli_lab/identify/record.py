@@ -189,7 +189,7 @@ def _refuse_duties(flight: Flight, label: str, rig: Rig) -> None:
         raise IdentifyError(
             f"{label}: {highest} reaches {column[row]:.3g} at most, in data row {row + 1}, and below the "
             f"dead zone of {least_V:g} V no rotor pushes",
-            "if it is a duty, multiply it by the supply",
+            "if the column is a duty cycle, multiply it by the supply voltage",
         )
 
 
@@ -243,12 +243,12 @@ def _refuse_dead_columns(flight: Flight, label: str, count_rad: Floats) -> None:
         if not np.any(column):
             raise IdentifyError(
                 f"{label}: {name} is 0 from data row 1 to {rows}",
-                "the flight has no voltages, log those that act",
+                "log the voltages that act on the motors",
             )
         if float(np.ptp(column)) < 1e-9:
             raise IdentifyError(
                 f"{label}: {name} is {column[0]:g} from data row 1 to {rows}",
-                "nothing can be learned from voltages that never change",
+                "fly with voltages that change",
             )
 
 

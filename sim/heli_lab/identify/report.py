@@ -8,7 +8,7 @@ from typing import Any
 from heli_sim.model.parts import AXES
 
 from heli_lab.identify.check import Check
-from heli_lab.identify.figures import figure_of_correlations, figure_of_flight, figure_of_parameters
+from heli_lab.identify.figures import figure_of_correlations, figure_of_parameters, identification_figure
 from heli_lab.identify.result import Identification, rounded
 from heli_lab.identify.thresholds import NOTHING_LEFT
 from heli_lab.identify.uncertainty import Combination
@@ -16,7 +16,9 @@ from heli_lab.page import folder_with, write_page
 from heli_lab.page.drawing import Drawing
 
 
-def write_report(identification: Identification, folder: str | Path, drawing: Drawing | None = None) -> Path:
+def write_identification_report(
+    identification: Identification, folder: str | Path, drawing: Drawing | None = None
+) -> Path:
     """Write index.html, result.json and the figures as PNG into a `folder`, made if it is missing; return the
     page. A `drawing` that was begun earlier has its process beside ready.
     """
@@ -24,7 +26,7 @@ def write_report(identification: Identification, folder: str | Path, drawing: Dr
     folder = folder_with(identification.json(), folder)
     flights = [
         {
-            "address": drawing.add(figure_of_flight(trace, role), folder / f"{role}-{number}.png"),
+            "address": drawing.add(identification_figure(trace, role), folder / f"{role}-{number}.png"),
             "meaning": f"{trace.label}, {role}",
         }
         for role, traces in (
@@ -90,10 +92,17 @@ def _parameters(identification: Identification) -> dict[str, Any]:
     for parameter, value, std in zip(problem.free, fit.theta, fit.std.values(), strict=True):
         remark = "on its bound" if parameter.name in fit.at_bound else ""
         remark = remark or ("uninformed" if parameter.name in identification.uninformed_parameters else "")
-        prior = f"{parameter.prior.mean:g} ± {2 * parameter.prior.std:g}"
-        text = f"{rounded(value, std)} ± {rounded(2 * std, std)}"
+        prior = f"{parameter.prior.mean:g} ± {parameter.prior.std:g}"
+        text = f"{rounded(value, std)} ± {rounded(std, std)}"
         rows.append([parameter.name, text, parameter.unit, prior, f"{std / parameter.prior.std:.2g}", remark])
-    heads = ["parameter", "found ± 2 std", "unit", "prior ± 2 std", "std over prior's", ""]
+    heads = [
+        "parameter",
+        "estimate ± 1 standard error",
+        "unit",
+        "prior ± 1 standard error",
+        "standard error over prior's",
+        "",
+    ]
     return {"heads": heads, "rows": rows}
 
 

@@ -13,7 +13,7 @@ from heli_sim.rig import Rig
 from heli_lab.errors import IdentifyError
 from heli_lab.identify.check import check, trace, validate
 from heli_lab.identify.explained import refuse_unexplained
-from heli_lab.identify.fit import Budget, Progress
+from heli_lab.identify.fit import Budget, FitProgress
 from heli_lab.identify.free import estimated_names
 from heli_lab.identify.initial_states import initial_state_guess
 from heli_lab.identify.problem import Problem
@@ -38,7 +38,7 @@ def identify(
     window_s: float = 2.0,
     seconds: float = float("inf"),
     threads: int | None = None,
-    on_progress: Callable[[Progress], None] | None = None,
+    on_progress: Callable[[FitProgress], None] | None = None,
     as_is: bool = False,
 ) -> Identification:
     """Estimate a model's parameters from flights, and validate them on others.
@@ -73,21 +73,21 @@ def identify(
     """
     started_s = time.perf_counter()
     say = on_progress or (lambda _: None)
-    say(Progress("finding the free flight", 0.0, 0.0))
+    say(FitProgress("finding the free flight", 0.0, 0.0))
     records = _prepared(flights, rig, labels, "flight", start_s, stop_s)
     others = _prepared(validation, rig, validation_labels, "validation", None, None)
     if any(record is other or record.label == other.label for record in records for other in others):
         raise IdentifyError("a flight is both fitted and validated on", "give another to --validate")
-    say(Progress("compiling the model, once for each", 0.05, 0.0))
+    say(FitProgress("compiling the model, once for each", 0.05, 0.0))
     names = estimated_names(model, rig, free, fixed)
     problem = Problem(model, rig, records, free=names, window_s=window_s, threads=threads)
     fit = solve(
         problem,
         start=_start_values(problem),
         budget=Budget(seconds=seconds - (time.perf_counter() - started_s)),
-        on_progress=lambda p: say(Progress(p.stage, 0.1 + 0.7 * p.done, p.cost)),
+        on_progress=lambda p: say(FitProgress(p.stage, 0.1 + 0.7 * p.done, p.cost)),
     )
-    say(Progress("checking", 0.85, fit.cost))
+    say(FitProgress("checking", 0.85, fit.cost))
     held_out = validate(fit, others) if others else None
     count = range(len(records))
     seen = tuple(trace(fit, index) for index in count)

@@ -11,7 +11,7 @@ from heli_host.arrays import Floats
 
 from heli_lab.errors import IdentifyError
 from heli_lab.identify import thresholds
-from heli_lab.identify.fit import Budget, Fit, Progress
+from heli_lab.identify.fit import Budget, Fit, FitProgress
 from heli_lab.identify.levenberg_marquardt import LevenbergMarquardt, Point
 from heli_lab.identify.problem import Problem
 from heli_lab.identify.uncertainty import quantisation_scatter, timing_variance
@@ -26,7 +26,7 @@ def solve(
     fine: bool = True,
     scatter: bool = True,
     warm_start: bool = False,
-    on_progress: Callable[[Progress], None] | None = None,
+    on_progress: Callable[[FitProgress], None] | None = None,
 ) -> Fit:
     """Fit the free parameters and the windows' initial states; there is a result also when the budget ran
     out.

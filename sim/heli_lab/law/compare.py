@@ -26,7 +26,9 @@ def flight_of_law(path: Path) -> Flight:
     """
     flight = read_flight(path, allow_gaps=True)
     if flight.setpoints_rad is None:
-        raise FlightDataError(f"{path}: no flight under setpoints in it", "give a log in which a law flew")
+        raise FlightDataError(
+            f"{path} contains no flight with setpoints", "give a log of a flight with a control law"
+        )
     try:
         return of_its_law(flight)
     except FlightDataError as error:

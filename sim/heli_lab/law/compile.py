@@ -18,7 +18,7 @@ from heli_lab.law.sums import SUM, with_sums
 _FIRST_NEW_STATE: Final = 5
 
 
-class Source(Protocol):
+class LawSource(Protocol):
     """What a program is made from; `heli_lab.law.Law` is one and says what each is."""
 
     @property
@@ -52,12 +52,12 @@ class Source(Protocol):
         ...
 
 
-def compile_program(law: Source) -> LawProgram:
+def compile_program(law: LawSource) -> LawProgram:
     """Make the program of a law.
 
     Parameters
     ----------
-    law : Source
+    law : LawSource
         What the board is to run.
 
     Raises
@@ -83,7 +83,7 @@ def compile_program(law: Source) -> LawProgram:
     )
 
 
-def _read(law: Source, function: ca.Function) -> tuple[Program, list[int]]:
+def _read(law: LawSource, function: ca.Function) -> tuple[Program, list[int]]:
     program = Program(law.name)
     kinds = ("input", "state", "parameter")
     count = _FIRST_NEW_STATE + len(law.signals)
@@ -105,7 +105,7 @@ def _read(law: Source, function: ca.Function) -> tuple[Program, list[int]]:
     return program, outputs
 
 
-def _with_copies(law: Source, program: Program, outputs: list[int]) -> None:
+def _with_copies(law: LawSource, program: Program, outputs: list[int]) -> None:
     """Copy states that go into others: one may not be read any more once it is written."""
     for k in range(_FIRST_NEW_STATE + len(law.signals), len(outputs)):
         if program.values[outputs[k]].kind == "state":
@@ -131,7 +131,7 @@ def _without_dead_ends(program: Program, outputs: list[int]) -> tuple[Program, l
     return kept, [moved[operand] for operand in outputs]
 
 
-def _allot(law: Source, program: Program, outputs: list[int]) -> tuple[list[Instruction], list[int]]:
+def _allot(law: LawSource, program: Program, outputs: list[int]) -> tuple[list[Instruction], list[int]]:
     """Give every value a cell; one whose value nobody reads any more is used again."""
     start = {"input": 0, "constant": len(LAW_INPUTS)}
     start["parameter"] = start["constant"] + len(program.constants)

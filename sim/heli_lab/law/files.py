@@ -42,7 +42,7 @@ def load_law(path: Path, limit_s: float = FILE_LIMIT_s) -> Law:
         It is missing, fails, does not end, or holds no law.
     """
     if not path.is_file():
-        raise BadLaw(f"there is no file {path}", "name a Python file that ends with LAW = ...")
+        raise BadLaw(f"there is no file {path}", "give a Python file that ends with LAW = ...")
     answer = _run_apart(path, limit_s)
     law = answer["law"]
     if not isinstance(law, Law):
@@ -79,7 +79,7 @@ def _run_apart(path: Path, limit_s: float) -> dict[str, Any]:
         reply: dict[str, Any] = pickle.loads(answer)
         return reply
     how = f"exit status {status}" if status >= 0 else signal.Signals(-status).name
-    raise BadLaw(f"{path.name} ended Python ({how})", "correct it; run alone with python, it says more")
+    raise BadLaw(f"{path.name} ended Python ({how})", "correct it, and run the file with python for details")
 
 
 def _pass_on(pipe: IO[bytes], answers: queue.SimpleQueue[bytes]) -> None:
@@ -117,7 +117,9 @@ def run_law(path: Path) -> Law:
     except HeliError:
         raise
     except SyntaxError as error:
-        raise BadLaw(f"{path.name} is no Python: {error.msg}{_at(error.lineno)}", "correct it") from error
+        raise BadLaw(
+            f"{path.name} is not valid Python: {error.msg}{_at(error.lineno)}", "correct it"
+        ) from error
     # SystemExit: a file that ends the program would otherwise end with its own code, and no word.
     except (Exception, SystemExit) as error:
         text = str(error).split("\n")[0]
@@ -126,7 +128,7 @@ def run_law(path: Path) -> Law:
         ]
         raise BadLaw(
             f"{path.name} fails: {type(error).__name__}: {text}{_at(lines[-1] if lines else None)}",
-            "correct it; run alone with python, it says more",
+            "correct it, and run the file with python for details",
         ) from error
     law = held.get("LAW")
     if isinstance(law, Law):

@@ -134,7 +134,7 @@ def pool(diagnoses: Sequence[RigDiagnosis]) -> RigPopulation:
     labels = [diagnosis.label for diagnosis in diagnoses]
     twice = sorted({label for label in labels if labels.count(label) > 1})
     if twice:
-        raise PoolError(f"two diagnoses are called {', '.join(twice)}", "rename their files")
+        raise PoolError(f"two diagnoses have the name {', '.join(twice)}", "rename their files")
     for first, other in itertools.combinations(diagnoses, 2):
         if replace(first, label=other.label) == other:
             raise PoolError(f"{first.label} and {other.label} are the same diagnosis", "give one per rig")

@@ -21,19 +21,6 @@ from heli_sim.rig import Rig
 
 NO_LAG_s: Final = 0.004
 """Lag of a rotor without lag: too short to matter for any loop, so that all plants have the same states."""
-_NOT_LINEARISABLE: Final = (
-    "backlash",
-    "coulomb_friction",
-    "encoder_eccentricity",
-    "periodic_torque",
-    "random_torque",
-    "supply_fade",
-    "thrust_fade",
-    "thrust_step",
-    "zero_offset",
-)
-"""Beginnings of the names of effects that no linear plant contains: nonlinear effects, changes during a
-flight, and biases of a zero."""
 _LAG_UNCERTAINTY: Final = 0.25
 """Uncertainty of a stated lag, as a share of it."""
 
@@ -77,7 +64,8 @@ class LoopEffects:
     linear : tuple of Effect
         Other effects in the linear plants, including a lag of the rotor speed, which uses the plants' lags.
     excluded : tuple of str
-        Names of effects that linear plants cannot contain: dry friction, backlash, changes during a flight.
+        Names of effects that the linear plants do not contain: those with states, and those that are not
+        `heli_sim.model.effects.EffectSpec.linearisable`, such as dry friction or a change during the flight.
     """
 
     lag_s: float | None = None
@@ -109,7 +97,7 @@ def loop_effects_of(effects: Sequence[Effect]) -> LoopEffects:
             linear.append(effect)
         elif effect.delay or isinstance(effect, RotorLag):
             continue
-        elif effect.states or effect.name.startswith(_NOT_LINEARISABLE):
+        elif effect.states or not effect.linearisable:
             left_out.append(effect.name)
         else:
             linear.append(effect)

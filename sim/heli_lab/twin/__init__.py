@@ -1,1 +1,1 @@
-"""A twin that flies beside a rig, and says when the rig is no longer the rig, and what changed."""
+"""Change detection: a twin compares a rig with its model, raises an alarm, and ranks possible changes."""

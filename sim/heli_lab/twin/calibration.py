@@ -1,4 +1,4 @@
-"""What a twin knows besides equations: weather, and how far evidence wanders while nothing changed."""
+"""The calibration of a twin: disturbances of the rig, and the tail of the evidence without a change."""
 
 from __future__ import annotations
 
@@ -17,33 +17,34 @@ from heli_lab.identify.flight_model import DISTURBANCE_START
 from heli_lab.twin.likelihood_ratio import WINDOW_s
 
 SEGMENT_s: Final = 5.0
-"""Evidence whose maxima count as one excursion, s: the onsets that make it outlive some seconds. Longer: few
-excursions to fit. Shorter: one is counted several times, and the alarms are fewer than stated."""
+"""Length of the segments whose maxima are counted as excursions of the evidence, s. An onset stays in the
+window for some seconds. Longer: few excursions to fit. Shorter: one excursion counts several times, and the
+alarms are rarer than stated."""
 _LEVEL: Final = 0.8
 """Share of the segments whose maxima lie below the level from which the tail is exponential."""
 _MIN_SCALE_nats: Final = 1.0
-"""Of a likelihood ratio's tail for white innovations: by Wilks it falls by a factor e a nat."""
+"""Scale of the tail of a likelihood ratio for white innovations, nats: by Wilks it falls by e per nat."""
 _AXES: Final = 3
 
 
-QUIET: Final = replace(DISTURBANCE_START, quantisation=np.ones(3))
-"""Weather of a rig of which no flight is given: gusts of a quiet room, encoders that round."""
+DEFAULT_DISTURBANCES: Final = replace(DISTURBANCE_START, quantisation=np.ones(3))
+"""Disturbances of a rig without nominal flights: gusts of a quiet room, encoders that round."""
 
 
 @dataclass(frozen=True)
 class Tail:
-    """How often evidence exceeds a level while nothing changed: exponentially less often the higher it is.
+    """Exponential tail of the evidence without a change.
 
     Parameters
     ----------
     level_nats : float
-        From here on.
+        Evidence from which the tail is exponential [nats].
     per_hour : float
-        Excursions beyond it in an hour of free flight.
+        Rate of excursions above the level, per hour of free flight.
     scale_nats : float
-        Of which one in e goes this much further.
+        Mean excess of an excursion over the level [nats].
     excesses : int
-        Excursions that the scale is the mean of.
+        Number of excursions from which the scale was estimated.
     """
 
     level_nats: float
@@ -51,20 +52,23 @@ class Tail:
     scale_nats: float
     excesses: int
 
-    def threshold_nats(self, hours: float) -> float:
-        """Level that is exceeded once in so many `hours`, on average over what the excursions may have been.
+    def threshold_nats(self, false_alarm_interval_h: float) -> float:
+        """Return the evidence that is exceeded once per `false_alarm_interval_h` of free flight [nats], on
+        average over the sampling of the excursions.
 
-        A mean of n exponential excesses, T in all, is exceeded c T by another one with the probability
-        (1 + c)^-n: so the tail that is used is longer the fewer there were, and exponential for many.
+        Given n exponential excesses with the sum T, another one exceeds c T with the probability (1 + c)^-n.
+        Therefore few excesses give a longer tail, and many give an exponential one.
         """
-        wanted = max(self.per_hour * hours, 1.0)
+        wanted = max(self.per_hour * false_alarm_interval_h, 1.0)
         beyond = self.excesses * math.expm1(math.log(wanted) / self.excesses)
         return self.level_nats + self.scale_nats * beyond
 
 
-def segment_maxima(course: Sequence[tuple[float, float]]) -> list[float]:
-    """Largest evidence [nats] of each `SEGMENT_s` of a `course` of times [s] and evidence."""
-    times, evidence = np.array(course, float).reshape(-1, 2).T
+def segment_maxima(history: Sequence[tuple[float, float]]) -> list[float]:
+    """Return the largest evidence [nats] of each segment of `SEGMENT_s`; `history` holds times [s] and
+    evidence.
+    """
+    times, evidence = np.array(history, float).reshape(-1, 2).T
     known = np.isfinite(evidence)
     times, evidence = times[known], evidence[known]
     if not len(times):
@@ -73,72 +77,72 @@ def segment_maxima(course: Sequence[tuple[float, float]]) -> list[float]:
     return [float(evidence[number == segment].max()) for segment in np.unique(number)]
 
 
-def fit_tail(flights: Sequence[Sequence[tuple[float, float]]], taught_s: float = math.inf) -> Tail:
-    """Fit the tail of the evidence to healthy flights.
+def fit_tail(flights: Sequence[Sequence[tuple[float, float]]], training_s: float = math.inf) -> Tail:
+    """Fit the tail of the evidence to nominal flights.
 
-    Where the rig's numbers were found in flights themselves, their error adds to that of what is found in a
-    window: the variance of the difference is larger by the factor 1 + window / taught, and so is evidence,
-    which is half a square in standard deviations. Flights that are simulated with these very numbers, and
-    flights that they were found in, do not show it.
+    If the rig's parameters were estimated from flights, their errors add to the error of an estimate from one
+    window. The variance of the difference is larger by 1 + window / training time, and so is the evidence,
+    which is half a squared standard score. Flights that are simulated with the estimated parameters, and the
+    training flights themselves, do not show this.
 
     Parameters
     ----------
     flights : sequence of sequence of (float, float)
-        Times [s] and evidence [nats] of each.
-    taught_s : float
-        Flight that the rig's numbers were found in, s; infinite where they are known.
+        Times [s] and evidence [nats] of each flight.
+    training_s : float
+        Length of the flights from which the rig's parameters were estimated [s]; infinite if these are exact.
 
     Raises
     ------
     TwinError
-        There are too few.
+        The flights are too short.
     """
-    maxima = [maximum for course in flights for maximum in segment_maxima(course)]
+    maxima = [maximum for history in flights for maximum in segment_maxima(history)]
     if len(maxima) < 10:
         raise TwinError(
-            f"{len(maxima)} segments of {SEGMENT_s:g} s of healthy flight are too few to tell what is normal",
+            f"{len(maxima)} segments of {SEGMENT_s:g} s of nominal flight are too few for a threshold",
             "give a longer flight",
         )
     level = float(np.quantile(maxima, _LEVEL))
     over = np.array([maximum - level for maximum in maxima if maximum > level])
     scale = max(float(over.mean()), _MIN_SCALE_nats)
-    hours = len(maxima) * SEGMENT_s / 3600.0
-    wider = 1.0 + WINDOW_s / taught_s
-    return Tail(level * wider, len(over) / hours, scale * wider, len(over))
+    flown_h = len(maxima) * SEGMENT_s / 3600.0
+    wider = 1.0 + WINDOW_s / training_s
+    return Tail(level * wider, len(over) / flown_h, scale * wider, len(over))
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Weather and tail.
+    """Calibration of a twin.
 
     Parameters
     ----------
     disturbances : DisturbanceModel
-        Torques by chance that the rig meets.
+        Gusts and drift of the rig, and the quantisation of its encoders.
     tail : Tail
-        Of the evidence in healthy flights.
+        Tail of the evidence in nominal flights.
     source : str
-        Where they come from.
+        Flights from which both were estimated.
     """
 
     disturbances: DisturbanceModel
     tail: Tail
     source: str = ""
 
-    def threshold_nats(self, hours: float) -> float:
-        """Evidence that is an alarm, for one false one in so many `hours`."""
-        return self.tail.threshold_nats(hours)
+    def threshold_nats(self, false_alarm_interval_h: float) -> float:
+        """Return the alarm threshold [nats] for one false alarm per `false_alarm_interval_h`."""
+        return self.tail.threshold_nats(false_alarm_interval_h)
 
 
 def calibration_text(calibration: Calibration, rig: str) -> str:
-    """Write a calibration as the text of a twin's file, TOML; `rig` is the name or the path of its rig."""
+    """Return the text of a twin file (TOML); `rig` is the name or the path of the rig."""
     disturbances, tail = calibration.disturbances, calibration.tail
 
     def listed(values: Floats) -> str:
         return "[" + ", ".join(f"{value:.6g}" for value in values) + "]"
 
     return (
-        "# A twin: a rig, the weather that it meets, and how far evidence wanders while nothing changed.\n"
+        "# A twin: a rig, its disturbances, and the tail of the evidence without a change.\n"
         "# Written by heli-host twin; order of the axes: elevation, pitch, travel.\n"
         f"rig = {_quoted(rig)}\n"
         f"source = {_quoted(calibration.source)}\n\n"
@@ -156,24 +160,24 @@ def calibration_text(calibration: Calibration, rig: str) -> str:
 
 
 def write_calibration(path: Path, calibration: Calibration, rig: str) -> None:
-    """Write a twin's file to `path`; `rig` is the name or the path of its rig."""
+    """Write a twin file to `path`; `rig` is the name or the path of the rig."""
     path.write_text(calibration_text(calibration, rig), encoding="utf-8")
 
 
 def parse_calibration(data: Mapping[str, Any], name: str) -> Calibration:
-    """Read a twin's file.
+    """Read the calibration in a twin file.
 
     Parameters
     ----------
     data : Mapping
-        Its TOML.
+        Parsed TOML of the file.
     name : str
-        Of the file, for messages.
+        Name of the file, for error messages.
 
     Raises
     ------
     TwinError
-        Something is missing, or no number.
+        A key is missing, or a value is invalid.
     """
     numbers = {}
     for key, unit in (
@@ -188,12 +192,12 @@ def parse_calibration(data: Mapping[str, Any], name: str) -> Calibration:
         numbers[key] = np.array(values, float)
     excesses = _table(data, "tail", name).get("excesses")
     if not isinstance(excesses, int) or isinstance(excesses, bool) or excesses < 1:
-        raise TwinError(f"{name}: tail.excesses is no count", _AGAIN)
+        raise TwinError(f"{name}: tail.excesses is not a count", _AGAIN)
     tail = {}
     for key in ("level_nats", "per_hour", "scale_nats"):
         value = _table(data, "tail", name).get(key)
         if value is None or not _is_number(value):
-            raise TwinError(f"{name}: tail.{key} is no number", _AGAIN)
+            raise TwinError(f"{name}: tail.{key} is not a number", _AGAIN)
         tail[key] = float(value)
     return Calibration(
         DisturbanceModel(**numbers), Tail(**tail, excesses=excesses), str(data.get("source", ""))

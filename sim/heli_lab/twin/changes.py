@@ -1,4 +1,8 @@
-"""What may change of a rig in flight: hypotheses, as derivatives by numbers of the effects' catalogue."""
+"""Possible changes of a rig in flight: hypotheses, each a derivative of the model by one or two parameters.
+
+Effects of the catalogue describe themselves as changes (`heli_sim.model.effects.ChangeSpec`). This file lists
+only changes that are no effect of the catalogue.
+"""
 
 from __future__ import annotations
 
@@ -12,150 +16,97 @@ from heli_sim.model.effects.spec import format_estimate
 from heli_sim.model.parts import AXES
 
 SUPPLY: Final = "supply"
-"""Stands for the voltages of both motors among the numbers that a change is a derivative by."""
-
-
+"""Name that stands for a share of both motor voltages among the numbers of a change."""
 SCALES: Final = {f"encoder_scale_{axis}": axis for axis in AXES}
-"""Stand for the counts of an encoder per turn, by number and axis. From its onset on an encoder adds a share
-of each turn to what it shows; until then it was right, so its angle does not jump."""
+"""Names that stand for a share of the counts per turn of an encoder, and the axis of each. From the onset on,
+the encoder adds that share of each turn; its angle does not jump at the onset."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """Something that is otherwise from a moment on.
+    """A hypothesis: from an unknown onset on, one or two numbers of the rig are different.
 
     Parameters
     ----------
     id : str
-        Effect of the catalogue, or what a step of it is called.
+        Id of the effect of the catalogue, or another unique name.
     numbers : tuple of str
-        Parameters of the extended model by which it is a derivative, one or two; `SUPPLY` for a share of both
-        voltages, one of `SCALES` for a share of an encoder's counts. Of several in one entry, joined by
-        ``+``, each changes alike.
-    grows : bool
-        Whether it grows with the time since its onset, at a constant rate.
-    non_negative : bool
-        Whether its first number cannot be negative.
+        Parameters of the extended model by which the change is a derivative, one or two; `SUPPLY` for a share
+        of both voltages, one of `SCALES` for a share of an encoder's counts. Names joined by ``+`` change
+        alike.
     sizes : tuple of float
-        Prior standard deviation of each number, SI: what such changes usually are. It is what a size that
-        could be anything costs a hypothesis, so that one which may be anything does not win by that.
+        Prior standard deviation of each number, SI. A wider prior costs evidence (Occam's razor).
     unit : str
-        Of the first number, as `format_estimate` takes it.
-    loses, gains : str
-        What it is in words if its first number is positive, and if it is negative; ``{}`` is its amount.
+        Unit of the first number.
+    positive_text, negative_text : str
+        Sentence for a positive and for a negative first number; ``{}`` is its amount.
+    is_ramp : bool
+        True if the change grows from its onset at a constant rate; False for a step.
+    non_negative : bool
+        True if the first number cannot be negative.
     """
 
     id: str
     numbers: tuple[str, ...]
     sizes: tuple[float, ...]
     unit: str
-    loses: str
-    gains: str
-    grows: bool = False
+    positive_text: str
+    negative_text: str
+    is_ramp: bool = False
     non_negative: bool = False
 
     def words(self, size: float, std: float) -> str:
-        """Describe it in words, with the `size` of its first number and its standard error `std`."""
-        return (self.gains if size < 0 else self.loses).format(format_estimate(abs(size), std, self.unit))
+        """Describe the change with the estimate `size` of its first number and its standard error `std`."""
+        return (self.negative_text if size < 0 else self.positive_text).format(
+            format_estimate(abs(size), std, self.unit)
+        )
 
 
-def _all() -> tuple[Change, ...]:
-    rotors = tuple(
+def _of_catalogue() -> tuple[Change, ...]:
+    return tuple(
         Change(
-            f"thrust_step.{rotor}",
-            (f"thrust_step_{rotor}_share",),
-            (0.1,),
-            "1",
-            f"the {rotor} rotor lost {{}} of its thrust",
-            f"the {rotor} rotor gained {{}} of its thrust",
+            spec.id,
+            spec.change.numbers or (spec.full(spec.numbers[0].name),),
+            spec.change.sizes,
+            spec.numbers[0].unit,
+            spec.change.positive,
+            spec.change.negative,
+            is_ramp=spec.change.is_ramp,
+            non_negative=spec.is_one_sided,
         )
-        for rotor in ("front", "back")
-    )
-    both = "thrust_step_front_share+thrust_step_back_share"
-    frictions = tuple(
-        Change(
-            f"coulomb_friction.{axis}",
-            (f"coulomb_friction_{axis}_Nm",),
-            (2.0 * typical_Nm,),
-            "N m",
-            f"the {axis} axis has {{}} more dry friction",
-            f"the {axis} axis has {{}} less dry friction",
-            non_negative=True,
-        )
-        for axis, typical_Nm in zip(AXES, (0.03, 0.01, 0.02), strict=True)
-    )
-    zeros = tuple(
-        Change(
-            f"zero_offset.{axis}",
-            (f"zero_offset_{axis}_rad",),
-            (0.03,),
-            "rad",
-            f"the {axis} encoder shows {{}} too much",
-            f"the {axis} encoder shows {{}} too little",
-        )
-        for axis in AXES
-    )
-    scales = tuple(
-        Change(
-            f"encoder_scale.{axis}",
-            (number,),
-            (0.5,),  # a decoder that counts one edge of two, or a disc with half the lines
-            "1",
-            f"the {axis} encoder counts {{}} more than its counts per turn",
-            f"the {axis} encoder counts {{}} fewer than its counts per turn",
-        )
-        for number, axis in SCALES.items()
-    )
-    cables = tuple(
-        Change(
-            f"cable_spring.{axis}",
-            (f"cable_spring_{axis}_Nm_per_rad", f"torque_{axis}"),
-            (0.1, 0.03),
-            "N m/rad",
-            f"a cable pulls {axis} with {{}}",
-            f"a cable pushes {axis} with {{}}",
-        )
-        for axis in ("elevation", "travel")
-    )
-    return (
-        *rotors,
-        Change(
-            "thrust_fade",
-            (both,),
-            (0.01,),
-            "1/s",
-            "both rotors lose {} of their thrust",
-            "both rotors gain {} of their thrust",
-            grows=True,
-        ),
-        Change(
-            "supply_step",
-            (SUPPLY,),
-            (0.1,),
-            "1",
-            "the supply lost {} of its voltage",
-            "the supply gained {} of its voltage",
-        ),
-        Change(
-            "counterweight_shift",
-            ("counterweight_shift_m",),
-            (0.01,),
-            "m",
-            "the counterweight slipped by {} outwards",
-            "the counterweight slipped by {} inwards",
-        ),
-        *frictions,
-        *zeros,
-        *scales,
-        *cables,
+        for spec in catalogue().values()
+        if spec.change is not None
     )
 
 
-CHANGES: Final = _all()
+_SUPPLY_STEP: Final = Change(
+    "supply_step",
+    (SUPPLY,),
+    (0.1,),
+    "1",
+    "the supply lost {} of its voltage",
+    "the supply gained {} of its voltage",
+)
+_ENCODER_SCALES: Final = tuple(
+    Change(
+        f"encoder_scale.{axis}",
+        (number,),
+        (0.5,),  # a decoder that counts one edge of two, or a disc with half the lines
+        "1",
+        f"the {axis} encoder counts {{}} more than its counts per turn",
+        f"the {axis} encoder counts {{}} fewer than its counts per turn",
+    )
+    for number, axis in SCALES.items()
+)
+
+
+def all_changes() -> tuple[Change, ...]:
+    """Return the changes that effects of the catalogue describe, then those that are no effect."""
+    return (*_of_catalogue(), _SUPPLY_STEP, *_ENCODER_SCALES)
 
 
 def extended(model: Model) -> Model:
-    """Add to a model what its numbers may change by, at values at which that does nothing."""
+    """Add the effects of all possible changes to a model, at values at which they do nothing."""
     kinds = catalogue()
     stated = {effect.name for effect in model.effects}
     wanted: dict[str, Effect] = {}
@@ -168,12 +119,14 @@ def extended(model: Model) -> Model:
 
 
 def changes_of(model: Model) -> tuple[Change, ...]:
-    """Changes that a rig with these equations may have."""
+    """Return the possible changes of a rig with these equations."""
     kinds = catalogue()
-    return tuple(change for change in CHANGES if change.id not in kinds or kinds[change.id].suits(model))
+    return tuple(
+        change for change in all_changes() if change.id not in kinds or kinds[change.id].suits(model)
+    )
 
 
 def free_numbers(changes: Sequence[Change]) -> tuple[str, ...]:
-    """Parameters of the extended model by which the changes are derivatives."""
+    """Return the parameters of the extended model by which the changes are derivatives."""
     every = (name for change in changes for entry in change.numbers for name in entry.split("+"))
     return tuple(dict.fromkeys(name for name in every if name != SUPPLY and name not in SCALES))

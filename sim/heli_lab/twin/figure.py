@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from heli_lab.twin.follow import Followed
+    from heli_lab.twin.monitor import TwinReport
 
 
-def draw_evidence(flights: Sequence[Followed], path: Path) -> None:
+def draw_evidence(flights: Sequence[TwinReport], path: Path) -> None:
     """Draw the evidence of some flights below each other, into a .png, .pdf or .svg file at `path`."""
     from matplotlib.figure import Figure
 
@@ -22,11 +22,15 @@ def draw_evidence(flights: Sequence[Followed], path: Path) -> None:
         times, evidence = np.array(flight.evidence_nats, float).reshape(-1, 2).T
         known = np.isfinite(evidence)
         ax.plot(
-            times[known], np.maximum(evidence[known], 0.0), color="#0b5394", lw=1.2, label="likeliest change"
+            times[known],
+            np.maximum(evidence[known], 0.0),
+            color="#0b5394",
+            lw=1.2,
+            label="most likely change",
         )
         ax.axhline(flight.threshold_nats, color="#b45f06", ls="--", lw=1.0, label="alarm")
         for event in flight.events:
-            if event.kind == "parted":
+            if event.kind == "alarm":
                 ax.axvline(event.t_s, color="#990000", lw=1.0)
         words = "; ".join(flight.sentences())
         ax.set_title(f"{flight.label}: {words}"[:140], fontsize=8, loc="left")

@@ -1,4 +1,4 @@
-"""A rig for a twin, from its name, its file, or a twin's file that names both rig and calibration."""
+"""Reads the rig, model and calibration of a twin from a rig's name, a rig file, or a twin file."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from heli_sim.model.named import model_named
 from heli_sim.rig import Rig, load_rig
 
 from heli_lab.errors import TwinError
-from heli_lab.twin.calibration import QUIET, Calibration, Tail, parse_calibration
+from heli_lab.twin.calibration import DEFAULT_DISTURBANCES, Calibration, Tail, parse_calibration
 
-USUAL: Final = Calibration(QUIET, Tail(5.37, 145.0, 1.0, 29), "a quiet room")
-"""For a rig of which nothing was learned: the tail of simulated flights of the rig makki2024 in that
-weather."""
+DEFAULT_CALIBRATION: Final = Calibration(DEFAULT_DISTURBANCES, Tail(5.37, 145.0, 1.0, 29), "a quiet room")
+"""Calibration of a rig without a twin file: the tail is that of simulated flights of the rig makki2024 with
+these disturbances."""
 
 
 @dataclass(frozen=True)
 class TwinRig:
-    """A rig, its equations with their effects, and what is normal of it.
+    """Everything that a twin is made from.
 
     Parameters
     ----------
     rig : Rig
-        Numbers.
+        Parameters of the rig.
     model : Model
-        Equations.
+        Equations of motion with the effects that the rig file states.
     calibration : Calibration
-        Weather and tail.
+        Disturbances and tail of the evidence without a change.
     name : str
         Name of the rig, or path of its file.
     """
@@ -43,20 +43,21 @@ class TwinRig:
 
 
 def open_rig(name: str) -> TwinRig:
-    """Read a rig, or a twin's file.
+    """Read a rig file or a twin file.
 
     Parameters
     ----------
     name : str
-        Name of a rig, path of its file, or of a twin's file; a rig's path in that is taken from its folder.
+        Name of a rig, path of its file, or path of a twin file. The path of a rig in a twin file is relative
+        to that file.
 
     Raises
     ------
     SimError
-        There is none, or something in it is wrong.
+        The rig or the file does not exist or is invalid.
     """
     path = Path(name)
-    calibration = USUAL
+    calibration = DEFAULT_CALIBRATION
     rig_name = name
     if path.suffix == ".toml" and path.is_file():
         data = _parsed(path)
@@ -65,8 +66,8 @@ def open_rig(name: str) -> TwinRig:
             stated = data.get("rig")
             if not isinstance(stated, str) or not stated:
                 raise TwinError(f"{name} names no rig", "write it again with heli-host twin --learn")
-            beside = path.parent / stated
-            rig_name = str(beside) if beside.is_file() else stated
+            rig_path = path.parent / stated
+            rig_name = str(rig_path) if rig_path.is_file() else stated
     rig = load_rig(rig_name)
     model = model_named(rig.model or "multibody", effects_of(rig))
     return TwinRig(rig, model, calibration, rig_name)
@@ -78,4 +79,4 @@ def _parsed(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise TwinError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
     except ValueError as error:
-        raise TwinError(f"{path} is not TOML: {error}", "mend it there") from error
+        raise TwinError(f"{path} is not TOML: {error}", "correct that line") from error

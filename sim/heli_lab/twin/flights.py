@@ -1,4 +1,4 @@
-"""Flights of files and ticks of boards as samples: the same numbers from both."""
+"""Samples of flights in files and of ticks from boards: both give the same numbers."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _STRAY: Final = 0.3
 
 
 def samples_of(flight: Flight) -> tuple[Samples, float]:
-    """Number the rows of a flight on an even grid; returns them and the time between two numbers.
+    """Return the samples of a flight, numbered on an even grid, and the time between two numbers [s].
 
     Raises
     ------
     TwinError
-        Its rows are not evenly spaced.
+        The rows are not evenly spaced.
     """
     t_s = flight.t_s
     step_s = flight.step_s
@@ -54,12 +54,12 @@ def samples_of(flight: Flight) -> tuple[Samples, float]:
 
 
 def samples_of_log(log: Log) -> tuple[Samples, float]:
-    """Take a log's ticks as the board numbered them; returns them and the time of the log's zero, s.
+    """Return the samples of a log, numbered by the board's ticks, and the board's time at 0 s of the log [s].
 
     Raises
     ------
     TwinError
-        It holds no tick, or does not say how many counts the encoders have.
+        The log has no ticks, or no counts per turn of the encoders.
     """
     count_rad = rad_per_count(log.parameters)
     if not len(log.ticks) or not np.all(np.isfinite(count_rad)):
@@ -71,16 +71,16 @@ def samples_of_log(log: Log) -> tuple[Samples, float]:
 
 
 def samples_of_ticks(tick: Integers, raw: npt.NDArray[np.int32], count_rad: Floats) -> Samples:
-    """Make samples of ticks as a board sends them.
+    """Convert ticks of a board to samples.
 
     Parameters
     ----------
     tick : ndarray of int64 (n,)
-        Device time, counted on.
+        Device time [tick of 1 ms], unwrapped beyond 2^32.
     raw : ndarray of int32 (n, channels)
-        Raw numbers.
+        Raw numbers in the order of the declaration's ``CHANNELS``.
     count_rad : ndarray (3,)
-        One count of each encoder.
+        Angle of one count of each encoder [rad].
     """
     angles = np.column_stack(
         [numbers(raw, channel) * count_rad[axis] for axis, channel in enumerate(ENCODERS)]
@@ -91,7 +91,9 @@ def samples_of_ticks(tick: Integers, raw: npt.NDArray[np.int32], count_rad: Floa
 
 
 def count_rad_of(flight: Flight, rig: Rig) -> Floats:
-    """One count of each encoder, from the board's parameters or, where a table has none, from the angles."""
+    """Return the angle of one count of each encoder [rad], (3,): from the board's parameters if the flight
+    has them, otherwise from the steps of the angles.
+    """
     known = rad_per_count(flight.parameters)
     if np.all(np.isfinite(known)):
         return known

@@ -1,4 +1,4 @@
-"""When a flight is free, told from what came until now: off the table, off the stops, motors on."""
+"""Detects free flight from the samples so far: off the table, off the stops, motors on."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from heli_sim.rig import Rig
 from heli_lab.identify import thresholds
 
 SETTLE_s: Final = 1.5
-"""Time off the table before a flight counts as free, s: the air of the ground and a take-off's own thrust
-are over, as `identify.thresholds.TAKE_OFF_TAIL_S` after a take-off that is looked back upon. Longer: what
-breaks at take-off is found late. Shorter: the ground is taken for a change."""
+"""Time off the table before a flight counts as free, s: the ground effect and the thrust of the take-off have
+then decayed. Compare `identify.thresholds.TAKE_OFF_TAIL_S`. Longer: damage at take-off is detected late.
+Shorter: the ground effect is taken for a change."""
 
 
 class FreeFlight:
-    """Tells for one step after the other whether it is free.
+    """Decides for successive steps whether the flight is free.
 
     Parameters
     ----------
     rig : Rig
-        Its table and stops.
+        Rig with the angles of its table and stops.
     step_s : float
-        Length of a step.
+        Length of a step [s].
     """
 
     def __init__(self, rig: Rig, step_s: float) -> None:
@@ -41,8 +41,10 @@ class FreeFlight:
             for stop in stops
         ]
 
-    def take(self, angles_rad: Floats | None, flying: bool) -> bool:
-        """Say whether the step that begins at `angles_rad`, shape (3,), is free; `flying` with motors on."""
+    def update(self, angles_rad: Floats | None, flying: bool) -> bool:
+        """Return whether the step that begins at `angles_rad` [rad], (3,), is free; `flying` states whether
+        the motors may run.
+        """
         if not flying:
             self._clear = 0
         elif angles_rad is not None:

@@ -1,4 +1,4 @@
-"""Where the twin would be had it flown by itself for the last seconds: what a page draws beside the rig."""
+"""The ghost that a page draws: the angles that an open-loop simulation of the last seconds predicts."""
 
 from __future__ import annotations
 
@@ -10,39 +10,41 @@ from heli_host.arrays import Floats
 from heli_lab.estimation import _kalman
 from heli_lab.twin.kalman_filter import ZEROS, TwinModel
 
-ALONE_s: Final = 2.0
-"""How long it flies by itself, s. A rotor that lost 5 % of its thrust moves the ghost by 5 degrees of pitch
-in that time, weather by one. Longer: the weather alone moves it away. Shorter: it sticks to the rig."""
+FREE_RUN_s: Final = 2.0
+"""Length of the open-loop simulation, s. A rotor that lost 5 % of its thrust moves the ghost by 5 degrees of
+pitch in that time, disturbances by 1 degree. Longer: disturbances alone move it away. Shorter: it shows no
+difference."""
 _RUNS: Final = 10
 
 
 class Ghost:
-    """Free runs that begin one after the other where the filter is; the oldest is shown.
+    """Overlapping free runs: one starts from the filter's state every 0.2 s, and the oldest is shown.
 
     Parameters
     ----------
     twin : TwinModel
-        Equations.
+        Equations of the rig.
     step_s : float
         Length of a step.
     """
 
     def __init__(self, twin: TwinModel, step_s: float) -> None:
         self._twin, self._step_s = twin, step_s
-        self._every = max(1, round(ALONE_s / _RUNS / step_s))
+        self._every = max(1, round(FREE_RUN_s / _RUNS / step_s))
         self._runs: Floats = np.empty((0, twin.states))
         self._torque_Nm: Floats = np.empty((0, 3))
         self._zero_rad: Floats = np.empty((0, len(ZEROS)))
         self._steps = 0
 
     def begin(self) -> None:
-        """Begin anew: the flight was not free."""
+        """Discard all runs, because the flight was interrupted."""
         self._runs, self._steps = self._runs[:0], 0
         self._torque_Nm, self._zero_rad = self._torque_Nm[:0], self._zero_rad[:0]
 
     def step(self, t_s: float, volts_V: Floats, state: Floats, torque_Nm: Floats, zero_rad: Floats) -> None:
-        """Go on by a step that begins at `t_s`, with the voltages `volts_V`, (2,), that acted; the filter is
-        at `state` then, with a steady `torque_Nm` about each axis, (3,), and encoder zeros `zero_rad`, (2,).
+        """Advance all runs by a step that begins at `t_s`, with the acting voltages `volts_V`, (2,). A new
+        run may start from the filter's `state`, its steady torques `torque_Nm`, (3,), and its errors of the
+        encoder zeros `zero_rad`, (2,).
         """
         if self._steps % self._every == 0:
             kept = slice(max(0, len(self._runs) + 1 - _RUNS), None)
@@ -58,7 +60,7 @@ class Ghost:
 
     @property
     def angles_rad(self) -> Floats | None:
-        """Angles that the encoders would show of it, (3,); None before a run is old enough to be shown."""
+        """Angles that the encoders would show for the oldest run [rad], (3,); None if all are too young."""
         if len(self._runs) < _RUNS:
             return None
         shown = self._runs[0, :3].copy()

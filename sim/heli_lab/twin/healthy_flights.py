@@ -1,4 +1,4 @@
-"""Flights of the rig as the model has it, in its weather: what the evidence does while nothing changes."""
+"""Simulates nominal flights of a model with its disturbances, from which the alarm threshold is set."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from heli_lab.estimation import DisturbanceModel
 from heli_lab.estimation.disturbances import SLOW_CORRELATION_TIME_s
 from heli_lab.identify.flight_model import TORQUE_STD_Nm
 
-_CALM: Final = 0.5
-"""Share of `TORQUE_STD_Nm` that the constant torques of simulated flights have: a rig that was identified
-has lost most of what its priors leave open."""
+_TORQUE_SHARE: Final = 0.5
+"""Standard deviation of the constant torques of simulated flights as a share of `TORQUE_STD_Nm`: the torques
+of an identified rig are better known than their prior."""
 
 _PLAN: Final = """
 title = "Healthy {seed}"
@@ -64,8 +64,8 @@ duration_s = 8
 
 
 def random_plan(seed: int, seconds: float = 60.0) -> Plan:
-    """A plan of about so many `seconds` in the air, drawn from a `seed`: sines, corners, hover, half of them
-    with excitation.
+    """Return a random plan of about `seconds` in the air, drawn from a `seed`: sines, waypoints, hover, and
+    in half of the plans an excitation.
     """
     rng = np.random.default_rng(seed)
     travel = round(float(rng.uniform(10, 40)), 1)
@@ -84,8 +84,8 @@ def random_plan(seed: int, seconds: float = 60.0) -> Plan:
     return Plan.parse(text, f"healthy-{seed}.toml")
 
 
-def in_weather(model: Model, disturbances: DisturbanceModel) -> Model:
-    """Add gusts and a slow drift about each axis to a model, drawn by its simulation."""
+def with_process_noise(model: Model, disturbances: DisturbanceModel) -> Model:
+    """Add random gusts and a slow random drift about each axis to a model, for its simulation."""
     kinds = catalogue()
     effects: list[Effect] = [effect for effect in model.effects if not effect.noise_inputs]
     for axis, name in enumerate(AXES):
@@ -102,7 +102,7 @@ def in_weather(model: Model, disturbances: DisturbanceModel) -> Model:
 
 
 def _renamed(gusts: Effect, name: str, std_Nm: float, correlation_time_s: float) -> Effect:
-    """The same process with another name, size and memory."""
+    """The same process with another name, standard deviation and correlation time."""
     old, new = gusts.prefix, name.replace(".", "_")
 
     def quantity(original: Quantity) -> Quantity:
@@ -122,30 +122,30 @@ def _renamed(gusts: Effect, name: str, std_Nm: float, correlation_time_s: float)
 def fly_simulated(
     model: Model, rig: Rig, plans: Plan | Sequence[Plan], seed: int, *, torques: bool = True
 ) -> Flight:
-    """Fly plans with the flight code on the simulated board.
+    """Simulate a flight of plans with the flight code on the simulated board.
 
     Parameters
     ----------
     model : Model
-        Equations, weather among its effects.
+        Equations, with the disturbances among its effects.
     rig : Rig
-        Numbers.
+        Parameters of the rig.
     plans : Plan or sequence of Plan
-        What to fly.
+        Plans in the order of the flight.
     seed : int
-        Of the weather, of where the encoders start, and of the constant torques.
+        Seed of the disturbances, the encoders' start and the constant torques.
     torques : bool
-        Whether each flight has a constant torque about each axis of its own.
+        True adds a random constant torque about each axis.
 
     Raises
     ------
     FlightAborted
-        The motors never turned: gusts moved the arm where it is to be armed at rest.
+        The motors never turned, because gusts moved the arm on the table and the board did not arm.
     """
     rng = np.random.default_rng(seed)
     if torques:
         constant_torques = {
-            name: rig[name].value + _CALM * std * rng.normal() for name, std in TORQUE_STD_Nm.items()
+            name: rig[name].value + _TORQUE_SHARE * std * rng.normal() for name, std in TORQUE_STD_Nm.items()
         }
         flown = rig.replace(**constant_torques)
     else:
@@ -156,7 +156,7 @@ def fly_simulated(
     session = Session(InProcessTransport(world), session_number=1)
     session.connect()
     with tempfile.TemporaryDirectory() as folder, Heli(session) as heli:
-        # What the operator of this rig would have set.
+        # The values that an operator would set for this rig.
         heli.params["hover_V"] = float(sum(volts_V)) - 2.0 * rig["dead_zone"].value
         heli.params["arm_elevation_tolerance_deg"] = 20.0
         path = Path(folder) / "flight.mcap"

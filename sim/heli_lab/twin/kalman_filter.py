@@ -1,14 +1,14 @@
-"""The extended Kalman filter that flies beside a rig: causal, a step at a time.
+"""The extended Kalman filter of a twin, with the sensitivities of its state to possible changes of the rig.
 
-Its state is the model's, torques by chance (gusts and a slow drift about each axis), a constant torque about
-each axis, and the error of the zeros of two encoders, z = (x, g, d, c, o). Over a step of 10 ms the linearly
-implicit midpoint rule predicts
+Its state z = (x, g, d, c, o) holds the model's state x, disturbances (gusts g and a slow drift d about each
+axis), a constant torque c about each axis, and the errors o of the zeros of two encoders. Over a step of 10
+ms the linearly implicit midpoint rule predicts
 
     x+ = x + Gamma (f(x, u) + B (g + d + c)),
     Gamma = (I - h A / 2)^-1 h,   Phi = (I - h A / 2)^-1 (I + h A / 2),
 
-with the Jacobian A of f: the rule by which `heli_lab.estimation` linearises, at the filter's own state. What
-a parameter p that the model does not know of has moved follows beside it: s+ = F s + Gamma df/dp.
+with the Jacobian A of f: the rule by which `heli_lab.estimation` linearises, at the filter's own state. The
+sensitivity s of the state to a parameter p is propagated with it: s+ = F s + Gamma df/dp.
 """
 
 from __future__ import annotations
@@ -30,42 +30,43 @@ from heli_lab.twin.changes import SCALES, SUPPLY, Change, changes_of, extended, 
 from heli_lab.twin.likelihood_ratio import ONSETS, Innovation
 
 ZEROS: Final = ("offset_elevation", "offset_pitch")
-"""Encoders whose zero shows; that of travel changes nothing that a torque does not."""
+"""Encoders with an observable zero. The zero of travel cannot be distinguished from a constant torque."""
 _COUNT_SHARE: Final = 12.0**-0.5
-"""Standard deviation of a zero that lies anywhere within a count, in counts."""
+"""Standard deviation of a zero that is uniformly distributed over a count, in counts."""
 _ANGLE_STD_rad: Final = 0.005
 _RATE_STD_rad_s: Final = 0.3
-_OWN_STD: Final = 0.3
-"""What is left open of the state where the filter begins: an angle to some counts, a rate that two means of
-0.1 s give, an effect's own state after a run from rest."""
+_EFFECT_STATE_STD: Final = 0.3
+"""Standard deviations of the initial state: angles to some counts, rates from two means over 0.1 s, states of
+effects after a simulation from rest."""
 
 
 _REPEATS: Final = 10.0
-"""Measurements, 40 ms apart, of an angle that stays within a count, that are worth one. Their errors are
-the same, not independent: at 1, travel that creeps in hover shows 19 nats of dry friction in ten minutes of
-healthy flight. More: an axis at rest is hardly measured at all."""
+"""Greatest number of measurements, 40 ms apart, of an angle within one count that together count as one,
+because their errors are equal, not independent. At 1, slow travel in hover shows 19 nats of dry friction in
+ten minutes of nominal flight. More: an axis at rest is hardly measured at all."""
 _SLIDES: Final = 2.0 * 2.0**0.5
-"""Standard errors of a rate, times the root of 2, at which two thirds of a dry friction's derivative count:
-the mean of a sign that is not known, at twice the filter's standard error. Less: at rest, where friction
-holds and has no side, quantisation is taken for it. More: slow axes show no friction."""
+"""Scale of the smoothed sign of a rate in the derivative by dry friction, in standard errors of the rate. It
+is the mean of the sign of an uncertain rate. Less: at rest, quantisation is taken for friction. More: slow
+axes show no friction."""
 
 
 class TwinModel:
-    """A rig's equations with the derivatives that the filter needs.
+    """Equations of a rig with their derivatives by the state and by possible changes.
 
     Parameters
     ----------
     model : Model
-        Equations with the rig's effects; those that chance drives are weather and left out.
+        Equations with the rig's effects; effects with driving noise are left out, as the filter models the
+        disturbances.
     rig : Rig
-        Its numbers.
+        Parameters of the rig.
 
     Attributes
     ----------
     changes : tuple of Change
-        What may change of it.
+        Possible changes of this rig.
     parameters : ndarray (p,)
-        All numbers of the extended model.
+        Values of all parameters of the extended model.
     """
 
     def __init__(self, model: Model, rig: Rig) -> None:
@@ -76,13 +77,13 @@ class TwinModel:
         self.functions = model_functions(more, free_numbers(self.changes))
         more = self.functions.model.source
         self.plain = model_functions(more, ())
-        """The same without derivatives by what may change: quicker."""
+        """The same functions without derivatives by changes, which is faster."""
         self.parameters: Floats = more.parameter_values(rig)
         names = self.functions.names
         self.delay_s = float(self.parameters[names.index(more.delay)]) if more.delay else 0.0
         dead_zone_V = more.dead_zone_V(self.parameters)
         self.least_V = -np.inf if dead_zone_V is None else dead_zone_V
-        """Voltage below which a motor does nothing."""
+        """Voltage below which a motor gives no thrust, V."""
         self.states = len(more.states)
         self.frictions = [
             (place, axis)
@@ -90,18 +91,18 @@ class TwinModel:
             for place, free in enumerate(self.functions.free)
             if free == f"coulomb_friction_{name}_Nm"
         ]
-        """Place of each axis' dry friction among the numbers, and the axis."""
+        """For each axis with dry friction: its place among the free parameters, and the axis."""
         self.measure = self._measurement(more)
         resets = any(type(effect).reset_map is not Effect.reset_map for effect in calm.effects)
         self.resets = self._resets(more) if resets else None
         self.weights: Floats = self._weights()
-        """What a unit of each number of each change is of the numbers that the model is differentiated by,
-        shape (numbers + 1, columns); the last row is the supply."""
+        """Amount of each free parameter per unit of each number of the changes, (parameters + 1, columns);
+        the last row is the supply."""
         entries = [entry for change in self.changes for entry in change.numbers]
         self.scales = [
             (column, AXES.index(SCALES[entry])) for column, entry in enumerate(entries) if entry in SCALES
         ]
-        """Column of each encoder's scale among the numbers of the changes, and its axis."""
+        """For each encoder scale: its column among the numbers of the changes, and its axis."""
         tolerances = [rig[name].tolerance for name in ZEROS]
         self.zero_tolerance_rad: Floats = np.deg2rad(tolerances)
 
@@ -135,8 +136,8 @@ class TwinModel:
         return AlongTrajectory(ca.Function("resets", [x, u, t, p], [ca.densify(model.reset_map(x, u, p, t))]))
 
     def at(self, t_s: float, state: Floats, volts_V: Floats, step_s: float) -> Trajectory:
-        """Make the point of a course at which functions are evaluated: time `t_s`, `state` of shape (n,) or
-        (k, n), voltages `volts_V`, (2,), in a step of `step_s`.
+        """Return the point at which the functions are evaluated: time `t_s`, `state` of shape (n,) or (k, n),
+        voltages `volts_V`, (2,), in a step of `step_s`.
         """
         rows = np.atleast_2d(state)
         return Trajectory(
@@ -149,28 +150,28 @@ class TwinModel:
 
 
 class KalmanFilter:
-    """Follows one free flight.
+    """Extended Kalman filter of one free flight.
 
     Parameters
     ----------
     twin : TwinModel
-        Equations.
+        Equations and derivatives.
     disturbances : DisturbanceModel
-        Torques by chance and quantisation.
+        Gusts, drift and quantisation.
     count_rad : ndarray (3,)
-        One count of each encoder.
+        Angle of one count of each encoder [rad].
     step_s : float
-        Length of a step.
+        Length of a step [s].
     block : int
-        Steps from one measurement to the next.
+        Number of steps between two measurements.
     state : ndarray (n,)
-        State of the model to begin with.
+        Initial state of the model.
 
     Attributes
     ----------
-    moved : ndarray (order, columns, onsets)
-        What one unit of each change from each onset has moved of the filter's error; written by who keeps
-        the onsets.
+    state_sensitivity : ndarray (order, columns, onsets)
+        Error of the filter's state per unit of each change from each onset. `LikelihoodRatio.begin_onset`
+        overwrites the columns of replaced onsets.
     """
 
     def __init__(
@@ -192,7 +193,7 @@ class KalmanFilter:
             (
                 [_ANGLE_STD_rad] * 3,
                 [_RATE_STD_rad_s] * 3,
-                [_OWN_STD] * (nx - 6),
+                [_EFFECT_STATE_STD] * (nx - 6),
                 disturbances.fast_std,
                 disturbances.slow_std,
                 constant,
@@ -207,7 +208,7 @@ class KalmanFilter:
         self._noise[nx : nx + 6] = (1.0 - memory**2) * disturbances.variance
         self._count_rad = count_rad
         self._variance_rad2: Floats = count_rad**2 / 12.0 * disturbances.quantisation
-        self.moved: Floats = np.zeros((order, twin.weights.shape[1], ONSETS))
+        self.state_sensitivity: Floats = np.zeros((order, twin.weights.shape[1], ONSETS))
         self._transition: Floats = np.eye(order)
         self._drive: Floats = np.zeros((order, twin.weights.shape[0]))
         self._block_s = block * step_s
@@ -219,18 +220,18 @@ class KalmanFilter:
 
     @property
     def torque_Nm(self) -> Floats:
-        """Torques by chance and constant ones about each axis, (3,)."""
+        """Estimated sum of gusts, drift and constant torque about each axis [N m], (3,)."""
         nx = self._nx
         return np.asarray(self.mean[nx : nx + 9].reshape(3, 3).sum(axis=0))
 
     @property
     def steady_torque_Nm(self) -> Floats:
-        """The slow drift and the constant torque about each axis, (3,)."""
+        """Estimated sum of drift and constant torque about each axis [N m], (3,)."""
         nx = self._nx
         return np.asarray(self.mean[nx + 3 : nx + 9].reshape(2, 3).sum(axis=0))
 
     def predict(self, t_s: float, volts_V: Floats) -> None:
-        """Go on by a step that begins at `t_s`, with the mean voltages `volts_V` that acted, shape (2,)."""
+        """Predict over a step that begins at `t_s`, with the mean acting voltages `volts_V`, (2,)."""
         twin, nx, h = self.twin, self._nx, self.step_s
         point = twin.at(t_s + 0.5 * h, self.state, volts_V, h)
         rates, a, by_torque, by_volts, _, _ = twin.functions.along(point)
@@ -251,7 +252,7 @@ class KalmanFilter:
         self.covariance = transition @ self.covariance @ transition.T
         self.covariance[np.diag_indices(self._order)] += self._noise
         drive = np.empty((nx, self._drive.shape[1]))
-        # The functions give what a parameter takes off the rates.
+        # The functions return the negative derivative of the rates by a parameter.
         drive[:, :-1] = -gamma @ rates[0, :, 1:]
         drive[:, -1] = -gamma @ (by_volts[0] @ volts_V)
         rate_std = np.sqrt(np.diagonal(self.covariance)[3:6])
@@ -261,22 +262,22 @@ class KalmanFilter:
         self._drive[:nx] += drive
         self._transition = transition @ self._transition
 
-    def move(self, ages_s: Floats, grows: npt.NDArray[np.bool_]) -> None:
-        """Move what changes have moved on to the end of the steps since the last call.
+    def propagate_sensitivity(self, ages_s: Floats, is_ramp: npt.NDArray[np.bool_]) -> None:
+        """Propagate the sensitivities over the steps since the last call.
 
         Parameters
         ----------
         ages_s : ndarray (columns, onsets)
-            Time from each onset to now; 0 or less where it is still to come.
-        grows : ndarray of bool (columns,)
-            Whether a column grows with its age.
+            Time from each onset to now [s]; 0 or less for onsets in the future.
+        is_ramp : ndarray of bool (columns,)
+            True for changes that grow with time at a constant rate.
         """
-        amount = np.where(grows[:, None], np.maximum(ages_s - 0.5 * self._block_s, 0.0), 1.0)
+        amount = np.where(is_ramp[:, None], np.maximum(ages_s - 0.5 * self._block_s, 0.0), 1.0)
         amount = np.where(ages_s > 0.0, amount, 0.0)
-        order, columns, onsets = self.moved.shape
-        moved = self._transition @ self.moved.reshape(order, columns * onsets)
-        self.moved = moved.reshape(order, columns, onsets)
-        self.moved += (self._drive @ self.twin.weights)[:, :, None] * amount
+        order, columns, onsets = self.state_sensitivity.shape
+        moved = self._transition @ self.state_sensitivity.reshape(order, columns * onsets)
+        self.state_sensitivity = moved.reshape(order, columns, onsets)
+        self.state_sensitivity += (self._drive @ self.twin.weights)[:, :, None] * amount
         self._transition = np.eye(order)
         self._drive = np.zeros_like(self._drive)
 
@@ -289,26 +290,26 @@ class KalmanFilter:
         amount: Floats,
         onset_rad: Floats,
     ) -> Innovation:
-        """Take a measurement in, one axis after the other.
+        """Update with a measurement, one axis after the other, and return the normalised innovations.
 
         Parameters
         ----------
         t_s : float
-            When.
+            Time of the measurement [s].
         measured_rad : ndarray (3,)
-            Angles.
+            Measured angles [rad].
         samples : int
-            How many samples they are the mean of.
+            Number of samples of which the angles are the mean.
         volts_V : ndarray (2,)
-            Voltages.
+            Acting voltages [V].
         amount : ndarray (columns, onsets)
-            How much of each change there is by then: 1, or its age.
+            1 for onsets in the past, otherwise 0.
         onset_rad : ndarray (scales, onsets)
-            For each of the twin's `scales`, the angle of its axis at each onset.
+            For each of the twin's `scales`, the angle of its axis at each onset [rad].
         """
         twin, nx = self.twin, self._nx
         angles, c, by_free = twin.measure(twin.at(t_s, self.state, volts_V, self.step_s))
-        foretold = angles[0, :, 0] + np.array([*self.mean[-len(ZEROS) :], 0.0])
+        predicted = angles[0, :, 0] + np.array([*self.mean[-len(ZEROS) :], 0.0])
         direct = np.zeros((3, twin.weights.shape[0]))
         direct[:, :-1] = by_free[0]
         shown = direct @ twin.weights
@@ -318,15 +319,15 @@ class KalmanFilter:
         }
         speed = np.abs(self.mean[3:6])
         crossings = np.minimum(speed * self.step_s / self._count_rad, 1.0)
-        # An angle that stays within a count tells the same again and again.
+        # Repeated measurements of an angle within one count carry no new information.
         passed_s = self._count_rad / np.maximum(speed, 1e-6)
         repeats = np.clip(passed_s / self._block_s, 1.0, _REPEATS)
         variance = self._variance_rad2 * repeats / (1.0 + (samples - 1) * crossings)
-        surprise = measured_rad - foretold
+        residual = measured_rad - predicted
         value = np.zeros(3)
-        sensitivity = np.empty((3, *self.moved.shape[1:]))
-        order, columns, onsets = self.moved.shape
-        moved = self.moved.reshape(order, columns * onsets)
+        sensitivity = np.empty((3, *self.state_sensitivity.shape[1:]))
+        order, columns, onsets = self.state_sensitivity.shape
+        moved = self.state_sensitivity.reshape(order, columns * onsets)
         change = np.zeros(order)
         for axis in range(3):
             row = np.zeros(order)
@@ -336,7 +337,7 @@ class KalmanFilter:
             gain = self.covariance @ row
             total = float(row @ gain) + variance[axis]
             scale = total**-0.5
-            value[axis] = (surprise[axis] - row @ change) * scale
+            value[axis] = (residual[axis] - row @ change) * scale
             projection = (row @ moved).reshape(columns, onsets) + shown[axis][:, None] * amount
             column, counted = turned[axis]
             projection[column] += counted
@@ -350,24 +351,20 @@ class KalmanFilter:
 
 
 def start_state(twin: TwinModel, t_s: Floats, angles_rad: Floats, volts_V: Floats, step_s: float) -> Floats:
-    """Find the state at the last of some measured steps.
+    """Return the state at the end of some measured steps, (states,).
 
     Parameters
     ----------
     twin : TwinModel
-        Equations.
+        Equations of the rig.
     t_s : ndarray (n,)
-        Beginning of each step.
+        Beginning of each step [s].
     angles_rad : ndarray (n, 3)
-        Measured angles there.
+        Measured angles at these times [rad].
     volts_V : ndarray (n, 2)
-        Mean voltages of each.
+        Mean voltages of each step [V].
     step_s : float
-        Length of a step.
-
-    Returns
-    -------
-    ndarray (states,)
+        Length of a step [s].
     """
     span = min(10, len(t_s) - 1)
     rates = np.gradient(angles_rad, step_s, axis=0) if len(t_s) > 1 else np.zeros_like(angles_rad)

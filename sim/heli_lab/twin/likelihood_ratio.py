@@ -25,35 +25,35 @@ from heli_lab.estimation import BLOCK_s
 from heli_lab.twin.changes import Change
 
 RECENT: Final = 12
-"""Onsets that are all kept: those of the last half second, one a block. An encoder that jumps shows in the
-block in which it jumps or in none."""
+"""Number of recent onsets that are all kept: one per block over the last half second. A jump of an encoder
+shows only in the block in which it happens."""
 KEPT: Final = 30
-"""Onsets further back, the likeliest of each half second: a window of 15 s. Longer: slower fades are found,
-for as much more time. Shorter: a size has no time to become known."""
+"""Number of older onsets, the most likely one of each half second: a window of 15 s. Longer: detects slower
+fades, and takes more time per step. Shorter: the sizes stay uncertain."""
 ONSETS: Final = RECENT + KEPT
 WINDOW_s: Final = (KEPT + 1) * RECENT * BLOCK_s
-"""How far back the window reaches, s."""
+"""Length of the window, s."""
 WINDOW_BLOCKS: Final = (KEPT + 2) * RECENT
-"""The same in blocks, and half a second more."""
+"""Length of the window plus half a second, in blocks."""
 MIN_ZERO_SHIFT_COUNTS: Final = 2.0
-"""Jump of an encoder's zero from which on it is believed, counts. Smaller: an angle that dwells at the
-border of a count looks like a jump by one. Larger: lost edges stay unseen."""
+"""Smallest jump of an encoder's zero that is reported, counts. Smaller: an angle at the border of a count
+looks like a jump by one. Larger: lost edges stay undetected."""
 
 
 @dataclass(frozen=True)
 class ChangeCandidate:
-    """A change at its likeliest onset.
+    """A possible change with its most likely onset.
 
     Parameters
     ----------
     change : Change
-        What changed.
+        The hypothesis.
     onset_block : int
-        Block of the filter after which.
+        Number of the filter's block after which the change began.
     size, std : float
-        Its first number and the standard error of it.
+        Estimate and standard error of the first number of the change, SI.
     log_evidence : float
-        Of the change at any onset against none, nats.
+        Log-likelihood ratio of the change, averaged over its onsets, against no change [nats].
     """
 
     change: Change
@@ -80,14 +80,19 @@ class Innovation:
 
 
 class LikelihoodRatio:
-    """Sums for every change and onset, beside a filter.
+    """Generalised likelihood ratio of every change at every onset, updated with each innovation.
 
     Parameters
     ----------
     changes : sequence of Change
         The hypotheses.
     count_rad : ndarray (3,)
-        One count of each encoder.
+        Angle of one count of each encoder [rad].
+
+    Attributes
+    ----------
+    evidence : ndarray (changes, onsets)
+        Log-likelihood ratio of each change at each onset against no change [nats].
     """
 
     def __init__(self, changes: Sequence[Change], count_rad: Floats) -> None:
@@ -103,42 +108,50 @@ class LikelihoodRatio:
         self._second: Integers = np.where(pairs, self._first + 1, self._first)
         self._pairs = pairs[:, None]
         self._precision = np.array([[size**-2.0 for size in (*c.sizes, 1.0)[:2]] for c in changes]).T
-        self._one_way = np.array([change.non_negative for change in changes])
-        columns = [change.grows for change in changes for _ in change.numbers]
-        self.grows: npt.NDArray[np.bool_] = np.array(columns)
+        self._non_negative = np.array([change.non_negative for change in changes])
+        columns = [change.is_ramp for change in changes for _ in change.numbers]
+        self.is_ramp: npt.NDArray[np.bool_] = np.array(columns)
         shape = (len(self.changes), ONSETS)
         self._s11, self._s12, self._s22 = np.zeros(shape), np.zeros(shape), np.zeros(shape)
         self._b1, self._b2 = np.zeros(shape), np.zeros(shape)
-        # Block of each onset; those that are not in use lie at infinity.
+        # Block of each onset; infinite for unused onsets.
         self._onset: Floats = np.full(shape, np.inf)
         self._column_of = np.repeat(np.arange(len(changes)), [len(c.numbers) for c in changes])
         self._halves = 0
         self.evidence: Floats = np.full(shape, -np.inf)
-        """Of each change from each onset, nats, shape (changes, onsets)."""
 
     def ages(self, block: int) -> Floats:
-        """Blocks since each onset at the end of number `block`, (columns, onsets); below 0 where none is."""
+        """Return the age of each onset at the end of `block`, in blocks, (columns, onsets); negative for
+        unused onsets.
+        """
         return np.asarray(np.maximum(block - self._onset, -1.0)[self._column_of])
 
     def onset_blocks(self, column: int) -> Integers:
-        """Block of each onset of a `column` of the sensitivities, (onsets,); -1 where none is."""
+        """Return the block of each onset of a `column` of the sensitivities, (onsets,); -1 if unused."""
         onset = self._onset[self._column_of[column]]
         return np.where(np.isfinite(onset), onset, -1.0).astype(np.int64)
 
-    def begin_onset(self, block: int, moved: Floats) -> None:
-        """Let a change begin after block number `block`; one that is half a second old is kept if it is the
-        likeliest of its time, and then takes the place of one that leaves the window. `moved` is what
-        the filter keeps of each onset, and is written.
+    def begin_onset(self, block: int, state_sensitivity: Floats) -> None:
+        """Add the onset after `block` in place of the oldest recent one.
+
+        Every half second the most likely recent onset of each change replaces the oldest one of the window.
+
+        Parameters
+        ----------
+        block : int
+            Number of the block after which a change may have begun.
+        state_sensitivity : ndarray (order, columns, onsets)
+            Array of the filter, whose columns of the replaced onsets are overwritten.
         """
         place = block % RECENT
         if place == 0 and np.isfinite(self._onset[:, :RECENT]).all():
-            self._keep(moved)
-        moved[:, :, place] = 0.0
+            self._keep(state_sensitivity)
+        state_sensitivity[:, :, place] = 0.0
         for sums in (self._s11, self._s12, self._s22, self._b1, self._b2):
             sums[:, place] = 0.0
         self._onset[:, place] = block
 
-    def _keep(self, moved: Floats) -> None:
+    def _keep(self, state_sensitivity: Floats) -> None:
         to = RECENT + self._halves % KEPT
         self._halves += 1
         best = np.argmax(self.evidence[:, :RECENT], axis=1)
@@ -146,10 +159,10 @@ class LikelihoodRatio:
         for sums in (self._s11, self._s12, self._s22, self._b1, self._b2, self._onset):
             sums[:, to] = sums[rows, best]
         columns = np.arange(len(self._column_of))
-        moved[:, :, to] = moved[:, columns, best[self._column_of]]
+        state_sensitivity[:, :, to] = state_sensitivity[:, columns, best[self._column_of]]
 
-    def take(self, innovation: Innovation) -> float:
-        """Add an innovation; returns the evidence of the likeliest change at its likeliest onset, nats."""
+    def update(self, innovation: Innovation) -> float:
+        """Add an innovation; return the evidence of the most likely change and onset [nats]."""
         direction = innovation.sensitivity[:, self._first]
         two = innovation.sensitivity[:, self._second]
         value = innovation.value
@@ -160,14 +173,14 @@ class LikelihoodRatio:
         self._b2 += np.where(self._pairs, np.einsum("aho,a->ho", two, value), 0.0)
         size, std, gain, determinant = self._solved()
         evidence = 0.5 * gain - 0.5 * np.log(determinant)
-        # Of a prior on one side of zero half the mass is on the right one.
-        inside = np.log(2.0) + log_ndtr(size[self._one_way] / std[self._one_way])
-        evidence[self._one_way] += inside
+        # A half-normal prior: twice the posterior mass above zero.
+        inside = np.log(2.0) + log_ndtr(size[self._non_negative] / std[self._non_negative])
+        evidence[self._non_negative] += inside
         self.evidence = np.where(np.isfinite(self._onset) & (np.abs(size) >= self._least), evidence, -np.inf)
         return float(self.evidence.max())
 
     def _solved(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """First number and its standard error, b' (S + 1/P)^-1 b, and det(1 + P S)."""
+        """Estimate of the first number, its standard error, b' (S + 1/P)^-1 b, and det(1 + P S)."""
         p1, p2 = self._precision[0][:, None], self._precision[1][:, None]
         a, b, d = self._s11 + p1, self._s12, self._s22 + p2
         determinant = a * d - b**2
@@ -177,14 +190,14 @@ class LikelihoodRatio:
         return size, std, size * self._b1 + other * self._b2, determinant / (p1 * p2)
 
     def standard_error(self, change: str, onset_block: float) -> float | None:
-        """Standard error of a change's first number; None while no onset lies in the window.
+        """Return the standard error of the first number of a change, SI; None while the window is empty.
 
         Parameters
         ----------
         change : str
             Id of the change.
         onset_block : float
-            Number of the block whose nearest onset is meant.
+            Block near which the change began; the nearest onset counts.
         """
         row = [change_.id for change_ in self.changes].index(change)
         away = np.abs(self._onset[row] - onset_block)
@@ -192,7 +205,7 @@ class LikelihoodRatio:
         return float(self._solved()[1][row, nearest]) if np.isfinite(away[nearest]) else None
 
     def ranking(self) -> list[ChangeCandidate]:
-        """Changes, the likeliest first; each onset is as probable as another."""
+        """Return all changes, the most likely first; all onsets have the same prior probability."""
         size, std, _, _ = self._solved()
         best = np.argmax(self.evidence, axis=1)
         used = max(1, int(np.isfinite(self._onset[0]).sum()))

@@ -1,4 +1,4 @@
-"""A twin as the host knows it: fed with ticks; the entry point ``heli_host.twins``."""
+"""The twin's interface to the host, which passes it ticks: the entry point ``heli_host.twins``."""
 
 from __future__ import annotations
 
@@ -20,57 +20,65 @@ from heli_lab.twin.kalman_filter import TwinModel
 from heli_lab.twin.twin import Twin
 
 _WAITS: Final = "The twin waits for free flight."
-_FOLLOWS: Final = "The twin flies along: the rig is the rig."
+_COMPARES: Final = "The twin compares: no change of the rig."
 
 
 class TickTwin:
-    """A `twin` that takes ticks; `count_rad`, shape (3,), is one count of each encoder."""
+    """A `twin` that takes ticks of a board; `count_rad`, shape (3,), is the angle of one count of each
+    encoder [rad].
+    """
 
     def __init__(self, twin: Twin, count_rad: Floats) -> None:
         self._twin, self._count_rad = twin, count_rad
-        self._said = ""
+        self._alarm_text = ""
 
-    def take(self, tick: Integers, raw: npt.NDArray[np.int32]) -> list[TwinNews]:
-        """Take times `tick`, (n,), and `raw` numbers, (n, channels), in, and say what there is to say."""
-        alarm = self._twin.take(samples_of_ticks(tick, raw, self._count_rad))
-        for event in alarm:
-            self._said = event.text if event.ranking else "" if event.kind == "free" else self._said
-        return [TwinNews(event.kind, round(event.t_s / TICK_S), event.text) for event in alarm]
+    def update(self, tick: Integers, raw: npt.NDArray[np.int32]) -> list[TwinNews]:
+        """Process raw numbers `raw`, (n, channels), at the ticks `tick`, (n,), and return the messages that
+        they cause.
+        """
+        events = self._twin.update(samples_of_ticks(tick, raw, self._count_rad))
+        for event in events:
+            if event.ranking:
+                self._alarm_text = event.text
+            elif event.kind == "free":
+                self._alarm_text = ""
+        return [TwinNews(event.kind, round(event.t_s / TICK_S), event.text) for event in events]
 
     def ghost_rad(self) -> tuple[float, float, float] | None:
-        """Elevation, pitch and travel of the ghost."""
+        """Elevation, pitch and travel of the ghost [rad]; None if there is none."""
         ghost = self._twin.ghost_rad
         return None if ghost is None else (float(ghost[0]), float(ghost[1]), float(ghost[2]))
 
     def words(self) -> str:
-        """What it does or has found."""
-        if self._said:
-            return f"The rig and its twin {self._said}"
-        return _FOLLOWS if self._twin.free else _WAITS
+        """Return the twin's status in one line: the newest alarm, or whether it compares or waits."""
+        if self._alarm_text:
+            return f"Twin: {self._alarm_text}"
+        return _COMPARES if self._twin.free else _WAITS
 
 
 def open_twin(name: str) -> Callable[[Mapping[str, float], float], TickTwin]:
-    """Read a rig, and return what makes its twin for a board's parameters and the hours of free flight in
-    which one false alarm is allowed; that raises a TwinError where the board does not say how many counts
-    its encoders have.
+    """Read a rig, and return a function that makes its twin.
+
+    The function takes the board's parameters and the mean time between two false alarms [h]. It raises a
+    TwinError if the parameters do not give the counts of the encoders.
 
     Parameters
     ----------
     name : str
-        Name of a rig, path of its file, or of a twin's file.
+        Name of a rig, path of its file, or path of a twin's file.
 
     Raises
     ------
     SimError
-        Rig or file are unknown or wrong.
+        The rig or the file is unknown or invalid.
     """
-    return partial(_beside, open_rig(name))
+    return partial(_make_twin, open_rig(name))
 
 
-def _beside(chosen: TwinRig, parameters: Mapping[str, float], hours: float) -> TickTwin:
+def _make_twin(chosen: TwinRig, parameters: Mapping[str, float], false_alarm_interval_h: float) -> TickTwin:
     count_rad = rad_per_count(parameters)
     if not np.all(np.isfinite(count_rad)):
         raise TwinError("the board does not say how many counts its encoders have", "set *_counts_per_rev")
     model = TwinModel(chosen.model, chosen.rig)
-    twin = Twin(model, chosen.calibration, count_rad, TICK_S, hours, with_ghost=True)
+    twin = Twin(model, chosen.calibration, count_rad, TICK_S, false_alarm_interval_h, with_ghost=True)
     return TickTwin(twin, count_rad)

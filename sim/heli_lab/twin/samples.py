@@ -1,4 +1,4 @@
-"""Samples of a flight as they come, in even steps: the same whatever pieces they come in."""
+"""Groups the samples of a flight into even steps, independent of how the samples are split over calls."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from heli_host.arrays import Floats, Integers
 
 from heli_lab.estimation.reference_trajectory import STEP_s
 
-BRIDGED_s: Final = 0.04
-"""Longest gap over which the filter goes on with the last voltage, s: one of its measurements is missing
-then. Longer: what the motors did meanwhile is not known. Shorter: every lost batch begins anew."""
+MAX_GAP_s: Final = 0.04
+"""Longest gap that the filter bridges with the last voltage, s: one of its measurements is then missing.
+Longer: the voltages in the gap are unknown. Shorter: every lost batch restarts the filter."""
 
 
 @dataclass(frozen=True)
 class Samples:
-    """Some samples of a flight, in order.
+    """Samples of a flight, in order of time.
 
     Parameters
     ----------
     number : ndarray of int64 (n,)
-        Place of each on the even grid of its log: the tick of a log of every tick.
+        Number of each sample on the even time grid of its log, such as the board's tick.
     angles_rad : ndarray (n, 3)
-        Elevation, pitch and travel.
+        Elevation, pitch and travel [rad].
     volts_V : ndarray (n, 2)
-        Front and back voltage that act from each sample to the next.
+        Front and back voltage that act from each sample to the next [V].
     flying : ndarray of bool (n,)
-        Whether the motors may run.
+        True where the motors may run.
     landing : ndarray of bool (n,)
-        Whether the board brings the arm down to its table.
+        True where the board lands the arm.
     """
 
     number: Integers
@@ -44,8 +44,8 @@ class Samples:
     def __len__(self) -> int:
         return len(self.number)
 
-    def part(self, rows: slice | Integers | npt.NDArray[np.bool_]) -> Samples:
-        """Take some `rows`."""
+    def select(self, rows: slice | Integers | npt.NDArray[np.bool_]) -> Samples:
+        """Return the samples in `rows`, a slice, a mask or an array of places."""
         return Samples(
             self.number[rows],
             self.angles_rad[rows],
@@ -57,24 +57,24 @@ class Samples:
 
 @dataclass(frozen=True)
 class Step:
-    """Some 10 ms of a flight.
+    """A step of the filter, about 10 ms of a flight.
 
     Parameters
     ----------
     index : int
-        Number of the step: `index` times its length is the log's own time.
+        Number of the step; `index` times the length of a step is the time on the clock of the log.
     measured_rad : ndarray (3,) or None
-        Angles at its beginning, mean of the samples within half a step; None where none came.
+        Angles at its beginning [rad]: the mean of the samples within half a step; None without samples.
     samples : int
-        How many samples that mean is of.
+        Number of samples in that mean.
     volts_V : ndarray (k, 2)
-        Voltages of its samples.
+        Voltages of its samples [V].
     flying : bool
-        Whether the motors may run during all of it.
+        True if the motors may run during the whole step.
     landing : bool
-        Whether the board lands during some of it.
-    begins : bool
-        Whether it does not go on where the step before it ended.
+        True if the board lands during a part of the step.
+    after_gap : bool
+        True if the step does not continue the previous one.
     """
 
     index: int
@@ -83,24 +83,29 @@ class Step:
     volts_V: Floats
     flying: bool
     landing: bool
-    begins: bool
+    after_gap: bool
 
 
 class Stepper:
-    """Cuts samples into steps, the borders of which do not depend on how the samples come.
+    """Groups samples into steps. The borders of the steps do not depend on how the samples arrive.
 
     Parameters
     ----------
     sample_s : float
-        Time from one number of the samples to the next.
+        Time between two successive numbers of the samples [s].
+
+    Attributes
+    ----------
+    samples_per_step : int
+        Number of samples in a step.
+    step_s : float
+        Length of a step [s].
     """
 
     def __init__(self, sample_s: float) -> None:
-        self.every = max(1, int(STEP_s / sample_s + 1e-6))
-        """Samples in a step."""
-        self.step_s = self.every * sample_s
-        """Length of a step."""
-        self._bridged = round(BRIDGED_s / sample_s)
+        self.samples_per_step = max(1, int(STEP_s / sample_s + 1e-6))
+        self.step_s = self.samples_per_step * sample_s
+        self._max_gap = round(MAX_GAP_s / sample_s)
         self._begins = True
         self._clear(0)
 
@@ -112,9 +117,9 @@ class Stepper:
         self._landing = np.empty(0, bool)
         self._next = first
 
-    def take(self, samples: Samples) -> Iterator[Step]:
-        """Take samples in, and give the steps that they complete; those that come before the last ones are
-        taken for a clock that began anew.
+    def update(self, samples: Samples) -> Iterator[Step]:
+        """Process samples and yield the steps that they complete. A number below the previous one counts as a
+        restart of the clock.
         """
         if not len(samples):
             return
@@ -125,15 +130,15 @@ class Stepper:
     def _take_piece(self, samples: Samples, rows: slice) -> Iterator[Step]:
         number = int(samples.number[rows.start])
         missing = number - self._next
-        if not len(self._angles) or missing < 0 or missing > self._bridged:
-            # Steps begin at multiples of their length, as those of every other reader of the same log.
-            late = -number % self.every
-            rows = slice(rows.start + late, rows.stop)
+        if not len(self._angles) or missing < 0 or missing > self._max_gap:
+            # Steps begin at multiples of their length, as in every other reader of the same log.
+            skipped = -number % self.samples_per_step
+            rows = slice(rows.start + skipped, rows.stop)
             if rows.start >= rows.stop:
                 self._clear(number)
                 self._begins = True
                 return
-            self._clear(number + late)
+            self._clear(number + skipped)
             self._begins = True
         elif missing:
             self._append(
@@ -142,7 +147,7 @@ class Stepper:
                 np.repeat(self._flying[-1:], missing),
                 np.repeat(self._landing[-1:], missing),
             )
-        new = samples.part(rows)
+        new = samples.select(rows)
         self._append(new.angles_rad, new.volts_V, new.flying, new.landing)
         yield from self._steps()
 
@@ -160,7 +165,7 @@ class Stepper:
         self._next += len(angles)
 
     def _steps(self) -> Iterator[Step]:
-        every, half = self.every, self.every // 2
+        every, half = self.samples_per_step, self.samples_per_step // 2
         at = -self._first % every
         while at + every <= len(self._angles):
             width = min(half, at)

@@ -1,4 +1,4 @@
-"""The twin of a rig: takes its samples in, and says when the rig is no longer the rig, and what changed."""
+"""The twin of a rig: detects from its samples that the rig has changed, and ranks what may have changed."""
 
 from __future__ import annotations
 
@@ -19,39 +19,38 @@ from heli_lab.twin.kalman_filter import ZEROS, KalmanFilter, TwinModel, start_st
 from heli_lab.twin.likelihood_ratio import RECENT, WINDOW_BLOCKS, ChangeCandidate, LikelihoodRatio
 from heli_lab.twin.samples import Samples, Step, Stepper
 
-NAMED_AFTER_s: Final = 3.0
-"""Time from the alarm to the last word on what changed, s. Later: surer, and of less use. Earlier: a step
-and a fade look alike."""
-BEGINS_AFTER_s: Final = 1.0
-"""Time that the filter has to find state, zeros and torques before changes are looked for, s."""
+DIAGNOSIS_DELAY_s: Final = 3.0
+"""Time from the alarm to the final ranking of changes, s. Longer: the ranking is more certain but less
+useful. Shorter: a step and a fade look alike."""
+FILTER_SETTLING_s: Final = 1.0
+"""Time for which the filter estimates state, encoder zeros and torques before it looks for changes, s."""
 _HISTORY_s: Final = 2.0
-"""Flight before the filter begins, from which the effects' own states are integrated, s: far longer than any
-rotor lags."""
-LASTS_BLOCKS: Final = 6
-"""Measurements, 40 ms apart, over which evidence has to last before it counts: 0.24 s. Less: a rounding that
-a gust makes larger is an alarm. More: what shows at once is told that much later."""
-_MANY: Final = 1000.0
-"""Times likelier from which on no number is said: such odds hold only if the catalogue has the cause at
-all."""
+"""Length of the flight before the filter begins from which the states of effects are integrated, s: far
+longer than the lag of any rotor."""
+PERSISTENCE_BLOCKS: Final = 6
+"""Number of measurements, 40 ms apart, over which evidence must persist before it counts: 0.24 s. Fewer:
+rounding that a gust makes larger raises an alarm. More: sudden changes are reported that much later."""
+_MAX_REPORTED_ODDS: Final = 1000.0
+"""Odds above which no number is reported: such odds hold only if the catalogue contains the true cause."""
 
 
 @dataclass(frozen=True)
 class TwinEvent:
-    """Something that the twin says.
+    """A message of the twin.
 
     Parameters
     ----------
     kind : str
-        ``free`` when it begins to compare, ``waits`` when it no longer does, ``parted`` at an alarm,
-        ``named`` with the last word on what changed.
+        ``free`` when it begins to compare, ``waits`` when it pauses, ``alarm`` when the rig has changed,
+        ``diagnosed`` with the final ranking.
     t_s : float
-        When, on the clock of the samples less its zero.
+        Time of the message on the clock of the samples minus its zero [s].
     text : str
-        For a person.
+        Message for people.
     ranking : tuple of ChangeCandidate
-        With ``parted`` and ``named``: what may have changed, the likeliest first.
+        For ``alarm`` and ``diagnosed``: possible changes, the most likely first.
     onset_s : float
-        When the likeliest began; nan for the other kinds.
+        Time at which the most likely change began [s]; nan for the other kinds.
     """
 
     kind: str
@@ -62,38 +61,38 @@ class TwinEvent:
 
 
 class Twin:
-    """Flies beside a rig.
+    """Compares a flight with a model of the rig and raises an alarm when the rig changes.
 
     Parameters
     ----------
     model : TwinModel
-        Its equations.
+        Equations of the rig with the derivatives by possible changes.
     calibration : Calibration
-        Weather, and what is an alarm.
+        Disturbances of the rig and tail of the evidence, which sets the alarm threshold.
     count_rad : ndarray (3,)
-        One count of each encoder.
+        Angle of one count of each encoder [rad].
     sample_s : float
-        Time from one number of the samples to the next.
-    hours : float
-        One false alarm in so many hours of free flight, on average.
+        Time between two successive numbers of the samples [s].
+    false_alarm_interval_h : float
+        Mean time of free flight between two false alarms [h].
     zero_s : float
-        What is called 0 s, on the clock of the samples.
+        Time on the clock of the samples that events count as 0 s [s].
     with_ghost : bool
-        Whether a ghost flies along, to be drawn; no alarm depends on it.
+        True also simulates a ghost for the page; no alarm depends on it.
 
     Attributes
     ----------
     evidence_nats : float
-        Of the likeliest change against none, the least of the last `LASTS_BLOCKS` measurements; -inf while
-        nothing is compared, and at the beginning.
+        Log-likelihood ratio of the most likely change against no change [nats]: the smallest of the last
+        `PERSISTENCE_BLOCKS` measurements; -inf at the beginning and while the twin waits.
     threshold_nats : float
-        Evidence that is an alarm.
+        Evidence above which an alarm is raised [nats].
     free : bool
-        Whether it compares now.
-    parted : bool
-        Whether there was an alarm since the flight was free.
+        True while the twin compares; False while it waits for free flight.
+    has_alarm : bool
+        True if an alarm was raised since the twin last began to compare.
     evidence_history : list of (float, float)
-        Times and evidence of every block, where `keeps` is set.
+        Time [s] and evidence [nats] of each measurement, recorded if `records_evidence` is set.
     """
 
     def __init__(
@@ -102,16 +101,16 @@ class Twin:
         calibration: Calibration,
         count_rad: Floats,
         sample_s: float,
-        hours: float = 10.0,
+        false_alarm_interval_h: float = 10.0,
         *,
         zero_s: float = 0.0,
         with_ghost: bool = False,
     ) -> None:
         self.model, self.calibration = model, calibration
-        self.threshold_nats = calibration.threshold_nats(hours)
+        self.threshold_nats = calibration.threshold_nats(false_alarm_interval_h)
         self.evidence_nats = -math.inf
-        self.free = self.parted = False
-        self.keeps = False
+        self.free = self.has_alarm = False
+        self.records_evidence = False
         self.evidence_history: list[tuple[float, float]] = []
         self._count_rad, self._zero_s = count_rad, zero_s
         self._stepper = Stepper(sample_s)
@@ -126,21 +125,21 @@ class Twin:
         self._motors_since_s = math.nan
         self._kalman: KalmanFilter | None = None
         self._ratio = LikelihoodRatio(model.changes, count_rad)
-        self._latest_nats: deque[float] = deque([-math.inf] * LASTS_BLOCKS, LASTS_BLOCKS)
-        self._angles_rad: Floats = np.zeros((WINDOW_BLOCKS + math.ceil(NAMED_AFTER_s / BLOCK_s) + 1, 3))
-        """Angles at the ends of the blocks that an onset may be of, by number modulo its length."""
+        self._latest_nats: deque[float] = deque([-math.inf] * PERSISTENCE_BLOCKS, PERSISTENCE_BLOCKS)
+        self._angles_rad: Floats = np.zeros((WINDOW_BLOCKS + math.ceil(DIAGNOSIS_DELAY_s / BLOCK_s) + 1, 3))
+        """Angles [rad] at the ends of the latest blocks; block k is in row k modulo the number of rows."""
         self._began = self._blocks = 0
         self._alarm_block: int | None = None
-        self._named = False
+        self._diagnosed = False
 
     @property
     def ghost_rad(self) -> Floats | None:
-        """Where the twin is that flew by itself for two seconds, (3,); None where there is none."""
+        """Angles [rad], (3,), that an open-loop simulation of two seconds predicts; None if there is none."""
         return self._ghost.angles_rad if self._ghost is not None and self._kalman is not None else None
 
     def standard_error(self, change: str, onset_s: float) -> float | None:
-        """Standard error of the first number of a `change`, by its id, that began at `onset_s`; None where
-        nothing is compared.
+        """Return the standard error of the first number of a `change`, given by its id, that began at
+        `onset_s`; None while the twin waits.
         """
         if self._kalman is None:
             return None
@@ -148,16 +147,18 @@ class Twin:
             change, ((onset_s + self._zero_s) / self.step_s - self._began) / self._block
         )
 
-    def take(self, samples: Samples) -> list[TwinEvent]:
-        """Take samples in; what it says does not depend on how many come at once."""
-        return [event for step in self._stepper.take(samples) for event in self._take_step(step)]
+    def update(self, samples: Samples) -> list[TwinEvent]:
+        """Process samples and return the events that they cause. The events do not depend on how the samples
+        are split over calls.
+        """
+        return [event for step in self._stepper.update(samples) for event in self._update_step(step)]
 
     def finish(self) -> list[TwinEvent]:
-        """End: the last word of an alarm that was just given."""
-        return list(self._last_word(self._began + self._blocks * self._block))
+        """End the flight and return the final ranking of an alarm that has none yet."""
+        return list(self._diagnose(self._began + self._blocks * self._block))
 
-    def _take_step(self, step: Step) -> Iterator[TwinEvent]:
-        if step.begins:
+    def _update_step(self, step: Step) -> Iterator[TwinEvent]:
+        if step.after_gap:
             yield from self._wait(step.index, "samples are missing")
             self._history.clear()
             self._volts.clear()
@@ -171,14 +172,14 @@ class Twin:
         elif math.isnan(self._motors_since_s) and np.any(step.volts_V):
             self._motors_since_s = t_s
         since_s = 0.0 if math.isnan(self._motors_since_s) else t_s - self._motors_since_s
-        free = self._free_flight.take(step.measured_rad, step.flying)
+        free = self._free_flight.update(step.measured_rad, step.flying)
         if step.measured_rad is not None:
             self._history.append((since_s, step.measured_rad, acting_V))
         elif self._kalman is None:
             self._history.clear()
-        # In a landing the motors run at the border of their dead zone, where evidence is not to be trusted;
-        # what has parted before is named all the same.
-        if not free or (step.landing and (self._alarm_block is None or self._named)):
+        # In a landing the motors run at the border of their dead zone, where evidence is unreliable. An alarm
+        # that was raised before the landing still gets its final ranking.
+        if not free or (step.landing and (self._alarm_block is None or self._diagnosed)):
             yield from self._wait(step.index, "landing, on the ground, at a stop, or motors off")
             return
         kalman = self._kalman
@@ -186,7 +187,7 @@ class Twin:
             if step.measured_rad is None:
                 return
             kalman = self._begin(step.index)
-            yield TwinEvent("free", t_s, "the twin flies along")
+            yield TwinEvent("free", t_s, "the twin compares the flight with its model")
         elif (step.index - self._began) % self._block == 0:
             yield from self._end_block(kalman, step, since_s, acting_V)
         if self._ghost is not None:
@@ -201,9 +202,9 @@ class Twin:
             self.model, self.calibration.disturbances, self._count_rad, self.step_s, self._block, state
         )
         self._ratio = LikelihoodRatio(self.model.changes, self._count_rad)
-        self._latest_nats.extend([-math.inf] * LASTS_BLOCKS)
+        self._latest_nats.extend([-math.inf] * PERSISTENCE_BLOCKS)
         self._began, self._blocks = index, 0
-        self._alarm_block, self._named, self.parted = None, False, False
+        self._alarm_block, self._diagnosed, self.has_alarm = None, False, False
         self.free = True
         if self._ghost is not None:
             self._ghost.begin()
@@ -212,36 +213,36 @@ class Twin:
     def _end_block(
         self, kalman: KalmanFilter, step: Step, since_s: float, volts_V: Floats
     ) -> Iterator[TwinEvent]:
-        """Compare what was measured with what was foretold."""
+        """Compare the measurement with the prediction."""
         self._blocks += 1
         ratio, block = self._ratio, self._blocks
         t_s = step.index * self.step_s - self._zero_s
         ages_s = ratio.ages(block) * (self.block_s)
-        kalman.move(ages_s, ratio.grows)
+        kalman.propagate_sensitivity(ages_s, ratio.is_ramp)
         if step.measured_rad is not None:
             amount = np.where(ages_s > 0.0, 1.0, 0.0)
             innovation = kalman.update(
                 since_s, step.measured_rad, step.samples, volts_V, amount, self._onset_rad()
             )
-            self._latest_nats.append(ratio.take(innovation))
+            self._latest_nats.append(ratio.update(innovation))
             self.evidence_nats = min(self._latest_nats)
         self._angles_rad[block % len(self._angles_rad)] = kalman.state[:3]
-        if self.keeps:
+        if self.records_evidence:
             self.evidence_history.append((t_s, self.evidence_nats))
         if self._alarm_block is None:
             if self.evidence_nats > self.threshold_nats:
-                self._alarm_block, self.parted = block, True
-                yield self._say("parted", t_s)
-        elif (block - self._alarm_block) * self.block_s >= NAMED_AFTER_s:
-            yield from self._last_word(step.index)
-        # What shows at once is an alarm before it is over: onsets go on for a moment, then the window stands
-        # still.
+                self._alarm_block, self.has_alarm = block, True
+                yield self._ranked_event("alarm", t_s)
+        elif (block - self._alarm_block) * self.block_s >= DIAGNOSIS_DELAY_s:
+            yield from self._diagnose(step.index)
+        # A sudden change raises the alarm before its true onset is in the window: onsets are added for half a
+        # second more, then the window stays fixed.
         fresh = self._alarm_block is None or block - self._alarm_block < RECENT
-        if fresh and block * self.block_s >= BEGINS_AFTER_s:
-            ratio.begin_onset(block, kalman.moved)
+        if fresh and block * self.block_s >= FILTER_SETTLING_s:
+            ratio.begin_onset(block, kalman.state_sensitivity)
 
     def _onset_rad(self) -> Floats:
-        """Angle of its axis at each onset of an encoder's scale, (scales, onsets)."""
+        """Angle of its axis [rad] at each onset of an encoder's scale, (scales, onsets)."""
         kept = len(self._angles_rad)
         return np.array(
             [
@@ -253,32 +254,32 @@ class Twin:
     def _wait(self, index: int, why: str) -> Iterator[TwinEvent]:
         if self._kalman is None:
             return
-        yield from self._last_word(index)
+        yield from self._diagnose(index)
         self._kalman = None
         self.free = False
         self.evidence_nats = -math.inf
         yield TwinEvent("waits", index * self.step_s - self._zero_s, f"the twin waits: {why}")
 
-    def _last_word(self, index: int) -> Iterator[TwinEvent]:
-        if self._alarm_block is not None and not self._named:
-            self._named = True
-            yield self._say("named", index * self.step_s - self._zero_s)
+    def _diagnose(self, index: int) -> Iterator[TwinEvent]:
+        if self._alarm_block is not None and not self._diagnosed:
+            self._diagnosed = True
+            yield self._ranked_event("diagnosed", index * self.step_s - self._zero_s)
 
-    def _say(self, kind: str, t_s: float) -> TwinEvent:
+    def _ranked_event(self, kind: str, t_s: float) -> TwinEvent:
         ranking = tuple(self._ratio.ranking())
         onset_s = (self._began + ranking[0].onset_block * self._block) * self.step_s - self._zero_s
         alarm_s = (self._began + (self._alarm_block or 0) * self._block) * self.step_s - self._zero_s
-        words = f"parted at {alarm_s:.1f} s. Most like: {said(ranking, onset_s)}."
-        return TwinEvent(kind, t_s, words, ranking, onset_s)
+        text = f"alarm at {alarm_s:.1f} s. Most likely: {format_ranking(ranking, onset_s)}."
+        return TwinEvent(kind, t_s, text, ranking, onset_s)
 
 
-def said(ranking: Sequence[ChangeCandidate], onset_s: float) -> str:
-    """Say what changed by a `ranking`, since when (`onset_s`, s), and how surely."""
+def format_ranking(ranking: Sequence[ChangeCandidate], onset_s: float) -> str:
+    """Describe the first change of a `ranking`, its onset (`onset_s`, s), and its odds against the second."""
     first, second = ranking[:2]
     odds = math.exp(min(first.log_evidence - second.log_evidence, 50.0))
-    times = f"{odds:.0f} times" if odds < _MANY else f"over {_MANY:.0f} times"
+    times = f"{odds:.0f} times" if odds < _MAX_REPORTED_ODDS else f"over {_MAX_REPORTED_ODDS:.0f} times"
     if odds < 1.5:
         rest = f"or as likely {second.change.words(second.size, second.std)}"
     else:
-        rest = f"{times} likelier than the next ({second.change.id})"
+        rest = f"{times} more likely than the next ({second.change.id})"
     return f"{first.change.words(first.size, first.std)} since {onset_s:.1f} s; {rest}"

@@ -17,13 +17,18 @@ if TYPE_CHECKING:
 
 
 def campaign(
-    file: Annotated[Path, typer.Argument(metavar="CAMPAIGN.toml", help="Task and settings of the cases.")],
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="CAMPAIGN.toml", help="Read the task and the settings of its cases from this file."
+        ),
+    ],
     scheduler: Annotated[
         str | None,
         typer.Option(
             "--scheduler",
             metavar="ADDRESS",
-            help="Dask cluster, such as tcp://10.0.0.1:8786.  [default: this machine]",
+            help="Use a Dask cluster, such as tcp://10.0.0.1:8786.  [default: this machine]",
             show_default=False,
         ),
     ] = None,
@@ -43,7 +48,7 @@ def campaign(
             "--workers",
             metavar="N",
             min=1,
-            help="Parallel cases on this machine.  [default: number of cores]",
+            help="Run this many cases in parallel.  [default: number of cores]",
         ),
     ] = None,
     retry: Annotated[
@@ -53,10 +58,11 @@ def campaign(
 ) -> None:
     """Run many flights, fits, diagnoses or gain checks, here or on a cluster.
 
-    The cases are all combinations of rigs, effects, plans and seeds in the campaign file.
-    Every case writes a JSON file and a row of the table. After an interruption, the same command continues
-    with the remaining cases. The exit code is 1 if a case has no result, otherwise 4 if a flight did not end
-    as completed.
+    The cases are all combinations of rigs, effects, plans and seeds in the campaign file. Every case writes a
+    JSON file and a row of the table. After an interruption, the same command continues with the remaining
+    cases.
+
+    The exit code is 1 if a case has no result. Otherwise it is 4 if a flight was not completed.
 
     Example: `heli-host campaign study.toml -o study`, and on a cluster `--scheduler tcp://head:8786`
     """

@@ -37,7 +37,7 @@ def diagnose(
         bool,
         typer.Option(
             "--with-term",
-            help="Also write a proposed equation term into the rig of --save-rig.",
+            help="Add a proposed equation term to the rig of --save-rig.",
         ),
     ] = False,
     calibrate_s: Annotated[
@@ -46,12 +46,12 @@ def diagnose(
             "--calibrate",
             metavar="SECONDS",
             min=0.0,
-            help="Calibration time of each validation flight.  [default: 8, or a third of it]",
+            help="Calibrate each validation flight over this time.  [default: 8, or a third of it]",
             show_default=False,
         ),
     ] = None,
     seed: Annotated[
-        int, typer.Option("--seed", metavar="N", min=0, help="Seed of the bootstrap for the intervals.")
+        int, typer.Option("--seed", metavar="N", min=0, help="Seed the bootstrap of the intervals.")
     ] = 0,
     budget: Annotated[
         int,
@@ -59,7 +59,7 @@ def diagnose(
             "--budget",
             metavar="N",
             min=1,
-            help="Largest number of refits of the model.",
+            help="Stop the search after this many refits of the model.",
         ),
     ] = 80,
     resume: Annotated[
@@ -67,17 +67,18 @@ def diagnose(
         typer.Option(
             "--resume",
             metavar="FILE",
-            help="Save intermediate results in this file, and continue from its contents.",
+            help="Save the search to this file, and continue from it.",
         ),
     ] = None,
 ) -> None:
-    """Find the causes of a model's errors in flights and extend the model.
+    """Find the causes of a model's errors in flights, and extend the model.
 
-    The baseline is refitted first. Every effect of the catalogue is scored, and named as a cause if its
-    log-likelihood ratio exceeds its penalty. The flights of --validate only evaluate the error reduction.
-    Random torques count as disturbances. An error that is predictable but that no effect explains is
-    `unexplained`: an equation term is searched for it, and proposed as an effect file in the folder of
-    --report. The first seconds of each validation flight, --calibrate, give its zeros and torques.
+    The model is refitted first. An effect counts as a cause if its log-likelihood ratio exceeds its
+    complexity penalty. Random torques count as disturbances. If no effect explains a predictable error, the
+    verdict is `unexplained`. Then --report proposes an equation term as an effect file.
+
+    --validate only evaluates the error reduction. Without --report, --json and --save-rig the result is only
+    printed.
 
     Example: `heli-host diagnose a.mcap --validate b.mcap --report why --save-rig extended.toml`
     """

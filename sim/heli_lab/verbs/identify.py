@@ -23,7 +23,7 @@ def identify(
     model: option.EquationsOption = None,
     effect: Annotated[
         list[str] | None,
-        typer.Option("--effect", metavar="ID...", help="Effects to estimate too, such as rotor_lag."),
+        typer.Option("--effect", metavar="ID...", help="Estimate these effects too, such as rotor_lag."),
     ] = None,
     effect_file: option.OwnEffectsOption = None,
     free: Annotated[
@@ -31,19 +31,26 @@ def identify(
         typer.Option(
             "--free",
             metavar="NAME...",
-            help="Parameters to estimate.  [default: all with a tolerance]",
+            help="Estimate these parameters.  [default: all with a tolerance]",
             show_default=False,
         ),
     ] = None,
     fix: Annotated[
-        list[str] | None, typer.Option("--fix", metavar="NAME...", help="Do not estimate these parameters.")
+        list[str] | None,
+        typer.Option("--fix", metavar="NAME...", help="Keep these parameters at their prior values."),
     ] = None,
     validate: option.ValidateOption = None,
     start_s: option.FromOption = None,
     stop_s: option.ToOption = None,
     window_s: Annotated[
         float,
-        typer.Option("--window-s", metavar="S", min=0.5, max=30.0, help="Length of the open-loop windows."),
+        typer.Option(
+            "--window-s",
+            metavar="S",
+            min=0.5,
+            max=30.0,
+            help="Simulate open loop over windows of this length in s.",
+        ),
     ] = 2.0,
     allow_gaps: option.GapsOption = False,
     skip_sign_check: option.SkipSignCheckOption = False,
@@ -54,7 +61,8 @@ def identify(
     """Estimate a rig's parameters from flights, with standard errors.
 
     Each window of a flight is simulated open loop from its voltages. The estimates minimise the squared
-    errors, with the tolerances of the rig file as priors. --validate evaluates them on other flights.
+    errors, with the tolerances of the rig file as priors. Without --save-rig, --report and --json the result
+    is only printed.
 
     Example: `heli-host identify a.mcap --validate b.mcap --save-rig mine.toml --report mine`
     """
@@ -63,7 +71,7 @@ def identify(
     from heli_sim.rig import write_rig
 
     from heli_lab.fit_inputs import fit_inputs, part_of, parts, read_flights, refuse_wrong_signs
-    from heli_lab.identify.report import verdict, write_report
+    from heli_lab.identify.report import verdict, write_identification_report
     from heli_lab.identify.run import identify as find
     from heli_lab.page.drawing import Drawing
     from heli_lab.threads import default_thread_count
@@ -104,7 +112,7 @@ def identify(
             written.append(save_rig)
         if report is not None:
             bar.show("drawing", 0.9)
-            written.append(write_report(identification, report, drawing))
+            written.append(write_identification_report(identification, report, drawing))
         write_result(json, identification.json())
         written.append(json)
     _print(identification)
@@ -113,23 +121,22 @@ def identify(
 
 
 def _print(identification: Identification) -> None:
-    """Print estimates and priors in a table."""
+    """Print estimates and priors in a table, each with its standard error."""
     from heli_lab.identify.result import rounded
 
     fit = identification.fit
-    rows = [("parameter", "found", "+- 2 std", "prior", "+- 2 std", "unit", "")]
+    rows = [("parameter", "estimate", "±", "prior", "±", "unit", "")]
     for parameter, value, std in zip(fit.problem.free, fit.theta, fit.std.values(), strict=True):
         remark = "uninformed" if parameter.name in identification.uninformed_parameters else ""
         remark = "on its bound" if parameter.name in fit.at_bound else remark
-        prior = f"{parameter.prior.mean:g}", f"{2 * parameter.prior.std:g}"
-        rows.append(
-            (parameter.name, rounded(value, std), rounded(2 * std, std), *prior, parameter.unit, remark)
-        )
+        prior = f"{parameter.prior.mean:g}", f"{parameter.prior.std:g}"
+        rows.append((parameter.name, rounded(value, std), rounded(std, std), *prior, parameter.unit, remark))
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     for row in rows:
         name, *numbers = (cell.rjust(width) for cell, width in zip(row[:5], widths, strict=False))
         cells = (name.strip().ljust(widths[0]), *numbers, row[5].ljust(widths[5]), row[6])
         say("  ".join(cells).rstrip())
+    say("± is one standard error")
 
 
 VERB = Verb(identify, "Laboratory", variadic=True)

@@ -21,10 +21,12 @@ if TYPE_CHECKING:
 def import_(
     files: Annotated[
         list[Path],
-        typer.Argument(metavar="FILE...", help="Text, .mat, .parquet, .mcap, .bag, .xlsx, folders of bags."),
+        typer.Argument(
+            metavar="FILE...", help="Convert text, .mat, .parquet, .mcap, .bag, .xlsx or bag folders."
+        ),
     ],
     profile: Annotated[
-        Path | None, typer.Option("--profile", metavar="FILE", help="Profile that assigns the columns, TOML.")
+        Path | None, typer.Option("--profile", metavar="FILE", help="Assign the columns by this TOML file.")
     ] = None,
     guess: Annotated[
         bool, typer.Option("--guess", help="Propose the profile from names, ranges and physics.")
@@ -37,13 +39,15 @@ def import_(
         typer.Option(
             "--rig",
             metavar="NAME|FILE",
-            help="Rig of the files.  [default: the shipped rig that fits best]",
+            help="Use this rig.  [default: the shipped rig that fits best]",
             show_default=False,
         ),
     ] = None,
     rate: Annotated[
         float | None,
-        typer.Option("--rate", metavar="HZ", min=1.0, help="Sampling rate of files without times."),
+        typer.Option(
+            "--rate", metavar="HZ", min=1.0, help="Assume this sampling rate in Hz for files without times."
+        ),
     ] = None,
     one_flight: Annotated[
         bool,
@@ -59,8 +63,8 @@ def import_(
 ) -> None:
     """Convert logs of other programs into flights by a given or guessed profile.
 
-    A guess that is sure writes the flights, the profile and a figure. If a guess is unsure, it lists the
-    ambiguities and writes profile and figure only; correct the profile and give it with --profile.
+    A sure guess writes the flights, the profile and a figure. An unsure guess lists its ambiguities, and
+    writes only profile and figure. Correct the profile, and give it with --profile.
 
     Example: `heli-host import lab1.mat lab2.mat --guess --rig quanser-course -o flights/lab`
     """
@@ -68,7 +72,7 @@ def import_(
     from heli_sim.rig import load_rig
 
     if (profile is None) == (not guess):
-        raise typer.BadParameter("give one of --profile and --guess")
+        raise typer.BadParameter("import needs exactly one of --profile and --guess; give one")
     data_on_stdout(json)
     known = load_rig(rig) if rig is not None else None
     tables = [read_table(path) for path in files]

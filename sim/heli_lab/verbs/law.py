@@ -14,6 +14,7 @@ from heli_host.cli.say import QUIET, data_on_stdout, say, say_files, write_resul
 from heli_host.cli.simulated import DEFAULT_RIG, MAX_SPEED, SeedOption
 from heli_host.cli.twin_options import OnAlarmOption, TwinOption
 from heli_host.cli.verb import Verb
+from heli_host.declaration import Takeover
 from heli_host.laws import FILE_LIMIT_s
 
 if TYPE_CHECKING:
@@ -26,12 +27,13 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     no_args_is_help=True,
-    help="Check, fly, compare and export your own control law.",
+    help="Check, fly, compare and export your own control law.\n\n"
+    "See `heli-host law COMMAND --help` for options and examples.",
     rich_markup_mode="markdown",
 )
 
 LawArgument = Annotated[
-    Path, typer.Argument(metavar="LAW.py", help="Python file that defines LAW. Its code is executed.")
+    Path, typer.Argument(metavar="LAW.py", help="Load LAW from this Python file, and run its code.")
 ]
 LoadTimeoutOption = Annotated[
     float,
@@ -42,6 +44,7 @@ DurationOption = Annotated[
     typer.Option("--duration", metavar="S", min=1.0, max=600.0, help="Fly each law for this time in s."),
 ]
 _MAX_POLES = 4
+_LANDED = Takeover.STATE.name.lower()
 _CHECK_s = 15.0
 """Flight time with the law on each rig of `law check` [s]."""
 
@@ -50,18 +53,19 @@ _CHECK_s = 15.0
 def check(
     law: LawArgument,
     rig: Annotated[
-        str, typer.Option("--rig", metavar="NAME|FILE", help="Rig to close the loop around.")
+        str, typer.Option("--rig", metavar="NAME|FILE", help="Close the loop around this rig.")
     ] = DEFAULT_RIG,
     rigs: Annotated[
-        int, typer.Option("--rigs", min=0, help="Number of simulated rigs with random thrust and lag.")
+        int, typer.Option("--rigs", min=0, help="Fly on this many rigs with random thrust and lag.")
     ] = 3,
     seed: SeedOption = 1,
     load_timeout: LoadTimeoutOption = FILE_LIMIT_s,
     json: JsonOption = None,
 ) -> None:
-    """Report a law's cost and stability margins, and fly it in simulation.
+    """Report a control law's cost and stability margins, and fly it in simulation.
 
-    The simulated rigs have random thrust and rotor lag.
+    The simulated rigs have random thrust and rotor lag. The file's code is run. No real board is used, and no
+    file is written without --json.
 
     Example: `heli-host law check lqi.py --rigs 5`
     """
@@ -161,8 +165,8 @@ def fly(
 ) -> None:
     """Fly a control law on the board, along a travel step and sines.
 
-    The board takes off and lands with its own control law. If the flight fails, that law takes over. The
-    options are those of `heli-host fly`. --duration applies without --plan.
+    The board takes off and lands with its own control law. If the flight fails, that law takes over. Options
+    and files are those of `heli-host fly`. --duration applies without --plan. The file's code is run.
 
     Example: `heli-host law fly lqi.py --sil --board due --log lqi.mcap`
     """
@@ -206,12 +210,14 @@ def fly(
 def compare(
     law: Annotated[
         Path,
-        typer.Argument(metavar="A", help="Law (.py, its code is executed), or flight log (.mcap, .csv)."),
+        typer.Argument(metavar="A", help="Compare this law (.py, whose code is run) or log (.mcap, .csv)."),
     ],
     other: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[B]", help="Another law or log.  [default: the board's control law]", show_default=False
+            metavar="[B]",
+            help="Compare with this law or log.  [default: the board's control law]",
+            show_default=False,
         ),
     ] = None,
     duration_s: DurationOption = 30.0,
@@ -236,7 +242,8 @@ def compare(
 ) -> None:
     """Compare two flight logs, or two control laws along the same path.
 
-    Prints the metrics of `heli-host plot`, and writes a figure. Laws need --sil or --port, logs do not.
+    Prints the metrics of `heli-host plot`, and draws a figure. Control laws need --sil or --port, logs do
+    not.
 
     Example: `heli-host law compare lqi.mcap lqr.mcap --figure both.png`
     """
@@ -278,12 +285,14 @@ def compare(
 @app.command()
 def export(
     law: LawArgument,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.c", help="Write this file.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE.c", help="Write the C code to this file.")
+    ],
     load_timeout: LoadTimeoutOption = FILE_LIMIT_s,
 ) -> None:
     """Export a control law as a C file in single precision.
 
-    The file needs no library.
+    An existing file is replaced. The C code needs no library. The code of LAW.py is run.
 
     Example: `heli-host law export lqi.py -o lqi.c`
     """
@@ -303,7 +312,9 @@ def _fly(law: Law | None, options: FlightOptions, plan: Plan, typed: str) -> tup
     reasons: list[str] = []
 
     def note_takeovers(heli: Heli) -> None:
-        reasons.extend(text[0] for event in heli.session.events if (text := takeover_text(event)))
+        # The landing ends closed loop, which the board reports as a takeover too.
+        texts = (takeover_text(event) for event in heli.session.events)
+        reasons.extend(text[0] for text in texts if text is not None and text[0] != _LANDED)
 
     program = law.program if law is not None else None
     flown = fly_plans(

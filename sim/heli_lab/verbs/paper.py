@@ -21,12 +21,16 @@ if TYPE_CHECKING:
     from heli_lab.paper.figures_flight import PaperFlight
 
 app = typer.Typer(
-    help="Reproduce the paper's bench tests, tables, gains and figures in simulation.",
+    help="Reproduce the paper's bench tests, tables, gains and figures in simulation.\n\n"
+    "See `heli-host paper COMMAND --help` for options and examples.",
     no_args_is_help=True,
+    rich_markup_mode="markdown",
 )
 
-RigName = Annotated[str, typer.Option("--rig", metavar="NAME|FILE", help="Simulated rig.")]
-ModelName = Annotated[str, typer.Option("--model", metavar="NAME", help="Simulated equations of motion.")]
+RigName = Annotated[str, typer.Option("--rig", metavar="NAME|FILE", help="Simulate this rig.")]
+ModelName = Annotated[
+    str, typer.Option("--model", metavar="NAME", help="Simulate these equations of motion.")
+]
 _MODEL = "multibody"
 _DPI = 130
 _HEAVIER_ROTOR = "M_f"
@@ -37,7 +41,10 @@ _HEAVIER_ROTOR = "M_f"
 def tables(
     rig: RigName = DEFAULT_RIG, model: ModelName = _MODEL, seed: SeedOption = 1, json: JsonOption = None
 ) -> None:
-    """Print Tables 2 to 5 and estimates from simulated bench tests.
+    """Print Tables 2 to 5, and estimates from simulated bench tests.
+
+    Simulates the bench tests of the paper, and fits them. This takes about a minute. No file is written
+    without --json.
 
     Example: `heli-host paper tables --json tables.json`
     """
@@ -72,9 +79,10 @@ def tables(
 
 @app.command("gains")
 def gains(rig: RigName = DEFAULT_RIG, json: JsonOption = None) -> None:
-    """Check the stability of pitch and travel for every interpretation of Table 6.
+    """Check the stability of pitch and travel for each reading of Table 6.
 
-    The plants are the linearised equations (30) and the linearised multibody model.
+    The plants are the linearised equations (30) and the linearised multibody model. No file is written
+    without --json.
 
     Example: `heli-host paper gains`
     """
@@ -99,8 +107,8 @@ def gains(rig: RigName = DEFAULT_RIG, json: JsonOption = None) -> None:
 def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonOption = None) -> None:
     """Compare the paper's equations with a flight of a multibody rig.
 
-    Every model, printed and corrected, simulates the flight open loop over 2 s with the parameters of the rig
-    file, without a fit.
+    Every model, printed and corrected, simulates the flight open loop over 2 s. The parameters are those of
+    the rig file, without a fit. No file is written without --json.
 
     Example: `heli-host paper models`
     """
@@ -129,10 +137,12 @@ def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonOption = 
 @app.command("equations")
 def equations(
     model: Annotated[
-        str, typer.Argument(metavar="MODEL", help="multibody, paper or paper_printed.")
+        str, typer.Argument(metavar="MODEL", help="Print this model: multibody, paper or paper_printed.")
     ] = _MODEL,
 ) -> None:
-    """Print the equations of a model as LaTeX, from the symbols of the simulation.
+    """Print the equations of a model as LaTeX.
+
+    They come from the symbols that the simulation uses. Nothing is written.
 
     Example: `heli-host paper equations paper_printed`
     """
@@ -145,15 +155,15 @@ def equations(
 
 @app.command("figures")
 def figures(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the figures.")],
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Write the figures into this folder.")],
     rig: RigName = DEFAULT_RIG,
     model: ModelName = _MODEL,
     seed: SeedOption = 1,
 ) -> None:
-    """Reproduce Figs. 15 to 19 and 21 to 25.
+    """Reproduce Figs. 15 to 19 and 21 to 25 of the paper.
 
-    The flights of Figs. 21 to 25 are simulated with the board's default gains, and with Table 6 with P and I
-    of travel exchanged. Their rig has a front rotor that is heavier by its tolerance.
+    Figs. 21 to 25 are simulated twice. One flight has the board's default gains, the other Table 6 with P and
+    I of travel exchanged. In both, the front rotor is heavier by its tolerance.
 
     Example: `heli-host paper figures paper-figures`
     """

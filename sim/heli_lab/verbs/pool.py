@@ -18,7 +18,7 @@ def pool(
     diagnoses: Annotated[
         list[Path],
         typer.Argument(
-            metavar="DIAGNOSIS.json...", help="Diagnosis of each rig, written by diagnose --json."
+            metavar="DIAGNOSIS.json...", help="Combine these files of diagnose --json, one per rig."
         ),
     ],
     rig: Annotated[
@@ -26,7 +26,7 @@ def pool(
         typer.Option(
             "--rig",
             metavar="NAME|FILE",
-            help="Rig file of the diagnoses.  [default: the one they name]",
+            help="Use this rig file.  [default: the one that the diagnoses name]",
             show_default=False,
         ),
     ] = None,
@@ -38,9 +38,9 @@ def pool(
 ) -> None:
     """Combine diagnoses of several rigs and estimate how their parameters vary.
 
-    The rigs must be of one type. Prints the mean of each parameter, its standard deviation between rigs, and
-    the share of rigs with each cause. --save-rig writes the prior for another rig, to identify or diagnose it
-    with --rig.
+    The rigs must be of one type. Prints each parameter's mean, its standard error and its standard deviation
+    between rigs. Also prints the share of rigs with each cause. --save-rig writes the prior for another rig,
+    to identify or diagnose it with --rig.
 
     Example: `heli-host pool lab1.json lab2.json lab3.json --save-rig type.toml`
     """

@@ -30,7 +30,7 @@ _DIGITS = 4
 
 def tune(
     rig: Annotated[
-        str, typer.Option("--rig", metavar="NAME|FILE", help="Rig to design the gains for.")
+        str, typer.Option("--rig", metavar="NAME|FILE", help="Design the gains for this rig.")
     ] = DEFAULT_RIG,
     model: EquationsOption = None,
     effect: Annotated[
@@ -38,7 +38,7 @@ def tune(
         typer.Option(
             "--effect",
             metavar="ID[=VALUE]",
-            help="Effect that the rig has in addition to the model, such as rotor_lag=0.12.",
+            help="Add an effect to the rig, such as rotor_lag=0.12. Repeatable.",
         ),
     ] = None,
     effect_file: EffectFilesOption = None,
@@ -49,7 +49,7 @@ def tune(
             metavar="S",
             min=1.6,
             max=10.0,
-            help="Bound on the peak of 1/|1 + L|. Lower values give slower, calmer loops.",
+            help="Bound the peak of 1/|1 + L|. Lower values give slower loops.",
         ),
     ] = 3.5,
     seed: SeedOption = 1,
@@ -59,13 +59,15 @@ def tune(
     ] = None,
     json: JsonOption = None,
     figure: Annotated[
-        Path | None, typer.Option("--figure", metavar="FILE", help="Flights and loops: .png, .pdf or .svg.")
+        Path | None,
+        typer.Option("--figure", metavar="FILE", help="Draw flights and loops: .png, .pdf or .svg."),
     ] = None,
 ) -> None:
     """Design gains for a rig, print stability margins, and test them in simulation.
 
-    One set of gains must fly the rig and all corners of its uncertainty: thrust ± 20 %, counterweight ± 3 %,
-    rotor lag 0 to 0.15 s, or a stated rotor_lag ± 25 %.
+    One set of gains must fly the rig within its uncertainty. Thrust may be 20 % off, and counterweight 3 %.
+    The rotor lag may be 0 to 0.15 s, or 25 % off a stated rotor_lag. Without --save-params the gains are only
+    tested.
 
     Example: `heli-host tune --rig mine.toml --save-params gains.toml`
     """

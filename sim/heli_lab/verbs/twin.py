@@ -13,23 +13,24 @@ from heli_host.cli.options import JsonOption
 from heli_host.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.cli.simulated import DEFAULT_RIG
 from heli_host.cli.verb import Verb
-from heli_host.twins import HOURS
+from heli_host.twins import FALSE_ALARM_INTERVAL_h
 
 if TYPE_CHECKING:
     from heli_lab.twin.files import TwinRig
-    from heli_lab.twin.follow import Followed
+    from heli_lab.twin.monitor import TwinReport
 
 
 def twin(
     flights: Annotated[
-        list[Path] | None, typer.Argument(metavar="[FLIGHT...]", help="Flights: .mcap, .csv or .csv.gz.")
+        list[Path] | None,
+        typer.Argument(metavar="[FLIGHT...]", help="Check these flights: .mcap, .csv or .csv.gz."),
     ] = None,
     rig: Annotated[
         str,
         typer.Option(
             "--rig",
             metavar="NAME|FILE",
-            help=f"Rig with its effects, or a file from --learn.  [default: {DEFAULT_RIG}]",
+            help=f"Compare with this rig, or a file of --learn.  [default: {DEFAULT_RIG}]",
             show_default=False,
         ),
     ] = DEFAULT_RIG,
@@ -46,7 +47,7 @@ def twin(
         typer.Option(
             "--learn",
             metavar="FILE",
-            help="Set the alarm threshold by simulated nominal flights, and write a twin file.",
+            help="Set the alarm threshold by simulation, and write this twin file.",
         ),
     ] = None,
     false_alarm_interval_h: Annotated[
@@ -57,7 +58,7 @@ def twin(
             min=0.01,
             help="Accept one false alarm in this many hours in the air.",
         ),
-    ] = HOURS,
+    ] = FALSE_ALARM_INTERVAL_h,
     start_s: Annotated[
         float | None, typer.Option("--from", "--from-s", metavar="S", help="Ignore rows before this time.")
     ] = None,
@@ -67,13 +68,14 @@ def twin(
     json: JsonOption = None,
     figure: Annotated[
         Path | None,
-        typer.Option("--figure", metavar="FILE", help="Figure of the evidence: .png, .pdf or .svg."),
+        typer.Option("--figure", metavar="FILE", help="Draw the evidence over time: .png, .pdf or .svg."),
     ] = None,
 ) -> None:
     """Detect when a rig diverges from its model, and report what changed.
 
-    --learn writes a twin file for --rig, and for --twin of dashboard and fly. The alarms are at the same
-    ticks as live, with `heli-host dashboard --twin` or `heli-host fly --twin`.
+    Compares finished flights with the model. The alarms are at the same ticks as live with `heli-host fly
+    --twin`. --learn writes a twin file for --rig and --twin. Without --learn, --json and --figure the result
+    is only printed.
 
     Example: `heli-host twin flight.mcap --rig my-rig.toml --nominal monday.mcap`
     """
@@ -86,19 +88,19 @@ def twin(
     from heli_lab.twin.calibration import write_calibration
     from heli_lab.twin.figure import draw_evidence
     from heli_lab.twin.files import open_rig
-    from heli_lab.twin.follow import follow_file
-    from heli_lab.twin.learn import is_calm, learn_disturbances_of_flights
+    from heli_lab.twin.learn import has_few_disturbances, learn_disturbances_of_flights
     from heli_lab.twin.learn import learn as learn_calibration
+    from heli_lab.twin.monitor import monitor_file
 
     if not flights and learn is None:
-        raise typer.BadParameter("give a flight, or --learn FILE")
+        raise typer.BadParameter("no flight is given; give one, or --learn FILE")
     if learn is not None and learn.suffix.lower() != ".toml":
         raise typer.BadParameter(f"--learn {learn} is not a TOML file; give a name that ends in .toml")
     check_result_places(learn, json, figure=figure)
     data_on_stdout(json)
     chosen = open_rig(rig)
     others = nominal or []
-    followed: list[Followed] = []
+    reports: list[TwinReport] = []
     with WorkBar() as bar:
         bar.show("reading", 0.0)
         read = [read_flight(path, allow_gaps=True) for path in others]
@@ -112,31 +114,31 @@ def twin(
             chosen = replace(chosen, calibration=replace(chosen.calibration, disturbances=disturbances))
         for path in flights or ():
             bar.show(f"following {path.name}", 0.9)
-            followed.append(follow_file(chosen, path, false_alarm_interval_h, start_s, stop_s))
+            reports.append(monitor_file(chosen, path, false_alarm_interval_h, start_s, stop_s))
     written: list[Path | None] = [learn]
-    for flight in followed:
+    for flight in reports:
         say(*(f"{flight.label}: {text}" for text in flight.sentences()))
         if flight.flown_rig not in ("", chosen.rig.name, Path(chosen.name).stem):
             say(
                 f"{flight.label} is a flight of rig {flight.flown_rig}, "
                 f"but the twin is of rig {chosen.rig.name}; give the right one with --rig"
             )
-    if others and is_calm(chosen.calibration.disturbances):
+    if others and has_few_disturbances(chosen.calibration.disturbances):
         say(
             "the nominal flights have almost no disturbances, so any gust will be an alarm; give more flights"
         )
     threshold_nats = chosen.calibration.threshold_nats(false_alarm_interval_h)
     say(f"alarm threshold: {threshold_nats:.1f} nats, {_rate(false_alarm_interval_h)}; {_source(chosen)}")
-    write_result(json, _numbers(chosen, followed, false_alarm_interval_h))
+    write_result(json, _numbers(chosen, reports, false_alarm_interval_h))
     written.append(json)
-    if figure is not None and followed:
-        draw_evidence(followed, figure)
+    if figure is not None and reports:
+        draw_evidence(reports, figure)
         written.append(figure)
     say_files(written)
 
 
-def _rate(hours: float) -> str:
-    return f"one false alarm in {hours:g} h in the air"
+def _rate(false_alarm_interval_h: float) -> str:
+    return f"one false alarm in {false_alarm_interval_h:g} h in the air"
 
 
 def _source(chosen: TwinRig) -> str:
@@ -147,12 +149,12 @@ def _source(chosen: TwinRig) -> str:
     )
 
 
-def _numbers(chosen: TwinRig, flights: list[Followed], hours: float) -> dict[str, Any]:
+def _numbers(chosen: TwinRig, flights: list[TwinReport], false_alarm_interval_h: float) -> dict[str, Any]:
     disturbances = chosen.calibration.disturbances
     return {
         "rig": chosen.name,
-        "false_alarm_interval_h": hours,
-        "threshold_nats": chosen.calibration.threshold_nats(hours),
+        "false_alarm_interval_h": false_alarm_interval_h,
+        "threshold_nats": chosen.calibration.threshold_nats(false_alarm_interval_h),
         "disturbances": {
             "fast_std_Nm": disturbances.fast_std.tolist(),
             "correlation_time_s": disturbances.correlation_time_s.tolist(),

@@ -52,7 +52,7 @@ def bench_tests_from(table: Mapping[str, Any]) -> tuple[Thrust | None, Balance |
     """
     unknown = sorted(table.keys() - {"thrust", "balance", "swing"})
     if unknown:
-        raise RigError(f"bench tests have no [{unknown[0]}]", "give [thrust], [balance], [[swing]]")
+        raise RigError(f"unknown bench test [{unknown[0]}]", "give [thrust], [balance] or [[swing]]")
     _refuse_blanks(table)
     thrust = _thrust_from(_table(table, "thrust")) if "thrust" in table else None
     balance = None
@@ -76,7 +76,7 @@ def _refuse_blanks(table: Mapping[str, Any]) -> None:
                 if BLANK in (reading if isinstance(reading, list) else [reading]):
                     raise RigError(
                         f"{where} {key} is not filled in yet",
-                        f'write what you read for each "{BLANK}", or remove {where}',
+                        f'write your reading in place of each "{BLANK}", or remove {where}',
                     )
 
 
@@ -89,7 +89,7 @@ def _thrust_from(table: Mapping[str, Any]) -> Thrust:
     volts = _list("volts_V", table["volts_V"])
     sides = [_list(name, table[name]) for name in ("front_g", "back_g") if name in table]
     if any(len(side) != len(volts) for side in sides):
-        raise RigError("[thrust] has not one reading for each voltage", "give lists of the same length")
+        raise RigError("[thrust] needs one reading per voltage", "give lists of the same length")
     scale_g = float(_numbers("[thrust]", {"scale_g": table.get("scale_g", 1.0)}, ("scale_g",), ())["scale_g"])
     _positive("[thrust]", scale_g=scale_g)
     # One rotor on the scale stands for both.
@@ -103,7 +103,10 @@ def _thrust_from(table: Mapping[str, Any]) -> Thrust:
 def _swing_from(table: Mapping[str, Any]) -> Swing:
     axis = table.get("axis")
     if axis not in ("elevation", "pitch"):
-        raise RigError(f"[[swing]] has axis = {axis!r}", 'give "elevation" or "pitch": travel has no rest')
+        raise RigError(
+            f"[[swing]] has axis = {axis!r}",
+            'give "elevation" or "pitch", because travel has no rest position',
+        )
     needed = ("swings", "seconds", "from_deg", "to_deg")
     optional = ("tolerance_s", "tolerance_deg", "elevation_deg")
     rest = {name: value for name, value in table.items() if name != "axis"}
@@ -119,7 +122,8 @@ def _swing_from(table: Mapping[str, Any]) -> Swing:
     )
     if swing.from_deg <= swing.to_deg:
         raise RigError(
-            "[[swing]] grows", "from_deg is the larger amplitude, before the swings that were timed"
+            "[[swing]] has a growing amplitude",
+            "give the larger amplitude as from_deg, before the timed swings",
         )
     return swing
 
@@ -127,13 +131,13 @@ def _swing_from(table: Mapping[str, Any]) -> Swing:
 def _table(table: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     found = table[name]
     if not isinstance(found, dict):
-        raise RigError(f"{name} is no table", f"write [{name}] above its numbers")
+        raise RigError(f"{name} is not a table", f"write [{name}] above its numbers")
     return found
 
 
 def _list(name: str, value: object) -> list[float]:
     if not isinstance(value, list) or not value or not all(_is_number(one) for one in value):
-        raise RigError(f"[thrust] {name} is no list of numbers", "write it as [2, 4, 6]")
+        raise RigError(f"[thrust] {name} is not a list of numbers", "write it as [2, 4, 6]")
     return [float(one) for one in value]
 
 
@@ -147,7 +151,7 @@ def _numbers(
         if name not in (*needed, *optional):
             raise RigError(f"{where} has no {name}", f"it may have {', '.join((*needed, *optional))}")
         if not _is_number(value):
-            raise RigError(f"{where} {name} = {value!r} is no number", "give a number")
+            raise RigError(f"{where} {name} = {value!r} is not a number", "give a number")
     return {name: float(value) for name, value in table.items()}
 
 
@@ -158,4 +162,4 @@ def _is_number(value: object) -> bool:
 def _positive(where: str, **values: float) -> None:
     for name, value in values.items():
         if not value > 0.0:
-            raise RigError(f"{where} {name} = {value:g}", "give more than 0")
+            raise RigError(f"{where} {name} = {value:g} is not positive", "give a number above 0")

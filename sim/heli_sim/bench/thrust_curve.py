@@ -49,7 +49,7 @@ class ThrustCurve:
         volts, thrust = self.volts_V[above], self.thrust_N[above]
         if volts.size < 3:
             raise RigError(
-                f"{volts.size} readings of thrust above zero make no line",
+                f"{volts.size} readings of thrust above zero are too few for a line",
                 "read the scale at three voltages or more above the dead zone",
             )
         design = np.column_stack((volts, np.ones_like(volts)))

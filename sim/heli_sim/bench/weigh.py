@@ -253,7 +253,7 @@ class _Axes:
         _, by_angle, by_rate = self._at(p, axis, angles_rad)
         damped = -by_angle - 0.25 * by_rate**2
         if damped <= 0.0:
-            raise RigError(f"{swing.axis} of this rig does not swing", "look at its lengths and frictions")
+            raise RigError(f"{swing.axis} of this rig does not swing", "check its lengths and frictions")
         amplitude_rad = np.deg2rad(0.5 * (swing.from_deg + swing.to_deg))
         period_s = 2.0 * np.pi / np.sqrt(damped)
         # A pendulum is slower at large amplitudes, by the first term of its series.

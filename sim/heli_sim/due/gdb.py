@@ -64,8 +64,10 @@ class GdbServer:
         try:
             listener = socket.create_server(("127.0.0.1", port))
         except OSError as error:
+            from heli_host.errors import listening_remedy
+
             raise GdbError(
-                f"port {port} cannot be opened ({error.strerror})", "choose another one"
+                f"cannot listen on 127.0.0.1:{port}: {error.strerror}", listening_remedy(error, "--gdb")
             ) from error
         with listener:
             print(

@@ -76,7 +76,7 @@ def _read_elf(path: Path) -> Image:
     try:
         return _read_segments(path, ELFFile)
     except ELFError as error:
-        raise ImageError(f"{path} is no readable ELF ({error})", "build it again") from error
+        raise ImageError(f"{path} is not a readable ELF file ({error})", "build it again") from error
 
 
 def _read_segments(path: Path, elf_file: Any) -> Image:
@@ -117,5 +117,5 @@ def read_image(path: Path | str) -> Image:
                 "link it for the SAM3X8E, from 0x80000 on",
             )
     if not any(data for _, data in image.segments):
-        raise ImageError(f"{path} holds nothing to load", "link it for the SAM3X8E")
+        raise ImageError(f"{path} contains nothing to load", "link it for the SAM3X8E")
     return image

@@ -97,6 +97,8 @@ class Effect:
     multimodal : tuple of str
         Those of `parameters` in which the likelihood is multimodal, such as a frequency: a fit has to start
         near their values, and holds them while other parameters are still far off.
+    linearisable : bool
+        True if a linear model at hover contains the effect.
     """
 
     name: str
@@ -110,6 +112,7 @@ class Effect:
     measured_as: Mapping[str, str] = field(default_factory=dict)
     direction_of: Mapping[str, str] = field(default_factory=dict)
     multimodal: tuple[str, ...] = ()
+    linearisable: bool = False
 
     # Equal effects have equal hashes, so that what is made for a set of effects can be cached.
     def __hash__(self) -> int:

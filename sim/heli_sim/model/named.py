@@ -24,5 +24,5 @@ def model_named(name: str, effects: tuple[Effect, ...] = ()) -> Model:
     if name not in MODELS:
         close = difflib.get_close_matches(name, MODELS, n=1)
         hint = f"did you mean {close[0]}? " if close else ""
-        raise PlantError(f"there is no model '{name}'", f"{hint}give one of: {', '.join(MODELS)}")
+        raise PlantError(f"unknown model '{name}'", f"{hint}give one of: {', '.join(MODELS)}")
     return MODELS[name](effects)

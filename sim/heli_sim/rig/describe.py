@@ -95,7 +95,9 @@ def number_from(name: str, text: str, source: str = "stated by its builder") -> 
     quantity = _quantity(name)
     found = _WRITTEN.match(text)
     if found is None:
-        raise RigError(f"{name}: '{text.strip()}' is no number", f"write it as 0.5 +- 0.01 {quantity.unit}")
+        raise RigError(
+            f"{name}: '{text.strip()}' is not a number", f"write it as 0.5 +- 0.01 {quantity.unit}"
+        )
     tolerance = found["tolerance"]
     return _number(quantity, found["value"], tolerance, found["unit"], found["source"] or source)
 
@@ -120,7 +122,8 @@ def numbers_from_table(text: str, where: str) -> dict[str, Number]:
     heads = [head.strip() for head in rows.fieldnames or ()]
     if not {"name", "value"} <= set(heads) or set(heads) - set(COLUMNS):
         raise RigError(
-            f"{where} has not the columns {', '.join(COLUMNS)}", "name and value at least, no others"
+            f"{where} must have the columns {', '.join(COLUMNS)}",
+            "give at least name and value, and no other column",
         )
     rows.fieldnames = heads
     found: dict[str, Number] = {}
@@ -144,7 +147,7 @@ def numbers_from_words(words: Iterable[str]) -> dict[str, Number]:
     for word in words:
         name, equals, text = word.partition("=")
         if not equals:
-            raise RigError(f"'{word}' states no number", "write it as M_f=355+-4 g")
+            raise RigError(f"'{word}' does not set a parameter", "write it as M_f=355+-4 g")
         found[name.strip()] = number_from(name.strip(), text)
     return found
 
@@ -153,7 +156,7 @@ def _quantity(name: str) -> Quantity:
     for quantity in RIG_QUANTITIES:
         if quantity.name == name:
             return quantity
-    raise RigError(f"a rig has no number '{name}'", f"it has: {', '.join(q.name for q in RIG_QUANTITIES)}")
+    raise RigError(f"unknown rig parameter '{name}'", f"it has: {', '.join(q.name for q in RIG_QUANTITIES)}")
 
 
 def _number(quantity: Quantity, value: str, tolerance: str | None, unit: str, source: str) -> Number:
@@ -165,7 +168,9 @@ def _number(quantity: Quantity, value: str, tolerance: str | None, unit: str, so
         size = factor * float(value)
         half = _usual(quantity, size) if tolerance is None else factor * float(tolerance)
     except ValueError:
-        raise RigError(f"{quantity.name}: '{value}' is no number", "write it with a decimal point") from None
+        raise RigError(
+            f"{quantity.name}: '{value}' is not a number", "write it with a decimal point"
+        ) from None
     number = Number(
         size, quantity.unit, half, source if tolerance is not None else f"{source}; {_why(quantity)}"
     )

@@ -173,7 +173,7 @@ def load_rig(name_or_path: str | Path) -> Rig:
         text = read_file(path, TOML_BYTES).decode("utf-8")
     except (OSError, UnicodeDecodeError):
         known = ", ".join(rig_names())
-        raise RigError(f"no rig '{name_or_path}'", f"give a TOML file or one of: {known}") from None
+        raise RigError(f"unknown rig '{name_or_path}'", f"give a TOML file or one of: {known}") from None
     try:
         table = parse_toml(text)
     except ValueError as error:
@@ -221,12 +221,13 @@ def _effects(path: Path, table: object) -> dict[str, dict[str, Number]]:
 def _number(path: Path, name: str, entry: object) -> Number:
     where = f"rig file {path}: {name}"
     if not isinstance(entry, dict):
-        raise RigError(f"{where} is no table", f"write a table with {', '.join(_FIELDS)}")
+        raise RigError(f"{where} is not a table", f"write a table with {', '.join(_FIELDS)}")
     missing = [field for field in _FIELDS if field not in entry]
     unknown = [field for field in entry if field not in _FIELDS]
     if missing or unknown:
         raise RigError(
-            f"{where}: wrong are {', '.join(missing + unknown)}", f"it needs exactly {', '.join(_FIELDS)}"
+            f"{where} has missing or unknown keys: {', '.join(missing + unknown)}",
+            f"give exactly {', '.join(_FIELDS)}",
         )
     for key in ("value", "tolerance"):
         if isinstance(entry[key], bool) or not isinstance(entry[key], int | float):

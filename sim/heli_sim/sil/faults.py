@@ -44,7 +44,7 @@ class FaultPlan:
         for name in ("flip", "drop", "double"):
             value = getattr(self, name)
             if not 0.0 <= value <= 1.0:
-                raise OptionError(f"{name}={value} is no probability", "give a number from 0 to 1")
+                raise OptionError(f"{name}={value} is not a probability", "give a number from 0 to 1")
 
     def next_edge(self, tick: int) -> int:
         """First tick after `tick` at which a stall or an unplugging begins or ends; far away when there is

@@ -7,18 +7,18 @@ import zlib
 from collections.abc import Mapping
 from typing import Final
 
-from heli_host.declaration import LINK_HASH, PARAMS
+from heli_host.declaration import PARAMS, PARAMS_HASH
 
 _SET_BYTES: Final = 512
 _MAGIC: Final = 0x5048
-_FORMAT: Final = 1
+_FORMAT: Final = 2
 _FLASH_BYTES: Final = 2048
 
 
 def saved(values: Mapping[str, float]) -> bytes:
     """Return the flash of a board on which these `values` were saved once, and else the declared defaults."""
-    numbers = [values.get(spec.name, spec.default) for spec in PARAMS]
-    head = struct.pack("<HBBII", _MAGIC, _FORMAT, len(PARAMS), LINK_HASH, 1)
-    page = (head + struct.pack(f"<{len(numbers)}f", *numbers)).ljust(_SET_BYTES - 4, b"\xff")
+    head = struct.pack("<HBBII", _MAGIC, _FORMAT, len(PARAMS), PARAMS_HASH, 1)
+    entries = (struct.pack("<Hf", spec.id, values.get(spec.name, spec.default)) for spec in PARAMS)
+    page = (head + b"".join(entries)).ljust(_SET_BYTES - 4, b"\xff")
     page += struct.pack("<I", zlib.crc32(page))
     return (page + page).ljust(_FLASH_BYTES, b"\xff")

@@ -52,7 +52,7 @@ class InProcessTransport:
         self._speed = world.options.speed
         if world.unplugged:
             world.advance(_RETRY_TICKS)
-            raise PortError("the simulated cable is out", "wait until it is plugged in again")
+            raise PortError("the simulated cable is unplugged", "wait until it is plugged in again")
         if world.options.reset_on_open:
             world.reset_board()
         self._start_s = time.monotonic() - (world.time_s / self._speed if self._speed else 0.0)

@@ -85,13 +85,13 @@ class SilOptions:
 
     def __post_init__(self) -> None:
         if self.board not in BOARDS:
-            raise OptionError(f"board={self.board} is unknown", f"boards are: {', '.join(BOARDS)}")
+            raise OptionError(f"unknown board={self.board}", f"boards are: {', '.join(BOARDS)}")
         if self.elf and self.board == NATIVE:
             raise OptionError("an ELF runs on board=due only", "give that, or leave elf out")
         if self.seed < 0:
             raise OptionError(f"seed={self.seed} must not be negative", "give 0 or more")
         if self.speed is not None and not (math.isfinite(self.speed) and self.speed > 0.0):
-            raise OptionError(f"speed={self.speed} is no speed", "give a number above 0, or max")
+            raise OptionError(f"speed={self.speed} is invalid", "give a number above 0, or max")
         if not 1 <= self.slice_ms <= 1000:
             raise OptionError(f"slice_ms={self.slice_ms} is out of range", "give 1 to 1000")
 
@@ -115,7 +115,9 @@ def parse_url(url: str) -> SilOptions:
     """
     parts = urlsplit(url)
     if parts.netloc or parts.path.strip("/"):
-        raise OptionError(f"'{url}' names a place", "a simulated board is written sil://?rig=NAME&seed=1")
+        raise OptionError(
+            f"'{url}' names a host or path", "write sil://?rig=NAME&seed=1 for a simulated board"
+        )
     try:
         pairs = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
     except ValueError:
@@ -172,7 +174,7 @@ def _scales(key: str, texts: Sequence[str]) -> tuple[float, float, float]:
     for text in texts:
         axis, _, scale = text.partition(":")
         if axis not in scales:
-            raise OptionError(f"no encoder is called '{axis}'", f"axes are: {', '.join(AXES)}")
+            raise OptionError(f"unknown encoder '{axis}'", f"choose {', '.join(AXES)}")
         scales[axis] = _number(key, scale)
     return scales["elevation"], scales["pitch"], scales["travel"]
 
@@ -186,12 +188,12 @@ def _number(key: str, text: str, *, whole: bool = False) -> float:
         return int(text) if whole else float(text)
     except ValueError:
         kind = "whole number" if whole else "number"
-        raise OptionError(f"{key}={text} is no number", f"give a {kind}") from None
+        raise OptionError(f"{key}={text} is not a number", f"give a {kind}") from None
 
 
 def _flag(key: str, text: str) -> bool:
     if text not in ("0", "1"):
-        raise OptionError(f"{key}={text} is no switch", "give 0 or 1")
+        raise OptionError(f"{key}={text} is invalid", "give 0 or 1")
     return text == "1"
 
 

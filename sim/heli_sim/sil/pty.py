@@ -119,7 +119,9 @@ class PtyEndpoint(Endpoint):
         try:
             self._master, slave = os.openpty()
         except OSError as error:
-            raise EndpointError(f"no pseudo-terminal: {error.strerror}", "close other programs") from None
+            raise EndpointError(
+                f"cannot create a pseudo-terminal: {error.strerror}", "close other programs"
+            ) from None
         self.terminal = os.ttyname(slave)
         """Name of the terminal itself, such as ``/dev/pts/3``."""
         # Without this a host sees its own bytes, and the board's zeros and returns changed, until it sets the

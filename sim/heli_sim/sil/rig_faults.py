@@ -53,7 +53,7 @@ class RigFaults:
     def __post_init__(self) -> None:
         for axis, _ in self.encoders_out:
             if axis not in AXES:
-                raise OptionError(f"no encoder is called '{axis}'", f"axes are: {', '.join(AXES)}")
+                raise OptionError(f"unknown encoder '{axis}'", f"choose {', '.join(AXES)}")
         for scale in self.encoder_scales:
             if not (math.isfinite(scale) and 0.0 < abs(scale) <= _MAX_SCALE):
                 raise OptionError(

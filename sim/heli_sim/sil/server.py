@@ -236,7 +236,7 @@ def is_local(url: str) -> bool:
 def _address(text: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
     if not port.isdigit():
-        raise OptionError(f"'{text}' is no address", "write HOST:PORT")
+        raise OptionError(f"'{text}' is not an address", "write HOST:PORT")
     return host or "127.0.0.1", int(port)
 
 

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
+from heli_host.errors import listening_remedy
 from typing_extensions import override
 
 from heli_sim.errors import EndpointError
@@ -131,7 +132,8 @@ class TcpEndpoint(Endpoint):
         except (OSError, OverflowError) as error:
             host, port = self._address
             reason = getattr(error, "strerror", None) or str(error)
-            raise EndpointError(f"cannot listen on {host}:{port}: {reason}", "choose another port") from None
+            remedy = listening_remedy(error, "HOST:PORT")
+            raise EndpointError(f"cannot listen on {host}:{port}: {reason}", remedy) from None
         listener.setblocking(False)
         self._listener = listener
         self._address = (self._address[0], listener.getsockname()[1])

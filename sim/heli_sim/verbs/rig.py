@@ -23,18 +23,20 @@ WIDE = 160
 """Columns of a table that does not go to a terminal."""
 
 app = typer.Typer(
-    help="Look at rigs: their numbers, whether a rig can be, and how two differ."
-    "\n\nExample: `heli-host rig diff makki2024 makki2024-identified`",
+    help="Describe, weigh, show, check, compare and export rigs.\n\n"
+    "See `heli-host rig COMMAND --help` for options and examples.",
     no_args_is_help=True,
     rich_markup_mode="markdown",
 )
 
-RigArgument = Annotated[str, typer.Argument(metavar="NAME|FILE", help="Rig: a name or a TOML file.")]
+RigArgument = Annotated[str, typer.Argument(metavar="NAME|FILE", help="Use this rig: a name or a TOML file.")]
 
 
 @app.command("list")
 def list_rigs(json: JsonOption = None) -> None:
     """List the rigs that come with the package.
+
+    Prints each name with its description. Nothing is written.
 
     Example: `heli-host rig list`
     """
@@ -50,12 +52,14 @@ def list_rigs(json: JsonOption = None) -> None:
 @app.command("show")
 def show(
     rig: RigArgument,
-    pattern: Annotated[str, typer.Argument(metavar="[TEXT]", help="Only names that contain it.")] = "",
+    pattern: Annotated[
+        str, typer.Argument(metavar="[TEXT]", help="Show only names that contain this text.")
+    ] = "",
     json: JsonOption = None,
 ) -> None:
-    """Show a rig's numbers: value, tolerance, unit, what each is and where it comes from.
+    """Show a rig's parameters with tolerance, unit, meaning and source.
 
-    The tolerance is the half width that holds the true value with about 95 % confidence.
+    The true value is within the tolerance with about 95 % confidence. Nothing is written.
 
     Example: `heli-host rig show makki2024 friction`
     """
@@ -75,7 +79,7 @@ def show(
     if write_result(json, content):
         return
     table = Table(box=None, pad_edge=False)
-    for heading in ("name", "value", "+-", "unit"):
+    for heading in ("name", "value", "tolerance", "unit"):
         table.add_column(heading, no_wrap=True)
     table.add_column("meaning; source", overflow="fold")
     for name, number in shown.items():
@@ -93,7 +97,9 @@ def show(
                     plain(f"effect; {number.source}"),
                 )
     if not table.row_count:
-        raise typer.BadParameter(f"no number's name contains '{pattern}'")
+        raise typer.BadParameter(
+            f"no rig parameter's name contains '{pattern}'; heli-host rig show RIG lists all"
+        )
     console = _console()
     console.print(f"{plain(shown.name)}: {plain(shown.description)}")
     console.print(table)
@@ -101,13 +107,15 @@ def show(
 
 @app.command("check")
 def check(
-    rigs: Annotated[list[str], typer.Argument(metavar="NAME|FILE...", help="Rigs: names or TOML files.")],
+    rigs: Annotated[
+        list[str], typer.Argument(metavar="NAME|FILE...", help="Check these rigs: names or TOML files.")
+    ],
     json: JsonOption = None,
 ) -> None:
-    """Check that rig files are complete, in the right units and possible, and that each rig can fly.
+    """Check that rig files are complete and plausible, and that each rig can fly.
 
-    Shows inertias and the voltage at hover, and names numbers that no table-top rig has. Exit code 1: a rig
-    can't fly on its supply; 2: a rig file is wrong.
+    Prints inertias and the hover voltage, and warns of implausible parameters. The exit code is 1 if a rig
+    cannot fly on its supply. It is 2 if a rig file is wrong.
 
     Example: `heli-host rig check my-rig.toml`
     """
@@ -135,7 +143,7 @@ def check(
         say(f"{name}: {'; '.join(found.words)}")
     write_result(json, {"rigs": told})
     if len(rigs) > 1 and refused:
-        raise RigError(f"{len(refused)} of {len(rigs)} rigs cannot be, see above", "correct them")
+        raise RigError(f"{len(refused)} of {len(rigs)} rig files are wrong, see above", "correct them")
     if refused:
         raise refused[0]
     if grounded:
@@ -146,12 +154,13 @@ def check(
 def diff(
     left: RigArgument,
     right: RigArgument,
-    show_all: Annotated[bool, typer.Option("--all", "-a", help="Show what is the same too.")] = False,
+    show_all: Annotated[bool, typer.Option("--all", "-a", help="Show equal parameters too.")] = False,
     json: JsonOption = None,
 ) -> None:
-    """Compare two rigs, number by number, in tolerances. A star: beyond +-1, so not the same rig.
+    """Compare two rigs, parameter by parameter.
 
-    The unit is both tolerances together, as the root of the sum of their squares.
+    The unit is the combined tolerance, the root of the sum of squares. A star marks a difference above 1,
+    which two files of the same rig rarely have.
 
     Example: `heli-host rig diff makki2024 makki2024-identified`
     """
@@ -187,27 +196,36 @@ def diff(
 
 @app.command("new")
 def new(
-    out: Annotated[Path, typer.Argument(metavar="FILE", help="Rig to write, TOML; its stem is the name.")],
+    out: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Write the rig to this TOML file, which names the rig.")
+    ],
     like: Annotated[
-        str, typer.Option("--like", metavar="NAME|FILE", help="Rig to take what is not stated from.")
+        str, typer.Option("--like", metavar="NAME|FILE", help="Copy every unstated parameter from this rig.")
     ] = "makki2024",
     table: Annotated[
         Path | None,
-        typer.Option("--table", metavar="FILE", help="CSV: name, value, unit, tolerance, source."),
+        typer.Option(
+            "--table", metavar="FILE", help="Read a CSV table: name, value, unit, tolerance, source."
+        ),
     ] = None,
     stated: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="One number, such as 'M_f=355+-4 g; scale'."),
+        typer.Option(
+            "--set", metavar="NAME=VALUE", help="Set one parameter, such as 'M_f=355+-4 g'. Repeatable."
+        ),
     ] = None,
-    description: Annotated[str, typer.Option("--description", metavar="TEXT", help="One line.")] = "",
+    description: Annotated[
+        str, typer.Option("--description", metavar="TEXT", help="Describe the rig in one line.")
+    ] = "",
     force: Annotated[
         bool, typer.Option("--force", help="Write the rig even if a number is implausible for its size.")
     ] = False,
 ) -> None:
-    """Describe a rig: from a table, from options, or where neither is given from a few questions.
+    """Describe a rig by a table, options or answers to questions.
 
-    A number without a unit is in the one of rig files; without a tolerance it has that of a ruler or a
-    kitchen scale. What is not stated is another rig's, and wide.
+    Writes a rig file, and never replaces one. A number without a unit has the unit of rig files. Without a
+    tolerance it gets that of a ruler or a kitchen scale. Unstated parameters come from another rig, with a
+    wide tolerance.
 
     Example: `heli-host rig new mine.toml --set 'M_w=1.87 kg' --set 'L_a=66 cm'`
     """
@@ -221,7 +239,7 @@ def new(
     base = load_rig(like)
     check_place(out)
     if out.exists():
-        raise RigError(f"{out} is there already", "give another name; no rig is overwritten")
+        raise RigError(f"{out} exists already", "give another name, because no rig is overwritten")
     given = {}
     if table is not None:
         given = numbers_from_table(read_text(table), str(table))
@@ -267,17 +285,23 @@ def _asked(like: Rig) -> dict[str, Number]:
 def weigh_rig(
     rig: RigArgument,
     tests: Annotated[
-        Path | None, typer.Argument(metavar="[TESTS]", help="Bench tests, TOML; --template writes one.")
+        Path | None, typer.Argument(metavar="[TESTS]", help="Read bench tests from this TOML file.")
     ] = None,
     save_rig: Annotated[
         Path | None, typer.Option("--save-rig", metavar="FILE", help="Write the estimated rig, TOML.")
     ] = None,
     template: Annotated[
-        Path | None, typer.Option("--template", metavar="FILE", help="Write a table to fill in, and end.")
+        Path | None,
+        typer.Option(
+            "--template", metavar="FILE", help="Write an empty table of bench tests to this file, and exit."
+        ),
     ] = None,
     json: JsonOption = None,
 ) -> None:
-    """Find a rig's numbers by bench tests: thrust on a scale, the angle of balance, swings of a pendulum.
+    """Estimate a rig's parameters from bench tests.
+
+    The tests are thrust on a scale, the angle of balance, and swings of a pendulum. Without --save-rig the
+    result is only printed.
 
     Example: `heli-host rig weigh mine.toml bench.toml --save-rig weighed.toml`
     """
@@ -296,7 +320,9 @@ def weigh_rig(
         say(f"fill in {template}, then: heli-host rig weigh {rig} {template} --save-rig weighed.toml")
         return
     if tests is None:
-        raise typer.BadParameter("give a file of bench tests; --template bench.toml writes one to fill in")
+        raise typer.BadParameter(
+            "no bench tests are given; write a table to fill in with --template bench.toml"
+        )
     try:
         table = parse_toml(read_text(tests))
     except ValueError as error:
@@ -314,7 +340,8 @@ def weigh_rig(
         was, now = before[name], weighed.rig[name]
         moved = abs(now.value - was.value) / was.tolerance if was.tolerance else 0.0
         mark = f", {moved:.1f} tolerances off: a wrong reading, or a wrong rig file" if moved > OFF else ""
-        say(f"{name}: {with_tolerance(was)} -> {now.value:.4g} +-{now.tolerance:.2g} {now.unit}{mark}")
+        after = f"{now.value:.4g} (tolerance {now.tolerance:.2g}) {now.unit}"
+        say(f"{name}: {with_tolerance(was)} -> {after}{mark}")
     for one in weighed.tested:
         mark = f", {one.off:.1f} tolerances off: a wrong reading, or no such rig" if one.off > OFF else ""
         unit = "" if one.unit == "1" else f" {one.unit}"
@@ -346,15 +373,25 @@ def export_rig(
     ] = None,
     effect: Annotated[
         list[str] | None,
-        typer.Option("--effect", metavar="ID[=VALUE]", help="For an FMU: an effect beyond the rig's file."),
+        typer.Option(
+            "--effect",
+            metavar="ID[=VALUE]",
+            help="Add an effect to the FMU, such as rotor_lag=0.1. Repeatable.",
+        ),
     ] = None,
-    model: Annotated[str, typer.Option(metavar="NAME", help="Model of an FMU; else the file's.")] = "",
-    seed: Annotated[int, typer.Option(min=0, help="Seed of what an FMU's effects leave to chance.")] = 1,
+    model: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="Use these equations of motion in the FMU.  [default: the rig's, or multibody]",
+        ),
+    ] = "",
+    seed: Annotated[int, typer.Option(min=0, help="Seed all random numbers of the FMU.")] = 1,
 ) -> None:
-    """Write a rig for other simulators: MuJoCo, or as an FMU for Simulink, Modelica tools and FMPy.
+    """Convert a rig for MuJoCo, or as an FMU for Simulink and Modelica tools.
 
-    Of MuJoCo's file it says what that cannot tell. An FMU has the rig's effects, model exchange and
-    co-simulation, its sources, and a binary for this system.
+    For MuJoCo it prints what the file cannot describe. An FMU contains the rig's effects, model exchange,
+    co-simulation, its sources and a binary for this system.
 
     Example: `heli-host rig export makki2024 --format mjcf -o makki2024.xml`
     """

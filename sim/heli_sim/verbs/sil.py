@@ -14,18 +14,20 @@ from heli_host.cli.verb import Verb
 def sil(
     pty: Annotated[
         str | None,
-        typer.Option("--pty", metavar="PATH", help="Serve a pseudo-terminal; PATH becomes a link to it."),
+        typer.Option("--pty", metavar="PATH", help="Serve a pseudo-terminal, and link PATH to it."),
     ] = None,
     tcp: Annotated[
         str | None,
-        typer.Option("--tcp", metavar="HOST:PORT", help="Serve TCP; hosts connect to socket://HOST:PORT."),
+        typer.Option(
+            "--tcp", metavar="HOST:PORT", help="Serve TCP, for hosts that use --port socket://HOST:PORT."
+        ),
     ] = None,
     rfc2217: Annotated[
         str | None,
         typer.Option(
             "--rfc2217",
             metavar="HOST:PORT",
-            help="Serve TCP with control lines and rate; hosts connect to rfc2217://HOST:PORT.",
+            help="Serve RFC 2217, for hosts that use --port rfc2217://HOST:PORT.",
         ),
     ] = None,
     board: simulated.BoardOption = None,
@@ -34,7 +36,7 @@ def sil(
         bool | None,
         typer.Option(
             "--reset-on-open/--no-reset-on-open",
-            help="Whether opening the port resets the board.  [default: on the emulated Due it does]",
+            help="Reset the board when the port opens.  [default: on the emulated Due only]",
             show_default=False,
         ),
     ] = None,
@@ -47,7 +49,7 @@ def sil(
         typer.Option(
             "--encoder-out",
             metavar="AXIS:START[:LENGTH]",
-            help="Unplug an encoder so many simulated seconds after the start; may be repeated.",
+            help="Unplug an encoder at START, in simulated s. Repeatable.",
         ),
     ] = None,
     stop_switch: Annotated[
@@ -55,7 +57,7 @@ def sil(
         typer.Option(
             "--stop-switch",
             metavar="START[:LENGTH]",
-            help="Press the stop switch at a time, in simulated seconds; may be repeated.",
+            help="Press the stop switch at START, in simulated s. Repeatable.",
         ),
     ] = None,
     supply_out: Annotated[
@@ -63,21 +65,24 @@ def sil(
         typer.Option(
             "--supply-out",
             metavar="START[:LENGTH]",
-            help="Switch the motors' supply off at a time, in simulated seconds; may be repeated.",
+            help="Switch the motors' supply off at START, in simulated s. Repeatable.",
         ),
     ] = None,
     speed: simulated.SpeedOption = "1",
     seed: simulated.SeedOption = 1,
 ) -> None:
-    """Simulate a board and its helicopter behind a serial port, until Ctrl-C.
+    """Simulate a board and its rig behind a serial port (software in the loop).
 
-    In a terminal, type what goes wrong on the rig: `stop`, `release`, `pull pitch`, `plug pitch`,
-    `supply off`, `supply on`; `help` lists them.
+    Serves until Ctrl-C, for this computer only unless HOST says otherwise. Type faults of the rig in its
+    terminal: `stop`, `release`, `pull pitch`, `plug pitch`, `supply off` or `supply on`.
 
     Example: `heli-host sil --pty ./due`, and in another terminal: `heli-host fly hover --port ./due`
     """
     if (pty, tcp, rfc2217).count(None) != 2:
-        raise typer.BadParameter("give one of --pty PATH, --tcp HOST:PORT and --rfc2217 HOST:PORT")
+        raise typer.BadParameter(
+            "sil needs exactly one port to serve; give one of --pty PATH, --tcp HOST:PORT and --rfc2217 "
+            "HOST:PORT"
+        )
     from heli_sim.rig import load_rig
     from heli_sim.rig.board import in_simulation, set_from_rig_text
     from heli_sim.sil.boards import choose

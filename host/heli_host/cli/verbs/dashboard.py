@@ -32,7 +32,7 @@ STEP_S = 0.5
 def dashboard(
     plans: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[PLAN...]", help="TOML files with plans to offer besides the built-in ones."),
+        typer.Argument(metavar="[PLAN...]", help="Offer the plans of these TOML files too."),
     ] = None,
     port: PortOption = None,
     sil: simulated.SilOption = False,
@@ -45,17 +45,14 @@ def dashboard(
     seed: simulated.SeedOption = 1,
     flown: Annotated[
         list[str] | None,
-        typer.Option(
-            "--fly", metavar="PLAN", help="Fly this plan as soon as a page is open; may be repeated."
-        ),
+        typer.Option("--fly", metavar="PLAN", help="Fly this plan as soon as a page is open. Repeatable."),
     ] = None,
     laws: Annotated[
         list[Path] | None,
         typer.Option(
             "--law",
             metavar="FILE.py",
-            help="Offer this law besides the board's own, such as docs/laws/lqi.py; its code is run; may be "
-            "repeated.",
+            help="Offer this control law too, and run its code. Repeatable.",
             show_default=False,
         ),
     ] = None,
@@ -66,15 +63,22 @@ def dashboard(
     ] = None,
     host: Annotated[
         str,
-        typer.Option("--host", metavar="ADDRESS", help="Address to serve on; 0.0.0.0 for the whole network."),
+        typer.Option(
+            "--host", metavar="ADDRESS", help="Serve on this address, 0.0.0.0 for the whole network."
+        ),
     ] = "127.0.0.1",
     http_port: Annotated[
-        int, typer.Option("--http-port", metavar="N", min=0, max=65535, help="TCP port; 0 for a free one.")
+        int,
+        typer.Option(
+            "--http-port", metavar="N", min=0, max=65535, help="Serve on this TCP port, 0 for a free one."
+        ),
     ] = 0,
 ) -> None:
-    """Serve a page that shows the flight live, flies, and stops at once; until Ctrl-C, which lands.
+    """Serve a live page of the flight in the browser, and fly from there.
 
-    Open the address that is printed. Space, Esc and the large button stop the motors.
+    Prints the address of the page, for this computer only. Nothing flies before you start a plan there, or
+    with --fly. Space, Esc and the large button stop the motors. Ctrl-C lands and ends the server. Flights are
+    recorded in flights/TIME/.
 
     Example: `heli-host dashboard --sil`
     """

@@ -25,9 +25,10 @@ if TYPE_CHECKING:
 
 
 def doctor(json: JsonOption = None) -> None:
-    """Check this computer: Python, packages, compiler, serial port, ModemManager.
+    """Check this computer, and print how to fix each problem.
 
-    Says the remedy of each problem; the exit code is 1 when something that is needed does not work.
+    Checks Python, packages, compiler, serial ports and ModemManager. Opens no port. The exit code is 1 if
+    something required does not work.
 
     Example: `heli-host doctor`
     """

@@ -16,14 +16,18 @@ if TYPE_CHECKING:
 
 
 def export(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="A .mcap, .csv or .csv.gz file.")],
-    csv: Annotated[bool, typer.Option("--csv", help="A table that every program reads.")] = False,
-    mat: Annotated[bool, typer.Option("--mat", help="A MATLAB file.")] = False,
-    parquet: Annotated[bool, typer.Option("--parquet", help="A Parquet file; needs pyarrow.")] = False,
-    ros2: Annotated[bool, typer.Option("--ros2", help="An MCAP file of ROS 2, all of it in CDR.")] = False,
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Read this .mcap, .csv or .csv.gz file.")],
+    csv: Annotated[bool, typer.Option("--csv", help="Write a CSV table.")] = False,
+    mat: Annotated[bool, typer.Option("--mat", help="Write a MATLAB file.")] = False,
+    parquet: Annotated[
+        bool, typer.Option("--parquet", help="Write a Parquet file. Requires pyarrow.")
+    ] = False,
+    ros2: Annotated[
+        bool, typer.Option("--ros2", help="Write an MCAP file for ROS 2, in CDR encoding.")
+    ] = False,
     blind: Annotated[
         bool,
-        typer.Option("--blind", help="Leave out what flew: address, rig, effects, seed; seal it instead."),
+        typer.Option("--blind", help="Hide address, rig, effects and seed, and seal them."),
     ] = False,
     output: Annotated[
         Path | None,
@@ -36,18 +40,20 @@ def export(
         ),
     ] = None,
 ) -> None:
-    """Write a log as a table, for MATLAB, as Parquet, or as a bag of ROS 2.
+    """Convert a log to CSV, MATLAB, Parquet or ROS 2.
 
-    Names are the same in each (`elevation_rad`, `front_V`, `elevation_count`), but that ROS 2 takes no
-    capitals: there it is `front_volt`.
+    The log stays unchanged. Columns have the same names in each format, such as `elevation_rad` and
+    `front_V`. ROS 2 allows no capitals, so `front_V` becomes `front_volt`.
 
-    With --blind the export has a seal, a salted digest of what is left out. The truth is written next to the
-    log, as LOG.truth.json: keep it. `heli-host info LOG --truth LOG.truth.json` shows what flew and the seal.
+    --blind hides what flew, and seals it by a salted digest. The truth goes to LOG.truth.json next to the
+    log. `heli-host info LOG --truth LOG.truth.json` compares the two.
 
     Example: `heli-host export flights/2026-01-31_12-00-00/flight.mcap --csv`
     """
     if csv + mat + parquet + ros2 != 1:
-        raise typer.BadParameter("give one of --csv, --mat, --parquet and --ros2")
+        raise typer.BadParameter(
+            "export needs exactly one format; give one of --csv, --mat, --parquet and --ros2"
+        )
     from heli_host.log.flight_file import read_flight
 
     write, suffix = _format(csv, mat, parquet)

@@ -22,21 +22,28 @@ ANSWER_TIMEOUT_S = 5.0
 
 def flash(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE.bin", help="Image to write: build/pio/due/firmware.bin.")
+        Path, typer.Argument(metavar="FILE.bin", help="Write this image, such as build/pio/due/firmware.bin.")
     ],
     port: PortOption = None,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask before erasing.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Erase without a question.")] = False,
     bossac: Annotated[
         Path | None,
-        typer.Option("--bossac", metavar="PROGRAM", help="Uploader to use; else the best one that is found."),
+        typer.Option(
+            "--bossac",
+            metavar="PROGRAM",
+            help="Use this uploader.  [default: the best one that is installed]",
+        ),
     ] = None,
 ) -> None:
-    """Check an image, keep the board's parameters in a file, erase, write, verify, greet what was flashed.
+    """Erase a Due, write a firmware image into it, and verify it.
 
-    Erasing takes the parameters saved on the board with it: whatever can be read of them before goes to
-    parameters-TIME.toml, for params restore. Shown on a stand-in for the uploader and a simulated board only.
+    Checks the image first, and asks before it erases. Erasing deletes the board's saved parameters. They are
+    saved in parameters-TIME.toml first, for `heli-host params restore`. Afterwards the board must answer with
+    the new firmware.
 
-    Example: `heli-host flash build/pio/due/firmware.bin`
+    This has been tested with a simulated uploader and board only.
+
+    Example: `heli-host flash build/pio/due/firmware.bin --port /dev/ttyACM0`
     """
     from heli_host.cli.board import check_target
     from heli_host.cli.finding import Verdict
@@ -50,7 +57,9 @@ def flash(
     check_target(port, None)
     assert port is not None
     if "://" in port:
-        raise typer.BadParameter(f"{port} cannot be flashed: give a serial port of this computer")
+        raise typer.BadParameter(
+            f"{port} is not a serial port of this computer; give one, such as /dev/ttyACM0"
+        )
     if uploader.doubtful:
         say(f"note: {_doubt(uploader)}")
     manager = check_modem_manager(due_is_present=True)
@@ -60,7 +69,9 @@ def flash(
     kept = _keep_parameters(port)
     if not yes:
         if not sys.stdin.isatty():
-            raise typer.BadParameter("nobody can be asked whether to erase the board: add --yes")
+            raise typer.BadParameter(
+                "standard input is not a terminal, so erasing cannot be confirmed; add --yes"
+            )
         typer.confirm("This erases the whole flash, the saved parameters too. Go on?", abort=True)
 
     say(f"erasing the board on {port}")
@@ -99,7 +110,9 @@ def _keep_parameters(port: str) -> Path | None:
         return None
     with heli:
         if heli.motors_may_run:
-            raise FlashError(f"the board on {port} is {heli.state.name.lower()}", "land or stop first")
+            raise FlashError(
+                f"the board on {port} is {heli.state.name.lower()}", "land first, or stop the motors"
+            )
         say(f"found: {board_text(heli)}")
         values = heli.params.dump()
         if all(

@@ -17,7 +17,8 @@ from heli_host.cli.verb import Verb
 
 def fly(
     plans: Annotated[
-        list[str], typer.Argument(metavar="PLAN...", help="Built-in plans (hover, sine, ...) or TOML files.")
+        list[str],
+        typer.Argument(metavar="PLAN...", help="Fly these plans: built-in (hover, sine) or TOML files."),
     ],
     port: PortOption = None,
     sil: simulated.SilOption = False,
@@ -39,14 +40,13 @@ def fly(
     json: JsonOption = None,
     figure: FigureOption = None,
 ) -> None:
-    """Take off, fly plans one after the other, land. Ctrl-C lands too; a second Ctrl-C stops the motors.
+    """Take off, fly plans one after the other, and land.
 
-    Without --log, --json and --figure the three files go into a new folder, flights/<time>/. With any of them
-    only those are written, and the log always is.
+    Writes the log, a summary and a figure into a new folder, flights/TIME/. If you give --log, --json or
+    --figure, it writes only those, and always a log. Ctrl-C lands. A second Ctrl-C stops the motors.
 
-    With --blind the log has a seal, a salted digest of what flew. The truth is written next to the log, as
-    LOG.truth.json: keep it, and hand out the other files. `heli-host info LOG --truth LOG.truth.json`
-    compares the two.
+    --blind seals what flew by a salted digest. The truth goes to LOG.truth.json next to the log. Keep it, and
+    share the other files. `heli-host info LOG --truth LOG.truth.json` compares the two.
 
     Example: `heli-host fly hover sine --sil --speed 5`
     """

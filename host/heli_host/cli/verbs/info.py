@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 
 
 def info(
-    flight_file: Annotated[Path, typer.Argument(metavar="LOG", help="A .mcap, .csv or .csv.gz file.")],
+    flight_file: Annotated[
+        Path, typer.Argument(metavar="LOG", help="Read this .mcap, .csv or .csv.gz file.")
+    ],
     events: Annotated[bool, typer.Option("--events", help="List the events too.")] = False,
     parameters: Annotated[bool, typer.Option("--params", help="List the board's parameters too.")] = False,
     plan: Annotated[bool, typer.Option("--plan", help="Print the flight plans too.")] = False,
@@ -26,12 +28,14 @@ def info(
         typer.Option(
             "--truth",
             metavar="FILE",
-            help="Compare with the truth file of a blind flight, and show what flew.",
+            help="Show what flew in a blind flight, from its truth file.",
         ),
     ] = None,
     json: JsonOption = None,
 ) -> None:
-    """Say what a log holds: versions, duration, tracking errors, losses, and what is wrong with it.
+    """Show what a log contains, and what is wrong with it.
+
+    Prints versions, duration, tracking errors and losses. The log stays unchanged.
 
     Example: `heli-host info flights/2026-01-31_12-00-00/flight.mcap --events`
     """

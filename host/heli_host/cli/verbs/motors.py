@@ -21,9 +21,11 @@ REFRESH_S = 0.1
 
 def motors(
     front_V: Annotated[
-        float, typer.Option("--front-V", metavar="V", help="Front motor; 0 only enables.")
+        float, typer.Option("--front-V", metavar="V", help="Drive the front motor with this voltage.")
     ] = 0.0,
-    back_V: Annotated[float, typer.Option("--back-V", metavar="V", help="Back motor; 0 only enables.")] = 0.0,
+    back_V: Annotated[
+        float, typer.Option("--back-V", metavar="V", help="Drive the back motor with this voltage.")
+    ] = 0.0,
     duration_s: Annotated[
         float,
         typer.Option("--duration", metavar="S", min=0.1, max=MAX_S, help="Drive for this time in s."),
@@ -34,10 +36,11 @@ def motors(
     rig: RigOption = None,
     speed: SpeedOption = "1",
 ) -> None:
-    """Bench only: enable the drivers, put fixed voltages on the motors, then switch everything off.
+    """Drive the motors with fixed voltages on the bench, then switch them off.
 
-    No propellers until docs/how-to/first-power-up.md says so: nothing holds the arm. Ctrl-C switches off
-    at once, and so does the board itself when this program dies.
+    This enables the drivers of a real board. Use no propellers before docs/how-to/first-power-up.md allows
+    them, because nothing holds the arm. Without voltages it only enables the drivers. Ctrl-C switches off
+    immediately. The board itself switches off if this program ends.
 
     Example: `heli-host motors --port /dev/ttyACM0 --front-V 1.0 --duration 2`
     """

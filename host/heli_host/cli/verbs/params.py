@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,37 +15,47 @@ from heli_host.cli.simulated import MAX_SPEED, SilOption, sil_address
 from heli_host.cli.verb import Verb
 
 if TYPE_CHECKING:
+    from heli_host.declaration import ParamSpec
     from heli_host.heli import Heli
 
 app = typer.Typer(
-    help="Read and set the board's parameters.\n\nExample: `heli-host params set hover_V 1.5 --save`",
+    help="Read and set the board's parameters.\n\n"
+    "See `heli-host params COMMAND --help` for options and examples.",
     no_args_is_help=True,
     rich_markup_mode="markdown",
 )
 
-NameArgument = Annotated[str, typer.Argument(metavar="NAME", help="Parameter, as params list shows it.")]
+NameArgument = Annotated[
+    str, typer.Argument(metavar="NAME", help="Use this parameter, as params list names it.")
+]
 SaveOption = Annotated[bool, typer.Option("--save", help="Write all parameters to the board's flash too.")]
 
 
 @app.command("list")
 def list_parameters(
-    pattern: Annotated[str, typer.Argument(metavar="[TEXT]", help="Only names that contain it.")] = "",
-    long: Annotated[bool, typer.Option("--long", "-l", help="Say what each means too.")] = False,
+    pattern: Annotated[
+        str, typer.Argument(metavar="[TEXT]", help="Show only names that contain this text.")
+    ] = "",
+    long: Annotated[bool, typer.Option("--long", "-l", help="Explain each parameter too.")] = False,
     port: PortOption = None,
     sil: SilOption = False,
     json: JsonOption = None,
 ) -> None:
-    """List names, values, units and ranges; a star marks what differs from the default.
+    """List the board's parameters with values, units and ranges.
 
-    Example: `heli-host params list pitch --long`
+    A star marks each value that differs from its default. Nothing is changed.
+
+    Example: `heli-host params list pitch --long --port /dev/ttyACM0`
     """
     from rich.console import Console
-    from rich.markup import escape
     from rich.table import Table
+
+    from heli_host.controllers import controller_names
 
     with _board(port, sil) as heli:
         values = heli.params.dump()
         specs = {name: heli.params.spec(name) for name in values if pattern in name}
+        names = controller_names(heli.session)
         content = {
             name: {
                 "value": values[name],
@@ -53,31 +64,58 @@ def list_parameters(
                 "max": spec.max,
                 "default": spec.default,
                 "meaning": spec.meaning,
+                **({"names": names} if name == "controller" else {}),
             }
             for name, spec in specs.items()
         }
         if write_result(json, {"parameters": content}):
             return
+        if not specs:
+            raise typer.BadParameter(
+                f"no parameter's name contains '{pattern}'; heli-host params list lists all"
+            )
+        if long:
+            _print_with_meanings(specs, values, names)
+            return
         table = Table(box=None, pad_edge=False)
-        for heading in ("name", "", "value", "unit", "range", *(("meaning",) if long else ())):
-            table.add_column(heading, no_wrap=heading != "meaning")
-        for name, value in values.items():
-            spec = heli.params.spec(name)
-            if pattern in name:
-                meaning = (escape(spec.meaning),) if long else ()
-                mark = "" if abs(value - spec.default) <= 1e-6 * max(1.0, abs(value)) else "*"
-                limits = f"{spec.min:g} .. {spec.max:g}"
-                table.add_row(name, mark, f"{value:g}", spec.unit, limits, *meaning)
-    if not table.row_count:
-        raise typer.BadParameter(f"no parameter's name contains '{pattern}'")
+        for heading in ("name", "", "value", "unit", "range"):
+            table.add_column(heading, no_wrap=True)
+        for name, spec in specs.items():
+            table.add_row(name, _mark(spec, values[name]), f"{values[name]:g}", spec.unit, _limits(spec))
     Console(highlight=False).print(table)
+
+
+def _print_with_meanings(
+    specs: Mapping[str, ParamSpec], values: Mapping[str, float], names: tuple[str, ...]
+) -> None:
+    """Print each parameter on one line, and its meaning indented below it, within the terminal's width."""
+    from rich.console import Console
+    from rich.padding import Padding
+    from rich.text import Text
+
+    console = Console(highlight=False)
+    for name, spec in specs.items():
+        unit = f" {spec.unit}" if spec.unit else ""
+        console.print(Text(f"{name} = {values[name]:g}{unit}{_mark(spec, values[name])}  ({_limits(spec)})"))
+        meaning = _with_names(spec.meaning, names) if name == "controller" else spec.meaning
+        console.print(Padding(Text(meaning), (0, 0, 0, 4)))
+
+
+def _mark(spec: ParamSpec, value: float) -> str:
+    return "" if abs(value - spec.default) <= 1e-6 * max(1.0, abs(value)) else "*"
+
+
+def _limits(spec: ParamSpec) -> str:
+    return f"{spec.min:g} .. {spec.max:g}"
 
 
 @app.command("get")
 def get(name: NameArgument, port: PortOption = None, sil: SilOption = False, json: JsonOption = None) -> None:
-    """Print one parameter's value.
+    """Print the value of one parameter.
 
-    Example: `heli-host params get hover_V`
+    Prints the value in the board's memory. Nothing is changed.
+
+    Example: `heli-host params get hover_V --port /dev/ttyACM0`
     """
     from heli_host.parameters import spec_of
 
@@ -90,15 +128,18 @@ def get(name: NameArgument, port: PortOption = None, sil: SilOption = False, jso
 @app.command("set", context_settings={"ignore_unknown_options": True})
 def set_parameter(
     name: NameArgument,
-    value: Annotated[float, typer.Argument(metavar="VALUE", help="New value, in the parameter's unit.")],
+    value: Annotated[float, typer.Argument(metavar="VALUE", help="Set this value, in the parameter's unit.")],
     save: SaveOption = False,
     port: PortOption = None,
     sil: SilOption = False,
     json: JsonOption = None,
 ) -> None:
-    """Set one parameter, in the board's memory or for good.
+    """Set one parameter in the board's memory.
 
-    Example: `heli-host params set hover_V 1.5 --save`
+    The value is lost when the board restarts, unless you add --save. Saving works only while the board is
+    idle.
+
+    Example: `heli-host params set hover_V 1.5 --save --port /dev/ttyACM0`
     """
     from heli_host.parameters import checked
 
@@ -124,9 +165,11 @@ def set_parameter(
 
 @app.command("save")
 def save_parameters(port: PortOption = None, sil: SilOption = False) -> None:
-    """Write all parameters to the board's flash; only while it is idle.
+    """Write all parameters to the board's flash.
 
-    Example: `heli-host params save`
+    The board must be idle. The saved values replace the former ones.
+
+    Example: `heli-host params save --port /dev/ttyACM0`
     """
     with _board(port, sil) as heli:
         say(f"parameters saved, generation {heli.params.save()}")
@@ -134,13 +177,15 @@ def save_parameters(port: PortOption = None, sil: SilOption = False) -> None:
 
 @app.command("dump")
 def dump(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="TOML file to write.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Write the parameters to this TOML file.")],
     port: PortOption = None,
     sil: SilOption = False,
 ) -> None:
-    """Write all parameters into a TOML file.
+    """Write all parameters of the board to a TOML file.
 
-    Example: `heli-host params dump rig7.toml`
+    An existing file is replaced. The board stays unchanged.
+
+    Example: `heli-host params dump rig7.toml --port /dev/ttyACM0`
     """
     from heli_host.cli.board import board_versions
     from heli_host.parameter_file import parameters_text
@@ -154,36 +199,51 @@ def dump(
 
 @app.command("restore")
 def restore(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="TOML file that params dump wrote.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Read the parameters from this TOML file.")],
     save: SaveOption = False,
     port: PortOption = None,
     sil: SilOption = False,
     json: JsonOption = None,
 ) -> None:
-    """Set all parameters of a file; when one is refused, none is set.
+    """Set all parameters that a TOML file contains.
 
-    Example: `heli-host params restore rig7.toml --save`
+    If the board refuses one value, none is set. The values are lost when the board restarts, unless you add
+    --save. From a file of another parameter schema, known parameters are kept, and the others are listed.
+
+    Example: `heli-host params restore rig7.toml --save --port /dev/ttyACM0`
     """
-    from heli_host.parameter_file import read_parameters
-    from heli_host.parameters import checked
+    from heli_host.parameter_file import read_parameter_set
 
-    values = read_parameters(file)
-    for name, value in values.items():
-        checked(name, value)
+    given = read_parameter_set(file)
+    values = given.values
     data_on_stdout(json)
+    for reason in given.dropped:
+        say(f"dropped: {reason}")
     with _board(port, sil) as heli:
+        for name in given.new:
+            say(f"not in {file}: {name} stays {heli.params[name]:g}")
         changed = heli.params.restore(values)
         for name, value in changed.items():
             say(f"{name} -> {value:g}")
         saved = heli.params.save() if save else None
         say(f"{len(changed)} of {len(values)} changed{_saved(saved)}")
-        write_result(json, {"changed": dict(changed), "saved": saved is not None})
+        result = {
+            "changed": dict(changed),
+            "dropped": list(given.dropped),
+            "new": list(given.new),
+            "saved": saved is not None,
+        }
+        write_result(json, result)
 
 
 def _board(port: str | None, sil: bool) -> AbstractContextManager[Heli]:
     from heli_host.cli.board import open_board
 
     return open_board(port, sil_address(speed=MAX_SPEED) if sil else None)
+
+
+def _with_names(meaning: str, names: tuple[str, ...]) -> str:
+    return f"{meaning}: {', '.join(f'{row} is {name}' for row, name in enumerate(names))}"
 
 
 def _saved(generation: int | None) -> str:

@@ -15,7 +15,7 @@ from heli_host.cli.verb import Verb
 
 def plot(
     logs: Annotated[
-        list[Path], typer.Argument(metavar="LOG...", help="A .mcap log; of several, .csv and .csv.gz too.")
+        list[Path], typer.Argument(metavar="LOG...", help="Draw this .mcap log, or several logs and tables.")
     ],
     figure: Annotated[
         Path | None,
@@ -28,10 +28,11 @@ def plot(
     ] = None,
     json: JsonOption = None,
 ) -> None:
-    """Draw setpoints, angles, voltages and events of a log; several are laid over each other and compared.
+    """Draw a log, or compare several logs in one figure.
 
-    Of each axis that had setpoints: rise, overshoot and settling of its largest step, tracking error (rms);
-    of each flight its effort, the motors' voltages' rms about their mean.
+    The figure shows setpoints, angles, voltages and events. For several logs it also prints metrics. For each
+    axis with setpoints these are rise time, overshoot, settling time and RMS tracking error. The effort of a
+    flight is the RMS voltage of its motors about their mean.
 
     Example: `heli-host plot pid.mcap lqr.mcap --figure both.pdf`
     """
@@ -59,11 +60,11 @@ def _compare(logs: Sequence[Path], figure: Path | None, json: Path | None) -> No
 
     if len(logs) > MAX_FLIGHTS:
         raise typer.BadParameter(
-            f"{len(logs)} flights on one page cannot be told apart; give {MAX_FLIGHTS} at most"
+            f"{len(logs)} flights are too many for one figure; give at most {MAX_FLIGHTS}"
         )
     labels = [str(log) for log in logs]
     if len(set(labels)) < len(labels):
-        raise typer.BadParameter("a log is given twice; give each once")
+        raise typer.BadParameter("the same log is given twice; give each log once")
     flights = {label: read_flight(log, allow_gaps=True) for label, log in zip(labels, logs, strict=True)}
     numbers = comparison_numbers(flights)
     target = figure

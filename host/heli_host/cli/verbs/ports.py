@@ -9,6 +9,8 @@ from heli_host.cli.verb import Verb
 def ports(json: JsonOption = None) -> None:
     """List the serial ports, the Due's programming port first.
 
+    Opens no port, so that no board is reset.
+
     Example: `heli-host ports`
     """
     from rich.console import Console

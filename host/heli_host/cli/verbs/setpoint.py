@@ -25,38 +25,50 @@ STEP_S = 0.1
 
 def setpoint(
     elevation_deg: Annotated[
-        float | None, typer.Option("--elevation-deg", metavar="DEG", help="Elevation; 0 is level.")
+        float | None, typer.Option("--elevation-deg", metavar="DEG", help="Hold this elevation. 0 is level.")
     ] = None,
-    travel_deg: Annotated[float | None, typer.Option("--travel-deg", metavar="DEG", help="Travel.")] = None,
+    travel_deg: Annotated[
+        float | None, typer.Option("--travel-deg", metavar="DEG", help="Hold this travel angle.")
+    ] = None,
     pitch_deg: Annotated[
-        float | None, typer.Option("--pitch-deg", metavar="DEG", help="Pitch; leaves travel free.")
+        float | None,
+        typer.Option("--pitch-deg", metavar="DEG", help="Hold this pitch, and leave travel free."),
     ] = None,
     duration_s: Annotated[
         float, typer.Option("--duration", metavar="S", min=0.1, help="Hold for this time in s.")
     ] = 10.0,
-    take_off: Annotated[bool, typer.Option("--take-off", help="Arm and take off first, if idle.")] = False,
+    take_off: Annotated[
+        bool, typer.Option("--take-off", help="Arm and take off first if the board is idle.")
+    ] = False,
     clear_fault: ClearFaultOption = False,
     keep: Annotated[
         bool,
-        typer.Option("--keep", help="Do not land at the end; another command may take over."),
+        typer.Option("--keep", help="Keep flying at the end, so that another command can take over."),
     ] = False,
-    log: Annotated[Path | None, typer.Option("--log", metavar="FILE", help="Record into this log.")] = None,
+    log: Annotated[
+        Path | None, typer.Option("--log", metavar="FILE", help="Record the flight into this log, .mcap.")
+    ] = None,
     json: JsonOption = None,
     port: PortOption = None,
     sil: SilOption = False,
     rig: RigOption = None,
     speed: SpeedOption = "1",
 ) -> None:
-    """Step to a setpoint and hold it for a while, then land. Ctrl-C lands too.
+    """Step to a setpoint, hold it, and land.
 
-    Example: `heli-host setpoint --sil --take-off --elevation-deg 5 --travel-deg 10 --duration 20`
+    The board must fly already, unless you add --take-off. Ctrl-C lands too. Without --log nothing is
+    recorded.
+
+    Example: `heli-host setpoint --sil --take-off --elevation-deg 5 --duration 20`
     """
     given = {"elevation": elevation_deg, "pitch": pitch_deg, "travel": travel_deg}
     targets_deg = {axis: value for axis, value in given.items() if value is not None}
     if not targets_deg:
         raise typer.BadParameter("give at least one of --elevation-deg, --travel-deg and --pitch-deg")
     if "pitch" in targets_deg and "travel" in targets_deg:
-        raise typer.BadParameter("give --travel-deg or --pitch-deg: flying to a travel needs the pitch")
+        raise typer.BadParameter(
+            "--travel-deg and --pitch-deg exclude each other, because pitch controls travel; give one of them"
+        )
     from heli_host.cli.board import check_board_rig, clear_latched_fault, open_board
     from heli_host.declaration import Axes
     from heli_host.errors import LogWriteError

@@ -28,9 +28,10 @@ def watch(
     rig: RigOption = None,
     speed: SpeedOption = "1",
 ) -> None:
-    """Show counts, angles, encoder errors, voltages and state, live. Commands nothing: no motor runs.
+    """Show counts, angles, encoder errors, voltages and state, live.
 
-    For the bench: turn an axis by hand and see which counter moves, and which way.
+    Sends no command, so that no motor starts. Turn an axis by hand, and see which counter moves, and which
+    way. Ctrl-C ends it.
 
     Example: `heli-host watch --port /dev/ttyACM0 --duration 60`
     """

@@ -168,11 +168,11 @@ export class Controls {
     $("record").disabled = !flies || Boolean(status.flight);
     $("record").setAttribute("aria-pressed", String(Boolean(status.recording)));
     $("record").textContent = status.recording ? "Stop recording" : "Record";
-    $("recording").textContent = status.trouble || (status.recording ? `recording ${status.recording}` : this.recorded ?? "nothing is being recorded");
+    $("recording").textContent = status.trouble || (status.recording ? `recording ${status.recording}` : this.recorded ?? "not recording");
     const flight = status.flight;
-    $("progress").textContent = flight ? `${flight.phase}, ${flight.t_s} s${flight.left_s == null ? "" : `, ${flight.left_s} s left`}; Land ends it` : status.doing;
+    $("progress").textContent = flight ? `${flight.phase}, ${flight.t_s} s${flight.left_s == null ? "" : `, ${flight.left_s} s left`}. Press Land to end it` : status.doing;
     $("save").disabled = !this.mayTune || this.state !== "idle";
-    $("save").title = this.state === "idle" ? "into the board's flash" : "only while idle: the board writes its flash then";
+    $("save").title = this.state === "idle" ? "Write all parameters to the board's flash" : "Saving works only while the board is idle";
     this.showLaw(status.law);
     this.refreshParameters();
     if (this.hello.mode === "replay") this.showReplay(status);
@@ -180,7 +180,7 @@ export class Controls {
   }
 
   showReplay(status) {
-    $("play").textContent = status.playing ? "Pause playing" : "Play";
+    $("play").textContent = status.playing ? "Pause" : "Play";
     for (const button of document.querySelectorAll("[data-speed]")) button.setAttribute("aria-pressed", String(Number(button.dataset.speed) === status.speed));
     $("at").textContent = `${status.at_s.toFixed(1)} s`;
     if (document.activeElement !== $("seek")) $("seek").value = status.at_s;
@@ -204,7 +204,7 @@ export class Controls {
       input.disabled = !this.mayTune;
       if (document.activeElement !== input) input.value = +law.values[input.name].toPrecision(7);
     }
-    const said = law.flies ? `${law.chosen} flies` : law.taken_over ? `the board's own law took over: ${law.taken_over}` : law.chosen && this.state === "idle" ? `${law.chosen} is on the board, and flies after the take-off` : "the board's own law";
+    const said = law.flies ? `${law.chosen} flies` : law.taken_over ? `the board's own control law took over: ${law.taken_over}` : law.chosen && this.state === "idle" ? `${law.chosen} is loaded, and flies after take-off` : "the board's own control law";
     $("law-said").className = law.taken_over ? "hint bad" : "hint";
     if ($("law-said").textContent !== said) $("law-said").textContent = said;
   }

@@ -114,8 +114,8 @@ function showStatus(news) {
   $("state").textContent = state ? state.name.replace("_", " ") : "–";
   $("state").dataset.kind = news.connected ? KINDS[state?.name] ?? "" : "bad";
   const twin = news.twin ? ` ${news.twin.words}` : "";
-  const words = !news.connected ? "The board does not answer: it holds, then lands by itself. It is looked for." : fault ? `${fault.meaning}: ${fault.remedy}.` : (state?.words ?? "") + twin;
-  if (news.twin?.parted) $("state").dataset.parted = "yes"; else delete $("state").dataset.parted;
+  const words = !news.connected ? "The board does not answer. It holds level, then lands by itself. Reconnecting …" : fault ? `${fault.meaning}: ${fault.remedy}.` : (state?.words ?? "") + twin;
+  if (news.twin?.alarm) $("state").dataset.alarm = "yes"; else delete $("state").dataset.alarm;
   put("words", words);
   controls.show(news);
 }
@@ -123,7 +123,7 @@ function showStatus(news) {
 function showView() {
   const paused = strips.view !== null;
   $("pause").setAttribute("aria-pressed", String(paused));
-  $("pause").textContent = paused ? "Go on" : "Pause";
+  $("pause").textContent = paused ? "Continue" : "Pause";
   for (const button of document.querySelectorAll("[data-span]")) button.setAttribute("aria-pressed", String(!paused && Number(button.dataset.span) === strips.spanS));
 }
 
@@ -140,7 +140,7 @@ function showNumbers(nowMs) {
   const [front, back] = ["front_V", "back_V"].map((one) => history.latest(history.channels.findIndex((spec) => spec.name === one)));
   $("volts").textContent = `front ${front.toFixed(2)} V, back ${back.toFixed(2)} V`;
   $("clock").textContent = `${(history.latestTick * hello.tick_s).toFixed(1)} s`;
-  $("pace").textContent = history.gaps ? `${history.gaps} gaps` : history.thinned ? "this browser is slow: some rows were left out" : "every tick";
+  $("pace").textContent = history.gaps ? `${history.gaps} gaps` : history.thinned ? "this browser is slow, so some rows are skipped" : "every tick";
   if (hello.mode === "live") controls.follow(Object.fromEntries(AXES.map((axis, i) => [axis, goal[i] * DEG])));
 }
 

@@ -153,7 +153,7 @@ class EquationEffect(Effect):
     ----------
     name, parameters, values, states, priors, delay, stage, noise_inputs, measured_as
         Inherited from `Effect`; `equation_effect` makes them.
-    multimodal, direction_of
+    multimodal, direction_of, linearisable
         Inherited from `Effect` as well.
     equation : Equation
         The terms.

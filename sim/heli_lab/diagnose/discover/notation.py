@@ -156,6 +156,7 @@ PROPOSED_TERM = EffectSpec(
     equation=r"{latex(equation)}",
     acts_on="{acts_on}",
     stage=Stage.{stage},
+    linearisable=True,
     numbers=(
 {parameters}    ),
 {f"    states=({chr(10)}{states}    ),{chr(10)}" if states else ""})

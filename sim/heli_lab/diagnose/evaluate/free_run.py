@@ -200,10 +200,10 @@ def calibration_s(record: Record, requested_s: float | None = None) -> float:
     if requested_s is None:
         return min(CALIBRATE_s, most_s)
     if not requested_s >= 0.0:
-        raise IdentifyError(f"{requested_s:g} s to calibrate on", "give 0 or more to --calibrate")
+        raise IdentifyError(f"{requested_s:g} s of calibration is negative", "give --calibrate 0 or more")
     if requested_s > record.used_s - MIN_SEGMENT_S:
         raise IdentifyError(
-            f"{requested_s:g} s to calibrate on leave nothing of the {record.used_s:.3g} s of free flight in "
+            f"{requested_s:g} s of calibration leave no time of the {record.used_s:.3g} s of free flight in "
             f"{record.label}",
             f"give {most_s:.2g} or less to --calibrate, or a longer flight to --validate",
         )

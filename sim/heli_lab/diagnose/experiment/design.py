@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from heli_sim.errors import SimError
+from heli_sim.model.effect import Stage
 from heli_sim.model.effects import EffectSpec
 
 from heli_lab.diagnose.evaluate import undetectable_effects
@@ -126,12 +127,12 @@ class ExperimentDesign:
 
 def segment_for(kind: EffectSpec) -> str:
     """Choose the segment that excites an effect of this `kind` best, by what it acts on; return its key."""
-    if any(q.name.endswith("_at_s") for q in kind.parameters) or "fade" in kind.id:
+    if kind.time_varying:
         return "time"
     axis = kind.acts_on.rpartition(".")[2]
     if axis in ("travel", "elevation"):
         return axis
-    return "elevation" if kind.id == "ground_effect" else "motors"
+    return "elevation" if kind.stage is Stage.GROUND else "motors"
 
 
 def compose_experiment(reason: str, parts: Iterable[str]) -> ExperimentDesign:

@@ -17,10 +17,10 @@ from heli_lab.diagnose.report.result_figures import (
     figure_of_missing_terms,
     figure_of_prediction,
 )
-from heli_lab.diagnose.report.sentences import disturbances_in_words, summary, title
+from heli_lab.diagnose.report.sentences import disturbances_in_words, next_step, summary, title
 from heli_lab.diagnose.report.serialize import proposal_json, to_json
 from heli_lab.diagnose.result import Diagnosis
-from heli_lab.diagnose.wording import SHOWN, dependence_in_words, readable_id
+from heli_lab.diagnose.wording import SHOWN, dependence_in_words, evidence_in_words, readable_id
 from heli_lab.identify import trace
 from heli_lab.identify.result import rounded
 from heli_lab.page import folder_with, write_page
@@ -80,6 +80,7 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
         label=diagnosis.label,
         extended=extended,
         sentence=numbers["sentence"],
+        next_step=_capital(next_step(diagnosis)),
         cautions=[_sentence(caution) for caution in numbers["cautions"]],
         cause=_cause(terms, kept),
         judged="a flight that no fit used"
@@ -198,11 +199,11 @@ def _equation(diagnosis: Diagnosis, kept: _Kept) -> dict[str, Any] | None:
     confirmed = (
         "no other flight confirms it"
         if discovery.held_out is None
-        else f"{discovery.held_out:.0f} on held-out flights"
+        else f"{evidence_in_words(discovery.held_out)} on held-out flights"
     )
     return {
         "sentence": proposed.sentence,
-        "evidence": f"Confidence {proposed.confidence:.2f}: log-likelihood ratio {discovery.train:.0f} nats "
+        "evidence": f"Confidence {proposed.confidence:.2f}: {evidence_in_words(discovery.train)} "
         f"on the fitted flights, {confirmed}, the best of {discovery.tried} terms.",
         "address": kept("equation", equation_figures.figure_of_equation(proposed)),
         "rows": [
@@ -272,7 +273,9 @@ def _shown_unit(unit: str) -> str:
 def _cause_rows(cause: dict[str, Any], kept: _Kept) -> dict[str, Any]:
     others = ", ".join(cause["ambiguous_with"])
     evidence = ", ".join(
-        f"{name.replace('_', ' ')} {value:.3g}"
+        evidence_in_words(value)
+        if name == "log_likelihood_ratio"
+        else f"{name.replace('_', ' ')} {value:.3g}"
         for name, value in cause["evidence"].items()
         if isinstance(value, float)
     )
@@ -326,7 +329,7 @@ def _unknown(missing: dict[str, Any] | None) -> dict[str, Any] | None:
         return None
     return {
         "said": f"No effect of the catalogue explains a part of the motion about {missing['axis']} that can "
-        f"be predicted: log-likelihood ratio {missing['log_likelihood_gain']:.0f} nats. It may be, the most "
+        f"be predicted, with {evidence_in_words(missing['log_likelihood_gain'])}. It may be, the most "
         "likely first:",
         "depends": [_capital(dependence_in_words(dependence)) for dependence in missing["correlates_with"]],
         "gain": _gain(missing.get("gain_with_splines", {})),

@@ -11,7 +11,7 @@ from heli_lab.diagnose.report import findings
 from heli_lab.diagnose.report.cautions import cautions
 from heli_lab.diagnose.result import Diagnosis, Proposal
 from heli_lab.diagnose.thresholds import CONFIDENCE_NATS, REPORT_DISTURBANCE_NATS, REPORT_RATIO
-from heli_lab.diagnose.wording import dependence_in_words
+from heli_lab.diagnose.wording import dependence_in_words, evidence_in_words
 
 METRIC: Final = "2 s free-run rms on the validation flights, deg"
 """What the error reductions measure if flights are held out."""
@@ -58,7 +58,7 @@ def _verdict(result: Diagnosis) -> str:
     text = (
         "Something is missing that no effect of the catalogue explains: "
         f"{dependence_in_words(missing['correlates_with'][0])} predicts the motion about {missing['axis']} "
-        f"(log-likelihood ratio {missing['log_likelihood_gain']:.0f} nats)."
+        f"with {evidence_in_words(missing['log_likelihood_gain'])}."
     )
     if causes:
         perhaps = "; ".join(f"{cause['sentence']} (confidence {cause['confidence']:.2f})" for cause in causes)
@@ -107,7 +107,23 @@ def lines(result: Diagnosis | InsufficientExcitation) -> list[str]:
         lines.append(f"next flight: {result.next_flight.why}")
     elif result.undetectable:
         lines.append(f"these flights would not show at a typical size: {', '.join(result.undetectable)}")
+    if findings.causes(result):
+        lines.append("\N{PLUS-MINUS SIGN} is one standard error")
+    lines.append(f"what to do next: {next_step(result)}")
     return lines + cautions(result)
+
+
+def next_step(result: Diagnosis) -> str:
+    """Return what to do after this verdict, in one or two sentences."""
+    if result.label == "explained":
+        return "use the refitted model; to find smaller effects, fly longer or with larger motions"
+    if result.label == "cause_found":
+        return "check the cause on the rig, and save the extended model with --save-rig"
+    if result.label == "ambiguous":
+        return "fly the proposed next flight, which distinguishes these causes, and diagnose both flights"
+    if result.proposal is not None:
+        return "try the proposed equation in simulation with --effect-file, and confirm it by another flight"
+    return "look for a part of the rig that acts as described, and add it as an effect with --effect-file"
 
 
 def metric(result: Diagnosis) -> str:
@@ -121,11 +137,11 @@ def proposal_lines(proposal: Proposal) -> list[str]:
     confirmed = (
         "no other flight confirms it"
         if discovery.held_out is None
-        else f"{discovery.held_out:.0f} on held-out flights"
+        else f"{evidence_in_words(discovery.held_out)} on held-out flights"
     )
     lines = [
         f"proposed equation: {term.sentence} (confidence {term.confidence:.2f}; "
-        f"{discovery.train:.0f} nats on the fitted flights, {confirmed})"
+        f"{evidence_in_words(discovery.train)} on the fitted flights, {confirmed})"
     ]
     for name, (value, std, unit) in discovery.values.items():
         error = f" \N{PLUS-MINUS SIGN} {std:.2g}" if std else ""

@@ -64,9 +64,7 @@ class EstimateCache:
             first, *lines = path.read_text(encoding="utf-8").splitlines()
             head = json.loads(first)["search_of"]
         except (ValueError, KeyError, TypeError):
-            raise IdentifyError(
-                f"{path} is not a --resume file", "give another name to --resume, and it is made"
-            ) from None
+            raise IdentifyError(f"{path} is not a --resume file", "give --resume a new file name") from None
         if head != of:
             raise IdentifyError(
                 f"{path} is from a search with other flights, another rig, model or program version",

@@ -19,7 +19,7 @@ from heli_lab.diagnose.search.hypothesis import Hypothesis
 from heli_lab.diagnose.thresholds import NEW_DISTURBANCES_NATS, EVENT_EDGE_s
 from heli_lab.estimation import BLOCK_s, Estimate, ModelFunctions, ReferenceTrajectory, estimate
 from heli_lab.identify import Record
-from heli_lab.identify.flight_model import RigParameters, kinematic_filter, model_functions
+from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
 
 _FILTERED: Final = 2
 """How often the reference trajectory is filtered again with the baseline's own estimate. After the second
@@ -200,7 +200,7 @@ def reference_trajectories(
     model: Model, rig: Rig, records: Sequence[Record]
 ) -> tuple[ReferenceTrajectory, ...]:
     """Filter flights (`records`) with the baseline, a `model` of a `rig`, estimated on them."""
-    references = tuple(kinematic_filter(record) for record in records)
+    references = tuple(filter_record(record) for record in records)
     parameter_vector = RigParameters(model, rig, records)
     functions = model_functions(model, parameter_vector.quantities)
     disturbances, theta = None, parameter_vector.start

@@ -82,7 +82,7 @@ class SplineTerm(Effect):
     ----------
     name, parameters, values, states, priors, delay, stage
         Inherited from `Effect`; set by `spline_term`.
-    noise_inputs, measured_as, direction_of, multimodal
+    noise_inputs, measured_as, direction_of, multimodal, linearisable
         Inherited from `Effect`; empty.
     channel : str
         Channel, one of `SPLINE_CHANNELS`: ``torque`` in N m, ``thrust`` as a share, ``measurement`` in rad.

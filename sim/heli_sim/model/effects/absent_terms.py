@@ -76,6 +76,7 @@ def _spec(name: str, words: str, numbers: tuple[str, ...], equation: str) -> Eff
         numbers=(_SHARE,),
         baseline=True,
         override=dict.fromkeys(numbers, 0.0),
+        linearisable=True,
         rank=900,
         source="the baseline's own term",
     )
@@ -93,6 +94,7 @@ SPECS: Final = (
         numbers=(_SHARE,),
         models=("paper_printed",),
         baseline=True,
+        linearisable=True,
         rank=900,
         source="(21), (23), (24) of the paper as printed; no multibody model has it",
     ),

@@ -57,7 +57,7 @@ def _moment_kg_m(p: Mapping[str, ca.SX], q: ca.SX) -> ca.SX:
 SPEC: Final = EffectSpec(
     id="axis_tilt",
     effect=AxisTilt,
-    sentence="the travel axis leans: plumb is off by {x_rad} towards the arm at travel 0 and {y_rad} across",
+    sentence="the travel axis leans by {x_rad} towards the arm at travel 0 and by {y_rad} across",
     equation=r"U = g\, \boldsymbol{n} \cdot \sum m_j \boldsymbol{r}_j,\ \boldsymbol{n} \approx (a_x, a_y, 1)",
     acts_on="torque.travel",
     stage=Stage.TORQUE,
@@ -66,6 +66,7 @@ SPEC: Final = EffectSpec(
         Parameter("y_rad", "rad", "lean a_y across the arm", 0.0, Prior(0.0, 0.1, -0.5, 0.5), size=True),
     ),
     needs=("M_f", "M_b", "M_w", "M_h", "M_l", "L_a", "L_b", "L_h", "L_phi", "L_theta", "L_x", "g"),
+    linearisable=True,
     rank=140,
     source="potential of the five masses of Table 2",
 )

@@ -8,7 +8,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.spec import EffectSpec, Parameter
+from heli_sim.model.effects.spec import ChangeSpec, EffectSpec, Parameter
 from heli_sim.model.parts import on_axis
 from heli_sim.rig.quantity import Prior
 
@@ -41,6 +41,14 @@ def _spec(axis: str) -> EffectSpec:
                 "Nm_per_rad", "N m/rad", "stiffness k", 0.05, Prior(0.0, 0.5, low=-2.0, high=5.0), size=True
             ),
             Parameter("rest_rad", "rad", "rest angle q_0", 0.0, Prior(0.0, 0.5, low=-6.3, high=6.3)),
+        ),
+        linearisable=True,
+        change=ChangeSpec(
+            (0.1, 0.03),
+            f"a cable pulls {axis} with {{}}",
+            f"a cable pushes {axis} with {{}}",
+            # About an angle at rest a cable is a stiffness and a constant torque.
+            numbers=(f"cable_spring_{axis}_Nm_per_rad", f"torque_{axis}"),
         ),
         rank=130,
         source="Hooke; a constant pull beside it is the rig's torque_" + axis,

@@ -101,7 +101,10 @@ def _try(path: Path, kind: EffectSpec) -> None:
             f"{where}: effect must be a class derived from Effect", "see docs/reference/effects.md"
         )
     if not kind.numbers or not kind.size:
-        raise EffectError(f"{where} has no number with size=True", "say which one measures it")
+        raise EffectError(
+            f"{where} has no number with size=True",
+            "set size=True for the parameter that measures the effect",
+        )
     models = [model for model in (MultibodyModel, PaperModel) if kind.suits(model())]
     if not models:
         raise EffectError(

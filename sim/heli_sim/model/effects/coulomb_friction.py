@@ -9,7 +9,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.spec import EffectSpec, Parameter
+from heli_sim.model.effects.spec import ChangeSpec, EffectSpec, Parameter
 from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior
 
@@ -92,6 +92,11 @@ def _spec(axis: str, typical_Nm: float) -> EffectSpec:
                 0.01,
                 Prior(0.008, 0.005, low=0.004, high=0.05),
             ),
+        ),
+        change=ChangeSpec(
+            (2.0 * typical_Nm,),
+            f"the {axis} axis has {{}} more dry friction",
+            f"the {axis} axis has {{}} less dry friction",
         ),
         rank=110,
         source=(

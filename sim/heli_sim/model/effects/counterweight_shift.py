@@ -9,7 +9,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.spec import EffectSpec, Parameter
+from heli_sim.model.effects.spec import ChangeSpec, EffectSpec, Parameter
 from heli_sim.model.effects.thrust_step import moments_s
 from heli_sim.model.parts import smooth_step
 from heli_sim.rig.quantity import Prior
@@ -38,6 +38,12 @@ SPEC: Final = EffectSpec(
         Parameter("at_s", "s", "moment t_0", 20.0, Prior(30.0, 60.0, low=0.0), grid=moments_s),
     ),
     needs=("L_b", "M_w"),
+    time_varying=True,
+    change=ChangeSpec(
+        (0.01,),
+        "the counterweight slipped by {} outwards",
+        "the counterweight slipped by {} inwards",
+    ),
     rank=150,
     source="definition; a mass that falls off it is told apart from a shift by no flight",
 )

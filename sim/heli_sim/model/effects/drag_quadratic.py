@@ -34,6 +34,7 @@ def _spec(axis: str, symbol: str, typical_Nms2: float, prior: Prior, source: str
         acts_on=f"torque.{axis}",
         stage=Stage.TORQUE,
         numbers=(Parameter("Nms2", "N m s2/rad2", "torque d at 1 rad/s", typical_Nms2, prior, size=True),),
+        linearisable=True,
         rank=120,
         source=source,
     )

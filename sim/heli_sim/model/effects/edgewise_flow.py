@@ -47,6 +47,7 @@ SPEC: Final = EffectSpec(
         Parameter("s_per_m", "s/m", "share c for each m/s", 0.08, Prior(0.0, 0.3, 0.0, 1.0), size=True),
     ),
     needs=("L_a", "L_theta"),
+    linearisable=True,
     rank=210,
     source="helicopter theory: a rotor in edgewise flow has more inflow at its trailing edge, and pitches up",
 )

@@ -61,6 +61,7 @@ SPEC: Final = EffectSpec(
         Parameter("spin_up", "1", "share s of the torque of spinning up that turns the rig back", 0.0),
     ),
     states=(Quantity("both_V", "V", "sum of the rotors' speeds as the voltages that hold them"),),
+    linearisable=True,
     rank=230,
     source="rigid-body mechanics, and a motor's first-order lag",
 )

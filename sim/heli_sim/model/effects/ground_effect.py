@@ -49,6 +49,7 @@ SPEC: Final = EffectSpec(
         Parameter("table_m", "m", "how far below the elevation axis the table is, where h_i = 0", 0.25),
     ),
     needs=("L_a", "L_h", "L_theta"),
+    linearisable=True,
     rank=90,
     source=(
         "measured thrust of rotors near the ground falls off about exponentially; between one and two radii "

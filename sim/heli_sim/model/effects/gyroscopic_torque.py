@@ -63,6 +63,7 @@ SPEC: Final = EffectSpec(
             size=True,
         ),
     ),
+    linearisable=True,
     rank=220,
     source="rigid-body mechanics; going with the thrust, it suits measured flights better than a constant",
 )

@@ -61,6 +61,7 @@ SPEC: Final = EffectSpec(
         ),
     ),
     needs=("L_a", "L_h", "L_theta"),
+    linearisable=True,
     rank=80,
     source="blade element theory: the loss goes with axial speed over blade speed, and with the thrust",
 )

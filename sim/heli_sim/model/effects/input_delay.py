@@ -22,6 +22,7 @@ SPEC: Final = EffectSpec(
     stage=Stage.CURVE,
     numbers=(Parameter("s", "s", "delay T_d", 0.02, Prior(0.02, 0.03, low=0.0, high=0.25), size=True),),
     delay="s",
+    linearisable=True,
     rank=20,
     source="definition",
 )

@@ -125,7 +125,7 @@ def _known(kinds: Mapping[str, EffectSpec], name: str, where: str) -> EffectSpec
     near = [kind for kind in kinds if kind.startswith(f"{name}.")]
     near = near or difflib.get_close_matches(name, kinds, n=1)
     hint = f"did you mean {' or '.join(near)}?" if near else f"effects are: {', '.join(kinds)}"
-    raise EffectError(f"{where}: there is no effect '{name}'", hint)
+    raise EffectError(f"{where}: unknown effect '{name}'", hint)
 
 
 def _in_proportion(kind: EffectSpec, value: str) -> dict[str, str]:
@@ -156,5 +156,7 @@ def _values(kind: EffectSpec, rest: str, text: str) -> dict[str, float]:
         try:
             values[kind.full(what)] = float(value)
         except ValueError:
-            raise EffectError(f"--effect {text}: {what} = '{value}' is not a number", "give one") from None
+            raise EffectError(
+                f"--effect {text}: {what} = '{value}' is not a number", "give a number"
+            ) from None
     return values

@@ -80,6 +80,7 @@ SPEC: Final = EffectSpec(
         Quantity("front_N", "N", "thrust that the front rotor has reached"),
         Quantity("back_N", "N", "thrust that the back rotor has reached"),
     ),
+    linearisable=True,
     rank=10,
     source="first-order model of a motor with a propeller about an operating point",
 )

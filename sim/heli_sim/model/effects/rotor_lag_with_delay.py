@@ -31,6 +31,7 @@ SPEC: Final = EffectSpec(
     states=LAG.states,
     delay="delay_s",
     contains={"rotor_lag": {"s": "lag_s"}, "input_delay": {"s": "delay_s"}},
+    linearisable=True,
     rank=14,
     source="first-order lag with dead time, the usual model of an actuator behind a bus",
 )

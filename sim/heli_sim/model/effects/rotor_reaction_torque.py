@@ -51,6 +51,7 @@ SPEC: Final = EffectSpec(
             size=True,
         ),
     ),
+    linearisable=True,
     rank=100,
     source="propeller theory: thrust and drag torque both go with the square of the speed",
 )

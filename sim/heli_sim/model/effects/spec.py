@@ -73,6 +73,30 @@ class Parameter:
 
 
 @dataclass(frozen=True)
+class ChangeSpec:
+    """An effect as a sudden change of a rig, which a twin can detect in flight.
+
+    Parameters
+    ----------
+    sizes : tuple of float
+        Prior standard deviation of each number of the change, SI: the size that such changes usually have.
+    positive, negative : str
+        Sentence for a positive and for a negative first number; ``{}`` is its amount.
+    numbers : tuple of str
+        Parameters by which the change is a derivative, by full name, at most two; empty for the effect's
+        first parameter alone. Names joined by ``+`` change alike.
+    is_ramp : bool
+        True if the change grows from its onset at a constant rate; False for a step.
+    """
+
+    sizes: tuple[float, ...]
+    positive: str
+    negative: str
+    numbers: tuple[str, ...] = ()
+    is_ramp: bool = False
+
+
+@dataclass(frozen=True)
 class EffectSpec:
     """An effect of the catalogue.
 
@@ -111,6 +135,14 @@ class EffectSpec:
     contains : Mapping[str, Mapping[str, str]]
         Effects that this one is with the rest of its parameters at their neutral values (nested models): by
         id, for each of their parameters that of this one; both named without the effects' names.
+    linearisable : bool
+        True if a linear model at hover contains the effect. False for what is not smooth there or biases a
+        measurement only. The design of gains reports effects that its linear plants do not contain.
+    time_varying : bool
+        True if the effect changes the rig during a flight, as a step or a fade; it is then in no linear
+        plant, and an experiment for it must last.
+    change : ChangeSpec or None
+        The effect as a sudden change in flight; None if a twin does not look for it.
     rank : int
         Place in the catalogue, lowest first; equal ranks by the name of the file.
     """
@@ -132,6 +164,9 @@ class EffectSpec:
     baseline: bool = False
     override: Mapping[str, float] = field(default_factory=dict)
     contains: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    linearisable: bool = False
+    time_varying: bool = False
+    change: ChangeSpec | None = None
     rank: int = 500
 
     @property
@@ -169,9 +204,15 @@ class EffectSpec:
         """Parameters in which the likelihood is multimodal, by full name, with the values to start from."""
         return {self.full(one.name): one.grid for one in self.numbers if one.grid is not None}
 
-    def full(self, what: str) -> str:
+    @property
+    def is_one_sided(self) -> bool:
+        """Whether the first number cannot be negative, as a friction."""
+        prior = self.numbers[0].prior
+        return prior is not None and prior.low >= 0.0
+
+    def full(self, name: str) -> str:
         """Full name of a number, such as ``thrust_step_front_share``, whose last part is `name`."""
-        return f"{self.prefix}_{what}"
+        return f"{self.prefix}_{name}"
 
     def suits(self, model: Model) -> bool:
         """Whether a model has what the effect changes: the numbers that the effect needs, or the term that it
@@ -230,6 +271,7 @@ class EffectSpec:
             delay=self.full(self.delay) if self.delay else "",
             stage=self.stage,
             noise_inputs=self.noise_inputs,
+            linearisable=self.linearisable and not self.time_varying,
             measured_as={self.full(state): axis for state, axis in self.measured_as.items()},
             multimodal=tuple(name for name in self.grid if name in self.priors),
         )
@@ -282,7 +324,7 @@ class EffectSpec:
 
 
 def format_estimate(value: float, std: float | None, unit: str) -> str:
-    """Format an estimate with its standard error as people read it, such as ``0.12 +- 0.01 s``: two digits of
+    """Format an estimate with its standard error as people read it, such as ``0.12 ± 0.01 s``: two digits of
     the error, three of a number without one.
 
     Parameters
@@ -302,5 +344,5 @@ def format_estimate(value: float, std: float | None, unit: str) -> str:
     # Two digits where they begin with 1 or 2, one digit otherwise.
     digits = -math.floor(np.log10(std)) + (1 if std / 10 ** math.floor(np.log10(std)) < 2.95 else 0)
     if digits <= 0:
-        return f"{round(value, digits):.0f} +- {round(std, digits):.0f}{name}"
-    return f"{value:.{digits}f} +- {std:.{digits}f}{name}"
+        return f"{round(value, digits):.0f} ± {round(std, digits):.0f}{name}"
+    return f"{value:.{digits}f} ± {std:.{digits}f}{name}"

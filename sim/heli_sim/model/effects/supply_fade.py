@@ -51,6 +51,7 @@ SPEC: Final = EffectSpec(
             grid=bends_per_s,
         ),
     ),
+    time_varying=True,
     rank=72,
     source="discharge of a battery: steep at first and flat after, or nearly straight",
 )

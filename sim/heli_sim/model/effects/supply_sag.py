@@ -46,6 +46,7 @@ SPEC: Final = EffectSpec(
             grid=(0.0, 1.0),
         ),
     ),
+    linearisable=True,
     rank=70,
     source="Ohm: a driver passes on a share of the supply, whose current goes with both motors' voltages",
 )

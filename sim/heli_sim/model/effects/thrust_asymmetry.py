@@ -29,6 +29,7 @@ SPEC: Final = EffectSpec(
     acts_on="thrust",
     stage=Stage.GAIN,
     numbers=(Parameter("share", "1", "share a", 0.05, Prior(0.0, 0.3, low=-0.9, high=0.9), size=True),),
+    linearisable=True,
     rank=40,
     source="definition; what both rotors gain together is the thrust gain k",
 )

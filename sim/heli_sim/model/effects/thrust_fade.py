@@ -8,7 +8,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.spec import EffectSpec, Parameter
+from heli_sim.model.effects.spec import ChangeSpec, EffectSpec, Parameter
 from heli_sim.rig.quantity import Prior
 
 
@@ -53,6 +53,15 @@ SPEC: Final = EffectSpec(
             Prior(0.0, 0.03, low=-0.02, high=1.0),
             grid=bends_per_s,
         ),
+    ),
+    time_varying=True,
+    change=ChangeSpec(
+        (0.01,),
+        "both rotors lose {} of their thrust",
+        "both rotors gain {} of their thrust",
+        # From its onset a fade is a ramp of what both rotors lose.
+        numbers=("thrust_step_front_share+thrust_step_back_share",),
+        is_ramp=True,
     ),
     rank=50,
     source="first-order warming of a motor, of which a straight line and an exponential are limits",

@@ -33,6 +33,7 @@ SPEC: Final = EffectSpec(
         Parameter("share", "1", "quadratic share q", 0.3, Prior(0.0, 0.6, low=-1.0, high=1.5), size=True),
         Parameter("pivot_V", "V", "voltage e_0 above the dead zone at which the thrust is not changed", 1.0),
     ),
+    linearisable=True,
     rank=30,
     source="propeller theory: thrust goes with the square of the speed; (31) of the paper is a straight line",
 )

@@ -8,7 +8,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.spec import EffectSpec, Parameter
+from heli_sim.model.effects.spec import ChangeSpec, EffectSpec, Parameter
 from heli_sim.model.parts import smooth_step
 from heli_sim.rig.quantity import Prior
 
@@ -38,6 +38,12 @@ def _spec(rotor: str) -> EffectSpec:
         numbers=(
             Parameter("share", "1", "share s lost", 0.1, Prior(0.0, 0.4, low=-1.0, high=1.0), size=True),
             Parameter("at_s", "s", "moment t_0", 20.0, Prior(30.0, 60.0, low=0.0), grid=moments_s),
+        ),
+        time_varying=True,
+        change=ChangeSpec(
+            (0.1,),
+            f"the {rotor} rotor lost {{}} of its thrust",
+            f"the {rotor} rotor gained {{}} of its thrust",
         ),
         rank=60,
         source="definition",

@@ -8,7 +8,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.spec import EffectSpec, Parameter
+from heli_sim.model.effects.spec import ChangeSpec, EffectSpec, Parameter
 from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior
 
@@ -30,6 +30,9 @@ def _spec(axis: str) -> EffectSpec:
         acts_on=f"measurement.{axis}",
         stage=Stage.ZERO,
         numbers=(Parameter("rad", "rad", "offset z", 0.02, Prior(0.0, 0.1, -1.0, 1.0), size=True),),
+        change=ChangeSpec(
+            (0.03,), f"the {axis} encoder shows {{}} too much", f"the {axis} encoder shows {{}} too little"
+        ),
         rank=180,
         source="definition; on travel it shows only beside a spring, a tilt or an eccentricity",
     )

@@ -1,4 +1,4 @@
-"""A twin beside a flight that is over: the same alarms at the same ticks as live."""
+"""Change detection in a finished flight: the same alarms at the same ticks as live."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from heli_lab.twin.twin import Twin, TwinEvent
 
 
 @dataclass(frozen=True)
-class Followed:
-    """What the twin said of a flight.
+class TwinReport:
+    """Result of comparing a flight with a twin.
 
     Parameters
     ----------
     label : str
         Name of the flight.
     events : tuple of TwinEvent
-        In order.
+        Events in order of time.
     evidence_nats : tuple of (float, float)
-        Times and evidence of each measurement.
+        Time [s] and evidence [nats] of each measurement.
     threshold_nats : float
-        Evidence that is an alarm.
+        Evidence above which an alarm is raised [nats].
     free_s : float
-        Time over which it compared.
+        Length of the flight that was compared [s].
     flown_rig : str
-        Name of the rig that the file of the flight states; empty where it states none.
+        Name of the rig in the flight's file; empty if it has none.
     """
 
     label: str
@@ -51,18 +51,18 @@ class Followed:
 
     @property
     def max_evidence_nats(self) -> float:
-        """Largest evidence of any change, before an alarm or ever."""
+        """Largest evidence of any change [nats]; -inf if nothing was compared."""
         return max(
             (evidence for _, evidence in self.evidence_nats if math.isfinite(evidence)), default=-math.inf
         )
 
     @property
     def alarms(self) -> tuple[TwinEvent, ...]:
-        """The last word on each alarm."""
-        return tuple(event for event in self.events if event.kind == "named")
+        """The event with the final ranking of each alarm."""
+        return tuple(event for event in self.events if event.kind == "diagnosed")
 
     def sentences(self) -> list[str]:
-        """Say it for people."""
+        """Describe the result for people, one sentence per alarm."""
         if not self.free_s:
             return ["no free flight to compare"]
         if not self.alarms:
@@ -70,77 +70,94 @@ class Followed:
         return [event.text for event in self.alarms]
 
 
-def follow_flight(
+def monitor_flight(
     chosen: TwinRig,
     flight: Flight,
     label: str,
-    hours: float,
+    false_alarm_interval_h: float,
     start_s: float | None = None,
     stop_s: float | None = None,
-) -> Followed:
-    """Fly the twin beside a flight.
+) -> TwinReport:
+    """Compare a flight with the twin of a rig.
 
     Parameters
     ----------
     chosen : TwinRig
-        The rig, and what is normal of it.
+        Rig, model and calibration.
     flight : Flight
-        The flight; gaps are allowed.
+        Flight of the rig; gaps are allowed.
     label : str
-        Its name.
-    hours : float
-        Free flight with one false alarm on average, h.
+        Name of the flight.
+    false_alarm_interval_h : float
+        Mean time of free flight between two false alarms [h].
     start_s, stop_s : float, optional
-        Only this part, on the flight's own time axis.
+        Beginning and end of the part to compare, on the flight's time axis [s].
 
     Raises
     ------
     TwinError
-        Its rows are not evenly spaced, or none is in the part.
+        The rows are not evenly spaced, or the part has no row.
     """
     samples, sample_s = samples_of(flight)
     zero_s = float(samples.number[0]) * sample_s - float(flight.t_s[0])
     count_rad = count_rad_of(flight, chosen.rig)
-    return _follow(chosen, samples, count_rad, sample_s, zero_s, label, hours, (start_s, stop_s))
+    return _monitor(
+        chosen, samples, count_rad, sample_s, zero_s, label, false_alarm_interval_h, (start_s, stop_s)
+    )
 
 
-def follow_file(
-    chosen: TwinRig, path: Path, hours: float, start_s: float | None = None, stop_s: float | None = None
-) -> Followed:
-    """Fly the twin beside the flight in the file at `path`; `hours`, `start_s`, `stop_s` and errors are
-    those of `follow_flight`, and a HeliError where the file holds no flight.
+def monitor_file(
+    chosen: TwinRig,
+    path: Path,
+    false_alarm_interval_h: float,
+    start_s: float | None = None,
+    stop_s: float | None = None,
+) -> TwinReport:
+    """Compare the flight in the file at `path` with the twin of a rig.
+
+    The other arguments and errors are those of `monitor_flight`. A file that holds no flight raises a
+    HeliError.
+
+    Parameters
+    ----------
+    false_alarm_interval_h : float
+        Mean time of free flight between two false alarms [h].
+    start_s, stop_s : float, optional
+        Beginning and end of the part to compare [s].
     """
     if path.suffix.lower() != ".mcap":
         flight = read_flight(path, allow_gaps=True)
-        followed = follow_flight(chosen, flight, path.name, hours, start_s, stop_s)
-        return replace(followed, flown_rig=str(flight.meta.get("rig") or ""))
+        report = monitor_flight(chosen, flight, path.name, false_alarm_interval_h, start_s, stop_s)
+        return replace(report, flown_rig=str(flight.meta.get("rig") or ""))
     log = read_log(path)
     samples, zero_s = samples_of_log(log)
     count_rad = rad_per_count(log.parameters)
-    followed = _follow(chosen, samples, count_rad, TICK_S, zero_s, path.name, hours, (start_s, stop_s))
-    return replace(followed, flown_rig=log.metadata.get("session", {}).get("rig", ""))
+    report = _monitor(
+        chosen, samples, count_rad, TICK_S, zero_s, path.name, false_alarm_interval_h, (start_s, stop_s)
+    )
+    return replace(report, flown_rig=log.metadata.get("session", {}).get("rig", ""))
 
 
-def _follow(
+def _monitor(
     chosen: TwinRig,
     samples: Samples,
     count_rad: Floats,
     sample_s: float,
     zero_s: float,
     label: str,
-    hours: float,
+    false_alarm_interval_h: float,
     span: tuple[float | None, float | None],
-) -> Followed:
+) -> TwinReport:
     low = -math.inf if span[0] is None else span[0]
     high = math.inf if span[1] is None else span[1]
     t_s = samples.number * sample_s - zero_s
     rows = (t_s >= low) & (t_s < high)
     if not np.any(rows):
         raise TwinError(f"{label} has no row from {low:g} to {high:g} s", "give a part of the flight")
-    part = samples.part(rows)
+    part = samples.select(rows)
     model = TwinModel(chosen.model, chosen.rig)
-    twin = Twin(model, chosen.calibration, count_rad, sample_s, hours, zero_s=zero_s)
-    twin.keeps = True
-    events = twin.take(part) + twin.finish()
+    twin = Twin(model, chosen.calibration, count_rad, sample_s, false_alarm_interval_h, zero_s=zero_s)
+    twin.records_evidence = True
+    events = twin.update(part) + twin.finish()
     compared = len(twin.evidence_history) * twin.block_s
-    return Followed(label, tuple(events), tuple(twin.evidence_history), twin.threshold_nats, compared)
+    return TwinReport(label, tuple(events), tuple(twin.evidence_history), twin.threshold_nats, compared)

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from heli_lab.twin import twin as twin_module
 from heli_lab.twin.calibration import Calibration, Tail
-from heli_lab.twin.changes import CHANGES
-from heli_lab.twin.files import USUAL
+from heli_lab.twin.changes import all_changes
+from heli_lab.twin.files import DEFAULT_CALIBRATION
 from heli_lab.twin.likelihood_ratio import ONSETS, ChangeCandidate, LikelihoodRatio
 from heli_lab.twin.samples import Samples
-from heli_lab.twin.twin import LASTS_BLOCKS, NAMED_AFTER_s, Twin
+from heli_lab.twin.twin import PERSISTENCE_BLOCKS, DIAGNOSIS_DELAY_s, Twin
 from heli_sim.rig import load_rig
+
+CHANGES = all_changes()
 
 THRESHOLD_nats = 9.0
 MUCH, LITTLE = [10.0], [1.0]
@@ -30,11 +32,15 @@ class _Filter:
     """Stands for a filter of which only the times of the measurements count."""
 
     def __init__(self, *_: Any) -> None:
-        self.mean, self.state, self.moved = np.zeros(17), np.zeros(6), np.zeros((17, COLUMNS, ONSETS))
+        self.mean, self.state, self.state_sensitivity = (
+            np.zeros(17),
+            np.zeros(6),
+            np.zeros((17, COLUMNS, ONSETS)),
+        )
 
     def _nothing(self, *_: Any) -> None: ...
 
-    predict = move = update = _nothing
+    predict = propagate_sensitivity = update = _nothing
 
 
 def said(
@@ -51,12 +57,17 @@ def said(
     first = ChangeCandidate(CHANGES[0], 0, 0.1, 0.01, THRESHOLD_nats)
     monkeypatch.setattr(twin_module, "KalmanFilter", _Filter)
     monkeypatch.setattr(twin_module, "start_state", lambda *_: np.zeros(6))
-    monkeypatch.setattr(LikelihoodRatio, "take", lambda *_: next(told, 0.0))
+    monkeypatch.setattr(LikelihoodRatio, "update", lambda *_: next(told, 0.0))
     monkeypatch.setattr(LikelihoodRatio, "ranking", lambda _: [first, first])
     model: Any = SimpleNamespace(
         rig=load_rig("makki2024"), delay_s=0.0, least_V=-math.inf, changes=CHANGES, scales=()
     )
-    twin = Twin(model, Calibration(USUAL.disturbances, Tail(THRESHOLD_nats, 1e-9, 1.0, 20)), COUNT_rad, 1e-3)
+    twin = Twin(
+        model,
+        Calibration(DEFAULT_CALIBRATION.disturbances, Tail(THRESHOLD_nats, 1e-9, 1.0, 20)),
+        COUNT_rad,
+        1e-3,
+    )
     flying = np.ones(4000 + 40 * len(evidence), bool)
     count = len(flying)
     landing = np.zeros(count, bool)
@@ -64,43 +75,47 @@ def said(
         flying[FREE_ms + 40 * off_after :][:50] = False
     if lands_after is not None:
         landing[FREE_ms + 40 * lands_after :] = True
-    events = twin.take(Samples(np.arange(count), np.zeros((count, 3)), np.ones((count, 2)), flying, landing))
+    events = twin.update(
+        Samples(np.arange(count), np.zeros((count, 3)), np.ones((count, 2)), flying, landing)
+    )
     free_s = next(event.t_s for event in events if event.kind == "free")
     return [(event.kind, round((event.t_s - free_s) / BLOCK_s)) for event in events]
 
 
-def parted(monkeypatch: pytest.MonkeyPatch, evidence: list[float], off_after: int | None = None) -> list[int]:
+def alarm_blocks(
+    monkeypatch: pytest.MonkeyPatch, evidence: list[float], off_after: int | None = None
+) -> list[int]:
     """Numbers of the measurements that are alarms."""
     events = said(monkeypatch, evidence, off_after=off_after)
-    return [number for kind, number in events if kind == "parted"]
+    return [number for kind, number in events if kind == "alarm"]
 
 
 def test_evidence_that_falls_back_is_no_alarm(monkeypatch: pytest.MonkeyPatch) -> None:
-    pulse = 9 * LITTLE + (LASTS_BLOCKS - 1) * MUCH
-    assert parted(monkeypatch, 4 * pulse) == []
+    pulse = 9 * LITTLE + (PERSISTENCE_BLOCKS - 1) * MUCH
+    assert alarm_blocks(monkeypatch, 4 * pulse) == []
 
 
 def test_evidence_that_lasts_a_quarter_of_a_second_is_an_alarm_then(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert parted(monkeypatch, 9 * LITTLE + 30 * MUCH) == [9 + LASTS_BLOCKS]
-    assert 0.2 <= LASTS_BLOCKS * BLOCK_s <= 0.25
+    assert alarm_blocks(monkeypatch, 9 * LITTLE + 30 * MUCH) == [9 + PERSISTENCE_BLOCKS]
+    assert 0.2 <= PERSISTENCE_BLOCKS * BLOCK_s <= 0.25
 
 
 def test_what_was_seen_in_one_flight_counts_for_nothing_in_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
-    before, after = (LASTS_BLOCKS - 1) * MUCH, MUCH + 20 * LITTLE
-    assert parted(monkeypatch, before + after) == [LASTS_BLOCKS]
-    assert parted(monkeypatch, before + after, off_after=LASTS_BLOCKS - 1) == []
+    before, after = (PERSISTENCE_BLOCKS - 1) * MUCH, MUCH + 20 * LITTLE
+    assert alarm_blocks(monkeypatch, before + after) == [PERSISTENCE_BLOCKS]
+    assert alarm_blocks(monkeypatch, before + after, off_after=PERSISTENCE_BLOCKS - 1) == []
 
 
 def test_a_landing_begins_no_alarm(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The motors run at the border of their dead zone, where healthy flights have parted."""
+    """The motors run at the border of their dead zone, where nominal flights have raised alarms."""
     flown = 20 * LITTLE + 60 * MUCH
-    assert ("parted", 20 + LASTS_BLOCKS) in said(monkeypatch, flown)
+    assert ("alarm", 20 + PERSISTENCE_BLOCKS) in said(monkeypatch, flown)
     landed = said(monkeypatch, flown, lands_after=20)
     assert [kind for kind, _ in landed] == ["free", "waits"] and landed[1][1] == 20
 
 
 def test_what_parts_before_a_landing_is_named_in_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    told = said(monkeypatch, 120 * MUCH, lands_after=LASTS_BLOCKS + 2)
-    named = LASTS_BLOCKS + round(NAMED_AFTER_s / BLOCK_s)
-    assert [kind for kind, _ in told] == ["free", "parted", "named", "waits"]
-    assert [number for _, number in told[1:3]] == [LASTS_BLOCKS, named]
+    told = said(monkeypatch, 120 * MUCH, lands_after=PERSISTENCE_BLOCKS + 2)
+    named = PERSISTENCE_BLOCKS + round(DIAGNOSIS_DELAY_s / BLOCK_s)
+    assert [kind for kind, _ in told] == ["free", "alarm", "diagnosed", "waits"]
+    assert [number for _, number in told[1:3]] == [PERSISTENCE_BLOCKS, named]

@@ -1,0 +1,68 @@
+"""Which parameters a board had stored, if it saved them under another schema."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from heli_host.declaration import PARAMS, ParamsOriginMessage, ParamsOriginReadMessage, ParamsSource
+
+if TYPE_CHECKING:
+    from heli_host.link.session import Session
+
+
+@dataclass(frozen=True)
+class ParameterOrigin:
+    """What a board made of its stored parameters.
+
+    Parameters
+    ----------
+    source : ParamsSource
+        Where the parameters in force came from.
+    kept : int
+        Stored values in force.
+    dropped : int
+        Stored values that no parameter takes: unknown, or out of range.
+    new : tuple of str
+        Parameters at their defaults, because the stored set had no usable value.
+    """
+
+    source: ParamsSource
+    kept: int
+    dropped: int
+    new: tuple[str, ...]
+
+
+def read_origin(session: Session) -> ParameterOrigin:
+    """Ask the board which parameters its stored set gave.
+
+    Parameters
+    ----------
+    session : Session
+        Connected.
+    """
+    answer = ParamsOriginMessage.unpack(session.request(ParamsOriginReadMessage(0)).payload)
+    bits = answer.new_0 | answer.new_1 << 32 | answer.new_2 << 64
+    return ParameterOrigin(
+        source=ParamsSource(answer.source),
+        kept=answer.kept,
+        dropped=answer.dropped,
+        new=tuple(spec.name for spec in PARAMS if bits >> spec.index & 1),
+    )
+
+
+def migration_text(origin: ParameterOrigin) -> str:
+    """Say what became of parameters that were stored under another schema; empty if they were not.
+
+    Parameters
+    ----------
+    origin : ParameterOrigin
+        As `read_origin` returns it.
+    """
+    if origin.source is not ParamsSource.MIGRATED:
+        return ""
+    new = f"{', '.join(origin.new)} at the default" if origin.new else "none new"
+    return (
+        f"the board saved its parameters under another schema: {origin.kept} kept, {new}, {origin.dropped} "
+        "dropped; check them, then heli-host params save"
+    )

@@ -1,0 +1,66 @@
+"""A public top-level name means one thing in a package."""
+
+from __future__ import annotations
+
+import ast
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = {"heli_host": "host", "heli_sim": "sim", "heli_lab": "sim"}
+INTERFACES = {
+    "ENTRY_POINT_GROUP": "each file that looks up plug-ins states its group",
+    "SPEC": "each file of effects states what it is",
+    "SPECS": "the same, for several effects in a file",
+    "main": "each module that can be run with python -m has one",
+    "diagnose": "a work of campaigns and the function that it runs have the name of the analysis",
+    "identify": "the same",
+}
+"""Names that every implementation of an interface has, and why."""
+AMBIGUOUS = {
+    "heli_host": {
+        "After", "EVENT_TOPIC", "Excitation", "Flags", "LAW_SIGNALS", "LINE_EVERY_S", "MOST_BYTES",
+        "MOST_COLUMNS", "MOST_ROWS", "Part", "Request", "Rows", "TAKE_OFF", "TICK_S",
+        "TICK_TOPIC", "Table",
+    },
+    "heli_lab": {"gains"},
+}  # fmt: skip
+"""Names that still mean two things; the list may only become shorter."""
+
+
+def names_of(path: Path) -> Iterator[str]:
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            yield node.name
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            yield from (target.id for target in targets if isinstance(target, ast.Name))
+
+
+def ambiguous(folder: Path) -> dict[str, set[str]]:
+    """Public names that more than one module defines; modules of verbs are named as their commands."""
+    where = defaultdict(set)
+    for path in folder.rglob("*.py"):
+        if "verbs" not in path.parts:
+            for name in names_of(path):
+                if not name.startswith("_"):
+                    where[name].add(str(path.relative_to(folder)))
+    return {name: places for name, places in where.items() if len(places) > 1 and name not in INTERFACES}
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_public_name_is_defined_in_one_module_of_a_package(package: str) -> None:
+    found = ambiguous(ROOT / PACKAGES[package] / package)
+    known = AMBIGUOUS.get(package, set())
+    assert {name: places for name, places in found.items() if name not in known} == {}
+    assert known <= set(found), "remove names from AMBIGUOUS that mean one thing now"
+
+
+def test_the_same_name_in_two_modules_is_noticed(tmp_path: Path) -> None:
+    (tmp_path / "a.py").write_text("class Law: ...\n_LIMIT = 1\n")
+    (tmp_path / "b.py").write_text("Law: int = 2\n_LIMIT = 2\n")
+    assert ambiguous(tmp_path) == {"Law": {"a.py", "b.py"}}
