@@ -53,8 +53,9 @@ Answer Probe::listen(const Asked& axis, const ProbeLimits& limits) {
     turned_[side] = {};
     most_[side] = {};
   }
-  // Towards the setpoint first: an arm that friction holds moves closer by it.
-  side_ = axis.error_rad < Quantity{} ? 1 : 0;
+  // Against the loop first: its error may be what turns an arm that it cannot see. Towards the
+  // setpoint, which suits an arm that friction holds, dead axes were off by half as much again.
+  side_ = axis.error_rad > Quantity{} ? 1 : 0;
   tilted_updates_ = 0;
   tilt_rad_ = {};
   stage_ = Stage::first;
