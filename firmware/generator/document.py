@@ -9,8 +9,16 @@ from firmware.generator.laws import document_laws
 FRAMING = """\
 # The link, byte by byte
 
-Written by `firmware/generate.py` from `firmware/link.toml`; a test fails when it is stale.
-Link version {version}, hash `{hash:08x}`, {baud} baud, 8N1. All numbers are little-endian; `f32` is IEEE 754 single precision.
+The link is the protocol between host and board. You need this page only to write a host of your own; `heli-host` and its
+[Python package](python-api.md) do all of this for you. `firmware/generate.py` writes the page from `firmware/link.toml`.
+
+| property | value |
+|---|---|
+| link version | {version} |
+| hash of the declaration | `{hash:08x}` |
+| serial port | {baud} baud, 8N1 |
+| byte order | little-endian |
+| `f32` | IEEE 754 single precision |
 
 ## Frame
 
@@ -18,19 +26,22 @@ Link version {version}, hash `{hash:08x}`, {baud} baud, 8N1. All numbers are lit
 COBS( protocol u8 = {protocol} | message id u8 | sequence u8 | payload | crc u32 ) 0x00
 ```
 
-- **COBS** (consistent overhead byte stuffing) removes every zero from the frame, so that the one zero behind it marks its end.
-  A receiver that joins in the middle, or loses bytes, is in step again at the next zero.
-- **sequence** counts the frames of one direction, modulo 256. A gap is a loss: both ends count it.
-- **crc** is CRC-32 (IEEE 802.3, reflected, as zlib's `crc32`) over everything before it. Frames of more than 48 bytes are common, and a single
-  flipped bit in a COBS code byte moves several bytes at once; 16 bits would let one such frame in 65,536 pass.
-- Payloads are at most {max_command_payload} bytes towards the board and {max_telemetry_payload} bytes from it.
+- **COBS** (consistent overhead byte stuffing) removes every zero from the frame, so a zero always marks its end. A receiver that joins in the
+  middle, or loses bytes, is synchronised again at the next zero.
+- **sequence** counts the frames of one direction, modulo 256. A gap is a loss; both ends count it.
+- **crc** is a cyclic redundancy check over everything before it: CRC-32 (IEEE 802.3, reflected, as zlib's `crc32`). A single flipped bit in a COBS
+  code byte moves several bytes, and frames above 48 bytes are common. A 16-bit check would let one of 65,536 such frames pass.
+- **payload** has at most {max_command_payload} bytes towards the board, and {max_telemetry_payload} bytes from it.
 
 ## Commands
 
-A command is answered by exactly one reply that repeats its `request` number. The host sends one command at a time and repeats it, with the same
-number, until the reply comes. The board remembers the number and the ack of the last command it executed: a retry of it is answered from memory and
-not executed again. So a command takes effect exactly once, however often it or its ack is lost. `hello` with a new session number clears that memory.
-Streams (`setpoint`, `voltages`) are not answered: the latest wins.
+The board answers each command with exactly one reply, which repeats the `request` number of the command. The host sends one command at a time. It
+repeats the command, with the same number, until the reply comes.
+
+The board remembers the number and the reply of the last command. It answers a repeated command from memory, and does not execute it again. So a
+command takes effect exactly once, even if the command or its reply is lost. `hello` with a new session number clears this memory.
+
+Streams (`setpoint`, `voltages`) have no reply; the latest value counts.
 
 ## Telemetry batch
 
@@ -38,23 +49,27 @@ Streams (`setpoint`, `voltages`) are not answered: the latest wins.
 first_tick u32 | count u8 | widths {nibble_bytes} bytes | bases {base_bytes} bytes | deltas
 ```
 
-- Sample `k` of a batch was taken at tick `first_tick + k`; a tick is {tick_us} us, counted by the board's timer.
-- **widths**: one nibble a channel, low nibble first: 0, 1, 2, 3, 4, 5 for deltas of 0, 2, 4, 8, 16, 32 bits.
-- **bases**: the first sample of every channel in its own type, in the order of the table below.
-- **deltas**: for every channel whose width is not 0, in order: `count - 1` differences to the sample before (modulo 2^32, two's complement in the given
-  width), packed from the least significant bit on; each channel starts on a new byte.
-- A value is its raw number times the scale, in the unit. An encoder's count is an angle: 2 pi / |`*_counts_per_rev`| rad each, by the parameter of
-  its axis. Samples, tables and logs hold every channel, under the names given here.
+- Sample `k` of a batch belongs to tick `first_tick + k`. The board's timer counts a tick every {tick_us} us.
+- **widths**: one nibble per channel, low nibble first (table below).
+- **bases**: the first sample of every channel, in its own type, in the order of the channels below.
+- **deltas**: for every channel with a width above 0, in the same order, `count - 1` differences to the sample before. They are modulo 2^32, in two's
+  complement of the given width, and packed from the least significant bit. Each channel starts on a new byte.
+
+| nibble | 0 | 1 | 2 | 3 | 4 | 5 |
+|---|---|---|---|---|---|---|
+| bits of a delta | 0 | 2 | 4 | 8 | 16 | 32 |
+
+A value is its raw number times the scale, in the given unit. A count of an encoder is an angle of 2 pi / |`*_counts_per_rev`| rad, by the
+parameter of its axis. Samples, tables and logs contain every channel, with these names:
 """
 
 FAULTS = """\
 # Faults
 
-The board reports a fault by number and name. This page lists every fault with its meaning and what to do; for a longer answer, see
-[troubleshooting](../how-to/troubleshooting.md). The column *limit* names the parameter that sets the threshold: see
-[Parameters](parameters.md). `firmware/generate.py` writes this page from `firmware/link.toml`.
+The board reports a fault by number and name. Look up here what it means, and how to fix it. For a longer answer, see
+[troubleshooting](../how-to/troubleshooting.md). The column *limit* names the [parameter](parameters.md) that sets the threshold.
 
-A latched fault stays until you clear it with `heli-host fly ... --clear-fault`, or on the dashboard.
+A latched fault stays until you clear it with `heli-host fly ... --clear-fault`, or on the dashboard. The column *kind* shows what the board does:
 """
 FAULT_KINDS = {
     "trip": "the board cuts the motors and latches the fault.",
@@ -65,8 +80,8 @@ FAULT_KINDS = {
 PARAMETERS = """\
 # Parameters
 
-The board has these parameters. `heli-host params list --long` prints them, and `heli-host params set NAME VALUE --save` changes one.
-`heli-host tune` writes those of a control law for your rig. `firmware/generate.py` writes this page from `firmware/link.toml`.
+The board stores these parameters: encoders, motors, limits and gains. `heli-host params list --long` prints them, and
+`heli-host params set NAME VALUE --save` changes one. `heli-host tune` designs the gains for your rig.
 
 - *range*: the board refuses every other value.
 - *set*: when the parameter may change; `idle` means only while the motors are off.
@@ -133,7 +148,7 @@ def generate_doc(d: Table) -> str:
         out.append(f"## {name} (bits)\n\n{entries['meaning']}\n")
         table = [[str(e["bit"]), f"`{k}`", e["meaning"]] for k, e in rows(entries)]
         out += markdown_table(["bit", "name", "meaning"], table)
-    out.append("Faults are in [Faults](faults.md), parameters in [Parameters](parameters.md).")
+    out.append("See also [Faults](faults.md) and [Parameters](parameters.md).")
     return "\n".join(out).rstrip("\n") + "\n"
 
 
@@ -145,7 +160,7 @@ def generate_faults(d: Table) -> str:
         *(f"- `{kind}`: {meaning}" for kind, meaning in FAULT_KINDS.items() if kind in kinds),
         "",
         *markdown_table(
-            ["code", "name", "kind", "limit", "meaning", "do"],
+            ["code", "name", "kind", "limit", "meaning", "fix"],
             [
                 [
                     str(f["code"]),

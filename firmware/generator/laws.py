@@ -56,28 +56,53 @@ def python_laws(d: Table) -> list[str]:
 DOCUMENT = """\
 ## Laws
 
-A law that comes over the link is data, never code: a *tape* of instructions without loop, branch or pointer over at most {cells} cells of f32.
-The words of an upload, 32 bits each and at most {words}:
+A control law that comes over the link is data, not code. It is a *tape*: a list of instructions without loop, branch or pointer, over at most {cells}
+cells of f32. An upload has at most {words} words of 32 bits:
 
-| words | hold |
+| words | content |
 |---|---|
-| 1 | format u8 = {format}, divisor u8 (a call each so many ticks), signals u8 (at most {signals}), parameters u8 |
+| 1 | format u8 = {format}, divisor u8 (one call per so many ticks), signals u8 (at most {signals}), parameters u8 |
 | 1 | constants u16, states u16 |
 | 1 | instructions u16, zero u16 |
-| one each | constants f32, parameters f32, states f32 as they are at the start |
+| one each | constants f32, parameters f32, initial states f32 |
 | one each | cells of the outputs: front_V, back_V, three setpoints (elevation, pitch, travel), signals, new states |
-| one each | instructions: operation in bits 31 to 27, cell written in 26 to 18, operands in 17 to 9 and 8 to 0; a sum of products has the number of its terms (at most {max_terms}) in 8 to 0, and behind it one word each: bit 31 takes the product away, factors in 17 to 9 and 8 to 0 |
+| one each | instructions, see below |
 
-Cells hold the {inputs} inputs, then constants, parameters and states, then what the instructions write. An instruction may write those last ones
-only, and read what stands before it. A new state may not come from a state's own cell: that one may have changed by then. The operations round to
-nearest, ties to even, like IEEE 754 single precision; a result below its normal numbers is 0. A sum of products is rounded once, at its end; what
-comes before is exact to 2^-30 of its largest product. Every end computes by the same integer arithmetic (`firmware/core/law`), so that a tape gives
-the same bits everywhere.
+| bits of an instruction | content |
+|---|---|
+| 31 to 27 | operation |
+| 26 to 18 | cell that it writes |
+| 17 to 9, 8 to 0 | operands; in a sum of products, 8 to 0 is the number of its terms (at most {max_terms}) |
 
-Each tick of a call costs at most {fixed_cost} instructions of the processor, {moving_cost} for an axis whose setpoint's rate or acceleration it
-reads, and the costs of its operations, with {term_cost} for each term of a sum; the first tick {input_cost} more for each input, the last {output_cost}
-more, {state_cost} a state and {signal_cost} a signal. When that is more than {tick_cost}, the call is spread over as many ticks as it needs, at most
-{max_ticks} and at most its divisor: the inputs are those of the first of them, the outputs act from the last on.
+In a sum of products, one word per term follows the instruction:
+
+| bits of a term | content |
+|---|---|
+| 31 | 1 subtracts the product |
+| 17 to 9, 8 to 0 | factors |
+
+**Cells** contain the {inputs} inputs, then constants, parameters and states, then the results of instructions. An instruction may only write a result, and
+only read cells before it. A new state may not come from the cell of a state, because that cell may have changed.
+
+**Arithmetic** rounds to nearest, ties to even, like IEEE 754 single precision. A result below its normal numbers is 0. A sum of products is rounded once, at its
+end; before that, it is exact to 2^-30 of its largest product. Host and board use the same integer arithmetic (`firmware/core/law`), so a tape
+gives the same bits everywhere.
+
+**Cost** in instructions of the processor:
+
+| part | instructions |
+|---|---|
+| each tick of a call | {fixed_cost} |
+| each axis, if the law reads the rate or acceleration of its setpoint | {moving_cost} per tick |
+| each operation | see the table below |
+| each term of a sum of products | {term_cost} |
+| each input | {input_cost}, in the first tick |
+| outputs | {output_cost}, in the last tick |
+| each state | {state_cost}, in the last tick |
+| each signal | {signal_cost}, in the last tick |
+
+A call that costs more than {tick_cost} is spread over several ticks: at most {max_ticks}, and at most its divisor. Its inputs are those of the first of these
+ticks. Its outputs act from the last one on.
 """
 
 

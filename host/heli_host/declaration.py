@@ -101,7 +101,7 @@ class LawError(IntEnum):
 
 
 class LawState(IntEnum):
-    """What the board knows of a law."""
+    """State of the uploaded law on the board."""
 
     NONE = 0  # no law
     RECEIVING = 1  # an upload has started and is not complete
@@ -170,7 +170,7 @@ class Excitation(IntEnum):
 
 
 class Event(IntEnum):
-    """What an event message reports."""
+    """Kinds of event messages."""
 
     BOOT = 0  # first message after start; detail = reset cause, value = boot id
     STATE = 1  # state changed; detail = new state, cause = the supervisor event that did it
@@ -190,7 +190,7 @@ class Event(IntEnum):
 
 
 class Probe(IntEnum):
-    """What the board reports of a tilt by which it checks a travel encoder that has long been silent."""
+    """Result of a tilt that checks a travel encoder without counts for a long time."""
 
     NONE = 0  # nothing
     ASKED = 1  # the tilt begins
@@ -390,7 +390,7 @@ class Channel(IntEnum):
 class MessageId(IntEnum):
     """Second byte of a frame."""
 
-    HELLO = 1  # Opens a session. Its layout and welcome's never change, so that any two versions can tell each other apart.
+    HELLO = 1  # Opens a session. Its layout and welcome's never change, so that any two versions recognise each other.
     PING = 2  # Heartbeat and clock exchange.
     ARM = 3  # Runs the pre-flight checks; enables the drivers at zero voltage when they pass.
     STOP = 4  # Motors off now, from any state; also ends the armed state.
@@ -424,7 +424,7 @@ class MessageId(IntEnum):
     STATUS = 132  # Counters since start; sent once a second with request = 0, and on status_read.
     LAW = 135  # The law that the board has.
     CONTROLLER = 136  # The name of a compiled controller, in ASCII, 0 behind its end.
-    PARAMS_ORIGIN = 137  # What the board made of its stored parameters at the start, or of the last save.
+    PARAMS_ORIGIN = 137  # Origin of the parameters at the start, or since the last save.
     TELEMETRY = 133  # A batch of consecutive ticks, delta-coded; layout below.
     EVENT = 134  # Something happened; also visible in telemetry, but with its reason here.
 
@@ -830,7 +830,7 @@ OPERATIONS: tuple[OperationSpec, ...] = (
 
 @dataclass(frozen=True, slots=True)
 class HelloMessage:
-    """Opens a session. Its layout and welcome's never change, so that any two versions can tell each other apart.
+    """Opens a session. Its layout and welcome's never change, so that any two versions recognise each other.
 
     Parameters
     ----------
@@ -1543,7 +1543,7 @@ class SetpointMessage:
     Parameters
     ----------
     apply_tick : int
-        tick at which the target is to be reached; past: at once; more than 500 ahead: refused [tick]
+        tick at which the target is to be reached; past: immediately; more than 500 ahead: refused [tick]
     elevation_rad : float
         elevation target [rad]
     pitch_rad : float
@@ -1934,7 +1934,7 @@ class ControllerMessage:
 
 @dataclass(frozen=True, slots=True)
 class ParamsOriginMessage:
-    """What the board made of its stored parameters at the start, or of the last save.
+    """Origin of the parameters at the start, or since the last save.
 
     Parameters
     ----------

@@ -170,7 +170,7 @@ CASES: Final = (
         blow=noise,
         due_only=True,
     ),
-    Case("somebody knocks against the short arm", "fault pitch_rate", 0.05, blow=struck_by_a_hand),
+    Case("a hand strikes the short arm", "fault pitch_rate", 0.05, blow=struck_by_a_hand),
     Case("the control tick hangs", "restarted (watchdog)", 0.18, blow=hang, due_only=True),
     Case(
         "the program meets what is no instruction",

@@ -85,7 +85,7 @@ enum class LawError : std::uint8_t {
 };
 inline constexpr std::size_t kLawErrorCount = 18;
 
-// What the board knows of a law.
+// State of the uploaded law on the board.
 enum class LawState : std::uint8_t {
   none = 0,  // no law
   receiving = 1,  // an upload has started and is not complete
@@ -139,7 +139,7 @@ enum class Excitation : std::uint8_t {
 };
 inline constexpr std::size_t kExcitationCount = 6;
 
-// What an event message reports.
+// Kinds of event messages.
 enum class Event : std::uint8_t {
   boot = 0,  // first message after start; detail = reset cause, value = boot id
   state = 1,  // state changed; detail = new state, cause = the supervisor event that did it
@@ -156,7 +156,7 @@ enum class Event : std::uint8_t {
 };
 inline constexpr std::size_t kEventCount = 12;
 
-// What the board reports of a tilt by which it checks a travel encoder that has long been silent.
+// Result of a tilt that checks a travel encoder without counts for a long time.
 enum class Probe : std::uint8_t {
   none = 0,  // nothing
   asked = 1,  // the tilt begins
@@ -538,7 +538,7 @@ enum class MessageId : std::uint8_t {
   event = 134,
 };
 
-// Opens a session. Its layout and welcome's never change, so that any two versions can tell each other apart.
+// Opens a session. Its layout and welcome's never change, so that any two versions recognise each other.
 struct HelloMessage {
   static constexpr MessageId kId = MessageId::hello;
   static constexpr std::size_t kSize = 9;
@@ -1312,7 +1312,7 @@ struct ControllerMessage {
   }
 };
 
-// What the board made of its stored parameters at the start, or of the last save.
+// Origin of the parameters at the start, or since the last save.
 struct ParamsOriginMessage {
   static constexpr MessageId kId = MessageId::params_origin;
   static constexpr std::size_t kSize = 20;

@@ -57,7 +57,7 @@ def _moment_kg_m(p: Mapping[str, ca.SX], q: ca.SX) -> ca.SX:
 SPEC: Final = EffectSpec(
     id="axis_tilt",
     effect=AxisTilt,
-    sentence="the travel axis leans: plumb is off by {x_rad} towards the arm at travel 0 and {y_rad} across",
+    sentence="the travel axis leans by {x_rad} towards the arm at travel 0 and by {y_rad} across",
     equation=r"U = g\, \boldsymbol{n} \cdot \sum m_j \boldsymbol{r}_j,\ \boldsymbol{n} \approx (a_x, a_y, 1)",
     acts_on="torque.travel",
     stage=Stage.TORQUE,

@@ -28,7 +28,7 @@ def _spec(axis: str) -> EffectSpec:
         id=f"encoder_eccentricity.{axis}",
         effect=EncoderEccentricity,
         sentence=(
-            f"the {axis} encoder is off by {{sin_rad}} with the sine and {{cos_rad}} with the cosine, "
+            f"the {axis} encoder has an error of {{sin_rad}} with the sine and {{cos_rad}} with the cosine, "
             "{order} periods a revolution"
         ),
         equation=r"y = q + a \sin n q + b \cos n q",
