@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from heli_host.declaration import ControllerMessage, ControllerReadMessage
+from heli_host.declaration import PARAMS, ControllerMessage, ControllerReadMessage, Param
 
 if TYPE_CHECKING:
     from heli_host.link.session import Session
@@ -23,25 +23,26 @@ def controller_names(session: Session) -> tuple[str, ...]:
     tuple of str
         One name per value of the parameter ``controller``, from 0 on.
     """
-    names: list[str] = []
-    count = 1
-    while len(names) < count:
-        answer = ControllerMessage.unpack(session.request(ControllerReadMessage(0, len(names))).payload)
-        count = answer.count
-        words = (answer.name_0, answer.name_1, answer.name_2, answer.name_3)
-        text = b"".join(word.to_bytes(4, "little") for word in words).rstrip(b"\0")
-        names.append(text.decode("ascii", "replace"))
-    return tuple(names)
+    # No board has more; a damaged answer must not keep the host asking.
+    count = min(_ask(session, 0).count, round(PARAMS[Param.CONTROLLER].max) + 1)
+    return tuple(controller_name(session, row) for row in range(count))
 
 
 def controller_name(session: Session, selected: float) -> str:
-    """Return the name of the selected controller.
+    """Ask the board for the name of one controller.
 
     Parameters
     ----------
     session : Session
         Connected.
     selected : float
-        The board's parameter ``controller``.
+        A value of the parameter ``controller``.
     """
-    return controller_names(session)[round(selected)]
+    answer = _ask(session, round(selected))
+    words = (answer.name_0, answer.name_1, answer.name_2, answer.name_3)
+    text = b"".join(word.to_bytes(4, "little") for word in words).rstrip(b"\0")
+    return text.decode("ascii", "replace")
+
+
+def _ask(session: Session, row: int) -> ControllerMessage:
+    return ControllerMessage.unpack(session.request(ControllerReadMessage(0, row & 0xFF)).payload)

@@ -85,9 +85,7 @@ def test_a_library_is_on_the_disk_before_it_has_its_name(
 def test_a_cache_that_others_can_write_is_refused(folder: Path, mode: int) -> None:
     folder.mkdir()
     folder.chmod(mode)
-    with pytest.raises(
-        PlantError, match=r"others can write to the cache .*; check who wrote there, then remove it with: rm -r"
-    ):
+    with pytest.raises(PlantError, match=r"others can write to the cache .*; check .* remove it with: rm -r"):
         cache_folder()
 
 

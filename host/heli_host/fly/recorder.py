@@ -277,9 +277,23 @@ class Recorder:
             "reset": info.reset,
             "boot_fault": info.boot_fault,
             "params_source": info.params_source,
-            "controller": controller_name(heli.session, heli.params["controller"]),
+            "controller": _controller(heli),
             "axes": " ".join(plans[0].axes) if plans else "",
         }
+
+
+def _controller(heli: Vehicle) -> str:
+    """Return the controller's name; that of the default row is not asked for."""
+    selected = heli.params["controller"]
+    return controller_name(heli.session, selected) if selected in range(1, 8) else "default"
+
+
+def host_version() -> str:
+    """Return the version of this package, ``unknown`` when it is not installed."""
+    try:
+        return version("heli-host")
+    except PackageNotFoundError:
+        return "unknown"
 
 
 def _texts(plans: Sequence[Plan]) -> dict[str, str]:
