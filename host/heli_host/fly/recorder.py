@@ -288,14 +288,6 @@ def _controller(heli: Vehicle) -> str:
     return controller_name(heli.session, selected) if selected in range(1, 8) else "default"
 
 
-def host_version() -> str:
-    """Return the version of this package, ``unknown`` when it is not installed."""
-    try:
-        return version("heli-host")
-    except PackageNotFoundError:
-        return "unknown"
-
-
 def _texts(plans: Sequence[Plan]) -> dict[str, str]:
     """Return the plans' texts by name; a plan flown twice is named twice."""
     texts: dict[str, str] = {}
