@@ -32,7 +32,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def checked(root: Path) -> tuple[int, str]:
-    command = [sys.executable, ROOT / ".ci" / "includes", root]
+    command = [sys.executable, str(ROOT / ".ci" / "includes"), str(root)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     return done.returncode, done.stdout + done.stderr
 
