@@ -52,7 +52,7 @@ class Arm:
         self.harness.close_loops()
         self.dead = dead
         self.friction_deg = friction_deg
-        self.stir_deg = 0.0 if calm else 0.5
+        self.stir_deg = 0.0 if calm else 0.8
         self.decoder = TelemetryDecoder()
         self.pitch_setpoint_deg = 0.0
         self.pitch_deg = self.travel_deg = self.rate_deg_s = 0.0

@@ -31,9 +31,10 @@ constexpr Quantity kTilt_rad = Quantity::of(8.0F * kRadPerDeg);
 // What the drive did on average before the axis came to rest, over 512 ticks: where a swing turns
 // round, the drive of a single tick may be anything.
 constexpr int kAveraging = 7;
-// A change of pitch that is news to travel. Lower: calm flights are asked by a tilt. Higher: weak
-// disturbances turn a dead axis before it is asked. Moderate ones tilt the paper's rig by 1 degree.
-constexpr Quantity kStir_rad = Quantity::of(0.35F * kRadPerDeg);
+// A change of pitch that is news to travel. Lower: a step that settles in calm air ends in a tilt,
+// because pitch is still moving when travel is silent. Higher: weak disturbances turn a dead axis
+// before it is asked. Moderate ones change the pitch of the paper's rig by 0.7 degrees each 0.55 s.
+constexpr Quantity kStir_rad = Quantity::of(0.7F * kRadPerDeg);
 
 // Shares of the drive that must move an axis.
 struct Shares {
