@@ -38,7 +38,9 @@ def test_a_law_is_brought_on_the_table_and_flies_after_the_take_off(heli: Heli) 
     assert not flies(heli)
     laws.engage()
     assert laws.status() == {"chosen": "steady", "flies": True, "taken_over": "", "values": {"kp": 16.0}}
-    with pytest.raises(SetpointError, match="the board has no control law tired, and accepts one only on the table"):
+    with pytest.raises(
+        SetpointError, match="the board has no control law tired, and accepts one only on the table"
+    ):
         laws.choose("tired")
     assert flies(heli)
     laws.choose("")
