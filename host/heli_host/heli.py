@@ -106,7 +106,7 @@ class Heli(Vehicle):
         Parameters
         ----------
         law : LawProgram or LawLike
-            A law of `heli_lab.law`, or its program.
+            The result of `@control_law` or `from_gain`, or its program.
 
         Raises
         ------
@@ -135,7 +135,7 @@ class Heli(Vehicle):
         Parameters
         ----------
         law : LawProgram or LawLike
-            A law of `heli_lab.law`, or its program; uploaded unless the board holds it already.
+            The result of `@control_law` or `from_gain`, or its program; uploaded unless the board holds it already.
         duration_s : float
             Length of the flight in device time [s].
         after : {"hold", "land", "stop"}

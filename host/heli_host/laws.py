@@ -44,4 +44,4 @@ def read_law(path: Path) -> LawProgram:
     for entry in entry_points(group=ENTRY_POINT_GROUP):
         reader: LawReader = entry.load()
         return reader(path)
-    raise BadLaw("no installed package can read control laws", "install heli-host with the package heli_lab")
+    raise BadLaw("no installed package can read control laws", "reinstall heli-host")

@@ -100,7 +100,7 @@ def open_twin(name: str) -> TwinMaker:
     for entry in entry_points(group=ENTRY_POINT_GROUP):
         opener: TwinOpener = entry.load()
         return opener(name)
-    raise HeliError("no installed package provides twins", "install heli-host with the package heli_lab")
+    raise HeliError("no installed package provides twins", "reinstall heli-host")
 
 
 class TwinWatch:

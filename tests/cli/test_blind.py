@@ -152,14 +152,16 @@ def test_the_truth_file_settles_what_flew(short: Terminal, tmp_path: Path) -> No
     assert len(seeds) == 2 and 1 not in seeds
     assert "does not match" in refusal(short("info", "b.mcap", "--truth", "a.truth.json"), code=5)
     key.write_text(key.read_text().replace(SIZE, "0.2"))
-    assert "one of the two was changed" in refusal(short("info", "a.mcap", "--truth", "a.truth.json"), code=5)
+    assert "one of the two files was changed" in refusal(
+        short("info", "a.mcap", "--truth", "a.truth.json"), code=5
+    )
     (tmp_path / "none.json").write_text("[1]")
     assert "is not a truth file" in refusal(short("info", "a.mcap", "--truth", "none.json"), code=5)
 
 
 def test_blind_is_refused_where_it_would_hide_nothing(short: Terminal, tmp_path: Path) -> None:
     refused = short("fly", "short.toml", "--port", "/dev/null", "--blind")
-    assert refused.code == 2 and "--blind is for a simulated board; add --sil" in refused.err
+    assert refused.code == 2 and "--blind is for a simulated board only; add --sil" in refused.err
     told = short("fly", *FLOWN, "--blind", "--twin", "makki2024")
     assert told.code == 2 and "--twin names what has changed" in told.err
     assert not list(tmp_path.glob("*.truth.json"))

@@ -172,7 +172,7 @@ def test_a_file_of_a_terabyte_is_not_read(tmp_path: Path) -> None:
 def test_a_table_that_unpacks_to_more_than_any_flight_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(table, "MAX_BYTES", 1 << 20)
+    monkeypatch.setattr(table, "MAX_TABLE_BYTES", 1 << 20)
     path = tmp_path / "a.csv.gz"
     with gzip.open(path, "wb") as file:
         file.write((NAMES + ROWS).encode() + b"\n" * (1 << 21))
@@ -244,7 +244,7 @@ def test_a_frame_that_claims_a_terabyte_is_not_given_it(tmp_path: Path) -> None:
 def test_a_log_that_unpacks_to_more_than_any_flight_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scan, "MAX_BYTES", 1 << 20)
+    monkeypatch.setattr(scan, "MAX_LOG_BYTES", 1 << 20)
     _with_chunk(tmp_path / "a.mcap", _chunk(bytes(1 << 21), 1 << 21))
     with pytest.raises(LogError, match="unpacks to more than 1 MiB"):
         read_log(tmp_path / "a.mcap")

@@ -70,7 +70,7 @@ def test_the_report_names_fault_and_function(image: Image) -> None:
 
 @pytest.mark.parametrize(
     ("content", "message"),
-    [(None, "No such file"), (b"\x7fELF....", "no readable ELF"), (b"", "holds nothing")],
+    [(None, "No such file"), (b"\x7fELF....", "not a readable ELF file"), (b"", "contains nothing to load")],
 )
 def test_a_wrong_file_is_one_line_and_code_2(tmp_path: Path, content: bytes | None, message: str) -> None:
     path = tmp_path / "x.elf"

@@ -185,7 +185,7 @@ def test_a_refused_plan_leaves_the_log_that_it_was_to_write_over(tmp_path: Path)
         with pytest.raises(PlanError):
             heli.fly(short(SHORT.replace("travel_deg = 6", "travel_deg = 172")), log=path, overwrite=True)
         assert path.read_bytes() == b"an older flight"
-        with pytest.raises(LogWriteError, match="no log is written over"):
+        with pytest.raises(LogWriteError, match="exists already, and heli-host never replaces a log"):
             heli.fly(short(), log=path)
         assert heli.fly(short(), log=path, overwrite=True).completed
     assert len(read_log(path).ticks) > 5000

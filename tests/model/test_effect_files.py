@@ -188,7 +188,7 @@ def test_a_new_effect_is_one_file_and_the_generated_table(tmp_path: Path) -> Non
         test_cases.test_every_effect_of_the_list_is_hidden_in_two_sizes_or_in_disturbances_or_gone()
         (change,) = (change for change in changes.changes_of(MultibodyModel()) if change.id == "draught")
         assert change.numbers == ("draught_Nm",) and not change.non_negative
-        assert change.words(0.03, 0.01) == "a draught of 30 +- 10 mN m came"
+        assert change.words(0.03, 0.01) == "a draught of 30 ± 10 mN m came"
         assert "draught" in {effect.name for effect in changes.extended(MultibodyModel()).effects}
         assert segment_for(catalogue()["draught"]) == "travel"
         assert not loop_effects_of(parse_effects(["draught=0.03"])).excluded

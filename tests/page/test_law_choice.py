@@ -38,7 +38,9 @@ def test_a_law_is_brought_on_the_table_and_flies_after_the_take_off(heli: Heli) 
     assert not flies(heli)
     laws.engage()
     assert laws.status() == {"chosen": "steady", "flies": True, "taken_over": "", "values": {"kp": 16.0}}
-    with pytest.raises(SetpointError, match="the board has no law tired, and takes one only on the table"):
+    with pytest.raises(
+        SetpointError, match="the board has no control law tired, and accepts one only on the table"
+    ):
         laws.choose("tired")
     assert flies(heli)
     laws.choose("")
@@ -79,7 +81,7 @@ def test_what_cannot_be_chosen_is_said(heli: Heli) -> None:
     assert LawChoice(heli, []).status() is None
     with pytest.raises(ParameterError, match="unknown control law nosuch; choose from: steady"):
         LawChoice(heli, [STEADY]).choose("nosuch")
-    with pytest.raises(BadLaw, match="two laws have the same name: steady, steady"):
+    with pytest.raises(BadLaw, match="two control laws have the same name: steady, steady"):
         LawChoice(heli, [STEADY, STEADY])
 
 
@@ -88,7 +90,7 @@ def test_a_parameter_of_the_law_is_changed_in_flight_and_kept_when_it_is_brought
     with pytest.raises(ParameterError, match="no control law is chosen"):
         laws.set("kp", 20.0)
     laws.choose("steady")
-    with pytest.raises(BadLaw, match="the law steady has no parameter nosuch; it has: kp"):
+    with pytest.raises(BadLaw, match="control law steady has no parameter nosuch; it has: kp"):
         laws.set("nosuch", 1.0)
     heli.take_off()
     laws.engage()

@@ -346,7 +346,7 @@ def test_a_second_program_joins_tunes_and_flies_once_it_is_let(served: Served) -
 
 
 def test_who_gives_no_page_s_address_is_told_so(served: Served) -> None:
-    with pytest.raises(PortError, match="no page's address"):
+    with pytest.raises(PortError, match="is not the address of a dashboard"):
         heli_host.join("page://127.0.0.1:1")
     with pytest.raises(LinkError, match="refuses the connection"):
         heli_host.join(f"page://127.0.0.1:{served.address.port}/?token=wrong")

@@ -22,8 +22,8 @@ INTERFACES = {
 """Names that every implementation of an interface has, and why."""
 AMBIGUOUS = {
     "heli_host": {
-        "After", "EVENT_TOPIC", "Excitation", "Flags", "LAW_SIGNALS", "LINE_EVERY_S", "MOST_BYTES",
-        "MOST_COLUMNS", "MOST_ROWS", "Part", "Request", "Rows", "TAKE_OFF", "TICK_S",
+        "After", "EVENT_TOPIC", "Excitation", "Flags", "LAW_SIGNALS", "LINE_EVERY_S",
+        "Part", "Request", "Rows", "TAKE_OFF", "TICK_S",
         "TICK_TOPIC", "Table",
     },
     "heli_lab": {"gains"},

@@ -155,6 +155,6 @@ def test_an_address_may_name_everything_or_nothing() -> None:
     assert (options.rig, options.seed, options.speed, options.reset_on_open) == ("r.toml", 7, 2.5, True)
     assert options.faults.stalls == (Span(1.0, 0.5), Span(3.0, 1.0))
     assert options.faults.unplugs == (Span(9.0, 1.0),)
-    with pytest.raises(OptionError, match="place"):
+    with pytest.raises(OptionError, match="names a host or path"):
         parse_url("sil://makki2024")
     assert parse_options({}) == parse_url("sil://")

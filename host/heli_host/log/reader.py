@@ -19,7 +19,7 @@ from heli_host.errors import LogError, TruncatedLog
 from heli_host.files import read_file
 from heli_host.flight import OWN_COLUMNS, Flight, FlightEvent
 from heli_host.link.channels import ENCODERS, is_whole, rad_per_count
-from heli_host.log.scan import MAX_BYTES, Scan
+from heli_host.log.scan import MAX_LOG_BYTES, Scan
 from heli_host.log.schema import TICK_TOPIC, MessageLayout, raw_ticks
 
 _SINGLE = 2.0**-23
@@ -183,7 +183,7 @@ def read_log(path: str | Path) -> Log:
     """
     path = Path(path)
     try:
-        data = read_file(path, MAX_BYTES)
+        data = read_file(path, MAX_LOG_BYTES)
     except OSError as error:
         raise LogError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
     magic = bytes(MCAP0_MAGIC)

@@ -63,7 +63,7 @@ _NEEDED_FIELDS = (
 """Fields that every version writes: a flight has columns of its own for them."""
 
 
-MAX_BYTES = 1 << 30
+MAX_LOG_BYTES = 1 << 30
 """Most that a log may hold, packed and unpacked: about four hours."""
 
 
@@ -295,8 +295,10 @@ class Scan:
         if chunk.uncompressed_size > _MAX_CHUNK_BYTES:
             raise ValueError("the chunk claims more than any writer puts into one")
         self._unpacked_bytes += chunk.uncompressed_size
-        if self._unpacked_bytes > MAX_BYTES:
-            raise LogError(f"{self.path} unpacks to more than {MAX_BYTES >> 20} MiB", "cut it into pieces")
+        if self._unpacked_bytes > MAX_LOG_BYTES:
+            raise LogError(
+                f"{self.path} unpacks to more than {MAX_LOG_BYTES >> 20} MiB", "cut it into pieces"
+            )
         if chunk.compression == "zstd":
             # The frame's own word is what would be allocated.
             if zstandard.get_frame_parameters(chunk.data).content_size != chunk.uncompressed_size:

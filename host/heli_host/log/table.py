@@ -36,10 +36,10 @@ _NUMBER_FORMAT = "%.9f"
 _NOTE = re.compile(r"([\w .-]{1,40}):\s?(.*)")
 _PLAN_MARK = "plan|"
 _ROWS_A_BLOCK = 20_000
-MAX_BYTES = 1 << 28
+MAX_TABLE_BYTES = 1 << 28
 """Largest table, unpacked: half an hour at 1 kHz."""
 MAX_LINES = 4_000_000
-MAX_COLUMNS = 1000
+MAX_TABLE_COLUMNS = 1000
 
 
 @dataclass(frozen=True)
@@ -148,14 +148,14 @@ def _one_line(text: str) -> str:
 
 def _read_bytes(path: Path) -> bytes:
     try:
-        data = read_file(path, MAX_BYTES)
+        data = read_file(path, MAX_TABLE_BYTES)
     except OSError as error:
         raise FlightDataError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
     if not path.name.lower().endswith(".gz"):
         return data
     try:
         with gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
-            data = packed.read(MAX_BYTES + 1)
+            data = packed.read(MAX_TABLE_BYTES + 1)
     except EOFError as error:
         raise FlightDataError(
             f"{path}: the compressed file ends early", "copy or download it again"
@@ -164,8 +164,10 @@ def _read_bytes(path: Path) -> bytes:
         raise FlightDataError(
             f"{path}: not a gzip file, or damaged", "copy it again, or name it .csv if it is plain text"
         ) from error
-    if len(data) > MAX_BYTES:
-        raise FlightDataError(f"{path} unpacks to more than {MAX_BYTES >> 20} MiB", "cut it into pieces")
+    if len(data) > MAX_TABLE_BYTES:
+        raise FlightDataError(
+            f"{path} unpacks to more than {MAX_TABLE_BYTES >> 20} MiB", "cut it into pieces"
+        )
     return data
 
 
@@ -188,9 +190,9 @@ def _take_apart(data: bytes, path: Path) -> _Lines:
             header = line
             break
     body = data[position:]
-    if header.count(",") >= MAX_COLUMNS:
+    if header.count(",") >= MAX_TABLE_COLUMNS:
         raise FlightDataError(
-            f"{path} has more than {MAX_COLUMNS} columns", "remove columns that are not needed"
+            f"{path} has more than {MAX_TABLE_COLUMNS} columns", "remove columns that are not needed"
         )
     names = tuple(name.strip().strip('"') for name in header.split(","))
     if b"#" not in body and b"\n\n" not in body:

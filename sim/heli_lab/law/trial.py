@@ -17,7 +17,7 @@ STEP_deg: Final = 10.0
 STEP_AT_s: Final = 2.0
 """Until then the setpoint is held, so that the step begins at rest."""
 SINES_AT_s: Final = 12.0
-NAME: Final = "trial"
+PLAN_NAME: Final = "trial"
 _TOLERANCE_deg: Final = 180.0
 """The result reports the errors; a flight with large ones still is a result, so that no error aborts it."""
 
@@ -86,4 +86,4 @@ def trial_plan(duration_s: float) -> Plan:
     text = f'title = "Step of travel, then sines"\n\n[tolerance]\n{tolerance}\n' + "".join(
         f"\n[[segment]]\n{segment}\n" for segment in segments
     )
-    return Plan.parse(text, f"{NAME}.toml", NAME)
+    return Plan.parse(text, f"{PLAN_NAME}.toml", PLAN_NAME)

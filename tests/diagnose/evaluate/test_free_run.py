@@ -147,9 +147,9 @@ def test_two_thirds_of_a_flight_are_judged_however_short_it_is() -> None:
 @pytest.mark.parametrize(
     ("asked_s", "said"),
     [
-        (-1.0, r"-1 s to calibrate on; give 0 or more"),
-        (float("nan"), "give 0 or more"),
-        (12.0, r"leave nothing of the 12 s of free flight in that day; give 4 or less to --calibrate"),
+        (-1.0, r"-1 s of calibration is negative; give --calibrate 0 or more"),
+        (float("nan"), "give --calibrate 0 or more"),
+        (12.0, r"leave no time of the 12 s of free flight in that day; give 4 or less to --calibrate"),
     ],
 )
 def test_more_than_a_flight_leaves_is_refused_with_what_it_leaves(asked_s: float, said: str) -> None:
