@@ -1,6 +1,6 @@
-"""Checks of a finished flight against its rig; from whoever knows models.
+"""Checks of a finished flight against its rig, by other installed packages.
 
-Nothing here knows a model. A package that does offers a function in the entry-point group
+This package contains no models. A package that does offers a function in the entry-point group
 ``heli_host.flight_checks``, which takes a flight and the name or file of its rig and returns findings.
 """
 

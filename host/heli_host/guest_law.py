@@ -60,12 +60,12 @@ def upload(session: Session, program: LawProgram) -> LawMessage:
     Returns
     -------
     LawMessage
-        What the board says of it.
+        The board's description of its law after the upload.
 
     Raises
     ------
     CommandRefused
-        A law flies, or the board finds something wrong.
+        A law flies already, or the board refuses the program.
     """
     now = loaded(session)
     words = program.words
@@ -120,15 +120,15 @@ class LawReport:
     Parameters
     ----------
     name : str
-        Of the law.
+        Name of the law.
     hash : int
-        Of its program.
+        Hash of the law's program.
     flown_s : float
-        How long its voltages acted [s].
+        Time during which the law's voltages acted [s].
     taken_over : str
-        Why the board's own law took over; empty when it was asked to.
+        Reason for which the board's own law took over; empty if a command requested it.
     value : float
-        The offending quantity, as the reason says.
+        Value that caused the takeover; the reason defines its meaning.
     """
 
     name: str
@@ -170,21 +170,21 @@ def engage(heli: Vehicle, program: LawProgram, parameters: Mapping[str, float] |
     heli : Vehicle
         In flight, all loops closed.
     program : LawProgram
-        The law; brought to the board where it has another one, or has forgotten.
+        The law; it is uploaded if the board has another law or none.
     parameters : mapping of str to float, optional
         Parameters of the law that differ from its own values.
 
     Returns
     -------
     int
-        First tick whose voltages are the law's, counted on over 2^32.
+        First tick in which the law's voltages act; the count continues past 2^32.
 
     Raises
     ------
     CommandRefused
         The board does not take the law, or does not fly.
     FlightAborted
-        The law was taken over at once.
+        The board's own law took over immediately.
     """
     upload(heli.session, program)
     named = ", ".join(program.signal_names) or "none"

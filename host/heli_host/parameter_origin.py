@@ -13,12 +13,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ParameterOrigin:
-    """What a board made of its stored parameters.
+    """Origin of the parameters on a board: kept, dropped and new ones.
 
     Parameters
     ----------
     source : ParamsSource
-        Where the parameters in force came from.
+        Source of the parameters in force.
     kept : int
         Stored values in force.
     dropped : int

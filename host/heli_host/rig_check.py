@@ -33,7 +33,7 @@ Smaller: a supply within the tolerance of a rig's file gives a warning."""
 
 
 class Part(Enum):
-    """What of the board a difference concerns."""
+    """Property of the board that a difference concerns."""
 
     SCALE = "scale"
     DIRECTION = "direction"
@@ -68,7 +68,7 @@ class RigDifference:
     board, rig : float
         Its value on the board, and the value that the rig determines, in the parameter's unit.
     part : Part
-        What it concerns.
+        Property that the difference concerns.
     """
 
     parameter: str
@@ -130,7 +130,7 @@ def rig_differences(
     Parameters
     ----------
     stated : Mapping of str to float
-        What the rig determines, as `rig_parameters` gives it.
+        Parameters that the rig determines, as `rig_parameters` returns them.
     parameters : Mapping of str to float
         Parameters of the board by name.
     simulated : bool

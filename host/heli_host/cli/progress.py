@@ -53,9 +53,9 @@ class LiveLine:
         t_s : float
             Device time since the beginning [s].
         phase : str
-            What is being flown.
+            Part of the plan that is being flown.
         left_s : float or None
-            Device time left [s]; None when nobody knows.
+            Device time left [s]; None if it is unknown.
         """
         if self._quiet or not self.due:
             return
@@ -78,7 +78,7 @@ def heading(sample: Sample, t_s: float, phase: str, left_s: float | None) -> str
     t_s : float
         Device time since the beginning [s].
     phase : str
-        What is being flown.
+        Part of the plan that is being flown.
     left_s : float or None
         Device time left [s].
     """

@@ -1,4 +1,4 @@
-"""What a flight was, in the last lines that a person reads."""
+"""The result of a flight in a few lines, which a verb prints at its end."""
 
 from __future__ import annotations
 

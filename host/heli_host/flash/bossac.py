@@ -44,8 +44,8 @@ class Bossac:
     version : str
         As it says itself, such as ``1.9.1``.
     usb_option : tuple of str
-        How this version is told that the port is no native USB port: 1.8 renamed the option, and made its
-        value optional, which must then hang on it.
+        Option by which this version accepts a port that is not a native USB port. Version 1.8 renamed the
+        option and made its value optional; the value must then follow without a space.
     """
 
     path: str

@@ -50,7 +50,7 @@ class FlightEvent:
     name : str
         Kind of event: ``state``, ``fault``, ``setpoint_stale``, ``plan``, ``link`` ...
     text : str
-        What happened and why, for a person.
+        Description of the event and its cause, in words.
     """
 
     t_s: float

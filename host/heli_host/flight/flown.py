@@ -53,22 +53,22 @@ def flown_rows(flight: Flight) -> Rows:
 
 
 def led_rows(flight: Flight, axis: str) -> Rows:
-    """Return the rows of `flown_rows` in which an axis was led by a setpoint.
+    """Return the rows of `flown_rows` in which an axis followed a setpoint.
 
-    A law of the host's that tells no setpoints, and one on the board that has none for an axis, is logged
-    with the measured angle in their place: an error of nothing, which is no merit.
+    Some control laws have no setpoint for an axis, on the host or on the board. The log then contains the
+    measured angle as the setpoint. Such rows are left out, because their error of zero means nothing.
 
     Parameters
     ----------
     flight : Flight
-        Any.
+        Flight to examine.
     axis : str
-        Which axis.
+        Name of the axis.
 
     Returns
     -------
     ndarray of bool (n,)
-        Nothing of a flight without setpoints.
+        True in these rows; False everywhere if the flight has no setpoints.
     """
     rows = flown_rows(flight)
     setpoint_rad = getattr(flight, f"{axis}_setpoint_rad")

@@ -1,7 +1,7 @@
 """How well each axis of a flight followed: step responses, following error, and the effort.
 
-The one definition of these numbers, as control textbooks have them: whoever judges a flight by them takes
-them from here.
+The numbers are defined as in control textbooks. This is their only definition in the project; all other
+modules import them from here.
 """
 
 from __future__ import annotations

@@ -79,15 +79,15 @@ class Plan:
     Parameters
     ----------
     name : str
-        Name it is found by, or its file's stem.
+        Name of the plan, or the stem of its file.
     source : str
         Built-in name or path, for messages.
     title : str
-        What it is, in one line.
+        Description of the plan in one line.
     axes : tuple of str
-        Axes that it closes.
+        Axes in closed loop.
     text : str
-        Its TOML, as read; goes into the log.
+        TOML text of the plan, unchanged; it is written to the log.
     """
 
     name: str

@@ -34,7 +34,7 @@ _SMOOTH_PEAK = 1.5  # steepest slope of the cubic blend, as a multiple of the me
 
 @dataclass(frozen=True)
 class Motion:
-    """What a segment does from where it begins.
+    """Motion of a segment from its first setpoints.
 
     Parameters
     ----------

@@ -68,12 +68,12 @@ class Tolerance:
 
     @staticmethod
     def widest(tolerances: Sequence[Tolerance]) -> Tolerance:
-        """Return what all of several plans allow.
+        """Return the widest tolerance of several plans.
 
         Parameters
         ----------
         tolerances : sequence of Tolerance
-            Of plans flown in one flight, at least one.
+            Tolerances of the plans of one flight; at least one.
 
         Returns
         -------

@@ -90,7 +90,7 @@ class TelemetryDecoder:
     Parameters
     ----------
     channels : sequence of ChannelSpec
-        What a sample holds, in order.
+        Channels of a sample, in order.
 
     Attributes
     ----------

@@ -129,8 +129,8 @@ class Transport(Protocol):
 class SerialTransport:
     """A board behind anything that pyserial can open.
 
-    Opening clears the port's hang-up flag where the system has one: the kernel then keeps DTR raised when
-    this process ends, so that the next one does not reset a board that may still be flying.
+    Opening clears the port's hang-up flag if the system has one. The kernel then keeps DTR raised when this
+    process ends. Therefore the next process does not reset a board that may still be flying.
 
     Parameters
     ----------
@@ -297,7 +297,7 @@ class PortInfo:
     stable_name : str
         Name that survives unplugging, or the same as ``device`` where the system has none.
     description : str
-        What the system says about it.
+        Description of the port by the operating system.
     vendor_id, product_id : int or None
         USB numbers, None for a port that is not USB.
     """

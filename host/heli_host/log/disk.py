@@ -72,7 +72,7 @@ class LogFile(Protocol):
         ...
 
     def take_stalls_s(self) -> list[float]:
-        """Return how long the disk blocked, for each time that was not told yet [s]."""
+        """Return how long the disk blocked, for each time that was not reported yet [s]."""
         ...
 
     def drain(self) -> None:
@@ -97,18 +97,18 @@ class LogFile(Protocol):
 
 
 LastRecord = Callable[[str], bytes]
-"""Makes the record that says why nothing follows it."""
+"""Makes the last record of a log that could not be completed, with the reason."""
 
 
 class DirectFile:
-    """A log's file, written by whoever appends.
+    """A log's file that `append` writes directly, without a thread.
 
     Parameters
     ----------
     path : Path
         File to write; its folder is made.
     last_record : callable taking str and returning bytes, optional
-        Makes the record of a failure's reason; it is written where the record that failed leaves room.
+        Makes the record of a failure's reason; it is written if the failed record leaves room.
     overwrite : bool
         Write over a file that is there; otherwise it is refused.
 
@@ -128,7 +128,7 @@ class DirectFile:
 
     @property
     def has_room(self) -> bool:
-        """Always: whoever appends waits."""
+        """Always true, because `append` waits for the disk."""
         return True
 
     def append(self, data: bytes) -> None:
@@ -184,11 +184,11 @@ class DirectFile:
                 raise self._fail(error) from error
 
     def take_stalls_s(self) -> list[float]:
-        """Return nothing: nobody's time passed but the caller's."""
+        """Return an empty list, because only the caller waits for the disk."""
         return []
 
     def drain(self) -> None:
-        """Do nothing: nothing waits."""
+        """Do nothing, because `append` has written everything."""
 
     def close(self) -> None:
         """Close the file."""
@@ -300,7 +300,7 @@ class BackgroundFile:
             self._changed.notify_all()
 
     def take_stalls_s(self) -> list[float]:
-        """Return how long the disk blocked, for each time that was not told yet [s]."""
+        """Return how long the disk blocked, for each time that was not reported yet [s]."""
         with self._changed:
             stalls_s, self._stalls_s = self._stalls_s, []
         return stalls_s
@@ -417,7 +417,7 @@ def check_free_space(path: Path, duration_s: float) -> None:
     path : Path
         Log to be created.
     duration_s : float
-        How long the flight lasts; 0 if nobody knows [s].
+        Duration of the flight; 0 if it is unknown [s].
 
     Raises
     ------

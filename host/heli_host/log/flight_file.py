@@ -20,7 +20,7 @@ def read_flight(path: str | Path, *, allow_gaps: bool = False) -> Flight:
         columns ``t_s, front_V, back_V, elevation_rad, pitch_rad, travel_rad``; lines that start with
         ``#`` are notes).
     allow_gaps : bool
-        Accept rows that are missing in between; `Flight.gaps` then tells where.
+        Accept a table with missing rows; `Flight.gaps` then gives their places.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""``heli-host doctor``: what keeps this computer from flying, and the remedy."""
+"""``heli-host doctor``: find what prevents this computer from flying, and show how to fix it."""
 
 from __future__ import annotations
 
