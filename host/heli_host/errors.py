@@ -1,4 +1,4 @@
-"""All errors that this package raises on purpose. `HeliError` is also the base class of other packages' errors.
+"""All errors that this package raises on purpose. Errors of other packages derive from `HeliError` too.
 
 ::
 
@@ -28,10 +28,10 @@
         ├── TruncatedLog        it ends in the middle of a record; the records before are readable
         └── LogWriteError       it cannot be written: disk full, folder missing, no permission
 
-Packages above hang their own branches into it, printed at the top of their ``errors.py``: ``SimError`` of the
-simulation, and ``IdentifyError`` of the laboratory below that.
+Other packages add classes to this tree and list them in their ``errors.py``. The simulation adds
+``SimError``, and the laboratory derives ``IdentifyError`` from it.
 
-``str(error)`` is always one line for a person: the cause, then what to do about it.
+``str(error)`` is always one line: what is wrong, then what to do.
 """
 
 from __future__ import annotations

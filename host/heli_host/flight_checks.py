@@ -50,7 +50,7 @@ def check_flight(flight: Flight, rig: str) -> tuple[FlightFinding, ...]:
     flight : Flight
         A finished flight.
     rig : str
-        Name of its rig, or path of the file; a name that no package knows is a label, and checks nothing.
+        Name of its rig, or path of the file; a name that no package defines is a label, without checks.
 
     Returns
     -------

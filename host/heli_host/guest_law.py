@@ -89,7 +89,7 @@ def set_parameter(session: Session, program: LawProgram, name: str, value: float
     program : LawProgram
         The law that it has.
     name : str
-        Which parameter.
+        Name of the parameter.
     value : float
         Its new value.
 
@@ -148,7 +148,7 @@ def takeover_text(event: LinkEvent) -> tuple[str, float] | None:
     Parameters
     ----------
     event : LinkEvent
-        Any.
+        Any event of the session.
 
     Returns
     -------

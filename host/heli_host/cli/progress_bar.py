@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 LINE_EVERY_S = 5.0
 """When the output goes to a file or another program."""
 _MIN_TOLD = 0.01
-"""Share of the work below which no time left is told."""
+"""Share of the work below which no remaining time is shown."""
 
 
 class WorkBar:

@@ -34,7 +34,7 @@ class Verb:
     command : callable or typer.Typer
         A function whose signature holds options as typer reads them, or several under one name.
     panel : str
-        Heading of ``--help`` that it stands under.
+        Heading of ``--help`` that lists the verb.
     variadic : bool
         Whether its repeatable options take several words each, see `Variadic`; functions only.
     aliases : tuple of str

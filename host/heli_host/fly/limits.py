@@ -50,7 +50,7 @@ class Limits:
         Parameters
         ----------
         parameters : Mapping[str, float], optional
-            The board's parameters by name; the declared defaults stand for what is missing.
+            The board's parameters by name; a missing parameter has its declared default.
         """
         known = {spec.name: spec.default for spec in PARAMS}
         known.update(parameters or {})

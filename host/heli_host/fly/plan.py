@@ -108,7 +108,7 @@ class Plan:
         text : str
             TOML.
         source : str
-            Where it comes from, for messages.
+            Built-in name or path, for messages.
         name : str
             Name of the plan; the source's stem without it.
 
@@ -178,12 +178,12 @@ class Plan:
         return elevation_deg, pitch_deg, travel_deg
 
     def check(self, parameters: Mapping[str, float] | None = None, from_deg: Floats | None = None) -> Floats:
-        """Refuse what the board would refuse, or could not follow.
+        """Refuse a plan that the board would refuse or could not follow.
 
         Parameters
         ----------
         parameters : Mapping[str, float], optional
-            The board's parameters; the declared defaults stand for what is missing.
+            The board's parameters; a missing parameter has its declared default.
         from_deg : ndarray (axes,), optional
             Setpoints at which the plan begins; its own start without it.
 

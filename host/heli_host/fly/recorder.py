@@ -283,7 +283,7 @@ class Recorder:
 
 
 def _controller(heli: Vehicle) -> str:
-    """Return the controller's name; that of the default row is not asked for."""
+    """Return the controller's name; for the default row, the board is not asked."""
     selected = heli.params["controller"]
     return controller_name(heli.session, selected) if selected in range(1, 8) else "default"
 

@@ -45,7 +45,7 @@ class Motion:
     low_deg, high_deg : ndarray (axes,)
         Bounds of elevation, pitch and travel within it.
     rate_deg_s : ndarray (axes,)
-        Steepest slopes asked for; a step asks for none, because the board's slew limit shapes it.
+        Steepest requested slopes; 0 for a step, because the board's slew limit shapes it.
     """
 
     duration_s: float

@@ -49,14 +49,14 @@ def is_whole(spec: ChannelSpec) -> bool:
 
 
 def numbers(raw: npt.NDArray[np.int32], channel: Channel) -> npt.NDArray[np.integer]:
-    """Return a channel in its own type.
+    """Return the raw numbers of a channel in the type that it has on the wire.
 
     Parameters
     ----------
     raw : ndarray of int32, shape (..., channels)
         Rows of raw numbers.
     channel : Channel
-        Which one.
+        Channel of the values.
 
     Returns
     -------
@@ -74,7 +74,7 @@ def physical(raw: npt.NDArray[np.int32], channel: Channel) -> Floats:
     raw : ndarray of int32, shape (..., channels)
         Rows of raw numbers.
     channel : Channel
-        Which one.
+        Channel of the values.
 
     Returns
     -------
@@ -94,7 +94,7 @@ def raw_numbers(
     values : ndarray, shape (n,)
         Values in the channel's unit, right to less than half its scale.
     channel : Channel
-        Which one.
+        Channel of the values.
 
     Returns
     -------

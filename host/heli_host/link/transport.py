@@ -393,12 +393,12 @@ def open_transport(
 
 
 def transport_label(transport: Transport) -> str:
-    """Say what is at the other end, where the transport knows more than the board's own word.
+    """Return a description of the board, if the transport has more information than the board sends.
 
     Parameters
     ----------
     transport : Transport
-        Any transport; one may say it in an attribute ``label``.
+        Any transport; its attribute ``label``, if present, is the description.
 
     Returns
     -------
@@ -442,12 +442,12 @@ def transport_rig_parameters(transport: Transport) -> Mapping[str, float]:
 
 
 def transport_note(transport: Transport) -> str:
-    """Say what the user should know about how a board was chosen.
+    """Return a note for the user on how the board was chosen.
 
     Parameters
     ----------
     transport : Transport
-        Any transport; one may say it in an attribute ``note``.
+        Any transport; its attribute ``note``, if present, is the note.
     """
     return str(getattr(transport, "note", ""))
 

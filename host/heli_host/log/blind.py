@@ -142,25 +142,25 @@ def hide(text: str) -> str:
 
 
 def said(session: Mapping[str, str], sealed: str) -> dict[str, str]:
-    """Keep of the notes `session` what a blind flight may say, and add its seal, `sealed`."""
+    """Return the notes of `session` that a blind flight may contain, with its seal, `sealed`."""
     return {name: hide(text) for name, text in session.items() if name in _SAID} | {SEALED: sealed}
 
 
 def blind(flight: Flight, sealed: str) -> Flight:
-    """Take out of a flight what says which rig and which effects flew.
+    """Return a flight without the data that reveal its rig and its effects.
 
     Parameters
     ----------
     flight : Flight
-        Any.
+        Flight to hide.
     sealed : str
-        Digest of what is left out, for its notes.
+        Digest of the hidden facts, for the notes of the flight.
 
     Returns
     -------
     Flight
         The same columns, parameters and plan. Addresses, rig, seed, unknown notes, and events of a twin,
-        which name what is missing, are left out.
+        which name the hidden facts, are left out.
     """
     results = {name: hide(text) for name, text in flight.meta.items() if name.startswith(_RESULT)}
     return replace(

@@ -1,8 +1,8 @@
 """A log's file on a disk that may be full, slow, or gone for seconds.
 
-`DirectFile` writes where it is called: for simulations in lockstep, where time stands still meanwhile, and
-for work without a board. `BackgroundFile` has a thread that writes, so that a disk which blocks delays
-neither the reading of the board nor its setpoints.
+`DirectFile` writes in the caller's thread. It is for simulations in lockstep, whose time does not advance
+during the write, and for work without a board. `BackgroundFile` writes in a separate thread. A blocked disk
+then delays neither the reading of the board nor the setpoints.
 """
 
 from __future__ import annotations
@@ -228,11 +228,11 @@ class BackgroundFile:
     path : Path
         File to write; its folder is made.
     queued_bytes : int
-        How much may wait for the disk before `has_room` says no.
+        Number of bytes that may wait for the disk until `has_room` is false.
     now_s : callable returning float
         Monotonic time [s], by which stalls are measured.
     last_record : callable taking str and returning bytes, optional
-        As in `DirectFile`.
+        Makes the record of a failure's reason, as in `DirectFile`.
     overwrite : bool
         Write over a file that is there; otherwise it is refused.
 
@@ -276,7 +276,7 @@ class BackgroundFile:
 
     @property
     def has_room(self) -> bool:
-        """Whether less waits for the disk than may."""
+        """Whether fewer bytes wait for the disk than `queued_bytes`."""
         return self._queued_bytes < self._most_bytes
 
     def append(self, data: bytes) -> None:
@@ -394,8 +394,8 @@ def check_new(path: Path) -> None:
     Raises
     ------
     LogWriteError
-        If its name does not end in ``.mcap``, or there is one. Another name of our choosing would leave the
-        old flight under the name that was asked for, to be taken for the new one.
+        If its name does not end in ``.mcap``, or the file exists. The log is not written under another name,
+        because the old flight would then have the requested name, and could be taken for the new one.
     """
     if path.suffix.lower() != ".mcap" and not _is_device(path):
         raise LogWriteError(

@@ -222,7 +222,7 @@ def read_log(path: str | Path) -> Log:
 
 
 def _disagreeing(ticks: NDArray[Any], parameters: Mapping[str, str]) -> list[str]:
-    """Name the encoder parameters by which counts are not the angles that stand beside them."""
+    """Return the names of encoder parameters that do not convert the counts to the logged angles."""
     names: list[str] = []
     for axis, channel in zip(Axis, ENCODERS, strict=True):
         spec = CHANNELS[channel]

@@ -144,7 +144,7 @@ class Scan:
         self._note_damage()
 
     def _step(self, position: int) -> int:
-        """Visit the record at ``position``; return where the next one stands."""
+        """Read the record at ``position``; return the position of the next record."""
         if len(self.data) - position < RECORD_HEADER.size:
             raise _OutOfStep
         opcode, length = RECORD_HEADER.unpack_from(self.data, position)
@@ -381,7 +381,7 @@ class Scan:
 
 
 class _OutOfStep(Exception):
-    """There is no record where one should stand."""
+    """The bytes at an expected record are not a record."""
 
 
 def _whole(kind: Any, body: memoryview) -> Any:

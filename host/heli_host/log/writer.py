@@ -305,7 +305,7 @@ class LogWriter:
             self.write_event(self._last_tick, TICKS_DROPPED, text, LEVEL_ERROR)
 
     def _drop(self, pending: list[TickBatch | JsonMessage]) -> None:
-        """Count the ticks and forget them; keep the messages, which are few, until there is room."""
+        """Count the ticks and discard them; keep the messages, which are few, until there is room."""
         dropped = sum(int(part.tick.size) for part in pending if isinstance(part, TickBatch))
         self._dropping += dropped
         self._counters.ticks_dropped += dropped
