@@ -51,7 +51,7 @@ _LOOK_TICKS = 200
 
 @dataclass(frozen=True)
 class ControllerReport:
-    """How well a control law in Python kept time.
+    """Timing of a control law in Python.
 
     Parameters
     ----------

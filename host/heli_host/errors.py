@@ -358,9 +358,9 @@ def fault_spec(code: int) -> FaultSpec | None:
 
 
 def fault_text(code: int) -> str:
-    """Say in one line what the fault of a `code` is and what to do about it.
+    """Return one line with the fault of a `code` and what to do about it.
 
-    Such as ``"pitch_limit: pitch beyond its limit (pitch_max_deg); check ..."``.
+    An example is ``"pitch_limit: pitch beyond its limit (pitch_max_deg); check ..."``.
     """
     if code == Fault.NONE:
         return "no fault"
@@ -372,7 +372,7 @@ def fault_text(code: int) -> str:
 
 
 def range_text(param: Param) -> str:
-    """Say in words what a parameter takes, such as ``"a number from 0 to 20 V/deg"`` or ``"-1 or 1"``."""
+    """Return the valid values of a parameter, such as ``"a number from 0 to 20 V/deg"`` or ``"-1 or 1"``."""
     spec = PARAMS[param]
     if spec.integer and spec.nonzero and (spec.min, spec.max) == (-1.0, 1.0):
         return "-1 or 1"

@@ -1,4 +1,4 @@
-"""Bringing a law to the board, and flying it there with the board's own law in its shadow."""
+"""Uploading a law to the board and flying it; the board's own law runs along and can take over."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def loaded(session: Session) -> LawMessage:
 
 
 def upload(session: Session, program: LawProgram) -> LawMessage:
-    """Bring a law to the board, unless it has this one already; the board verifies it.
+    """Upload a law to the board, unless the board has it already; the board verifies it.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def set_parameter(session: Session, program: LawProgram, name: str, value: float
 
 @dataclass(frozen=True)
 class LawReport:
-    """How a law flew.
+    """Result of the flight of a law.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def takeover_text(event: LinkEvent) -> tuple[str, float] | None:
 
 
 def engage(heli: Vehicle, program: LawProgram, parameters: Mapping[str, float] | None = None) -> int:
-    """Have the board fly a law from the next tick on; it must hover under its own.
+    """Start a law on the board from the next tick on; the board must hover under its own law.
 
     Parameters
     ----------

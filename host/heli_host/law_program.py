@@ -1,4 +1,4 @@
-"""A control law as the board takes it: a program of instructions over cells, with the names of its signals.
+"""A control law in the form that a board accepts: instructions over cells, with names of its signals.
 
 The laboratory compiles such programs (tapes) from Python. This module stores them, computes their cost and
 packs them for the link. docs/reference/link.md defines every word of a program.

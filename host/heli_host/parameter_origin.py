@@ -52,7 +52,7 @@ def read_origin(session: Session) -> ParameterOrigin:
 
 
 def migration_text(origin: ParameterOrigin) -> str:
-    """Say what became of parameters that were stored under another schema; empty if they were not.
+    """Describe the migration of parameters stored under another schema; empty if there was none.
 
     Parameters
     ----------

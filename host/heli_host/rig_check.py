@@ -78,7 +78,7 @@ class RigDifference:
 
     @property
     def is_refused(self) -> bool:
-        """Whether nothing may fly with it: the log and the limits would mean other angles."""
+        """Whether the difference forbids a flight, because the log and the limits would mean other angles."""
         return self.part in (Part.SCALE, Part.DIRECTION)
 
     def __str__(self) -> str:

@@ -203,14 +203,14 @@ def small_figure(of: Recorded) -> bytes:
 
 
 def shares(state: NDArray[np.uint8], names: Mapping[int, str]) -> str:
-    """Say which states there were and how long each lasted, in the order of their first appearance.
+    """Return the states and the share of the rows in each, in the order of their first appearance.
 
     Parameters
     ----------
     state : ndarray of uint8 (n,)
         The supervisor's state in each row.
     names : Mapping of int to str
-        Their names.
+        Names of the states by number.
 
     Returns
     -------

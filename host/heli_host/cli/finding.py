@@ -14,7 +14,7 @@ ENTRY_POINT_GROUP: Final = "heli_host.checks"
 
 
 class Verdict(Enum):
-    """How a finding counts."""
+    """Severity of a finding."""
 
     GOOD = "good"
     NOTE = "note"  # matters only for an optional part, such as hardware

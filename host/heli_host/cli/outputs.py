@@ -1,4 +1,4 @@
-"""Files that a verb is going to write: refused before the work, not after it."""
+"""Checks of a verb's output files, made before the work begins."""
 
 from __future__ import annotations
 

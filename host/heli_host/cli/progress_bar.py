@@ -1,4 +1,4 @@
-"""The bar of work that takes a while without a flight: what is being done, and how long still."""
+"""Progress bar for long work without a flight: the present stage, and the remaining time."""
 
 from __future__ import annotations
 

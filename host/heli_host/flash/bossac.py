@@ -1,4 +1,4 @@
-"""The uploader: where it is, which options its version takes, and why it failed."""
+"""The uploader bossac: its path, the options of its version, and the reasons for a failure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a file is this release's firmware for the Due."""
+"""Check that a file is the firmware of this release for the Due."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How well each axis of a flight followed: step responses, following error, and the effort.
+"""Tracking quality of each axis of a flight: step responses, tracking error, and effort.
 
 The numbers are defined as in control textbooks. This is their only definition in the project; all other
 modules import them from here.
@@ -74,7 +74,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Response:
-    """How one axis followed its setpoint.
+    """Tracking quality of one axis.
 
     Parameters
     ----------

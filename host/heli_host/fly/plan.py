@@ -55,16 +55,16 @@ MAX_SEGMENTS = 1000
 
 @dataclass(frozen=True)
 class Start:
-    """Where take-off ends, or where the plan before this one hands over.
+    """Start of a plan: the end of the take-off, or the transition from the plan before.
 
     Parameters
     ----------
     elevation_deg : float
         Elevation there.
     rate_deg_s : float
-        How fast the elevation setpoint rises to it.
+        Rate at which the elevation setpoint rises to this elevation.
     settle_s : float
-        How long to wait there.
+        Waiting time at this elevation.
     """
 
     elevation_deg: float = 0.0

@@ -1,4 +1,4 @@
-"""Setpoints as functions of time: what a plan means once it is read."""
+"""Routes: the setpoints of a plan as functions of time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a flight followed its setpoints: the difference between `completed` and `not_tracked`."""
+"""Decision whether a flight followed its setpoints: `completed` or `not_tracked`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which ticks arrived and which did not, and all other counts of a session."""
+"""Counts of received and lost ticks, and all other counters of a session."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Raw numbers of telemetry channels to values in units, and back.
+"""Conversion of the raw numbers of telemetry channels to values in units, and back.
 
 A row of raw numbers is int32, whatever types its channels have on the wire: an unsigned 32-bit number from
 2^31 on is stored as its two's complement.

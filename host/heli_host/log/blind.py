@@ -135,7 +135,7 @@ def truth_path(log: Path) -> Path:
 
 
 def hide(text: str) -> str:
-    """Take addresses and boot ids out of a `text`: an address holds rig, effects and seed, and the seed
+    """Remove addresses and boot ids from a `text`: an address contains rig, effects and seed, and the seed
     settles the boot id.
     """
     return _BOOT_ID.sub("boot id hidden", _ADDRESS.sub("the board", text))

@@ -1,4 +1,4 @@
-"""Device ticks as one time axis: counted from the first tick logged, over wraps and restarts of the board."""
+"""One time axis for device ticks: from the first tick logged, across wraps and restarts of the board."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Several flights on one page: angles over each other, and a table of how well each followed."""
+"""Comparison of several flights on one page: overlaid angles, and a table of tracking quality."""
 
 from __future__ import annotations
 

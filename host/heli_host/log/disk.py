@@ -39,16 +39,16 @@ _sync = getattr(os, "fdatasync", os.fsync)
 
 
 class LogFile(Protocol):
-    """Where a log's bytes go."""
+    """Interface of the file that a log is written to."""
 
     @property
     def failed(self) -> LogWriteError | None:
-        """Why nothing more is written; what was written before ends with a whole record."""
+        """Error that ended the writing; the file then ends with a whole record. None if there is none."""
         ...
 
     @property
     def nearly_full(self) -> LogWriteError | None:
-        """Set when the disk has no more than `RESERVED_BYTES` left; writing goes on."""
+        """Error that is set when the disk has at most `RESERVED_BYTES` left; writing continues."""
         ...
 
     @property
@@ -169,7 +169,7 @@ class DirectFile:
             )
 
     def sync(self) -> None:
-        """Have the disk keep what was written.
+        """Synchronise the written bytes to the disk.
 
         Raises
         ------
@@ -266,12 +266,12 @@ class BackgroundFile:
 
     @property
     def failed(self) -> LogWriteError | None:
-        """Why nothing more is written."""
+        """Error that ended the writing; None if there is none."""
         return self._given_up or self._file.failed
 
     @property
     def nearly_full(self) -> LogWriteError | None:
-        """Set when the disk has little left."""
+        """Error that is set when the disk has little space left."""
         return self._file.nearly_full
 
     @property
@@ -475,7 +475,7 @@ def free_bytes(folder: Path) -> int | None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Have the disk keep the name of a file just created; without that, a power cut may take the whole file.
+    """Synchronise the folder of a new file; without this, a power cut may lose the whole file.
 
     Parameters
     ----------

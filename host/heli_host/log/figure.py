@@ -1,4 +1,4 @@
-"""A flight at a glance: setpoint and measured angles, voltages, states and events on one page."""
+"""Figure of a flight: setpoint and measured angles, voltages, states and events on one page."""
 
 from __future__ import annotations
 

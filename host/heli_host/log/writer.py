@@ -129,12 +129,12 @@ class LogWriter:
 
     @property
     def failed(self) -> LogWriteError | None:
-        """Why nothing more is written: the disk is full or gone."""
+        """Error that ended the writing, because the disk is full or gone; None if there is none."""
         return self._file.failed
 
     @property
     def nearly_full(self) -> LogWriteError | None:
-        """Set once the disk has just enough left to land; writing goes on."""
+        """Error that is set when the disk has just enough space left to land; writing continues."""
         return self._file.nearly_full
 
     @property
@@ -145,7 +145,7 @@ class LogWriter:
             return replace(self._counters)
 
     def write_ticks(self, tick: NDArray[np.uint32], raw: NDArray[np.int32]) -> None:
-        """Take in a batch of ticks.
+        """Append a batch of ticks.
 
         Parameters
         ----------
@@ -186,7 +186,7 @@ class LogWriter:
             self._clock.skip(gap_s)
 
     def write_event(self, tick: int, name: str, text: str, level: int = LEVEL_INFO) -> None:
-        """Take in an event.
+        """Append an event.
 
         Parameters
         ----------
@@ -215,7 +215,7 @@ class LogWriter:
             self._counters.events_logged += 1
 
     def write_link(self, tick: int, counters: Mapping[str, float]) -> None:
-        """Take in the link's counters.
+        """Append the counters of the link.
 
         Parameters
         ----------

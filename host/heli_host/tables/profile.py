@@ -1,4 +1,4 @@
-"""Profiles: which column of a file is what, in which unit, with which sign; TOML that people share."""
+"""Profiles in TOML: meaning, unit and sign of the columns of a file from another program."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SHARED: Final = ("unit", "full", "supply_V", "factor")
 
 @dataclass(frozen=True)
 class Angle:
-    """Where an angle is: angle = sign * (column in its unit) + offset.
+    """Column of an angle: angle = sign * (column in its unit) + offset.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class Angle:
 
 @dataclass(frozen=True)
 class Voltage:
-    """Where a voltage is: voltage = sign * factor * (column in its unit) + offset.
+    """Column of a voltage: voltage = sign * factor * (column in its unit) + offset.
 
     Parameters
     ----------
