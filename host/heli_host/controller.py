@@ -1,7 +1,7 @@
 """Flying a control law written in Python: called on device time, its voltages streamed, its timing measured.
 
-What a sample takes to become a voltage that acts is not guessed from clocks: telemetry says in which tick
-each voltage acted, so a voltage that differs from the one before can be found again there.
+The latency from a sample to its voltage is measured without comparing clocks. Telemetry gives the voltage
+that acted in each tick, so the tick of a voltage is known if it differs from the voltage before.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ ControlLaw = Callable[[Sample], tuple[float, float]]
 
 @runtime_checkable
 class Following(Protocol):
-    """A control law that says where it goes, so that the log can tell how well it does."""
+    """A control law that publishes its setpoints, so that the log contains its tracking error."""
 
     setpoints_rad: Mapping[str, float]
     """Angle of each axis that it follows, by the axis' name, at its last call [rad]."""
@@ -51,7 +51,7 @@ _LOOK_TICKS = 200
 
 @dataclass(frozen=True)
 class ControllerReport:
-    """How well a control law in Python kept time.
+    """Timing of a control law in Python.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""Every error that this package raises on purpose, and the base of those of all packages above it.
+"""All errors that this package raises on purpose. Errors of other packages derive from `HeliError` too.
 
 ::
 
-    HeliError                   cause and remedy, one line; exit code
+    HeliError                   what is wrong and what to do, in one line; exit code
     ├── LinkError               the serial link
     │   ├── PortError           the port cannot be opened: missing, no permission, busy
     │   ├── BadBaud             a rate that cannot work; 1200 baud would erase a Due
@@ -11,7 +11,7 @@
     │   ├── WrongDevice         bytes arrive, but they are not this link's frames
     │   ├── LinkVersionMismatch the two ends were built from different declarations
     │   ├── CommandTimeout      a command was not answered within its deadline
-    │   ├── CommandRefused      the board said no: result, fault or parameter, and the remedy
+    │   ├── CommandRefused      the board refused: result, fault or parameter, and how to fix it
     │   └── FlashError          the board's flash was not written, or what was written does not run
     ├── ImageError              a file that is not this release's firmware for the Due
     ├── UploaderError           bossac is missing, or cannot be used
@@ -20,18 +20,18 @@
     ├── SetpointError           a target outside the limits in force on the board
     ├── ControllerError         a Python control law raised, or returned no two finite voltages
     ├── BadLaw              a law that cannot run on a board, or is not written as one
-    ├── WaitTimeout             what was waited for did not happen in time
+    ├── WaitTimeout             the expected condition did not occur before the timeout
     ├── PlanError               a flight plan that cannot be flown as written
     ├── FlightAborted           a flight ended before its plan did
     ├── FlightDataError         a flight file without the columns or units it needs
     └── LogError                the log file
-        ├── TruncatedLog        it ends in the middle; what is before can be read
+        ├── TruncatedLog        it ends in the middle of a record; the records before are readable
         └── LogWriteError       it cannot be written: disk full, folder missing, no permission
 
-Packages above hang their own branches into it, printed at the top of their ``errors.py``: ``SimError`` of the
-simulation, and ``IdentifyError`` of the laboratory below that.
+Other packages add classes to this tree and list them in their ``errors.py``. The simulation adds
+``SimError``, and the laboratory derives ``IdentifyError`` from it.
 
-``str(error)`` is always one line for a person: the cause, then what to do about it.
+``str(error)`` is always one line: what is wrong, then what to do.
 """
 
 from __future__ import annotations
@@ -77,12 +77,12 @@ def file_remedy(error: OSError) -> str:
 
 
 def printable(text: str) -> str:
-    """Return a text that does nothing to a terminal but show.
+    """Return a text without characters that could control a terminal.
 
     Parameters
     ----------
     text : str
-        Anything, such as the title of a plan that somebody sent.
+        Any text, such as the title of a plan from another person.
 
     Returns
     -------
@@ -104,13 +104,13 @@ class HeliError(Exception):
     Parameters
     ----------
     cause : str
-        What is wrong, in words of the user's world.
+        What is wrong, in the user's terms.
     remedy : str
-        What to do about it; may be empty where nothing can be done.
+        Instruction that fixes the problem; empty if there is none.
     """
 
     exit_code: ClassVar[int] = 2
-    """What ``heli-host`` ends with: 2 asked for what cannot be done, 3 link, 4 flight ended early, 5 file."""
+    """Exit code of ``heli-host``: 2 invalid request, 3 link, 4 flight ended early, 5 file."""
 
     def __init__(self, cause: str, remedy: str = "") -> None:
         self.cause = printable(" ".join(cause.split()))
@@ -146,13 +146,13 @@ class WrongDevice(LinkError):
     Parameters
     ----------
     cause : str
-        What was heard.
+        Description of the bytes that were received.
     remedy : str
-        What to do about it.
+        Instruction that fixes the problem.
     byte_count : int
-        Bytes heard that belong to no frame.
+        Number of received bytes that belong to no frame.
     excerpt : bytes
-        The last of them.
+        The last of these bytes.
     """
 
     def __init__(self, cause: str, remedy: str = "", byte_count: int = 0, excerpt: bytes = b"") -> None:
@@ -304,7 +304,7 @@ class BadLaw(HeliError):
 
 
 class WaitTimeout(HeliError):
-    """What was waited for did not happen in time."""
+    """The expected condition did not occur before the timeout."""
 
 
 class PlanError(HeliError):
@@ -330,7 +330,7 @@ class LogError(HeliError):
 
 
 class TruncatedLog(LogError):
-    """The log ends in the middle of a record; what lies before can be read."""
+    """The log ends in the middle of a record; the records before it are readable."""
 
 
 class LogWriteError(LogError):
@@ -358,9 +358,9 @@ def fault_spec(code: int) -> FaultSpec | None:
 
 
 def fault_text(code: int) -> str:
-    """Say in one line what the fault of a `code` is and what to do about it.
+    """Return one line with the fault of a `code` and what to do about it.
 
-    Such as ``"pitch_limit: pitch beyond its limit (pitch_max_deg); check ..."``.
+    An example is ``"pitch_limit: pitch beyond its limit (pitch_max_deg); check ..."``.
     """
     if code == Fault.NONE:
         return "no fault"
@@ -372,7 +372,7 @@ def fault_text(code: int) -> str:
 
 
 def range_text(param: Param) -> str:
-    """Say in words what a parameter takes, such as ``"a number from 0 to 20 V/deg"`` or ``"-1 or 1"``."""
+    """Return the valid values of a parameter, such as ``"a number from 0 to 20 V/deg"`` or ``"-1 or 1"``."""
     spec = PARAMS[param]
     if spec.integer and spec.nonzero and (spec.min, spec.max) == (-1.0, 1.0):
         return "-1 or 1"

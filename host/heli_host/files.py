@@ -1,6 +1,6 @@
-"""Files that somebody gives us, read within bounds.
+"""Reading of files from other people, within bounds.
 
-No pipe that never ends, no file larger than memory, no TOML that exhausts the parser.
+The functions refuse pipes, files above a given size, and TOML that would exhaust the parser.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ def read_file(path: Path, most_bytes: int) -> bytes:
     path : Path
         The file.
     most_bytes : int
-        Refuse more.
+        Largest permitted size [bytes].
 
     Raises
     ------
     OSError
-        If it cannot be read, has more bytes, or is no file: a pipe could keep us waiting for ever, and a
-        device never end. ``strerror`` says which.
+        If it cannot be read, is larger, or is a pipe or a device, which may never end. ``strerror`` gives
+        the reason.
     """
     # Without O_NONBLOCK, opening a pipe waits for its writer.
     opened = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
@@ -55,7 +55,7 @@ def read_file(path: Path, most_bytes: int) -> bytes:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Parse TOML whose numbers are such as a float can hold.
+    """Parse TOML, and refuse whole numbers of more than 64 bits and deep nesting.
 
     Parameters
     ----------
@@ -65,8 +65,8 @@ def parse_toml(text: str) -> dict[str, Any]:
     Raises
     ------
     ValueError
-        If it is no TOML, nested too deeply, or has a whole number of more than 64 bits, which TOML does not
-        allow; the text says which, in one line.
+        If it is not TOML, is nested too deeply, or has a whole number of more than 64 bits, which TOML does
+        not permit. The message gives the reason in one line.
     """
     if _LONG_KEY.search(text):
         raise ValueError("it is nested too deeply")

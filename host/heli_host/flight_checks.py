@@ -1,6 +1,6 @@
-"""Checks of a finished flight against its rig; from whoever knows models.
+"""Checks of a finished flight against its rig, by other installed packages.
 
-Nothing here knows a model. A package that does offers a function in the entry-point group
+This package contains no models. A package that does offers a function in the entry-point group
 ``heli_host.flight_checks``, which takes a flight and the name or file of its rig and returns findings.
 """
 
@@ -50,7 +50,7 @@ def check_flight(flight: Flight, rig: str) -> tuple[FlightFinding, ...]:
     flight : Flight
         A finished flight.
     rig : str
-        Name of its rig, or path of the file; a name that no package knows is a label, and checks nothing.
+        Name of its rig, or path of the file; a name that no package defines is a label, without checks.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Bringing a law to the board, and flying it there with the board's own law in its shadow."""
+"""Uploading a law to the board and flying it; the board's own law runs along and can take over."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def loaded(session: Session) -> LawMessage:
 
 
 def upload(session: Session, program: LawProgram) -> LawMessage:
-    """Bring a law to the board, unless it has this one already; the board verifies it.
+    """Upload a law to the board, unless the board has it already; the board verifies it.
 
     Parameters
     ----------
@@ -60,12 +60,12 @@ def upload(session: Session, program: LawProgram) -> LawMessage:
     Returns
     -------
     LawMessage
-        What the board says of it.
+        The board's description of its law after the upload.
 
     Raises
     ------
     CommandRefused
-        A law flies, or the board finds something wrong.
+        A law flies already, or the board refuses the program.
     """
     now = loaded(session)
     words = program.words
@@ -89,7 +89,7 @@ def set_parameter(session: Session, program: LawProgram, name: str, value: float
     program : LawProgram
         The law that it has.
     name : str
-        Which parameter.
+        Name of the parameter.
     value : float
         Its new value.
 
@@ -115,20 +115,20 @@ def set_parameter(session: Session, program: LawProgram, name: str, value: float
 
 @dataclass(frozen=True)
 class LawReport:
-    """How a law flew.
+    """Result of the flight of a law.
 
     Parameters
     ----------
     name : str
-        Of the law.
+        Name of the law.
     hash : int
-        Of its program.
+        Hash of the law's program.
     flown_s : float
-        How long its voltages acted [s].
+        Time during which the law's voltages acted [s].
     taken_over : str
-        Why the board's own law took over; empty when it was asked to.
+        Reason for which the board's own law took over; empty if a command requested it.
     value : float
-        The offending quantity, as the reason says.
+        Value that caused the takeover; the reason defines its meaning.
     """
 
     name: str
@@ -148,7 +148,7 @@ def takeover_text(event: LinkEvent) -> tuple[str, float] | None:
     Parameters
     ----------
     event : LinkEvent
-        Any.
+        Any event of the session.
 
     Returns
     -------
@@ -163,28 +163,28 @@ def takeover_text(event: LinkEvent) -> tuple[str, float] | None:
 
 
 def engage(heli: Vehicle, program: LawProgram, parameters: Mapping[str, float] | None = None) -> int:
-    """Have the board fly a law from the next tick on; it must hover under its own.
+    """Start a law on the board from the next tick on; the board must hover under its own law.
 
     Parameters
     ----------
     heli : Vehicle
         In flight, all loops closed.
     program : LawProgram
-        The law; brought to the board where it has another one, or has forgotten.
+        The law; it is uploaded if the board has another law or none.
     parameters : mapping of str to float, optional
         Parameters of the law that differ from its own values.
 
     Returns
     -------
     int
-        First tick whose voltages are the law's, counted on over 2^32.
+        First tick in which the law's voltages act; the count continues past 2^32.
 
     Raises
     ------
     CommandRefused
         The board does not take the law, or does not fly.
     FlightAborted
-        The law was taken over at once.
+        The board's own law took over immediately.
     """
     upload(heli.session, program)
     named = ", ".join(program.signal_names) or "none"

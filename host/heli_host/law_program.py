@@ -1,7 +1,7 @@
-"""A control law as the board takes it: a program of instructions over cells, with the names of what it tells.
+"""A control law in the form that a board accepts: instructions over cells, with names of its signals.
 
-What makes tapes from Python is the laboratory; here they are only held, counted and packed.
-docs/reference/link.md says what every word means.
+The laboratory compiles such programs (tapes) from Python. This module stores them, computes their cost and
+packs them for the link. docs/reference/link.md defines every word of a program.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Term:
     first, second : int
         Cells of its factors.
     negative : bool
-        Whether it is taken away.
+        Whether the product is subtracted.
     """
 
     first: int
@@ -68,13 +68,13 @@ class Instruction:
     Parameters
     ----------
     code : int
-        Which, see ``OPERATIONS``.
+        Number of the operation, see ``OPERATIONS``.
     target : int
         Cell that it writes.
     first, second : int
         Cells that it reads; `second` is 0 where it has one operand, both are where it has terms.
     terms : tuple of Term
-        Of a sum of products.
+        Terms of a sum of products.
     """
 
     code: int
@@ -85,7 +85,7 @@ class Instruction:
 
     @property
     def words(self) -> tuple[int, ...]:
-        """What crosses the link, 32 bits each."""
+        """Words that are sent over the link, 32 bits each."""
         second = len(self.terms) if self.terms else self.second
         head = self.code << 27 | self.target << 18 | self.first << 9 | second
         return (head, *(term.word for term in self.terms))
@@ -110,13 +110,13 @@ class LawProgram:
     Parameters
     ----------
     name : str
-        What people call it.
+        Name of the law, for people.
     divisor : int
         Ticks from one call to the next.
     constants : tuple of float
         Numbers that never change.
     parameters : tuple of (str, float)
-        Names and values at the start of what may be changed in flight.
+        Names and initial values of the parameters that can be changed in flight.
     states : tuple of (str, float)
         Names and first values.
     outputs : tuple of int
@@ -176,7 +176,7 @@ class LawProgram:
 
     @property
     def words(self) -> tuple[int, ...]:
-        """What crosses the link, 32 bits each."""
+        """Words that are sent over the link, 32 bits each."""
         head = (
             LAW_FORMAT | self.divisor << 8 | len(self.signals) << 16 | len(self.parameters) << 24,
             len(self.constants) | len(self.states) << 16,
@@ -197,7 +197,7 @@ class LawProgram:
 
     @cached_property
     def inputs_read(self) -> frozenset[str]:
-        """Names of the inputs that it reads, be it to hand them on."""
+        """Names of the inputs that the program reads or copies to an output."""
         cells = {cell for one in self.instructions for cell in one.read} | set(self.outputs)
         return frozenset(name for cell, name in enumerate(LAW_INPUTS) if cell in cells)
 
@@ -213,7 +213,7 @@ class LawProgram:
 
     @property
     def signal_names(self) -> tuple[str, ...]:
-        """What the log's signals hold, in order: its own, then the board's setpoints where it logs others."""
+        """Names of the logged signals: the law's own, then the board's setpoints of `own_setpoints`."""
         given = (f"board_{axis}_setpoint_rad" for axis in self.own_setpoints)
         return (*self.signals, *given)[:LAW_SIGNALS]
 
@@ -229,7 +229,7 @@ class LawProgram:
 
     @cached_property
     def tick_costs(self) -> tuple[int, ...]:
-        """What each tick of a call takes in the worst case, in instructions, as the board works it out."""
+        """Worst-case instructions in each tick of a call, computed as the board does."""
         moving = sum(
             any(f"{axis}_setpoint_{unit}" in self.inputs_read for unit in ("rad_s", "rad_s2"))
             for axis in AXES
@@ -247,7 +247,7 @@ class LawProgram:
 
 
 class LawLike(Protocol):
-    """What has a program: a law of the laboratory."""
+    """An object with a program, such as a control law of the laboratory."""
 
     @property
     def program(self) -> LawProgram:
@@ -261,12 +261,12 @@ def program_of(law: LawProgram | LawLike) -> LawProgram:
     Parameters
     ----------
     law : LawProgram or LawLike
-        What is to fly.
+        Law to fly.
 
     Raises
     ------
     BadLaw
-        It is neither, or a law that no board could run.
+        It is neither, or no board can run the law.
     """
     program = law if isinstance(law, LawProgram) else getattr(law, "program", None)
     if not isinstance(program, LawProgram):
@@ -289,12 +289,12 @@ def hash_of(words: Sequence[int]) -> int:
 
 
 def check_number(what: str, value: float) -> None:
-    """Refuse what no board can hold.
+    """Refuse a number that a board cannot store.
 
     Parameters
     ----------
     what : str
-        What it is, for people.
+        Name of the number, for the message.
     value : float
         A number of a law.
 
@@ -316,7 +316,7 @@ def check_number(what: str, value: float) -> None:
 
 
 def rate_problem(rate_Hz: float) -> tuple[str, str]:
-    """Say why a board has no such rate, and which are near.
+    """Explain why a board cannot call a law at this rate, and give the nearest possible rates.
 
     Parameters
     ----------
@@ -326,7 +326,7 @@ def rate_problem(rate_Hz: float) -> tuple[str, str]:
     Returns
     -------
     tuple of str
-        Cause and remedy.
+        What is wrong, and what to do.
     """
     rates = [TICK_Hz / d for d in DIVISORS]
     above = [rate for rate in rates if rate >= rate_Hz]

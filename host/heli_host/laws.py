@@ -1,7 +1,7 @@
-"""Control laws in files, brought to a board by name.
+"""Control laws in files: reading them as programs for a board.
 
-Nothing here knows how a law is written: a package that does offers a function in the entry-point group
-``heli_host.laws`` that makes a program of a file.
+This package does not define how a law is written. A package that does offers a function in the entry-point
+group ``heli_host.laws``, which converts a file to a program.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ LawReader = Callable[[Path], LawProgram]
 
 
 def read_law(path: Path) -> LawProgram:
-    """Make a program of the law in a file, whose code is run.
+    """Compile the law in a file to a program; the code of the file is run.
 
     Parameters
     ----------
@@ -32,8 +32,8 @@ def read_law(path: Path) -> LawProgram:
 
     Returns
     -------
-    Tape
-        As a board takes it.
+    LawProgram
+        The law in the form that a board accepts.
 
     Raises
     ------

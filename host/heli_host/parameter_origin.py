@@ -13,12 +13,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ParameterOrigin:
-    """What a board made of its stored parameters.
+    """Origin of the parameters on a board: kept, dropped and new ones.
 
     Parameters
     ----------
     source : ParamsSource
-        Where the parameters in force came from.
+        Source of the parameters in force.
     kept : int
         Stored values in force.
     dropped : int
@@ -52,7 +52,7 @@ def read_origin(session: Session) -> ParameterOrigin:
 
 
 def migration_text(origin: ParameterOrigin) -> str:
-    """Say what became of parameters that were stored under another schema; empty if they were not.
+    """Describe the migration of parameters stored under another schema; empty if there was none.
 
     Parameters
     ----------

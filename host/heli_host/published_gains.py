@@ -1,4 +1,4 @@
-"""Gains that were published: Table 6 of the paper, as parameter sets of the board."""
+"""Published gains: Table 6 of the paper, as parameter sets of the board."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ Smaller: a supply within the tolerance of a rig's file gives a warning."""
 
 
 class Part(Enum):
-    """What of the board a difference concerns."""
+    """Property of the board that a difference concerns."""
 
     SCALE = "scale"
     DIRECTION = "direction"
@@ -68,7 +68,7 @@ class RigDifference:
     board, rig : float
         Its value on the board, and the value that the rig determines, in the parameter's unit.
     part : Part
-        What it concerns.
+        Property that the difference concerns.
     """
 
     parameter: str
@@ -78,7 +78,7 @@ class RigDifference:
 
     @property
     def is_refused(self) -> bool:
-        """Whether nothing may fly with it: the log and the limits would mean other angles."""
+        """Whether the difference forbids a flight, because the log and the limits would mean other angles."""
         return self.part in (Part.SCALE, Part.DIRECTION)
 
     def __str__(self) -> str:
@@ -130,7 +130,7 @@ def rig_differences(
     Parameters
     ----------
     stated : Mapping of str to float
-        What the rig determines, as `rig_parameters` gives it.
+        Parameters that the rig determines, as `rig_parameters` returns them.
     parameters : Mapping of str to float
         Parameters of the board by name.
     simulated : bool

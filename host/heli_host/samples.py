@@ -22,7 +22,7 @@ from heli_host.views import AngleViews, shares
 
 
 class Sample(ChannelValues):
-    """What the board measured and did in one tick: a `ChannelValues`.
+    """Measurements and outputs of the board in one tick: a `ChannelValues`.
 
     Angles are those at the beginning of the tick, level is 0; voltages acted during it.
     """

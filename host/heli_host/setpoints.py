@@ -1,4 +1,4 @@
-"""Setpoints and voltages that a board takes, as its parameters say; the one check before they are sent."""
+"""Checks of setpoints and voltages against the board's parameters, before they are sent."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ class BoardInfo:
     reset : str
         Cause of the board's last start: ``power_up``, ``user``, ``watchdog`` or ``software``.
     boot_fault : str
-        Fault recorded before that start, with its remedy; empty for none.
+        Fault recorded before that start, and how to fix it; empty for none.
     boot_id : int
         Number that changes with every start.
     params_source : str

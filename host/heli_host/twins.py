@@ -1,6 +1,6 @@
 """Change detection during a flight: a twin, a model of the rig, raises an alarm when the rig changes.
 
-This file contains no model. A package that has one offers a function in the entry-point group
+This file contains no model. A package with a model offers a function in the entry-point group
 ``heli_host.twins``. Its twin gets every tick, in a separate thread, so that it does not delay the link.
 """
 

@@ -1,4 +1,4 @@
-"""What a person asks of recorded angles: degrees, rates, a table of pandas, a small figure in a notebook."""
+"""Views of recorded angles: degrees, rates, a pandas table, and a small figure in a notebook."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ class AngleViews:
         return pandas.DataFrame(columns, index=pandas.Index(t_s, name="t_s"))
 
     def _repr_html_(self: Recorded) -> str:
-        """What a notebook shows: the text of `repr`, and the angles and voltages in a small figure."""
+        """Return HTML for a notebook: the text of `repr`, and a small figure of angles and voltages."""
         text = f"<p>{html.escape(repr(self))}</p>"
         if self.t_s.size < 2:
             return text
@@ -140,14 +140,14 @@ def rate(t_s: Floats, angle_rad: Floats, window_s: float = RATE_WINDOW_S) -> Flo
     t_s : ndarray (n,)
         Times, even but for gaps, across which nothing is fitted.
     angle_rad : ndarray (n,)
-        What an encoder shows there; any unit, the rate is in that unit a second.
+        Encoder angle at these times; in any unit, and the rate is in that unit per second.
     window_s : float
         Length of a parabola [s]; at least five angles are taken, also where they span more.
 
     Returns
     -------
     ndarray (n,)
-        The rate [rad/s]; NaN where less than five angles stand together.
+        The rate [rad/s]; NaN where fewer than five angles are without a gap.
     """
     from scipy.signal import savgol_filter
 
@@ -203,14 +203,14 @@ def small_figure(of: Recorded) -> bytes:
 
 
 def shares(state: NDArray[np.uint8], names: Mapping[int, str]) -> str:
-    """Say which states there were and how long each lasted, in the order of their first appearance.
+    """Return the states and the share of the rows in each, in the order of their first appearance.
 
     Parameters
     ----------
     state : ndarray of uint8 (n,)
         The supervisor's state in each row.
     names : Mapping of int to str
-        Their names.
+        Names of the states by number.
 
     Returns
     -------

@@ -20,12 +20,12 @@ DUE_NATIVE_PID = 0x003E
 
 
 def is_due(port: PortInfo) -> bool:
-    """Say whether a port is the programming port of a Due, which this link uses."""
+    """Return whether a port is the programming port of a Due, which this link uses."""
     return (port.vendor_id, port.product_id) == (ARDUINO_VID, DUE_PROGRAMMING_PID)
 
 
 def is_due_native(port: PortInfo) -> bool:
-    """Say whether a port is a Due's other port, which this link does not use."""
+    """Return whether a port is the native port of a Due, which this link does not use."""
     return (port.vendor_id, port.product_id) == (ARDUINO_VID, DUE_NATIVE_PID)
 
 
@@ -163,8 +163,9 @@ def clear_latched_fault(heli: Heli) -> None:
 
 
 def board_text(heli: Heli, *, hidden: bool = False) -> str:
-    """Say which board it is, such as ``"Arduino Due, firmware 0.1.0, on /dev/ttyACM0"``; without its address
-    where that is `hidden`.
+    """Return a description of the board, such as ``"Arduino Due, firmware 0.1.0, on /dev/ttyACM0"``.
+
+    If `hidden`, the description does not contain the address.
     """
     from heli_host.link.transport import transport_label
 
@@ -175,7 +176,8 @@ def board_text(heli: Heli, *, hidden: bool = False) -> str:
 
 
 def board_versions(info: BoardInfo) -> str:
-    """Say what a board runs, such as ``"Arduino Due, firmware 0.1.0, link 1.0"``, for the head of a file that
-    came from it.
+    """Return board, firmware and link version, such as ``"Arduino Due, firmware 0.1.0, link 1.0"``.
+
+    The text is written at the head of a file with data from the board.
     """
     return f"{info.board}, firmware {info.firmware_version}, link {info.link_version}"

@@ -1,9 +1,12 @@
 """The command line: its verbs, and the one place where errors become a line and an exit code.
 
-Exit codes: 0 done; 1 ``doctor`` found something that needs a remedy; 2 what was asked for cannot be done
-(usage, plan, parameter, setpoint); 3 the board or the link; 4 a flight that ended before its plan did;
-5 a file that cannot be read or written; 70 a mistake of this program; 130 interrupted. An error is one line
-on stderr, and says itself which code it ends with; ``HELI_DEBUG=1`` shows the traceback instead.
+Exit code 0 means done, and 1 means that ``doctor`` found a problem that you must fix. Code 2 is an invalid
+request (usage, plan, parameter, setpoint). Code 3 is a failure of the board or the link, and 4 is a flight
+that ended before its plan did. Code 5 is a file that cannot be read or written. Code 70 is a mistake of this
+program, and 130 is an interrupt.
+
+An error is one line on stderr; its class determines the exit code. ``HELI_DEBUG=1`` shows the traceback
+instead.
 """
 
 from __future__ import annotations

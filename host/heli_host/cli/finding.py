@@ -1,7 +1,7 @@
-"""What a look at this computer found: one line, and its remedy.
+"""A finding of ``heli-host doctor``: one line about this computer, and how to fix the problem.
 
-A package that needs something of its own offers a function without arguments that yields findings, in the
-entry-point group ``heli_host.checks``; ``heli-host doctor`` calls it.
+A package that checks its own requirements offers a function without arguments that yields findings, in the
+entry-point group ``heli_host.checks``; ``heli-host doctor`` calls this function.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ ENTRY_POINT_GROUP: Final = "heli_host.checks"
 
 
 class Verdict(Enum):
-    """How a finding counts."""
+    """Severity of a finding."""
 
     GOOD = "good"
-    NOTE = "note"  # only matters for something that may not be wanted, such as hardware
+    NOTE = "note"  # matters only for an optional part, such as hardware
     BAD = "bad"
 
 
@@ -28,9 +28,9 @@ class Finding:
     Parameters
     ----------
     what : str
-        What was looked at and found.
+        Subject of the check, and its result.
     remedy : str
-        What to do about it; empty when it is all right.
+        Instruction that fixes the problem; empty if there is no problem.
     """
 
     verdict: Verdict

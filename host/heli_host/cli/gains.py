@@ -35,14 +35,14 @@ def chosen_parameters(file: Path | None, gains: str | None) -> Mapping[str, floa
     file : Path or None
         The file; None for no parameters.
     gains : str or None
-        Published gains that were asked for as well.
+        Name of published gains; None for none.
 
     Raises
     ------
     typer.BadParameter
-        If both were asked for.
+        If both `file` and `gains` are given.
     ParameterError
-        If the file cannot be read, or the board would not take a value.
+        If the file cannot be read, or the board would refuse a value.
     """
     from heli_host.parameter_file import read_parameters
     from heli_host.parameters import checked

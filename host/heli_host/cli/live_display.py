@@ -1,4 +1,4 @@
-"""What is rewritten in place on a terminal; elsewhere a line is printed from time to time."""
+"""Live display: text rewritten in place on a terminal; for other outputs, a line from time to time."""
 
 from __future__ import annotations
 

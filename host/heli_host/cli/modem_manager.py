@@ -15,13 +15,13 @@ UDEV_REMEDY = (
 
 
 def check_modem_manager(due_is_present: bool) -> Finding:
-    """Check that ModemManager leaves the board alone; it may hold a new port for half a minute. Bad when it
-    runs, may grab a Due, and `due_is_present`.
+    """Check that ModemManager ignores the board; it may occupy a new port for half a minute. The verdict is
+    bad if ModemManager runs, may open a Due, and `due_is_present`.
     """
     if not _process_runs("ModemManager"):
         return Finding(Verdict.GOOD, "ModemManager does not run")
     if _udev_ignores_arduino():
-        return Finding(Verdict.GOOD, "ModemManager runs and is told to leave Arduinos alone")
+        return Finding(Verdict.GOOD, "ModemManager runs and is configured to ignore Arduinos")
     verdict = Verdict.BAD if due_is_present else Verdict.NOTE
     return Finding(verdict, "ModemManager runs and may grab the board when it is plugged in", UDEV_REMEDY)
 

@@ -1,4 +1,4 @@
-"""Files that a verb is going to write: refused before the work, not after it."""
+"""Checks of a verb's output files, made before the work begins."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def check_result_places(*files: Path | None, figure: Path | None = None, report:
     Parameters
     ----------
     *files : Path or None
-        Files to write; None for one that nobody asked for, ``-`` for standard output.
+        Files to write; None if the user requested no such file, ``-`` for standard output.
     figure : Path, optional
         File of a figure; its ending says the format.
     report : Path, optional

@@ -1,4 +1,4 @@
-"""The live line: time, angles against setpoints, state and the health of the link, while something flies."""
+"""The live line during a flight: time, angles with setpoints, state, and quality of the link."""
 
 from __future__ import annotations
 
@@ -53,9 +53,9 @@ class LiveLine:
         t_s : float
             Device time since the beginning [s].
         phase : str
-            What is being flown.
+            Part of the plan that is being flown.
         left_s : float or None
-            Device time left [s]; None when nobody knows.
+            Device time left [s]; None if it is unknown.
         """
         if self._quiet or not self.due:
             return
@@ -71,14 +71,14 @@ class LiveLine:
 
 
 def heading(sample: Sample, t_s: float, phase: str, left_s: float | None) -> str:
-    """Say when, what and how long still, such as ``" 12.3 s  sine  closed_loop  8 s left"``.
+    """Return time, phase and remaining time, such as ``" 12.3 s  sine  closed_loop  8 s left"``.
 
     Parameters
     ----------
     t_s : float
         Device time since the beginning [s].
     phase : str
-        What is being flown.
+        Part of the plan that is being flown.
     left_s : float or None
         Device time left [s].
     """
@@ -91,7 +91,7 @@ def heading(sample: Sample, t_s: float, phase: str, left_s: float | None) -> str
 
 
 def angles_text(sample: Sample) -> str:
-    """Say the three angles, each with its setpoint, such as ``"elevation +4.9 (+5.0)  pitch ... deg"``."""
+    """Return the three angles, each with its setpoint, such as ``"elevation +4.9 (+5.0)  pitch ... deg"``."""
     from math import degrees
 
     from heli_host.declaration import AXES
@@ -105,6 +105,6 @@ def angles_text(sample: Sample) -> str:
 
 
 def link_text(counters: LinkCounters) -> str:
-    """Say how the link fares, such as ``"lost 0 ticks, 0 bad frames, 0 retries"``."""
+    """Return the errors of the link, such as ``"lost 0 ticks, 0 bad frames, 0 retries"``."""
     text = f"lost {counters.ticks_lost} ticks, {counters.frames_bad} bad frames, {counters.retries} retries"
     return f"{text}, {counters.reconnects} reconnects" if counters.reconnects else text

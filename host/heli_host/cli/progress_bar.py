@@ -1,4 +1,4 @@
-"""The bar of work that takes a while without a flight: what is being done, and how long still."""
+"""Progress bar for long work without a flight: the present stage, and the remaining time."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 LINE_EVERY_S = 5.0
 """When the output goes to a file or another program."""
 _MIN_TOLD = 0.01
-"""Share of the work below which no time left is told."""
+"""Share of the work below which no remaining time is shown."""
 
 
 class WorkBar:

@@ -1,4 +1,4 @@
-"""What a flight was, in the last lines that a person reads."""
+"""The result of a flight in a few lines, which a verb prints at its end."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def summary_lines(summary: FlightSummary) -> list[str]:
-    """Say in a few lines what was flown, how well, and what was lost."""
+    """Return a few lines with the plans, the outcome, the tracking error and the lost ticks."""
     what = " + ".join(summary.plans) or "no plan"
     where = f" on {summary.rig}" if summary.rig else ""
     errors = ", ".join(

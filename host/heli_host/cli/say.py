@@ -1,4 +1,4 @@
-"""What verbs print of names that others chose: files, rigs, plans; nothing in them moves a terminal."""
+"""Output of the verbs: lines with escaped control characters, results as JSON, and data."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, Final
 
 QUIET: Final[ContextVar[bool]] = ContextVar("quiet", default=False)
-"""Whether progress and lists of files are left out; `heli_host.cli.entry` runs each command line in a context
-of its own."""
+"""Whether progress and lists of files are left out; `heli_host.cli.entry` runs each command line in a
+separate context."""
 DATA_ONLY: Final[ContextVar[bool]] = ContextVar("data_only", default=False)
 """Whether standard output is for data alone, so that words go to standard error."""
 STDOUT: Final = "-"
@@ -31,7 +31,7 @@ def say(*lines: str) -> None:
 
 
 def say_error(*lines: str) -> None:
-    """Print `lines` to standard error, where they are in the way of no data."""
+    """Print `lines` to standard error, where they are not mixed with data."""
     from heli_host.errors import printable
 
     for line in lines:

@@ -89,8 +89,8 @@ BlindOption = Annotated[
 
 
 def rig_name(rig: str | None, *, simulated: bool) -> str:
-    """Name of the `rig` that was asked for, for the log; without one the default rig if `simulated`, else
-    empty.
+    """Return the name of the requested `rig` for the log. Without a rig, return the default rig if
+    `simulated`, otherwise an empty text.
     """
     if rig is not None:
         return Path(rig).stem

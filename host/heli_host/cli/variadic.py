@@ -10,8 +10,8 @@ from typer.core import TyperCommand
 class Variadic(TyperCommand):
     """A verb whose repeatable options take all words up to the next option.
 
-    Without this, a second file behind ``--validate`` would be taken for one more flight to fit, and nobody
-    would notice.
+    Without this, a second file behind ``--validate`` would be taken for one more flight to fit, without
+    an error.
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:

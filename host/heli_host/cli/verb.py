@@ -1,8 +1,8 @@
-"""What a verb of the command line is, and where verbs are found.
+"""A verb of the command line, and the search for all installed verbs.
 
 A verb is a module with a `VERB`. Verbs are looked for in every module of the packages that the entry-point
-group ``heli_host.verbs`` names: this package's own, the simulation's, the laboratory's, and those of anybody
-who installs a package of their own.
+group ``heli_host.verbs`` names: this package, the simulation, the laboratory, and other installed
+packages.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Verb:
     command : callable or typer.Typer
         A function whose signature holds options as typer reads them, or several under one name.
     panel : str
-        Heading of ``--help`` that it stands under.
+        Heading of ``--help`` that lists the verb.
     variadic : bool
         Whether its repeatable options take several words each, see `Variadic`; functions only.
     aliases : tuple of str

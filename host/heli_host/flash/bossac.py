@@ -1,4 +1,4 @@
-"""The uploader: where it is, which options its version takes, and why it failed."""
+"""The uploader bossac: its path, the options of its version, and the reasons for a failure."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ class Bossac:
     Parameters
     ----------
     path : str
-        Its file.
+        Path of the program.
     version : str
-        As it says itself, such as ``1.9.1``.
+        Version that the program reports, such as ``1.9.1``.
     usb_option : tuple of str
-        How this version is told that the port is no native USB port: 1.8 renamed the option, and made its
-        value optional, which must then hang on it.
+        Option by which this version accepts a port that is not a native USB port. Version 1.8 renamed the
+        option and made its value optional; the value must then follow without a space.
     """
 
     path: str
@@ -180,7 +180,7 @@ def _failure(bossac: Bossac, port: str, code: int, output: str) -> FlashError:
         return FlashError(
             f"the chip's loader does not answer on {port}: not erased, or another program has the port",
             "press the board's ERASE button for a second, then RESET, and flash again; "
-            "heli-host doctor says whether ModemManager is in the way",
+            "heli-host doctor checks whether ModemManager occupies the port",
         )
     if "Verify failed" in output:
         errors = re.search(r"Byte errors: *(\d+)", output)

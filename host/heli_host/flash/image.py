@@ -1,4 +1,4 @@
-"""Whether a file is this release's firmware for the Due."""
+"""Check that a file is the firmware of this release for the Due."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def read_image(path: Path) -> FirmwareImage:
     Raises
     ------
     ImageError
-        It is no image for the Due, or one of another release; the message says which.
+        It is not an image for the Due, or is of another release; the message gives the reason.
     OSError
         It cannot be read.
     """

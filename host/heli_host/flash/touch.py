@@ -1,4 +1,4 @@
-"""What the Due's USB bridge does when its lines are touched: erase the chip, or reset it."""
+"""Erasing and resetting a Due by the control lines of its USB bridge."""
 
 from __future__ import annotations
 

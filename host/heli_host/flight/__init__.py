@@ -1,4 +1,4 @@
-"""A flight as arrays, and what makes one trustworthy; see the README beside this file."""
+"""A flight as arrays, and the checks that it must pass; see the README in this folder."""
 
 from heli_host.flight.check import check
 from heli_host.flight.flight import (

@@ -1,4 +1,4 @@
-"""What a flight must be before any analysis trusts it: long enough, finite, even in time, in SI units."""
+"""Checks that a flight must pass before an analysis: long enough, finite, even in time, in SI units."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""A flight as arrays: what every later analysis starts from.
+"""A flight as arrays: the input of every analysis.
 
-This package and what it imports know nothing of ports, boards, sessions or files, so that programs which only
-study flights (identification, reports) may import it alone. `heli_host.log` reads and writes them.
+This package imports no module for ports, boards, sessions or files. Therefore programs that only analyse
+flights (identification, reports) may import it alone. `heli_host.log` reads and writes flights.
 
 Convention of time: row ``k`` holds the angles read at ``t_s[k]`` and the voltages that act from ``t_s[k]``
 until ``t_s[k + 1]``. The board's telemetry has the same order: in one tick it reads the counts, then computes
@@ -50,7 +50,7 @@ class FlightEvent:
     name : str
         Kind of event: ``state``, ``fault``, ``setpoint_stale``, ``plan``, ``link`` ...
     text : str
-        What happened and why, for a person.
+        Description of the event and its cause, in words.
     """
 
     t_s: float

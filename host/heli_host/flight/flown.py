@@ -1,4 +1,4 @@
-"""Which rows of a flight count: those in which a control law flew, and those in which it led an axis."""
+"""Selection of the rows of a flight in which a control law flew, or in which an axis followed a setpoint."""
 
 from __future__ import annotations
 
@@ -26,18 +26,20 @@ Rows = NDArray[np.bool_]
 
 
 def flown_rows(flight: Flight) -> Rows:
-    """Return the rows in which a control law flew, the board's, one that came over the link, or the host's:
-    behind the take-off and before the landing where the flight marks them.
+    """Return the rows in which a control law flew: the board's own, an uploaded law, or the host's.
+
+    If the flight marks its phases, only rows after the take-off and before the landing count.
 
     Parameters
     ----------
     flight : Flight
-        Any.
+        Flight to examine.
 
     Returns
     -------
     ndarray of bool (n,)
-        All rows count of a flight without states and phases, such as a table of another laboratory.
+        True in these rows. If the flight has no states and no phases, such as a table of another laboratory,
+        all rows are true.
     """
     rows = np.ones(len(flight), np.bool_)
     if flight.state is not None:
@@ -53,22 +55,22 @@ def flown_rows(flight: Flight) -> Rows:
 
 
 def led_rows(flight: Flight, axis: str) -> Rows:
-    """Return the rows of `flown_rows` in which an axis was led by a setpoint.
+    """Return the rows of `flown_rows` in which an axis followed a setpoint.
 
-    A law of the host's that tells no setpoints, and one on the board that has none for an axis, is logged
-    with the measured angle in their place: an error of nothing, which is no merit.
+    Some control laws have no setpoint for an axis, on the host or on the board. The log then contains the
+    measured angle as the setpoint. Such rows are left out, because their error of zero means nothing.
 
     Parameters
     ----------
     flight : Flight
-        Any.
+        Flight to examine.
     axis : str
-        Which axis.
+        Name of the axis.
 
     Returns
     -------
     ndarray of bool (n,)
-        Nothing of a flight without setpoints.
+        True in these rows; False everywhere if the flight has no setpoints.
     """
     rows = flown_rows(flight)
     setpoint_rad = getattr(flight, f"{axis}_setpoint_rad")
@@ -82,17 +84,17 @@ def led_rows(flight: Flight, axis: str) -> Rows:
 
 
 def of_its_law(flight: Flight) -> Flight:
-    """Cut a flight to what a law that came over the link flew, or else to what `flown_rows` says.
+    """Cut a flight to the rows in which an uploaded law flew; if none flew, to the rows of `flown_rows`.
 
     Parameters
     ----------
     flight : Flight
-        Any.
+        Flight to cut.
 
     Returns
     -------
     Flight
-        From the first of these rows to the last, without the phases of what it was cut from.
+        Rows from the first of these to the last, without the phase events.
 
     Raises
     ------

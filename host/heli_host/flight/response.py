@@ -1,7 +1,7 @@
-"""How well each axis of a flight followed: step responses, following error, and the effort.
+"""Tracking quality of each axis of a flight: step responses, tracking error, and effort.
 
-The one definition of these numbers, as control textbooks have them: whoever judges a flight by them takes
-them from here.
+The numbers are defined as in control textbooks. This is their only definition in the project; all other
+modules import them from here.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Step:
     start_s : float
         When the setpoint began to move, on the flight's axis [s].
     size_deg : float
-        By how much [deg].
+        Size of the step [deg].
     metrics : StepMetrics
         How the axis followed, until the setpoint moves again.
     """
@@ -74,7 +74,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Response:
-    """How one axis followed its setpoint.
+    """Tracking quality of one axis.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class Response:
     step_s : float
         When its setpoint began its largest step [s]; nan where it made none.
     step_deg : float
-        By how much [deg]; the metrics below are nan without a step.
+        Size of the step [deg]; the metrics below are nan without a step.
     rise_s, overshoot_percent, settling_s : float
         As in `StepMetrics`.
     rms_deg : float
@@ -118,9 +118,9 @@ def steps(flight: Flight, axis: str) -> tuple[Step, ...]:
     Parameters
     ----------
     flight : Flight
-        Any.
+        Flight to analyse.
     axis : str
-        Which axis.
+        Name of the axis.
 
     Returns
     -------
@@ -149,7 +149,7 @@ def step_metrics(t_s: Floats, angle_deg: Floats, start_deg: float, end_deg: floa
     angle_deg : ndarray (n,)
         Measured angle [deg].
     start_deg, end_deg : float
-        Where the step began and where it ended [deg].
+        Setpoints before and after the step [deg].
     """
     if not len(t_s):
         return StepMetrics(math.nan, math.nan, math.nan)

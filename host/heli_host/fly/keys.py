@@ -16,7 +16,7 @@ MAX_SEGMENT_S = 3600.0
 
 @dataclass(frozen=True)
 class Number:
-    """What a key takes.
+    """Numbers that are valid for a key.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ TARGETS = {f"{axis}_deg": ANGLE for axis in AXES}
 
 
 class Table:
-    """One table of a plan, with the place it stands at.
+    """One table of a plan, and its place in the file.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class Table:
         what : str
             What is wrong, with the key's name.
         remedy : str
-            What to do.
+            Instruction that fixes the problem.
         """
         raise PlanError(f"{self.where}: {what}", remedy)
 

@@ -1,4 +1,4 @@
-"""What a board allows a plan, from its parameters."""
+"""Limits of a board for a plan, computed from its parameters."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _TABLE_MARGIN_DEG = 2.0
 
 @dataclass(frozen=True)
 class Limits:
-    """What the board allows.
+    """Limits of a board for a plan.
 
     Parameters
     ----------
     low_deg, high_deg : ndarray (axes,)
         Bounds of the setpoints of elevation, pitch and travel.
     low_names, high_names : tuple of str
-        Where each bound comes from, for messages.
+        Source of each bound, for messages.
     slew_deg_s : ndarray (axes,)
         Fastest change of each setpoint.
     excitation_max_V, excitation_max_s : float
@@ -50,7 +50,7 @@ class Limits:
         Parameters
         ----------
         parameters : Mapping[str, float], optional
-            The board's parameters by name; the declared defaults stand for what is missing.
+            The board's parameters by name; a missing parameter has its declared default.
         """
         known = {spec.name: spec.default for spec in PARAMS}
         known.update(parameters or {})

@@ -55,16 +55,16 @@ MAX_SEGMENTS = 1000
 
 @dataclass(frozen=True)
 class Start:
-    """Where take-off ends, or where the plan before this one hands over.
+    """Start of a plan: the end of the take-off, or the transition from the plan before.
 
     Parameters
     ----------
     elevation_deg : float
         Elevation there.
     rate_deg_s : float
-        How fast the elevation setpoint rises to it.
+        Rate at which the elevation setpoint rises to this elevation.
     settle_s : float
-        How long to wait there.
+        Waiting time at this elevation.
     """
 
     elevation_deg: float = 0.0
@@ -79,15 +79,15 @@ class Plan:
     Parameters
     ----------
     name : str
-        Name it is found by, or its file's stem.
+        Name of the plan, or the stem of its file.
     source : str
         Built-in name or path, for messages.
     title : str
-        What it is, in one line.
+        Description of the plan in one line.
     axes : tuple of str
-        Axes that it closes.
+        Axes in closed loop.
     text : str
-        Its TOML, as read; goes into the log.
+        TOML text of the plan, unchanged; it is written to the log.
     """
 
     name: str
@@ -108,7 +108,7 @@ class Plan:
         text : str
             TOML.
         source : str
-            Where it comes from, for messages.
+            Built-in name or path, for messages.
         name : str
             Name of the plan; the source's stem without it.
 
@@ -178,12 +178,12 @@ class Plan:
         return elevation_deg, pitch_deg, travel_deg
 
     def check(self, parameters: Mapping[str, float] | None = None, from_deg: Floats | None = None) -> Floats:
-        """Refuse what the board would refuse, or could not follow.
+        """Refuse a plan that the board would refuse or could not follow.
 
         Parameters
         ----------
         parameters : Mapping[str, float], optional
-            The board's parameters; the declared defaults stand for what is missing.
+            The board's parameters; a missing parameter has its declared default.
         from_deg : ndarray (axes,), optional
             Setpoints at which the plan begins; its own start without it.
 

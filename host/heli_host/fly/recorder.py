@@ -55,9 +55,9 @@ class Recorder:
     plans : sequence of Plan
         Plans that will be flown; their text goes into the log.
     board_name : str
-        What the board is, where it cannot know; empty to take its word.
+        Description of the board for the log; empty to use the description that the board sent.
     duration_s : float
-        How long the flight lasts, for the space that it needs on the disk; 0 if nobody knows [s].
+        Duration of the flight, for the check of free disk space; 0 if it is unknown [s].
     overwrite : bool
         Write over a file that is there; otherwise it is refused.
     sealed : str
@@ -283,7 +283,7 @@ class Recorder:
 
 
 def _controller(heli: Vehicle) -> str:
-    """Return the controller's name; that of the default row is not asked for."""
+    """Return the controller's name; for the default row, the board is not asked."""
     selected = heli.params["controller"]
     return controller_name(heli.session, selected) if selected in range(1, 8) else "default"
 

@@ -1,4 +1,4 @@
-"""Setpoints as functions of time: what a plan means once it is read."""
+"""Routes: the setpoints of a plan as functions of time."""
 
 from __future__ import annotations
 
@@ -48,13 +48,13 @@ class Piece:
     Parameters
     ----------
     phase : str
-        What it belongs to: ``take-off`` or a plan's name.
+        Part of the flight: ``take-off`` or a plan's name.
     name : str
-        What it is, for a person: ``sine``, ``step`` ...
+        Kind of the piece, for messages: ``sine``, ``step`` ...
     start_s, duration_s : float
-        When, on the route's axis.
+        Start on the route's time axis, and length [s].
     shape : callable
-        Setpoints within it.
+        Function that returns the setpoints within the piece.
     """
 
     phase: str
@@ -112,7 +112,7 @@ class Route:
         duration_s : float
             Length of the piece.
         shape : callable
-            Setpoints within it.
+            Function that returns the setpoints within the piece.
         """
         piece = Piece(phase, name, self.duration_s, duration_s, shape, excitation)
         return Route(self.start_deg, (*self.pieces, piece))

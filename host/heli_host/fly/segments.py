@@ -34,7 +34,7 @@ _SMOOTH_PEAK = 1.5  # steepest slope of the cubic blend, as a multiple of the me
 
 @dataclass(frozen=True)
 class Motion:
-    """What a segment does from where it begins.
+    """Motion of a segment from its first setpoints.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Motion:
     low_deg, high_deg : ndarray (axes,)
         Bounds of elevation, pitch and travel within it.
     rate_deg_s : ndarray (axes,)
-        Steepest slopes asked for; a step asks for none, because the board's slew limit shapes it.
+        Steepest requested slopes; 0 for a step, because the board's slew limit shapes it.
     """
 
     duration_s: float

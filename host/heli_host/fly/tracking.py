@@ -1,4 +1,4 @@
-"""Whether a flight followed its setpoints: the difference between `completed` and `not_tracked`."""
+"""Decision whether a flight followed its setpoints: `completed` or `not_tracked`."""
 
 from __future__ import annotations
 
@@ -68,12 +68,12 @@ class Tolerance:
 
     @staticmethod
     def widest(tolerances: Sequence[Tolerance]) -> Tolerance:
-        """Return what all of several plans allow.
+        """Return the widest tolerance of several plans.
 
         Parameters
         ----------
         tolerances : sequence of Tolerance
-            Of plans flown in one flight, at least one.
+            Tolerances of the plans of one flight; at least one.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Which ticks arrived and which did not, and all other counts of a session."""
+"""Counts of received and lost ticks, and all other counters of a session."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class TickAccount:
         return self._last
 
     def restart(self) -> None:
-        """Take the next tick as it is: the board has started anew."""
+        """Accept the next tick without a check of its number, because the board has restarted."""
         self._last = None
 
     def unwrap(self, tick: int) -> int:
@@ -116,9 +116,9 @@ class TickAccount:
         Returns
         -------
         accepted : Ticks
-            Those that lie ahead of all before; what lies behind the first jump back is left out.
+            Samples before the first jump back of the tick number; later samples are left out.
         jumped_back : bool
-            True when the tick number fell: a board that has started anew.
+            True if the tick number fell, because the board restarted.
         """
         if len(ticks) == 0:
             return ticks, False

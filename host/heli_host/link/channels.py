@@ -1,7 +1,7 @@
-"""Raw numbers of telemetry channels to values in units, and back.
+"""Conversion of the raw numbers of telemetry channels to values in units, and back.
 
 A row of raw numbers is int32, whatever types its channels have on the wire: an unsigned 32-bit number from
-2^31 on stands there as its two's complement.
+2^31 on is stored as its two's complement.
 """
 
 from __future__ import annotations
@@ -49,14 +49,14 @@ def is_whole(spec: ChannelSpec) -> bool:
 
 
 def numbers(raw: npt.NDArray[np.int32], channel: Channel) -> npt.NDArray[np.integer]:
-    """Return a channel in its own type.
+    """Return the raw numbers of a channel in the type that it has on the wire.
 
     Parameters
     ----------
     raw : ndarray of int32, shape (..., channels)
         Rows of raw numbers.
     channel : Channel
-        Which one.
+        Channel of the values.
 
     Returns
     -------
@@ -74,7 +74,7 @@ def physical(raw: npt.NDArray[np.int32], channel: Channel) -> Floats:
     raw : ndarray of int32, shape (..., channels)
         Rows of raw numbers.
     channel : Channel
-        Which one.
+        Channel of the values.
 
     Returns
     -------
@@ -94,7 +94,7 @@ def raw_numbers(
     values : ndarray, shape (n,)
         Values in the channel's unit, right to less than half its scale.
     channel : Channel
-        Which one.
+        Channel of the values.
 
     Returns
     -------
@@ -106,7 +106,7 @@ def raw_numbers(
 
 
 def declared(raw: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
-    """Tell samples whose enumerations have values that the declaration knows.
+    """Find the samples whose enumerations have only values of the declaration.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def declared(raw: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
     Returns
     -------
     ndarray of bool, shape (n,)
-        False for a sample that no board of this declaration has made.
+        False for a sample that a board with this declaration cannot send.
     """
     values = np.minimum(raw.take(_COLUMNS, axis=1).view(np.uint32), np.uint32(_MAX + 1))  # (n, enumerated)
     return np.asarray(_NAMED.take(values + _STARTS).all(axis=1))

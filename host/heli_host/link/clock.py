@@ -1,10 +1,10 @@
-"""Device time to host time, from the moments at which bytes arrived.
+"""Conversion of device time to host time, estimated from the arrival times of bytes.
 
-Bytes arrive late, by the length of a frame, by the bursts of a USB bridge, by whatever this computer was
-doing; never early. So the line that maps ticks to host seconds lies below all arrivals and touches the
-quickest of them: of all such lines the one with the least mean lateness is an edge of their lower convex
-hull. A pong also says when it was asked for; half of the shortest round trip is taken off as the way from
-board to host.
+Bytes arrive late, because of the length of a frame, the bursts of a USB bridge, and the load of this
+computer; they never arrive early. Therefore the line that maps ticks to host seconds lies below all arrivals
+and touches the quickest of them. Among all such lines, the line with the least mean lateness is an edge of
+the lower convex hull of the arrivals. A pong also gives the time of its request. Half of the shortest round
+trip is subtracted as the transit time from board to host.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ class Frame(NamedTuple):
     seq : int
         Sequence number, modulo 256.
     payload : bytes
-        What lies between header and CRC.
+        Bytes between header and CRC.
     """
 
     id: int
@@ -69,15 +69,15 @@ def encode_frame(message_id: int, seq: int, payload: bytes) -> bytes:
 
 
 class FrameParser:
-    """Splits a byte stream into frames, whatever is in it.
+    """Splits a byte stream into frames; the stream may contain any bytes.
 
     Attributes
     ----------
     frames_ok : int
         Frames accepted.
     frames_bad : int
-        Frames refused: COBS, length, CRC or protocol. What comes before the first delimiter is the tail of a
-        frame whose head was sent before anybody listened, and is not counted here.
+        Frames refused: COBS, length, CRC or protocol. Bytes before the first delimiter are not counted here:
+        they are the end of a frame whose beginning was sent before the port was open.
     frames_lost : int
         Gaps in the sequence numbers of the frames accepted.
     frames_repeated : int
@@ -157,14 +157,14 @@ class FrameParser:
         return frames
 
     def restart(self) -> None:
-        """Forget the frame begun and the sequence: the line was cut and put together again."""
+        """Discard the incomplete frame and the sequence number, because the line was interrupted."""
         self._partial = b""
         self._overlong = False
         self._synchronised = False
         self.restart_sequence()
 
     def restart_sequence(self) -> None:
-        """Take the next frame's sequence number as it is: the other end has started anew."""
+        """Accept any sequence number in the next frame, because the other end has restarted."""
         self._expected_seq = -1
 
     def _count_gap(self, seq: int) -> None:

@@ -286,7 +286,7 @@ class Session:
         """Switch both motors off: send the stop immediately and return without waiting for the answer.
 
         May be called from any thread, also from a callback. The stop is repeated until the board answers, for
-        at most 2 s. A command that waits for its answer is given up, and setpoints are no longer kept alive.
+        at most 2 s. A command that waits for its answer is cancelled, and setpoints are no longer repeated.
         Until `release_stop` the session refuses commands that can start the motors (arm, control, excite,
         stream), because another thread may be about to send one. An arm in the air falls.
 

@@ -1,4 +1,4 @@
-"""Telemetry batches to ticks, many at a time.
+"""Unpacking of telemetry batches to ticks, many batches in one operation.
 
 The deltas of one channel are 2, 4, 8, 16 or 32 bits wide and start on a byte, so each of them lies inside the
 four bytes that begin at its own first byte. One gather of such words, two shifts (left to drop what is above,
@@ -90,7 +90,7 @@ class TelemetryDecoder:
     Parameters
     ----------
     channels : sequence of ChannelSpec
-        What a sample holds, in order.
+        Channels of a sample, in order.
 
     Attributes
     ----------

@@ -129,8 +129,8 @@ class Transport(Protocol):
 class SerialTransport:
     """A board behind anything that pyserial can open.
 
-    Opening clears the port's hang-up flag where the system has one: the kernel then keeps DTR raised when
-    this process ends, so that the next one does not reset a board that may still be flying.
+    Opening clears the port's hang-up flag if the system has one. The kernel then keeps DTR raised when this
+    process ends. Therefore the next process does not reset a board that may still be flying.
 
     Parameters
     ----------
@@ -297,7 +297,7 @@ class PortInfo:
     stable_name : str
         Name that survives unplugging, or the same as ``device`` where the system has none.
     description : str
-        What the system says about it.
+        Description of the port by the operating system.
     vendor_id, product_id : int or None
         USB numbers, None for a port that is not USB.
     """
@@ -393,12 +393,12 @@ def open_transport(
 
 
 def transport_label(transport: Transport) -> str:
-    """Say what is at the other end, where the transport knows more than the board's own word.
+    """Return a description of the board, if the transport has more information than the board sends.
 
     Parameters
     ----------
     transport : Transport
-        Any transport; one may say it in an attribute ``label``.
+        Any transport; its attribute ``label``, if present, is the description.
 
     Returns
     -------
@@ -442,12 +442,12 @@ def transport_rig_parameters(transport: Transport) -> Mapping[str, float]:
 
 
 def transport_note(transport: Transport) -> str:
-    """Say what the user should know about how a board was chosen.
+    """Return a note for the user on how the board was chosen.
 
     Parameters
     ----------
     transport : Transport
-        Any transport; one may say it in an attribute ``note``.
+        Any transport; its attribute ``note``, if present, is the note.
     """
     return str(getattr(transport, "note", ""))
 

@@ -1,1 +1,1 @@
-"""A flight on disk, and back; see the README beside this file."""
+"""Writing flights to disk and reading them; see the README in this folder."""

@@ -1,8 +1,8 @@
-"""Flights whose cause is hidden: what a log may say of them, and a seal over what it leaves out.
+"""Blind flights, whose cause is hidden: the permitted content of their logs, and a seal over the rest.
 
-The seal is a SHA-256 digest of what flew and of a random salt. It fixes the answer beforehand and gives
-nothing away: without the salt, nobody can try all effects against it. The truth file holds both, for whoever
-hid the effect.
+The seal is a SHA-256 digest of the hidden facts and a random salt. It fixes the answer beforehand without
+revealing it: without the salt, trying all effects does not reproduce the digest. The truth file contains the
+answer and the salt, for the person who hid the effect.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _SAID: Final = frozenset(
         *("law_signals", "link", "link_hash", "params_source", "reset", "start", SEALED),
     )
 )
-"""Notes that a blind flight keeps; a note that is not known here may name what flew. The boot id follows from
+"""Notes that a blind flight keeps; any other note may name the hidden rig or effect. The boot id follows from
 the seed."""
 _RESULT: Final = "result."
 _ADDRESS: Final = re.compile(r"\b\w+://\S*[^\s:;,.]")
@@ -42,12 +42,12 @@ _MAX_BYTES: Final = 4 << 20
 
 @dataclass(frozen=True)
 class Truth:
-    """What flew, and the salt of its seal.
+    """The hidden facts of a blind flight, and the salt of their seal.
 
     Parameters
     ----------
     flown : Mapping of str to Any
-        What a blind flight does not say: rig, effects, seed, address; as JSON can hold it.
+        Hidden facts of a blind flight, as JSON values: rig, effects, seed, address.
     salt : str
         Random text.
     """
@@ -57,12 +57,12 @@ class Truth:
 
     @classmethod
     def seal(cls, flown: Mapping[str, Any]) -> Truth:
-        """Seal what flew, `flown`, with a new salt."""
+        """Seal the hidden facts, `flown`, with a new salt."""
         return cls(dict(flown), secrets.token_hex(16))
 
     @property
     def digest(self) -> str:
-        """The seal: SHA-256 of the salt and of what flew as JSON with sorted keys and no spaces."""
+        """The seal: SHA-256 of the salt and of the hidden facts as JSON with sorted keys and no spaces."""
         text = json.dumps(self.flown, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
         return "sha256:" + hashlib.sha256(f"{self.salt}{text}".encode()).hexdigest()
 
@@ -135,32 +135,32 @@ def truth_path(log: Path) -> Path:
 
 
 def hide(text: str) -> str:
-    """Take addresses and boot ids out of a `text`: an address holds rig, effects and seed, and the seed
+    """Remove addresses and boot ids from a `text`: an address contains rig, effects and seed, and the seed
     settles the boot id.
     """
     return _BOOT_ID.sub("boot id hidden", _ADDRESS.sub("the board", text))
 
 
 def said(session: Mapping[str, str], sealed: str) -> dict[str, str]:
-    """Keep of the notes `session` what a blind flight may say, and add its seal, `sealed`."""
+    """Return the notes of `session` that a blind flight may contain, with its seal, `sealed`."""
     return {name: hide(text) for name, text in session.items() if name in _SAID} | {SEALED: sealed}
 
 
 def blind(flight: Flight, sealed: str) -> Flight:
-    """Take out of a flight what says which rig and which effects flew.
+    """Return a flight without the data that reveal its rig and its effects.
 
     Parameters
     ----------
     flight : Flight
-        Any.
+        Flight to hide.
     sealed : str
-        Digest of what is left out, for its notes.
+        Digest of the hidden facts, for the notes of the flight.
 
     Returns
     -------
     Flight
         The same columns, parameters and plan. Addresses, rig, seed, unknown notes, and events of a twin,
-        which name what is missing, are left out.
+        which name the hidden facts, are left out.
     """
     results = {name: hide(text) for name, text in flight.meta.items() if name.startswith(_RESULT)}
     return replace(

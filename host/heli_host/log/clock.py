@@ -1,4 +1,4 @@
-"""Device ticks as one time axis: counted from the first tick logged, over wraps and restarts of the board."""
+"""One time axis for device ticks: from the first tick logged, across wraps and restarts of the board."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class TickClock:
         Parameters
         ----------
         gap_s : float
-            Seconds from the last tick to the first of the restarted board, which begins to count anew.
+            Seconds from the last tick to the first of the restarted board, which counts from the beginning.
         """
         if self._last_tick is not None:
             self._last_us += max(1, round(gap_s * 1e6 / TICK_US)) * TICK_US

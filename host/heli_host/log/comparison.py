@@ -1,4 +1,4 @@
-"""Several flights on one page: angles over each other, and a table of how well each followed."""
+"""Comparison of several flights on one page: overlaid angles, and a table of tracking quality."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ HEADS: Final = (
 )
 _COLOURS: Final = ("#0b5fa5", "#d1495b", "#157a4a", "#c98a00", "#6b3fa0", "#4a8c94", "#8a5a3b", "#5b5f66")
 MAX_FLIGHTS: Final = len(_COLOURS)
-"""Flights that are told apart on one page."""
+"""Largest number of flights on one page; each has a colour of its own."""
 _WORDS: Final = 2
 """Columns of a table that hold words; the others hold numbers."""
 _POINTS: Final = 4000

@@ -1,8 +1,8 @@
 """A log's file on a disk that may be full, slow, or gone for seconds.
 
-`DirectFile` writes where it is called: for simulations in lockstep, where time stands still meanwhile, and
-for work without a board. `BackgroundFile` has a thread that writes, so that a disk which blocks delays
-neither the reading of the board nor its setpoints.
+`DirectFile` writes in the caller's thread. It is for simulations in lockstep, whose time does not advance
+during the write, and for work without a board. `BackgroundFile` writes in a separate thread. A blocked disk
+then delays neither the reading of the board nor the setpoints.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ _sync = getattr(os, "fdatasync", os.fsync)
 
 
 class LogFile(Protocol):
-    """Where a log's bytes go."""
+    """Interface of the file that a log is written to."""
 
     @property
     def failed(self) -> LogWriteError | None:
-        """Why nothing more is written; what was written before ends with a whole record."""
+        """Error that ended the writing; the file then ends with a whole record. None if there is none."""
         ...
 
     @property
     def nearly_full(self) -> LogWriteError | None:
-        """Set when the disk has no more than `RESERVED_BYTES` left; writing goes on."""
+        """Error that is set when the disk has at most `RESERVED_BYTES` left; writing continues."""
         ...
 
     @property
@@ -72,7 +72,7 @@ class LogFile(Protocol):
         ...
 
     def take_stalls_s(self) -> list[float]:
-        """Return how long the disk blocked, for each time that was not told yet [s]."""
+        """Return how long the disk blocked, for each time that was not reported yet [s]."""
         ...
 
     def drain(self) -> None:
@@ -97,18 +97,18 @@ class LogFile(Protocol):
 
 
 LastRecord = Callable[[str], bytes]
-"""Makes the record that says why nothing follows it."""
+"""Makes the last record of a log that could not be completed, with the reason."""
 
 
 class DirectFile:
-    """A log's file, written by whoever appends.
+    """A log's file that `append` writes directly, without a thread.
 
     Parameters
     ----------
     path : Path
         File to write; its folder is made.
     last_record : callable taking str and returning bytes, optional
-        Makes the record of a failure's reason; it is written where the record that failed leaves room.
+        Makes the record of a failure's reason; it is written if the failed record leaves room.
     overwrite : bool
         Write over a file that is there; otherwise it is refused.
 
@@ -128,7 +128,7 @@ class DirectFile:
 
     @property
     def has_room(self) -> bool:
-        """Always: whoever appends waits."""
+        """Always true, because `append` waits for the disk."""
         return True
 
     def append(self, data: bytes) -> None:
@@ -169,7 +169,7 @@ class DirectFile:
             )
 
     def sync(self) -> None:
-        """Have the disk keep what was written.
+        """Synchronise the written bytes to the disk.
 
         Raises
         ------
@@ -184,11 +184,11 @@ class DirectFile:
                 raise self._fail(error) from error
 
     def take_stalls_s(self) -> list[float]:
-        """Return nothing: nobody's time passed but the caller's."""
+        """Return an empty list, because only the caller waits for the disk."""
         return []
 
     def drain(self) -> None:
-        """Do nothing: nothing waits."""
+        """Do nothing, because `append` has written everything."""
 
     def close(self) -> None:
         """Close the file."""
@@ -228,11 +228,11 @@ class BackgroundFile:
     path : Path
         File to write; its folder is made.
     queued_bytes : int
-        How much may wait for the disk before `has_room` says no.
+        Number of bytes that may wait for the disk until `has_room` is false.
     now_s : callable returning float
         Monotonic time [s], by which stalls are measured.
     last_record : callable taking str and returning bytes, optional
-        As in `DirectFile`.
+        Makes the record of a failure's reason, as in `DirectFile`.
     overwrite : bool
         Write over a file that is there; otherwise it is refused.
 
@@ -266,17 +266,17 @@ class BackgroundFile:
 
     @property
     def failed(self) -> LogWriteError | None:
-        """Why nothing more is written."""
+        """Error that ended the writing; None if there is none."""
         return self._given_up or self._file.failed
 
     @property
     def nearly_full(self) -> LogWriteError | None:
-        """Set when the disk has little left."""
+        """Error that is set when the disk has little space left."""
         return self._file.nearly_full
 
     @property
     def has_room(self) -> bool:
-        """Whether less waits for the disk than may."""
+        """Whether fewer bytes wait for the disk than `queued_bytes`."""
         return self._queued_bytes < self._most_bytes
 
     def append(self, data: bytes) -> None:
@@ -300,7 +300,7 @@ class BackgroundFile:
             self._changed.notify_all()
 
     def take_stalls_s(self) -> list[float]:
-        """Return how long the disk blocked, for each time that was not told yet [s]."""
+        """Return how long the disk blocked, for each time that was not reported yet [s]."""
         with self._changed:
             stalls_s, self._stalls_s = self._stalls_s, []
         return stalls_s
@@ -394,8 +394,8 @@ def check_new(path: Path) -> None:
     Raises
     ------
     LogWriteError
-        If its name does not end in ``.mcap``, or there is one. Another name of our choosing would leave the
-        old flight under the name that was asked for, to be taken for the new one.
+        If its name does not end in ``.mcap``, or the file exists. The log is not written under another name,
+        because the old flight would then have the requested name, and could be taken for the new one.
     """
     if path.suffix.lower() != ".mcap" and not _is_device(path):
         raise LogWriteError(
@@ -417,7 +417,7 @@ def check_free_space(path: Path, duration_s: float) -> None:
     path : Path
         Log to be created.
     duration_s : float
-        How long the flight lasts; 0 if nobody knows [s].
+        Duration of the flight; 0 if it is unknown [s].
 
     Raises
     ------
@@ -475,7 +475,7 @@ def free_bytes(folder: Path) -> int | None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Have the disk keep the name of a file just created; without that, a power cut may take the whole file.
+    """Synchronise the folder of a new file; without this, a power cut may lose the whole file.
 
     Parameters
     ----------

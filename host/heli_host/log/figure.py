@@ -1,4 +1,4 @@
-"""A flight at a glance: setpoint and measured angles, voltages, states and events on one page."""
+"""Figure of a flight: setpoint and measured angles, voltages, states and events on one page."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ def _draw_signals(panel: Axes, flight: Flight, t_s: NDArray[np.float64], signals
     for name, colour in zip(signals, (*_MEASURED.values(), _FRONT), strict=False):
         panel.plot(*_thinned(t_s, flight.extra[name]), color=colour, lw=1.0, label=name, zorder=3)
     panel.set_ylabel("signals")
-    panel.set_title("what the law of the link told", fontsize=10, loc="left")
+    panel.set_title("signals of the control law", fontsize=10, loc="left")
     _finish(panel)
 
 

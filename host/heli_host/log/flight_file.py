@@ -1,4 +1,4 @@
-"""A flight from any file that holds one."""
+"""Reading of a flight from a log or a table."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def read_flight(path: str | Path, *, allow_gaps: bool = False) -> Flight:
         columns ``t_s, front_V, back_V, elevation_rad, pitch_rad, travel_rad``; lines that start with
         ``#`` are notes).
     allow_gaps : bool
-        Accept rows that are missing in between; `Flight.gaps` then tells where.
+        Accept missing rows; `Flight.gaps` then gives their places.
 
     Raises
     ------

@@ -38,11 +38,11 @@ class Index:
     Parameters
     ----------
     data_end : int
-        Where the record stands that ends the data.
+        Offset of the record that ends the data.
     offsets : tuple of int
-        Where chunks and metadata records stand, and `data_end`; rising.
+        Offsets of chunks, of metadata records and of `data_end`, in rising order.
     schemas, channels : tuple
-        All of the file's.
+        All schemas and channels of the file.
     message_counts : dict of int to int
         Messages by channel id.
     """

@@ -1,8 +1,8 @@
-"""What a log carries so that its reader can tell whether it is what was written.
+"""Checksums of a log, by which its reader detects changed bytes.
 
-Chunks and the index have CRCs by the format. MCAP has one over everything before the index too, but only a
-log that was closed gets that far. So each metadata record carries a CRC of its own, and the first of them,
-`HEAD`, one of the schemas and channels before it.
+The MCAP format has CRCs for chunks and for the index. It also has a CRC over everything before the index, but
+only a closed log contains it. Therefore each metadata record has a separate CRC. The first metadata record,
+`HEAD`, also has a CRC of the schemas and channels before it.
 """
 
 from __future__ import annotations
@@ -12,23 +12,23 @@ import zlib
 from collections.abc import Mapping
 
 HEAD = "head"
-"""Name of the metadata record that vouches for what stands before it."""
+"""Name of the metadata record with the CRC of all bytes before it."""
 RECORD_CRC = "(crc32)"
-"""Key of a metadata record's own CRC; in brackets, because plans stand under names that users chose."""
+"""Key of a metadata record's own CRC; in brackets, because names of plans are keys too."""
 
 
 def metadata_crc(name: str, values: Mapping[str, str]) -> str:
     """Return the CRC-32 of a metadata record, in hexadecimal digits.
 
-    It is taken of the name, then of every key and value in the order of the keys, each as a 32-bit length and
-    UTF-8: a tool that copies a log may change the order.
+    The CRC covers the name, then every key and value, each as a 32-bit length and UTF-8. The keys are sorted,
+    because a tool that copies a log may change their order.
 
     Parameters
     ----------
     name : str
         Name of the record.
     values : Mapping of str to str
-        Its content; a CRC among it does not count.
+        Content of the record; its CRC, if present, is left out.
     """
     crc = _add(0, name)
     for key in sorted(values):

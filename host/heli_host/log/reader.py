@@ -1,6 +1,6 @@
 """Reads logs, complete, cut short or damaged, into arrays: every tick of a whole chunk, never a wrong one.
 
-Angles are computed from the exact counts, after these were held against the angles that stand beside them.
+Angles are computed from the exact counts, after the counts were compared with the logged angles.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from heli_host.log.scan import MAX_LOG_BYTES, Scan
 from heli_host.log.schema import TICK_TOPIC, MessageLayout, raw_ticks
 
 _SINGLE = 2.0**-23
-"""What single precision rounds at most, as a share of the value."""
+"""Largest rounding error of single precision, as a share of the value."""
 _BY_FIELD = {spec.field: spec for spec in CHANNELS}
 _ANGLES = tuple(spec.column for spec in CHANNELS if spec.axis is not None)
 
 
 @dataclass(frozen=True)
 class Log:
-    """What a log holds.
+    """Content of a log.
 
     Parameters
     ----------
     path : Path
-        Where it was read from.
+        Path of the log.
     ticks : structured ndarray (n,)
         One record a tick, with the fields of the log's own schema.
     events : tuple of dict
@@ -71,7 +71,7 @@ class Log:
 
     @property
     def law_signals(self) -> dict[str, str]:
-        """What a law of one's own named its signals, by channel; empty when none flew."""
+        """Names that a control law gave to its signals, by channel; empty if no such law flew."""
         named = self.metadata.get("law", {})
         taken = {*OWN_COLUMNS, *(spec.column for spec in CHANNELS)}
         return {
@@ -222,7 +222,7 @@ def read_log(path: str | Path) -> Log:
 
 
 def _disagreeing(ticks: NDArray[Any], parameters: Mapping[str, str]) -> list[str]:
-    """Name the encoder parameters by which counts are not the angles that stand beside them."""
+    """Return the names of encoder parameters that do not convert the counts to the logged angles."""
     names: list[str] = []
     for axis, channel in zip(Axis, ENCODERS, strict=True):
         spec = CHANNELS[channel]

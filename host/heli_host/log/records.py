@@ -1,6 +1,6 @@
-"""From ticks and events to the bytes of an MCAP file: head, chunks, metadata, and the index at the end.
+"""Conversion of ticks and events to the bytes of an MCAP file: head, chunks, metadata, and index.
 
-Nothing here knows a file; what is appended where is told by offsets.
+This module opens no file. The caller appends the bytes, and gives the offset of each record in the file.
 """
 
 from __future__ import annotations
@@ -168,8 +168,8 @@ class McapBytes:
         return max(0, self._start_wall_ns + time_us * 1000)
 
     def head(self) -> bytes:
-        """Return what a file begins with: magic, header, schemas, channels, and the record that vouches for
-        them.
+        """Return the first bytes of a file: magic, header, schemas, channels, and the record with the CRC of
+        all these.
         """
         builder = _Records()
         Header(profile="", library=f"heli_host (link {LINK_VERSION})").write(builder)
@@ -184,11 +184,11 @@ class McapBytes:
         Parameters
         ----------
         name : str
-            What the metadata record is called in the file.
+            Name of the metadata record in the file.
         values : Mapping[str, str]
             Its content.
         file_offset : int
-            Where in the file it will stand.
+            Offset of the record in the file.
         """
         data = _metadata(name, values)
         self._metadata_indexes.append(MetadataIndex(offset=file_offset, length=len(data), name=name))
@@ -200,7 +200,7 @@ class McapBytes:
         Parameters
         ----------
         file_offset : int
-            Where in the file it will stand.
+            Offset of the record in the file.
         """
         blocks: list[bytes] = []
         index: dict[int, list[NDArray[Any]]] = {}
@@ -286,7 +286,7 @@ class McapBytes:
         Parameters
         ----------
         file_offset : int
-            Where in the file it will stand.
+            Offset of the record in the file.
         data_crc : int
             CRC-32 of everything before it.
         """

@@ -1,10 +1,10 @@
 """A flight as an MCAP file of ROS 2: profile ``ros2``, every channel ``cdr`` with a ``ros2msg`` schema.
 
-A log itself has its events and its link's counters as JSON, of which ROS 2's tools know nothing.
+This export is needed because a log stores events and link counters as JSON, which ROS 2 tools cannot read.
 
-ROS 2 takes no capitals in the names of fields: its parser, mcap-ros2-support and Foxglove refuse a schema
-with ``front_V``. So volts are spelled ``_volt`` as in a log, other capitals become small letters, and the
-metadata record ``names`` says which field is which column of a table.
+ROS 2 permits no capitals in the names of fields: its parser, mcap-ros2-support and Foxglove refuse a schema
+with ``front_V``. Therefore volts are spelled ``_volt`` as in a log, and other capitals become small letters.
+The metadata record ``names`` gives the column of a table for each field.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Walks a log record by record, and finds its way again behind damage.
+"""Reads a log record by record, and continues behind damaged parts.
 
-A record counts only when it is there to its last byte and fits its CRC. Where the walk no longer stands on a
-record, the index at the end tells where the next one is; without an index, the next chunk is searched for.
-Whatever is left out is told in the notes.
+A record is used only if it is complete and fits its CRC. If the bytes at the present place are not a record,
+the index at the end gives the place of the next record. Without an index, the next chunk is searched for. The
+notes list all parts that were left out.
 """
 
 from __future__ import annotations
@@ -69,16 +69,16 @@ MAX_LOG_BYTES = 1 << 30
 
 @dataclass
 class Scan:
-    """A log while it is being walked, and what was found.
+    """A log while it is being read, and the records found so far.
 
     Parameters
     ----------
     path : Path
-        Where it was read from, for messages.
+        Path of the log, for messages.
     data : memoryview
         The whole file.
     layout : MessageLayout or None
-        Of the ticks; None until their channel was found.
+        Layout of the ticks; None until their channel was found.
     ticks : list of structured ndarray
         In the order of the file.
     events, link : list of dict
@@ -144,7 +144,7 @@ class Scan:
         self._note_damage()
 
     def _step(self, position: int) -> int:
-        """Visit the record at ``position``; return where the next one stands."""
+        """Read the record at ``position``; return the position of the next record."""
         if len(self.data) - position < RECORD_HEADER.size:
             raise _OutOfStep
         opcode, length = RECORD_HEADER.unpack_from(self.data, position)
@@ -383,7 +383,7 @@ class Scan:
 
 
 class _OutOfStep(Exception):
-    """There is no record where one should stand."""
+    """The bytes at an expected record are not a record."""
 
 
 def _whole(kind: Any, body: memoryview) -> Any:

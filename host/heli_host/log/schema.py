@@ -1,8 +1,8 @@
-"""What a log's messages look like: one fixed layout a tick, JSON for the rare rest.
+"""Layout of a log's messages: one fixed layout per tick, JSON for all rarer messages.
 
 Ticks are ROS 2 messages (``ros2msg`` schema, ``cdr`` encoding), chosen because Foxglove, PlotJuggler and
 Rerun all read it; of ROS 1 encodings Rerun reads none and PlotJuggler's author has dropped support. Every
-telemetry channel of the declaration is a field, an encoder's count with its angle beside it. Fields are
+telemetry channel of the declaration is a field; the angle of an encoder follows its count. Fields are
 ordered by size, so that CDR's alignment adds no padding and the payload maps onto one numpy record behind its
 four-byte header. ROS 2 takes no capitals in field names (Foxglove refuses the whole schema): volts are
 spelled ``_volt``.

@@ -1,10 +1,9 @@
-"""What a flight was, in a dictionary: the same numbers for ``summary.json``, the figure and the last line
-printed.
+"""Summary of a flight as a dictionary, used by ``summary.json``, the figure and the last lines printed.
 
-Tracking errors count from the end of take-off until landing begins, in closed loop and where a law of the
-host's told the setpoints that it followed: measured angle less the setpoint that the control law used in that
-tick (after the board's slew limit). Pitch is compared with the setpoint that the travel loop asks for. A log
-without phases, of a flight by hand, counts all such ticks.
+The tracking error of a tick is the measured angle minus the setpoint that the control law used in that tick
+(after the board's slew limit). It counts from the end of take-off until landing begins. Only ticks in closed
+loop count; if a law on the host flew, it must have published its setpoints. Pitch is compared with the
+setpoint that the travel loop requests. In a log without phases, of a flight by hand, all such ticks count.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ _TOLD = (DISK_BLOCKED, TICKS_DROPPED)
 
 @dataclass(frozen=True)
 class FlightSummary:
-    """What a flight was.
+    """Summary of a flight.
 
     Parameters
     ----------
@@ -49,11 +48,11 @@ class FlightSummary:
     rms_error_deg, max_error_deg : Mapping[str, float or None]
         Tracking error by axis; None for an axis that was never closed.
     link : Mapping[str, int]
-        ``frames_ok``, ``frames_bad``, ``retries``, ``reconnects`` and what else was counted.
+        ``frames_ok``, ``frames_bad``, ``retries``, ``reconnects`` and other counters.
     plans : tuple of str
         Names of the plans flown.
     rig, board : str
-        What was flown.
+        Name of the rig, and description of the board.
     events : tuple of Mapping
         ``t_s``, ``name``, ``text`` of every event.
     notes : tuple of str
@@ -61,7 +60,7 @@ class FlightSummary:
     log : str
         Path of the log.
     findings : tuple of FlightFinding
-        What of the flight contradicts its rig.
+        Findings of the flight that contradict its rig.
     """
 
     outcome: str

@@ -1,12 +1,12 @@
 """Writes a flight as MCAP while it is flown.
 
-A second of ticks makes one compressed chunk, handed to the system whole: after a kill -9 the file holds
-everything up to the last chunk. Chunks are cut after a fixed number of ticks, and times come from the device,
-so the same flight gives the same bytes however its telemetry arrived.
+One second of ticks makes one compressed chunk, which is passed to the operating system as a whole. After a
+kill -9, the file contains everything up to the last chunk. Each chunk has a fixed number of ticks, and times
+come from the device. Therefore the same flight gives the same bytes, however its telemetry arrived.
 
-The library's own writer takes one message a call: 3.3 us a tick, besides cutting the ticks apart. Here a
-chunk's messages are laid out by numpy in one go, 0.6 us a tick with compression and file included, which
-the 50x simulation needs; the library's record classes write everything around them.
+The writer of the mcap library takes one message per call. That costs 3.3 us per tick, and more for splitting
+the batches. Here numpy lays out all messages of a chunk together, in 0.6 us per tick including compression
+and file. The 50x simulation needs this speed. The library's record classes write everything else.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ from heli_host.log.schema import LEVEL_ERROR, LEVEL_INFO, LEVEL_WARNING
 CHUNK_TICKS = 1_000_000 // TICK_US
 """Ticks in a chunk: one second, which is also the most that a killed host loses."""
 DISK_BLOCKED, TICKS_DROPPED = "disk_blocked", "ticks_dropped"
-"""Events that the writer itself has to tell."""
+"""Names of the events that the writer itself adds."""
 
 _MAX_MESSAGES = 10_000
 
 
 @dataclass(slots=True)
 class LogCounters:
-    """What a log has taken in.
+    """Counters of the content of a log so far.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class LogWriter:
     level : int
         zstd's compression level.
     background : bool
-        Write by a thread, and have the disk keep it every second: nobody who logs waits for the disk.
+        Write in a separate thread and synchronise the disk every second; callers do not wait for the disk.
     overwrite : bool
         Write over a file that is there; otherwise it is refused.
 
@@ -129,23 +129,23 @@ class LogWriter:
 
     @property
     def failed(self) -> LogWriteError | None:
-        """Why nothing more is written: the disk is full or gone."""
+        """Error that ended the writing, because the disk is full or gone; None if there is none."""
         return self._file.failed
 
     @property
     def nearly_full(self) -> LogWriteError | None:
-        """Set once the disk has just enough left to land; writing goes on."""
+        """Error that is set when the disk has just enough space left to land; writing continues."""
         return self._file.nearly_full
 
     @property
     def counters(self) -> LogCounters:
-        """What was taken in so far."""
+        """A copy of the counters."""
         with self._lock:
             self._place()
             return replace(self._counters)
 
     def write_ticks(self, tick: NDArray[np.uint32], raw: NDArray[np.int32]) -> None:
-        """Take in a batch of ticks.
+        """Append a batch of ticks.
 
         Parameters
         ----------
@@ -174,7 +174,7 @@ class LogWriter:
                     self.flush()
 
     def skip(self, gap_s: float) -> None:
-        """Leave time for a restart of the board, which begins to count its ticks anew.
+        """Leave time for a restart of the board, which counts its ticks from the beginning.
 
         Parameters
         ----------
@@ -186,7 +186,7 @@ class LogWriter:
             self._clock.skip(gap_s)
 
     def write_event(self, tick: int, name: str, text: str, level: int = LEVEL_INFO) -> None:
-        """Take in an event.
+        """Append an event.
 
         Parameters
         ----------
@@ -195,7 +195,7 @@ class LogWriter:
         name : str
             Kind of event.
         text : str
-            What happened and why.
+            Description of the event and its cause.
         level : int
             Severity as in ``foxglove.Log``: 2 information, 3 warning, 4 error.
         """
@@ -215,7 +215,7 @@ class LogWriter:
             self._counters.events_logged += 1
 
     def write_link(self, tick: int, counters: Mapping[str, float]) -> None:
-        """Take in the link's counters.
+        """Append the counters of the link.
 
         Parameters
         ----------
@@ -305,7 +305,7 @@ class LogWriter:
             self.write_event(self._last_tick, TICKS_DROPPED, text, LEVEL_ERROR)
 
     def _drop(self, pending: list[TickBatch | JsonMessage]) -> None:
-        """Count the ticks and forget them; keep the messages, which are few, until there is room."""
+        """Count the ticks and discard them; keep the messages, which are few, until there is room."""
         dropped = sum(int(part.tick.size) for part in pending if isinstance(part, TickBatch))
         self._dropping += dropped
         self._counters.ticks_dropped += dropped

@@ -33,7 +33,7 @@ _OPEN_S = 5.0
 
 
 class PageError(HeliError):
-    """The page's server refused a request; cause and remedy are those that it sent."""
+    """The page's server refused a request; the message is the one that the server sent."""
 
     exit_code = 3
 

@@ -24,7 +24,7 @@ _HEADERS = {
 
 
 def page_file(path: str, headers: Mapping[str, str]) -> Response:
-    """Return the response for a static file; 404 if there is no file of this name.
+    """Return the response for a static file; 404 if no file has this name.
 
     Parameters
     ----------

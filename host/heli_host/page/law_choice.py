@@ -30,7 +30,7 @@ class LawChoice:
     heli : Heli
         Connected board.
     laws : sequence of LawProgram
-        Laws besides the board's own; their names must differ.
+        Laws in addition to the board's own; their names must differ.
 
     Attributes
     ----------

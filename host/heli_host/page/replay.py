@@ -124,7 +124,7 @@ class Replay:
         return int(self._raw[at, Channel.STATE]), int(self._raw[at, Channel.FAULT])
 
     def listen(self, news: News) -> None:
-        """Ignore the callback: a replay has no events besides those in its description.
+        """Ignore the callback: a replay has only the events in its description.
 
         Parameters
         ----------

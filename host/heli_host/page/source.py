@@ -293,5 +293,5 @@ def state_rows() -> dict[int, dict[str, str]]:
 
 
 def fault_rows() -> dict[int, dict[str, str]]:
-    """Return for each fault, by number, its name, meaning and remedy."""
+    """Return for each fault, by number, its name, its meaning and how to fix it."""
     return {spec.code: {"name": spec.name, "meaning": spec.meaning, "remedy": spec.remedy} for spec in FAULTS}

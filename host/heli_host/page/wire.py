@@ -1,8 +1,10 @@
 """Messages on the page's WebSocket, JSON texts and binary frames; see docs/reference/dashboard-protocol.md.
 
-A frame begins with a header of 24 bytes, little-endian: kind (u8, 1), flags (u8: bit 0 rows between these
-were left out, bit 1 rows before the first are missing), channels (u16), frame number (u32), rows (u32),
-present state of the board (u8, 255 without telemetry), its fault (u8), 0 (u16), tick of the first row (f64).
+A frame begins with a header of 24 bytes, little-endian. Its fields are kind (u8, 1), flags (u8), number of
+channels (u16), frame number (u32) and number of rows (u32). Then follow the present state of the board (u8,
+255 without telemetry), its fault (u8), 0 (u16), and the tick of the first row (f64). Bit 0 of the flags means
+that rows between the rows of this frame were left out. Bit 1 means that rows before the first are missing.
+
 The ticks since the first follow (u32 each), then the raw numbers (i32) of all rows, channel by channel.
 """
 

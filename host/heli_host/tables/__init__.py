@@ -1,4 +1,4 @@
-"""Files of others: read as tables, and made flights of by a profile."""
+"""Files from other programs: read as tables, and converted to flights by a profile."""
 
 from heli_host.tables.convert import flights_of
 from heli_host.tables.profile import Angle, Part, Profile, Voltage, profile_text, read_profile

@@ -1,4 +1,4 @@
-"""From a table and a profile to flights."""
+"""Conversion of a table to flights by a profile."""
 
 from __future__ import annotations
 

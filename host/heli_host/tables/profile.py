@@ -1,4 +1,4 @@
-"""Profiles: which column of a file is what, in which unit, with which sign; TOML that people share."""
+"""Profiles in TOML: meaning, unit and sign of the columns of a file from another program."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SHARED: Final = ("unit", "full", "supply_V", "factor")
 
 @dataclass(frozen=True)
 class Angle:
-    """Where an angle is: angle = sign * (column in its unit) + offset.
+    """Column of an angle: angle = sign * (column in its unit) + offset.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class Angle:
     offset_deg : float
         Added last, deg: 0 where the column is 0 at level, the angle of rest where it is 0 at rest.
     delay_s : float
-        By how much the column is late, s.
+        Delay of the column, s.
     """
 
     column: str
@@ -56,7 +56,7 @@ class Angle:
 
 @dataclass(frozen=True)
 class Voltage:
-    """Where a voltage is: voltage = sign * factor * (column in its unit) + offset.
+    """Column of a voltage: voltage = sign * factor * (column in its unit) + offset.
 
     Parameters
     ----------
@@ -65,17 +65,17 @@ class Voltage:
     unit : str
         `V`, `mV`, or a share of the supply: `duty`, `percent` or `pwm`.
     full : float
-        What full supply is written as, for `pwm`.
+        Number in the column that means full supply, for `pwm`.
     supply_V : float
-        The supply that a share is one of.
+        Supply voltage of which the column is a share, V.
     sign : float
         -1 where the column counts the other way.
     offset_V : float
-        Added last, V: such as the bias of a sum that was logged without it.
+        Offset added last, V, such as the bias of a sum that was logged without it.
     delay_s : float
-        By how much the column is late, s.
+        Delay of the column, s.
     factor : float
-        What the column is multiplied by: 2 where it is half a sum, the gain of an amplifier behind it.
+        Factor of the column, such as 2 for half a sum, or the gain of an amplifier behind the output.
     """
 
     column: str
@@ -97,7 +97,7 @@ class Voltage:
 
 @dataclass(frozen=True)
 class Part:
-    """What of one file is a flight.
+    """Part of one file that is a flight.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Profile:
-    """How files of one make are read.
+    """Rules for reading the files of one program or rig type.
 
     Parameters
     ----------
@@ -122,11 +122,11 @@ class Profile:
     voltages : Mapping[str, Voltage]
         `front` and `back`, or `sum` and `difference`: of both voltages, front less back.
     time : str
-        Column of the times; empty where there is none.
+        Column of the times; empty if there is none.
     time_unit : str
         `s`, `ms`, `us`, `ns` or `min`.
     rate_Hz : float
-        Rows a second, where there is no column of times.
+        Rows per second, if there is no column of times.
     act : str
         `after`: a row's voltages act from that row on (what a controller wrote then). `before`: they acted
         until that row (what was sampled with the angles).
@@ -138,9 +138,9 @@ class Profile:
     setpoints : Mapping[str, Angle]
         Setpoints by axis, where they are known.
     parts : Mapping[str, Part]
-        By the file's name without its folder.
+        Parts by the file's name without its folder.
     about : str
-        What a person should know: the rig, the program, who made it.
+        Notes for people: the rig, the program, its author.
     """
 
     angles: Mapping[str, Angle]

@@ -1,4 +1,4 @@
-"""How much a file of another program unpacks to, counted before anything of that size is in memory."""
+"""Unpacked size of a file from another program, computed before that much memory is used."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a file of somebody else's holds before anybody knows what it means: named columns of numbers."""
+"""Content of a file from another program: named columns of numbers, whose meaning is not yet known."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ class Column:
     values : ndarray (n,)
         Numbers; nan where a cell is empty.
     unit : str
-        Unit that the file states; empty where it states none.
+        Unit that the file states; empty if it states none.
     t_s : ndarray (n,) or None
-        Times of its own, where the file keeps some for each signal (bags, Simulink); None where its rows are
-        those of the table.
+        Separate times of the column, if the file has them for each signal (bags, Simulink). None if the rows
+        of the column are those of the table.
     """
 
     values: Floats
@@ -43,9 +43,9 @@ class Table:
     source : str
         The file, for messages.
     columns : Mapping[str, Column]
-        Columns by the names that the file has for them, or `column 1` and so on where it has none.
+        Columns by their names in the file, or `column 1` and so on if the file has no names.
     notes : str
-        What the file says about itself.
+        Notes in the file.
     named : bool
         Whether the names are the file's own.
     """
@@ -59,10 +59,11 @@ class Table:
         return max((one.values.size for one in self.columns.values()), default=0)
 
     def aligned(self) -> Table:
-        """Bring all columns to one clock: that of the column with the most rows. Each of the others has at
-        every moment the last value that it had by then. A table without clocks of its columns' own is
-        returned as it is, without columns of another length than most, and without the rows of zeros at its
-        end that a buffer has which was made too long.
+        """Bring all columns to the clock of the column with the most rows.
+
+        Each other column takes, at every time, its last value up to that time. If no column has times of its
+        own, the columns are not resampled. Columns shorter than the longest are left out then, and so are
+        rows of zeros at the end, which come from a buffer that is too long.
         """
         clocked = {name: one for name, one in self.columns.items() if one.t_s is not None}
         if not clocked:

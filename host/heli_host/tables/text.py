@@ -29,11 +29,11 @@ _LINE_ENDS: Final = tuple(bytes([one]) for one in b"\n\x0b\x0c\x1c\x1d\x1e\x85\x
 _COMMENTS: Final = ("#", "%", "//", '"#')
 _SEPARATORS: Final = (";", "\t", ",", "|", " ")
 _LOOKED_AT: Final = 60
-"""Lines that the dialect is told from."""
+"""Number of lines from which the dialect is determined."""
 _EMPTY: Final = frozenset({"", "nan", "na", "n/a", "null", "none", "-nan", "inf", "-inf", "#n/a"})
 _HIGH_BYTES: Final = re.compile(rb"[\x80-\xff]+")
 _ENCODING_BYTES: Final = 1 << 16
-"""Bytes that the encoding is told from: a header."""
+"""Number of bytes, such as a header, from which the encoding is determined."""
 _NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?$")
 
 
@@ -172,7 +172,7 @@ def _cells(line: str, dialect: Dialect) -> list[str]:
 
 def _first_row(lines: list[str], dialect: Dialect, spread: list[str]) -> int:
     """Find the first row of numbers: it is as wide as most, at least half of its cells are numbers, and no
-    row of names follows, as in LabVIEW's headers, in which numbers stand too.
+    row of names follows, as in LabVIEW's headers, which contain numbers too.
     """
     width = statistics.mode(len(_cells(line, dialect)) for line in spread)
     cells = [_cells(line, dialect) for line in lines]

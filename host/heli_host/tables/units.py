@@ -55,7 +55,7 @@ def unit_of(text: str) -> str:
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """Take the unit out of a column's `name`: `pitch [deg]`, `pitch (deg)`, `pitch / deg`, `pitch_deg`.
+    """Split the unit off a column's `name`: `pitch [deg]`, `pitch (deg)`, `pitch / deg`, `pitch_deg`.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""``heli-host doctor``: what keeps this computer from flying, and the remedy."""
+"""``heli-host doctor``: find what prevents this computer from flying, and show how to fix it."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def _is_installed(name: str) -> bool:
 
 
 def check_boards(ports: list[PortInfo]) -> Iterator[Finding]:
-    """Say which boards are plugged in, one finding a board; a note when there is none."""
+    """Yield one finding per connected board, or a note if there is none."""
     boards = [port for port in ports if is_due(port)]
     for port in boards:
         yield Finding(Verdict.GOOD, f"board: Arduino Due, programming port, on {port.device}")

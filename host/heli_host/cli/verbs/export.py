@@ -72,7 +72,7 @@ def export(
 
 
 def _format(csv: bool, mat: bool, parquet: bool) -> tuple[Callable[[Flight, Path], None], str]:
-    """What writes a flight in the format asked for, and how its files' names end."""
+    """Return the function that writes the requested format, and the ending of its files."""
     from heli_host.log.export import export_mat, export_parquet
     from heli_host.log.ros2 import export_ros2
     from heli_host.log.table import write_csv

@@ -128,7 +128,7 @@ def _keep_parameters(port: str) -> Path | None:
 
 
 def _greet(port: str, uploader: Bossac) -> str:
-    """Say which firmware answers now."""
+    """Return a description of the board that now answers."""
     import heli_host
     from heli_host.cli.board import board_text
     from heli_host.errors import FlashError, HandshakeTimeout, WaitTimeout, WrongDevice

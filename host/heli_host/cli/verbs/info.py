@@ -1,4 +1,4 @@
-"""``heli-host info``: what a log holds."""
+"""``heli-host info``: show the content of a log."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def _checked(path: Path, truth_file: Path) -> dict[str, Any]:
 
 
 def _content(path: Path) -> dict[str, Any]:
-    """All that a log holds but its rows."""
+    """Return the content of a log without its rows."""
     from heli_host.log.flight_file import read_flight
     from heli_host.log.reader import read_log
     from heli_host.log.summary import summarise
