@@ -48,24 +48,24 @@ class Case:
 
 @dataclass(frozen=True)
 class JobResult:
-    """What came of a case.
+    """Result of a case, or the reason why it has none.
 
     Parameters
     ----------
     name, key : str
-        Of the case, and of its result.
+        Name of the case, and key under which its result is stored.
     row : Mapping of str to Cell
-        Its line of the table, by column.
+        Row of the case in the table: values by column name.
     detail : Any
-        All else that the work returned; of a case that failed the traceback, where there is one.
+        Everything else that the work returned. If the case failed, its traceback, if there is one.
     failure : str
-        Why there is no result, in one line; empty where there is one.
+        Reason why there is no result, in one line; empty if there is a result.
     cpu_s : float
-        CPU time that it took.
+        CPU time that the case took.
     seconds : float
-        Time that it took.
+        Time that the case took by the clock.
     where : str
-        Worker that did it.
+        Name of the worker that ran the case.
     """
 
     name: str

@@ -1,8 +1,9 @@
-"""Results on disk: one JSON a case, and a table of one row a case, both safe against being killed.
+"""Results on disk: one JSON file per case, and a table with one row per case; a kill damages neither.
 
-The JSON files are the truth: each is written beside its place and then given its name, so that it is whole or
-not there. Rows go to the table in parts, files that appear whole too; what a campaign that was killed had no
-time to write there follows from the JSON files. At the end the parts become one file.
+The JSON files are authoritative. Each is written under a temporary name and then renamed, so that a file is
+either complete or missing. Rows of the table are written in parts, which are files that appear complete too.
+If a campaign was killed before it wrote a row, the row follows from the JSON files. At the end the parts
+become one file.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ class Store:
     Attributes
     ----------
     token : str
-        What a worker tells by that it sees the same folder.
+        Random text in the folder's ``store.txt``, by which a worker recognises that it sees the same folder.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""What a Dask worker does with a case: looks whether it may, has it done, and keeps the result."""
+"""A case on a Dask worker: the worker checks that it may run the case, runs it, and stores the result."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Job:
     Parameters
     ----------
     key : str
-        Of its result.
+        Key under which the result is stored.
     code : str
         Digest of the code that the campaign was begun with.
     works : tuple of str
@@ -32,8 +32,8 @@ class Job:
     cases : str
         Folder of the results.
     token : str
-        What lies in ``store.txt`` beside it: a worker that finds it there sees the same folder, and keeps the
-        result before it tells anybody.
+        Text of the file ``store.txt`` next to the folder `cases`. A worker that reads the same text there
+        sees the same folder, and stores the result before it reports it.
     modules : str
         Folder of modules that are not installed.
     """

@@ -1,5 +1,5 @@
-"""What campaigns do most: flights, fits, diagnoses and gain checks on simulated rigs; a case of each is a
-function of its settings.
+"""The usual work of campaigns: flights, fits, diagnoses and gain checks on simulated rigs. Each is a function
+from the settings of a case to its result.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ _VALIDATION_SEED: Final = 500_000
 
 
 def fly(settings: Settings) -> Result:
-    """Fly a plan on a rig that may differ from its file's, as the `settings` say, and tell how well."""
+    """Fly a plan on a rig that may differ from its file by `settings`, and report how well it was tracked."""
     flown = _flown(settings, settings["plan"], 0)
     flight, summary = flown.flight, flown.summary
     return {

@@ -12,12 +12,12 @@ from heli_lab.law.law import Law
 
 
 def c_source(law: Law) -> str:
-    """Return the law as C: CasADi's function ``law`` in single precision, and what its arguments are.
+    """Return the law as C: CasADi's function ``law`` in single precision, with a comment on its arguments.
 
     Parameters
     ----------
     law : Law
-        What to write.
+        Control law to write as C.
     """
     lines = [
         f"/* {law.name}: a control law, called {law.rate_Hz:g} times a second.",
