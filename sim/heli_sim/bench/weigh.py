@@ -1,8 +1,8 @@
 """Rig parameters from simple bench tests: thrust on a scale, the angle of balance, swings of a pendulum.
 
 Every test depends on several parameters: the angle of balance on masses times lengths, a period on a
-stiffness over an inertia. Therefore all tests are fitted together with the prior values of the parameters. The
-fit minimises
+stiffness over an inertia. Therefore all tests are fitted together with the prior values of the parameters.
+The fit minimises
 
     sum of ((reading - model) / its tolerance)^2 + sum of ((parameter - rig file) / its tolerance)^2
 

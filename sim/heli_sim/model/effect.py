@@ -120,7 +120,7 @@ class Effect:
 
     @property
     def prefix(self) -> str:
-        """First part of the names of its parameters and states: the effect's name with underscores for dots."""
+        """First part of the names of its parameters and states: its own name with underscores for dots."""
         return self.name.replace(".", "_")
 
     @property
@@ -201,7 +201,7 @@ class Effect:
         return self
 
     def alternative_starts(self, parameters: Mapping[str, float]) -> tuple[Mapping[str, float], ...]:
-        """Other initial states from which a prediction may have to start, if the angles do not determine them.
+        """Other initial states from which a prediction may have to start, if angles do not determine them.
 
         Each is a mapping from names of states to offsets from the values that the measured angles suggest,
         computed with the values of all `parameters` of the model.

@@ -46,8 +46,8 @@ def thrust_N(volts_V: ca.SX, gain_N_per_V: ca.SX, dead_zone_V: ca.SX, reverse: c
 def friction_torque_Nm(rates_rad_s: ca.SX, parameter: Mapping[str, ca.SX]) -> ca.SX:
     """Viscous friction of the three bearings, R = -f rate (12), (17), (21), shape (3, 1).
 
-    `rates_rad_s` holds the rates of elevation, pitch and travel, shape (3, 1). Of `parameter` it uses
-    friction_elevation, friction_pitch and friction_travel in N m s/rad.
+    `rates_rad_s` holds the rates of elevation, pitch and travel, shape (3, 1). The coefficients in
+    `parameter` are friction_elevation, friction_pitch and friction_travel in N m s/rad.
     """
     coefficients = ca.vertcat(
         parameter["friction_elevation"], parameter["friction_pitch"], parameter["friction_travel"]

@@ -29,7 +29,7 @@ class Endpoint(Protocol):
     """Address that a host opens."""
 
     def receive(self) -> bytes:
-        """Take the bytes that the host wrote; empty if there are none, or no host. Notes opening and closing."""
+        """Take the bytes that the host wrote; empty if there are none, or no host. Note opening and closing."""
         ...
 
     def send(self, data: bytes) -> None:
@@ -56,7 +56,7 @@ class Endpoint(Protocol):
         ...
 
     def plug(self) -> None:
-        """Bring the port back under the same address; raises EndpointError if the address is taken."""
+        """Bring the port back under the same address; raises EndpointError if that is impossible."""
         ...
 
     def close(self) -> None:

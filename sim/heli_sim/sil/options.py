@@ -51,8 +51,8 @@ class SilOptions:
     elf : str
         ELF for ``due``; empty for the newest that speaks this host's link.
     reset_on_open : bool or None
-        Whether a rising DTR resets the board, as it does on a Due. None: on ``due`` it does behind a port, but
-        not in process, because no port is opened there.
+        Whether a rising DTR resets the board, as it does on a Due. None: behind a port it does so on ``due``;
+        in process, where no port is opened, it does not.
     model : str
         Name of the model; empty for the one that the rig's file names, or ``multibody``.
     effects : tuple of str

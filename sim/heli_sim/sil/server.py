@@ -102,7 +102,7 @@ def serve(
     stop_fd: int | None = None,
     console: FaultConsole | None = None,
 ) -> None:
-    """Serve a world until `stop_fd` or `console` ends it.
+    """Serve a world until `stop_fd` is ready to read.
 
     Parameters
     ----------

@@ -55,8 +55,8 @@ class Backlash(Effect):
 
 
 class BacklashOfKnownSide(Effect):
-    """Backlash along a measured flight: the encoder's shaft lags behind its axis by half the play, on the side
-    that the axis comes from.
+    """Backlash along a measured flight: the encoder's shaft lags behind its axis by half the play, on the
+    side that the axis comes from.
 
     This form is linear in the play; the play operator is not. Measured angles are those of the shaft. About
     them the play operator would take the axis through the play a second time, after the shaft has moved.
