@@ -45,8 +45,8 @@ class Extras:
 
 
 def extras(model: Model, late_s: float = 0.0) -> Extras:
-    """Find the quantities that a simulation of a model keeps in addition to its states, with voltages `late_s`
-    late.
+    """Find the quantities that a simulation of a model keeps in addition to its states, if the voltages act
+    `late_s` late.
     """
     timed, random = _depends_on_time(model), model.noise_inputs > 0
     states = [Quantity("time_s", "s", "time since the motors first turned")] if timed else []

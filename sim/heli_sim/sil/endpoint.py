@@ -29,7 +29,7 @@ class Endpoint(Protocol):
     """Address that a host opens."""
 
     def receive(self) -> bytes:
-        """Take the bytes that the host wrote; empty if there are none, or no host. Note opening and closing."""
+        """Take the bytes that the host wrote; empty if there are none. Also notes opening and closing."""
         ...
 
     def send(self, data: bytes) -> None:

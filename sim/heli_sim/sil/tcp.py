@@ -27,8 +27,8 @@ PATIENCE_S: Final = 1.0
 
 
 class TcpEndpoint(Endpoint):
-    """The board's side of a TCP connection; one host at a time. The next host waits, and is sent the name of
-    the connected one.
+    """The board's side of a TCP connection; one host at a time. The next host waits, and receives a line that
+    names the connected host.
 
     A connection carries no DTR: its beginning stands for a rise of the line, its end for a fall.
 
