@@ -1,4 +1,4 @@
-"""Rigs that differ from their file as a seed has it."""
+"""Rigs whose parameters differ from their file by random draws from a seed."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ class Campaign:
 
 @dataclass(frozen=True)
 class State:
-    """Where a campaign is, after each case.
+    """Progress of a campaign, after each case.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def run_campaign(
     again: Callable[[JobResult], bool] | None = None,
     say: Callable[[State], None] | None = None,
 ) -> list[dict[str, Any]]:
-    """Do all cases that have not ended yet, and write the table of all; return its rows.
+    """Run all cases that have not ended yet, and write the table of all cases; return its rows.
 
     Parameters
     ----------
@@ -199,8 +199,8 @@ def _done(
     code: str,
     compared: bool,
 ) -> Iterator[tuple[JobResult | None, str]]:
-    """Answers as they come; None and a note on what else there is to say. Other code than the installed one
-    is not compared.
+    """Yield results as they arrive, or None with a note on another problem. Without `compared`, the workers'
+    code is only checked against the installed packages.
     """
     if not remaining:
         return

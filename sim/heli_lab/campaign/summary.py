@@ -17,7 +17,7 @@ from heli_lab.campaign.run import Campaign
 from heli_lab.campaign.store import OWN
 
 OUTCOME: Final = "outcome"
-"""Column that says how a flight ended."""
+"""Column that states how a flight ended."""
 COMPLETED: Final = "completed"
 _FAULTS: Final = frozenset(fault.name.lower() for fault in Fault if fault)
 _WORST: Final = 10
@@ -29,7 +29,7 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Column:
-    """How a number is distributed over the cases.
+    """Distribution of a numeric result over the cases.
 
     Parameters
     ----------

@@ -50,7 +50,7 @@ class Job:
 
 @dataclass(frozen=True)
 class CodeMismatch:
-    """A worker, `where`, that has other code than the campaign; `why` says so in a line."""
+    """A worker, `where`, whose code differs from the campaign's; `why` states the difference in one line."""
 
     where: str
     why: str
@@ -119,7 +119,7 @@ def other_code(code: str, works: tuple[str, ...], modules: str = "") -> str:
 
 
 def run_job(order: Job) -> JobResult | CodeMismatch:
-    """Have a case done in a process of its own, and keep its result.
+    """Run a case in a separate process, and store its result.
 
     A result that is there already is taken: a cluster that has lost the worker which held it asks again.
     Where this worker sees the folder of the results, only the row travels.

@@ -31,7 +31,7 @@ from heli_lab.identify.flight_model import TORQUE_STD_Nm, model_functions
 from heli_lab.identify.free import free_parameters
 
 MIN_s: Final = 5.0
-"""Flight that is enough to say something, s: some periods of the slowest test function."""
+"""Shortest flight that gives an estimate, s: some periods of the slowest test function."""
 CLEAR_deg: Final = 8.0
 """Height above the table, deg, from which on neither it nor the air over it pushes. Lower: the table passes
 for thrust. Higher: flights that stay low say nothing."""
@@ -215,7 +215,7 @@ def scales_of(flight: Flight, rig: Rig, model: Model) -> tuple[ScaleEstimate, ..
 
 
 def _estimate(known: FlightInWeakForm, noise: Floats, axis: int, fits: tuple[_Fit, _Fit]) -> ScaleEstimate:
-    """Free the scale of one axis, from where all were free and from where none was."""
+    """Fit with the scale of one axis free: once from the fit with all scales free, once from that with none."""
     joint, without = fits
     start = joint.unknowns.copy()
     start[[other for other in range(3) if other != axis]] = 0.0

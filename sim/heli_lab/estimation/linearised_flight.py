@@ -353,8 +353,8 @@ class LinearisedFlight:
         return kept
 
     def release(self) -> None:
-        """Give back what `steps` and `blocks` keep: 110 and 70 MB of ten minutes; they are laid out again
-        when asked for.
+        """Release the memory of `steps` and `blocks`, 110 and 70 MB for ten minutes of flight; both are
+        computed again at their next use.
         """
         self.__dict__.pop("steps", None)
         self.__dict__.pop("blocks", None)

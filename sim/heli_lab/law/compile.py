@@ -28,7 +28,7 @@ class LawSource(Protocol):
 
     @property
     def rate_Hz(self) -> float:
-        """Calls a second [Hz]."""
+        """Calls per second [Hz]."""
         ...
 
     @property
@@ -38,12 +38,12 @@ class LawSource(Protocol):
 
     @property
     def states(self) -> dict[str, float]:
-        """Names and first values."""
+        """Initial values of the states by name."""
         ...
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Names and values."""
+        """Values of the parameters by name."""
         ...
 
     @property
@@ -113,7 +113,7 @@ def _with_copies(law: LawSource, program: Program, outputs: list[int]) -> None:
 
 
 def _without_dead_ends(program: Program, outputs: list[int]) -> tuple[Program, list[int]]:
-    """Leave out what nobody reads."""
+    """Leave out values that no operation and no output reads."""
     needed = set(outputs)
     for place in range(len(program.values) - 1, -1, -1):
         if place in needed:

@@ -1,4 +1,4 @@
-"""A law as one file of C, for those who want it compiled."""
+"""A law as one file of C, to be compiled."""
 
 from __future__ import annotations
 

@@ -131,7 +131,7 @@ class Law:
         return with_no_number(self.function)
 
     def runner(self) -> Runner:
-        """Return it as numpy, in double precision, from its first states."""
+        """Return the law as a numpy function in double precision, in its initial states."""
         return Runner(self)
 
     def over_link(self, params: Mapping[str, float]) -> Streamed:

@@ -1,4 +1,4 @@
-"""A law as a program of values: every operation once, and none that changes nothing.
+"""A law as a program of values: every operation occurs once, and operations without effect are left out.
 
 CasADi's `SX` functions are straight-line programs already. Operations of CasADi that the board does not have
 are composed of operations that it has.
@@ -66,7 +66,7 @@ class Program:
         self._known: dict[Value, int] = {}
 
     def put(self, value: Value) -> int:
-        """Add a value, unless it is there; return its place.
+        """Add a value, unless the program has it already; return its index.
 
         Parameters
         ----------

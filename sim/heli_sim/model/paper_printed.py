@@ -16,7 +16,7 @@ slip. If an equation cannot be evaluated as printed, the list also gives the rea
 - Equation (22) is a force, N, in a sum of torques, N m. Its number is used unchanged.
 - Equations (22) to (25) have drag ~ psi_dot^2, which accelerates negative travel. Its term A_2 sin(phi)
   accelerates travel at negative pitch.
-- The travel torque (F_f - F_b) L_h sin(phi) is in (23) to (25) and P_18.
+- Equations (23) to (25) and P_18 have a travel torque. It is (F_f - F_b) L_h sin(phi).
 - Equations (27) and (29) change with pitch and elevation, but J_psi_dot psi_dot is left out. Equation (29) is
   named J_theta.
 - Table 2's J_theta = 0.8496 kg m2 is no value of (27), whose values are from 0.7675 to 0.8219. Equation (27)
