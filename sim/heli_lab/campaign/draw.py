@@ -96,7 +96,7 @@ def drawn(rig: Rig, effects: Sequence[str], draw: str | Mapping[str, Mapping[str
 
 
 def check_form(name: str, how: object) -> None:
-    """Check that a number, `name`, can be drawn as said: `how` is a table of one form; else a
+    """Check that the parameter `name` can be drawn: `how` is a table with one distribution. Otherwise raise a
     CampaignError.
     """
     if not isinstance(how, Mapping) or len(how) != 1 or next(iter(how)) not in _FORMS:

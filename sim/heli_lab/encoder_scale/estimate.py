@@ -215,7 +215,7 @@ def scales_of(flight: Flight, rig: Rig, model: Model) -> tuple[ScaleEstimate, ..
 
 
 def _estimate(known: FlightInWeakForm, noise: Floats, axis: int, fits: tuple[_Fit, _Fit]) -> ScaleEstimate:
-    """Fit with the scale of one axis free: once from the fit with all scales free, once from that with none."""
+    """Fit with the scale of one axis free, from the fit with all scales free and from that with none."""
     joint, without = fits
     start = joint.unknowns.copy()
     start[[other for other in range(3) if other != axis]] = 0.0
