@@ -1,4 +1,4 @@
-"""The laboratory: what flights tell about a rig, what a model lacks, gains, and the paper done again.
+"""The laboratory: identification, diagnosis of models, design of gains, and the reproduced paper.
 
 `linearise` gives a rig as a `control.StateSpace`, for python-control or code of your own::
 

@@ -1,7 +1,7 @@
-"""The user's cache of compiled functions: whole, and made by nobody but this user.
+"""The user's cache of compiled functions: complete, and made by this user only.
 
-A library is kept with a digest of its own bytes behind it, which loaders ignore. One that a power cut left
-short or full of zeros is no library then: to load it could end the process by SIGBUS.
+A library is kept with a digest of its own bytes behind it, which loaders ignore. If a power cut left the file
+short or full of zeros, the digest does not match: loading such a file could end the process by SIGBUS.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def cache_folder() -> Path:
 
 
 def open_to_others(path: Path) -> str:
-    """Say who else could have put code there.
+    """Return a description of the other users who could have put code there.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def open_to_others(path: Path) -> str:
     Returns
     -------
     str
-        Empty when nobody but this user and the system's administrator could.
+        Empty if only this user and the system's administrator could.
     """
     if not hasattr(os, "geteuid"):
         return ""

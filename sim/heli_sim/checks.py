@@ -1,4 +1,4 @@
-"""What the simulation needs of this computer, for ``heli-host doctor``."""
+"""Checks of this computer for the simulation, for ``heli-host doctor``."""
 
 from __future__ import annotations
 

@@ -14,14 +14,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Found:
-    """What the numbers of a rig give together.
+    """Results that follow from the parameters of a rig together.
 
     Parameters
     ----------
     words : tuple of str
-        Inertias, voltages at hover, and numbers that no rig on a table has, a piece each.
+        Inertias, voltages at hover, and parameters that no rig on a table has; one phrase each.
     can_fly : bool
-        Whether its supply lifts it to a hover.
+        Whether the rig's supply is sufficient for a hover.
     """
 
     words: tuple[str, ...]
@@ -75,7 +75,7 @@ def signed(tolerances: float) -> str:
 
 
 def plain(text: str) -> str:
-    """Make a `text` of somebody else's one that a terminal prints as it is."""
+    """Escape a `text` from another source, so that a terminal prints it unchanged."""
     from rich.markup import escape
 
     return escape(printable(text))

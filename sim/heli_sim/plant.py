@@ -45,7 +45,9 @@ class Extras:
 
 
 def extras(model: Model, late_s: float = 0.0) -> Extras:
-    """Find what a simulation of a model has to remember besides its states, with voltages `late_s` late."""
+    """Find the quantities that a simulation of a model keeps in addition to its states, if the voltages act
+    `late_s` late.
+    """
     timed, random = _depends_on_time(model), model.noise_inputs > 0
     states = [Quantity("time_s", "s", "time since the motors first turned")] if timed else []
     states += [Quantity("random", "1", "state of the random generator")] if random else []
@@ -110,7 +112,8 @@ def step_function(model: Model, late_s: float = 0.0) -> ca.Function:
 def end_of_step(
     model: Model, after: ca.SX, u: ca.SX, p: ca.SX, t_after: ca.SX, chance: ca.SX, locked: ca.SX
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """What no rate describes, at the end of a millisecond: table, stops, locks; resets and chance of effects.
+    """Apply what rates do not describe at the end of a millisecond: table, stops, locks, and the resets and
+    random inputs of effects.
 
     Parameters
     ----------

@@ -23,17 +23,17 @@ def natural_order(name: str) -> list[str | float]:
 
 @dataclass(frozen=True)
 class Case:
-    """One piece of work, which depends on nothing but its settings and the code.
+    """One unit of work, which depends only on its settings and the code.
 
     Parameters
     ----------
     name : str
-        Name, for people; no other case of the campaign has it.
+        Name for readers; it is unique in the campaign.
     work : str
-        Function that does it, as ``package.module:function``. It takes the settings and returns the case's
-        row, by column, and whatever else JSON can hold.
+        Function that runs the case, as ``package.module:function``. It takes the settings. It returns the
+        row of the case, by column, and further results as JSON can hold them.
     settings : Mapping of str to Any
-        Its arguments, as JSON can hold them.
+        Arguments of the function, as JSON can hold them.
     """
 
     name: str
@@ -41,31 +41,31 @@ class Case:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def key(self, code: str) -> str:
-        """Name the case's result: a digest of the case and of the digest `code` of what computes it."""
+        """Return the key of the case's result: a digest of the case and of `code`, the digest of the code."""
         content = json.dumps([code, self.name, self.work, self.settings], sort_keys=True, default=str)
         return hashlib.sha256(content.encode()).hexdigest()[:24]
 
 
 @dataclass(frozen=True)
 class JobResult:
-    """What came of a case.
+    """Result of a case, or the reason why it has none.
 
     Parameters
     ----------
     name, key : str
-        Of the case, and of its result.
+        Name of the case, and key under which its result is stored.
     row : Mapping of str to Cell
-        Its line of the table, by column.
+        Row of the case in the table: values by column name.
     detail : Any
-        All else that the work returned; of a case that failed the traceback, where there is one.
+        Everything else that the work returned. If the case failed, its traceback, if there is one.
     failure : str
-        Why there is no result, in one line; empty where there is one.
+        Reason why there is no result, in one line; empty if there is a result.
     cpu_s : float
-        CPU time that it took.
+        CPU time that the case took.
     seconds : float
-        Time that it took.
+        Time that the case took by the clock.
     where : str
-        Worker that did it.
+        Name of the worker that ran the case.
     """
 
     name: str

@@ -24,13 +24,13 @@ FIRST_WORKER_s: Final = 60.0
 
 @contextmanager
 def workers_of(scheduler: str | None, processes: int) -> Iterator[Client]:
-    """Connect to the cluster at the address `scheduler`; without one begin a cluster of this machine that
-    does as many cases at once as `processes`.
+    """Connect to the cluster at the address `scheduler`. Without an address, start a cluster on this machine
+    that runs as many cases in parallel as `processes`.
 
     Raises
     ------
     CampaignError
-        When nobody answers at the address, no worker comes, or Dask is not installed.
+        When no scheduler answers at the address, no worker comes, or Dask is not installed.
     """
     try:
         import dask

@@ -1,4 +1,4 @@
-"""Rigs that differ from their file as a seed has it."""
+"""Rigs whose parameters differ from their file by random draws from a seed."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ _FORMS: Final = ("share", "factor", "range")
 
 @dataclass(frozen=True)
 class Drawn:
-    """What a seed draws.
+    """A rig and effects with parameters drawn at random from one seed.
 
     Parameters
     ----------
     rig : Rig
-        With the numbers that were drawn.
+        The rig with its drawn parameters.
     effects : tuple of str
-        As the command line spells them, each with its size.
+        Effects as the command line spells them, each with its size.
     numbers : Mapping of str to float
-        What was drawn, by the rig's name of a number, in its unit, or by the name of an effect.
+        Drawn values: by the rig file's name of a parameter, in its unit, or by the name of an effect.
     """
 
     rig: Rig
@@ -49,21 +49,22 @@ def drawn(rig: Rig, effects: Sequence[str], draw: str | Mapping[str, Mapping[str
     Parameters
     ----------
     rig : Rig
-        Nominal numbers.
+        The rig with its nominal parameters.
     effects : sequence of str
-        Effects as the command line spells them, those that are drawn without a size.
+        Effects as the command line spells them. Effects whose size is drawn are given without a size.
     draw : str or mapping
-        ``tolerances``: every number of the rig normally, with half its tolerance. Else by name of a number,
-        wildcards allowed, or of an effect: ``share``, evenly within that share of the value; ``factor``, from
-        the value divided by it to the value times it, evenly in the logarithm; or ``range``, evenly between
-        two values, in the number's unit.
+        ``tolerances`` draws every parameter of the rig from a normal distribution whose standard deviation is
+        half the tolerance. Otherwise a mapping from the name of a parameter (wildcards allowed) or of an
+        effect to one of three distributions. ``share`` is uniform within that share of the value. ``factor``
+        is uniform in the logarithm, from the value divided by the factor to the value times the factor.
+        ``range`` is uniform between two values in the parameter's unit.
     seed : int
-        Of the draw; equal seeds draw equally.
+        Seed of the random generator; equal seeds draw equal values.
 
     Raises
     ------
     CampaignError
-        When nothing has a name, or it cannot be drawn as said.
+        When a name matches nothing, or a parameter cannot be drawn as `draw` states.
     """
     random = np.random.default_rng([seed, 17])
     values: dict[str, float] = {}
@@ -95,7 +96,7 @@ def drawn(rig: Rig, effects: Sequence[str], draw: str | Mapping[str, Mapping[str
 
 
 def check_form(name: str, how: object) -> None:
-    """Check that a number, `name`, can be drawn as said: `how` is a table of one form; else a
+    """Check that the parameter `name` can be drawn: `how` is a table with one distribution. Otherwise raise a
     CampaignError.
     """
     if not isinstance(how, Mapping) or len(how) != 1 or next(iter(how)) not in _FORMS:

@@ -1,4 +1,4 @@
-"""A campaign's file: what is done, and lists of settings, each value of each with each of the others."""
+"""The file of a campaign: its work, and lists of settings, of which every combination is a case."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ _TOP: Final = ("title", "work", "cases", "draw", "limits", "worst")
 _LISTS: Final = ("effects", "effect_files")
 """Settings whose one value is a list already."""
 _FILES: Final = ("rig", "plan", "validate", "params", "effect_files")
-"""Settings that may be files, looked for beside the campaign's."""
+"""Settings that may be files, looked for in the folder of the campaign's file."""
 
 
 def load_campaign(path: Path) -> Campaign:
-    """Read a campaign's file, `path`.
+    """Read the file of a campaign at `path`.
 
     Raises
     ------
     CampaignError
-        When it cannot be read, or is none; it says what is wrong where.
+        When the file cannot be read or is not a campaign's file; the message names the wrong entry.
     """
     try:
         table = parse_toml(read_file(path, TOML_BYTES).decode("utf-8"))

@@ -33,21 +33,21 @@ _USUAL: Final = Limits()
 
 @dataclass(frozen=True)
 class Campaign:
-    """Cases, and what each may take.
+    """Cases of a campaign, with the limits of each case.
 
     Parameters
     ----------
     title : str
-        For people.
+        Title for readers.
     cases : tuple of Case
-        No two of one name.
+        The cases; their names are unique.
     limits : Limits
-        Of each case.
+        Limits of time and threads for each case.
     worst : str
-        Column of the table whose largest values are the worst; a minus sign in front: whose smallest are.
-        Empty where there is none.
+        Column of the table whose largest values are the worst. With a minus sign in front of the name, the
+        smallest values are the worst. Empty if the campaign ranks no column.
     modules : str
-        Folder of modules that are not installed and that cases may use: the campaign file's.
+        Folder of modules that are not installed and that cases may use: the folder of the campaign file.
     """
 
     title: str
@@ -73,7 +73,7 @@ class Campaign:
 
 @dataclass(frozen=True)
 class State:
-    """Where a campaign is, after each case.
+    """Progress of a campaign, after each case.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class State:
     newest : JobResult or None
         The case that has just ended; None at the beginning.
     note : str
-        What went wrong beside the cases, such as a worker that cannot be used; else empty.
+        A problem that is not a failed case, such as a worker that cannot be used; otherwise empty.
     """
 
     ended: int
@@ -102,22 +102,22 @@ def run_campaign(
     again: Callable[[JobResult], bool] | None = None,
     say: Callable[[State], None] | None = None,
 ) -> list[dict[str, Any]]:
-    """Do all cases that have not ended yet, and write the table of all; return its rows.
+    """Run all cases that have not ended yet, and write the table of all cases; return its rows.
 
     Parameters
     ----------
     store : Store
-        Results. What is there of the same code and case is not done again.
+        Folder of results. Cases with a stored result of the same code are not run again.
     scheduler : str, optional
-        Address of a Dask scheduler; this machine where not given.
+        Address of a Dask scheduler; without it, the cases run on this machine.
     processes : int
-        Cases at once on this machine.
+        Number of cases that run in parallel on this machine.
     code : str, optional
-        Digest of the code, where that of the installed packages is not what results depend on.
+        Digest of the code, if results do not depend on the code of the installed packages.
     again : callable, optional
-        Whether a case that has ended is to be done again, by its answer.
+        Takes the result of a case and returns whether the case is to be run again.
     say : callable, optional
-        Told where the campaign is.
+        Called with the state of the campaign after each case.
 
     Raises
     ------
@@ -199,8 +199,8 @@ def _done(
     code: str,
     compared: bool,
 ) -> Iterator[tuple[JobResult | None, str]]:
-    """Answers as they come; None and a note on what else there is to say. Other code than the installed one
-    is not compared.
+    """Yield results as they arrive, or None with a note on another problem. Without `compared`, the workers'
+    code is only checked against the installed packages.
     """
     if not remaining:
         return

@@ -1,8 +1,9 @@
-"""Results on disk: one JSON a case, and a table of one row a case, both safe against being killed.
+"""Results on disk: one JSON file per case, and a table with one row per case; a kill damages neither.
 
-The JSON files are the truth: each is written beside its place and then given its name, so that it is whole or
-not there. Rows go to the table in parts, files that appear whole too; what a campaign that was killed had no
-time to write there follows from the JSON files. At the end the parts become one file.
+The JSON files are authoritative. Each is written under a temporary name and then renamed, so that a file is
+either complete or missing. Rows of the table are written in parts, which are files that appear complete too.
+If a campaign was killed before it wrote a row, the row follows from the JSON files. At the end the parts
+become one file.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ OWN: Final = ("failure", "cpu_s", "seconds", "where", "key")
 
 
 class Store:
-    """The results of a campaign in a `folder`, made where it is missing.
+    """The results of a campaign in a `folder`, which is made if it is missing.
 
     Raises
     ------
@@ -41,7 +42,7 @@ class Store:
     Attributes
     ----------
     token : str
-        What a worker tells by that it sees the same folder.
+        Random text in the folder's ``store.txt``, by which a worker recognises that it sees the same folder.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -80,31 +81,31 @@ class Store:
             yield
 
     def path(self, key: str) -> Path:
-        """File of the result called `key`."""
+        """File of the result with the given `key`."""
         return self.cases / f"{key}.json"
 
     def keep(self, answer: JobResult) -> None:
-        """Write a result, unless it is there."""
+        """Write a result, unless it is stored already."""
         keep(self.cases, answer)
 
     def forget(self, keys: Iterable[str]) -> None:
-        """Remove the results called `keys`."""
+        """Remove the results with the given `keys`."""
         for key in keys:
             self.path(key).unlink(missing_ok=True)
 
     def read(self, keys: Iterable[str]) -> dict[str, JobResult]:
-        """Read those of the results called `keys` that are there; one that cannot be read is none."""
+        """Read the stored results with the given `keys`; results that are unreadable are left out."""
         there = {path.stem for path in self.cases.glob("*.json")}
         read = {key: kept(self.cases, key) for key in keys if key in there}
         return {key: answer for key, answer in read.items() if answer is not None}
 
     def append(self, rows: Sequence[Mapping[str, Cell]]) -> None:
-        """Append `rows` to the table, in a part of their own."""
+        """Append `rows` to the table, as a separate part."""
         if rows:
             _write_parquet(self._parts / f"{secrets.token_hex(8)}.parquet", rows)
 
     def rows(self) -> list[dict[str, Any]]:
-        """Read all rows that are there, one for each result."""
+        """Read all rows of the table and its parts, one per result."""
         import pyarrow.parquet as pq
 
         rows: dict[str, dict[str, Any]] = {}
@@ -115,7 +116,7 @@ class Store:
         return list(rows.values())
 
     def settle(self, rows: Iterable[Mapping[str, Cell]]) -> Path:
-        """Make one table of `rows`, by the names of the cases, in the place of all parts; return its file."""
+        """Write one table of `rows`, sorted by names of cases, and remove all parts; return its file."""
         path = self.folder / TABLE
         _write_parquet(path, sorted(rows, key=lambda row: natural_order(str(row["case"]))))
         for part in self._parts.glob("*.parquet"):

@@ -17,7 +17,7 @@ from heli_lab.campaign.run import Campaign
 from heli_lab.campaign.store import OWN
 
 OUTCOME: Final = "outcome"
-"""Column that says how a flight ended."""
+"""Column that states how a flight ended."""
 COMPLETED: Final = "completed"
 _FAULTS: Final = frozenset(fault.name.lower() for fault in Fault if fault)
 _WORST: Final = 10
@@ -29,16 +29,16 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Column:
-    """How a number is distributed over the cases.
+    """Distribution of a numeric result over the cases.
 
     Parameters
     ----------
     name : str
-        Of the column; it ends in the unit.
+        Name of the column; it ends in the unit.
     values : ndarray (n,)
-        Of the cases that have one.
+        Values of the n cases that have one, in the column's unit.
     mean, low, median, high : float
-        Mean, and the quantiles 5, 50 and 95 %.
+        Mean, and the quantiles at 5, 50 and 95 %, in the column's unit.
     """
 
     name: str
@@ -51,7 +51,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Summary:
-    """What a campaign came to.
+    """Summary of the results of a campaign.
 
     Parameters
     ----------
@@ -60,16 +60,16 @@ class Summary:
     columns : tuple of Column
         Results that are numbers; a result that is true or false is 1 or 0.
     words : Mapping of str to Mapping of str to int
-        Results that are words: how often each was said.
+        Columns that hold words: for each column, how often each word occurs.
     groups : Mapping of str to Mapping of str to tuple of Row
-        Rows by the value of each setting that has several, but not one a case.
+        Rows by setting and value, for settings that have several values but not a different one in each case.
     worst : tuple of Row
         The worst cases, worst first.
     failed : tuple of Row
         Cases without a result.
     outcomes : Mapping of str to int
-        How the flights ended, the most frequent first: ``completed``, ``not_tracked``, ``aborted`` with the
-        fault; empty where the work says nothing of it.
+        Number of flights by how they ended, the most frequent first: ``completed``, ``not_tracked``, or
+        ``aborted`` with the fault. Empty if the work does not report it.
     """
 
     cases: int

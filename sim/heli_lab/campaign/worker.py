@@ -1,4 +1,4 @@
-"""What a Dask worker does with a case: looks whether it may, has it done, and keeps the result."""
+"""A case on a Dask worker: the worker checks that it may run the case, runs it, and stores the result."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Job:
     Parameters
     ----------
     key : str
-        Of its result.
+        Key under which the result is stored.
     code : str
         Digest of the code that the campaign was begun with.
     works : tuple of str
@@ -32,8 +32,8 @@ class Job:
     cases : str
         Folder of the results.
     token : str
-        What lies in ``store.txt`` beside it: a worker that finds it there sees the same folder, and keeps the
-        result before it tells anybody.
+        Text of the file ``store.txt`` next to the folder `cases`. A worker that reads the same text there
+        sees the same folder, and stores the result before it reports it.
     modules : str
         Folder of modules that are not installed.
     """
@@ -50,7 +50,7 @@ class Job:
 
 @dataclass(frozen=True)
 class CodeMismatch:
-    """A worker, `where`, that has other code than the campaign; `why` says so in a line."""
+    """A worker, `where`, whose code differs from the campaign's; `why` states the difference in one line."""
 
     where: str
     why: str
@@ -119,7 +119,7 @@ def other_code(code: str, works: tuple[str, ...], modules: str = "") -> str:
 
 
 def run_job(order: Job) -> JobResult | CodeMismatch:
-    """Have a case done in a process of its own, and keep its result.
+    """Run a case in a separate process, and store its result.
 
     A result that is there already is taken: a cluster that has lost the worker which held it asks again.
     Where this worker sees the folder of the results, only the row travels.

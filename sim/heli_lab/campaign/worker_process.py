@@ -1,10 +1,10 @@
-"""A process of its own for cases, so that one which crashes or runs away takes nothing else with it.
+"""A separate process that runs cases, so that a case which crashes or does not end harms nothing else.
 
-Orders and answers go through two pipes, one JSON a line. The process ends itself when nobody can give it
-orders any more, so that none outlives its worker. The kernel counts the CPU time of a case and ends a process
-that exceeds it, whatever code it is in; a case that waits for ever uses none, and is ended by the clock.
-Where the kernel does not count for processes (Windows), a thread of the process does, and a case in compiled
-code that keeps Python waiting is left to the clock.
+Orders and answers go through two pipes, one JSON text per line. The process ends itself when its pipe of
+orders is closed, so that it does not outlive its worker. The kernel counts the CPU time of a case and ends a
+process that exceeds the limit, even in compiled code. A case that waits without end uses no CPU time; the
+limit by the clock ends it. If the kernel has no such limit for processes (Windows), a thread of the process
+counts instead; a case in compiled code that blocks Python is then ended by the clock.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ _WATCH_s: Final = 0.1
 
 @dataclass(frozen=True)
 class Limits:
-    """What one case may take.
+    """Limits of CPU time, time and threads for one case.
 
     Parameters
     ----------
     cpu_s : float
-        CPU time; counted in whole seconds, one at least.
+        Most CPU time; counted in whole seconds, one at least.
     wait_s : float
-        Time by the clock, for a case that waits and uses no CPU.
+        Most time by the clock, for a case that waits and uses no CPU.
     threads : int
-        Threads of the libraries for linear algebra, and of the fits.
+        Number of threads of the libraries for linear algebra, and of the fits.
     """
 
     cpu_s: float = 3600.0
@@ -56,12 +56,12 @@ class Limits:
 
 
 class WorkerProcess:
-    """Runs cases, one after the other, in a process of its own, made anew when a case has ended it.
+    """Runs cases, one after the other, in a separate process; a new process replaces one that a case ended.
 
     Parameters
     ----------
     modules : str
-        Folder of modules that are not installed; those that are go first.
+        Folder of modules that are not installed; installed modules of the same name come first.
     """
 
     def __init__(self, limits: Limits, modules: str = "") -> None:
@@ -90,7 +90,7 @@ class WorkerProcess:
         self._process = self._orders = None
 
     def run(self, case: Case, key: str) -> JobResult:
-        """Do a case, whose result has the name `key`; what goes wrong is told in the answer."""
+        """Run a case, whose result is stored under `key`; a failure is reported in the result."""
         started_s = time.monotonic()
         answer = self._attempt(case, key)
         for _ in range(_KILLED_AGAIN):
@@ -165,8 +165,8 @@ def _pass_on(pipe: IO[bytes], lines: queue.SimpleQueue[bytes]) -> None:
 
 
 def serve_jobs(orders: IO[bytes], answers: IO[bytes]) -> None:
-    """Do what `orders` say, one JSON a line, and write an answer a line to `answers`, until nobody
-    gives orders.
+    """Carry out each line of `orders`, a JSON text, and write one line per order to `answers`. Return when
+    `orders` is closed.
     """
     waiting: queue.SimpleQueue[bytes] = queue.SimpleQueue()
 

@@ -1,5 +1,5 @@
-"""What campaigns do most: flights, fits, diagnoses and gain checks on simulated rigs; a case of each is a
-function of its settings.
+"""The usual work of campaigns: flights, fits, diagnoses and gain checks on simulated rigs. Each is a function
+from the settings of a case to its result.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ WORST: Final = {
     "diagnose": "held_out_after",
     "gains": "travel_rms_deg",
 }
-"""By which column the worst cases of each are found, where nobody says."""
+"""Column by which the worst cases of each work are found, if the campaign's file names none."""
 DEFAULTS: Final[Settings] = {
     "rig": "makki2024",
     "model": "",
@@ -58,13 +58,13 @@ DEFAULTS: Final[Settings] = {
     "threads": 1,
     "budget": 80,
 }
-"""Settings that a case may have, with the values that they have where nobody says."""
+"""Settings that a case may have, with their default values."""
 _VALIDATION_SEED: Final = 500_000
 """Added to the seed for the flight that judges."""
 
 
 def fly(settings: Settings) -> Result:
-    """Fly a plan on a rig that may differ from its file's, as the `settings` say, and tell how well."""
+    """Fly a plan on a rig that may differ from its file by `settings`, and report how well it was tracked."""
     flown = _flown(settings, settings["plan"], 0)
     flight, summary = flown.flight, flown.summary
     return {
@@ -78,8 +78,8 @@ def fly(settings: Settings) -> Result:
 
 
 def identify(settings: Settings) -> Result:
-    """Fit numbers to a flight of a rig that differs from its file's, as the `settings` say, and hold them
-    against it.
+    """Fit parameters to a flight of a rig that differs from its file by `settings`, and compare them with the
+    true ones.
     """
     from heli_lab.identify.run import identify as find
 
@@ -113,8 +113,8 @@ def identify(settings: Settings) -> Result:
 
 
 def diagnose(settings: Settings) -> Result:
-    """Hide the effects of the `settings` in two flights, and have them found: the row says whether they
-    were.
+    """Hide the effects of the `settings` in two flights, and diagnose the flights: the row states whether
+    they were found.
     """
     from heli_lab.diagnose import diagnose as find
     from heli_lab.diagnose import to_json
@@ -220,7 +220,7 @@ def _flown(settings: Settings, plan: str, more_seed: int) -> _Flown:
 
 
 def _effects(settings: Settings, rig: Rig, *, of_rig_only: bool) -> tuple[Any, ...]:
-    """Effects that the rig's file states, less those that are hidden; with the hidden ones unless told."""
+    """Effects of the rig's file without the hidden ones, which are added unless `of_rig_only`."""
     hidden = parse_effects(settings["effects"], settings["effect_files"])
     names = {effect.name for effect in hidden}
     stated = tuple(effect for effect in effects_of(rig, settings["effect_files"]) if effect.name not in names)
@@ -228,7 +228,7 @@ def _effects(settings: Settings, rig: Rig, *, of_rig_only: bool) -> tuple[Any, .
 
 
 def _model(settings: Settings, rig: Rig) -> Model:
-    """Equations that a fit is told: with the effects, whose sizes it estimates."""
+    """Model that a fit is given: with the effects, whose sizes it estimates."""
     return model_named(
         settings["model"] or rig.model or MultibodyModel.name, _effects(settings, rig, of_rig_only=False)
     )

@@ -89,12 +89,18 @@ def diagnose(
     Diagnosis
         `label` is the verdict:
 
-        - ``explained``: these flights show nothing that the model lacks; what remains are disturbances.
-        - ``cause_found``: `verdict.causes` explain what the baseline lacks.
-        - ``ambiguous``: other effects fit equally well; `next_flight` is an experiment that distinguishes
-          them.
-        - ``unexplained``: something is missing that no effect of the catalogue explains; `curves` shows it
-          as spline terms, and `proposal` is an equation for it, if one was confirmed.
+        ``explained``
+            These flights show nothing that the model lacks; only disturbances remain.
+
+        ``cause_found``
+            `verdict.causes` explain the errors of the baseline.
+
+        ``ambiguous``
+            Other effects fit equally well; `next_flight` is an experiment that distinguishes them.
+
+        ``unexplained``
+            No effect of the catalogue explains the errors. `curves` shows the missing terms as splines, and
+            `proposal` is an equation for them, if one was confirmed.
 
         `error_reductions` has free-run errors before and after by axis, `held_out` at all horizons. `rig`
         makes the extended rig. `search` and `assessment` hold the evidence. `to_json`, `summary` and

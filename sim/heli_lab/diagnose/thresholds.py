@@ -5,9 +5,11 @@ prints the table. The text below each constant states the reason and what breaks
 
 theory
     The value follows from a distribution, a convention or a definition.
+
 measurement
     The value was measured on flights whose truth is known: **simulated flights** of `tests/diagnose` (34 s
     to fit and 26 s held out, one known effect hidden), and the development cases of `tests/field`.
+
 judgement
     No record of a tuning exists; the value follows from the stated reason.
 

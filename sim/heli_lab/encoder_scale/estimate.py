@@ -31,7 +31,7 @@ from heli_lab.identify.flight_model import TORQUE_STD_Nm, model_functions
 from heli_lab.identify.free import free_parameters
 
 MIN_s: Final = 5.0
-"""Flight that is enough to say something, s: some periods of the slowest test function."""
+"""Shortest flight that gives an estimate, s: some periods of the slowest test function."""
 CLEAR_deg: Final = 8.0
 """Height above the table, deg, from which on neither it nor the air over it pushes. Lower: the table passes
 for thrust. Higher: flights that stay low say nothing."""
@@ -62,18 +62,18 @@ _MAX_DAMPING: Final = 1e6
 
 @dataclass(frozen=True)
 class ScaleEstimate:
-    """Scale of one encoder, with everything else of the rig within its tolerances.
+    """Estimated scale of one encoder; all other parameters of the rig vary within their tolerances.
 
     Parameters
     ----------
     axis : str
-        Which encoder.
+        Axis of the encoder: ``elevation``, ``pitch`` or ``travel``.
     scale : float
-        Counts shown per count that the model predicts.
+        Counts that the encoder shows per count that the model predicts; 1 for a correct encoder.
     standard_error : float
-        Of the scale.
+        Standard error of the scale.
     nats : float
-        How much likelier the flight is with this scale than with 1, as the logarithm of the ratio.
+        Log-likelihood ratio of this scale to a scale of 1, nats (6 nats: 400 times as likely).
     """
 
     axis: str
@@ -88,21 +88,23 @@ class ScaleEstimate:
 
 
 class FlightInWeakForm:
-    """A flight and a rig's equations as residuals of unknowns: scales, lag, zeros, and the rig's numbers.
+    """Residuals of a rig's equations of motion along a flight, in weak form.
+
+    The unknowns are the encoders' scales, a lag, the encoders' zeros, and the rig parameters.
 
     Parameters
     ----------
     flight : Flight
         Any flight of a board, gaps allowed.
     rig : Rig
-        Numbers and tolerances.
+        Values and tolerances of the rig parameters.
     model : Model
         Equations; effects with states of their own, and those driven by chance, are left out.
 
     Attributes
     ----------
     seconds : float
-        Free flight that is used, s.
+        Duration of the free flight that is used, s.
     """
 
     def __init__(self, flight: Flight, rig: Rig, model: Model) -> None:
@@ -213,7 +215,7 @@ def scales_of(flight: Flight, rig: Rig, model: Model) -> tuple[ScaleEstimate, ..
 
 
 def _estimate(known: FlightInWeakForm, noise: Floats, axis: int, fits: tuple[_Fit, _Fit]) -> ScaleEstimate:
-    """Free the scale of one axis, from where all were free and from where none was."""
+    """Fit with the scale of one axis free, from the fit with all scales free and from that with none."""
     joint, without = fits
     start = joint.unknowns.copy()
     start[[other for other in range(3) if other != axis]] = 0.0

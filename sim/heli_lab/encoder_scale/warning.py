@@ -28,7 +28,7 @@ def wrong_scale(estimates: Sequence[ScaleEstimate]) -> ScaleEstimate | None:
 
 
 def warning_text(estimate: ScaleEstimate) -> str:
-    """Say it to a person."""
+    """Return the warning as a text for readers."""
     digits = max(2, min(4, -math.floor(math.log10(estimate.standard_error))))
     return (
         f"{estimate.axis} encoder: it counts {estimate.scale:.{digits}f} ± "

@@ -11,20 +11,21 @@ from heli_lab.estimation.arrowhead import NO_BLOCKS, solve_arrowhead
 def bounded_solve(
     matrix: Floats, right: Floats, low: Floats, high: Floats, per_flight: Integers = NO_BLOCKS
 ) -> Floats:
-    """Solve a positive definite system within bounds: an unknown that would leave its bounds is set on the
-    bound, and the others are solved again (Nocedal and Wright, Numerical Optimization, section 16.5, without
-    the release of constraints).
+    """Solve a positive definite system within bounds.
+
+    An unknown that would leave its bounds is set on the bound, and the others are solved again. This is
+    Nocedal and Wright, Numerical Optimization, section 16.5, without the release of constraints.
 
     Parameters
     ----------
     matrix : ndarray (f, f)
-        The system.
+        Matrix of the system.
     right : ndarray (f,)
         Its right-hand side.
     low, high : ndarray (f,)
         Bounds of the solution.
     per_flight : ndarray (flights, k), optional
-        Unknowns of one flight alone, as `arrowhead.per_flight_columns` returns them.
+        Unknowns that belong to a single flight, as `arrowhead.per_flight_columns` returns them.
 
     Returns
     -------

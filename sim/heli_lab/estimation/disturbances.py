@@ -44,11 +44,12 @@ class DisturbanceModel:
     correlation_time_s : ndarray (m,)
         Time over which the autocorrelation of the fast disturbance falls to 1/e.
     slow_std : ndarray (m,)
-        The same of the slow disturbance, of correlation time `SLOW_CORRELATION_TIME_s`.
+        Stationary standard deviation of the slow disturbance, whose correlation time is
+        `SLOW_CORRELATION_TIME_s`.
     quantisation : ndarray (m,)
         Variance of the output's error over that of independent, uniform rounding errors.
     curvature : ndarray (m, 4, 4) or None
-        Of the log-likelihood at the estimate, for the logarithms of each output's four numbers.
+        Curvature of the log-likelihood at the estimate, by the logarithms of each output's four parameters.
     """
 
     fast_std: Floats

@@ -48,9 +48,9 @@ class Estimate(Generic[VectorT]):
     Parameters
     ----------
     parameter_vector : ParameterVector
-        What was estimated, with its priors.
+        The free parameters with their priors.
     theta : ndarray (f,)
-        Free parameters.
+        Estimates of the free parameters.
     covariance : ndarray (f, f)
         Their covariance, the inverse of the Fisher information with the priors'.
     log_likelihood : float
@@ -58,7 +58,7 @@ class Estimate(Generic[VectorT]):
     disturbances : DisturbanceModel
         Disturbances and quantisation.
     converged : bool
-        Whether the last step promised next to nothing.
+        Whether the iteration ended because a further step would not improve the posterior noticeably.
     references : tuple of ReferenceTrajectory
         The flights.
     functions : ModelFunctions
@@ -101,14 +101,14 @@ def gauss_newton_step(
     theta : ndarray (f,)
         Parameters at which the model is linearised.
     innovations : Innovations
-        There, with their derivatives.
+        Innovations at `theta`, with their derivatives.
 
     Returns
     -------
     move : ndarray (f,)
         The step.
     covariance : ndarray (f, f)
-        Of the parameters.
+        Covariance of the parameters.
     value : float
         Logarithm of the posterior at `theta`, nats.
     """
@@ -212,8 +212,8 @@ class _GaussNewton:
         return iterate
 
     def with_next_parameters(self, iterate: _Iterate) -> _Iterate | None:
-        """Step with backtracking; None where no shorter step gains enough. The linearised model of `iterate`
-        is released first: two at once are hardly ever needed.
+        """Step with backtracking; None if no shorter step improves the posterior enough. The linearised model
+        of `iterate` is released first, because two are hardly ever needed at the same time.
         """
         iterate.filtered = None
         share = 1.0

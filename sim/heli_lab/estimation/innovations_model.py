@@ -28,10 +28,11 @@ class Innovations:
     Parameters
     ----------
     flights : tuple of ndarray (b, 1 + k)
-        For each flight the innovations of the error first, then by how much a unit of each parameter that the
-        flight depends on reduces them; in standard deviations, the m outputs of a block one after the other.
+        One array per flight, in standard deviations. Column 0 holds the innovations. Each further column
+        holds by how much a unit of one parameter of the flight reduces them. The m outputs of a block are in
+        m consecutive rows.
     columns : tuple of ndarray (k,)
-        For each flight, which parameters these are.
+        For each flight, the indices of the k parameters that it depends on.
     size : int
         Number of parameters.
     log_variances : ndarray (m,)

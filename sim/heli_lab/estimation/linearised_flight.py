@@ -6,8 +6,8 @@ midpoint rule gives for the deviation e_k of the true state from x_k
 
     e_k+1 = Phi_k (e_k + x_k - y_k) + Gamma_k (f - (x_k+1 - y_k) / h + w),
 
-Phi = (I - h A / 2)^-1 (I + h A / 2), Gamma = (I - h A / 2)^-1 h, w the disturbances. What a parameter changes
-of f enters as w does.
+Phi = (I - h A / 2)^-1 (I + h A / 2), Gamma = (I - h A / 2)^-1 h, w the disturbances. The change of f by a
+parameter enters in the same way as w.
 """
 
 from __future__ import annotations
@@ -54,11 +54,11 @@ class ModelFunctions:
     names : tuple of str
         All parameters of the model.
     places : list of int
-        Places of the free ones among them.
+        Indices of the free parameters among them.
     along : AlongTrajectory
-        Rates and, negative, their derivatives by the free parameters, (n, states, 1 + f); their derivatives
-        by state, by disturbances and by inputs; outputs and their derivatives by the free parameters,
-        (n, m, 1 + f); their derivatives by state.
+        Function of n points of a trajectory. It returns the rates and their negative derivatives by the free
+        parameters, (n, states, 1 + f), and the derivatives of the rates by state, disturbances and inputs. It
+        also returns the outputs and their derivatives by the free parameters, (n, m, 1 + f), and by state.
     extra_states : int
         States after positions and rates.
     """
@@ -158,25 +158,25 @@ class Derivatives:
 
 @dataclass(frozen=True)
 class Blocks:
-    """A window as the filter takes it: blocks of steps, one measurement for each.
+    """A window as the input of the filter: b blocks of steps, with one measurement per block.
 
     Parameters
     ----------
     rows : ndarray (b,)
         First step of each block.
     transition : ndarray (b, states, states)
-        Of the deviation over a block.
+        Transition matrix of the deviation over a block.
     part_input : ndarray (steps of a block, b, states, m)
         Change of the deviation at the end of a block by a disturbance of 1 during one of its steps.
     measurement : ndarray (b, m, states)
         Derivatives of the outputs by the state.
     variance : ndarray (b, m)
-        Of the measurements' quantisation.
+        Variance of each measurement by quantisation.
     drive : ndarray (b, states, 1 + f)
-        Change of the deviation over a block: by the model's error first, then by how much a unit of each free
-        parameter reduces it.
+        Change of the deviation over a block. Column 0: the change by the model's error. Further columns: by
+        how much a unit of each free parameter reduces it.
     measured : ndarray (b, m, 1 + f)
-        The same of the measured outputs.
+        Errors of the measured outputs, in the same columns as `drive`.
     """
 
     rows: Integers
@@ -353,8 +353,8 @@ class LinearisedFlight:
         return kept
 
     def release(self) -> None:
-        """Give back what `steps` and `blocks` keep: 110 and 70 MB of ten minutes; they are laid out again
-        when asked for.
+        """Release the memory of `steps` and `blocks`, 110 and 70 MB for ten minutes of flight; both are
+        computed again at their next use.
         """
         self.__dict__.pop("steps", None)
         self.__dict__.pop("blocks", None)

@@ -91,24 +91,24 @@ class ParameterVector:
     values : ndarray (p,)
         Their values where they are not free.
     shared : sequence of FreeParameter
-        Those that all flights share.
+        Free parameters with one value for all flights.
     per_flight : sequence of FreeParameter
-        Those that each flight has a value of its own of.
+        Free parameters with a separate value in each flight.
     labels : sequence of str
         Names of the flights.
 
     Attributes
     ----------
     free : tuple of FreeParameter
-        Those that all flights share first, then each flight's own.
+        All free parameters: first the shared ones, then those of each flight.
     quantities : tuple of str
-        Names in the model of those that a flight depends on.
+        Model's names of the free parameters that a flight depends on.
     columns : tuple of ndarray
-        For each flight, which free parameters it depends on, in the order of `quantities`.
+        For each flight, the indices of the free parameters that it depends on, in the order of `quantities`.
     mean, std : ndarray (f,)
-        Of the priors.
+        Means and standard deviations of the priors.
     values : ndarray (p,)
-        As given.
+        The argument `values`.
     """
 
     def __init__(

@@ -136,7 +136,7 @@ class AlongTrajectory:
         return AlongTrajectory, (self._function,)
 
     def __call__(self, trajectory: Trajectory) -> list[Floats]:
-        """Evaluate: one array an output, shape (n, rows, columns)."""
+        """Evaluate the function: one array per output, shape (n, rows, columns)."""
         inputs = [_table(array) for array in (trajectory.state, trajectory.inputs, trajectory.t_s)]
         values = self._program.evaluate(inputs, np.ascontiguousarray(trajectory.parameters, float))
         return [

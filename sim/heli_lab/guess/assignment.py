@@ -168,7 +168,7 @@ def free_rows(signals: Signals, name: str) -> NDArray[np.bool_]:
 def candidates(signals: Signals, encoders: Collection[str] = frozenset()) -> list[str]:
     """List the columns that may be an angle or a voltage.
 
-    Constant columns, rates and duplicates are left out. Of duplicates, a column in `encoders` is kept.
+    Constant columns, rates and duplicates are left out. If columns are duplicates, one in `encoders` is kept.
     """
     moving = [name for name, values in signals.raw.items() if np.ptp(values) > 0.0]
     moving.sort(

@@ -83,7 +83,7 @@ class Trace:
 
 
 def trace(fit: Fit, index: int = 0) -> Trace:
-    """Predict flight `index` of a fit, every sample, beside what was measured."""
+    """Predict flight `index` of a fit at every sample, and return the prediction with the measurement."""
     evaluation = fit.problem.evaluation(index, fit.theta, fit.states[index], fine=True, derivatives=False)
     grid = fit.problem.grid(index, True, fit.theta)
     record = grid.record

@@ -1,4 +1,4 @@
-"""What a fit may cost, where it is, and what it found."""
+"""Budget, progress and result of a fit."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class Budget:
 
 @dataclass(frozen=True)
 class FitProgress:
-    """Where a fit is.
+    """Progress of a fit.
 
     Parameters
     ----------
     stage : str
-        What it does, in a few words.
+        Name of the present stage, in a few words.
     done : float
         Share of the work done, 0 to 1; an estimate.
     cost : float

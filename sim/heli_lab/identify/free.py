@@ -74,7 +74,7 @@ def free_parameters(
 
 def estimated_names(model: Model, rig: Rig, free: Sequence[str] | None, fixed: Sequence[str]) -> list[str]:
     """Take the `fixed` parameters out of the `free` ones, those of `free_parameters`; return the names of
-    what is left. An IdentifyError when a name is unknown, asked for and fixed at once, or nothing is left.
+    the rest. An IdentifyError when a name is unknown, a name is both free and fixed, or no name is left.
     """
     known = [quantity.name for quantity in model.parameters]
     for name in fixed:
@@ -93,16 +93,19 @@ def estimated_names(model: Model, rig: Rig, free: Sequence[str] | None, fixed: S
 
 
 def flight_constants(model: Model, rig: Rig, about: Mapping[str, float] | None = None) -> dict[str, Prior]:
-    """Priors of what one flight has of its own, `FLIGHT_CONSTANTS`, in the model's order: weak, a few seconds
-    of flight outweigh them.
+    """Priors of the constants of one flight, `FLIGHT_CONSTANTS`, in the model's order. They are weak: a few
+    seconds of flight outweigh them.
 
-    Without `about` they are for fits, in which a torque is as little known as the rig file says, and cables
-    pull besides: its standard deviation is half the larger one of the rig file's tolerance and the cables'
-    (`UNSTATED` of the rig files' schema: 0.05, 0.02 and 0.1 N m about elevation, pitch and travel). With it
-    they are for another flight of a rig that has been fitted: what was found there is the mean, because
-    masses, zeros and torques compensate for each other and one of them alone is no news, and a torque differs
-    by the cables alone. Zeros have half the rig file's tolerance both times, and are left out where it
-    states none.
+    Without `about` the priors are for fits. A torque is then as uncertain as the rig file states, and cables
+    add their torque. Its standard deviation is half the larger of two tolerances: that of the rig file, and
+    that of the cables. The latter is `UNSTATED` of the rig files' schema: 0.05, 0.02 and 0.1 N m about
+    elevation, pitch and travel.
+
+    With `about` the priors are for another flight of a rig that has been fitted. Their means are the fitted
+    values, because masses, zeros and torques compensate for each other and a single one of them has no
+    meaning. A torque then differs by the cables alone.
+
+    Zeros have half the rig file's tolerance in both cases, and are left out if the file states none.
 
     Parameters
     ----------
@@ -133,9 +136,9 @@ def _unknown(model: Model, name: str) -> IdentifyError:
 
 
 def rig_prior(rig: Rig, name: str) -> Prior:
-    """Prior of the number `name` of a rig: normal, with half the tolerance as its standard deviation; where
-    the number cannot be negative it is bounded just above 0, because a rig without a length or a gain cannot
-    be.
+    """Prior of the parameter `name` of a rig: normal, with half the tolerance as its standard deviation. If
+    the parameter cannot be negative, the prior is bounded slightly above 0, because a length or a gain of 0
+    is impossible.
     """
     number = rig[name]
     low = -np.inf if rig.may_be_negative(name) else MIN_OF_PRIOR * abs(number.value)

@@ -12,11 +12,11 @@ from heli_sim.model.base import Model
 
 @dataclass(frozen=True)
 class Inputs:
-    """What drives the windows, one row a step; the windows' rows lie one after the other.
+    """Inputs of the windows, one row per step; the rows of the windows are consecutive.
 
-    Within a step each voltage is a straight line: its mean and its change over the step. A step as long as
-    the flight's sample has no change; a longer one keeps the voltage's integral and the integral of that, so
-    that speeds and angles come out as under the voltages sample by sample.
+    Within a step each voltage is a straight line, given by its mean and its change over the step. A step as
+    long as the flight's sample has no change. A longer step keeps the first and the second integral of the
+    voltage, so that speeds and angles are the same as with the voltages sample by sample.
 
     Parameters
     ----------

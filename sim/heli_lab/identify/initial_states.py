@@ -28,9 +28,10 @@ def initial_state_guess(problem: Problem, theta: Floats) -> list[Floats]:
 
 
 def states_at(problem: Problem, index: int, rows: Integers, theta: Floats) -> Floats:
-    """States at given rows, shape (w, states): angles and rates of parabolas through the samples around each
-    row; states of effects after a free run that ends there, or the measured angle where that is what they
-    are.
+    """States at given rows, shape (w, states).
+
+    Angles and rates are those of parabolas through the samples around each row. States of effects are those
+    after a free run that ends there, or the measured angle if the state is an angle that an encoder measures.
 
     Parameters
     ----------
@@ -55,10 +56,12 @@ def states_at(problem: Problem, index: int, rows: Integers, theta: Floats) -> Fl
 
 
 def alternative_states(problem: Problem, index: int, theta: Floats, states: Floats) -> list[Floats]:
-    """Other initial states of a record's windows, each of shape (w, states), for those whose own lie in a
-    wrong basin of attraction. Where the window before ends, as long as nothing lies between: friction and
-    backlash remember how the arm came there. Then rates of a few samples alone, which no jump of the torque
-    nearby bends. Then the alternatives that effects know.
+    """Other initial states of a record's windows, each of shape (w, states), for windows whose present state
+    is in a wrong basin of attraction.
+
+    The first alternative is the end of the window before, if no time lies between the two windows: friction
+    and backlash depend on how the arm came there. The second has rates from a few samples only, which a jump
+    of the torque nearby does not bend. The others are the alternatives that effects give.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Free runs of a model over many windows, with exact derivatives: the inner loop of every fit.
 
-CasADi writes the rates of the state and their Jacobians as C; around them stands a short loop, also C, that
-carries the state and its sensitivities to the window's initial state and to the free parameters through
-Runge-Kutta steps of fourth order. Both are compiled together and kept in the user's cache. Without a compiler
+CasADi writes the rates of the state and their Jacobians as C. A short loop around them, also in C, takes
+Runge-Kutta steps of fourth order. It propagates the state and its sensitivities to the window's initial state
+and to the free parameters. Both are compiled together and kept in the user's cache. Without a compiler
 the same loop runs in NumPy around the expression programs of `heli_lab.estimation`. These alone, without any
 sensitivities, take longer than the compiled kernel takes for everything: 13 to 31 ms against 11 to 13 ms for
 20 windows of 2 s, 21 free parameters (2026-11).

@@ -49,7 +49,7 @@ class Point:
 
 class LevenbergMarquardt:
     """State of a fit: weights, damping, and the steps that change them. If `robust`, outlying windows lose
-    weight; `on_progress` is told where the fit is.
+    weight; `on_progress` is called with the progress of the fit.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class LevenbergMarquardt:
         return point
 
     def reweight(self, point: Point) -> float:
-        """Estimate variances and weights anew from the residuals of a `point`, whose cost is updated; return
+        """Estimate variances and weights again from the residuals of a `point`, whose cost is updated; return
         the largest relative change of a variance.
         """
         variance, weights = [], []
@@ -229,18 +229,18 @@ class LevenbergMarquardt:
         Parameters
         ----------
         damping : float
-            Of the initial states, as a share of their diagonal.
+            Damping of the initial states, as a share of their diagonal.
 
         Returns
         -------
         information : ndarray (f, f)
-            Without priors.
+            Normal matrix of the free parameters, without priors.
         gradient : ndarray (f,)
             Negative gradient of half the sum of squares, without priors.
         follow : list of (ndarray (w, states), ndarray (w, states, k))
             How the initial states follow.
         gain : float
-            What their own step takes off the sum of squares.
+            Reduction of the sum of squares by the step of the initial states with the parameters fixed.
         """
         of_records = point.evaluations, point.states, self.reference, self.variance, self.weights
         return eliminate_states(self.problem, *of_records, damping=damping)
@@ -272,7 +272,7 @@ class LevenbergMarquardt:
         Parameters
         ----------
         stage : str
-            What to call it, in a few words.
+            Name of the stage for `on_progress`, in a few words.
         share : (float, float)
             Shares of the work done before and after.
         most : int

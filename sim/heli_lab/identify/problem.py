@@ -43,8 +43,8 @@ class Problem:
     """A model with free parameters, and windows of flights that it is to predict.
 
     Each window is simulated from its own initial state, with nothing but the voltages. Residuals are in units
-    of the encoders' quantisation; numbers of the rig have normal priors whose standard deviation is half
-    their tolerance.
+    of the encoders' quantisation. Rig parameters have normal priors whose standard deviation is half their
+    tolerance.
 
     Parameters
     ----------
@@ -307,7 +307,7 @@ class Problem:
         return (grid.measured_rad - angles) / sigma, jacobian / sigma[:, None]
 
     def input_shape(self, parameters: Floats) -> tuple[tuple[str, float] | None, float | None]:
-        """What shapes the voltages before they act.
+        """Delay and dead zone, which shape the voltages before they act.
 
         Parameters
         ----------

@@ -51,7 +51,7 @@ class Record:
     segments : tuple of (int, int)
         First row and last row plus one of each part in free flight.
     notes : tuple of str
-        What else was noticed, a sentence each.
+        Further remarks on the flight, one sentence each.
     gaps : tuple of int
         Rows after which time is missing.
     """

@@ -20,7 +20,7 @@ def write_identification_report(
     identification: Identification, folder: str | Path, drawing: Drawing | None = None
 ) -> Path:
     """Write index.html, result.json and the figures as PNG into a `folder`, made if it is missing; return the
-    page. A `drawing` that was begun earlier has its process beside ready.
+    page. If a `drawing` was begun earlier, its separate process is ready.
     """
     drawing = drawing or Drawing()
     folder = folder_with(identification.json(), folder)

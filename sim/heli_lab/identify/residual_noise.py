@@ -15,9 +15,9 @@ def long_run_variance(residual: Floats, windows: Sequence[slice], step_s: float)
     """Long-run (HAC) variance: that of a sum over many neighbouring residuals, for each residual in it; a
     factor of at least 1 on the variance, shape (3,).
 
-    Parameters of the rig move the prediction slowly, so what counts for their standard errors is not the
-    residuals' variance but their spectral density at low frequencies (Newey and West, with Bartlett's
-    weights): larger when a count stays for several samples, and much larger when the model is wrong.
+    Parameters of the rig move the prediction slowly. Their standard errors therefore depend not on the
+    residuals' variance but on their spectral density at low frequencies (Newey and West, with Bartlett's
+    weights). It is larger if a count stays for several samples, and much larger if the model is wrong.
 
     Parameters
     ----------
@@ -38,9 +38,9 @@ def floor_axes(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floa
     """Bound the axes' variances, shape (..., 3), from below, so that a wrong model is not fitted to one axis
     alone; unchanged where only quantisation is left.
 
-    Where a model is wrong, dividing each axis by its own error rewards the axis that the free initial states
-    can hide the error in (travel) and gives up the one that shows it (pitch): on measured flights pitch came
-    out twice as far off. So no axis' variance, in rad^2, is taken to be less than half of the largest
+    If a model is wrong, dividing each axis by its own error favours the axis in which free initial states can
+    hide the error (travel). It neglects the axis that shows the error (pitch): on measured flights the error
+    of pitch doubled. Therefore the variance of each axis, in rad^2, is at least half of the largest variance
     that quantisation does not explain.
 
     Parameters
@@ -62,8 +62,8 @@ def floored_mean_square(mean_square: Floats, sigma_rad: Floats) -> Floats:
     """Variances of the axes, shape (..., 3), from mean squares in the same unit, bounded as a fit bounds
     them.
 
-    Without the bound a score test let travel, whose encoder is fine, decide alone: a candidate that a refit
-    accepts at once on measured flights came 27th.
+    Without the bound, travel alone decides a score test, because its encoder is fine. The test then ranks
+    candidates low that a refit to measured flights accepts.
 
     Parameters
     ----------
@@ -76,9 +76,11 @@ def floored_mean_square(mean_square: Floats, sigma_rad: Floats) -> Floats:
 
 
 def window_weights(residual: Floats, windows: Sequence[slice], variance: Floats) -> Floats:
-    """Robust weights, shape (w,), which keep a few disturbed windows from deciding the fit: 1 for a window
-    like the others; less for one whose rms is over `OUTLIER` times the median, so that it counts as one at
-    that limit, and next to nothing far beyond `GROSS` times.
+    """Robust weights, shape (w,), which keep a few disturbed windows from deciding the fit.
+
+    The weight is 1 for a window like the others. It is less for a window whose rms is over `OUTLIER` times
+    the median, so that the window counts as one at that limit. Far beyond `GROSS` times the median it is
+    nearly 0.
 
     Parameters
     ----------
@@ -87,7 +89,7 @@ def window_weights(residual: Floats, windows: Sequence[slice], variance: Floats)
     windows : sequence of slice
         Rows of each window.
     variance : ndarray (3,)
-        What the fit divides the squares of each axis by.
+        Variance of each axis by which the fit divides its squared residuals.
     """
     rms = np.sqrt([np.mean(residual[window] ** 2 / variance) for window in windows])
     times = np.maximum(rms, 1e-12) / max(float(np.median(rms)), 1e-12)

@@ -57,8 +57,8 @@ class Identification:
     def rig(self, name: str) -> Rig:
         """Make the rig that was found, called `name`: the identified numbers with twice their standard errors
         as tolerances; everything else as it was. It names the model that was fitted, and has that model's
-        effects. Of numbers that each of several flights has its own value of, torques are the flights' mean,
-        with their scatter in the tolerance, and zeros stay as they were: those of another flight will differ.
+        effects. If several flights have separate values of a torque, the rig has their mean, with their
+        scatter in the tolerance. Zeros with separate values stay unchanged: another flight has others.
         """
         old = self.fit.problem.rig
         labels = ", ".join(record.label for record in self.fit.problem.records)

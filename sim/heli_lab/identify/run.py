@@ -60,7 +60,7 @@ def identify(
     threads : int, optional
         Threads of the predictions; see `Problem`.
     on_progress : callable, optional
-        Told where the work is.
+        Called with the progress of the work.
     as_is : bool
         Accept flights whose motion the voltages do not explain, such as noise.
 

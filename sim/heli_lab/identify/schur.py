@@ -14,8 +14,9 @@ from heli_lab.identify.thresholds import SINGULAR_GUARD
 def eliminate(matrices: Floats, count: int, guard: float = 0.0) -> tuple[Floats, Floats]:
     """Eliminate the leading unknowns of symmetric systems [[A, B], [B', C]].
 
-    A right-hand side may stand as the last row and column: then the last column of the complement is the
-    right-hand side of what is left, and the last column of the gain is A^-1 times the eliminated one.
+    A right-hand side may be appended as the last row and column. The last column of the complement is then
+    the right-hand side of the remaining system. The last column of the gain is A^-1 times the eliminated
+    part of the right-hand side.
 
     Parameters
     ----------
@@ -60,7 +61,7 @@ def add_state_prior(
     reference : ndarray (w, states)
         Prior means of the initial states of effects.
     damping : float or ndarray (w,)
-        What the diagonal of the states grows by, as a share of itself.
+        Increase of the diagonal of the states, as a share of itself.
     """
     nx = problem.state_count
     diagonal, effect_rows = np.arange(nx), np.arange(6, nx)
@@ -95,20 +96,20 @@ def eliminate_states(
     variance, weights : sequence of ndarray
         As in `Fit`.
     damping : float
-        What the diagonal of the states grows by, as a share of itself.
+        Increase of the diagonal of the states, as a share of itself.
 
     Returns
     -------
     information : ndarray (f, f)
-        Of the free parameters, without priors.
+        Normal matrix of the free parameters, without priors.
     gradient : ndarray (f,)
         Negative gradient of half the sum of squares, without priors.
     follow : list of (ndarray (w, states), ndarray (w, states, k))
         For each record: the step of the states with the parameters fixed, and minus the change of the states
         for each unit of the parameters that the record depends on.
     gain : float
-        What the step of the states with the parameters fixed takes off the sum of squares, if that is as
-        quadratic as the normal equations have it.
+        Reduction of the sum of squares by the step of the states with the parameters fixed, if the sum is
+        quadratic as in the normal equations.
     """
     nx, count = problem.state_count, len(problem.free)
     information, gradient, states_gain = np.zeros((count, count)), np.zeros(count), 0.0

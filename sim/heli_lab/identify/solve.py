@@ -32,8 +32,8 @@ def solve(
     out.
 
     The squares of each axis are divided by the long-run variance of its own residuals
-    (`residual_noise.long_run_variance`), so that standard errors stay honest when the model is wrong, or when
-    the same count stands for many samples.
+    (`residual_noise.long_run_variance`). Standard errors are then not too small if the model is wrong, or if
+    the same count stays for many samples.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def solve(
         The start is near, as where constants and initial states alone are free: one round on the coarse grid
         is enough.
     on_progress : callable, optional
-        Told where the fit is.
+        Called with the progress of the fit.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def solve(
     solver.reweight(point)
     if not math.isfinite(point.cost):
         raise IdentifyError(
-            "the model's free run diverges from the start values", "check the rig's numbers and units"
+            "the model's free run diverges from the start values", "check the rig parameters and units"
         )
     rounds = thresholds.ROUNDS
     converged = True

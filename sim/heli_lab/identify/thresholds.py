@@ -1,4 +1,4 @@
-"""Thresholds of identification: what each means, in which unit, how it was set, and what happens beside it.
+"""Thresholds of identification: the meaning, unit and source of each, and the effect of other values.
 
 "Set by judgement" means that no measurement is on record. "Measured flights" are the eight flights of
 docs/validation/measured-flights.md; "coverage" is the count of `make bench` over 50 rigs drawn from

@@ -64,8 +64,8 @@ def quantisation_scatter(
 
 
 def timing_variance(problem: Problem) -> Floats:
-    """Variance, shape (f,), of estimated times, because a log does not say when within a tick the voltages
-    began: of a moment evenly distributed over a tick, for parameters of effects in s; 0 for others.
+    """Variance, shape (f,), of estimated times, because a log does not state when within a tick the voltages
+    began. For parameters of effects in s it is the variance of a moment uniform over a tick; for others 0.
 
     A row holds the voltage of its tick, not the moment within the tick at which the motors got it. Simulators
     differ in this by half a tick, as do explicit and exact steps of a lag, and a fit finds the time to a

@@ -34,7 +34,7 @@ def window_cost(
     reference : ndarray (w, states)
         Prior means of the initial states of effects.
     variance : ndarray (3,)
-        What the squared residuals of each axis are divided by.
+        Variance of each axis, by which its squared residuals are divided.
     weights : ndarray (w,)
         Weights of the windows.
     """
@@ -75,7 +75,7 @@ def refine_states(
     reference : ndarray (w, states)
         Prior means of the initial states of effects.
     variance : ndarray (3,)
-        What the squared residuals of each axis are divided by.
+        Variance of each axis, by which its squared residuals are divided.
     which : ndarray of int64 (k,)
         Windows to improve.
     before : ndarray (w, states), optional

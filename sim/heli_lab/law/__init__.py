@@ -1,4 +1,4 @@
-"""A control law of one's own: written once, run as numpy, over the link, on the board, or as C."""
+"""Your own control law: written once, and run with numpy, over the link, on the board, or as C."""
 
 from casadi import (
     atan2,

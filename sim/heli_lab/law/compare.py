@@ -1,4 +1,4 @@
-"""What of a log a law flew: the rows that flights of laws are compared on."""
+"""The rows of a log during which a law flew: flights of different laws are compared on these rows."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """From a function of symbols to a program: values, then sums of products, then cells.
 
-Every value gets a cell, which is used again once nobody reads it any more.
+Every value gets a cell of memory, which is used again after the last operation that reads the value.
 """
 
 from __future__ import annotations
@@ -19,31 +19,31 @@ _FIRST_NEW_STATE: Final = 5
 
 
 class LawSource(Protocol):
-    """What a program is made from; `heli_lab.law.Law` is one and says what each is."""
+    """Properties of a control law that its program needs; `heli_lab.law.Law` has and explains them."""
 
     @property
     def name(self) -> str:
-        """What people call it."""
+        """Name of the law for readers."""
         ...
 
     @property
     def rate_Hz(self) -> float:
-        """Calls a second [Hz]."""
+        """Calls per second [Hz]."""
         ...
 
     @property
     def function(self) -> ca.Function:
-        """Of inputs, states and parameters."""
+        """CasADi function of inputs, states and parameters."""
         ...
 
     @property
     def states(self) -> dict[str, float]:
-        """Names and first values."""
+        """Initial values of the states by name."""
         ...
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Names and values."""
+        """Values of the parameters by name."""
         ...
 
     @property
@@ -58,7 +58,7 @@ def compile_program(law: LawSource) -> LawProgram:
     Parameters
     ----------
     law : LawSource
-        What the board is to run.
+        Control law that the board is to run.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def _with_copies(law: LawSource, program: Program, outputs: list[int]) -> None:
 
 
 def _without_dead_ends(program: Program, outputs: list[int]) -> tuple[Program, list[int]]:
-    """Leave out what nobody reads."""
+    """Leave out values that no operation and no output reads."""
     needed = set(outputs)
     for place in range(len(program.values) - 1, -1, -1):
         if place in needed:

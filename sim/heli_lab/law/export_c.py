@@ -1,4 +1,4 @@
-"""A law as one file of C, for those who want it compiled."""
+"""A law as one file of C, to be compiled."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from heli_lab.law.law import Law
 
 
 def c_source(law: Law) -> str:
-    """Return the law as C: CasADi's function ``law`` in single precision, and what its arguments are.
+    """Return the law as C: CasADi's function ``law`` in single precision, with a comment on its arguments.
 
     Parameters
     ----------
     law : Law
-        What to write.
+        Control law to write as C.
     """
     lines = [
         f"/* {law.name}: a control law, called {law.rate_Hz:g} times a second.",

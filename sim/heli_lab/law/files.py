@@ -1,4 +1,4 @@
-"""A law in a file of its own: a Python module with a ``LAW``, run in a process of its own."""
+"""A law in a separate file: a Python module with a ``LAW``, run in a separate process."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ _START_s: Final = 120.0
 
 
 def load_law(path: Path, limit_s: float = FILE_LIMIT_s) -> Law:
-    """Run a file in a process of its own, and take its ``LAW``.
+    """Run a file in a separate process, and return its ``LAW``.
 
     Parameters
     ----------
     path : Path
         The file; its code is run, with its folder on the path of imports. Its output goes to standard error.
     limit_s : float
-        How long it may run [s].
+        Longest time that the file may run [s].
 
     Raises
     ------
     BadLaw
-        It is missing, fails, does not end, or holds no law.
+        The file is missing, fails, does not end in time, or holds no law.
     """
     if not path.is_file():
         raise BadLaw(f"there is no file {path}", "give a Python file that ends with LAW = ...")

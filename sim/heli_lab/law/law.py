@@ -32,20 +32,20 @@ SETPOINTS: Final = tuple(f"{axis}_setpoint_rad" for axis in AXES)
 
 @dataclass(frozen=True)
 class Command:
-    """What a law asks for in a call.
+    """Result of one call of a law: voltages, new states, signals and setpoints.
 
     Parameters
     ----------
     front_V, back_V : SX or float
         Motor voltages [V].
     states : mapping of str to SX
-        New values of the states; what is not named stays.
+        New values of the states by name; states without an entry keep their value.
     signals : mapping of str to SX
         Up to four signals that are logged every tick under their names, in steps of 0.00001 up to 20,000.
     elevation_setpoint_rad, travel_setpoint_rad : SX or float or None
-        Setpoints of the law's own, which the log then holds [rad]; None: the board's.
+        Setpoints that the law computes and the log then holds [rad]; None for the board's setpoints.
     pitch_setpoint_rad : SX or float or None
-        Pitch that it asks itself for [rad]; None: it has no such loop.
+        Pitch setpoint of the law's inner loop [rad]; None if it has no such loop.
     """
 
     front_V: Any
@@ -59,19 +59,19 @@ class Command:
 
 @dataclass(frozen=True)
 class Law:
-    """A control law: one function, four places.
+    """A control law: one function that runs with numpy, over the link, on the board, or as C.
 
     Parameters
     ----------
     name : str
-        What people call it.
+        Name of the law for readers.
     rate_Hz : float
-        Calls a second [Hz]: 1000 divided by a whole number.
+        Calls per second [Hz]: 1000 divided by a whole number.
     function : casadi.Function
-        Of inputs (17), states (n) and parameters (m); gives outputs (2 voltages, 3 setpoints, signals) and
-        new states (n).
+        Function of inputs (17), states (n) and parameters (m). It returns outputs (2 voltages, 3 setpoints,
+        signals) and new states (n).
     states, parameters : dict of str to float
-        Names, and first or present values.
+        Initial values of the states and present values of the parameters, by name.
     signals : tuple of str
         Names of the signals.
     """
@@ -131,7 +131,7 @@ class Law:
         return with_no_number(self.function)
 
     def runner(self) -> Runner:
-        """Return it as numpy, in double precision, from its first states."""
+        """Return the law as a numpy function in double precision, in its initial states."""
         return Runner(self)
 
     def over_link(self, params: Mapping[str, float]) -> Streamed:
@@ -206,7 +206,7 @@ def control_law(
     parameters: Mapping[str, float] | None = None,
     name: str | None = None,
 ) -> Callable[[Callable[..., Command]], Law]:
-    """Make a law of a Python function.
+    """Make a law from a Python function.
 
     The function is called once, with symbols: ``now`` has every input by its name (``now.elevation_rad``,
     ``now.travel_setpoint_rad``, ...), ``state`` and ``parameter`` the law's own. It returns a `Command`.
@@ -214,13 +214,13 @@ def control_law(
     Parameters
     ----------
     rate_Hz : float
-        Calls a second [Hz]: 1000 divided by a whole number.
+        Calls per second [Hz]: 1000 divided by a whole number.
     states : mapping of str to float, optional
-        Names and first values of what it remembers from one call to the next.
+        Initial values, by name, of the states that the law keeps from one call to the next.
     parameters : mapping of str to float, optional
-        Names and values of what may be changed in flight.
+        Values, by name, of the parameters that may be changed in flight.
     name : str, optional
-        What people call it; the function's name by default.
+        Name of the law for readers; the function's name by default.
 
     Returns
     -------

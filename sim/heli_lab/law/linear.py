@@ -20,12 +20,12 @@ BODE_FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.05, 300.0, 4000)
 
 @dataclass(frozen=True)
 class LinearisedLaw:
-    """What a law is near hover.
+    """Poles and stability margins of a law near hover.
 
     Parameters
     ----------
     poles : ndarray of complex
-        Of the closed loop, as those of a continuous system [1/s].
+        Poles of the closed loop, converted to those of a continuous system [1/s].
     gain_up, phase_deg : tuple of float
         Margins at the collective and at the differential, the other loop closed.
     """

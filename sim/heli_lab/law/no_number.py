@@ -23,7 +23,7 @@ def with_no_number(function: ca.Function) -> ca.Function:
     Parameters
     ----------
     function : casadi.Function
-        Of a law.
+        Function of a control law.
     """
     function = function.expand() if not function.is_a("SXFunction") else function
     inputs = [ca.SX.sym(function.name_in(k), function.size1_in(k)) for k in range(function.n_in())]

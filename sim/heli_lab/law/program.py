@@ -1,7 +1,7 @@
-"""A law as a program of values: every operation once, and none that changes nothing.
+"""A law as a program of values: every operation occurs once, and operations without effect are left out.
 
-CasADi's `SX` functions are straight-line programs already. What its operations are that no board has is put
-together from those that are.
+CasADi's `SX` functions are straight-line programs already. Operations of CasADi that the board does not have
+are composed of operations that it has.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Program:
     Parameters
     ----------
     name : str
-        Of the law, for messages.
+        Name of the law, for messages.
     """
 
     def __init__(self, name: str) -> None:
@@ -66,7 +66,7 @@ class Program:
         self._known: dict[Value, int] = {}
 
     def put(self, value: Value) -> int:
-        """Add a value, unless it is there; return its place.
+        """Add a value, unless the program has it already; return its index.
 
         Parameters
         ----------
@@ -106,25 +106,25 @@ class Program:
         return self.put(Value("constant", self.constants.index(single)))
 
     def number(self, place: int) -> float | None:
-        """What a value is, where that is known; else None.
+        """Value of a constant; None if the value at this place is not a constant.
 
         Parameters
         ----------
         place : int
-            Of the value.
+            Index of the value in the program.
         """
         value = self.values[place]
         return self.constants[value.place] if value.kind == "constant" else None
 
     def do(self, name: str, *operands: int) -> int:
-        """Put an operation, or what gives the same with less; return its place.
+        """Append an operation, or a cheaper one with the same result; return the index of its value.
 
         Parameters
         ----------
         name : str
-            Of the operation.
+            Name of the operation.
         *operands : int
-            Places of its operands.
+            Indices of its operands.
         """
         numbers = [self.number(operand) for operand in operands]
         folded = _FOLDED.get(name)

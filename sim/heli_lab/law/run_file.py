@@ -1,6 +1,6 @@
-"""What runs the file of a law, in a process of its own: ``python -m heli_lab.law.run_file FILE``.
+"""Run the file of a law in a separate process: ``python -m heli_lab.law.run_file FILE``.
 
-On standard output, a line when it begins with the file, then a pickle: the law, or cause and remedy.
+Standard output is a line when the file begins to run, then a pickle: the law, or the error's cause and fix.
 """
 
 from __future__ import annotations

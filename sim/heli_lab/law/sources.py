@@ -35,7 +35,7 @@ def from_gain(
     dead_zone_V: float = 1.0,
     name: str = "gain",
 ) -> Law:
-    """Make a law of a gain matrix: collective and differential are hover's minus ``K`` times the error.
+    """Make a law from a gain matrix: collective and differential are hover's minus ``K`` times the error.
 
     Parameters
     ----------
@@ -45,16 +45,16 @@ def from_gain(
     hover_V : float
         Collective that carries the arm at level, above the dead zones [V].
     rate_Hz : float
-        Calls a second [Hz].
+        Calls per second [Hz].
     dead_zone_V : float
         Voltage below which a rotor gives no thrust [V].
     name : str
-        What people call it.
+        Name of the law for readers.
 
     Raises
     ------
     BadLaw
-        The matrix has another shape, or holds what is no number.
+        The matrix has another shape, or holds a value that is not finite.
     """
     gains = np.asarray(K, float)
     if gains.shape != (2, len(ERRORS)) or not np.isfinite(gains).all():
@@ -80,25 +80,25 @@ def from_state_space(
     dead_zone_V: float = 1.0,
     name: str = "state_space",
 ) -> Law:
-    """Make a law of a linear system: from the six errors, as in `from_gain`, to collective and differential.
+    """Make a law from a linear system: from six errors, as in `from_gain`, to collective and differential.
 
     Parameters
     ----------
     system : control.StateSpace
-        Continuous, which is then sampled by a bilinear transform, or discrete at `rate_Hz`.
+        Continuous system, which is then sampled by a bilinear transform, or discrete system at `rate_Hz`.
     hover_V : float
         Collective that carries the arm at level, above the dead zones [V].
     rate_Hz : float
-        Calls a second [Hz].
+        Calls per second [Hz].
     dead_zone_V : float
         Voltage below which a rotor gives no thrust [V].
     name : str
-        What people call it.
+        Name of the law for readers.
 
     Raises
     ------
     BadLaw
-        It has other inputs or outputs, or was sampled at another rate.
+        The system has other inputs or outputs, or was sampled at another rate.
     """
     if (system.noutputs, system.ninputs) != (2, len(ERRORS)):
         raise BadLaw(
@@ -134,26 +134,26 @@ def from_function(
     parameters: Mapping[str, float] | None = None,
     name: str | None = None,
 ) -> Law:
-    """Make a law of any function of CasADi.
+    """Make a law from a CasADi function.
 
     Parameters
     ----------
     function : casadi.Function
-        Of inputs (17, as ``LAW_INPUTS``), states (n) and parameters (m); gives two voltages [V] and new
-        states (n). The latter two arguments, and the new states, may be missing.
+        Function of inputs (17, as ``LAW_INPUTS``), states (n) and parameters (m). It returns two voltages [V]
+        and new states (n). The states and parameters, and the new states, may be missing.
     rate_Hz : float
-        Calls a second [Hz].
+        Calls per second [Hz].
     states : sequence of float
-        First values of the states.
+        Initial values of the states.
     parameters : mapping of str to float, optional
         Names and values of the parameters.
     name : str, optional
-        What people call it; the function's own name by default.
+        Name of the law for readers; the function's name by default.
 
     Raises
     ------
     BadLaw
-        It takes or gives something else.
+        The function has other arguments or results.
     """
     values = dict(parameters or {})
     wanted = [len(LAW_INPUTS), len(states), len(values)]

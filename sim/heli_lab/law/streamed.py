@@ -31,7 +31,7 @@ class _RateFilter:
 
 
 class _Shaper:
-    """A setpoint that goes where it is told within a rate and an acceleration, as the board's own do."""
+    """A setpoint that follows its target within limits of rate and acceleration, as on the board."""
 
     def __init__(self, rate_rad_s: float, acceleration_rad_s2: float) -> None:
         self.rate_rad_s, self.acceleration_rad_s2 = rate_rad_s, acceleration_rad_s2
@@ -53,11 +53,11 @@ class _Shaper:
 
 
 class Streamed:
-    """What `heli_host.Heli.run_controller` calls.
+    """A law as the controller that `heli_host.Heli.run_controller` calls.
 
-    Setpoints are those given to `follow`, shaped as the board shapes its own, for it has none while voltages
-    are streamed; what the law follows is logged. Time is the samples': a law of 1 kHz, called at 200 Hz, goes
-    five steps at each call, on the same inputs.
+    Setpoints are those given to `follow`, shaped as the board shapes its own, because the board has none
+    while voltages are streamed. The setpoints that the law follows are logged. Time is that of the samples: a
+    law of 1 kHz that is called at 200 Hz takes five steps per call, with the same inputs.
 
     Parameters
     ----------

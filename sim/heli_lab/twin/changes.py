@@ -24,7 +24,7 @@ the encoder adds that share of each turn; its angle does not jump at the onset."
 
 @dataclass(frozen=True)
 class Change:
-    """A hypothesis: from an unknown onset on, one or two numbers of the rig are different.
+    """A hypothesis: from an unknown onset on, one or two rig parameters are different.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """The extended Kalman filter of a twin, with the sensitivities of its state to possible changes of the rig.
 
-Its state z = (x, g, d, c, o) holds the model's state x, disturbances (gusts g and a slow drift d about each
-axis), a constant torque c about each axis, and the errors o of the zeros of two encoders. Over a step of 10
-ms the linearly implicit midpoint rule predicts
+Its state z = (x, g, d, c, o) holds the model's state x and the errors o of the zeros of two encoders. About
+each axis it holds disturbances (gusts g and a slow drift d) and a constant torque c. Over a step of 10 ms the
+linearly implicit midpoint rule predicts
 
     x+ = x + Gamma (f(x, u) + B (g + d + c)),
     Gamma = (I - h A / 2)^-1 h,   Phi = (I - h A / 2)^-1 (I + h A / 2),

@@ -1,8 +1,8 @@
 """The generalised likelihood ratio of every change from every onset in a sliding window.
 
-After Willsky and Jones (1976): a change of size v at onset theta adds G(k; theta) v to innovation k, which is
-white otherwise, so with S = sum G'G and b = sum G' e the log-likelihood grows by b' S^-1 b / 2 at the size
-S^-1 b. A prior N(0, P) of the size makes evidence of it, nats:
+The method is that of Willsky and Jones (1976). A change of size v at onset theta adds G(k; theta) v to
+innovation k, which is white otherwise. With S = sum G'G and b = sum G' e, the log-likelihood therefore grows
+by b' S^-1 b / 2 at the size S^-1 b. With a prior N(0, P) of the size, the evidence is, in nats,
 
     b' (S + 1/P)^-1 b / 2 - log det(1 + P S) / 2,
 
@@ -65,14 +65,14 @@ class ChangeCandidate:
 
 @dataclass(frozen=True)
 class Innovation:
-    """One encoder's measurement and what foretold it, for the axes one after the other.
+    """Innovations of the encoders' measurements, axis by axis, and their sensitivity to the changes.
 
     Parameters
     ----------
     value : ndarray (3,)
         Innovations in their standard deviations; 0 where nothing was measured.
     sensitivity : ndarray (3, columns, onsets)
-        What one unit of each change from each onset adds to them.
+        Increase of the innovations by one unit of each change from each onset.
     """
 
     value: Floats

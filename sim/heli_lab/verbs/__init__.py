@@ -1,1 +1,1 @@
-"""The verbs that identify, diagnose, tune and do the paper again, one module each."""
+"""The verbs that identify, diagnose, tune and reproduce the paper, one module each."""

@@ -1,1 +1,1 @@
-"""What a scale, a ruler and a stopwatch tell of a rig."""
+"""Rig parameters from simple measurements with a scale, a ruler and a stopwatch."""

@@ -1,13 +1,13 @@
-"""A rig's numbers from simple bench tests: thrust on a scale, the angle of balance, swings of a pendulum.
+"""Rig parameters from simple bench tests: thrust on a scale, the angle of balance, swings of a pendulum.
 
-Every test says something of several numbers at once: a balance of masses times lengths, a period of a
-stiffness over an inertia. So they are taken together, with what is known of each number beforehand: the least
-squares
+Every test depends on several parameters: the angle of balance on masses times lengths, a period on a
+stiffness over an inertia. Therefore all tests are fitted together with the prior values of the parameters.
+The fit minimises
 
-    sum of ((test - what the model gives) / its tolerance)^2 + sum of ((number - rig file) / its tolerance)^2
+    sum of ((reading - model) / its tolerance)^2 + sum of ((parameter - rig file) / its tolerance)^2
 
-with the equations of `heli_sim.model`, tolerances being those of 95 %. Thrust stands apart: its line is
-fitted as the paper fits it (`thrust_curve.py`).
+with the equations of `heli_sim.model`; tolerances are those of 95 %. Thrust is separate: its line is fitted
+as the paper fits it (`thrust_curve.py`).
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ class Swing:
 
 @dataclass(frozen=True)
 class Tested:
-    """One reading, and what the rig gives in its place.
+    """One reading, and its prediction by the model of the rig.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ class Tested:
     read, tolerance : float
         The reading, and half the width that holds it with 95 %.
     before, after : float
-        What the rig gives before and after.
+        Prediction with the parameters before and after the fit.
     """
 
     what: str
@@ -129,7 +129,7 @@ class Tested:
 
     @property
     def off(self) -> float:
-        """What the rig found misses the reading by, in tolerances."""
+        """Difference between the fitted rig's prediction and the reading, in tolerances."""
         return abs(self.after - self.read) / self.tolerance
 
 
@@ -140,11 +140,11 @@ class Weighed:
     Parameters
     ----------
     rig : Rig
-        With the numbers found, their tolerances and sources.
+        The rig with the estimated parameters, their tolerances and sources.
     found : tuple of str
-        Names of the numbers that the tests tell more closely, or move by more than their tolerance.
+        Names of the parameters whose tolerance the tests reduce, or that they move by more than it.
     tested : tuple of Tested
-        Readings.
+        All readings with their predictions.
     """
 
     rig: Rig
@@ -155,12 +155,12 @@ class Weighed:
 def weigh(
     rig: Rig, thrust: Thrust | None = None, balance: Balance | None = None, swings: Sequence[Swing] = ()
 ) -> Weighed:
-    """Find a rig's numbers from bench tests.
+    """Estimate rig parameters from bench tests.
 
     Parameters
     ----------
     rig : Rig
-        What is known beforehand: values and tolerances.
+        Prior values and tolerances of the parameters.
 
     Raises
     ------

@@ -1,7 +1,12 @@
 """``python -m heli_sim.due ELF``: run any program for the Due and copy UART0 to stdout.
 
-Exit codes: 0 the time is over, 1 a HardFault or a lockup, 2 bad arguments, 3 the emulator stopped in strict
-mode, 4 lenient mode found a loop that waits for a register which never changes.
+Exit codes:
+
+- 0: the time is over;
+- 1: a HardFault or a lockup;
+- 2: bad arguments;
+- 3: the emulator stopped in strict mode;
+- 4: lenient mode found a loop that waits for a register which never changes.
 """
 
 from __future__ import annotations

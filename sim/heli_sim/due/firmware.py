@@ -33,8 +33,8 @@ def candidates() -> list[Path]:
 
 
 def new_board(image: Image) -> DueBoard:
-    """An emulated Due for the simulated world, powered off, with a program that lies in its flash and ticks
-    like ours.
+    """An emulated Due for the simulated world, powered off. Its flash holds a program that ticks like our
+    firmware.
     """
     from heli_sim.due._due import DueBoard
 

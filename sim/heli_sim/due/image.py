@@ -36,12 +36,12 @@ class Symbol:
 
 @dataclass(frozen=True)
 class Image:
-    """What goes into the flash.
+    """Content of the flash, with the symbols of the program.
 
     Parameters
     ----------
     path
-        Where it was read from.
+        File that it was read from.
     segments
         Address and bytes of each piece.
     symbols
@@ -101,7 +101,7 @@ def _read_segments(path: Path, elf_file: Any) -> Image:
 
 def read_image(path: Path | str) -> Image:
     """Read a program at `path`: an ELF, or the bytes of the flash from 0x80000 on (``.bin``). An ImageError
-    when it is missing, no ELF for ARM, or does not lie in the Due's flash.
+    when the file is missing, is not an ELF for ARM, or has addresses outside the Due's flash.
     """
     path = Path(path)
     try:

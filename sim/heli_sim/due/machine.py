@@ -79,7 +79,7 @@ class Report:
 
 
 def report_of(due: Due) -> Report:
-    """What the processor of a board, `due`, looks like now."""
+    """Report of the present state of the processor of a board, `due`."""
     return Report(
         registers=tuple(due.reg(i) for i in range(16)),
         xpsr=due.xpsr,

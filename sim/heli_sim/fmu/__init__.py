@@ -1,4 +1,4 @@
-"""A plant as a functional mock-up unit; see the README beside this file."""
+"""A plant as a functional mock-up unit; see the README in this folder."""
 
 from __future__ import annotations
 

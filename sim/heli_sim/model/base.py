@@ -1,8 +1,8 @@
-"""What every model of the rig has in common: names, symbols, and the chain from voltage to measured angle.
+"""The common part of all models of the rig: names, symbols, and the chain from voltage to measured angle.
 
-A model says how thrust and torque become angular acceleration (`Model.acceleration`). Everything before that,
-voltage to thrust and friction to torque, is shared; an `Effect` changes one step of that chain and may bring
-parameters and states of its own.
+A model defines how thrust and torque become angular acceleration (`Model.acceleration`). Everything before
+that, voltage to thrust and friction to torque, is shared. An `Effect` changes one step of that chain and may
+add its own parameters and states.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class Model(ABC):
         parameters : ndarray (p,)
             All parameters, in the order of `parameters`.
         free : collection of str
-            Parameters that are being estimated: what holds at their values may not hold beside them.
+            Parameters that are being estimated: a result at their present values may not hold at others.
 
         Returns
         -------

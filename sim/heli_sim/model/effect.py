@@ -84,8 +84,8 @@ class Effect:
     priors : Mapping[str, Prior]
         What is known before a flight of those of `parameters` that a flight may find; the others are fixed.
     delay : str
-        Name of the one of `parameters`, in s, by which the voltages act late; empty for no delay. Whoever
-        integrates the model hands it voltages that are late by this much.
+        Name of the one of `parameters`, in s, by which the voltages act late; empty for no delay. Programs
+        that integrate the model must pass it voltages that are late by this time.
     noise_inputs : int
         Dimension of the white noise that drives its states in a simulation.
     measured_as : Mapping[str, str]
@@ -120,7 +120,7 @@ class Effect:
 
     @property
     def prefix(self) -> str:
-        """What the names of its parameters and states begin with: its name with underscores for dots."""
+        """First part of the names of its parameters and states: its own name with underscores for dots."""
         return self.name.replace(".", "_")
 
     @property
@@ -136,7 +136,7 @@ class Effect:
         return at.parameter[name] if name in at.parameter else at.state[name]
 
     def modified_parameters(self, at: Operands) -> Mapping[str, ca.SX]:
-        """Numbers of the rig by name, as the effect modifies them before anything is computed with them."""
+        """Rig parameters by name, as the effect modifies them before anything is computed with them."""
         return {}
 
     def voltage_V(self, at: Operands, volts_V: ca.SX) -> ca.SX:
@@ -201,9 +201,10 @@ class Effect:
         return self
 
     def alternative_starts(self, parameters: Mapping[str, float]) -> tuple[Mapping[str, float], ...]:
-        """Other initial states from which a prediction may have to start, where the angles leave them open:
-        for each, offsets of states by name from what the measured angles suggest, by the values of all
-        `parameters` of the model.
+        """Other initial states from which a prediction may have to start, if angles do not determine them.
+
+        Each is a mapping from names of states to offsets from the values that the measured angles suggest,
+        computed with the values of all `parameters` of the model.
         """
         return ()
 

@@ -117,9 +117,11 @@ def trim(model: Model, rig: Rig, elevation_rad: float = 0.0) -> Trim:
 
 
 def linearise(model: Model, rig: Rig, at: Trim | None = None) -> control.StateSpace:
-    """Linearise about a trim `at`, hovering at level by default, with exact derivatives, in deviations from
-    it: states of the model, inputs front_V and back_V, outputs the three angles that the encoders see, all by
-    name. A PlantError when the rig cannot hover.
+    """Linearise about a trim `at`, a level hover by default, with exact derivatives.
+
+    The result is in deviations from the trim and has named signals: the states of the model, the inputs
+    front_V and back_V, and as outputs the three angles that the encoders see. A PlantError when the rig
+    cannot hover.
     """
     import control
 

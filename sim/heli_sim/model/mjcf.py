@@ -19,7 +19,7 @@ _POINT: Final = 'diaginertia="1e-12 1e-12 1e-12"'
 
 
 def unsaid(rig: Rig) -> list[str]:
-    """What the MJCF file of a `rig` does not say, a line each."""
+    """Properties of a `rig` that its MJCF file does not contain, one line each."""
     found = [f"the effect {name}" for name in rig.effects]
     if rig["reverse_thrust"].value:
         found.append("thrust at reversed voltage: rotors pull one way")

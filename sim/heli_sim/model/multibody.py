@@ -10,9 +10,9 @@ axes (the short arm's mass hangs below the pitch axis), and gravity with every o
 Each thrust acts along the short arm's own up axis at its rotor: Q is its virtual work.
 
 Positions and velocities are written in a frame that turns with the long arm: x along it, z up at level, the
-front rotor at -y. Elevation turns about -y, pitch about -x, travel about the vertical. Travel is then absent
-from M and V, and of the five masses only sums over each link are left (`_short_arm`, `_long_arm`), which do
-not change during a flight.
+front rotor at -y. Elevation turns about -y, pitch about -x, travel about the vertical. Therefore M and V do
+not depend on travel. They depend on the five masses only through sums over each link (`_short_arm`,
+`_long_arm`), which do not change during a flight.
 """
 
 from __future__ import annotations

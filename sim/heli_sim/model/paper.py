@@ -4,14 +4,15 @@ Corrections, each against what is printed:
 
 - Table 2 names two lengths L_h; the 0.45 m one is L_b.
 - Inertias are (27) to (29) at level (theta = phi = 0), as (30) treats them as constants. Table 2's
-  J_theta = 0.8496 kg m2 is not used: (27) gives 0.7675. (29) is J_psi, though it is printed as J_theta.
-- (19) has cos(phi + L_h) for cos(phi + zeta_h); (20) and P_8 are right.
+  J_theta = 0.8496 kg m2 is not used: (27) gives 0.7675. Equation (29) is J_psi, though it is printed as
+  J_theta.
+- Equation (19) has cos(phi + L_h) for cos(phi + zeta_h). Equation (20) and P_8 are right.
 - P_1 and P_15 (the constant -2k) stand for the 1 V dead zone of (31), and would push downwards at 0 V. Here
   the dead zone is in the thrust itself: no thrust below it.
 - The drag of (22) is a force; its torque about the vertical has the arm L_a, which P_13 and P_16 lack. It
   opposes motion (psi_dot |psi_dot|), also at negative pitch (|sin phi|).
-- P_18 is left out. (F_f - F_b) L_h sin phi would be a torque about the vertical, but the horizontal thrust
-  component F sin phi acts along the tangent at the arm's end: its moment has the arm L_a for both rotors.
+- P_18 is left out. It makes (F_f - F_b) L_h sin phi a torque about the vertical. The horizontal thrust
+  component F sin phi acts along the tangent at the arm's end. Its moment has the arm L_a for both rotors.
 - D_theta, D_phi and D_psi (P_5, P_10, P_14), the unknown constants, are zero.
 """
 

@@ -1,22 +1,26 @@
 """The equations of motion of Makki et al. exactly as printed, (14), (19) and (25), slips included.
 
-For comparison with `paper`, where they are corrected, and with `multibody`. Every slip, and what is done
-about it where the equation cannot be evaluated as it stands:
+They are for comparison with `paper`, where they are corrected, and with `multibody`. The list gives every
+slip. If an equation cannot be evaluated as printed, the list also gives the reading that is used here:
 
 - Table 2 names two lengths L_h; the 0.45 m one is read as L_b, as its description says.
-- (1) is F = k V, (31) F = k (V - 1): (31) is taken, as P_1 and P_15 do, and like them below 1 V too, where
-  the rotors then pull.
-- (8) and (11) repeat the form (phi - delta) of (6); (10) has (phi + delta). With phi signed, as in (13) and
-  (18), the form (phi - delta) holds in every scenario: no equation of motion is touched.
-- (19) has cos(phi + L_h) for cos(phi + zeta_h), metres added to an angle: taken in radians.
-- (20) and P_8 are right and contradict (19), from which they follow: (19) is taken.
-- (21) subtracts the rotors' travel torques from each other, (24) and (25) add them: (25) is taken.
-- (22) is a force, N, in a sum of torques, N m: the number is taken as it is.
-- (22) to (25) have drag ~ psi_dot^2, which pushes a negative travel on, and A_2 sin(phi), which does so at
-  negative pitch.
-- (23) to (25) and P_18 have a travel torque (F_f - F_b) L_h sin(phi).
-- (27) and (29) change with pitch and elevation, J_psi_dot psi_dot being left out; (29) is named J_theta.
-- Table 2's J_theta = 0.8496 kg m2 is no value of (27), which lies between 0.7675 and 0.8219: (27) is taken.
+- Equation (1) is F = k V, (31) is F = k (V - 1). Equation (31) is used, as in P_1 and P_15. As there, it also
+  holds below 1 V, where the rotors then pull.
+- Equations (8) and (11) repeat the form (phi - delta) of (6); (10) has (phi + delta). With phi signed, as in
+  (13) and (18), the form (phi - delta) holds in every scenario. No equation of motion is affected.
+- Equation (19) has cos(phi + L_h) for cos(phi + zeta_h), which adds metres to an angle. The sum is taken in
+  radians.
+- Equation (20) and P_8 are right and contradict (19), from which they follow. Equation (19) is used.
+- Equation (21) subtracts the rotors' travel torques from each other; (24) and (25) add them. Equation (25) is
+  used.
+- Equation (22) is a force, N, in a sum of torques, N m. Its number is used unchanged.
+- Equations (22) to (25) have drag ~ psi_dot^2, which accelerates negative travel. Its term A_2 sin(phi)
+  accelerates travel at negative pitch.
+- Equations (23) to (25) and P_18 have a travel torque. It is (F_f - F_b) L_h sin(phi).
+- Equations (27) and (29) change with pitch and elevation, but J_psi_dot psi_dot is left out. Equation (29) is
+  named J_theta.
+- Table 2's J_theta = 0.8496 kg m2 is no value of (27), whose values are from 0.7675 to 0.8219. Equation (27)
+  is used.
 - P_5, P_10 and P_14 are the rig's torque_elevation, torque_pitch and torque_travel.
 """
 

@@ -44,9 +44,10 @@ def thrust_N(volts_V: ca.SX, gain_N_per_V: ca.SX, dead_zone_V: ca.SX, reverse: c
 
 
 def friction_torque_Nm(rates_rad_s: ca.SX, parameter: Mapping[str, ca.SX]) -> ca.SX:
-    """Viscous friction of the three bearings, R = -f rate (12), (17), (21), shape (3, 1), by `rates_rad_s` of
-    elevation, pitch and travel, shape (3, 1), and the numbers in `parameter`: friction_elevation,
-    friction_pitch and friction_travel in N m s/rad.
+    """Viscous friction of the three bearings, R = -f rate (12), (17), (21), shape (3, 1).
+
+    `rates_rad_s` holds the rates of elevation, pitch and travel, shape (3, 1). The coefficients in
+    `parameter` are friction_elevation, friction_pitch and friction_travel in N m s/rad.
     """
     coefficients = ca.vertcat(
         parameter["friction_elevation"], parameter["friction_pitch"], parameter["friction_travel"]
@@ -55,10 +56,10 @@ def friction_torque_Nm(rates_rad_s: ca.SX, parameter: Mapping[str, ca.SX]) -> ca
 
 
 def rotor_climb_m_s(state: Mapping[str, ca.SX], parameter: Mapping[str, ca.SX]) -> ca.SX:
-    """Speed of the front and the back rotor along its thrust axis, shape (2, 1), positive when it climbs, by
-    angles and rates in `state` and the numbers in `parameter`: L_a, L_h and L_theta in m.
+    """Speed of the front and the back rotor along its thrust axis, shape (2, 1), positive when it climbs.
 
-    By virtual work: thrust times climb is the power that the thrust gives to the axes.
+    It depends on the angles and rates in `state`, and on L_a, L_h and L_theta in m in `parameter`. It follows
+    from virtual work: thrust times climb is the power that the thrust gives to the axes.
     """
     c, s = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
     c_pitch, s_pitch = ca.cos(state["pitch_rad"]), ca.sin(state["pitch_rad"])

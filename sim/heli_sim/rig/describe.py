@@ -111,7 +111,7 @@ def numbers_from_table(text: str, where: str) -> dict[str, Number]:
     text : str
         The table.
     where : str
-        What it is called in errors.
+        Name of the table in errors.
 
     Raises
     ------

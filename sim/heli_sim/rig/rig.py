@@ -122,8 +122,8 @@ class Rig(Mapping[str, Number]):
 
     @staticmethod
     def may_be_negative(name: str) -> bool:
-        """Tell whether the number `name` may be below 0; not so masses, distances, gains and everything else
-        of which there cannot be less than none.
+        """Return whether the parameter `name` may be below 0. Masses, distances, gains and similar quantities
+        may not.
         """
         return name in _MAY_BE_NEGATIVE
 

@@ -1,4 +1,4 @@
-"""What a rig file must hold: name, unit and meaning of every number."""
+"""Content of a rig file: name, unit and meaning of every parameter."""
 
 from __future__ import annotations
 
@@ -49,16 +49,16 @@ RIG_QUANTITIES: Final[tuple[Quantity, ...]] = (
 
 @dataclass(frozen=True)
 class Unstated:
-    """What holds for a number that a rig file does not state.
+    """Default of a parameter that a rig file does not state.
 
     Parameters
     ----------
     value : float
-        What is assumed where a rig file says nothing, in the quantity's unit.
+        Assumed value if the rig file does not state one, in the quantity's unit.
     tolerance : float
         Half width of the interval that holds it with about 95 % confidence.
     source : str
-        Why.
+        Reason for value and tolerance.
     """
 
     value: float

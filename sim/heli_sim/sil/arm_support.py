@@ -18,9 +18,9 @@ _TOUCH_RAD: Final = np.deg2rad(0.2)
 
 
 def support_arm(plant: Plant, native: _native.World) -> None:
-    """Have the elevation of the arm in a world, `native`, locked while it is on its table and the motors are
-    off, looked at each 5 ms. It leaves alone a `plant` whose arm rests by itself, and axes that somebody else
-    has locked.
+    """Lock the elevation of the arm in a world, `native`, while the arm is on its table and the motors are
+    off; the condition is checked every 5 ms. Nothing is done for a `plant` whose arm rests by itself, and
+    for axes that have been locked otherwise.
     """
     rest = plant.rest_state()
     after, _ = plant.step(rest, (0.0, 0.0))

@@ -170,7 +170,7 @@ SimBoard = NativeBoard | EmulatedDue
 
 def make_board(options: SilOptions, boot_seed: int = 1) -> SimBoard:
     """Make the board of a simulation by `resolved` options, powered off; a SimError when the ELF or the flash
-    file cannot be used. `boot_seed` (0 to 2^64 - 1) tells this power supply's boots from those of others.
+    file cannot be used. `boot_seed` (0 to 2^64 - 1) distinguishes this power supply's boots from others.
     """
     if options.board == DUE:
         return EmulatedDue(options.elf, options.flash_file, boot_seed)

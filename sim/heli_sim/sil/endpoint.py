@@ -1,4 +1,4 @@
-"""What the server needs of a serial port, whatever it is made of."""
+"""Interface of a serial port for the server, the same for all kinds of ports."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class LineChange:
     dtr : bool
         The line now; a Due's bridge resets the board when it rises.
     baud : int
-        Rate of the port, bits a second; 0 where nobody says it. At 1200 a Due's bridge erases the flash.
+        Rate of the port, bits per second; 0 if it is unknown. At 1200 a Due's bridge erases the flash.
     """
 
     dtr: bool
@@ -29,7 +29,7 @@ class Endpoint(Protocol):
     """Address that a host opens."""
 
     def receive(self) -> bytes:
-        """Take what the host wrote; empty when there is nothing, or nobody. Notes opening and closing."""
+        """Take the bytes that the host wrote; empty if there are none. Also notes opening and closing."""
         ...
 
     def send(self, data: bytes) -> None:
@@ -56,7 +56,7 @@ class Endpoint(Protocol):
         ...
 
     def plug(self) -> None:
-        """Bring the port back under the same address; raises EndpointError when that cannot be had."""
+        """Bring the port back under the same address; raises EndpointError if that is impossible."""
         ...
 
     def close(self) -> None:

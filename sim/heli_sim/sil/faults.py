@@ -13,7 +13,7 @@ from heli_sim.sil.intervals import NEVER, Span, edges_of, next_edge
 
 @dataclass(frozen=True)
 class FaultPlan:
-    """What goes wrong on the link, both ways.
+    """Faults of the link, in both directions.
 
     Parameters
     ----------

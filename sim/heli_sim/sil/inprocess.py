@@ -28,9 +28,9 @@ class InProcessTransport:
     url : str
         Address to report.
     label : str
-        What the board is, for people.
+        Description of the board for readers.
     note : str
-        How it came to be that board, if that is worth a sentence.
+        Reason why this board was chosen, in a sentence; may be empty.
 
     Raises
     ------

@@ -57,7 +57,7 @@ class Interval:
         return round(_TICKS_PER_S * self.start_s), end_tick
 
     def holds(self, tick: int) -> bool:
-        """Whether a `tick`, ms since the simulation started, lies in the stretch."""
+        """Whether a `tick`, ms since the simulation started, is within the interval."""
         first, after = self.edges()
         return first <= tick < after
 

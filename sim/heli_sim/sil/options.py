@@ -30,7 +30,7 @@ BOARDS: Final = (NATIVE, DUE, AUTO)
 
 @dataclass(frozen=True)
 class SilOptions:
-    """What to simulate.
+    """Options of a simulation.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class SilOptions:
     seed : int
         Seed of everything random: where the encoders start, and the faults.
     speed : float or None
-        Simulated seconds a second; None is as fast as the host keeps up.
+        Simulated seconds per second; None is as fast as the host keeps up.
     slice_ms : int
         In process: longest stretch of simulated time in one read, ms. The host's bytes reach the line at the
         beginning of a stretch.
@@ -51,8 +51,8 @@ class SilOptions:
     elf : str
         ELF for ``due``; empty for the newest that speaks this host's link.
     reset_on_open : bool or None
-        Whether a rising DTR resets the board, as it does on a Due. None: behind a port it does so on ``due``,
-        in process, where nobody opens anything, it does not.
+        Whether a rising DTR resets the board, as it does on a Due. None: behind a port it does so on ``due``;
+        in process, where no port is opened, it does not.
     model : str
         Name of the model; empty for the one that the rig's file names, or ``multibody``.
     effects : tuple of str
@@ -211,7 +211,7 @@ def parse_times(key: str, texts: Sequence[str]) -> tuple[Interval, ...]:
     Parameters
     ----------
     key : str
-        What they are for, for the error.
+        Name of the option that the times belong to, for the error.
     texts : sequence of str
         ``start`` or ``start:length`` in seconds.
 
@@ -242,7 +242,7 @@ def parse_encoders_out(key: str, texts: Sequence[str]) -> tuple[tuple[str, Inter
     Parameters
     ----------
     key : str
-        What they are given by, for the error.
+        Name of the option that the texts come from, for the error.
     texts : sequence of str
         ``axis``, ``axis:start`` or ``axis:start:length``, in seconds.
 

@@ -11,10 +11,10 @@ from heli_sim.sil.options import SilOptions
 
 
 def plant_of(options: SilOptions) -> Plant:
-    """Put rig, model and effects together to a plant, its chance drawn from the seed of the options; a
-    RigError, EffectError or PlantError when one is unknown, unreadable or has a value that it may not have.
+    """Make a plant of rig, model and effects; its random numbers are drawn from the seed of the options.
 
-    The rig's file may name the model whose numbers it holds, and effects; options come before both.
+    The rig's file may name the model whose parameters it holds, and effects; options come before both. A
+    RigError, EffectError or PlantError when one of the three is unknown, unreadable or has an invalid value.
     """
     rig = load_rig(options.rig)
     asked = parse_effects(options.effects, options.effect_files)

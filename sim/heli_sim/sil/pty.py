@@ -25,9 +25,9 @@ class PtyEndpoint(Endpoint):
     """The board's side of a pseudo-terminal.
 
     A host opens the link like a device file. When it closes the port, what it has not read is thrown away,
-    and the terminal stays for the next one. A pseudo-terminal has no DTR, so opening stands for its rise, and
-    closing for its fall, unless the host has cleared the hang-up flag (``stty -hupcl``): then, as with a
-    serial port of Linux, the line stays up and the next opening is no edge.
+    and the terminal stays for the next one. A pseudo-terminal has no DTR: opening counts as its rise, and
+    closing as its fall. If the host has cleared the hang-up flag (``stty -hupcl``), the line stays up and the
+    next opening is no edge, as with a serial port of Linux.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class PtyEndpoint(Endpoint):
     Raises
     ------
     EndpointError
-        When another server holds the link's path, or the path cannot be had: see `PortLink`.
+        When another server holds the link's path, or the link cannot be made there: see `PortLink`.
     """
 
     def __init__(self, link: str | Path | None = None) -> None:

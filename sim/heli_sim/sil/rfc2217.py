@@ -19,7 +19,7 @@ from heli_sim.sil.tcp import TcpEndpoint
 
 
 class Lines:
-    """The serial port as pyserial's server sees it: settings that the 16U2 is told, and lines; every change
+    """The serial port as pyserial's server sees it: settings that the 16U2 receives, and lines; every change
     of DTR is appended to `changes`.
     """
 

@@ -1,6 +1,4 @@
-"""What goes wrong on the rig: an encoder's plug that falls off or a wrong encoder, the stop switch, a supply
-that is off.
-"""
+"""Faults of the rig: an unplugged or wrong encoder, the stop switch, a supply that is off."""
 
 from __future__ import annotations
 
@@ -25,12 +23,12 @@ class _SimBoard(Protocol):
 
 @dataclass(frozen=True)
 class RigFaults:
-    """What goes wrong on the rig, and when.
+    """Faults of the rig, and their times.
 
     Parameters
     ----------
     encoders_out : tuple of (str, Interval)
-        Axes whose encoder is unplugged: nothing counts, and what moves meanwhile is lost.
+        Axes whose encoder is unplugged: nothing counts, and motion in this time is lost.
     stop_switch : tuple of Interval
         The hardware stop input is active.
     supply_out : tuple of Interval

@@ -1,7 +1,7 @@
 """A simulated board behind a pseudo-terminal, a TCP port or an RFC 2217 port.
 
-``python -m heli_sim.sil.server --pty PATH --options 'rig=makki2024&seed=1&speed=1'`` serves until it is told
-to stop by a signal, or, with ``--watch-stdin``, by the end of its standard input.
+``python -m heli_sim.sil.server --pty PATH --options 'rig=makki2024&seed=1&speed=1'`` serves until a signal
+stops it, or, with ``--watch-stdin``, the end of its standard input.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ class SilServer:
         self._received = b""
 
     def turn(self) -> float:
-        """Move the bytes that are there and simulate what is due, without waiting; return the seconds until
-        the next turn is worth while, 0 for at once.
+        """Move the available bytes and simulate the time that is due, without waiting. Return the seconds
+        until the next turn has something to do, 0 for immediately.
         """
         endpoint, world, now_s = self._endpoint, self._world, self._now_s()
         self._follow_cable()
@@ -102,7 +102,7 @@ def serve(
     stop_fd: int | None = None,
     console: FaultConsole | None = None,
 ) -> None:
-    """Serve a world until told to stop.
+    """Serve a world until `stop_fd` is ready to read.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def serve(
     stop_fd : int or None
         File descriptor; serving ends as soon as something can be read from it, or it is at its end.
     console : FaultConsole or None
-        Where a person says what goes wrong on the rig.
+        Console at which a person causes faults of the rig.
     """
     server = SilServer(endpoint, world, clock)
     stops = [] if stop_fd is None else [stop_fd]

@@ -27,7 +27,8 @@ PATIENCE_S: Final = 1.0
 
 
 class TcpEndpoint(Endpoint):
-    """The board's side of a TCP connection; one host at a time, the next one waits and is told for whom.
+    """The board's side of a TCP connection; one host at a time. The next host waits, and receives a line that
+    names the connected host.
 
     A connection carries no DTR: its beginning stands for a rise of the line, its end for a fall.
 

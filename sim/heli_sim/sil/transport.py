@@ -28,9 +28,9 @@ class ProcessTransport(SerialTransport):
     process : SilProcess
         The board; it ends when this transport is closed, except after a loss, from which a host recovers.
     label : str
-        What it is.
+        Description of the board for readers.
     note : str
-        How it came to be that board, if that is worth a sentence.
+        Reason why this board was chosen, in a sentence; may be empty.
     rig : str
         Name or file of the rig that it flies.
     rig_parameters : Mapping of str to float

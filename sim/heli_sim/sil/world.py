@@ -170,7 +170,7 @@ class SilWorld:
         return self.to_host.pass_through(received)
 
     def reset_board(self) -> None:
-        """Pulse the board's reset line: motors off at once, the flight code starts 205 ms later."""
+        """Pulse the board's reset line: motors off immediately, the flight code starts 205 ms later."""
         self.board.sim.reset()
 
     def cycle_power(self) -> None:
@@ -178,8 +178,8 @@ class SilWorld:
         self.board.sim.power_cycle()
 
     def control_lines(self, *, dtr: bool, baud: int) -> None:
-        """Do what the 16U2 does when the host changes DTR to `dtr`: a rising line resets the board; at a
-        `baud` of 1200 any change erases the flash, and the board then waits for a program.
+        """Act as the 16U2 when the host changes DTR to `dtr`. A rising line resets the board. At a `baud` of
+        1200 any change erases the flash, and the board then waits for a program.
         """
         if baud == ERASING_BAUD:
             self.board.sim.erase()

@@ -130,9 +130,10 @@ class ListedEffects:
     def encompasses(
         self, warm_start: Hypothesis, made: Hypothesis, listed: Candidate, penalty: float
     ) -> bool:
-        """Whether an equation encompasses an effect that fits equally well in its place (J test, Davidson and
-        MacKinnon, Econometrica 49 (1981) 781, by likelihoods): in a model with both, the equation exceeds its
-        penalty, and the effect adds less.
+        """Whether an equation encompasses an effect that fits equally well in its place.
+
+        It does if, in a model with both, the equation exceeds its penalty and the effect adds less. This is
+        the J test (Davidson and MacKinnon, Econometrica 49 (1981) 781) by likelihoods.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""What a model lacks without a cause, as the flights show it, and what the cause contributes.
+"""The term that a model lacks without a cause, as the flights show it, and the contribution of the cause.
 
 A cause is removed from the model, and every other parameter stays. A smoother then estimates the missing
 torque as a disturbance. The equation of the cause has no part in that estimate: if the two agree, the
@@ -65,11 +65,11 @@ class MissingTerm:
     quantity : ndarray (n,)
         Values of the quantity.
     missing, std : ndarray (n,)
-        What the model lacks without the cause, and its standard error.
+        Torque or angle that the model lacks without the cause, and its standard error.
     remaining : ndarray (n,)
-        What the model lacks with the cause.
+        Torque or angle that the model lacks with the cause.
     contribution : ndarray (n,)
-        What the equation of the cause contributes.
+        Torque or angle by the equation of the cause.
     """
 
     id: str

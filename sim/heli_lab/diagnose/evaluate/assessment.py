@@ -22,7 +22,7 @@ class Assessment:
     Parameters
     ----------
     residual_analysis : ResidualAnalysis
-        What the final model leaves.
+        Analysis of the residuals of the final model.
     extended : Hypothesis
         The model with the causes of the catalogue, without spline terms: the one that a simulator can fly.
     before, after : Prediction

@@ -5,10 +5,10 @@ axis are therefore estimated from the first seconds of the flight, in free runs 
 nothing else is. The rest is predicted over windows of 2 s and over their halves and quarters: the same
 samples at each horizon.
 
-Each window starts from the state that fits it best, so this is no forecast. Rates are not measured, and a
-state estimated from the past alone carries the model's error over that past into the horizon: on measured
-flights, errors of such forecasts are 2 to 17 times as large, before and after an extension of the model.
-With fitted initial states the rest is the model's error within the horizon.
+Each window starts from the state that fits it best, so this is no forecast. Rates are not measured. A state
+estimated from the past alone carries the model's error over that past into the horizon. On measured flights,
+errors of such forecasts are 2 to 17 times as large, before and after an extension of the model. With fitted
+initial states the rest is the model's error within the horizon.
 """
 
 from __future__ import annotations

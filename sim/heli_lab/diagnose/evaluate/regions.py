@@ -1,10 +1,10 @@
 """Regions of angles, rates and thrusts in which a model fails.
 
 The plane of two quantities is divided into cells. A torque that acts in one cell only is tested as a
-regressor of the innovations, with the free parameters projected out: if the model is right, its score in
+regressor of the innovations, with the free parameters projected out. If the model is right, its score in
 standard deviations is standard normal. The false discovery rate of all cells is controlled (Benjamini and
-Hochberg, J. R. Statist. Soc. B 57, 1995). After "Where Is My Physics Wrong?" (arXiv 2606.23215), with
-innovations instead of residuals, because residuals of flights under disturbances are correlated.
+Hochberg, J. R. Statist. Soc. B 57, 1995). The method follows "Where Is My Physics Wrong?" (arXiv 2606.23215),
+with innovations instead of residuals, because residuals of flights under disturbances are correlated.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ def reported_std(fit: Fit, kind: EffectSpec) -> dict[str, float]:
 
     Voltages are held over a sample, so a time constant or delay is uncertain by a part of a sample, and by
     what a controller answers within a step. Steps blur what acts within them, so a size is uncertain by a
-    share of itself. What lies between an axis and its encoder is seen in whole counts only.
+    share of itself. Effects between an axis and its encoder are resolved in whole counts only.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ class NamedCause(Cause):
     sentence : str
         The cause with its parameters in a sentence, without its full stop.
     equation : str
-        What the effect adds to the model, in LaTeX.
+        The term that the effect adds to the model, in LaTeX.
     """
 
     parameters: Mapping[str, CauseParameter]
@@ -78,7 +78,7 @@ def judge(
     search : Search
         Causes and spline terms of the final model.
     residual : ResidualAnalysis
-        What the final model leaves.
+        Analysis of the residuals of the final model.
     after : Prediction
         Free runs of the extended model. If their errors are at the quantisation, whatever remains is too
         small to matter, however significant it is.

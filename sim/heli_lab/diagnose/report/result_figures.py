@@ -29,8 +29,8 @@ _MAX_DOTS: Final = 4000
 
 def figure_of_missing_terms(terms: Sequence[MissingTerm]) -> Figure:
     """Draw the missing torques or angles of `terms` over the quantities that they depend on, one row per
-    cause: before, with the equation of the cause, on the left; after, with the cause in the model, on the
-    right.
+    cause. The left column shows them before, with the equation of the cause. The right column shows them
+    after, with the cause in the model.
     """
     from matplotlib.figure import Figure
 
@@ -104,7 +104,7 @@ def figure_of_prediction(before: Fit, after: Fit, first: str) -> Figure:
     ----------
     before, after : Fit
         Fits of the baseline and of the extended model to the same flight; only one curve if they are the
-        same. Of a long flight, the part with the largest errors of the baseline is drawn.
+        same. If the flight is long, only the part with the largest errors of the baseline is drawn.
     first : str
         The axis whose angle is drawn.
     """

@@ -15,7 +15,7 @@ from heli_sim.rig.quantity import Prior
 
 
 class RemovedTerm(Effect):
-    """A share of some numbers of the rig is taken away."""
+    """A share of some rig parameters is taken away."""
 
     @override
     def modified_parameters(self, at: Operands) -> Mapping[str, ca.SX]:

@@ -55,11 +55,11 @@ class Backlash(Effect):
 
 
 class BacklashOfKnownSide(Effect):
-    """The same along a measured flight: the encoder's shaft lies behind its axis by half the play, on the
+    """Backlash along a measured flight: the encoder's shaft lags behind its axis by half the play, on the
     side that the axis comes from.
 
-    Linear in the play, as the play operator is not: about measured angles, which are those of the shaft, it
-    would take the axis through the play a second time, after the shaft has already moved.
+    This form is linear in the play; the play operator is not. Measured angles are those of the shaft. About
+    them the play operator would take the axis through the play a second time, after the shaft has moved.
     """
 
     @override

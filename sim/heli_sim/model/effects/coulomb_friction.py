@@ -51,9 +51,11 @@ class CoulombFriction(Effect):
 
 
 class CoulombFrictionOfMeasuredRate(CoulombFriction):
-    """The same along a measured flight: its mean over the rates that the encoders leave open, so that near
-    standstill, where they do not show in which direction the axis creeps, less than all of it acts (a
-    describing function; Gelb and Vander Velde 1968). Where an axis is at rest its rate is exactly zero.
+    """Coulomb friction along a measured flight: its mean over the rates that the encoders leave open (a
+    describing function; Gelb and Vander Velde 1968).
+
+    Near standstill the encoders do not show in which direction the axis creeps, so only a part of the
+    friction acts. If an axis is at rest, its rate is exactly zero.
     """
 
     @override

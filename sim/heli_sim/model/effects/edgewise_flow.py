@@ -1,4 +1,4 @@
-"""The rotor that leads in travel meets still air and pushes more than the one that follows in its wake."""
+"""The rotor that leads in travel meets undisturbed air, and pushes more than the one in its wake."""
 
 from __future__ import annotations
 

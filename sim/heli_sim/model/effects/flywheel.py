@@ -19,7 +19,7 @@ class Flywheel(Effect):
 
     `gyroscopic_torque` has it go with the thrust. Thrust ends at the dead zone and goes with the square of
     the speed, so momentum varies less than that. A speed is given by the voltage that holds it. The torque
-    that speeds the rotors up turns the rig the other way, by what is told of it with `spin_up`.
+    that speeds the rotors up turns the rig the other way, as described with `spin_up`.
     """
 
     @override

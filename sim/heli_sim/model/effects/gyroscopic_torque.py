@@ -15,8 +15,9 @@ from heli_sim.rig.quantity import Prior
 class GyroscopicTorque(Effect):
     """Angular momentum of the rotors along the short arm's upright, in proportion to their thrust.
 
-    Of two rotors that turn against each other it cancels; two that turn the same way have 0.03 to 0.06 N m s
-    on a rig with 0.2 m propellers. It does no work: what it takes from one axis it gives to another.
+    The momenta of two rotors that turn in opposite directions cancel. Two rotors that turn in the same
+    direction have 0.03 to 0.06 N m s on a rig with 0.2 m propellers. The torque does no work: it moves energy
+    from one axis to another.
     """
 
     @override
@@ -25,8 +26,9 @@ class GyroscopicTorque(Effect):
 
 
 def wheel_torque_Nm(at: Operands, momentum_Nms: ca.SX) -> ca.SX:
-    """Torque about the three axes, shape (3, 1), of a wheel on the short arm that is turned with it:
-    n x omega H, for an angular momentum H = `momentum_Nms` [N m s] along the short arm's upright n.
+    """Torque about the three axes, shape (3, 1), of a wheel on the short arm that turns with the arm.
+
+    It is n x omega H, for an angular momentum H = `momentum_Nms` [N m s] along the short arm's upright n.
     """
     state = at.state
     c, s = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])

@@ -17,8 +17,8 @@ class InflowDamping(Effect):
     """Each rotor loses thrust in proportion to its own speed along its thrust axis.
 
     A propeller that turns with the voltage loses more the more it pushes; one that turns at nearly one speed
-    loses the same at any thrust. Travel at pitch is such a speed too, in still air. The air of a small room
-    soon turns with the rig; then it is not.
+    loses the same at any thrust. If the air in the room is at rest, travel at a pitch angle is such a speed
+    too. In a small room the air soon turns with the rig; then it is not.
     """
 
     @override

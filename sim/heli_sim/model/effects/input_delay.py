@@ -10,7 +10,7 @@ from heli_sim.rig.quantity import Prior
 
 
 class InputDelay(Effect):
-    """Pure delay of both voltages; whoever integrates the model hands it late voltages."""
+    """Pure delay of both voltages; programs that integrate the model must pass it late voltages."""
 
 
 SPEC: Final = EffectSpec(

@@ -20,16 +20,16 @@ down to 3.6 ms."""
 class RotorLag(Effect):
     """First-order lag of each rotor's thrust behind the thrust that its voltage asks for.
 
-    A lag T below 4 ms cannot be integrated in steps of 10 ms. There the thrust is the mean of one that lags
-    4 ms and one that does not, so weighted that their mean delay is T: at T = 0 the effect does nothing, and
-    has a derivative.
+    A lag T below 4 ms cannot be integrated in steps of 10 ms. The thrust is then a weighted mean of a thrust
+    that lags by 4 ms and one that does not lag. The weights make the mean delay T. At T = 0 the effect does
+    nothing, and has a derivative.
 
     Parameters
     ----------
     lag_s : float
         Time constant, s. Real rigs of this kind show 0.09 to 0.15 s.
     **fields : object
-        What `EffectSpec.make` gives instead.
+        Keyword arguments of `Effect`, which `EffectSpec.make` gives instead of `lag_s`.
 
     Raises
     ------

@@ -125,13 +125,13 @@ class EffectSpec:
     measured_as : Mapping[str, str]
         States that an encoder measures, and the axis of each.
     needs : tuple of str
-        Numbers of the rig that a model must use for the effect to make sense.
+        Rig parameters that a model must use for the effect to make sense.
     models : tuple of str
         Names of the models that it makes sense for; empty for all that have what it needs.
     baseline : bool
         Whether it takes away a term that the model has, instead of adding one that it lacks.
     override : Mapping[str, float]
-        With `baseline`: numbers of the rig and the value that each has with the term gone.
+        With `baseline`: rig parameters, and the value that each has without the term.
     contains : Mapping[str, Mapping[str, str]]
         Effects that this one is with the rest of its parameters at their neutral values (nested models): by
         id, for each of their parameters that of this one; both named without the effects' names.
@@ -171,7 +171,7 @@ class EffectSpec:
 
     @property
     def prefix(self) -> str:
-        """What the names of its parameters and states begin with."""
+        """First part of the names of its parameters and states."""
         return self.id.replace(".", "_")
 
     @property

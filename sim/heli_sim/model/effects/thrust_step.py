@@ -1,4 +1,4 @@
-"""A rotor loses thrust at once: a propeller blade chips, a magnet comes off."""
+"""A rotor loses thrust suddenly: a propeller blade chips, a magnet comes off."""
 
 from __future__ import annotations
 
