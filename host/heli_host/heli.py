@@ -135,7 +135,8 @@ class Heli(Vehicle):
         Parameters
         ----------
         law : LawProgram or LawLike
-            The result of `@control_law` or `from_gain`, or its program; uploaded unless the board holds it already.
+            The result of `@control_law` or `from_gain`, or its program. It is uploaded unless the board
+            holds it already.
         duration_s : float
             Length of the flight in device time [s].
         after : {"hold", "land", "stop"}

@@ -147,7 +147,7 @@ def test_two_thirds_of_a_flight_are_judged_however_short_it_is() -> None:
 @pytest.mark.parametrize(
     ("asked_s", "said"),
     [
-        (-1.0, r"-1 s of calibration is negative; give --calibrate 0 or more"),
+        (-1.0, r"-1 s of calibration is not possible; give --calibrate 0 or more"),
         (float("nan"), "give --calibrate 0 or more"),
         (12.0, r"leave no time of the 12 s of free flight in that day; give 4 or less to --calibrate"),
     ],

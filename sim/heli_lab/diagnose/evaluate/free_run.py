@@ -200,7 +200,7 @@ def calibration_s(record: Record, requested_s: float | None = None) -> float:
     if requested_s is None:
         return min(CALIBRATE_s, most_s)
     if not requested_s >= 0.0:
-        raise IdentifyError(f"{requested_s:g} s of calibration is negative", "give --calibrate 0 or more")
+        raise IdentifyError(f"{requested_s:g} s of calibration is not possible", "give --calibrate 0 or more")
     if requested_s > record.used_s - MIN_SEGMENT_S:
         raise IdentifyError(
             f"{requested_s:g} s of calibration leave no time of the {record.used_s:.3g} s of free flight in "
