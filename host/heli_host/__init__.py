@@ -63,21 +63,11 @@ _WHERE = {
 }
 
 
-def _installed_version() -> str:
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version("heli-host")
-    except PackageNotFoundError:
-        # Imported from a source tree that is not installed.
-        return "unknown"
-
-
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        # Late: an import of the package takes a third of its time without it. Kept: reading it takes 1 ms.
-        globals()["__version__"] = _installed_version()
-        return globals()["__version__"]
+        from heli_host.release import installed_version
+
+        return installed_version()
     if name in _WHERE:
         return getattr(import_module(_WHERE[name]), name)
     raise AttributeError(f"module {__name__} has no attribute {name}")

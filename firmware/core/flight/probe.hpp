@@ -17,7 +17,7 @@ namespace heli::flight {
 using control::Quantity;
 
 struct ProbeLimits {
-  std::uint32_t silence_updates;  // without a count, while pitch counts; 0: it never asks
+  std::uint32_t silence_updates = 0;  // without a count, while pitch counts; 0: it never asks
   Quantity tilt_rad;
   Quantity step_rad;      // of the tilt, per update
   Quantity steady_rad;    // of pitch: beyond, the loop itself tilts the arm

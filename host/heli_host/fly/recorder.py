@@ -10,7 +10,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-import heli_host
 from heli_host.controllers import controller_name
 from heli_host.declaration import LINK_HASH, LINK_VERSION, StatusMessage
 from heli_host.errors import HeliError, LogError
@@ -21,6 +20,7 @@ from heli_host.log.blind import hide, said
 from heli_host.log.disk import check_free_space
 from heli_host.log.schema import LEVEL_ERROR, LEVEL_INFO, LEVEL_WARNING
 from heli_host.log.writer import LogCounters, LogWriter
+from heli_host.release import installed_version
 
 if TYPE_CHECKING:
     from heli_host.fly.plan import Plan
@@ -268,7 +268,7 @@ class Recorder:
             "firmware": info.firmware_version,
             "link": info.link_version,
             "link_hash": f"{info.link_hash:08x}",
-            "host": heli_host.__version__,
+            "host": installed_version(),
             "host_link": LINK_VERSION,
             "host_link_hash": f"{LINK_HASH:08x}",
             "url": heli.session.transport.url,
