@@ -173,7 +173,7 @@ def _sentence(equation: Equation) -> str:
 
 
 def _parameter(name: str, value: float, std: float, unit: str, prior: Prior | None, size: bool) -> str:
-    source = f"{value:.4g} +- {std:.2g} {unit}" if std else "set"
+    source = f"{value:.4g} ± {std:.2g} {unit}" if std else "set"
     known = ""
     if prior is not None:
         bounds = "" if size else f", {prior.low:.6g}, {prior.high:.6g}"
