@@ -87,6 +87,8 @@ def test_a_terminal_that_is_closed_lands_the_flight_and_keeps_its_log(tmp_path: 
     patient_file(tmp_path)
     child, terminal = pty.fork()
     if child == 0:
+        # Where the tests run under nohup, this process would inherit that a hang-up is ignored.
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
         os.chdir(tmp_path)
         os.execv(sys.executable, command(*FLY))
     said = b""

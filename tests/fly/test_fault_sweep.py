@@ -19,8 +19,8 @@ TRAVEL = (
     Case("paper", "sine", "travel", 64.5),
     Case("course", "sine", "travel", 20.3),
 )
-# Where an arm without its encoder touched its upper stop, or took longest to be noticed. The last is 33 degrees
-# off when it is named: no tilt asks while pitch is nearly still.
+# Where an arm without its encoder touched its upper stop, or took longest to be noticed. The last one is 33
+# degrees off when it is named: no tilt asks while pitch is nearly still.
 OTHERS = (
     Case("paper", "sine", "elevation", 57.0),
     Case("paper", "sine", "pitch", 45.75),
