@@ -55,7 +55,9 @@ class Fixed {
     return static_cast<float>(raw_) * (1.0F / static_cast<float>(std::int64_t{1} << kFraction));
   }
 
-  constexpr Fixed half() const { return from_raw(raw_ >> 1); }
+  constexpr Fixed half() const { return shifted(1); }
+  // This by 2 to the power of `bits`, rounded down.
+  constexpr Fixed shifted(int bits) const { return from_raw(raw_ >> bits); }
 
   // By the overflow flag, which takes half the instructions of a sum of 64 bits.
   friend constexpr Fixed operator+(Fixed a, Fixed b) {

@@ -16,8 +16,6 @@ constexpr int kForget = 2;
 // Share of a drive beyond the range that may be an error of thrust or gain: an eighth.
 constexpr int kUncertain = 3;
 
-Quantity part(Quantity value, int shift) { return Quantity::from_raw(value.raw() >> shift); }
-
 }  // namespace
 
 void Balance::restart(const BalanceLimits& limits) {
@@ -61,7 +59,7 @@ void Balance::coast(Quantity rate_rad_s, bool up, const BalanceLimits& limits) {
   const Quantity forth_rad_s = up ? rate_rad_s : -rate_rad_s;
   if (forth_rad_s > limits.noise_rad_s) {
     coasts_ = true;
-    const Quantity sure_rad_s = rate_rad_s - part(rate_rad_s, kUncertain);
+    const Quantity sure_rad_s = rate_rad_s - rate_rad_s.shifted(kUncertain);
     rate_ = limits.speed_per_rad_s * sure_rad_s;
   }
 }
@@ -76,27 +74,27 @@ void Balance::integrate(Quantity drive, const BalanceLimits& limits) {
     const Quantity brake =
         (limits.width > width_ ? limits.width - width_ : Quantity{}) + limits.margin;
     const bool forth = rate_ > Quantity{};
-    rate_ += part(forth ? above - brake : brake - below, kShift);
+    rate_ += (forth ? above - brake : brake - below).shifted(kShift);
     if ((rate_ > Quantity{}) != forth) {
       stay();
     }
   } else {
-    const Quantity sure = beyond_ - part(beyond_, kUncertain) - limits.margin;
+    const Quantity sure = beyond_ - beyond_.shifted(kUncertain) - limits.margin;
     const bool forth = above > below;
     if (sure <= Quantity{} || (forth ? rate_ < Quantity{} : rate_ > Quantity{})) {
       stay();
     }
     if (sure > Quantity{}) {
-      rate_ += part(forth ? sure : -sure, kShift);
+      rate_ += (forth ? sure : -sure).shifted(kShift);
     }
   }
-  moved_ += part(rate_, kShift);
+  moved_ += rate_.shifted(kShift);
 }
 
 void Balance::learn(Quantity balance, bool up) {
   balance_[up ? 1 : 0] = balance;
   const Quantity apart = magnitude(balance - balance_[up ? 0 : 1]);
-  const Quantity kept = width_ - part(width_, kForget);
+  const Quantity kept = width_ - width_.shifted(kForget);
   width_ = apart > kept ? apart : kept;
 }
 

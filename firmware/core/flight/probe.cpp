@@ -24,9 +24,7 @@ constexpr std::uint32_t kLongest_updates = 500;
 // is asked late.
 constexpr std::uint32_t kStirred_updates = 250;
 // The pitch at which the arm was still, over half a second.
-constexpr int kBalanceAveraging = 7;
-
-Quantity halved(Quantity value, int shift) { return Quantity::from_raw(value.raw() >> shift); }
+constexpr int kPitchAveraging = 7;
 
 Quantity towards(Quantity from, Quantity to, Quantity step) {
   return from + control::clamp(to - from, -step, step);
@@ -36,7 +34,7 @@ Quantity towards(Quantity from, Quantity to, Quantity step) {
 
 Answer Probe::update(const Asked& axis, const ProbeLimits& limits) {
   if (stage_ == Stage::listens) {
-    balance_rad_ += halved(axis.pitch_rad - balance_rad_, kBalanceAveraging);
+    balance_rad_ += (axis.pitch_rad - balance_rad_).shifted(kPitchAveraging);
     return listen(axis, limits);
   }
   return axis.held ? tilt(axis, limits) : end(Answer::stopped);
@@ -104,12 +102,12 @@ Answer Probe::end(Answer answer) {
 
 // From rest, as friction lets it: it stops what the tilt does not drive.
 void Probe::integrate(std::size_t side, Quantity beyond) {
-  rate_[side] += halved(beyond, Balance::kShift);
+  rate_[side] += beyond.shifted(Balance::kShift);
   if (rate_[side] < Quantity{}) {
     rate_[side] = {};
     turned_[side] = {};
   }
-  turned_[side] += halved(rate_[side], Balance::kShift);
+  turned_[side] += rate_[side].shifted(Balance::kShift);
   most_[side] = turned_[side] > most_[side] ? turned_[side] : most_[side];
 }
 
