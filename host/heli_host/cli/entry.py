@@ -44,12 +44,11 @@ app = typer.Typer(
 
 def _say_version(wanted: bool) -> None:
     if wanted:
-        from importlib.metadata import version
-
         from heli_host.cli.say import say
         from heli_host.declaration import LINK_VERSION
+        from heli_host.release import installed_version
 
-        say(f"heli-host {version(DISTRIBUTION)}, link {LINK_VERSION}")
+        say(f"heli-host {installed_version()}, link {LINK_VERSION}")
         raise typer.Exit
 
 
