@@ -56,7 +56,6 @@ _TIMES: Final = frozenset(
         *("millis", "micros", "clock", "tout", "seconds", "elapsed"),
     }
 )
-_COUNTERS: Final = frozenset({"k", "n", "i", "index", "sample", "samples", "row", "tick", "ticks", "seq", ""})
 _SPLIT: Final = re.compile(r"[^a-z0-9\u4e00-\u9fff]+|(?<=[a-z])(?=\d)|(?<=\d)(?=[a-z])")
 _CAMEL: Final = re.compile(r"(?<=[a-z])(?=[A-Z])")
 
@@ -118,9 +117,3 @@ def is_derived_signal(name: str) -> bool:
 def is_time(name: str) -> bool:
     """Whether a `name` means the time."""
     return bool(_TIMES.intersection(words_of(name)))
-
-
-def is_counter(name: str) -> bool:
-    """Whether a `name` means a counter of rows."""
-    words = words_of(name)
-    return not words or bool(_COUNTERS.intersection(words))

@@ -224,20 +224,6 @@ class Problem:
             self._grids[key] = (shape, grid)
         return self._grids[key][1]
 
-    def block_grid(self, index: int, theta: Floats) -> Grid:
-        """The windows of record `index` in steps of a block; a delay among the free parameters `theta` shifts
-        the voltages.
-        """
-        delay, dead_zone_V = self.input_shape(self.parameters(theta, index))
-        record = self.records[index]
-        return make_grid(
-            record,
-            self.windows(index),
-            max(1, int(thresholds.BLOCK_S / record.step_s + 1e-6)),
-            delay=delay,
-            dead_zone_V=dead_zone_V,
-        )
-
     def windows(self, index: int) -> list[tuple[int, int]]:
         """Windows of record `index`, a whole number of steps and of blocks of `BLOCK_S`: first row and number
         of rows of each.
