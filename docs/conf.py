@@ -20,7 +20,7 @@ copyright = author
 release = version_of(tomllib.loads((HERE.parent / "pyproject.toml").read_text())["project"]["name"])
 version = release
 
-has_api: bool = not tags.has("without_api")  # type: ignore[name-defined]  # noqa: F821
+has_api: bool = not tags.has("without_api")  # type: ignore[name-defined]  # noqa: F821 - Sphinx puts it here
 extensions = ["myst_parser", "mathml", "verbs", *(["sphinx.ext.autodoc", "numpydoc"] if has_api else [])]
 source_suffix = {".md": "markdown"}
 root_doc = "index"

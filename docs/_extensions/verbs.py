@@ -61,7 +61,7 @@ class Verbs(Directive):
 
     def run(self) -> list[nodes.Node]:
         """Make a section of each."""
-        commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+        commands = typer.main.get_command(app).commands  # type: ignore[attr-defined] - typer types no group
         return [described(name, commands[name]) for name in sorted(commands) if not commands[name].hidden]
 
 

@@ -26,7 +26,7 @@ def box(
 
 
 def arrow(x: float, y: float, to_x: float, to_y: float, both: bool = True) -> str:
-    """Draw an arrow, with heads at both ends unless told otherwise."""
+    """Draw an arrow, with heads at both ends if `both` is true."""
     start = ' marker-start="url(#head)"' if both else ""
     return (
         f'<line x1="{x}" y1="{y}" x2="{to_x}" y2="{to_y}" stroke="{INK}" stroke-width="1.6"'

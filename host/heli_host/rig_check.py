@@ -142,27 +142,27 @@ def rig_differences(
     list of RigDifference
         In the order of the board's parameters.
     """
-    found: list[RigDifference] = []
+    differences: list[RigDifference] = []
     for name, part in _PARTS.items():
         if name not in stated or name not in parameters:
             continue
         board, rig = parameters[name], stated[name]
         if part is Part.SCALE:
             if abs(abs(board) - abs(rig)) > _SAME * abs(rig):
-                found.append(RigDifference(name, board, rig, part))
+                differences.append(RigDifference(name, board, rig, part))
             elif simulated and board * rig < 0.0:
-                found.append(RigDifference(name, board, rig, Part.DIRECTION))
+                differences.append(RigDifference(name, board, rig, Part.DIRECTION))
             continue
         apart = {Part.REST: abs(board - rig) > _REST_deg, Part.SUPPLY: abs(board - rig) > _SUPPLY_V}
         if apart.get(part, board > rig + _SAME * abs(rig)):
-            found.append(RigDifference(name, board, rig, part))
+            differences.append(RigDifference(name, board, rig, part))
     if simulated and stated:
-        found += [
+        differences += [
             RigDifference(name, parameters[name], 1.0, Part.DIRECTION)
             for name in _SIGNS
             if parameters.get(name, 1.0) < 0.0
         ]
-    return found
+    return differences
 
 
 def check_rig(
@@ -185,19 +185,19 @@ def check_rig(
     RigMismatch
         A number of counts per turn, or a direction in simulation, is wrong.
     """
-    found = rig_differences(stated, parameters, simulated=simulated)
-    refused = [one for one in found if one.is_refused]
+    differences = rig_differences(stated, parameters, simulated=simulated)
+    refused = [difference for difference in differences if difference.is_refused]
     if not refused:
-        return found
+        return differences
     cause = "; ".join(map(str, refused))
     if simulated:
-        names = ", ".join(one.parameter for one in refused)
+        names = ", ".join(difference.parameter for difference in refused)
         remedy = f"leave {names} out of the parameters, or correct the rig's file"
     else:
         # The sign on the board says how the encoder is wired, and stays.
         sets = (
-            f"heli-host params set {one.parameter} {one.rig if one.board > 0 else -one.rig:g} --save"
-            for one in refused
+            f"heli-host params set {row.parameter} {row.rig if row.board > 0 else -row.rig:g} --save"
+            for row in refused
         )
         remedy = f"{' && '.join(sets)}, or correct the rig's file"
     raise RigMismatch(f"board and rig disagree: {cause}", remedy)

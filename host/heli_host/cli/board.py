@@ -70,8 +70,8 @@ def check_target(port: str | None, sil: bool | None) -> None:
         )
     else:
         remedy = f"add {simulation}--port PORT once a board is plugged in; heli-host ports lists ports"
-    found = "" if boards else ", and no Due is plugged in"
-    raise PortError(f"no board is named{found}", remedy)
+    absence = "" if boards else ", and no Due is plugged in"
+    raise PortError(f"no board is named{absence}", remedy)
 
 
 @contextlib.contextmanager

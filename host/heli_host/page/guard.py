@@ -53,16 +53,16 @@ class Guard:
         if (length := len(connection.scope["path"])) > _LONGEST_PATH:
             self._warn(connection, f"its path has {length} characters")
             return PlainTextResponse("the path is too long\n", 414)
-        asked = connection.headers.get("host", "")
-        address = _split(asked)
+        host = connection.headers.get("host", "")
+        address = _split(host)
         if address is None:
-            self._warn(connection, f"its Host header is {asked[:100]!r}")
+            self._warn(connection, f"its Host header is {host[:100]!r}")
             return PlainTextResponse("the Host header is not an address\n", 400)
         if self.host in LOCAL_HOSTS and (address.hostname or "") not in LOCAL_HOSTS:
             return PlainTextResponse(f"this page is served as {self.host} only\n", 421)
         origin = connection.headers.get("origin")
         # A program sends none; a browser always does where it matters.
-        if origin is not None and not self._is_of(connection, origin, asked):
+        if origin is not None and not self._is_of(connection, origin, host):
             return PlainTextResponse("a page of another origin may not ask this\n", 403)
         return None
 
@@ -70,9 +70,9 @@ class Guard:
         given = connection.query_params.get("token", "")
         return secrets.compare_digest(given.encode(), self.token.encode())
 
-    def _is_of(self, connection: HTTPConnection, origin: str, asked: str) -> bool:
+    def _is_of(self, connection: HTTPConnection, origin: str, host: str) -> bool:
         try:
-            return urlsplit(origin).netloc.lower() == asked.lower()
+            return urlsplit(origin).netloc.lower() == host.lower()
         except ValueError:
             self._warn(connection, f"its Origin header is {origin[:100]!r}")
             return False

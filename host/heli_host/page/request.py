@@ -24,13 +24,13 @@ class BadRequest(ParameterError):
     ----------
     cause, remedy : str
         See `HeliError`.
-    asked : Mapping of str to object
+    message : Mapping of str to object
         ``id`` and ``do`` of the message if they are valid; the error answer repeats them.
     """
 
-    def __init__(self, cause: str, remedy: str, asked: Mapping[str, Any]) -> None:
+    def __init__(self, cause: str, remedy: str, message: Mapping[str, Any]) -> None:
         super().__init__(cause, remedy)
-        self.asked = asked
+        self.message = message
 
 
 @dataclass(frozen=True)
@@ -41,12 +41,12 @@ class Request:
     ----------
     name : str
         Name of the action, the message's ``do``.
-    asked : Mapping of str to object
+    message : Mapping of str to object
         The whole message, with ``do`` and ``id``.
     """
 
     name: str
-    asked: Mapping[str, Any]
+    message: Mapping[str, Any]
 
 
 def read_request(words: str) -> Request:
@@ -67,21 +67,21 @@ def read_request(words: str) -> Request:
         cause = f"a request of {len(words)} characters is too long"
         raise BadRequest(cause, f"send at most {LONGEST_REQUEST}", {})
     try:
-        asked = json.loads(words)
+        message = json.loads(words)
     except (ValueError, RecursionError):
         raise BadRequest("the message is not JSON", "see docs/reference/dashboard-protocol.md", {}) from None
-    if not isinstance(asked, dict) or not isinstance(asked.get("do"), str):
+    if not isinstance(message, dict) or not isinstance(message.get("do"), str):
         raise BadRequest("the message is not a request", "see docs/reference/dashboard-protocol.md", {})
     usable: dict[str, Any] = {}
     for name in ("id", "do"):
-        value = asked.get(name)
+        value = message.get(name)
         if value is not None and not _is_short(value):
             raise BadRequest(f"{name} of the request is invalid", "send a text or an integer", usable)
         _check(name, value, usable)
         usable[name] = value
-    for name, value in asked.items():
+    for name, value in message.items():
         _check(name, value, usable)
-    return Request(asked["do"], asked)
+    return Request(message["do"], message)
 
 
 def _is_short(value: Any) -> bool:

@@ -239,66 +239,68 @@ class Service:
             request = read_request(words)
         except BadRequest as error:
             self._notes.warn(f"a request of {client.name} is refused: {error}")
-            self._tell(client, _refused(error.asked, error.cause, error.remedy))
+            self._tell(client, _refused(error.message, error.cause, error.remedy))
             return
-        name, asked = request.name, request.asked
+        name, message = request.name, request.message
         if name == "stop":
             trouble = self._stop()
-            answer = {"answer": asked.get("id"), "do": name}
-            self._tell(client, _refused(asked, trouble, "") if trouble else answer)
+            answer = {"answer": message.get("id"), "do": name}
+            self._tell(client, _refused(message, trouble, "") if trouble else answer)
         elif name in ("ask", "grant", "keep", "share"):
-            self._lease_action(client, name, asked)
+            self._lease_action(client, name, message)
         elif name in self._source.actions:
             # Not awaited: the next words of this client may be more urgent.
-            task = asyncio.create_task(self._act(client, name, self._source.actions[name], asked))
+            task = asyncio.create_task(self._act(client, name, self._source.actions[name], message))
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
         else:
             self._tell(
                 client,
                 _refused(
-                    asked, f"nothing is called {name[:40]!r} here", "see docs/reference/dashboard-protocol.md"
+                    message,
+                    f"nothing is called {name[:40]!r} here",
+                    "see docs/reference/dashboard-protocol.md",
                 ),
             )
 
-    def _lease_action(self, client: Outbox, name: str, asked: Mapping[str, Any]) -> None:
+    def _lease_action(self, client: Outbox, name: str, message: Mapping[str, Any]) -> None:
         now_s = time.monotonic()
         granted = True
         if name == "ask":
             granted = self.lease.ask(client.key, now_s)
         elif client.key != self.lease.pilot:
-            self._tell(client, _refused(asked, "only who flies can answer that", "ask for control"))
+            self._tell(client, _refused(message, "only who flies can answer that", "ask for control"))
             return
         elif name == "share":
-            self.lease.shared = bool(asked.get("on"))
+            self.lease.shared = bool(message.get("on"))
         else:
             granted = self.lease.answer(client.key, name == "grant")
-        self._tell(client, {"answer": asked.get("id"), "do": name, "granted": granted})
+        self._tell(client, {"answer": message.get("id"), "do": name, "granted": granted})
         self._tell_lease()
 
-    async def _act(self, client: Outbox, name: str, action: Action, asked: Mapping[str, Any]) -> None:
+    async def _act(self, client: Outbox, name: str, action: Action, message: Mapping[str, Any]) -> None:
         source, epoch = self._source, self._source.stop_epoch()
         if not self._allowed(client, action):
             pilot = self.lease.name(self.lease.pilot) or "nobody"
-            self._tell(client, _refused(asked, f"{pilot} flies, you watch", "ask for control"))
+            self._tell(client, _refused(message, f"{pilot} flies, you watch", "ask for control"))
             return
 
         def run() -> Mapping[str, Any]:
             if not source.clear_stop(epoch):
                 return {"error": "a stop came before it began", "remedy": "begin again"}
-            return action.run(asked)
+            return action.run(message)
 
         loop = asyncio.get_running_loop()
         try:
             answer = await loop.run_in_executor(self._queues[action.queue], run)
-            text = self._as_json({"answer": asked.get("id"), "do": name, **answer})
+            text = self._as_json({"answer": message.get("id"), "do": name, **answer})
         except HeliError as error:
-            self._tell(client, _refused(asked, error.cause, error.remedy))
+            self._tell(client, _refused(message, error.cause, error.remedy))
         except OSError as error:
-            self._tell(client, _refused(asked, error.strerror or str(error), file_remedy(error)))
-        except Exception as error:  # noqa: BLE001 - who asked must be answered, and asyncio would print a trace
+            self._tell(client, _refused(message, error.strerror or str(error), file_remedy(error)))
+        except Exception as error:  # noqa: BLE001 - the client must get an answer, and asyncio would print a trace
             self._notes.warn(f"{name} of {client.name} failed: {type(error).__name__}: {error}")
-            self._tell(client, _refused(asked, f"{name} failed: {type(error).__name__}", _REPORT))
+            self._tell(client, _refused(message, f"{name} failed: {type(error).__name__}", _REPORT))
         else:
             client.tell(text)
 
@@ -359,5 +361,5 @@ class Service:
             self._tell_all({"status": status})
 
 
-def _refused(asked: Mapping[str, Any], cause: str, remedy: str) -> dict[str, Any]:
-    return {"answer": asked.get("id"), "do": asked.get("do"), "error": cause, "remedy": remedy}
+def _refused(message: Mapping[str, Any], cause: str, remedy: str) -> dict[str, Any]:
+    return {"answer": message.get("id"), "do": message.get("do"), "error": cause, "remedy": remedy}
