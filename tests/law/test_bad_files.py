@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Final
 
@@ -83,6 +84,19 @@ BAD: Final[dict[str, tuple[str | bytes, str, str]]] = {
 }  # fmt: skip
 
 
+def ends(process_id: int, within_s: float) -> bool:
+    """Whether a process that is nobody's child here ends in time (a zombie has ended)."""
+    give_up_s = time.monotonic() + within_s
+    while time.monotonic() < give_up_s:
+        try:
+            if Path(f"/proc/{process_id}/stat").read_text().rpartition(")")[2].split()[0] == "Z":
+                return True
+        except (FileNotFoundError, ProcessLookupError):
+            return True
+        time.sleep(0.01)
+    return False
+
+
 @pytest.fixture
 def nothing_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     def connect(*_: object, **__: object) -> None:
@@ -132,8 +146,8 @@ def test_what_an_endless_file_has_started_ends_with_it(tmp_path: Path) -> None:
     )
     with pytest.raises(BadLaw, match="did not end within 3 s"):
         load_law(tmp_path / "law.py", 3.0)
-    state = Path(f"/proc/{told.read_text()}/stat")
-    assert not state.exists() or state.read_text().split()[2] == "Z"
+    # The kernel delivers the signal, but the child may be scheduled a moment later: nobody here can wait for it.
+    assert ends(int(told.read_text()), within_s=30.0)
 
 
 def test_a_page_refuses_a_law_whose_file_never_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
