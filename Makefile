@@ -46,7 +46,7 @@ bench: ## measure what the project promises: bench.json and a table; or some: ma
 
 blind: ## hide effects in flights, see whether diagnosis finds them: blind.json; goes on where it was stopped
 	@.ci/setup test
-	@.venv/bin/python -m tests.blind $(CASES)
+	@.venv/bin/python -m heli_benchmark $(CASES)
 
 fuzz: ## fuzz the board, the host and its logs: make fuzz [FUZZ_S=60] [FRAMES=1000000] [LOGS=4000]; needs clang
 	@.ci/setup test

@@ -23,7 +23,7 @@ ROWS, STEP_S = 6000, 0.002
 COUNT_RAD = 2.0 * np.pi / 4096
 HOLD = 'title = "hold"\n[[segment]]\nkind = "hold"\nduration_s = 12\n'
 STRONGEST = ("random_torque.elevation=0.02", "random_torque.pitch=0.006", "random_torque.travel=0.012")
-"""The strongest disturbances of tests/blind, N m."""
+"""The strongest disturbances of heli_benchmark, N m."""
 
 
 def smoothed(values: Floats, pole: float) -> Floats:

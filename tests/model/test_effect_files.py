@@ -26,7 +26,7 @@ from heli_sim.rig import Number, Rig, load_rig, write_rig
 from heli_sim.sil.options import SilOptions, parse_url
 from heli_sim.sil.plant_factory import plant_of
 
-from tests.blind import test_cases
+from tests.benchmark import test_cases
 from tests.model.effect_list import COMMON, MEASURED
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -267,8 +267,10 @@ def test_a_rigs_file_holds_effects_and_flies_them(tmp_path: Path) -> None:
     plant = plant_of(SilOptions(rig=str(path)))
     assert isinstance(plant.model, MultibodyModel)
     assert [effect.values for effect in plant.model.effects] == [{"rotor_lag_s": 0.118}]
-    asked = plant_of(parse_url(f"sil://?rig={path}&effect=rotor_lag%3D0.05;cable_spring.travel%3D0.1"))
-    assert {e.name: next(iter(e.values.values())) for e in asked.model.effects} == {
+    timed_diagnosis = plant_of(
+        parse_url(f"sil://?rig={path}&effect=rotor_lag%3D0.05;cable_spring.travel%3D0.1")
+    )
+    assert {e.name: next(iter(e.values.values())) for e in timed_diagnosis.model.effects} == {
         "rotor_lag": 0.05,
         "cable_spring.travel": 0.1,
     }

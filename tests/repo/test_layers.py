@@ -131,7 +131,7 @@ def contracts() -> list[str]:
 def copy_to(folder: Path) -> None:
     """Copy what the linter reads."""
     ignore = shutil.ignore_patterns("__pycache__", "*.so", "*.elf", "firmware")
-    for package in (HOST, SIM, ROOT / "sim" / "heli_lab"):
+    for package in (HOST, SIM, ROOT / "sim" / "heli_lab", ROOT / "sim" / "heli_benchmark"):
         shutil.copytree(package, folder / package.relative_to(ROOT), ignore=ignore)
     shutil.copy(ROOT / "pyproject.toml", folder)
 
