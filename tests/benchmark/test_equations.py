@@ -14,8 +14,8 @@ from heli_benchmark.cases.unlisted_equations import equation_cases
 from heli_benchmark.effects.equations import EQUATIONS, MakeUnlisted
 from heli_benchmark.engine.plant import Moment
 from heli_benchmark.runs.equation_reference import true_equation_effect
-from heli_benchmark.runs.equations import summary
-from heli_benchmark.runs.removed_effects import summary as summary_in_place
+from heli_benchmark.runs.equations import equation_summary
+from heli_benchmark.runs.removed_effects import removed_effect_summary
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig
@@ -87,7 +87,7 @@ def test_a_law_in_an_effects_place_counts_if_it_flies_and_takes_most_of_the_erro
         "none": {"expression": None, "share": 1.0},
         "died": {"failure": "died"},
     }
-    said = summary_in_place(rows)
+    said = removed_effect_summary(rows)
     assert said.startswith("effects removed: 4, equations proposed 3, flown 2")
     assert said.endswith("of the effect 1")
 
@@ -100,6 +100,6 @@ def test_only_visible_equations_count_and_a_proposal_without_one_is_counted() ->
         "w-nothing-1": {"visibility": {}, "expression": "y"},
         "w-nothing-2": {"failure": "died"},
     }
-    said = summary(rows)
+    said = equation_summary(rows)
     assert "visible equations: 2, proposed 1" in said
     assert "where none is hidden: 1 of 1" in said

@@ -37,7 +37,7 @@ def test_wrong_names_count_wherever_they_are_given() -> None:
 
 @pytest.mark.parametrize(("right", "within"), [(20, True), (19, True), (15, True), (14, False)])
 def test_a_bin_that_boasts_lies_outside_its_bounds(right: int, within: bool) -> None:
-    # With 20 causes of 0.9, a binomial distribution gives 14 or fewer in one run of 88, and 15 or fewer in one of 23.
+    # 20 causes of 0.9: a binomial distribution gives 14 or fewer in 1 of 88 runs, 15 or fewer in 1 of 23.
     (curve,) = [one for one in reliability(given(0.9, right, 20 - right)) if one["causes"]]
     assert holds(curve) is within
 

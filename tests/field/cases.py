@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from heli_benchmark.reference.truth import PARTS, Numbers, of_parts, translated
+from heli_benchmark.reference.truth import PARTS, ParameterValues, of_parts, translated
 from heli_benchmark.runs.ask import timed_diagnosis
 from heli_benchmark.scoring.judge import RANDOM_TORQUE
 from heli_host.flight import Flight
@@ -41,7 +41,7 @@ class Case:
     hidden : tuple of str
         Ids of what is hidden; `UNKNOWN` for a law that is on no list.
     sizes : Mapping[str, float]
-        Numbers of the truth file by id; ``at`` is when a step comes, s.
+        ParameterValues of the truth file by id; ``at`` is when a step comes, s.
     """
 
     folder: Path
@@ -70,9 +70,9 @@ class Case:
         first, second = (read_flight(self.folder / f"{one}.csv.gz") for one in "ab")
         return first, second
 
-    def numbers(self) -> Numbers:
-        """Numbers of the truth file, as the catalogue calls them; a rest angle is in none, nor are the
-        numbers of effects whose law it does not fit_informed.
+    def numbers(self) -> ParameterValues:
+        """True parameters of the case file, by their names in the catalogue; without rest angles, and without
+        effects whose equation the file does not state.
         """
         found: dict[str, float] = {}
         for id_ in self.listed:
@@ -183,7 +183,7 @@ def read(path: Path) -> Case:
 
 
 def ask(case: Case, refits: int) -> dict[str, Any]:
-    """Have a case diagnosis_json.
+    """Diagnose a case.
 
     Parameters
     ----------

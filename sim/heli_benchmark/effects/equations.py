@@ -14,7 +14,7 @@ import numpy as np
 
 from heli_benchmark.engine.plant import STEP_S, HiddenEffect, Moment
 
-Numbers = Mapping[str, float]
+EquationNumbers = Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class TrueEquation:
     """
 
     channel: str
-    value: Callable[[Any, EquationInputs, Numbers], Any]
+    value: Callable[[Any, EquationInputs, EquationNumbers], Any]
     size: float
     numbers: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     remembers: Callable[[EquationInputs], Any] | None = None
@@ -149,7 +149,7 @@ class Unlisted(HiddenEffect):
     equation : str
         Its name in `EQUATIONS`.
     size : float
-        Its size.
+        Factor of the equation: N m, or a share of thrust.
     rng : numpy.random.Generator
         Draws its other numbers.
     """

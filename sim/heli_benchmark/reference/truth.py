@@ -9,7 +9,7 @@ from typing import Any
 
 from heli_benchmark.cases.clean import Case
 
-Numbers = Mapping[str, float]
+ParameterValues = Mapping[str, float]
 
 PARTS: Mapping[str, tuple[str, ...]] = {"rotor_lag_with_delay": ("rotor_lag", "input_delay")}
 """Effects of the catalogue that combine others; the generator hides the parts."""
@@ -32,8 +32,8 @@ class TrueEffect:
     """
 
     id: str
-    start: Numbers
-    scalars: Numbers
+    start: ParameterValues
+    scalars: ParameterValues
     amplitudes: Mapping[tuple[str, str], float] = field(default_factory=dict)
 
 
@@ -78,7 +78,7 @@ def of_parts(id_: str, parameters: Mapping[str, Any]) -> dict[str, dict[str, Any
     }
 
 
-def translated(id_: str, of: Numbers, motors_on_s: float) -> TrueEffect:
+def translated(id_: str, of: ParameterValues, motors_on_s: float) -> TrueEffect:
     """Translate one effect.
 
     Parameters
@@ -86,7 +86,7 @@ def translated(id_: str, of: Numbers, motors_on_s: float) -> TrueEffect:
     id_ : str
         The effect.
     of : Mapping[str, float]
-        Numbers of the generator, with ``size``.
+        ParameterValues of the generator, with ``size``.
     motors_on_s : float
         As for `hidden_in`.
     """
@@ -129,14 +129,14 @@ def translated(id_: str, of: Numbers, motors_on_s: float) -> TrueEffect:
     return TrueEffect(id_, start, {f"{prefix}_{what}": value for what, value in scalars.items()}, amplitudes)
 
 
-def _ground(of: Numbers) -> dict[str, float]:
+def _ground(of: ParameterValues) -> dict[str, float]:
     # The table of the generator is at the end of the arm at -25 degrees. That of the catalogue is 0.25 m
     # below the axis, and the rotors are L_theta below the arm.
     lower_m = 0.64 * math.sin(math.radians(25.0)) - 0.25 + 0.03
     return {"share": of["size"] * math.exp(-lower_m / 0.15), "height_m": 0.15}
 
 
-_SAME: Mapping[str, Callable[[Numbers], dict[str, float]]] = {
+_SAME: Mapping[str, Callable[[ParameterValues], dict[str, float]]] = {
     "rotor_lag": lambda of: {"s": of["size"]},
     "input_delay": lambda of: {"s": of["size"]},
     # k e (1 + c e) = k (1 + c) e (1 + q (e - 1)) with q = c / (1 + c).

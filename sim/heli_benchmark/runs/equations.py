@@ -18,7 +18,7 @@ from heli_benchmark.cases.selection import add_choice, chosen
 from heli_benchmark.scoring.judge import MIN_VISIBILITY_STD
 
 MIN_CORRELATION, MAX_ERROR_RATIO = 0.9, 1.3
-Row = dict[str, Any]
+EquationRow = dict[str, Any]
 """Results of a case for JSON; ``failure`` if an error ended it."""
 
 
@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     every = [one for one in disturbed_cases() if not one.unlisted] if given.nothing else equation_cases()
     rows = judge_rows(chosen(every, given), judge_equation, _said, given)
-    print(summary(rows))
+    print(equation_summary(rows))
     return 0 if all("failure" not in row for row in rows.values()) else 1
 
 
@@ -61,10 +61,10 @@ def add_rows(parser: argparse.ArgumentParser, json_file: Path) -> None:
 
 def judge_rows(
     cases: Sequence[DisturbedCase],
-    judge: Callable[[DisturbedCase, tuple[Flight, Flight]], Row],
-    said: Callable[[Row], str],
+    judge: Callable[[DisturbedCase, tuple[Flight, Flight]], EquationRow],
+    said: Callable[[EquationRow], str],
     given: argparse.Namespace,
-) -> dict[str, Row]:
+) -> dict[str, EquationRow]:
     """Judge the cases that the JSON file lacks, and write it after each.
 
     Parameters
@@ -78,19 +78,20 @@ def judge_rows(
 
     Returns
     -------
-    dict of Row
+    dict of EquationRow
         All rows of the file, by case.
     """
     from heli_benchmark.runs.case import prepare
 
-    rows: dict[str, Row] = json.loads(given.json.read_text()) if given.json.exists() else {}
+    rows: dict[str, EquationRow] = json.loads(given.json.read_text()) if given.json.exists() else {}
     for case in cases:
         if case.name in rows:
             continue
         started_s = time.process_time()
         try:
             ready = prepare(case, given.folder, keep=given.keep)
-            row: Row = {"visibility": dict(ready.reference) if isinstance(ready.reference, dict) else {}}
+            reference = ready.reference
+            row: EquationRow = {"visibility": reference if isinstance(reference, dict) else {}}
             if given.seen and not is_visible(row):
                 print(f"{case.name}: not visible, {row['visibility']}", flush=True)
                 continue
@@ -104,7 +105,7 @@ def judge_rows(
     return rows
 
 
-def is_visible(row: Row) -> bool:
+def is_visible(row: EquationRow) -> bool:
     """Return whether the equation of a case is visible enough to count."""
     return (
         min((z for what, z in row["visibility"].items() if what.startswith("off-")), default=0.0)
@@ -112,7 +113,7 @@ def is_visible(row: Row) -> bool:
     )
 
 
-def _said(row: Row) -> str:
+def _said(row: EquationRow) -> str:
     if "failure" in row:
         return str(row["failure"])
     seen = ", ".join(f"{name} {z:.0f}" for name, z in row["visibility"].items())
@@ -123,7 +124,7 @@ def _said(row: Row) -> str:
     return f"[{seen}] {row['verdict']}, {', '.join(row['causes']) or 'no cause'}: {law}{numbers}"
 
 
-def summary(rows: dict[str, Row]) -> str:
+def equation_summary(rows: dict[str, EquationRow]) -> str:
     """Count the equations proposed, and those proposed where none is hidden.
 
     Parameters

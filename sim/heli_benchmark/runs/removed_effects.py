@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from heli_benchmark.cases.selection import chosen
-from heli_benchmark.runs.equations import Row, add_rows, judge_rows
+from heli_benchmark.runs.equations import EquationRow, add_rows, judge_rows
 
 SHARE = 0.8
 
@@ -38,11 +38,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     cases = chosen(removed_effect_cases(), given)
     rows = judge_rows(cases, lambda one, two: judge_replacement(one, two, given.folder), _said, given)
-    print(summary(rows))
+    print(removed_effect_summary(rows))
     return 0 if all("failure" not in row for row in rows.values()) else 1
 
 
-def _said(row: Row) -> str:
+def _said(row: EquationRow) -> str:
     if "failure" in row:
         return str(row["failure"])
     seen = list(row["visibility"].values())[-1]
@@ -54,7 +54,7 @@ def _said(row: Row) -> str:
     )
 
 
-def summary(rows: Mapping[str, Row]) -> str:
+def removed_effect_summary(rows: Mapping[str, EquationRow]) -> str:
     """Count equations that fly and explain `SHARE` of the error; `rows` are by case, as in the file."""
     ended = [row for row in rows.values() if "failure" not in row]
     proposed = [row for row in ended if row["expression"]]

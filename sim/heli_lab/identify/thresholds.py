@@ -201,8 +201,8 @@ STRONG_CORRELATION: Final = 0.9
 UNEXPLAINED: Final = 0.6
 """Share of the motion of the best axis (rms, no unit) above which the voltages do not explain a flight; see
 `explained.py`. Flights leave at most 0.22 (practice), 0.27 (measured machines), 0.45 (field), 0.18 (a hover
-of 12 s, one parameter free) and 0.47 (a hover in the strongest disturbances of heli_benchmark); 176 flights of
-noise, white to twice integrated, leave 0.67 and more. On other seeds hovers leave at most 0.41, and 80
+of 12 s, one parameter free) and 0.47 (a hover in the strongest disturbances of heli_benchmark); 176 flights
+of noise, white to twice integrated, leave 0.67 and more. On other seeds hovers leave at most 0.41, and 80
 flights of noise 0.72 and more. Lower refuses hovers in disturbances; higher accepts slow noise. One of three
 hovers in five times as strong disturbances leaves 0.61."""
 MIN_MOTION: Final = 1.7
