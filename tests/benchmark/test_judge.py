@@ -76,7 +76,7 @@ def test_a_number_counts_as_found_within_two_standard_errors() -> None:
 def test_what_is_too_small_to_be_seen_is_left_out_of_the_goal() -> None:
     rows = [row("cause_found", cause("rotor_lag")), row("explained", significance=2.0)]
     assert count(rows, "clean: named first") == (1, 1)
-    assert "explained (too small to be seen)" in confusion(rows)["rotor_lag"]
+    assert "explained (too small to be visible)" in confusion(rows)["rotor_lag"]
 
 
 @pytest.mark.parametrize(("verdict", "alarms"), [("explained", 0), ("unexplained", 1), ("cause_found", 1)])
@@ -106,11 +106,11 @@ def test_in_disturbed_cases_every_cause_must_be_named_in_any_order() -> None:
 
 
 @pytest.mark.parametrize(
-    ("least", "counted", "apart"), [(15.0, 1, 0), (14.9, 0, 1), (8.0, 0, 1), (7.9, 0, 0)]
+    ("least", "counted", "borderline"), [(15.0, 1, 0), (14.9, 0, 1), (8.0, 0, 1), (7.9, 0, 0)]
 )
-def test_a_case_counts_by_the_faintest_of_its_causes(least: float, counted: int, apart: int) -> None:
+def test_a_case_counts_by_the_faintest_of_its_causes(least: float, counted: int, borderline: int) -> None:
     goal = goals([disturbed("cause_found", cause("rotor_lag"), least=least)])["disturbed: every cause named"]
-    assert (goal["of"], goal.get("apart", {"of": 0})["of"]) == (counted, apart)
+    assert (goal["of"], goal.get("borderline", {"of": 0})["of"]) == (counted, borderline)
 
 
 def test_a_false_name_counts_in_a_disturbed_case_and_a_random_torque_is_none() -> None:
