@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from heli_sim.due._due import Stop
+from due_emulator import Stop
 
 from tests.due.chip import FULL_HZ, Chip
 
@@ -148,7 +148,6 @@ def test_override_holds_an_output_whatever_the_channel_does() -> None:
 def armed_fault(latched: bool) -> Chip:
     """Duty 1/3 on all four; a low level on PD6 (fault input 2) forces everything low."""
     chip = group()
-    chip.due.set_pin("PD6", "open")
     for channel in (4, 5, 6, 7):
         chip[f"PWM.CDTYUPD{channel}"] = 1400
     chip["PWM.SCUC"] = 1

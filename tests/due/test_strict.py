@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 
 import pytest
-from heli_sim.due._due import Due, Stop
+from due_emulator import Due, Stop
 
 from tests.due.chip import FLASH, Chip
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from heli_sim.due._due import Stop
+from due_emulator import Stop
 
 from tests.due.chip import Chip
 
@@ -57,8 +57,6 @@ def test_outputs_follow_the_compares() -> None:
     # TIOA on PC25: set at RC, cleared at RA; TIOB on PC26 (EEVT = XC0): set at RC, cleared at RB.
     mode = WAVE | UP_RC | 2 << 16 | 1 << 18 | 1 << 10 | 2 << 24 | 1 << 26
     chip = running(mode, 1000, ra=300, rb=700)
-    chip.due.set_pin("PC25", "open")
-    chip.due.set_pin("PC26", "open")
     chip["PIOC.ABSR"] = chip["PIOC.PDR"] = 3 << 25
     chip.run_cycles(2000 * 3)
     high = [0, 0]

@@ -7,8 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from heli_sim.due import new_due, read_image
-from heli_sim.due._due import Due, Stop
+from due_emulator import Due, Stop, new_due, read_image
 
 from tests.due.conftest import Build
 from tests.due.test_strict import booted, program
@@ -142,7 +141,7 @@ def test_a_compiled_wait_is_found_under_a_running_systick(stuck: dict[str, Path]
 
 def test_the_command_line_says_it_and_ends_with_4(stuck: dict[str, Path]) -> None:
     result = subprocess.run(
-        [sys.executable, "-m", "heli_sim.due", str(stuck["-Os"]), "--lenient", "--seconds", "2"],
+        [sys.executable, "-m", "due_emulator", str(stuck["-Os"]), "--lenient", "--seconds", "2"],
         capture_output=True,
         text=True,
         check=False,

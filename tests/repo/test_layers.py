@@ -40,6 +40,16 @@ WRONG = {
         "def _wrong() -> None:\n    import heli_lab.page",
         "heli_host.setpoints -> heli_lab.page",
     ),
+    "the emulated Due": Wrong(
+        "sim/due/due_emulator/gdb.py",
+        "from heli_host import errors",
+        "due_emulator.gdb -> heli_host.errors",
+    ),
+    "emulated Due: ": Wrong(
+        "sim/due/due_emulator/image.py",
+        "from due_emulator import machine",
+        "due_emulator.image -> due_emulator.machine",
+    ),
     "host": Wrong(
         "host/heli_host/link/frames.py",
         "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from heli_host.fly import plan",
@@ -131,7 +141,7 @@ def contracts() -> list[str]:
 def copy_to(folder: Path) -> None:
     """Copy what the linter reads."""
     ignore = shutil.ignore_patterns("__pycache__", "*.so", "*.elf", "firmware")
-    for package in (HOST, SIM, ROOT / "sim" / "heli_lab"):
+    for package in (HOST, SIM, ROOT / "sim" / "heli_lab", ROOT / "sim" / "due" / "due_emulator"):
         shutil.copytree(package, folder / package.relative_to(ROOT), ignore=ignore)
     shutil.copy(ROOT / "pyproject.toml", folder)
 
@@ -143,7 +153,7 @@ def lint(folder: Path) -> dict[str, str]:
     is found.
     """
     packages = dict.fromkeys((sysconfig.get_path("purelib"), sysconfig.get_path("platlib")))
-    path = [folder / "host", folder / "sim", *packages]
+    path = [folder / "host", folder / "sim", folder / "sim" / "due", *packages]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, path)), "COLUMNS": "200"}
     done = subprocess.run(
         [sys.executable, "-S", "-c", LINT],

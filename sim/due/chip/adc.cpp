@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <utility>
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -284,4 +284,4 @@ void Adc::write(std::uint32_t offset, std::uint32_t value) {
   update();
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -7,7 +7,7 @@
 
 #include "chip/peripheral.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 class Adc final : public Peripheral {
  public:
@@ -73,4 +73,4 @@ class Adc final : public Peripheral {
   int running_ = -1;      // channel under conversion
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

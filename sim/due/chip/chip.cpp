@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -187,4 +187,4 @@ void Chip::step() {
   carry_out_resets();
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

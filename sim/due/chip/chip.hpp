@@ -20,7 +20,7 @@
 #include "chip/uotghs.hpp"
 #include "cpu/scs.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 class Chip final : public EventSink {
  public:
@@ -85,4 +85,4 @@ class Chip final : public EventSink {
   ResetType last_reset_ = ResetType::kGeneral;
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

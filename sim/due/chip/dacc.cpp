@@ -1,6 +1,6 @@
 #include "chip/dacc.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -151,4 +151,4 @@ void Dacc::write(std::uint32_t offset, std::uint32_t value) {
   update();
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

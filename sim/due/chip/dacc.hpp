@@ -6,7 +6,7 @@
 
 #include "chip/peripheral.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 class Dacc final : public Peripheral {
  public:
@@ -45,4 +45,4 @@ class Dacc final : public Peripheral {
   bool complete_ = false;  // EOC
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

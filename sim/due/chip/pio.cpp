@@ -1,6 +1,6 @@
 #include "chip/pio.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -235,4 +235,4 @@ void Pio::write(std::uint32_t offset, std::uint32_t value) {
   }
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

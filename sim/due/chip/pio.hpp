@@ -4,7 +4,7 @@
 #include "chip/peripheral.hpp"
 #include "chip/pins.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 class Pio final : public Peripheral, public PinListener {
  public:
@@ -45,4 +45,4 @@ class Pio final : public Peripheral, public PinListener {
   std::uint32_t protect_ = 0;
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

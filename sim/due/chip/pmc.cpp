@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -396,4 +396,4 @@ void Pmc::write(std::uint32_t offset, std::uint32_t value) {
   }
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

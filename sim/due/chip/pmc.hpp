@@ -3,7 +3,7 @@
 
 #include "chip/peripheral.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 class Pmc final : public Peripheral {
  public:
@@ -58,4 +58,4 @@ class Pmc final : public Peripheral {
   BoardTime upll_steady_ = 0;
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

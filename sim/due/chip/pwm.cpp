@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -108,6 +108,13 @@ constexpr PwmPin kPwmPins[] = {
 constexpr PwmPin kFaultPins[] = {{pin_of('A', 5), 0}, {pin_of('A', 3), 1}, {pin_of('D', 6), 2}};
 
 }  // namespace
+
+int Pwm::signal_at(int pin) {
+  for (const PwmPin& output : kPwmPins) {
+    if (output.pin == pin) return output.signal;
+  }
+  return -1;
+}
 
 Pwm::Pwm(System& system, Pins& pins)
     : Peripheral(system, "PWM", 0x40094000, 0x4000, id::kPwm, kRegisters),
@@ -325,4 +332,4 @@ void Pwm::update_faults() {
   plan();
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -10,7 +10,7 @@
 #include "chip/peripheral.hpp"
 #include "chip/pins.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 inline constexpr int kPwmChannels = 8;
 
@@ -18,6 +18,8 @@ class Pwm final : public Peripheral, public PinDriver, public PinListener {
  public:
   // Signals for PinDriver: channel, plus 8 for the low side. For PinListener: fault input.
   static constexpr int kLowSide = 8;
+  // Signal that a pin can give as peripheral B; -1 if it is no PWM output.
+  static int signal_at(int pin);
 
   Pwm(System& system, Pins& pins);
 
@@ -137,4 +139,4 @@ class Pwm final : public Peripheral, public PinDriver, public PinListener {
   std::uint32_t protect_hardware_ = 0;
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -1,7 +1,7 @@
 // Registers of the PWM controller and the checks on what is written to them.
 #include "chip/pwm.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -285,4 +285,4 @@ void Pwm::write(std::uint32_t offset, std::uint32_t value) {
   update_irq();
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -1,6 +1,6 @@
 #include "chip/supply.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -279,4 +279,4 @@ Gpbr::Gpbr(System& system)
 ChipId::ChipId(System& system)
     : Peripheral(system, "CHIPID", 0x400E0940, 0x10, kAlwaysClocked, kChipIdRegisters) {}
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -6,7 +6,7 @@
 
 #include "chip/peripheral.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 // Watchdog (section 15): 12 bits downwards by the slow clock / 128, with a window.
 class Wdt final : public Peripheral {
@@ -129,4 +129,4 @@ class ChipId final : public Peripheral {
   void write(std::uint32_t, std::uint32_t) override {}
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

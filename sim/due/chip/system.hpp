@@ -13,7 +13,7 @@
 #include "cpu/cpu.hpp"
 #include "cpu/exceptions.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 class Peripheral;
 
@@ -95,4 +95,4 @@ struct System {
   }
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

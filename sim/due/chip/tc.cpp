@@ -1,6 +1,6 @@
 #include "chip/tc.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -193,4 +193,4 @@ void Tc::write(std::uint32_t offset, std::uint32_t value) {
   channels_[0].update_irq();
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -7,7 +7,7 @@
 #include "chip/pins.hpp"
 #include "chip/quadrature.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 class Tc;
 
@@ -119,4 +119,4 @@ class Tc final : public Peripheral, public PinListener, public PinDriver {
   std::uint32_t protect_ = 0;
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -3,7 +3,7 @@
 
 #include "chip/tc.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -371,4 +371,4 @@ void TcChannel::write(std::uint32_t offset, std::uint32_t value) {
   plan();
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

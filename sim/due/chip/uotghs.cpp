@@ -1,6 +1,6 @@
 #include "chip/uotghs.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -150,4 +150,4 @@ void Uotghs::write(std::uint32_t offset, std::uint32_t value) {
   }
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator
