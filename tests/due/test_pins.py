@@ -93,10 +93,3 @@ def test_D4_and_PA29_are_one_wire() -> None:
     chip["PIOA.SODR"] = 1 << 29
     with pytest.raises(Stop, match="contention"):
         chip["PIOA.OER"] = 1 << 29
-
-
-def test_write_protection_is_kept() -> None:
-    chip = Chip("PIOA")
-    chip["PIOA.WPMR"] = 0x50494F << 8 | 1
-    with pytest.raises(Stop, match="write protection"):
-        chip["PIOA.PDR"] = 1

@@ -54,8 +54,6 @@ class Chip final : public EventSink {
   FlashController efc1;
   Wdt wdt;
   Rstc rstc;
-  Supc supc;
-  Rtt rtt;
   Gpbr gpbr;
   ChipId chipid;
   Pio pioa;

@@ -1,7 +1,7 @@
 """GDB remote serial protocol over TCP: registers, memory, breakpoints, step and continue.
 
-``arm-none-eabi-gdb heli.elf -ex "target remote :3333"``. Board time stands while the debugger thinks; the
-watchdog stands with it.
+``arm-none-eabi-gdb program.elf -ex "target remote :3333"``. Board time and the watchdog stop while the
+debugger holds the program.
 """
 
 from __future__ import annotations
