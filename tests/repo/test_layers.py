@@ -218,3 +218,25 @@ def test_the_host_names_no_package_above_it() -> None:
         if re.search(r"heli_sim|heli_lab", line)
     ]
     assert not found, "a package above the host comes in by an entry point"
+
+
+@pytest.mark.parametrize(
+    ("included", "layer"), [("board.hpp", "board"), ("sim_board.hpp", "native"), ("wiring.hpp", "wired Due")]
+)
+def test_the_emulator_s_sources_include_nothing_of_the_project(
+    included: str, layer: str, tmp_path: Path
+) -> None:
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    for name in ("firmware/core/board.hpp", "sim/native/sim_board.hpp", "sim/due_board/wiring.hpp"):
+        (tmp_path / name).parent.mkdir(parents=True)
+        (tmp_path / name).touch()
+    (tmp_path / "sim" / "due" / "chip").mkdir(parents=True)
+    (tmp_path / "sim" / "due" / "chip" / "uart.cpp").write_text(f'#include "{included}"\n')
+    done = subprocess.run(
+        [sys.executable, ROOT / ".ci" / "includes", tmp_path], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert (
+        f"sim/due/chip/uart.cpp: layer emulated Due may not include {included} of layer {layer}"
+        in done.stdout
+    )
