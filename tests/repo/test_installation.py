@@ -89,6 +89,7 @@ def test_a_wheel_has_pages_rigs_and_plans_and_no_tests(tmp_path: Path) -> None:
     )
     files = {str(Path(target).relative_to(tmp_path)) for target in mapping.values()}
     for file in (
+        "due_emulator/py.typed",
         "heli_host/page/static/index.html",
         "heli_host/page/static/vendor/three.js.gz",
         "heli_host/fly/plans/hover.toml",

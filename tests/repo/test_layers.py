@@ -240,3 +240,11 @@ def test_the_emulator_s_sources_include_nothing_of_the_project(
         f"sim/due/chip/uart.cpp: layer emulated Due may not include {included} of layer {layer}"
         in done.stdout
     )
+
+
+def test_the_emulator_s_tests_import_nothing_of_the_project() -> None:
+    sources = sorted((ROOT / "tests" / "due").rglob("*.py"))
+    assert len(sources) > 20
+    assert not [
+        path.name for path in sources if re.search(r"^\s*(from|import) heli_", path.read_text(), re.M)
+    ]
