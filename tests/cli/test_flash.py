@@ -157,7 +157,7 @@ def test_the_rate_that_erases_is_left_again_before_the_next_program_opens_the_po
 
 
 def test_the_touch_erases_an_emulated_board_once_and_leaves_its_loader_running() -> None:
-    pytest.importorskip("heli_sim.due._due")
+    pytest.importorskip("due_emulator._due")
     from tests.due.chip import Chip
 
     def touched(rate_afterwards: int) -> Chip:

@@ -25,6 +25,7 @@ from heli_host.declaration import (
 from heli_host.heli import Heli
 from heli_host.link.frames import FrameParser, encode_frame
 from heli_host.link.session import Session
+from heli_sim.due._due_board import motor_duty
 
 from firmware.due.report import Image
 from tests.channels.groups import COUNTS
@@ -33,7 +34,7 @@ from tests.firmware.measures import boot_to_first_frame_ms, rx_lost_bytes, trave
 
 pytestmark = pytest.mark.emulated
 
-pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
+pytest.importorskip("due_emulator._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 
 EFC0_FMR, EFC1_FMR = 0x400E0A00, 0x400E0C00
@@ -184,8 +185,8 @@ def test_duties_are_the_voltages_within_one_step(board: Board, front_V: float, b
     open_loop(heli, front_V, back_V)
     assert board.on()
     supply_V = heli.session.read_params()[Param.SUPPLY_V]
-    assert board.due.motor_duty(0) == pytest.approx(front_V / supply_V, abs=1.01 / 2100)
-    assert board.due.motor_duty(1) == pytest.approx(back_V / supply_V, abs=1.01 / 2100)
+    assert motor_duty(board.due, 0) == pytest.approx(front_V / supply_V, abs=1.01 / 2100)
+    assert motor_duty(board.due, 1) == pytest.approx(back_V / supply_V, abs=1.01 / 2100)
     assert board.due.pwm_period_cycles(4) == 84_000_000 // 20_000
 
 

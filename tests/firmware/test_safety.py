@@ -18,7 +18,7 @@ from tests.firmware.hangs import HANGS, POLL, TICK, FASTEST_Hz, Hang, SLOWEST_Hz
 
 pytestmark = pytest.mark.emulated
 
-pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
+pytest.importorskip("due_emulator._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 
 UNDEFINED = b"\x00\xde"

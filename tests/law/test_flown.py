@@ -35,7 +35,7 @@ def test_every_tick_of_a_shipped_law_is_replayed_bit_for_bit(name: str) -> None:
 @pytest.mark.emulated
 @pytest.mark.parametrize("name", NAMES if LONG else ("input_shaping",))
 def test_every_tick_on_the_emulated_due_is_replayed_bit_for_bit(name: str) -> None:
-    pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
+    pytest.importorskip("due_emulator._due", reason="the emulated Due is not built: make setup")
     program = law_of(LAWS / f"{name}.py").program
     seconds = 60.0 if LONG else 4.0
     assert replayed(fly(program, "due", seconds=seconds), program, "due") > 990 * seconds

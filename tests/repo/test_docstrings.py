@@ -23,7 +23,7 @@ import numpy.typing as npt
 import pytest
 
 Floats = npt.NDArray[np.float64]
-PACKAGES = ("heli_host", "heli_sim", "heli_lab", "heli_benchmark")
+PACKAGES = ("due_emulator", "heli_host", "heli_sim", "heli_lab", "heli_benchmark")
 GENERATED = {"heli_host.declaration"}
 SECTION = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 IN_BACKTICKS = re.compile(r"(?<!`)`(\w+)`(?!`)")

@@ -17,7 +17,13 @@ from markdown_it.token import Token
 MARKDOWN = MarkdownIt("commonmark").enable("table")
 CODE = "`x`"
 """Stands for code in backticks: one word of a sentence, and no word to look at."""
-SOURCES = ("host/heli_host/*.py", "sim/heli_sim/*.py", "sim/heli_lab/*.py", "sim/heli_benchmark/*.py")
+SOURCES = (
+    "sim/due/due_emulator/*.py",
+    "host/heli_host/*.py",
+    "sim/heli_sim/*.py",
+    "sim/heli_lab/*.py",
+    "sim/heli_benchmark/*.py",
+)
 GENERATED = ("host/heli_host/declaration.py",)
 FIELD = re.compile(r"^\w[\w ]*\n-{3,}\n", re.MULTILINE)
 END = re.compile(

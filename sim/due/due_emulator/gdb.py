@@ -1,7 +1,7 @@
 """GDB remote serial protocol over TCP: registers, memory, breakpoints, step and continue.
 
-``arm-none-eabi-gdb heli.elf -ex "target remote :3333"``. Board time stands while the debugger thinks; the
-watchdog stands with it.
+``arm-none-eabi-gdb program.elf -ex "target remote :3333"``. Board time and the watchdog stop while the
+debugger holds the program.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ import socket
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from heli_sim.due.errors import GdbError
-from heli_sim.due.image import Image
+from due_emulator.errors import GdbError
+from due_emulator.image import Image
 
 if TYPE_CHECKING:
-    from heli_sim.due._due import Due
+    from due_emulator._due import Due
 
 _SIGINT = "S02"
 _SIGTRAP = "S05"
@@ -64,10 +64,8 @@ class GdbServer:
         try:
             listener = socket.create_server(("127.0.0.1", port))
         except OSError as error:
-            from heli_host.errors import listening_remedy
-
             raise GdbError(
-                f"cannot listen on 127.0.0.1:{port}: {error.strerror}", listening_remedy(error, "--gdb")
+                f"cannot listen on 127.0.0.1:{port}: {error.strerror}", "give --gdb another port above 1023"
             ) from error
         with listener:
             print(
@@ -198,7 +196,7 @@ class GdbServer:
         return signal
 
     def _step(self) -> str:
-        from heli_sim.due._due import Stop
+        from due_emulator._due import Stop
 
         self._due.resume()
         try:
@@ -208,7 +206,7 @@ class GdbServer:
         return self._stopped(_SIGSEGV if self._due.halt in ("hardfault", "lockup") else _SIGTRAP)
 
     def _continue(self) -> str:
-        from heli_sim.due._due import Stop
+        from due_emulator._due import Stop
 
         self._due.resume()
         try:

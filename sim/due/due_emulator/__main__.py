@@ -1,4 +1,4 @@
-"""``python -m heli_sim.due ELF``: run any program for the Due and copy UART0 to stdout.
+"""``python -m due_emulator ELF``: run any program for the Due and copy UART0 to stdout.
 
 Exit codes:
 
@@ -15,11 +15,11 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from heli_sim.due._due import Due, Stop
-from heli_sim.due.errors import DueError
-from heli_sim.due.gdb import GdbServer
-from heli_sim.due.image import read_image
-from heli_sim.due.machine import new_due, report_of
+from due_emulator._due import Due, Stop
+from due_emulator.errors import EmulatorError
+from due_emulator.gdb import GdbServer
+from due_emulator.image import read_image
+from due_emulator.machine import new_due, report_of
 
 EXIT_DONE = 0
 EXIT_FAULT = 1
@@ -32,7 +32,7 @@ _SLICE_US = 1000.0
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m heli_sim.due",
+        prog="python -m due_emulator",
         description="Run a program for the Arduino Due on the emulated chip; UART0 goes to stdout.",
     )
     parser.add_argument("program", metavar="ELF", help="ELF or .bin for the SAM3X8E")
@@ -77,15 +77,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _copy_output(due)
             return EXIT_DONE
         _run(due, due.now_us + options.seconds * 1e6)
-    except DueError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return EXIT_USAGE
     except Stop as stop:
         _copy_output(due)
         print(f"error after {due.now_us / 1e3:.3f} ms: {stop}\n{report_of(due)}", file=sys.stderr)
         if due.halt:
             return EXIT_FAULT
         return EXIT_WAIT if options.lenient and str(stop).startswith("wait:") else EXIT_STRICT
+    except EmulatorError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return EXIT_USAGE
     if due.halt:
         print(f"{due.halt} after {due.now_us / 1e3:.3f} ms\n{report_of(due)}", file=sys.stderr)
         return EXIT_FAULT

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from heli_sim.due.image import Image
+from due_emulator.image import Image
 
 if TYPE_CHECKING:
-    from heli_sim.due._due import Due
+    from due_emulator._due import Due
 
 _FAULT_BITS = {
     0: "IACCVIOL", 3: "MUNSTKERR", 4: "MSTKERR", 7: "MMARVALID", 8: "IBUSERR", 9: "PRECISERR",
@@ -21,7 +21,7 @@ def new_due(image: Image | None = None, *, strict: bool = True) -> Due:
     """An emulated board, powered off, with the program `image` in its flash, which None leaves erased. Unless
     `strict`, what the chip does not promise to take is a warning instead of a stop.
     """
-    from heli_sim.due._due import Due
+    from due_emulator._due import Due
 
     due = Due()
     due.set_strict(strict)

@@ -13,13 +13,19 @@
 
 #include "board/due.hpp"
 #include "sim_board.hpp"
+#include "wiring.hpp"
 
-namespace heli_due {
+namespace heli_sim {
 
-class DueBoard final : public heli_sim::SimBoard, public SerialPeer, public EventSink {
+using due_emulator::BoardTime;
+
+class DueBoard final : public SimBoard,
+                       public due_emulator::SerialPeer,
+                       public due_emulator::EventSink {
  public:
   // The 16U2 holds the reset line this long when the port is opened: 50 rounds of 4.096 ms.
-  static constexpr BoardTime kResetTime = UsbBridge::kResetRounds * UsbBridge::kRound;
+  static constexpr BoardTime kResetTime =
+      due_emulator::UsbBridge::kResetRounds * due_emulator::UsbBridge::kRound;
 
   DueBoard();
 
@@ -33,18 +39,18 @@ class DueBoard final : public heli_sim::SimBoard, public SerialPeer, public Even
   // Both throw Stop when strict mode finds something, or when the processor locks up. The first
   // tick() of all switches the power on, and time begins with the program's first tick.
   void tick(const std::int32_t* count) override;
-  void rest(const heli_sim::Edge* edges, std::size_t edge_count) override;
-  heli_sim::MotorOutput motors() const override;
+  void rest(const Edge* edges, std::size_t edge_count) override;
+  MotorOutput motors() const override;
   // power_up switches the power off and on; every other cause pulls the reset line.
   void reset(heli::link::Reset cause) override;
   bool in_reset() const override { return reset_end_ != 0; }
   std::uint64_t boots() const override { return due_->chip.resets(); }
   void erase() override;
-  void set_stop(bool pressed) override { due_->set_stop(pressed); }
+  void set_stop(bool pressed) override { heli_sim::set_stop(*due_, pressed); }
   void uart_receive(std::uint8_t byte) override { to_uart_.push_back({byte, 0}); }
   bool uart_transmit(std::uint8_t& byte) override;
 
-  Due& due() { return *due_; }
+  due_emulator::Due& due() { return *due_; }
 
   void byte_from_uart(std::uint8_t byte, std::uint32_t bit_cycles, std::uint64_t now) override;
   void event(std::uint64_t now) override;
@@ -63,8 +69,8 @@ class DueBoard final : public heli_sim::SimBoard, public SerialPeer, public Even
   void plan_bytes();
   void plan();
 
-  std::unique_ptr<Due> due_;
-  Scheduler::Id id_;
+  std::unique_ptr<due_emulator::Due> due_;
+  due_emulator::Scheduler::Id id_;
   std::uint8_t handler_ = 0;  // exception number; 0: none
   BoardTime tick_at_ = 0;     // when this millisecond's tick begins
   bool aligned_ = false;
@@ -77,4 +83,4 @@ class DueBoard final : public heli_sim::SimBoard, public SerialPeer, public Even
   BoardTime reset_end_ = 0;
 };
 
-}  // namespace heli_due
+}  // namespace heli_sim

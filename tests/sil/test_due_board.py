@@ -5,11 +5,12 @@ from __future__ import annotations
 import struct
 
 import pytest
-from heli_sim.due import read_image
-from heli_sim.due._due import DueBoard
-from heli_sim.due.image import Image
+from due_emulator import Image, read_image
+from heli_sim.due._due_board import DueBoard
 
-from tests.due.conftest import Build
+from tests.due.conftest import Build, build
+
+__all__ = ["build"]
 
 pytestmark = pytest.mark.emulated
 

@@ -1,12 +1,22 @@
-#include "board/due_board.hpp"
+#include "due_board.hpp"
 
 #include <algorithm>
 #include <cstdlib>
 #include <vector>
 
-namespace heli_due {
+namespace heli_sim {
 
 namespace {
+
+using due_emulator::Due;
+using due_emulator::Exceptions;
+using due_emulator::Halt;
+using due_emulator::kFull_Hz;
+using due_emulator::kNever;
+using due_emulator::kOneCycle;
+using due_emulator::kOneMs;
+using due_emulator::kOneUs;
+using due_emulator::Stop;
 
 // One bit of the line between the 16U2 and the chip, and a byte with its start and stop bits.
 constexpr BoardTime kBit = BoardTime{1000000} * kOneUs / heli::link::kBaud;
@@ -29,6 +39,7 @@ constexpr std::int32_t kMaxJump = 150;
 }  // namespace
 
 DueBoard::DueBoard() : due_(std::make_unique<Due>()), id_(due_->chip.system.scheduler.add(this)) {
+  wire(*due_);
   due_->chip.uart.set_peer(this);
 }
 
@@ -88,12 +99,12 @@ void DueBoard::tick(const std::int32_t* count) {
   wait_for_command();
 }
 
-void DueBoard::rest(const heli_sim::Edge* edges, std::size_t edge_count) {
+void DueBoard::rest(const Edge* edges, std::size_t edge_count) {
   const BoardTime from = due_->now();
   const BoardTime end = tick_at_ + kOneMs;
   const BoardTime until = std::max(from, end - kQuiet);
   const double per_us = static_cast<double>(until - from) / 1000.0;
-  std::vector<heli_sim::Edge> steps(edges, edges + edge_count);
+  std::vector<Edge> steps(edges, edges + edge_count);
   for (std::uint8_t axis = 0; axis < kEncoders; ++axis) {
     const std::int32_t jump = std::clamp(jump_[axis], -kMaxJump, kMaxJump);
     for (std::int32_t k = 0; k < std::abs(jump); ++k) {
@@ -103,7 +114,7 @@ void DueBoard::rest(const heli_sim::Edge* edges, std::size_t edge_count) {
   }
   std::stable_sort(steps.begin(), steps.end(),
                    [](const auto& a, const auto& b) { return a.time_us < b.time_us; });
-  for (const heli_sim::Edge& step : steps) {
+  for (const Edge& step : steps) {
     due_->schedule_step(step.axis, step.direction,
                         from + static_cast<BoardTime>(step.time_us * per_us));
   }
@@ -113,10 +124,10 @@ void DueBoard::rest(const heli_sim::Edge* edges, std::size_t edge_count) {
   if (handler_ != 0 && !aligned_ && ticked()) tick_at_ += kOneMs;
 }
 
-heli_sim::MotorOutput DueBoard::motors() const {
-  const bool front = due_->motor_enabled(0);
-  const bool back = due_->motor_enabled(1);
-  return {front ? due_->motor_duty(0) : 0.0, back ? due_->motor_duty(1) : 0.0, front || back};
+MotorOutput DueBoard::motors() const {
+  const bool front = motor_enabled(*due_, 0);
+  const bool back = motor_enabled(*due_, 1);
+  return {front ? motor_duty(*due_, 0) : 0.0, back ? motor_duty(*due_, 1) : 0.0, front || back};
 }
 
 void DueBoard::reset(heli::link::Reset cause) {
@@ -193,4 +204,4 @@ void DueBoard::event(std::uint64_t) {
   plan();
 }
 
-}  // namespace heli_due
+}  // namespace heli_sim

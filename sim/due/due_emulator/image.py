@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from heli_sim.due.errors import ImageError
+from due_emulator.errors import ImageError
 
 FLASH_BASE = 0x0008_0000
 FLASH_SIZE = 512 * 1024

@@ -1,4 +1,4 @@
-// The board behind SimBoard, one millisecond at a time, as the simulated world drives it.
+// heli_sim.due._due_board: the emulated Due behind SimBoard, and its wiring.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/string.h>
@@ -6,14 +6,16 @@
 #include <nanobind/stl/vector.h>
 
 #include <array>
+#include <exception>
 #include <tuple>
 #include <vector>
 
-#include "board/due_board.hpp"
-#include "python/bindings.hpp"
+#include "due_board.hpp"
+#include "wiring.hpp"
 
 namespace nb = nanobind;
-using namespace heli_due;
+using due_emulator::Due;
+using heli_sim::DueBoard;
 
 namespace {
 
@@ -37,9 +39,25 @@ nb::bytes take_sent(DueBoard& board) {
   return nb::bytes(sent.data(), sent.size());
 }
 
+// This extension has a copy of the emulator, and on some systems a C++ class has another identity
+// in each extension: what its copy throws becomes the exception of the emulator's package here.
+void raise_stop(const std::exception_ptr& thrown, void* stop) {
+  try {
+    std::rethrow_exception(thrown);
+  } catch (const due_emulator::Stop& error) {
+    PyErr_SetString(static_cast<PyObject*>(stop), error.what());
+  }
+}
+
 }  // namespace
 
-void bind_board(nb::module_& module) {
+NB_MODULE(_due_board, module) {
+  module.doc() = "The emulated Due as a board of the simulated world.";
+  // They have the classes that the signatures here name.
+  nb::module_::import_("heli_sim._native");
+  const nb::object emulator = nb::module_::import_("due_emulator._due");
+  nb::register_exception_translator(raise_stop, nb::object(emulator.attr("Stop")).release().ptr());
+
   nb::class_<DueBoard, heli_sim::SimBoard>(module, "DueBoard",
                                            "The emulated Due as a board of the simulated world.")
       .def(nb::init<>())
@@ -56,4 +74,9 @@ void bind_board(nb::module_& module) {
       .def("align", &DueBoard::align, nb::arg("handler"))
       .def("take_sent", &take_sent)
       .def_prop_ro("due", &DueBoard::due, nb::rv_policy::reference_internal);
+
+  module.def("wire", &heli_sim::wire, nb::arg("due"),
+             "Put the helicopter's encoders, pull-downs and stop switch on the pins of a board.");
+  module.def("motor_duty", &heli_sim::motor_duty, nb::arg("due"), nb::arg("motor"));
+  module.def("motor_enabled", &heli_sim::motor_enabled, nb::arg("due"), nb::arg("motor"));
 }
