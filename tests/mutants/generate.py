@@ -43,6 +43,7 @@ _NO_EXPRESSION: Final = {
 }  # fmt: skip
 _JUMPS: Final = {"return;", "break;", "continue;"}
 _ENDS_RIGHT: Final = {",", ";", "?", ":", ")", "]", "}", "||"}
+_ENDS_TERM: Final = {",", ";", "?", ":", ")", "]", "}", "="}
 _ENDS_LEFT: Final = {",", ";", "?", ":", "(", "[", "{", "=", "return", "||"}
 
 
@@ -179,6 +180,8 @@ class _Source:
             yield from ((token.start, token.end, kind, other) for other in _BINARY[token.text])
             if token.text in _LOGICAL:
                 yield from self._dropped_operands(index)
+            elif token.text in ("+", "-", "|"):
+                yield from self._dropped_term(index)
         elif token.text in ("++", "--"):
             yield token.start, token.end, "arithmetic", "--" if token.text == "++" else "++"
         elif token.text in ("!", "-", "~") and not token.spaced and self._is_unary(index):
@@ -215,6 +218,13 @@ class _Source:
         while left >= 0 and self._tokens[left].text not in _ENDS_LEFT | {token.text}:
             left = min(self._partner.get(left, left), left) - 1
         yield self._tokens[left + 1].start, self._tokens[index + 1].start, "operand", ""
+
+    def _dropped_term(self, index: int) -> Iterator[tuple[int, int, str, str]]:
+        """Without the term on the right of a sum."""
+        right = index + 1
+        while not (self._tokens[right].text in _ENDS_TERM or self._tokens[right].text in _BINARY and self._tokens[right].spaced and self._tokens[right].text not in ("*", "/", "%")):
+            right = self._partner.get(right, right) + 1
+        yield self._tokens[index].start, self._tokens[right - 1].end, "operand", ""
 
     def _deleted(self, index: int) -> Iterator[tuple[int, int, str, str]]:
         start, end = self._tokens[index].start, self._tokens[self._end[index]].end

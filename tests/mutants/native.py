@@ -40,9 +40,13 @@ class Native:
 
     def build(self, mutant: Mutant, flags: tuple[str, ...] = _QUICK) -> Path:
         """The shared object with a mutant; a BuildError if it does not compile."""
+        # The bindings call functions of headers as others compile them, because nothing is inlined there. A constant
+        # may be the length of an array, of which all objects must have the same opinion.
+        alike = mutant.kind == "constant"
+        sources = [source for source in self.tree.dependents(mutant.file) if source in self._commands]
         with self.tree.holding(mutant):
-            sources = [source for source in self.tree.dependents(mutant.file) if source in self._commands]
-            return self.link(self.compile(sources, "mutant", flags))
+            replaced = [s for s in sources if alike or s.startswith("firmware/") or not s.startswith(_BINDINGS)]
+            return self.link(self.compile(replaced, "mutant", flags))
 
     def is_same_code(self, mutant: Mutant) -> bool:
         """Whether the compiler makes the same code of the mutant, so that no test can see a difference."""
@@ -67,14 +71,7 @@ class Native:
     def link(self, objects: dict[str, Path], *more: Path) -> Path:
         """Link objects with the rest of the base, which gives what they do not."""
         out = self._work / "both.so"
-        bindings = [self._base / path for source, path in self._objects.items() if source.startswith(_BINDINGS)]
-        kept = [
-            str(path)
-            for source, path in zip(
-                [s for s in self._objects if s.startswith(_BINDINGS)], bindings, strict=True
-            )
-            if source not in objects
-        ]
+        kept = [str(path) for source, path in self._bindings.items() if source not in objects]
         libraries = [str(self._base / name) for name in _LIBRARIES]
         _run(
             [*_compiler(), "-shared", "-Wl,--gc-sections", "-o", str(out)]
@@ -105,17 +102,9 @@ class Native:
         }
 
     @cached_property
-    def _objects(self) -> dict[str, Path]:
-        """Object of each source in the base, relative to it."""
-        entries = json.loads((self._base / "compile_commands.json").read_text(encoding="utf-8"))
-        found = {}
-        for entry in entries:
-            words = shlex.split(entry["command"])
-            source = Path(entry["file"])
-            if source.is_relative_to(ROOT):
-                place = Path(entry["directory"]) / words[words.index("-o") + 1]
-                found[source.relative_to(ROOT).as_posix()] = place.relative_to(self._base)
-        return found
+    def _bindings(self) -> dict[str, Path]:
+        """Objects of the bindings, with nothing inlined."""
+        return self.compile([source for source in self._commands if source.startswith(_BINDINGS)], "kept", _QUICK)
 
     def recompiled(self) -> list[str]:
         """Every source of the core, for builds that look into all of it."""
