@@ -17,7 +17,7 @@ ROOMS: Final = ("tests/control", "tests/flight", "tests/law", "tests/link", "tes
 """Tests that run the flight code in their own process."""
 SOURCES: Final = ("firmware/core", "sim/native", "tests/native", "CMakeLists.txt")
 _COVERED: Final = ("-O0", "-gdwarf-4", "-w", "-fsanitize-coverage=trace-pc")
-_MARKERS: Final = "not slow and not emulated and not documents and not diagnosis"
+_MARKERS: Final = "not emulated and not documents and not diagnosis"
 
 
 class CoreBench:

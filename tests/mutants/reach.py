@@ -20,7 +20,7 @@ import pytest
 from tests.mutants.generate import ROOT, Mutant
 from tests.mutants.tokens import tokens_of
 
-MAX_COST_S: Final = 3.0
+MAX_COST_S: Final = 5.0
 """CPU time above which a test is left out: it fits, or starts programs, whose flight code is not the mutant."""
 _MAX_NAMES: Final = 4
 
