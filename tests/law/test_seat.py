@@ -15,7 +15,7 @@ from heli_test_native import law as native_law
 
 from tests.flight.harness import Harness
 
-FOLLOWING_MAX_deg = {p.name: p.default for p in d.PARAMS}["travel_following_max_deg"]
+FOLLOWING_MAX_deg = {p.name: p.default for p in d.PARAMS}["pitch_following_max_deg"]
 ENVELOPE = {p.name: p.default for p in d.PARAMS}["law_envelope"]
 
 
@@ -30,8 +30,9 @@ def program_of(name: str, volts: Any) -> LawProgram:
 
 
 def hovering() -> Harness:
-    """A board that flies level by its own law, without a fault for arms that do not follow."""
+    """A board that flies level by its own law; of arms that do not follow, only pitch is watched."""
     harness = Harness()
+    harness.set("pitch_following_max_deg", FOLLOWING_MAX_deg)
     harness.fly()
     harness.glide(0, 0.0, 60.0)
     harness.keep_flying(1500)
@@ -120,17 +121,21 @@ def test_a_loop_that_is_opened_ends_the_flight_of_a_law(axes: int) -> None:
 
 def test_a_law_has_its_whole_time_astray_each_time_it_flies() -> None:
     """Three times 0.6 of the time that the guard allows: none of them is over it."""
+
+    @control_law(name="asks for a tilt that does not come")
+    def law(now: Any, state: Any, parameter: Any) -> Command:
+        return Command(1.5, 1.5, pitch_setpoint_rad=math.radians(0.9 * FOLLOWING_MAX_deg))
+
     harness = hovering()
-    program = program_of("stays", lambda now: (1.5, 1.5))
-    assert upload(harness, program).result == Result.OK
+    assert upload(harness, law.program).result == Result.OK
     for _ in range(3):
-        harness.glide(2, 0.0, 60.0)
-        harness.keep_flying(3000)
         assert harness.ask(d.LawFlyMessage(0, 1)).result == Result.OK
-        harness.glide(2, 0.9 * FOLLOWING_MAX_deg, 60.0)
         harness.keep_flying(round(600 * ENVELOPE))
         assert harness.ask(d.LawFlyMessage(0, 0)).result == Result.OK
-    assert set(taken_over(harness)) == {Takeover.COMMAND}
+    assert taken_over(harness) == 3 * [Takeover.COMMAND]
+    assert harness.ask(d.LawFlyMessage(0, 1)).result == Result.OK
+    harness.keep_flying(round(1100 * ENVELOPE))
+    assert taken_over(harness)[3:] == [Takeover.PITCH_FOLLOWING]
 
 
 def test_the_first_voltage_of_every_flight_of_a_law_is_no_jump() -> None:
