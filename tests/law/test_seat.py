@@ -7,9 +7,11 @@ from typing import Any
 
 import pytest
 from heli_host import declaration as d
-from heli_host.declaration import Event, LawError, LawState, Result, State, Takeover
+from heli_host.declaration import Channel, Event, LawError, LawState, Result, State, Takeover
 from heli_host.guest_law import PART_WORDS
 from heli_host.law_program import Instruction, LawProgram
+from heli_host.link.channels import physical
+from heli_host.link.telemetry import TelemetryDecoder
 from heli_lab.law import Command, control_law
 from heli_test_native import law as native_law
 
@@ -195,3 +197,18 @@ def test_board_and_host_agree_on_the_ticks_and_the_cost_of_a_law(states: int, si
         assert (error, cost, needed) == (0, program.cost, program.ticks), count
         ticks.add(needed)
     assert ticks == {1, 2, 3}
+
+
+def test_a_law_logs_each_of_its_signals_in_its_own_channel() -> None:
+    @control_law(name="signals")
+    def law(now: Any, state: Any, parameter: Any) -> Command:
+        return Command(1.5, 1.5, signals={f"s{k}": float(k) for k in range(1, 5)})
+
+    harness = hovering()
+    assert engage(harness, law.program).result == Result.OK
+    harness.keep_flying(200)
+    payload = [frame.payload for frame in harness.frames if frame.id == d.MessageId.TELEMETRY][-1]
+    last = TelemetryDecoder().decode([payload]).raw[-1]
+    channels = (Channel.SIGNAL_1, Channel.SIGNAL_2, Channel.SIGNAL_3, Channel.SIGNAL_4)
+    logged = [float(physical(last, channel)) for channel in channels]
+    assert logged == pytest.approx([1.0, 2.0, 3.0, 4.0], abs=0.01)

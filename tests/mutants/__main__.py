@@ -49,7 +49,7 @@ def _run(chosen: list[Mutant]) -> list[Result]:
         print("looking which test reaches which line; this takes minutes when sources or tests have changed", flush=True)
         reach = bench.reach()
         runner = Runner(
-            bench, reach, declarations, kept, digest(*bench_core.SOURCES), digest(*bench_core.ROOMS)
+            bench, reach, declarations, kept, digest(*bench_core.SOURCES), digest(*bench_core.test_files())
         )
         for number, result in enumerate(runner.run(core), 1):
             print(f"{number}/{len(core)} {result.outcome} {result.text}  ({result.by[-70:]})", flush=True)

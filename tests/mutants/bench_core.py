@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import Any, Final
 
 from tests.mutants import session
-from tests.mutants.generate import Mutant
+from tests.mutants.generate import ROOT, Mutant
 from tests.mutants.native import Native
 from tests.mutants.reach import Reach, Recorder, Watch, blocks_of, reach_of
 from tests.mutants.tree import BUILD, BuildError, digest
 
-ROOMS: Final = ("tests/control", "tests/flight", "tests/law", "tests/link", "tests/sil", "tests/fly")
+ROOMS: Final = ("tests/control", "tests/flight", "tests/law", "tests/link", "tests/sil")
 """Tests that run the flight code in their own process."""
 SOURCES: Final = ("firmware/core", "sim/native", "tests/native", "CMakeLists.txt")
 _COVERED: Final = ("-O0", "-gdwarf-4", "-w", "-fsanitize-coverage=trace-pc")
-_MARKERS: Final = "not emulated and not documents and not diagnosis"
+_MARKERS: Final = "not slow and not emulated and not documents and not diagnosis"
 
 
 class CoreBench:
@@ -43,13 +43,21 @@ class CoreBench:
         return self._native.is_same_code(mutant)
 
     def reach(self) -> Reach:
-        """Which test reaches which line, from an earlier run if sources and tests are those of then."""
-        kept = BUILD / f"reach-core-{digest(*SOURCES, *ROOMS)}.json"
-        if not kept.exists():
+        """Which test reaches which line; only files of tests that have changed run again."""
+        folder = BUILD / f"reach-core-{digest(*SOURCES)}"
+        kept = {file: folder / f"{file.replace('/', '+')}-{_digest_of_tests(file)}.json" for file in test_files()}
+        stale = [file for file, path in kept.items() if not path.exists()]
+        code = folder / "code.json"
+        if stale or not code.exists():
+            folder.mkdir(parents=True, exist_ok=True)
             library = self._covered()
-            result = session.call_in_fork(lambda: _look(library))
-            reach_of(result, blocks_of(library, self._native.tree.folder)).save(kept)
-        return Reach.load(kept)
+            found = reach_of(
+                session.call_in_fork(lambda: _look(library, stale)), blocks_of(library, self._native.tree.folder)
+            )
+            for file in stale:
+                found.of_file(file).save(kept[file])
+            Reach({}, {f: dict.fromkeys(lines, frozenset()) for f, lines in found.lines.items()}).save(code)
+        return Reach.load([code, *kept.values()])
 
     def _covered(self) -> Path:
         """A build that notes every block that it enters."""
@@ -64,8 +72,20 @@ class CoreBench:
         return self._native.link(objects, recorder)
 
 
-def _look(library: Path) -> dict[str, Any]:
+def test_files() -> list[str]:
+    """Files of the tests that run the flight code in their own process."""
+    paths = (path for room in ROOMS for path in sorted((ROOT / room).glob("test_*.py")))
+    return [path.relative_to(ROOT).as_posix() for path in paths]
+
+
+def _digest_of_tests(file: str) -> str:
+    """What a file of tests depends on besides the sources: itself and what helps the tests of its folder."""
+    beside = (path for path in (ROOT / file).parent.glob("*.py") if not path.name.startswith("test_"))
+    return digest(file, *(path.relative_to(ROOT).as_posix() for path in sorted(beside)))
+
+
+def _look(library: Path, files: list[str]) -> dict[str, Any]:
     session.load_extensions(library)
     watch = Watch(Recorder(library).take)
-    session.run_pytest(ROOMS, [watch], "--maxfail=100000", "-m", _MARKERS)
+    session.run_pytest(files, [watch], "--maxfail=100000", "-m", _MARKERS)
     return watch.result()

@@ -20,7 +20,7 @@ import pytest
 from tests.mutants.generate import ROOT, Mutant
 from tests.mutants.tokens import tokens_of
 
-MAX_COST_S: Final = 5.0
+MAX_COST_S: Final = 3.0
 """CPU time above which a test is left out: it fits, or starts programs, whose flight code is not the mutant."""
 _MAX_NAMES: Final = 4
 
@@ -93,29 +93,38 @@ class Reach:
                         self._mentions.setdefault(token.text, []).append((file, line))
         return self._mentions.get(name, [])
 
-    def save(self, path: Path) -> None:
-        """Write it down."""
-        names = list(self.costs_s)
-        place = {name: index for index, name in enumerate(names)}
-        sets: dict[frozenset[str], int] = {}
+    def of_file(self, test_file: str) -> Reach:
+        """The part of the tests of one file, with the lines that these reach."""
+        mine = {name: cost_s for name, cost_s in self.costs_s.items() if name.partition("::")[0] == test_file}
         lines = {
-            file: {str(line): sets.setdefault(tests, len(sets)) for line, tests in of_file.items()}
+            file: {line: kept for line, tests in of_file.items() if (kept := tests & mine.keys())}
             for file, of_file in self.lines.items()
         }
-        table = [sorted(place[name] for name in tests) for tests in sets]
-        path.write_text(json.dumps({"costs_s": self.costs_s, "sets": table, "lines": lines}), encoding="utf-8")
+        return Reach(mine, lines)
+
+    def save(self, path: Path) -> None:
+        """Write it down."""
+        place = {name: index for index, name in enumerate(self.costs_s)}
+        lines = {
+            file: {str(line): sorted(place[name] for name in tests) for line, tests in of_file.items()}
+            for file, of_file in self.lines.items()
+        }
+        path.write_text(json.dumps({"costs_s": self.costs_s, "lines": lines}), encoding="utf-8")
 
     @classmethod
-    def load(cls, path: Path) -> Reach:
-        """Read what `save` wrote."""
-        written = json.loads(path.read_text(encoding="utf-8"))
-        names = list(written["costs_s"])
-        sets = [frozenset(names[index] for index in indices) for indices in written["sets"]]
-        lines = {
-            file: {int(line): sets[index] for line, index in of_file.items()}
-            for file, of_file in written["lines"].items()
-        }
-        return cls(written["costs_s"], lines)
+    def load(cls, paths: Iterable[Path]) -> Reach:
+        """Read what `save` wrote, of several files of tests together."""
+        costs_s: dict[str, float] = {}
+        by_line: dict[str, dict[int, set[str]]] = defaultdict(lambda: defaultdict(set))
+        for path in paths:
+            written = json.loads(path.read_text(encoding="utf-8"))
+            names = list(written["costs_s"])
+            costs_s |= written["costs_s"]
+            for file, of_file in written["lines"].items():
+                for line, indices in of_file.items():
+                    by_line[file][int(line)].update(names[index] for index in indices)
+        frozen = {file: {line: frozenset(t) for line, t in lines.items()} for file, lines in by_line.items()}
+        return cls(costs_s, frozen)
 
 
 class Watch:
