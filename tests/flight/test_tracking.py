@@ -55,7 +55,7 @@ def test_without_counts_at_take_off_the_motors_are_cut_half_a_second_after_they_
 
 
 def test_an_arm_within_two_degrees_of_its_rest_may_lie_on_the_table() -> None:
-    """Play, or a soft table: it lies 1.5 degrees above its rest while the motors push more, and still too little."""
+    """It lies 1.5 degrees above its rest, on a soft table; the motors push more, and still too little."""
     harness = Harness(tracked=True)
     harness.glide(ELEVATION, -23.5, 5.0)
     harness.tick(300)

@@ -75,7 +75,10 @@ def law_on(harness: Harness) -> d.LawMessage:
 
 
 def test_a_law_that_flies_cannot_be_replaced() -> None:
-    flying, other = (program_of("flying", lambda now: (1.6, 1.5)), program_of("other", lambda now: (3.0, 0.0)))
+    flying, other = (
+        program_of("flying", lambda now: (1.6, 1.5)),
+        program_of("other", lambda now: (3.0, 0.0)),
+    )
     harness = hovering()
     assert engage(harness, flying).result == Result.OK
     harness.keep_flying(2500)
@@ -158,8 +161,10 @@ def test_the_first_voltage_of_every_flight_of_a_law_is_no_jump() -> None:
 
 @pytest.mark.parametrize("motor", ["front", "back"])
 @pytest.mark.parametrize(("jump_V", "allowed"), [(-2.6, False), (-2.4, True), (2.4, True), (2.6, False)])
-def test_a_jump_of_either_motor_is_taken_over_beyond_its_limit(motor: str, jump_V: float, allowed: bool) -> None:
-    """The voltage of one motor jumps when the encoder of travel turns by two counts from one tick to the next."""
+def test_a_jump_of_either_motor_is_taken_over_beyond_its_limit(
+    motor: str, jump_V: float, allowed: bool
+) -> None:
+    """The voltage of one motor jumps when the encoder of travel turns by two counts within a tick."""
     turned_deg = 2.0 * 360.0 / 4096.0
     harness = hovering()
 
@@ -189,7 +194,7 @@ def adding(count: int, states: int = 0, signals: int = 0, more: tuple[Instructio
 
 @pytest.mark.parametrize(("states", "signals"), [(0, 0), (1, 0), (30, 0), (0, 4), (9, 2)])
 def test_board_and_host_agree_on_the_ticks_and_the_cost_of_a_law(states: int, signals: int) -> None:
-    """One addition more at a time, past the ends of the first two ticks; each has room for what the last costs."""
+    """One addition more at a time, past the ends of two ticks; each has room for what the last costs."""
     ticks = set()
     for count in (*range(1, 5), *range(280, 320), *range(560, 620)):
         program = adding(count, states, signals)

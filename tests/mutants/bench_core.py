@@ -13,6 +13,7 @@ from tests.mutants.native import Native
 from tests.mutants.reach import Reach, Recorder, Watch, blocks_of, reach_of
 from tests.mutants.tree import BUILD, BuildError, digest
 
+FOLDER: Final = "firmware/core"
 ROOMS: Final = ("tests/control", "tests/flight", "tests/law", "tests/link", "tests/sil")
 """Tests that run the flight code in their own process."""
 SOURCES: Final = ("firmware/core", "sim/native", "tests/native", "CMakeLists.txt")
@@ -45,14 +46,17 @@ class CoreBench:
     def reach(self) -> Reach:
         """Which test reaches which line; only files of tests that have changed run again."""
         folder = BUILD / f"reach-core-{digest(*SOURCES)}"
-        kept = {file: folder / f"{file.replace('/', '+')}-{_digest_of_tests(file)}.json" for file in test_files()}
+        kept = {
+            file: folder / f"{file.replace('/', '+')}-{_digest_of_tests(file)}.json" for file in test_files()
+        }
         stale = [file for file, path in kept.items() if not path.exists()]
         code = folder / "code.json"
         if stale or not code.exists():
             folder.mkdir(parents=True, exist_ok=True)
             library = self._covered()
             found = reach_of(
-                session.call_in_fork(lambda: _look(library, stale)), blocks_of(library, self._native.tree.folder)
+                session.call_in_fork(lambda: _look(library, stale)),
+                blocks_of(library, self._native.tree.folder),
             )
             for file in stale:
                 found.of_file(file).save(kept[file])

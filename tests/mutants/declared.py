@@ -60,7 +60,8 @@ def read_declarations(path: Path = TABLE) -> list[Declaration]:
     """
     entries = tomllib.loads(path.read_text(encoding="utf-8")).get("equivalent", [])
     declarations = [
-        Declaration(e["file"], e["line"], e["before"], tuple(e["after"]), e.get("reason", "")) for e in entries
+        Declaration(e["file"], e["line"], e["before"], tuple(e["after"]), e.get("reason", ""))
+        for e in entries
     ]
     by_file: dict[str, list[Declaration]] = defaultdict(list)
     for declaration in declarations:
@@ -81,7 +82,8 @@ def _check(declaration: Declaration, mutants: list[Mutant]) -> None:
     unknown = [after for after in declaration.after if _plain(after) not in known]
     if unknown:
         raise DeclarationError(
-            f"{place}: no mutant changes {declaration.before} to {unknown[0]} there; correct or remove the entry"
+            f"{place}: no mutant changes {declaration.before} to {unknown[0]} there; "
+            "correct or remove the entry"
         )
 
 

@@ -1,7 +1,7 @@
 """Mutants of C++ sources: one small change each, found in the text and not in a syntax tree.
 
-The sources are formatted by clang-format, which this relies on: a relation has spaces around it, the bracket of
-a template has none.
+The sources are formatted by clang-format, which this relies on: a relation has spaces around it, the bracket
+of a template has none.
 """
 
 from __future__ import annotations
@@ -35,10 +35,14 @@ _NUMBER: Final = re.compile(
     r"(?P<digits>0[xX][0-9a-fA-F]+|0[bB][01]+|[\d.]+(?:[eE][+-]?\d+)?)(?P<suffix>[uUlLfF]*)"
 )
 _FLOAT: Final = re.compile(r"\d*\.\d*|\d+[eE]")
-_EXPRESSION: Final = re.compile(r"^(?:\+\+|--|\*|\()|^[\w:]+(?:\(|\[|\.|->|\+\+|--|\s*[-+*/%&|^]?=[^=]|\s*(?:<<|>>)=)")
+_EXPRESSION: Final = re.compile(
+    r"^(?:\+\+|--|\*|\()|^[\w:]+(?:\(|\[|\.|->|\+\+|--|\s*[-+*/%&|^]?=[^=]|\s*(?:<<|>>)=)"
+)
 _NO_EXPRESSION: Final = {
-    "return", "if", "for", "while", "do", "switch", "case", "default", "else", "using", "const", "constexpr", "auto",
-    "static", "static_assert", "typedef", "struct", "class", "enum", "template", "namespace", "public", "private",
+    "return", "if", "for", "while", "do", "switch", "case", "default", "else", "using", "const",
+    "constexpr",
+    "auto", "static", "static_assert", "typedef", "struct", "class", "enum", "template", "namespace", "public",
+    "private",
     "extern", "asm", "__asm__", "inline", "volatile", "goto", "friend", "explicit", "virtual", "operator",
 }  # fmt: skip
 _JUMPS: Final = {"return;", "break;", "continue;"}
@@ -85,7 +89,15 @@ class Mutant:
     @cached_property
     def identity(self) -> str:
         """The same as long as line, place and change are the same, wherever in the file the line is."""
-        parts = (self.file, self.source_line, self.occurrence, self.column, self.kind, self.before, self.after)
+        parts = (
+            self.file,
+            self.source_line,
+            self.occurrence,
+            self.column,
+            self.kind,
+            self.before,
+            self.after,
+        )
         return hashlib.sha256("\0".join(map(str, parts)).encode()).hexdigest()[:12]
 
     def apply(self, text: str) -> str:
@@ -124,7 +136,12 @@ def sample(mutants: list[Mutant], seed: str, count: int | None) -> list[Mutant]:
     for mutant in sorted(mutants, key=rank):
         first.setdefault((mutant.file, mutant.start, mutant.kind), mutant)
     # By a hash of the place, not of its first mutant: the first of five is early.
-    places = sorted(first.values(), key=lambda m: hashlib.sha256(f"{seed} {m.file} {m.source_line} {m.column} {m.occurrence} {m.kind}".encode()).hexdigest())
+    places = sorted(
+        first.values(),
+        key=lambda m: hashlib.sha256(
+            f"{seed} {m.file} {m.source_line} {m.column} {m.occurrence} {m.kind}".encode()
+        ).hexdigest(),
+    )
     return places[:count]
 
 
@@ -176,7 +193,13 @@ class _Source:
         elif token.text in ("true", "false"):
             yield token.start, token.end, "constant", "false" if token.text == "true" else "true"
         elif token.text in _BINARY and (token.spaced or self._ends_line(token)) and index > 0:
-            kind = "relation" if token.text in _RELATIONS else "logic" if token.text in _LOGICAL else "arithmetic"
+            kind = (
+                "relation"
+                if token.text in _RELATIONS
+                else "logic"
+                if token.text in _LOGICAL
+                else "arithmetic"
+            )
             yield from ((token.start, token.end, kind, other) for other in _BINARY[token.text])
             if token.text in _LOGICAL:
                 yield from self._dropped_operands(index)
@@ -222,7 +245,14 @@ class _Source:
     def _dropped_term(self, index: int) -> Iterator[tuple[int, int, str, str]]:
         """Without the term on the right of a sum."""
         right = index + 1
-        while not (self._tokens[right].text in _ENDS_TERM or self._tokens[right].text in _BINARY and self._tokens[right].spaced and self._tokens[right].text not in ("*", "/", "%")):
+        while not (
+            self._tokens[right].text in _ENDS_TERM
+            or (
+                self._tokens[right].text in _BINARY
+                and self._tokens[right].spaced
+                and self._tokens[right].text not in ("*", "/", "%")
+            )
+        ):
             right = self._partner.get(right, right) + 1
         yield self._tokens[index].start, self._tokens[right - 1].end, "operand", ""
 
@@ -238,7 +268,7 @@ class _Source:
 
     def _is_unary(self, index: int) -> bool:
         before = self._tokens[index - 1]
-        return before.kind == "punctuation" and before.text not in (")", "]") or before.text == "return"
+        return (before.kind == "punctuation" and before.text not in (")", "]")) or before.text == "return"
 
     def _ends_line(self, token: Token) -> bool:
         """An operator at the end of a line has a space before it; the token knows only both sides."""
@@ -265,10 +295,13 @@ class _Source:
                 skipped |= set(range(index, self._partner[opening] + 1))
             elif token.text == "[" and self._tokens[index + 1].text == "[":
                 skipped |= set(range(index, self._partner[index] + 1))
-            elif token.text == "=" and [t.text for t in self._tokens[index + 1 : index + 3]] == ["0", ";"]:
+            elif (
+                token.text == "="
+                and [t.text for t in self._tokens[index + 1 : index + 3]] == ["0", ";"]
+                and self._tokens[index - 1].text in (")", "const", "override", "noexcept")
+            ):
                 # A function without a body; a number has a name and a type before it, not a bracket.
-                if self._tokens[index - 1].text in (")", "const", "override", "noexcept"):
-                    skipped.add(index + 1)
+                skipped.add(index + 1)
         return skipped
 
     def _function_bodies(self) -> set[int]:
@@ -300,7 +333,12 @@ class _Source:
         for index, token in enumerate(self._tokens):
             begin[index] = first
             depth += {"(": 1, "[": 1, ")": -1, "]": -1}.get(token.text, 0)
-            is_label = token.text == ":" and self._tokens[first].text in ("case", "default", "public", "private")
+            is_label = token.text == ":" and self._tokens[first].text in (
+                "case",
+                "default",
+                "public",
+                "private",
+            )
             ends = token.text in (";", "{", "}") or is_label
             is_header = token.text == ")" and self._heads(index) and depth == 0
             if (depth == 0 and (ends or is_header or token.text == "else")) or token.text in ("{", "}"):
@@ -311,7 +349,11 @@ class _Source:
 
     def _heads(self, closing: int) -> bool:
         opening = self._partner.get(closing)
-        return opening is not None and opening > 0 and self._tokens[opening - 1].text in ("if", "for", "while", "switch")
+        return (
+            opening is not None
+            and opening > 0
+            and self._tokens[opening - 1].text in ("if", "for", "while", "switch")
+        )
 
 
 def _is_comparison(condition: list[Token]) -> bool:
@@ -335,7 +377,11 @@ def _other_numbers(text: str) -> list[str]:
         changed = [0.0, value + 1.0, 2.0 * value, 0.5 * value, 10.0 * value]
         others = [repr(number) + suffix for number in dict.fromkeys(changed) if number != value]
         return [other if "." in other or "e" in other else other + ".0" for other in others]
-    whole = int(digits, 0) if digits[:1] != "0" or len(digits) < 2 or digits[1:2] in "xXbB" else int(digits, 8)
+    whole = (
+        int(digits, 0) if digits[:1] != "0" or len(digits) < 2 or digits[1:2] in "xXbB" else int(digits, 8)
+    )
     written = hex if digits[:2].lower() == "0x" else str
     changed_to = dict.fromkeys([0, whole + 1, 2 * whole, (whole + 1) // 2, 10 * whole])
-    return [written(number) + suffix.replace("f", "").replace("F", "") for number in changed_to if number != whole]
+    return [
+        written(number) + suffix.replace("f", "").replace("F", "") for number in changed_to if number != whole
+    ]

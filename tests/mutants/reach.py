@@ -21,7 +21,7 @@ from tests.mutants.generate import ROOT, Mutant
 from tests.mutants.tokens import tokens_of
 
 MAX_COST_S: Final = 3.0
-"""CPU time above which a test is left out: it fits, or starts programs, whose flight code is not the mutant."""
+"""CPU time above which a test is left out: such a test fits, or starts programs without the mutant."""
 _MAX_NAMES: Final = 4
 
 Hits = npt.NDArray[np.bool_]
@@ -62,7 +62,7 @@ class Reach:
         return sorted(names, key=key)
 
     def _reached(self, file: str, lines: Iterable[int], seen: set[str]) -> frozenset[str] | None:
-        """Tests that reach any of some lines of a file; None if none of these has code and nothing uses them."""
+        """Tests that reach any of some lines; None if none of these has code and nothing uses them."""
         numbers = list(lines)
         known = self.lines.get(file, {})
         direct = [known[line] for line in numbers if line in known]
@@ -70,21 +70,30 @@ class Reach:
             return frozenset().union(*direct)
         # A constant has no code where it is declared: what uses its name reaches it.
         text = (ROOT / file).read_text(encoding="utf-8").splitlines()
-        declared = {n for line in numbers for n in re.findall(r"\b(k[A-Z]\w*|\w+_)\b|\b(\w+)\(", text[line - 1])}
+        declared = {
+            n for line in numbers for n in re.findall(r"\b(k[A-Z]\w*|\w+_)\b|\b(\w+)\(", text[line - 1])
+        }
         names = {name for pair in declared for name in pair if name} - seen
         if not names or len(seen) > _MAX_NAMES:
             return None
         found: list[frozenset[str]] = []
         for name in names:
             for other, line in self._mentioning(name):
-                part = self._reached(other, [line], seen | names) if (other, line) not in [(file, n) for n in numbers] else None
+                part = (
+                    self._reached(other, [line], seen | names)
+                    if (other, line) not in [(file, n) for n in numbers]
+                    else None
+                )
                 if part is not None:
                     found.append(part)
         return frozenset().union(*found) if found else None
 
     def _mentioning(self, name: str) -> list[tuple[str, int]]:
         if not self._mentions:
-            for file in {*self.lines, *(p.relative_to(ROOT).as_posix() for p in (ROOT / "firmware").rglob("*.hpp"))}:
+            for file in {
+                *self.lines,
+                *(p.relative_to(ROOT).as_posix() for p in (ROOT / "firmware").rglob("*.hpp")),
+            }:
                 text = (ROOT / file).read_text(encoding="utf-8")
                 starts = np.cumsum([0, *(len(line) + 1 for line in text.split("\n"))])
                 for token in tokens_of(text):
@@ -145,14 +154,13 @@ class Watch:
         self._items: list[pytest.Item] = []
         self._outer: list[set[int]] = []
         self._start_s = 0.0
+        self._pending: set[int] = set()
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
         self._items = list(items)
 
     @pytest.hookimpl(wrapper=True)
-    def pytest_fixture_setup(
-        self, fixturedef: pytest.FixtureDef[Any]
-    ) -> Generator[None, Any, Any]:
+    def pytest_fixture_setup(self, fixturedef: pytest.FixtureDef[Any]) -> Generator[None, Any, Any]:
         if fixturedef.scope == "function":
             return (yield)
         # Shared by tests, whichever of them it is made for.
@@ -162,13 +170,12 @@ class Watch:
         finally:
             inner = self._take()
             self._shared.setdefault((fixturedef.argname, fixturedef.baseid), set()).update(inner)
-            self._restored = self._outer.pop() | inner
-            self._pending = getattr(self, "_pending", set()) | self._restored
+            self._pending |= self._outer.pop() | inner
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, Any, Any]:
         self._take()
-        self._pending: set[int] = set()
+        self._pending = set()
         self._start_s = time.process_time()
         try:
             return (yield)
@@ -215,7 +222,10 @@ def reach_of(result: dict[str, Any], lines_of_block: dict[int, set[tuple[str, in
 def blocks_of(library: Path, folder: Path) -> dict[int, set[tuple[str, int]]]:
     """By the address that the hook of each block returns to: files and lines of the block."""
     listing = subprocess.run(
-        ["objdump", "-d", "-l", "--no-show-raw-insn", str(library)], capture_output=True, text=True, check=True
+        ["objdump", "-d", "-l", "--no-show-raw-insn", str(library)],
+        capture_output=True,
+        text=True,
+        check=True,
     ).stdout
     found: dict[int, set[tuple[str, int]]] = {}
     place: tuple[str, int] | None = None

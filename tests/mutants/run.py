@@ -14,8 +14,8 @@ from tests.mutants.tree import BuildError
 
 _LIMIT_TIMES: Final = 20.0
 _MIN_LIMIT_s: Final = 2.0
-"""CPU time that a test may take on a mutant: so many times its cost on the original, and at least this. Below, a busy
-machine kills mutants that a test does not notice; above, endless loops cost more than all other mutants.
+"""CPU time that a test may take on a mutant: so many times its cost on the original, and at least this. Below,
+a busy machine kills mutants that a test does not notice; above, endless loops cost more than all others.
 """
 _MIN_REAL_s: Final = 60.0
 
@@ -48,7 +48,13 @@ class Runner:
     """
 
     def __init__(
-        self, bench: Bench, reach: Reach, declarations: list[Declaration], results: Results, sources: str, tests: str
+        self,
+        bench: Bench,
+        reach: Reach,
+        declarations: list[Declaration],
+        results: Results,
+        sources: str,
+        tests: str,
     ) -> None:
         self._bench, self._reach, self._declarations = bench, reach, declarations
         self._results, self._sources, self._tests = results, sources, tests
@@ -86,7 +92,14 @@ class Runner:
 
     def _result(self, mutant: Mutant, outcome: str, by: str, spent_s: float) -> Result:
         return Result(
-            mutant.identity, mutant.file, str(mutant), outcome, by, round(spent_s, 2), self._sources, self._tests
+            mutant.identity,
+            mutant.file,
+            str(mutant),
+            outcome,
+            by,
+            round(spent_s, 2),
+            self._sources,
+            self._tests,
         )
 
 

@@ -28,8 +28,9 @@ from tests.mutants.generate import ROOT
 
 _PRELOADED: Final = (
     "numpy", "scipy.signal", "casadi", "hypothesis", "hypothesis.strategies", "serial", "cobs", "mcap.reader",
-    "control", "matplotlib.pyplot", "typer", "ssl", "asyncio", "unittest.mock", "elftools.elf.elffile", "heli_host.heli", "heli_host.link.session", "heli_host.fly.runner",
-    "tests.running.cost", "tests.running.order", "tests.running.quick",
+    "control", "matplotlib.pyplot", "typer", "ssl", "asyncio", "unittest.mock", "elftools.elf.elffile",
+    "heli_host.heli", "heli_host.link.session", "heli_host.fly.runner", "tests.running.cost",
+    "tests.running.order", "tests.running.quick",
 )  # fmt: skip
 EXTENSIONS: Final = ("heli_sim._native", "heli_test_native")
 _ARGUMENTS: Final = (
@@ -159,9 +160,9 @@ def run_tests(prepare: Callable[[], None], limits_s: dict[str, float], most_s: f
     if failed is not None:
         return Outcome(failed, "failed", spent_s)
     last = next((name for what, _, name in reversed(lines) if what == "starts"), "before the first test")
-    if not ended or os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGPROF:
+    if not ended or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGPROF):
         return Outcome(last, "timeout", spent_s)
-    if not os.WIFEXITED(status) or os.WEXITSTATUS(status) != 0:
+    if not os.WIFEXITED(status) or os.WEXITSTATUS(status) not in (0, pytest.ExitCode.NO_TESTS_COLLECTED):
         return Outcome(last, "crashed", spent_s)
     return Outcome("", "", spent_s)
 

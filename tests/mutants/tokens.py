@@ -17,7 +17,8 @@ _SKIPPED: Final = re.compile(
 )
 _TOKEN: Final = re.compile(
     r"""
-      (?P<string>(?:u8|[uUL])?R"(?P<d>[^()\s\\]*)\(.*?\)(?P=d)" | (?:u8|[uUL])?"(?:[^"\\\n]|\\.)*" | '(?:[^'\\\n]|\\.)+')
+      (?P<string>(?:u8|[uUL])?R"(?P<d>[^()\s\\]*)\(.*?\)(?P=d)"
+        | (?:u8|[uUL])?"(?:[^"\\\n]|\\.)*" | '(?:[^'\\\n]|\\.)+')
     | (?P<number>(?:0[xX][0-9a-fA-F']+ | 0[bB][01']+ | (?:\d[\d']*)?\.?\d[\d']*\.?(?:[eE][+-]?\d+)?)[uUlLfF]*)
     | (?P<name>[A-Za-z_]\w*)
     | (?P<punctuation><<=|>>=|->\*|\.\.\.|::|->|\+\+|--|<<|>>|<=|>=|==|!=|&&|\|\||[-+*/%&|^]=|.)
@@ -40,8 +41,8 @@ class Token:
     start, end : int
         Offsets in the text.
     spaced : bool
-        Whether there is white space on both sides. In formatted sources that distinguishes a relation from the
-        brackets of a template, and a product from a pointer.
+        Whether there is white space on both sides. In formatted sources that distinguishes a relation from
+        the brackets of a template, and a product from a pointer.
     """
 
     kind: str

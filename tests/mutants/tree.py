@@ -57,7 +57,9 @@ class Tree:
 
     def dependents(self, file: str) -> list[str]:
         """Sources that have to be compiled again when a file changes."""
-        return [source for source in self.includes if source.endswith(".cpp") and file in self._closure(source)]
+        return [
+            source for source in self.includes if source.endswith(".cpp") and file in self._closure(source)
+        ]
 
     @cached_property
     def includes(self) -> dict[str, set[str]]:
