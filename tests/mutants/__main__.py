@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from tests.mutants import bench_core, rotation, session
+from tests.mutants import bench_core, bench_due, rotation, session
 from tests.mutants.declared import DeclarationError, read_declarations
 from tests.mutants.generate import ROOT, Mutant, mutants_of, sample, sources
 from tests.mutants.results import SURVIVED, Result, Results, table
@@ -39,34 +39,36 @@ def main(words: list[str] | None = None) -> int:
         return 2
     print(table(results))
     if options.record:
-        rotation.record([m for m in chosen if m.file.endswith(".cpp")], results)
+        rotation.record(chosen, results)
     return int(any(result.outcome in SURVIVED for result in results))
 
 
 def _run(chosen: list[Mutant]) -> list[Result]:
-    declarations = read_declarations()
-    unknown = [mutant.file for mutant in chosen if not mutant.file.startswith(bench_core.FOLDER)]
-    if unknown:
-        raise BuildError(
-            f"{unknown[0]} runs on the Due only, whose mutants are not built yet; give FILES=firmware/core"
-        )
     session.preload()
-    bench = bench_core.CoreBench(BUILD / "work" / "core")
-    print(
-        "looking which test reaches which line; this takes minutes when sources or tests have changed",
-        flush=True,
-    )
-    runner = Runner(
-        bench,
-        bench.reach(),
-        declarations,
-        Results(BUILD / "results.jsonl"),
-        digest(*bench_core.SOURCES),
-        digest(*bench_core.test_files()),
-    )
+    found: list[Result] = []
+    core = [mutant for mutant in chosen if mutant.file.startswith(bench_core.FOLDER)]
+    if core:
+        sources_digest, tests_digest = digest(*bench_core.SOURCES), digest(*bench_core.test_files())
+        found += _run_on(bench_core.CoreBench(BUILD / "work" / "core"), core, sources_digest, tests_digest)
+    due = [mutant for mutant in chosen if mutant.file.startswith(bench_due.FOLDER)]
+    if due:
+        sources_digest, tests_digest = digest(*bench_due.SOURCES), digest(*bench_due.ROOMS)
+        found += _run_on(bench_due.DueBench(BUILD / "work" / "due"), due, sources_digest, tests_digest)
+    return found
+
+
+def _run_on(
+    bench: bench_core.CoreBench | bench_due.DueBench,
+    mutants: list[Mutant],
+    sources_digest: str,
+    tests_digest: str,
+) -> list[Result]:
+    print("looking which test reaches which line; after a change of sources this takes minutes", flush=True)
+    results = Results(BUILD / "results.jsonl")
+    runner = Runner(bench, bench.reach(), read_declarations(), results, sources_digest, tests_digest)
     found = []
-    for number, result in enumerate(runner.run(chosen), 1):
-        print(f"{number}/{len(chosen)} {result.outcome} {result.text}  ({result.by[-70:]})", flush=True)
+    for number, result in enumerate(runner.run(mutants), 1):
+        print(f"{number}/{len(mutants)} {result.outcome} {result.text}  ({result.by[-70:]})", flush=True)
         found.append(result)
     return found
 

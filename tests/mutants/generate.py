@@ -41,8 +41,8 @@ _EXPRESSION: Final = re.compile(
 _NO_EXPRESSION: Final = {
     "return", "if", "for", "while", "do", "switch", "case", "default", "else", "using", "const",
     "constexpr",
-    "auto", "static", "static_assert", "typedef", "struct", "class", "enum", "template", "namespace", "public",
-    "private",
+    "auto", "static", "static_assert", "typedef", "struct", "class", "enum", "template", "namespace",
+    "public", "private",
     "extern", "asm", "__asm__", "inline", "volatile", "goto", "friend", "explicit", "virtual", "operator",
 }  # fmt: skip
 _JUMPS: Final = {"return;", "break;", "continue;"}

@@ -1,7 +1,7 @@
 """Mutants that were killed once, and by which test; the ordinary suite repeats a few of them.
 
-Each runs against that test only: this needs no coverage map, which costs a minute of CPU. Which of them depends
-on the sources, so that every change of the flight code is tried with others, and the same with the same.
+Each runs against that test only: this needs no coverage map, which costs a minute of CPU. The sources
+decide which run: every change of the flight code is tried with others.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from tests.mutants import session
-from tests.mutants.bench_core import SOURCES, CoreBench
+from tests.mutants.bench_core import FOLDER, SOURCES, CoreBench
 from tests.mutants.generate import ROOT, Mutant, mutants_of, sample
 from tests.mutants.results import Result
 from tests.mutants.tree import BUILD, digest
@@ -33,7 +33,8 @@ def record(chosen: Iterable[Mutant], results: Iterable[Result]) -> None:
     by_identity = {result.identity: result for result in results}
     for mutant in chosen:
         result = by_identity.get(mutant.identity)
-        if result is not None and result.outcome == "failed" and result.spent_s < _CHEAP_s:
+        cheap = result is not None and result.outcome == "failed" and result.spent_s < _CHEAP_s
+        if result is not None and cheap and mutant.file.startswith(FOLDER) and mutant.file.endswith(".cpp"):
             known.setdefault(mutant.file, {})[mutant.identity] = result.by
     text = json.dumps({file: dict(sorted(of.items())) for file, of in sorted(known.items())}, indent=1)
     TABLE.write_text(text + "\n", encoding="utf-8")

@@ -14,8 +14,9 @@ from tests.mutants.tree import BuildError
 
 _LIMIT_TIMES: Final = 20.0
 _MIN_LIMIT_s: Final = 2.0
-"""CPU time that a test may take on a mutant: so many times its cost on the original, and at least this. Below,
-a busy machine kills mutants that a test does not notice; above, endless loops cost more than all others.
+"""CPU time that a test may take on a mutant: so many times its cost on the original, and at least this.
+
+Below, a busy machine kills mutants that no test notices; above, endless loops cost more than all others.
 """
 _MIN_REAL_s: Final = 60.0
 
