@@ -1,11 +1,14 @@
-// Records which blocks of instrumented code have run: the compiler calls the hook at the start of each block.
+// Records which blocks of instrumented code have run: the compiler calls the hook at the start of
+// each block.
+#include <dlfcn.h>
+
 #include <cstdint>
 #include <cstring>
-#include <dlfcn.h>
 
 namespace {
 
-// A byte for each address of this library: 16 MB is more than it has, and pages that nobody writes cost nothing.
+// A byte for each address of this library: 16 MB is more than it has, and pages that nobody writes
+// cost nothing.
 constexpr std::uintptr_t kBytes = 1U << 24U;
 std::uint8_t reached[kBytes];
 
@@ -22,12 +25,14 @@ std::uintptr_t base() {
 extern "C" {
 
 void __sanitizer_cov_trace_pc() {
-  const std::uintptr_t offset = reinterpret_cast<std::uintptr_t>(__builtin_return_address(0)) - base();
+  const std::uintptr_t offset =
+      reinterpret_cast<std::uintptr_t>(__builtin_return_address(0)) - base();
   if (offset < kBytes) reached[offset] = 1;
 }
 
 __attribute__((visibility("default"))) const std::uint8_t* heli_reached() { return reached; }
 
-__attribute__((visibility("default"))) void heli_clear_reached() { std::memset(reached, 0, kBytes); }
-
+__attribute__((visibility("default"))) void heli_clear_reached() {
+  std::memset(reached, 0, kBytes);
+}
 }
