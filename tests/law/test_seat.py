@@ -217,3 +217,27 @@ def test_a_law_logs_each_of_its_signals_in_its_own_channel() -> None:
     channels = (Channel.SIGNAL_1, Channel.SIGNAL_2, Channel.SIGNAL_3, Channel.SIGNAL_4)
     logged = [float(physical(last, channel)) for channel in channels]
     assert logged == pytest.approx([1.0, 2.0, 3.0, 4.0], abs=0.01)
+
+
+def test_a_law_as_long_as_the_tape_is_received_and_a_word_more_is_refused() -> None:
+    harness = Harness()
+    longest = harness.ask(d.LawBeginMessage(0, 1, d.LAW_WORDS))
+    assert longest.result == Result.OK
+    longer = harness.ask(d.LawBeginMessage(0, 1, d.LAW_WORDS + 1))
+    assert (longer.result, longer.detail, longer.value) == (Result.BAD_LAW, LawError.TOO_LONG, d.LAW_WORDS)
+
+
+def test_a_law_with_a_setpoint_of_its_own_logs_the_boards_in_the_first_free_signal() -> None:
+    @control_law(name="own setpoint")
+    def law(now: Any, state: Any, parameter: Any) -> Command:
+        own_rad = 0.5 * now.elevation_setpoint_rad
+        return Command(1.5, 1.5, elevation_setpoint_rad=own_rad, signals={"first": 1.0})
+
+    harness = hovering()
+    assert engage(harness, law.program).result == Result.OK
+    harness.keep_flying(1500, elevation_deg=4.0)
+    payload = [frame.payload for frame in harness.frames if frame.id == d.MessageId.TELEMETRY][-1]
+    last = TelemetryDecoder().decode([payload]).raw[-1]
+    board, own = last[Channel.SIGNAL_2], last[Channel.ELEVATION_SETPOINT]
+    assert board == pytest.approx(2 * own, abs=2)
+    assert math.degrees(float(physical(last, Channel.ELEVATION_SETPOINT))) == pytest.approx(2.0, abs=0.2)

@@ -35,6 +35,10 @@ class Declaration:
         Its replacements.
     reason : str
         Why nothing can notice.
+    occurrence : int
+        How many equal lines come before it in the file.
+    column : int, optional
+        Of the change in the line; needed where the same change is possible twice.
     """
 
     file: str
@@ -42,11 +46,18 @@ class Declaration:
     before: str
     after: tuple[str, ...]
     reason: str
+    occurrence: int = 0
+    column: int | None = None
 
     def covers(self, mutant: Mutant) -> bool:
         """Whether a mutant is declared by this."""
-        return (mutant.file, mutant.source_line) == (self.file, self.line) and (
-            _plain(mutant.before) == _plain(self.before) and _plain(mutant.after) in map(_plain, self.after)
+        place = (mutant.file, mutant.source_line, mutant.occurrence)
+        at_column = self.column is None or self.column == mutant.column
+        return (
+            place == (self.file, self.line, self.occurrence)
+            and at_column
+            and _plain(mutant.before) == _plain(self.before)
+            and _plain(mutant.after) in map(_plain, self.after)
         )
 
 
@@ -60,8 +71,16 @@ def read_declarations(path: Path = TABLE) -> list[Declaration]:
     """
     entries = tomllib.loads(path.read_text(encoding="utf-8")).get("equivalent", [])
     declarations = [
-        Declaration(e["file"], e["line"], e["before"], tuple(e["after"]), e.get("reason", ""))
-        for e in entries
+        Declaration(
+            file=entry["file"],
+            line=entry["line"],
+            before=entry["before"],
+            after=tuple(entry["after"]),
+            reason=entry.get("reason", ""),
+            occurrence=entry.get("occurrence", 0),
+            column=entry.get("column"),
+        )
+        for entry in entries
     ]
     by_file: dict[str, list[Declaration]] = defaultdict(list)
     for declaration in declarations:
@@ -78,7 +97,13 @@ def _check(declaration: Declaration, mutants: list[Mutant]) -> None:
     place = f"{TABLE.name}: {declaration.file}: {declaration.line}"
     if len(declaration.reason) < _MIN_REASON:
         raise DeclarationError(f"{place}: the reason is missing; say why no test can notice the change")
-    known = {_plain(m.after) for m in mutants if declaration.covers(m)}
+    covered = [mutant for mutant in mutants if declaration.covers(mutant)]
+    if len({mutant.column for mutant in covered}) > 1:
+        columns = sorted({mutant.column for mutant in covered})
+        raise DeclarationError(
+            f"{place}: {declaration.before} is there more than once; give a column of {columns}"
+        )
+    known = {_plain(mutant.after) for mutant in covered}
     unknown = [after for after in declaration.after if _plain(after) not in known]
     if unknown:
         raise DeclarationError(
