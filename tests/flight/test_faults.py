@@ -166,3 +166,12 @@ def test_a_host_that_has_been_silent_for_half_a_second_cannot_arm() -> None:
     fault, age_s = fault_before_arming(hold_ticks + 1)
     assert fault == Fault.LINK_NOT_ALIVE
     assert age_s == pytest.approx(0.501)
+
+
+def test_the_status_counts_the_illegal_transitions_of_each_encoder() -> None:
+    harness = Harness()
+    for axis, transitions in enumerate((3, 5, 7)):
+        harness.break_encoder(axis, transitions)
+    harness.tick(300)
+    status = harness.ask(d.StatusReadMessage(0))
+    assert (status.illegal_elevation, status.illegal_pitch, status.illegal_travel) == (3, 5, 7)
