@@ -241,3 +241,14 @@ def test_a_law_with_a_setpoint_of_its_own_logs_the_boards_in_the_first_free_sign
     board, own = last[Channel.SIGNAL_2], last[Channel.ELEVATION_SETPOINT]
     assert board == pytest.approx(2 * own, abs=2)
     assert math.degrees(float(physical(last, Channel.ELEVATION_SETPOINT))) == pytest.approx(2.0, abs=0.2)
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_the_angle_that_a_takeover_foresees_is_on_the_side_to_which_the_arm_turns(sign: int) -> None:
+    """At 60 degrees per second travel cannot be braked before its limit, to whichever side."""
+    harness = hovering()
+    assert engage(harness, program_of("any", lambda now: (1.5, 1.5))).result == Result.OK
+    harness.glide(2, sign * 27.0, 60.0)
+    assert taken_over(harness) == [Takeover.TRAVEL_ENVELOPE]
+    foreseen_deg = harness.last_event(Event.LAW_TAKEN_OVER).value
+    assert 170.0 < sign * foreseen_deg < 200.0

@@ -21,6 +21,9 @@ ROOMS: Final = ("tests/firmware",)
 SOURCES: Final = ("firmware/core", "firmware/due", "sim/due")
 _LEFT_OUT: Final = ("test_mutations.py", "test_pio.py", "test_upload.py", "test_gdb.py", "test_support.py")
 """Tests that build firmware of their own, or look at files and not at the firmware that is given to them."""
+_LIMIT_s: Final = 60.0
+_REAL_s: Final = 900.0
+"""CPU time of one test, and real time of all, on the firmware without a mutant: they take 15 s together."""
 _CROSS: Final = "arm-none-eabi-"
 _FUNCTION: Final = re.compile(r"^([0-9a-f]{8}) <(.+)>:$")
 _PLACE: Final = re.compile(r"^(/\S+):(\d+)")
@@ -70,8 +73,21 @@ class DueBench:
             # A probe counts when its function returns: start-up, fault handlers and the main loop never do.
             every = frozenset(found.costs_s)
             lines = {f: {line: tests or every for line, tests in of.items()} for f, of in found.lines.items()}
-            Reach(found.costs_s, lines).save(kept)
+            reach = Reach(found.costs_s, lines)
+            self._check_original(reach)
+            reach.save(kept)
         return Reach.load([kept])
+
+    def _check_original(self, reach: Reach) -> None:
+        """A test that fails without a mutant would kill them all."""
+        elf = self._work / "original.elf"
+        outcome = session.run_tests(
+            lambda: session.use_elf(elf), dict.fromkeys(reach.costs_s, _LIMIT_s), _REAL_s
+        )
+        if outcome.killed_by:
+            raise BuildError(
+                f"{outcome.killed_by} fails without a mutant ({outcome.reason}); make it pass first"
+            )
 
     def _compile(self, sources: list[str], name: str, flags: list[str]) -> dict[str, Path]:
         objects = {}
