@@ -10,12 +10,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from heli_host.declaration import (
+    LINK_HASH,
     Axes,
     Axis,
     Fault,
+    HelloMessage,
     MessageId,
     Param,
     ParamSetMessage,
+    ParamsReadMessage,
     ParamsSaveMessage,
     ParamsSource,
     PingMessage,
@@ -298,6 +301,23 @@ def test_no_byte_of_the_board_is_lost_or_wrong_wherever_its_ring_ends(board: Boa
     assert (counters.frames_bad, counters.frames_lost, counters.ticks_lost) == (0, 0, 0)
     # The ring of 2 KiB has come round often.
     assert counters.bytes_received > 5 * 2048
+
+
+def test_answers_that_wait_for_the_line_overwrite_nothing_that_is_being_sent(board: Board) -> None:
+    """Sixty questions with answers of 200 bytes: six times what the transmit ring holds.
+
+    A board that has no room drops an answer, and the host asks again; what the board does send is whole.
+    """
+    board.advance(20)
+    parser = FrameParser()
+    sent = [
+        encode_frame(MessageId.HELLO, 0, HelloMessage(1, LINK_HASH, 1).pack()),
+        *(encode_frame(MessageId.PARAMS_READ, 1 + k, ParamsReadMessage(2 + k, 0).pack()) for k in range(60)),
+    ]
+    board.write(b"".join(sent))
+    frames = parser.feed(board.advance(1200))
+    assert sum(frame.id == MessageId.PARAMS for frame in frames) > 10
+    assert (parser.frames_bad, parser.frames_lost) == (0, 0)
 
 
 def test_first_answer_comes_within_50_ms_of_power_up(board: Board) -> None:
