@@ -71,6 +71,11 @@ def _wrong_entries(file: ForeignFile, table: object, guess: Guess) -> tuple[str,
     # Delays are compared as such; without them the flights can be compared row by row.
     guessed = replace(guess, profile=_with_delays(guess.profile, file.profile))
     wrong = list(corrections(table, guessed, file.truth))  # type: ignore[arg-type]
+    supply_V = next(iter(file.profile.voltages.values())).supply_V
+    clipped = replace(guessed.profile, clip_V=(-supply_V, supply_V))
+    others = list(corrections(table, replace(guessed, profile=clipped), file.truth))  # type: ignore[arg-type]
+    if len(others) < len(wrong):
+        wrong = [*others, "voltages.clip_V"]
     units = [entry for entry in wrong if ".unit" in entry and entry.split(".")[0] in file.profile.voltages]
     if len(units) == len(file.profile.voltages) and len({unit.split(".")[1] for unit in units}) == 1:
         # One entry gives the unit of both voltages.
@@ -106,7 +111,9 @@ def _named(entry: str, true: Profile, guess: Guess) -> bool:
 
 def _names(entry: str, true: Profile, doubt: str) -> bool:
     if entry == "mirrored":
-        return "mirrored = true" in doubt
+        return "set mirrored =" in doubt
+    if entry == "voltages.clip_V":
+        return "clipped to" in doubt
     if entry == "time.unit":
         return f"in {true.time_unit}" in doubt
     part, _, what = entry.partition(".")

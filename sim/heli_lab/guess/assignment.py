@@ -165,27 +165,67 @@ def free_rows(signals: Signals, name: str) -> NDArray[np.bool_]:
     return free
 
 
-def candidates(signals: Signals, encoders: Collection[str] = frozenset()) -> list[str]:
+def candidates(
+    signals: Signals, encoders: Collection[str] = frozenset()
+) -> tuple[list[str], dict[str, str]]:
     """List the columns that may be an angle or a voltage.
 
-    Constant columns, rates and duplicates are left out. If columns are duplicates, one in `encoders` is kept.
+    Returns
+    -------
+    tuple of (list of str, dict of str)
+        The columns, and those that are left out with the reason: constants, rates and duplicates. If columns
+        are duplicates, one in `encoders` is kept, otherwise one that is not the rate of an angle: under state
+        feedback, the sum of the voltages is proportional to the rate of elevation.
     """
-    moving = [name for name, values in signals.raw.items() if np.ptp(values) > 0.0]
+    dropped = {name: "constant" for name, values in signals.raw.items() if np.ptp(values) == 0.0}
+    moving = [name for name in signals.raw if name not in dropped]
     moving.sort(
         key=lambda name: (name not in encoders, not names.role_of(name), names.is_derived_signal(name))
     )
-    kept: list[str] = []
+    groups: list[list[str]] = []
     for name in moving:
-        if not any(
-            _abs_correlation(signals.raw[name], signals.raw[other]) > _DUPLICATE_CORRELATION for other in kept
-        ):
-            kept.append(name)
-    rates = _rates(signals, kept) - set(encoders)
-    return [name for name in kept if name not in rates][:_MAX_COLUMNS]
+        for group in groups:
+            if _abs_correlation(signals.raw[name], signals.raw[group[0]]) > _DUPLICATE_CORRELATION:
+                group.append(name)
+                break
+        else:
+            groups.append([name])
+    angles = [group[0] for group in groups]
+    rates = {name: of for name, of in _rates(signals, angles).items() if name not in encoders}
+    kept = []
+    for group in groups:
+        of = rates.get(group[0]) or _angle_of_feedback(signals, group, angles)
+        rate = None if of is None else signals.filtered[of].rate
+        # A duplicate with another slope is not the rate, but follows it.
+        chosen = group[0] if rate is None else next((n for n in group if not _is_rate(n, rate, signals)), None)
+        chosen = group[0] if chosen is None and group[0] not in rates else chosen
+        if chosen is not None:
+            kept.append(chosen)
+        for name in group:
+            if name != chosen:
+                dropped[name] = f"the rate of {of}" if of is not None else f"the same as {chosen}"
+    dropped |= dict.fromkeys(kept[_MAX_COLUMNS:], f"behind the first {_MAX_COLUMNS} columns")
+    return kept[:_MAX_COLUMNS], dropped
 
 
-def _rates(signals: Signals, columns: list[str]) -> set[str]:
-    """Find the columns that are the time derivative of a column that is not itself a derivative.
+def _angle_of_feedback(signals: Signals, group: list[str], columns: list[str]) -> str | None:
+    """Find the column whose rate a `group` of duplicates follows; None for single columns."""
+    if len(group) == 1:
+        return None
+    value = signals.filtered[group[0]].value
+    likeness = {
+        name: _abs_correlation(signals.filtered[name].rate, value) for name in columns if name != group[0]
+    }
+    best = max(likeness, key=lambda name: likeness[name], default=None)
+    return best if best is not None and likeness[best] > thresholds.FEEDBACK_MATCH**0.5 else None
+
+
+def _is_rate(name: str, rate: Floats, signals: Signals) -> bool:
+    return _unit_slope(rate, signals.filtered[name].value) or names.is_derived_signal(name)
+
+
+def _rates(signals: Signals, columns: list[str]) -> dict[str, str]:
+    """Find the columns that are the time derivative of a column that is not itself a derivative, by column.
 
     The derivative of the travel rate resembles pitch, which drives it, and that of the pitch rate a voltage.
     """
@@ -207,14 +247,17 @@ def _rates(signals: Signals, columns: list[str]) -> set[str]:
         rates |= {name for name in open_ if any(first == name and of not in rates for first, of in pairs)}
         settled |= open_
         remaining -= open_
-    return rates
+    return {name: next(of for first, of in pairs if first == name and of not in rates) for name in rates}
 
 
 def _unit_slope(rate: Floats, value: Floats) -> bool:
-    """Whether `value` is about `rate` times 1 or a factor between angle units, with either sign."""
+    """Whether `value` is about `rate` times 1 or a factor between angle units.
+
+    A negative factor is feedback: programs log an angle and its rate with the same sign.
+    """
     variance = float(rate.var())
     slope = float(np.mean((rate - rate.mean()) * (value - value.mean()))) / variance if variance else 0.0
-    return any(0.6 < abs(slope) / scale < 1.5 for scale in _RATE_SCALES)
+    return any(0.6 < slope / scale < 1.5 for scale in _RATE_SCALES)
 
 
 def _abs_correlation(first: Floats, second: Floats) -> float:
@@ -230,7 +273,10 @@ def polarity_of(values: Floats) -> float:
 
 
 def assignments(
-    signals: Signals, reference: Reference, encoders: Collection[str] = frozenset()
+    signals: Signals,
+    reference: Reference,
+    columns: list[str],
+    encoders: Collection[str] = frozenset(),
 ) -> list[ColumnAssignment]:
     """Score assignments of columns to roles, and return them with the most likely first.
 
@@ -238,18 +284,19 @@ def assignments(
     ----------
     signals : Signals
         The columns.
+    columns : list of str
+        Names of the columns that may be an angle or a voltage.
     reference : Reference
         Prior of the stiffness of elevation and pitch.
     encoders : collection of str
         Columns quantised by an encoder: measured angles, not estimates or setpoints.
     """
-    candidates_ = candidates(signals, encoders)
-    count = len(candidates_)
+    count = len(columns)
     if count < 5:
         return []
-    filtered = [signals.filtered[name] for name in candidates_]
-    rows = [free_rows(signals, name) for name in candidates_]
-    polarity = np.array([polarity_of(signals.raw[name]) for name in candidates_])
+    filtered = [signals.filtered[name] for name in columns]
+    rows = [free_rows(signals, name) for name in columns]
+    polarity = np.array([polarity_of(signals.raw[name]) for name in columns])
     level = [polarity[i] * filtered[i].value for i in range(count)]
     pairs = list(itertools.combinations(range(count), 2))
     sums: dict[tuple[int, ...], Floats] = {(i,): level[i] for i in range(count)}
@@ -257,6 +304,9 @@ def assignments(
     differences: dict[tuple[int, ...], Floats] = {(i,): filtered[i].value for i in range(count)}
     differences |= {(i, j): level[i] - level[j] for i, j in pairs}
     elevation_nats = _log_likelihood_table(sums, filtered, rows, reference.stiffness["elevation"])
+    for i in range(count):
+        feedback = np.array([abs(feedback_sign(level[i], signal)) for signal in filtered])
+        elevation_nats[i,] += thresholds.FEEDBACK_NATS * feedback
     pitch_nats = _log_likelihood_table(
         differences, filtered, [signals.inner] * count, reference.stiffness["pitch"]
     )
@@ -266,19 +316,19 @@ def assignments(
         travel_nats[p, t] = explain(
             filtered[t].acceleration, axis_terms, filtered[p].value, (0.0, 0.1), signals.inner
         ).log_likelihood_ratio
-    measured = thresholds.ENCODER_NATS * np.array([name in encoders for name in candidates_], float)
+    measured = thresholds.ENCODER_NATS * np.array([name in encoders for name in columns], float)
     elevation_nats = {key: nats + measured for key, nats in elevation_nats.items()}
     pitch_nats = {key: nats + measured for key, nats in pitch_nats.items()}
     travel_nats += measured
-    stated = _name_scores(candidates_)
+    stated = _name_scores(columns)
     ranked = []
     for pair in pairs:
         ranked += _best(
-            candidates_, elevation_nats[pair], pitch_nats[pair], travel_nats, pair, False, polarity, stated
+            columns, elevation_nats[pair], pitch_nats[pair], travel_nats, pair, False, polarity, stated
         )
     for pair in itertools.permutations(range(count), 2):
         ranked += _best(
-            candidates_,
+            columns,
             elevation_nats[pair[:1]],
             pitch_nats[pair[1:]],
             travel_nats,
@@ -311,6 +361,17 @@ def _log_likelihood_table(
             )
         table[key] = nats
     return table
+
+
+def feedback_sign(total: Floats, signal: Signal) -> float:
+    """Return 1 or -1 if `total` is proportional to the rate of a signal, as under state feedback; otherwise 0.
+
+    A column in a unit of the rate is the rate, not feedback.
+    """
+    if np.ptp(total) == 0.0 or np.ptp(signal.rate) == 0.0 or _unit_slope(signal.rate, total):
+        return 0.0
+    likeness = float(np.corrcoef(total, signal.rate)[0, 1])
+    return float(np.sign(likeness)) if abs(likeness) > thresholds.FEEDBACK_MATCH**0.5 else 0.0
 
 
 def _name_scores(columns: list[str]) -> dict[str, Floats]:

@@ -10,6 +10,7 @@ from typing import Final
 from heli_host.tables.units import split_unit
 
 ROLES: Final = ("elevation", "pitch", "travel", "front", "back", "sum", "difference")
+VOLTAGE_ROLES: Final = ROLES[3:]
 
 _WORDS: Final = {
     "elevation": (

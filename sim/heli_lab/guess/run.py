@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from heli_host.errors import FlightDataError
 from heli_host.tables import Angle, Profile, Table, Voltage, flights_of
 from heli_host.tables.units import ANGLE_UNITS, COUNT, SHARES, VOLTAGE_UNITS, split_unit
 from heli_sim.rig import Rig
+from numpy.typing import NDArray
 
 from heli_lab.guess import names, thresholds
 from heli_lab.guess.ambiguities import (
@@ -21,15 +23,29 @@ from heli_lab.guess.ambiguities import (
     elevation_zero,
     lag_ambiguities,
     sign_ambiguities,
+    sum_ambiguities,
     unit_ambiguities,
 )
-from heli_lab.guess.assignment import ColumnAssignment, RegressionFit, assignments, free_rows
-from heli_lab.guess.axis_regression import axis_regressions, rest_elevation, voltages
+from heli_lab.guess.assignment import ColumnAssignment, RegressionFit, assignments, candidates, feedback_sign, free_rows
+from heli_lab.guess.axis_regression import axis_regressions, rest_elevation, sum_and_difference, voltages
+from heli_lab.guess.mirror import prefers_mirror, travel_torque_nats
 from heli_lab.guess.reference import Reference, reference_of
+from heli_lab.guess.refusals import check_voltages, names_state_voltages, too_few_columns
 from heli_lab.guess.result import Ambiguity, Guess
-from heli_lab.guess.scales import AXES, MeasuredMotion, Scale, is_encoder, rad_of, scales, step_of
+from heli_lab.guess.scales import (
+    AXES,
+    LimitedMotion,
+    MeasuredMotion,
+    Scale,
+    VoltageScale,
+    is_encoder,
+    rad_of,
+    scales,
+    step_of,
+    voltage_scales,
+)
 from heli_lab.guess.sign_trials import try_sign_choices
-from heli_lab.guess.signals import Signals, column_signals
+from heli_lab.guess.signals import Signal, Signals, column_signals, filtered_signal
 from heli_lab.guess.times import Clock, clock_of, longest_run, times_in_s
 
 _ANGLE_UNITS: Final = frozenset({*ANGLE_UNITS, COUNT})
@@ -80,11 +96,10 @@ def propose(table: Table, rig: Rig, rate_Hz: float | None = None) -> tuple[Guess
     others = [name for name in table.columns if name != clock.column and not names.is_time(name)]
     signals = column_signals(table, t_s, others)
     encoders = {name for name in others if is_encoder(table.columns[name].values, reference)}
-    ranked = assignments(signals, reference, encoders)
-    if not ranked:
-        raise FlightDataError(
-            f"{table.source}: fewer than five columns vary", "give a flight: three angles and two voltages"
-        )
+    columns, dropped = candidates(signals, encoders)
+    if len(columns) < len(AXES) + 2:
+        raise too_few_columns(table.source, columns, dropped)
+    ranked = assignments(signals, reference, columns, encoders)
     ranked, motion = _rank_with_units(table, signals, ranked, reference)
     assignment = ranked[0]
     ambiguities, evidence = assignment_ambiguities(ranked)
@@ -99,17 +114,29 @@ def propose(table: Table, rig: Rig, rate_Hz: float | None = None) -> tuple[Guess
     ambiguities += unit_ambiguities(possible, motion, reference, rig)
     rad = {axis: rad_of(scale.angles[axis], axis, reference) for axis in AXES}
     bias = reference.hover_V / scale.volts(reference) if scale.bias_removed else 0.0
-    explained = axis_regressions(signals, assignment, reference, rad, bias)
-    signs = _fewest_sign_changes(explained, assignment)
-    ambiguities += sign_ambiguities(explained, signs, assignment)
+    limited = scale.voltage_scale in motion.limited
+    limit = reference.supply_V / scale.volts(reference) if limited else math.inf
+    explained = axis_regressions(signals, assignment, reference, rad, bias, limit)
+    if not names_state_voltages(assignment):
+        check_voltages(table.source, explained, assignment)
+        ambiguities += sum_ambiguities(explained, assignment, columns, dropped)
+    total, _ = sum_and_difference(signals, assignment, bias, limit)
+    signs = _fewest_sign_changes(explained, total, signals.filtered[assignment.elevation])
+    torque_nats = travel_torque_nats(signals, assignment, reference, rad, signs.travel)
+    mirrored = prefers_mirror(signs, assignment, torque_nats)
+    ambiguities += sign_ambiguities(explained, signs, assignment, torque_nats, mirrored, rig)
     rest = rest_elevation(
         signals, assignment.elevation, float(np.degrees(signs.elevation * rad["elevation"]))
     )
     offset_deg, zero_ambiguities = elevation_zero(rest, reference)
     ambiguities += zero_ambiguities
-    late_s, timing_ambiguities, lag_notes = lag_ambiguities(explained)
+    timing_ambiguities, lag_notes = lag_ambiguities(explained)
     ambiguities += timing_ambiguities
-    profile = _profile(table, clock, rate_Hz, assignment, scale, signs, reference, offset_deg, late_s)
+    profile = _profile(table, clock, rate_Hz, assignment, scale, signs, reference, offset_deg)
+    profile = replace(profile, mirrored=mirrored)
+    evidence += [f"left out: {', '.join(f'{name} ({reason})' for name, reason in dropped.items())}"] * bool(
+        dropped
+    )
     evidence += [_regression_sentence(axis, explained[axis]) for axis in AXES] + lag_notes
     evidence.append(
         f"hover: the voltages add up to {abs(motion.mean_sum) * scale.volts(reference):.2f} V, and to "
@@ -138,9 +165,8 @@ def _rank_with_units(
     ]
     fits = []
     for assignment in close[: thresholds.MAX_CANDIDATES]:
-        motion = _measured_motion(
-            table, signals, assignment, axis_regressions(signals, assignment, reference)
-        )
+        first = axis_regressions(signals, assignment, reference)
+        motion = _measured_motion(table, signals, assignment, first, reference)
         nats = scales(motion, reference)[0].log_likelihood
         fits.append(
             (
@@ -161,9 +187,18 @@ def _limit_to_supply(table: Table, profile: Profile, reference: Reference) -> tu
     limit = reference.supply_V
     sizes_V = [np.abs(flight.voltages_V) for flight in flights_of(table, profile)]
     largest = max(float(size_V.max()) for size_V in sizes_V)
-    beyond = max(float(np.mean(size_V > limit)) for size_V in sizes_V)
-    if largest < thresholds.CLIP_SHARE * limit or beyond > thresholds.MAX_CLIPPED_SHARE:
+    beyond = float(np.mean(np.concatenate(sizes_V) > thresholds.CLIP_SHARE * limit))
+    if largest < thresholds.CLIP_SHARE * limit:
         return profile, []
+    if beyond > thresholds.MAX_CLIPPED_SHARE:
+        return profile, [
+            Ambiguity(
+                "the voltages' limit",
+                f"as logged, up to {largest:.1f} V",
+                f"clipped to {limit:g} V, the rig file's supply",
+                f"{100.0 * beyond:.0f} % of the rows exceed the supply; set clip_V, or give your rig with --rig",
+            )
+        ]
     ambiguity = Ambiguity(
         "the voltages' limit",
         f"clipped to {limit:g} V, the rig file's supply",
@@ -220,7 +255,11 @@ def check_by_simulation(guessed: Guess, table: Table, rig: Rig) -> Guess:
 
 
 def _measured_motion(
-    table: Table, signals: Signals, assignment: ColumnAssignment, first: dict[str, RegressionFit]
+    table: Table,
+    signals: Signals,
+    assignment: ColumnAssignment,
+    first: dict[str, RegressionFit],
+    reference: Reference,
 ) -> MeasuredMotion:
     first_V, second_V = voltages(signals, assignment)
     rows = free_rows(signals, assignment.elevation)
@@ -235,6 +274,7 @@ def _measured_motion(
     stated["voltage"] = next(
         filter(None, (_unit(table, column, _VOLTAGE_UNITS) for column in assignment.voltages)), ""
     )
+    limited = _limited_motions(signals, assignment, reference, rows, first)
     return MeasuredMotion(
         {axis: first[axis].gain for axis in AXES},
         level,
@@ -244,7 +284,32 @@ def _measured_motion(
         stated,
         assignment.summed,
         any(names.is_half(column) for column in assignment.voltages),
+        limited,
     )
+
+
+def _limited_motions(
+    signals: Signals,
+    assignment: ColumnAssignment,
+    reference: Reference,
+    rows: NDArray[np.bool_],
+    first: dict[str, RegressionFit],
+) -> dict[VoltageScale, LimitedMotion]:
+    """Repeat the regressions with limited commands, for each unit in which some commands exceed the supply."""
+    limited = {}
+    for choice in voltage_scales(assignment.summed):
+        volts = choice.volts(reference)
+        bias, limit = reference.hover_V / volts * choice.bias_removed, reference.supply_V / volts
+        total, difference = sum_and_difference(signals, assignment, bias)
+        largest = 0.5 * (np.abs(total) + np.abs(difference))
+        share = float(np.mean(largest > thresholds.CLIP_SHARE * limit))
+        if not thresholds.MIN_CLIPPED_SHARE < share <= thresholds.MAX_CLIPPED_SHARE or not rows.any():
+            continue
+        fits = axis_regressions(signals, assignment, reference, bias=bias, limit=limit)
+        total, _ = sum_and_difference(signals, assignment, bias, limit)
+        gain = {axis: fits[axis].gain for axis in AXES} | {"travel": first["travel"].gain}
+        limited[choice] = LimitedMotion(gain, float(np.mean(total[rows])))
+    return limited
 
 
 def _peak_voltage(first_V: Floats, second_V: Floats, summed: bool) -> float:
@@ -258,9 +323,15 @@ def _unit(table: Table, column: str, known: frozenset[str]) -> str:
     return unit if unit in known else ""
 
 
-def _fewest_sign_changes(explained: dict[str, RegressionFit], assignment: ColumnAssignment) -> SignChanges:
-    """Find the fewest changes of sign after which all axes follow their causes."""
+def _fewest_sign_changes(
+    explained: dict[str, RegressionFit], total: Floats, elevation_signal: Signal
+) -> SignChanges:
+    """Find the fewest changes of sign after which all axes follow their causes; `total` is the voltages' sum."""
     elevation = 1.0 if explained["elevation"].gain >= 0.0 else -1.0
+    feedback = feedback_sign(filtered_signal(total).value, elevation_signal)
+    if feedback and explained["elevation"].log_likelihood_ratio < thresholds.DECISIVE_NATS:
+        # A loop that flies is stable: the sum is minus a gain times the rate.
+        elevation = -feedback
     pitch_follows_difference = explained["pitch"].gain >= 0.0
     travel_follows_pitch = explained["travel"].gain >= 0.0
     if pitch_follows_difference:
@@ -285,7 +356,6 @@ def _profile(
     signs: SignChanges,
     reference: Reference,
     offset_deg: float,
-    late_s: dict[str, float],
 ) -> Profile:
     columns = dict(zip(AXES, (assignment.elevation, assignment.pitch, assignment.travel), strict=True))
     sign = {"elevation": signs.elevation, "pitch": signs.pitch, "travel": signs.travel}
@@ -296,7 +366,6 @@ def _profile(
             reference.counts[axis],
             sign[axis],
             round(offset_deg, 3) if axis == "elevation" else 0.0,
-            round(late_s[axis], 3),
         )
         for axis in AXES
     }

@@ -12,11 +12,21 @@ from heli_host.tables import Column, Table
 from heli_host.tables.units import TIME_UNITS, split_unit
 
 from heli_lab.guess import names
+from heli_lab.guess.signals import unwrapped
 
 _MIN_RISING_SHARE: Final = 0.995
 _MAX_STEP_S: Final = 0.15
 """Largest step of a log [s]: logs of such flights have at least 7 Hz."""
 _MIN_STEP_S: Final = 0.0002
+_JUMP_STEPS: Final = 15.0
+"""A step of an angle this many times above its usual largest one is a jump. Flights have up to 3; voltages have
+up to 15, where a setpoint moves. Lower values cut flights at such steps, higher ones miss jumps of slow logs."""
+_JUMP_SHARE: Final = 0.03
+"""Smallest jump as a share of the column's range. Smaller ones are left to the conversion, in degrees."""
+_MAX_JUMPS: Final = 3
+"""Columns with more jumps are not angles: voltages that a controller switches jump all the time."""
+_MIN_MOVING_SHARE: Final = 0.03
+"""Share of rows with a change; setpoints have less, encoders at 1 kHz more."""
 
 
 @dataclass(frozen=True)
@@ -94,12 +104,31 @@ def times_in_s(table: Table, clock: Clock) -> Floats:
 
 
 def longest_run(table: Table, t_s: Floats) -> tuple[Table, Floats]:
-    """Return the longest part of a table in which the times `t_s` [s] do not fall, and these times."""
+    """Return the longest part of a table in which times `t_s` [s] do not fall and no angle jumps, and its times.
+    """
     known = np.flatnonzero(np.isfinite(t_s))
-    falls = known[1:][np.diff(t_s[known]) < 0.0]
-    edges = [0, *(int(row) for row in falls), len(t_s)]
+    breaks = set(known[1:][np.diff(t_s[known]) < 0.0].tolist())
+    for name, column in table.columns.items():
+        if names.role_of(name) not in names.VOLTAGE_ROLES:
+            breaks |= _jumps(column.values)
+    edges = [0, *sorted(breaks), len(t_s)]
     if len(edges) == 2:
         return table, t_s
     start, stop = max(itertools.pairwise(edges), key=lambda run: run[1] - run[0])
     columns = {name: Column(column.values[start:stop], column.unit) for name, column in table.columns.items()}
     return Table(table.source, columns, table.notes, table.named), t_s[start:stop]
+
+
+def _jumps(values: Floats) -> set[int]:
+    """Rows at which a column that otherwise moves like an angle jumps, in any unit."""
+    known = np.flatnonzero(np.isfinite(values))
+    if known.size < 100:
+        return set()
+    steps = np.abs(np.diff(unwrapped(values[known])))
+    moving = steps[steps > 0.0]
+    # A setpoint stands still except for its jumps.
+    if moving.size < _MIN_MOVING_SHARE * steps.size:
+        return set()
+    usual = float(np.quantile(moving, 0.99))
+    jumps = np.flatnonzero((steps > _JUMP_STEPS * usual) & (steps > _JUMP_SHARE * np.ptp(values[known])))
+    return {int(known[row + 1]) for row in jumps} if jumps.size <= _MAX_JUMPS else set()
