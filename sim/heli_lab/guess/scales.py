@@ -19,7 +19,7 @@ AXES: Final = ("elevation", "pitch", "travel")
 _ANGLE_UNITS: Final = ("rad", "deg", COUNT, "turn", "mrad")
 _VOLTAGE_UNITS: Final = ("V", "mV", "duty", "percent", "pwm")
 _FULL_SCALES: Final = (255.0, 1023.0, 4095.0)
-_RARE_UNIT_NATS: Final = {"turn": 3.0, "mrad": 3.0, "mV": 1.0, "percent": 1.0}
+_RARE_UNIT_NATS: Final = {"turn": 3.0, "mrad": 3.0, "mV": 1.0, "percent": 1.0, "duty": 1.0}
 """Penalty of a rare unit that the file does not state [nats]."""
 _MIXED_UNITS_NATS: Final = 3.0
 """Penalty of an angle whose unit differs from elevation's, unless it is stated [nats]."""
@@ -172,7 +172,9 @@ def scales(motion: MeasuredMotion, reference: Reference) -> list[Scale]:
         if motion.summed and motion.halved != (factor != 1.0):
             base -= _HALVED_SUM_NATS
         highest = _PLAUSIBLE_PEAK_SHARES[1] if unit in VOLTAGE_UNITS else _MAX_SHARE
-        peak = motion.peak * volts / reference.supply_V
+        # A sum without its bias lacks half the bias in each motor.
+        peak_V = motion.peak * volts + (0.5 * reference.hover_V if biased else 0.0)
+        peak = peak_V / reference.supply_V
         if peak <= _PLAUSIBLE_PEAK_SHARES[0] or (peak >= highest and limited is None):
             base -= _IMPLAUSIBLE_PEAK_NATS
         if limited is not None and not motion.stated_units.get("voltage", ""):

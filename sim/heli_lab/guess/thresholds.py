@@ -93,6 +93,6 @@ CLIP_SHARE: Final = 1.02
 """Share of the supply from which on a voltage is a command before saturation. Rounding stays below it."""
 MIN_CLIPPED_SHARE: Final = 0.002
 """Share of rows beyond the supply from which on the fits use limited commands. Fewer rows change no gain."""
-MAX_CLIPPED_SHARE: Final = 0.3
+MAX_CLIPPED_SHARE: Final = 0.5
 """Share of rows beyond the supply from which on the supply differs from the rig file's, so that no limit is
-set. Set on simulated flights: control loops that saturate for a quarter of the time still fly."""
+set. Set on simulated flights: control loops with commands beyond the supply for 40 % of the time still fly."""
