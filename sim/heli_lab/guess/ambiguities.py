@@ -274,18 +274,8 @@ def sign_ambiguities(
     motors = "the difference is back less front" if assignment.summed else "the motors' names are exchanged"
     contradicted = torque_nats < -thresholds.DECISIVE_NATS
     if changed or not stated or contradicted:
-        chosen = {
-            (False, 1.0, 1.0): "front and back as proposed",
-            (False, 1.0, -1.0): "travel has the opposite sign",
-            (False, -1.0, 1.0): "pitch has the opposite sign",
-            (True, 1.0, 1.0): motors,
-        }[signs.motors_swapped, signs.pitch, signs.travel]
-        image = {
-            (False, 1.0, 1.0): f"{motors}, and pitch and travel have the opposite sign",
-            (False, 1.0, -1.0): f"{motors}, and pitch has the opposite sign",
-            (False, -1.0, 1.0): f"{motors}, and travel has the opposite sign",
-            (True, 1.0, 1.0): "pitch and travel have the opposite sign",
-        }[signs.motors_swapped, signs.pitch, signs.travel]
+        chosen = _changes(signs.motors_swapped, signs.pitch < 0.0, signs.travel < 0.0, motors)
+        image = _changes(not signs.motors_swapped, signs.pitch > 0.0, signs.travel > 0.0, motors)
         for_choice = -torque_nats if mirrored else torque_nats
         torque = (
             f"; the constant travel torque of rig {rig.name} is {abs(for_choice):.1f} nats "
@@ -303,6 +293,14 @@ def sign_ambiguities(
             )
         )
     return ambiguities
+
+
+def _changes(swapped: bool, pitch: bool, travel: bool, motors: str) -> str:
+    """Describe the changes of sign of pitch, travel and the motors."""
+    axes = " and ".join(axis for axis, turned in (("pitch", pitch), ("travel", travel)) if turned)
+    have = "have" if pitch and travel else "has"
+    parts = [motors] * swapped + [f"{axes} {have} the opposite sign"] * bool(axes)
+    return ", and ".join(parts) or "front and back as proposed"
 
 
 def elevation_zero(rest: RestElevation, reference: Reference) -> tuple[float, list[Ambiguity]]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -166,9 +167,9 @@ def free_rows(signals: Signals, name: str) -> NDArray[np.bool_]:
 
 
 def candidates(
-    signals: Signals, encoders: Collection[str] = frozenset()
+    signals: Signals, encoders: Collection[str] = frozenset(), known: Collection[str] = ()
 ) -> tuple[list[str], dict[str, str]]:
-    """List the columns that may be an angle or a voltage.
+    """List the columns that may be an angle or a voltage; those that are `known` come first.
 
     Returns
     -------
@@ -180,7 +181,12 @@ def candidates(
     dropped = {name: "constant" for name, values in signals.raw.items() if np.ptp(values) == 0.0}
     moving = [name for name in signals.raw if name not in dropped]
     moving.sort(
-        key=lambda name: (name not in encoders, not names.role_of(name), names.is_derived_signal(name))
+        key=lambda name: (
+            name not in known,
+            name not in encoders,
+            not names.role_of(name),
+            names.is_derived_signal(name),
+        )
     )
     groups: list[list[str]] = []
     for name in moving:
@@ -191,7 +197,7 @@ def candidates(
         else:
             groups.append([name])
     angles = [group[0] for group in groups]
-    rates = {name: of for name, of in _rates(signals, angles).items() if name not in encoders}
+    rates = {name: of for name, of in _rates(signals, angles).items() if name not in {*encoders, *known}}
     kept = []
     for group in groups:
         of = rates.get(group[0]) or _angle_of_feedback(signals, group, angles)
@@ -277,6 +283,7 @@ def assignments(
     reference: Reference,
     columns: list[str],
     encoders: Collection[str] = frozenset(),
+    known: Mapping[str, str] = MappingProxyType({}),
 ) -> list[ColumnAssignment]:
     """Score assignments of columns to roles, and return them with the most likely first.
 
@@ -290,6 +297,8 @@ def assignments(
         Prior of the stiffness of elevation and pitch.
     encoders : collection of str
         Columns quantised by an encoder: measured angles, not estimates or setpoints.
+    known : Mapping[str, str]
+        Roles that the user knows, by column.
     """
     count = len(columns)
     if count < 5:
@@ -320,7 +329,7 @@ def assignments(
     elevation_nats = {key: nats + measured for key, nats in elevation_nats.items()}
     pitch_nats = {key: nats + measured for key, nats in pitch_nats.items()}
     travel_nats += measured
-    stated = _name_scores(columns)
+    stated = _name_scores(columns, known)
     ranked = []
     for pair in pairs:
         ranked += _best(
@@ -374,14 +383,16 @@ def feedback_sign(total: Floats, signal: Signal) -> float:
     return float(np.sign(likeness)) if abs(likeness) > thresholds.FEEDBACK_MATCH**0.5 else 0.0
 
 
-def _name_scores(columns: list[str]) -> dict[str, Floats]:
+def _name_scores(columns: list[str], known: Mapping[str, str]) -> dict[str, Floats]:
     """Score of each column's name for each role [nats], shape (columns,) per role."""
     stated = {}
     for role in names.ROLES:
         scores = np.zeros(len(columns))
         for index, name in enumerate(columns):
             named_role = names.role_of(name)
-            if named_role == role:
+            if name in known or role in known.values():
+                scores[index] = thresholds.KNOWN_NATS * (1.0 if known.get(name) == role else -1.0)
+            elif named_role == role:
                 scores[index] = thresholds.NAME_NATS
             elif named_role:
                 scores[index] = -thresholds.NAME_NATS

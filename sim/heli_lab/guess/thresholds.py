@@ -35,6 +35,8 @@ MAX_CANDIDATES: Final = 12
 NAME_NATS: Final = 8.0
 """Log-likelihood of a column's name [nats]. Above `DECISIVE_NATS`: a name is sure if the motion does not
 contradict it, and an ambiguity if it does."""
+KNOWN_NATS: Final = 1000.0
+"""Log-likelihood of a column that the user's profile states [nats]: above that of every motion."""
 DERIVED_SIGNAL_NATS: Final = 12.0
 """Penalty of a column whose name means a setpoint, a rate or an estimate [nats]: a setpoint that is followed
 well obeys the same equations as the angle."""

@@ -15,6 +15,8 @@ from heli_lab.guess import names
 from heli_lab.guess.scales import step_of
 from heli_lab.guess.signals import unwrapped
 
+NO_RATE: Final = "give a column of times, or the sampling rate with --rate"
+"""Fix of a file without times."""
 _MIN_RISING_SHARE: Final = 0.995
 _MAX_STEP_S: Final = 0.15
 """Largest step of a log [s]: logs of such flights have at least 7 Hz."""
