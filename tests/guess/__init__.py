@@ -11,6 +11,6 @@ file and keeps its truth, `students.py` writes logs of a course, `exports.py` th
 `judge.py` compares, `flights.py` flies the rigs.
 
 `python -m tests.guess.grade` writes raw files as the repositories of other courses hold them, from flights
-under other controllers, and counts the corrections and the doubts that name them; `--judge` takes other seeds.
-`pilots.py` flies, `foreign.py` writes.
+under other controllers, and counts the corrections and the doubts that name them; `--judge` takes other
+seeds. `pilots.py` flies, `foreign.py` writes.
 """

@@ -156,7 +156,9 @@ def _signals(
     angles: dict[str, Angle] = {}
     written: list[_Signal] = []
     for place, (axis, sign) in enumerate(zip(AXES, signs, strict=True)):
-        counts = rig["encoder_counts"].value * (rig["encoder_travel_ratio"].value if axis == "travel" else 1.0)
+        counts = rig["encoder_counts"].value * (
+            rig["encoder_travel_ratio"].value if axis == "travel" else 1.0
+        )
         rest_rad = flight.elevation_rad[0] if at_rest and axis == "elevation" else 0.0
         angle = Angle(names[1 + place], angle_unit, counts, sign, float(np.degrees(rest_rad)))
         values = sign * (flight.angles_rad[:, place] - rest_rad) / angle.rad
@@ -166,19 +168,19 @@ def _signals(
         )
     first, second = volts[:, 0], volts[:, 1]
     supply_V = rig["supply"].value
-    unit = {"unit": volt_unit, "supply_V": supply_V}
+    share = Voltage("", volt_unit, supply_V=supply_V)
     if kind == "pair":
         labels = (names[7], names[8])
         pair = dict(zip(("back", "front") if swapped else ("front", "back"), labels, strict=True))
-        voltages = {role: Voltage(pair[role], **unit) for role in ("front", "back")}
+        voltages = {role: replace(share, column=pair[role]) for role in ("front", "back")}
         logged = [second, first] if swapped else [first, second]
     else:
         labels = (names[9], names[10])
         factor = 2.0 if kind == "halves" else 1.0
         offset = bias_V if kind == "sum without bias" else 0.0
         voltages = {
-            "sum": Voltage(labels[0], **unit, offset_V=offset, factor=factor),
-            "difference": Voltage(labels[1], **unit, sign=-1.0 if swapped else 1.0, factor=factor),
+            "sum": replace(share, column=labels[0], offset_V=offset, factor=factor),
+            "difference": replace(share, column=labels[1], sign=-1.0 if swapped else 1.0, factor=factor),
         }
         logged = [first + second - offset, (second - first) if swapped else (first - second)]
     scaled = []
@@ -261,7 +263,8 @@ def _matrix(
         return (path,), "data[1]", {s.name: f"data[{i}]" for i, s in enumerate(signals, 2)}
     volts = {v.column for v in profile.voltages.values()}
     halves = [[s for s in signals if s.name not in volts], [s for s in signals if s.name in volts]]
-    paths, columns = [], {}
+    paths: list[Path] = []
+    columns: dict[str, str] = {}
     for number, (name, part) in enumerate(zip(("x", "u"), halves, strict=True), 1):
         timed = number == 1 or form == "two.mat"
         rows = [*([t_s] if timed else []), *(s.values for s in part)]
@@ -285,8 +288,15 @@ def _structures(
         return (path,), "time [s]", {s.name: _label(s) for s in signals}
     if form == "variables.mat":
         gains = {"K": np.eye(2, 6), "m_p": 0.72}
-        savemat(path, {time.split(" ")[0]: t_s[:, None], **gains, **{words[s.name]: s.values for s in signals}})
-        return (path,), time.split(" ")[0], words
+        savemat(
+            path,
+            {
+                time.split(" ", maxsplit=1)[0]: t_s[:, None],
+                **gains,
+                **{words[s.name]: s.values for s in signals},
+            },
+        )
+        return (path,), time.split(" ", maxsplit=1)[0], words
     from matio import save_to_mat
 
     if form == "timeseries.mat":
@@ -297,7 +307,10 @@ def _structures(
     groups = {"x": [s for s in signals if s.name not in volts], "u": [s for s in signals if s.name in volts]}
     save_to_mat(
         str(path),
-        {name: _series(name, t_s, np.column_stack([s.values for s in part])) for name, part in groups.items()},
+        {
+            name: _series(name, t_s, np.column_stack([s.values for s in part]))
+            for name, part in groups.items()
+        },
     )
     return (
         (path,),

@@ -161,7 +161,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     sure = sum(len(graded.wrong) for graded in grades if graded.sure)
     print(f"\nfiles: {len(grades)}; with at most one correction: {sum(count <= 1 for count in counts)}")
     print(f"corrections per file: {counts}")
-    print(f"wrong entries: {sum(len(graded.wrong) for graded in grades)}; of these without a doubt that names")
+    print(
+        f"wrong entries: {sum(len(graded.wrong) for graded in grades)}; of these without a doubt that names"
+    )
     print(f"the right value: {silent}; called sure: {sure}")
     return 1 if sure else 0
 

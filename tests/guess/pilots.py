@@ -89,7 +89,11 @@ def piloted(rig_name: str, pilot: str, seed: int, duration_s: float = 45.0) -> P
 def _drawn_rig(rig: Rig, random: np.random.Generator) -> Rig:
     values = {}
     for name in _DRAWN:
-        std = 0.05 * rig[name].value if name == "thrust_gain" else rig[name].tolerance * (0.5 if rig[name].value else 0.1)
+        std = (
+            0.05 * rig[name].value
+            if name == "thrust_gain"
+            else rig[name].tolerance * (0.5 if rig[name].value else 0.1)
+        )
         value = rig[name].value + std * float(random.standard_normal())
         values[name] = value if Rig.may_be_negative(name) else abs(value)
     # Flights of such rigs show a pendulum on both axes.
@@ -103,9 +107,9 @@ def _stepper(plant: Plant) -> Callable[[Floats], Floats]:
     volts, locked, after, measured = np.zeros(2), np.zeros(3), np.zeros(state.size), np.zeros(3)
     parameters = np.ascontiguousarray(plant.parameters)
     for index, values in enumerate((state, volts, locked, parameters)):
-        buffer.set_arg(index, memoryview(values))
+        buffer.set_arg(index, memoryview(values))  # type: ignore[call-arg,arg-type]
     for index, values in enumerate((after, measured)):
-        buffer.set_res(index, memoryview(values))
+        buffer.set_res(index, memoryview(values))  # type: ignore[call-arg,arg-type]
 
     def step(volts_V: Floats) -> Floats:
         volts[:] = volts_V

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.arrays import Floats
 from heli_host.errors import FlightDataError
 from heli_host.tables import Angle, Column, Profile, Table, Voltage
 from heli_lab.guess import merge_tables
@@ -70,31 +71,29 @@ def test_commands_beyond_the_supply_are_limited_before_their_unit_is_found() -> 
 def test_the_travel_torque_weighs_mirror_images_against_each_other() -> None:
     file = prepare(table_of("travel"), REFERENCE, None)
     rad = dict.fromkeys(AXES, 1.0)
-    nats, image = (
-        travel_torque_nats(file.signals, ASSIGNMENT, REFERENCE, rad, sign) for sign in (1.0, -1.0)
-    )
-    assert nats > 0.0
+    nats, image = (travel_torque_nats(file.signals, ASSIGNMENT, REFERENCE, rad, sign) for sign in (1.0, -1.0))
+    # Never as sure as a decision: one rig in ten pulls the other way.
+    assert 0.0 < nats <= math.log(9.0)
     assert image == pytest.approx(-nats)
     without = reference_of(load_rig("makki2024"))
     assert travel_torque_nats(file.signals, ASSIGNMENT, without, rad, 1.0) == 0.0
 
 
-def test_names_of_both_motors_outweigh_a_weak_torque() -> None:
-    named, unnamed = replace(ASSIGNMENT, voltages=("front", "back")), ASSIGNMENT
-    unnamed = replace(unnamed, voltages=("u1", "u2"))
-    assert not prefers_mirror(SignChanges(1.0, 1.0, 1.0, False), named, -20.0)
-    turned = SignChanges(1.0, 1.0, -1.0, False)
-    assert not prefers_mirror(turned, named, -1.0)
-    assert prefers_mirror(turned, named, -5.0)
-    assert prefers_mirror(turned, unnamed, -1.0)
-    assert not prefers_mirror(turned, unnamed, 1.0)
+def test_the_torque_decides_between_images_with_similarly_many_changes_of_sign() -> None:
+    usual, turned = SignChanges(1.0, 1.0, 1.0, False), SignChanges(1.0, 1.0, -1.0, False)
+    assert not prefers_mirror(usual, -2.2)
+    assert prefers_mirror(turned, -2.0)
+    assert not prefers_mirror(turned, -0.5)
 
 
 def test_files_with_opposite_signs_weaken_each_other() -> None:
     def fits(nats: float, gain: float) -> dict[str, RegressionFit]:
         return {axis: RegressionFit(nats, gain, 0.1) for axis in AXES}
 
-    agreeing, opposed = pooled_fits([fits(4.0, 2.0), fits(5.0, 2.0)]), pooled_fits([fits(4.0, 2.0), fits(5.0, -2.0)])
+    agreeing, opposed = (
+        pooled_fits([fits(4.0, 2.0), fits(5.0, 2.0)]),
+        pooled_fits([fits(4.0, 2.0), fits(5.0, -2.0)]),
+    )
     assert (agreeing["pitch"].log_likelihood_ratio, agreeing["pitch"].gain) == (9.0, 2.0)
     assert (opposed["pitch"].log_likelihood_ratio, opposed["pitch"].gain) == (1.0, -2.0)
 
@@ -139,7 +138,7 @@ def test_doubts_are_ranked_by_danger() -> None:
 
 
 def test_files_of_equal_length_are_merged_row_by_row_and_the_notes_state_it() -> None:
-    t_s = np.arange(50) * 0.01
+    t_s: Floats = np.arange(50) * 0.01
     x = Table("a/x.mat", {"t": Column(t_s, "s"), "p": Column(np.sin(t_s))})
     u = Table("a/u.mat", {"f": Column(np.cos(9.0 * t_s))})
     merged = merge_tables([x, u])
@@ -161,8 +160,8 @@ def test_a_file_without_voltages_is_refused_with_that_reason_and_a_fix() -> None
 @pytest.mark.parametrize("jump", [0.0, math.radians(21.0)])
 def test_a_jump_of_an_encoder_ends_the_part_that_is_guessed(jump: float) -> None:
     step = 2.0 * math.pi / 4096.0
-    t_s = np.arange(1000) * 0.01
-    angle = np.round(0.4 * np.sin(t_s) / step) * step + np.where(t_s > 6.0, jump, 0.0)
-    voltage = 3.0 + 0.3 * np.sin(7.0 * t_s) + np.where(t_s > 3.0, 4.0, 0.0)
+    t_s: Floats = np.arange(1000) * 0.01
+    angle: Floats = np.round(0.4 * np.sin(t_s) / step) * step + np.where(t_s > 6.0, jump, 0.0)
+    voltage: Floats = 3.0 + 0.3 * np.sin(7.0 * t_s) + np.where(t_s > 3.0, 4.0, 0.0)
     part, _ = longest_run(Table("x", {"p": Column(angle), "u": Column(voltage)}), t_s)
     assert len(part) == (601 if jump else 1000)

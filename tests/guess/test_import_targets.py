@@ -9,9 +9,9 @@ import pytest
 from heli_host.errors import FlightDataError
 from heli_host.flight import Flight
 from heli_host.log.table import write_csv
-from heli_lab.verbs.import_targets import Target, digest, entry_lines, output_names
+from heli_lab.guess.import_targets import Target, digest, entry_lines, output_names
 
-FLIGHT = Flight(np.arange(20) * 0.01, *np.zeros((5, 20)))
+FLIGHT = Flight(np.arange(20.0, dtype=np.float64) * 0.01, *np.zeros((5, 20)))
 
 
 def test_files_of_one_name_are_named_by_their_folders_too() -> None:
@@ -23,9 +23,7 @@ def test_a_flight_of_another_source_is_not_replaced(tmp_path: Path) -> None:
     for name, content in (("a", "1"), ("b", "2")):
         (tmp_path / name).mkdir()
         (tmp_path / name / "x.mat").write_text(content)
-    mine, other = (
-        Target(tmp_path, "x", digest([tmp_path / name / "x.mat"])) for name in ("a", "b")
-    )
+    mine, other = (Target(tmp_path, "x", digest([tmp_path / name / "x.mat"])) for name in ("a", "b"))
     mine.refuse_to_replace_another()
     write_csv(mine.signed(FLIGHT), mine.path(None))
     mine.refuse_to_replace_another()

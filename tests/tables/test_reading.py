@@ -198,7 +198,9 @@ def test_parquet_and_excel(suffix: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.medium
-@pytest.mark.parametrize("above", [[], [["Measurement 7"], ["Sample time", 0.01], []]], ids=["plain", "titles"])
+@pytest.mark.parametrize(
+    "above", [[], [["Measurement 7"], ["Sample time", 0.01], []]], ids=["plain", "titles"]
+)
 @pytest.mark.parametrize("sheets_before", [0, 1])
 def test_a_table_below_titles_or_on_the_second_sheet(
     above: list[list[object]], sheets_before: int, tmp_path: Path

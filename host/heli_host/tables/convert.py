@@ -27,7 +27,8 @@ MAX_MISSING = 5.0
 """Steps without a row beyond which a flight ends and another begins; fewer missing rows are filled in."""
 _JUMP_DEG = 8.0
 _JUMP_DEG_S = 600.0
-"""A step of an angle above both limits ends a flight: the encoder was set to zero, or two logs were joined. Set by
+"""A step of an angle above both limits ends a flight: the encoder was set to zero, or two logs were
+joined. Set by
 judgement: no such arm turns by 600 deg/s, and 8 deg is above the noise of every encoder. Lower limits cut
 fast logs at a lost row; higher ones keep the jump, which no model explains."""
 

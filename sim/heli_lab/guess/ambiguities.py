@@ -251,7 +251,8 @@ def sign_ambiguities(
     Parameters
     ----------
     torque_nats : float
-        What the constant torque of travel says for these signs, and against their mirror image [nats].
+        Log-likelihood of these signs less that of their mirror image, by the constant torque of travel
+        [nats].
     mirrored : bool
         Whether the profile states the mirror image.
     """
@@ -272,8 +273,7 @@ def sign_ambiguities(
         {"difference"} if assignment.summed else {"front", "back"}
     )
     motors = "the difference is back less front" if assignment.summed else "the motors' names are exchanged"
-    contradicted = torque_nats < -thresholds.DECISIVE_NATS
-    if changed or not stated or contradicted:
+    if changed or not stated:
         chosen = _changes(signs.motors_swapped, signs.pitch < 0.0, signs.travel < 0.0, motors)
         image = _changes(not signs.motors_swapped, signs.pitch > 0.0, signs.travel > 0.0, motors)
         for_choice = -torque_nats if mirrored else torque_nats
@@ -288,8 +288,8 @@ def sign_ambiguities(
                 "which rotor is the front one",
                 image if mirrored else chosen,
                 chosen if mirrored else image,
-                f"the two are mirror images and move alike{torque}; lift the front rotor by hand: if pitch does "
-                f"not rise, set mirrored = {str(not mirrored).lower()}",
+                f"the two are mirror images and move alike{torque}; lift the front rotor by hand: if pitch "
+                f"does not rise, set mirrored = {str(not mirrored).lower()}",
             )
         )
     return ambiguities

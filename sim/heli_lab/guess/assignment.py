@@ -203,7 +203,9 @@ def candidates(
         of = rates.get(group[0]) or _angle_of_feedback(signals, group, angles)
         rate = None if of is None else signals.filtered[of].rate
         # A duplicate with another slope is not the rate, but follows it.
-        chosen = group[0] if rate is None else next((n for n in group if not _is_rate(n, rate, signals)), None)
+        chosen = (
+            group[0] if rate is None else next((n for n in group if not _is_rate(n, rate, signals)), None)
+        )
         chosen = group[0] if chosen is None and group[0] not in rates else chosen
         if chosen is not None:
             kept.append(chosen)
@@ -373,7 +375,8 @@ def _log_likelihood_table(
 
 
 def feedback_sign(total: Floats, signal: Signal) -> float:
-    """Return 1 or -1 if `total` is proportional to the rate of a signal, as under state feedback; otherwise 0.
+    """Return 1 or -1 if `total` is proportional to the rate of a signal, as under state feedback;
+    otherwise 0.
 
     A column in a unit of the rate is the rate, not feedback.
     """

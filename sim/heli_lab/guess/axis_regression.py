@@ -52,7 +52,7 @@ def axis_regressions(
 def sum_and_difference(
     signals: Signals, assignment: ColumnAssignment, bias: float = 0.0, limit: float = math.inf
 ) -> tuple[Floats, Floats]:
-    """Return sum and difference of the motors' voltages, each motor within `limit`; see `axis_regressions`."""
+    """Return sum and difference of the motors' voltages, each motor within `limit`."""
     first, second = voltages(signals, assignment)
     total, difference = (first + bias, second) if assignment.summed else (first + second, first - second)
     if math.isinf(limit):

@@ -221,7 +221,7 @@ def _limited_motions(
     rows: NDArray[np.bool_],
     first: dict[str, RegressionFit],
 ) -> dict[VoltageScale, LimitedMotion]:
-    """Repeat the regressions with limited commands, for each unit in which some commands exceed the supply."""
+    """Repeat the regressions with limited commands, for each unit in which some exceed the supply."""
     limited = {}
     for choice in voltage_scales(assignment.summed):
         volts = choice.volts(reference)

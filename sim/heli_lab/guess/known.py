@@ -35,7 +35,9 @@ class KnownEntries:
     def columns(self) -> dict[str, str]:
         """Roles by column."""
         return {
-            str(self.entries[role]["column"]): role for role in _ROLES if "column" in self.entries.get(role, {})
+            str(self.entries[role]["column"]): role
+            for role in _ROLES
+            if "column" in self.entries.get(role, {})
         }
 
     @property

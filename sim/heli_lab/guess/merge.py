@@ -16,8 +16,8 @@ from heli_lab.guess.times import clock_of
 def merge_tables(tables: Sequence[Table]) -> Table:
     """Merge the columns of several files of one flight, by their times or by their rows.
 
-    A file without times is merged row by row with a file that has times and as many rows. Without any times, all
-    files must have equally many rows.
+    A file without times is merged row by row with a file that has times and as many rows. Without any
+    times, all files must have equally many rows.
 
     Parameters
     ----------
@@ -66,7 +66,8 @@ def _partner(number: int, tables: Sequence[Table], times_s: Sequence[Floats | No
             return other
     sizes = ", ".join(f"{_name(table)} with {len(table)}" for table in tables)
     raise FlightDataError(
-        f"{_name(tables[number])}: it has no times, and no other file with times has its {rows} rows ({sizes})",
+        f"{_name(tables[number])}: it has no times, and no other file with times has its {rows} rows "
+        f"({sizes})",
         "log the times with each file of one flight, or cut the files to equal lengths",
     )
 

@@ -34,8 +34,8 @@ class Reference:
     supply_V : float
         Largest voltage of a motor [V].
     travel_rad_s2, travel_std_rad_s2 : float
-        Constant acceleration of travel at level pitch, and its standard deviation [rad/s^2]; both 0 if the rig
-        file states no torque.
+        Constant acceleration of travel at level pitch, and its standard deviation [rad/s^2]; both 0 if
+        the rig file states no torque.
     """
 
     stiffness: Mapping[str, tuple[float, float]]
@@ -74,7 +74,8 @@ def reference_of(rig: Rig) -> Reference:
     torque, friction = rig["torque_travel"], rig["friction_travel"].value
     # Friction over inertia is the damping of travel; twice the standard deviation is the tolerance.
     per_torque = float(-linear.A[5, 5]) / friction if friction > 0.0 and torque.value else 0.0
-    lean_rad_s2 = float(linear.A[5, 1]) * np.radians(0.5 * rig["offset_pitch"].tolerance)
+    # The whole tolerance of the pitch zero: programs set it wherever the short arm hangs.
+    lean_rad_s2 = float(linear.A[5, 1]) * np.radians(rig["offset_pitch"].tolerance)
     std_rad_s2 = float(np.hypot(per_torque * 0.5 * torque.tolerance, lean_rad_s2)) if per_torque else 0.0
     return Reference(
         stiffness,

@@ -32,9 +32,7 @@ def names_state_voltages(assignment: ColumnAssignment) -> bool:
     )
 
 
-def check_voltages(
-    source: str, explained: Mapping[str, RegressionFit], assignment: ColumnAssignment
-) -> None:
+def check_voltages(source: str, explained: Mapping[str, RegressionFit], assignment: ColumnAssignment) -> None:
     """Check that the columns taken for voltages move the axes.
 
     Raises

@@ -34,8 +34,8 @@ _ENTRIES: Final = {
     "elevation's time": "elevation.delay_s",
     "travel's time": "travel.delay_s",
 }
-"""Entry of the profile for each subject, the most dangerous first: a wrong column makes the flight useless, a wrong
-sign or unit fits a wrong rig, a mirror image and a delay still fit one that flies."""
+"""Entry of the profile for each subject, the most dangerous first: a wrong column makes the flight
+useless, a wrong sign or unit fits a wrong rig, a mirror image and a delay still fit one that flies."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Ambiguity:
 
     @property
     def entry(self) -> str:
-        """Entry of the profile that is in doubt, such as ``pitch.sign``; empty if it is none in particular."""
+        """Entry of the profile that is in doubt, such as ``pitch.sign``; empty if there is no single one."""
         return _ENTRIES.get(self.subject, "")
 
     @property

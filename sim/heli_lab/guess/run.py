@@ -62,8 +62,8 @@ def propose(
 ) -> tuple[Guess, list[Table]]:
     """Propose one profile for the files of one rig, without simulating it.
 
-    The evidence of all files is added up. Names and the rig's deviation from its rig file count once, because all
-    files share them.
+    The evidence of all files is added up. Names and the rig's deviation from its rig file count once,
+    because all files share them.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def propose(
             [travel_torque_nats(file.signals, assignment, reference, rad, signs.travel) for file in files]
         )
     )
-    mirrored = prefers_mirror(signs, assignment, torque_nats)
+    mirrored = prefers_mirror(signs, torque_nats)
     if known.mirrored is not None:
         mirrored = known.mirrored
     ambiguities += sign_ambiguities(explained, signs, assignment, torque_nats, mirrored, rig)
@@ -166,9 +166,7 @@ def _limit_to_supply(
 ) -> tuple[Profile, list[Ambiguity]]:
     """Clip the voltages to the supply if a few exceed it, as commands before saturation do."""
     limit = reference.supply_V
-    sizes_V = [
-        np.abs(flight.voltages_V) for table in tables for flight in flights_of(table, profile)
-    ]
+    sizes_V = [np.abs(flight.voltages_V) for table in tables for flight in flights_of(table, profile)]
     largest = max(float(size_V.max()) for size_V in sizes_V)
     beyond = float(np.mean(np.concatenate(sizes_V) > thresholds.CLIP_SHARE * limit))
     if largest < thresholds.CLIP_SHARE * limit:
@@ -179,7 +177,8 @@ def _limit_to_supply(
                 "the voltages' limit",
                 f"as logged, up to {largest:.1f} V",
                 f"clipped to {limit:g} V, the rig file's supply",
-                f"{100.0 * beyond:.0f} % of the rows exceed the supply; set clip_V, or give your rig with --rig",
+                f"{100.0 * beyond:.0f} % of the rows exceed the supply; set clip_V, or give your rig with "
+                "--rig",
             )
         ]
     ambiguity = Ambiguity(
@@ -204,8 +203,8 @@ def check_by_simulation(guessed: Guess, tables: Sequence[Table], rig: Rig) -> li
     Returns
     -------
     list of Guess
-        One per table, with its simulated sign choices. All have an ambiguity if another choice fits about as well
-        in the mean of all tables.
+        One per table, with its simulated sign choices. All have an ambiguity if another choice fits
+        about as well in the mean of all tables.
     """
     longest = [max(flights_of(table, guessed.profile), key=len) for table in tables]
     choices = [try_sign_choices(flight, rig) for flight in longest]
@@ -246,7 +245,8 @@ def fewest_sign_changes(
     Parameters
     ----------
     feedback : float
-        Positive if the sum of the voltages grows with the rate of elevation, negative if it falls, otherwise 0.
+        Positive if the sum of the voltages grows with the rate of elevation, negative if it falls,
+        otherwise 0.
     """
     elevation = 1.0 if explained["elevation"].gain >= 0.0 else -1.0
     if feedback and explained["elevation"].log_likelihood_ratio < thresholds.DECISIVE_NATS:

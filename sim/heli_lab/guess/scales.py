@@ -34,8 +34,8 @@ _PLAUSIBLE_PEAK_SHARES: Final = (0.16, 1.2)
 _MAX_SHARE: Final = 1.02
 """Upper limit for units that are shares of the supply: a share above 1 is impossible."""
 _SATURATION_NATS: Final = 1.0
-"""Penalty of a unit in which some commands exceed the supply [nats]. Set by judgement: such logs are rarer than
-those of limited voltages."""
+"""Penalty of a unit in which some commands exceed the supply [nats]. Set by judgement: such logs are
+rarer than those of limited voltages."""
 _QUANTISATION_NATS: Final = 3.0
 """Reward of an angle quantised by the encoder; penalty of whole numbers that are not counts [nats]."""
 
@@ -161,9 +161,7 @@ def scales(motion: MeasuredMotion, reference: Reference) -> list[Scale]:
         limited = motion.limited.get(choice)
         gain = motion.gain if limited is None else limited.gain
         mean_sum = motion.mean_sum if limited is None else limited.mean_sum
-        hover = (
-            0.0 if biased else _deviation_std(mean_sum * volts, reference.hover_V, thresholds.HOVER_STD)
-        )
+        hover = 0.0 if biased else _deviation_std(mean_sum * volts, reference.hover_V, thresholds.HOVER_STD)
         base = (
             -0.5 * hover**2
             - (_MISSING_BIAS_NATS if biased else 0.0)
@@ -215,7 +213,7 @@ def scales(motion: MeasuredMotion, reference: Reference) -> list[Scale]:
 
 
 def voltage_scales(summed: bool) -> list[VoltageScale]:
-    """List all choices of the voltages' unit, for sum and difference if `summed`, otherwise front and back."""
+    """List all choices of the voltages' unit; `summed` voltages are sum and difference."""
     pwm_scales = [("pwm", full) for full in _FULL_SCALES]
     units = [(unit, 255.0) for unit in _VOLTAGE_UNITS if unit != "pwm"] + pwm_scales
     kinds = list(itertools.product((1.0, 2.0), (False, True))) if summed else [(1.0, False)]

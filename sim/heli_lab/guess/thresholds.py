@@ -41,17 +41,17 @@ DERIVED_SIGNAL_NATS: Final = 12.0
 """Penalty of a column whose name means a setpoint, a rate or an estimate [nats]: a setpoint that is followed
 well obeys the same equations as the angle."""
 FEEDBACK_MATCH: Final = 0.8
-"""Share of a sum's variance that the rate of elevation explains, from which on the sum counts as state feedback.
-Encoder noise takes up to 15 % in gentle flights; other controllers give less than 60 %."""
+"""Share of a sum's variance that the rate of elevation explains, from which on the sum counts as state
+feedback. Encoder noise takes up to 15 % in gentle flights; other controllers give less than 60 %."""
 FEEDBACK_NATS: Final = 4.0
 """Reward of a sum of the voltages that is proportional to the rate of elevation [nats]. State feedback
 gives such a sum, and its motion then shows no cause. Below `DECISIVE_NATS`: such a column stays in doubt."""
 ENCODER_NATS: Final = 10.0
 """Reward of an angle column that is quantised by an encoder of the rig [nats]. Estimates, setpoints and rates
 move like angles but are not quantised. Above `NAME_NATS`."""
-SIGN_CHANGE_NATS: Final = 2.0
-"""Log-likelihood of each sign or exchange that differs from what the names state [nats]. Set by judgement: programs
-often turn a sign, and seldom two."""
+SIGN_CHANGE_NATS: Final = 1.0
+"""Log-likelihood of each further sign or exchange of motors that differs from the usual ones [nats]. Set by
+judgement: one sign in four is turned. Higher values ignore the travel torque, lower ones follow it alone."""
 UNIT_NATS: Final = 6.0
 """Log-likelihood of a stated unit [nats]. Accelerations that fit another unit much better overrule it."""
 GAIN_STD: Final = {"elevation": 0.5, "pitch": 0.7, "travel": 0.4}
@@ -97,4 +97,5 @@ MIN_CLIPPED_SHARE: Final = 0.002
 """Share of rows beyond the supply from which on the fits use limited commands. Fewer rows change no gain."""
 MAX_CLIPPED_SHARE: Final = 0.5
 """Share of rows beyond the supply from which on the supply differs from the rig file's, so that no limit is
-set. Set on simulated flights: control loops with commands beyond the supply for 40 % of the time still fly."""
+set. Set on simulated flights: control loops with commands beyond the supply for 40 % of the time still
+fly."""

@@ -11,7 +11,7 @@ from heli_host.cli.options import JsonOption
 from heli_host.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.cli.verb import Verb
 
-from heli_lab.verbs.import_targets import Target, digest, entry_lines, output_names
+from heli_lab.guess.import_targets import Target, digest, entry_lines, output_names
 
 if TYPE_CHECKING:
     from heli_host.tables import Profile, Table
@@ -143,9 +143,7 @@ def _guesses(
 
     known = read_known(profile) if profile is not None else NOTHING_KNOWN
     with WorkBar() as bar:
-        return guess_by_rigs(
-            tables, rig, rate_Hz, known, lambda share: bar.show("guessing", share)
-        ).guesses
+        return guess_by_rigs(tables, rig, rate_Hz, known, lambda share: bar.show("guessing", share)).guesses
 
 
 def _write_profile(

@@ -69,7 +69,8 @@ class Target:
             known = _digest_in(target)
             if known is not None and known != self.sha:
                 raise FlightDataError(
-                    f"{target} was imported from another file", "give another folder with --output, or move that file"
+                    f"{target} was imported from another file",
+                    "give another folder with --output, or move that file",
                 )
 
 
