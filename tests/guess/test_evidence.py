@@ -13,7 +13,8 @@ from heli_host.errors import FlightDataError
 from heli_host.tables import Angle, Column, Profile, Table, Voltage
 from heli_lab.guess import merge_tables
 from heli_lab.guess.ambiguities import SignChanges
-from heli_lab.guess.assignment import ColumnAssignment, RegressionFit, candidates
+from heli_lab.guess.assignment import ColumnAssignment, RegressionFit
+from heli_lab.guess.candidates import candidates
 from heli_lab.guess.evidence import pooled_fits, prepare, rank
 from heli_lab.guess.known import NOTHING_KNOWN, read_known
 from heli_lab.guess.mirror import prefers_mirror, travel_torque_nats
@@ -138,7 +139,7 @@ def test_doubts_are_ranked_by_danger() -> None:
 
 
 def test_files_of_equal_length_are_merged_row_by_row_and_the_notes_state_it() -> None:
-    t_s: Floats = np.arange(50) * 0.01
+    t_s: Floats = np.arange(50, dtype=np.float64) * 0.01
     x = Table("a/x.mat", {"t": Column(t_s, "s"), "p": Column(np.sin(t_s))})
     u = Table("a/u.mat", {"f": Column(np.cos(9.0 * t_s))})
     merged = merge_tables([x, u])
@@ -160,7 +161,7 @@ def test_a_file_without_voltages_is_refused_with_that_reason_and_a_fix() -> None
 @pytest.mark.parametrize("jump", [0.0, math.radians(21.0)])
 def test_a_jump_of_an_encoder_ends_the_part_that_is_guessed(jump: float) -> None:
     step = 2.0 * math.pi / 4096.0
-    t_s: Floats = np.arange(1000) * 0.01
+    t_s: Floats = np.arange(1000, dtype=np.float64) * 0.01
     angle: Floats = np.round(0.4 * np.sin(t_s) / step) * step + np.where(t_s > 6.0, jump, 0.0)
     voltage: Floats = 3.0 + 0.3 * np.sin(7.0 * t_s) + np.where(t_s > 3.0, 4.0, 0.0)
     part, _ = longest_run(Table("x", {"p": Column(angle), "u": Column(voltage)}), t_s)

@@ -14,8 +14,9 @@ from heli_host.tables.units import ANGLE_UNITS, COUNT, SHARES, VOLTAGE_UNITS, sp
 from numpy.typing import NDArray
 
 from heli_lab.guess import names, thresholds
-from heli_lab.guess.assignment import ColumnAssignment, RegressionFit, assignments, candidates, free_rows
+from heli_lab.guess.assignment import ColumnAssignment, RegressionFit, assignments, free_rows
 from heli_lab.guess.axis_regression import axis_regressions, sum_and_difference, voltages
+from heli_lab.guess.candidates import candidates
 from heli_lab.guess.known import KnownEntries
 from heli_lab.guess.reference import Reference
 from heli_lab.guess.scales import (

@@ -22,8 +22,9 @@ from heli_lab.guess.ambiguities import (
     sum_ambiguities,
     unit_ambiguities,
 )
-from heli_lab.guess.assignment import ColumnAssignment, RegressionFit, feedback_sign
+from heli_lab.guess.assignment import ColumnAssignment, RegressionFit
 from heli_lab.guess.axis_regression import axis_regressions, rest_elevation, sum_and_difference
+from heli_lab.guess.candidates import feedback_sign
 from heli_lab.guess.evidence import common_candidates, pooled_fits, pooled_scales, prepare, rank
 from heli_lab.guess.known import NOTHING_KNOWN, KnownEntries
 from heli_lab.guess.mirror import prefers_mirror, travel_torque_nats

@@ -22,8 +22,8 @@ _MAX_STEP_S: Final = 0.15
 """Largest step of a log [s]: logs of such flights have at least 7 Hz."""
 _MIN_STEP_S: Final = 0.0002
 _JUMP_STEPS: Final = 15.0
-"""A step of an angle this many times above its usual largest one is a jump. Angles have up to 3, and
-voltages up to 15, when a setpoint moves. Lower values cut flights there, higher ones miss jumps of slow logs."""
+"""A step of an angle this many times above its usual largest one is a jump. Angles have up to 3; voltages
+have up to 15, when a setpoint moves. Lower values cut flights there, higher ones miss jumps of slow logs."""
 _JUMP_SHARE: Final = 0.03
 """Smallest jump as a share of the column's range. Smaller ones are left to the conversion, in degrees."""
 _MIN_ROWS: Final = 100
