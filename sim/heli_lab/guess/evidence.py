@@ -235,7 +235,11 @@ def _limited_motions(
         fits = axis_regressions(signals, assignment, reference, bias=bias, limit=limit)
         total, _ = sum_and_difference(signals, assignment, bias, limit)
         gain = {axis: fits[axis].gain for axis in AXES} | {"travel": first["travel"].gain}
-        limited[choice] = LimitedMotion(gain, float(np.mean(total[rows])))
+        ratio = sum(
+            fits[axis].log_likelihood_ratio - first[axis].log_likelihood_ratio
+            for axis in ("elevation", "pitch")
+        )
+        limited[choice] = LimitedMotion(gain, float(np.mean(total[rows])), ratio)
     return limited
 
 

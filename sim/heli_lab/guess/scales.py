@@ -33,7 +33,7 @@ _PLAUSIBLE_PEAK_SHARES: Final = (0.16, 1.2)
 """Plausible peak voltages over the rig file's supply; the upper limit allows another supply."""
 _MAX_SHARE: Final = 1.02
 """Upper limit for units that are shares of the supply: a share above 1 is impossible."""
-_SATURATION_NATS: Final = 1.0
+_SATURATION_NATS: Final = 3.0
 """Penalty of a unit in which some commands exceed the supply [nats]. Set by judgement: such logs are
 rarer than those of limited voltages."""
 _QUANTISATION_NATS: Final = 3.0
@@ -64,10 +64,14 @@ class LimitedMotion:
         Gain of each axis.
     mean_sum : float
         Mean of the sum of the voltages in flight.
+    log_likelihood_ratio : float
+        Log-likelihood of elevation and pitch with limited commands, less that with the commands as logged
+        [nats].
     """
 
     gain: Mapping[str, float]
     mean_sum: float
+    log_likelihood_ratio: float
 
 
 @dataclass(frozen=True)
@@ -175,8 +179,10 @@ def scales(motion: MeasuredMotion, reference: Reference) -> list[Scale]:
         peak = peak_V / reference.supply_V
         if peak <= _PLAUSIBLE_PEAK_SHARES[0] or (peak >= highest and limited is None):
             base -= _IMPLAUSIBLE_PEAK_NATS
-        if limited is not None and not motion.stated_units.get("voltage", ""):
-            base -= _SATURATION_NATS
+        if limited is not None:
+            # Any limit removes peaks of noise: a better fit outweighs the penalty, and proves no more.
+            base += min(limited.log_likelihood_ratio, _SATURATION_NATS)
+            base -= 0.0 if motion.stated_units.get("voltage", "") else _SATURATION_NATS
         if biased and limited is None and abs(motion.mean_sum * volts) > 0.5 * reference.hover_V:
             continue
         for units in itertools.product(_ANGLE_UNITS, repeat=3):
