@@ -15,7 +15,7 @@ from heli_lab.guess import merge_tables
 from heli_lab.guess.ambiguities import SignChanges
 from heli_lab.guess.assignment import ColumnAssignment, RegressionFit
 from heli_lab.guess.candidates import candidates
-from heli_lab.guess.evidence import pooled_fits, prepare, rank
+from heli_lab.guess.evidence import pooled_fits, prepare_file, rank
 from heli_lab.guess.known import NOTHING_KNOWN, read_known
 from heli_lab.guess.mirror import prefers_mirror, travel_torque_nats
 from heli_lab.guess.reference import reference_of
@@ -48,7 +48,7 @@ def test_a_sum_that_follows_the_rate_of_elevation_is_no_duplicate() -> None:
     table = table_of("hands off")
     total = table.columns["f"].values + table.columns["b"].values
     columns = {**table.columns, "V_sum": Column(total - total.mean())}
-    file = prepare(Table("x.csv", columns), REFERENCE, None)
+    file = prepare_file(Table("x.csv", columns), REFERENCE, None)
     kept, dropped = candidates(file.signals, file.encoders)
     assert "V_sum" in kept
     assert dropped["edot"] == "the rate of e"
@@ -56,7 +56,7 @@ def test_a_sum_that_follows_the_rate_of_elevation_is_no_duplicate() -> None:
 
 @pytest.mark.medium
 def test_commands_beyond_the_supply_are_limited_before_their_unit_is_found() -> None:
-    file = prepare(table_of("manual", commands=True), REFERENCE, None)
+    file = prepare_file(table_of("manual", commands=True), REFERENCE, None)
     ranked, (motion,) = rank([file], ["e", "p", "l", "f", "b"], REFERENCE, NOTHING_KNOWN)
     assert ranked[0].same_as(ASSIGNMENT)
     limited, as_logged = (scales(m, REFERENCE) for m in (motion, replace(motion, limited={})))
@@ -70,7 +70,7 @@ def test_commands_beyond_the_supply_are_limited_before_their_unit_is_found() -> 
 
 @pytest.mark.medium
 def test_the_travel_torque_weighs_mirror_images_against_each_other() -> None:
-    file = prepare(table_of("travel"), REFERENCE, None)
+    file = prepare_file(table_of("travel"), REFERENCE, None)
     rad = dict.fromkeys(AXES, 1.0)
     nats, image = (travel_torque_nats(file.signals, ASSIGNMENT, REFERENCE, rad, sign) for sign in (1.0, -1.0))
     # Never as sure as a decision: one rig in ten pulls the other way.
@@ -125,7 +125,7 @@ def test_known_entries_stay_and_their_doubts_vanish(tmp_path: Path) -> None:
 def test_a_known_column_keeps_its_role_against_all_evidence(tmp_path: Path) -> None:
     path = tmp_path / "known.toml"
     path.write_text('[front]\ncolumn = "b"\n')
-    file = prepare(table_of("travel"), REFERENCE, None)
+    file = prepare_file(table_of("travel"), REFERENCE, None)
     ranked, _ = rank([file], ["e", "p", "l", "f", "b"], REFERENCE, read_known(path))
     assert ranked[0].voltages == ("b", "f")
 

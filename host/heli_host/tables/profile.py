@@ -177,7 +177,7 @@ def read_entries(path: Path) -> Mapping[str, Any]:
 
 
 def profile_of(content: Mapping[str, Any], source: str) -> Profile:
-    """Make a profile of its entries; a FlightDataError names the `source` and the wrong entry."""
+    """Make a profile of its entries, `content`; a FlightDataError names the `source` and the wrong entry."""
     reader = _Reader(source)
     known = {
         "about",

@@ -52,7 +52,15 @@ def axis_regressions(
 def sum_and_difference(
     signals: Signals, assignment: ColumnAssignment, bias: float = 0.0, limit: float = math.inf
 ) -> tuple[Floats, Floats]:
-    """Return sum and difference of the motors' voltages, each motor within `limit`."""
+    """Return sum and difference of the motors' voltages.
+
+    Parameters
+    ----------
+    bias : float
+        Bias that the logged sum lacks, in the unit of the sum.
+    limit : float
+        Largest voltage of a motor, in the unit of the columns.
+    """
     first, second = voltages(signals, assignment)
     total, difference = (first + bias, second) if assignment.summed else (first + second, first - second)
     if math.isinf(limit):

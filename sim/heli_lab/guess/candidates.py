@@ -23,7 +23,16 @@ _RATE_SCALES: Final = (
 def candidates(
     signals: Signals, encoders: Collection[str] = frozenset(), known: Collection[str] = ()
 ) -> tuple[list[str], dict[str, str]]:
-    """List the columns that may be an angle or a voltage; those that are `known` come first.
+    """List the columns that may be an angle or a voltage; those that are known come first.
+
+    Parameters
+    ----------
+    signals : Signals
+        The columns.
+    encoders : collection of str
+        Columns quantised by an encoder.
+    known : collection of str
+        Columns whose roles the user knows.
 
     Returns
     -------

@@ -51,8 +51,13 @@ class PreparedFile:
     encoders: frozenset[str]
 
 
-def prepare(table: Table, reference: Reference, rate_Hz: float | None) -> PreparedFile:
+def prepare_file(table: Table, reference: Reference, rate_Hz: float | None) -> PreparedFile:
     """Find the times of an aligned table, cut its longest part, and filter its columns.
+
+    Parameters
+    ----------
+    rate_Hz : float or None
+        Sampling rate [Hz], for a table without times.
 
     Raises
     ------
@@ -93,6 +98,15 @@ def rank(
     files: Sequence[PreparedFile], columns: list[str], reference: Reference, known: KnownEntries
 ) -> tuple[list[ColumnAssignment], list[MeasuredMotion]]:
     """Rank the assignments of columns by the evidence of all files, with the likelihood of their best units.
+
+    Parameters
+    ----------
+    files : sequence of PreparedFile
+        Files of one rig.
+    columns : list of str
+        Columns that may be an angle or a voltage.
+    known : KnownEntries
+        Entries of the profile that the user knows.
 
     Returns
     -------

@@ -17,7 +17,7 @@ _CHARACTERS: Final = 12
 
 
 def digest(paths: Sequence[Path]) -> str:
-    """Digest the content of the files of one flight; a folder counts with all its files."""
+    """Digest the content of the files of one flight, `paths`; a folder counts with all its files."""
     total = hashlib.sha256()
     for path in paths:
         for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
@@ -28,7 +28,7 @@ def digest(paths: Sequence[Path]) -> str:
 
 
 def output_names(paths: Sequence[Path]) -> list[str]:
-    """Name the flights of several files: by the file, and by its folder too if files have the same name."""
+    """Name the flights of the files `paths`: by the file, and by its folder too if names are equal."""
     stems = [_stem(path) for path in paths]
     counts = Counter(stems)
     return [
@@ -90,7 +90,7 @@ def _digest_in(path: Path) -> str | None:
 
 
 def entry_lines(text: str) -> dict[str, int]:
-    """Find the line of each entry of a profile's text; an entry that it lacks has the line of its section."""
+    """Find the line of each entry in the `text` of a profile; entries that it lacks have that of their section."""
     lines: dict[str, int] = {}
     section = ""
     for number, line in enumerate(text.splitlines(), 1):

@@ -56,7 +56,7 @@ class KnownEntries:
         return self.entries.get("mirrored")
 
     def sign(self, role: str) -> float:
-        """Sign of a role; 0 if it is unknown."""
+        """Sign of a `role`; 0 if it is unknown."""
         return float(self.entries.get(role, {}).get("sign", 0.0))
 
     def with_units(self, table: Table) -> Table:

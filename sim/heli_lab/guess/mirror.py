@@ -64,6 +64,13 @@ def prefers_mirror(signs: SignChanges, torque_nats: float) -> bool:
     """Whether the torque outweighs the fewest changes of sign.
 
     Each further change of sign or exchange of motors counts `SIGN_CHANGE_NATS` against the mirror image.
+
+    Parameters
+    ----------
+    signs : SignChanges
+        Proposed changes of sign.
+    torque_nats : float
+        Result of `travel_torque_nats`.
     """
     changes = signs.motors_swapped + (signs.pitch < 0.0) + (signs.travel < 0.0)
     mirrored = (not signs.motors_swapped) + (signs.pitch > 0.0) + (signs.travel > 0.0)

@@ -13,7 +13,17 @@ _FIX = "give a log with three angles and both motor voltages; if they are in two
 
 
 def too_few_columns(source: str, columns: Sequence[str], dropped: Mapping[str, str]) -> FlightDataError:
-    """Describe a table with fewer than five columns that may be an angle or a voltage."""
+    """Describe a table with fewer than five columns that may be an angle or a voltage.
+
+    Parameters
+    ----------
+    source : str
+        The file.
+    columns : sequence of str
+        Columns that may be an angle or a voltage.
+    dropped : Mapping[str, str]
+        Columns that were left out, with the reason.
+    """
     roles = {names.role_of(name) for name in (*columns, *dropped)}
     left_out = ", ".join(f"{name} ({reason})" for name, reason in dropped.items())
     detail = f"; left out: {left_out}" if left_out else ""
@@ -35,12 +45,21 @@ def names_state_voltages(assignment: ColumnAssignment) -> bool:
 def check_voltages(source: str, explained: Mapping[str, RegressionFit], assignment: ColumnAssignment) -> None:
     """Check that the columns taken for voltages move the axes.
 
+    Parameters
+    ----------
+    source : str
+        The file.
+    explained : Mapping[str, RegressionFit]
+        Regression of each axis on its cause.
+    assignment : ColumnAssignment
+        Columns by role.
+
     Raises
     ------
     FlightDataError
         When neither elevation nor pitch follows them, or both are setpoints or estimates by name.
     """
-    derived = all(names.is_derived_signal(column) for column in assignment.voltages)
+    derived = all(names.is_no_voltage(column) for column in assignment.voltages)
     nats = max(explained[axis].log_likelihood_ratio for axis in ("elevation", "pitch"))
     if derived or nats < thresholds.DECISIVE_NATS:
         best = " and ".join(assignment.voltages)

@@ -25,7 +25,7 @@ from heli_lab.guess.ambiguities import (
 from heli_lab.guess.assignment import ColumnAssignment, RegressionFit
 from heli_lab.guess.axis_regression import axis_regressions, rest_elevation, sum_and_difference
 from heli_lab.guess.candidates import feedback_sign
-from heli_lab.guess.evidence import common_candidates, pooled_fits, pooled_scales, prepare, rank
+from heli_lab.guess.evidence import common_candidates, pooled_fits, pooled_scales, prepare_file, rank
 from heli_lab.guess.known import NOTHING_KNOWN, KnownEntries
 from heli_lab.guess.mirror import prefers_mirror, travel_torque_nats
 from heli_lab.guess.reference import Reference, reference_of
@@ -83,7 +83,7 @@ def propose(
         The guess, and the longest part of each table with rising times, to which the guess applies.
     """
     reference = reference_of(rig)
-    files = [prepare(known.with_units(table.aligned()), reference, rate_Hz) for table in tables]
+    files = [prepare_file(known.with_units(table.aligned()), reference, rate_Hz) for table in tables]
     first = files[0]
     clock = first.clock
     for file in files[1:]:
