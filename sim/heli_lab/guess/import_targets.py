@@ -90,7 +90,7 @@ def _digest_in(path: Path) -> str | None:
 
 
 def entry_lines(text: str) -> dict[str, int]:
-    """Find the line of each entry in the `text` of a profile; entries that it lacks have that of their section."""
+    """Find the line of each entry in the `text` of a profile; missing entries have that of their section."""
     lines: dict[str, int] = {}
     section = ""
     for number, line in enumerate(text.splitlines(), 1):
