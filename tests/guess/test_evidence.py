@@ -44,13 +44,14 @@ def table_of(pilot: str, seed: int = 3, commands: bool = False) -> Table:
 
 
 @pytest.mark.medium
-def test_a_sum_that_follows_the_rate_of_elevation_is_no_duplicate() -> None:
+@pytest.mark.parametrize("gain", [1.0, 0.05], ids=["volts", "the size of the rate"])
+def test_a_sum_that_follows_the_rate_of_elevation_is_no_duplicate(gain: float) -> None:
     table = table_of("hands off")
     total = table.columns["f"].values + table.columns["b"].values
-    columns = {**table.columns, "V_sum": Column(total - total.mean())}
+    columns = {**table.columns, "u1": Column(gain * (total - total.mean()))}
     file = prepare_file(Table("x.csv", columns), REFERENCE, None)
     kept, dropped = candidates(file.signals, file.encoders)
-    assert "V_sum" in kept
+    assert "u1" in kept
     assert dropped["edot"] == "the rate of e"
 
 
