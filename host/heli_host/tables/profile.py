@@ -158,6 +158,11 @@ class Profile:
 
 def read_profile(path: Path) -> Profile:
     """Read the profile at `path`; a FlightDataError says which entry is wrong."""
+    return profile_of(read_entries(path), str(path))
+
+
+def read_entries(path: Path) -> Mapping[str, Any]:
+    """Read the entries of the profile at `path`, which need not be complete."""
     try:
         content = parse_toml(read_file(path, TOML_BYTES).decode("utf-8"))
     except OSError as error:
@@ -166,7 +171,14 @@ def read_profile(path: Path) -> Profile:
         raise FlightDataError(
             f"{path}: not a profile: {error}", "see docs/reference/file-formats.md"
         ) from error
-    reader = _Reader(str(path))
+    for name in (*AXES, *MOTORS, *SUMS, "voltages", "time"):
+        _Reader(str(path)).table(content, name)
+    return content
+
+
+def profile_of(content: Mapping[str, Any], source: str) -> Profile:
+    """Make a profile of its entries, `content`; a FlightDataError names the `source` and the wrong entry."""
+    reader = _Reader(source)
     known = {
         "about",
         "mirrored",

@@ -64,7 +64,9 @@ def split_unit(name: str) -> tuple[str, str]:
     """
     for pattern in (_BRACKETS, _SLASH):
         match = pattern.match(name)
-        if match and unit_of(match.group(2)):
+        # In y[1] and u(1) the number is an index; only after a space it is the unit of a share.
+        index = match is not None and match.group(2) == "1" and name[len(match.group(1))] in "[({<"
+        if match and unit_of(match.group(2)) and not index:
             return match.group(1).strip(), unit_of(match.group(2))
     match = _TAIL.match(name)
     # V_s is a sum of voltages and pitch_v a speed: these two letters are units in one place each.
