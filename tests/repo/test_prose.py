@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.repo.prose.__main__ import HERE, check, findings, long_share
+from tests.repo.prose.__main__ import HERE, check, findings, long_share, page_words
 from tests.repo.prose.rules import Rules
 
 RULES = Rules.read(HERE / "words.toml")
@@ -78,3 +78,11 @@ def test_long_sentences_are_counted_in_documents(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("Short. " + "Word" + " word" * 30 + "end.\n")
     assert long_share([page], RULES, tmp_path) == (1, 2)
+
+
+def test_words_of_a_page_are_counted_without_its_fences(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(
+        "# A title\n\nRun `fly hover now` again.\n\n```console\n$ a b c\n```\n\n| a | b c |\n|---|---|\n"
+    )
+    assert page_words(page, tmp_path) == (3, 5)

@@ -2,6 +2,7 @@
 
     python -m tests.repo.prose               all findings; exits with 1 if there is one
     python -m tests.repo.prose --count       findings per file and rule, and the share of long sentences
+    python -m tests.repo.prose --words       words per page of docs/, in sentences and in tables and headings
     python -m tests.repo.prose FILE...       findings of these files, exceptions included
 
 The rules are in words.toml, the exceptions with their reasons in exceptions.toml.
@@ -16,11 +17,12 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from tests.repo.prose.rules import Finding, Rules, is_long, unexplained
+from tests.repo.prose.rules import Finding, Rules, is_long, unexplained, words_in
 from tests.repo.prose.texts import sentences_of, sources, texts_of
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[2]
+WRITTEN_BY_PROGRAMS = ("docs/reference/link.md", "docs/reference/faults.md", "docs/reference/parameters.md")
 
 
 def allowances() -> Counter[tuple[str, str]]:
@@ -62,6 +64,30 @@ def long_share(files: Sequence[Path], rules: Rules, root: Path = ROOT) -> tuple[
     return long, total
 
 
+def page_words(page: Path, root: Path = ROOT) -> tuple[int, int]:
+    """Count a page's words in sentences, and in headings and tables; code in backticks is one, a fence none."""
+    in_sentences = elsewhere = 0
+    for text in texts_of(page, root):
+        if text.is_prose:
+            in_sentences += words_in(text.content)
+        else:
+            elsewhere += words_in(text.content)
+    return in_sentences, elsewhere
+
+
+def report_words(root: Path = ROOT) -> None:
+    """Print the words of each page of docs/ that no program writes, and their sum."""
+    total = [0, 0]
+    print("sentences  tables  page")
+    for page in sorted((root / "docs").rglob("*.md")):
+        name = page.relative_to(root).as_posix()
+        if name not in WRITTEN_BY_PROGRAMS:
+            counts = page_words(page, root)
+            total = [total[0] + counts[0], total[1] + counts[1]]
+            print(f"{counts[0]:9}  {counts[1]:6}  {name}")
+    print(f"{total[0]:9}  {total[1]:6}  in all")
+
+
 def report_counts(found: Sequence[Finding]) -> None:
     """Print a row per file: how many findings of each rule."""
     by_file: dict[str, Counter[str]] = {}
@@ -90,7 +116,11 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("files", nargs="*", type=Path)
     parser.add_argument("--count", action="store_true")
+    parser.add_argument("--words", action="store_true")
     chosen = parser.parse_args(arguments)
+    if chosen.words:
+        report_words()
+        return 0
     rules = Rules.read(HERE / "words.toml")
     files = [file.resolve() for file in chosen.files] or sources(ROOT)
     found = list(findings(files, rules))
