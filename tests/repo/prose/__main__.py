@@ -23,6 +23,8 @@ from tests.repo.prose.texts import sentences_of, sources, texts_of
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[2]
 WRITTEN_BY_PROGRAMS = ("docs/reference/link.md", "docs/reference/faults.md", "docs/reference/parameters.md")
+# READMEs of folders, which the site leaves out.
+NOT_PAGES = ("docs/figures/README.md", "docs/laws/README.md", "docs/matlab/README.md")
 
 
 def allowances() -> Counter[tuple[str, str]]:
@@ -65,7 +67,7 @@ def long_share(files: Sequence[Path], rules: Rules, root: Path = ROOT) -> tuple[
 
 
 def page_words(page: Path, root: Path = ROOT) -> tuple[int, int]:
-    """Count a page's words in sentences, and in headings and tables; code in backticks is one, a fence none."""
+    """Count words in sentences, and in headings and tables; code in backticks is one, a fence none."""
     in_sentences = elsewhere = 0
     for text in texts_of(page, root):
         if text.is_prose:
@@ -76,16 +78,21 @@ def page_words(page: Path, root: Path = ROOT) -> tuple[int, int]:
 
 
 def report_words(root: Path = ROOT) -> None:
-    """Print the words of each page of docs/ that no program writes, and their sum."""
-    total = [0, 0]
+    """Print the words of each page that no program writes, and the sums outside and inside of reference/."""
+    reference, others = "docs/reference/", "docs/, without reference/"
+    totals = {others: [0, 0], reference: [0, 0]}
     print("sentences  tables  page")
     for page in sorted((root / "docs").rglob("*.md")):
         name = page.relative_to(root).as_posix()
-        if name not in WRITTEN_BY_PROGRAMS:
-            counts = page_words(page, root)
-            total = [total[0] + counts[0], total[1] + counts[1]]
-            print(f"{counts[0]:9}  {counts[1]:6}  {name}")
-    print(f"{total[0]:9}  {total[1]:6}  in all")
+        if name in WRITTEN_BY_PROGRAMS or name in NOT_PAGES:
+            continue
+        in_sentences, elsewhere = page_words(page, root)
+        print(f"{in_sentences:9}  {elsewhere:6}  {name}")
+        total = totals[reference if name.startswith(reference) else others]
+        total[0] += in_sentences
+        total[1] += elsewhere
+    for what, (in_sentences, elsewhere) in totals.items():
+        print(f"{in_sentences:9}  {elsewhere:6}  all of {what}")
 
 
 def report_counts(found: Sequence[Finding]) -> None:
