@@ -86,3 +86,39 @@ def test_words_of_a_page_are_counted_without_its_fences(tmp_path: Path) -> None:
         "# A title\n\nRun `fly hover now` again.\n\n```console\n$ a b c\n```\n\n| a | b c |\n|---|---|\n"
     )
     assert page_words(page, tmp_path) == (3, 5)
+
+
+ERRORS = """
+class HeliError(Exception):
+    def __init__(self, cause, remedy=""): ...
+
+
+class PlanError(HeliError): ...
+
+
+class Refused(HeliError):
+    def __init__(self, command): ...
+"""
+
+
+@pytest.mark.parametrize(
+    ("raised", "rules"),
+    [
+        ('raise PlanError("no plan is given")', ["remedy"]),
+        ('raise PlanError("no plan is given", "")', ["remedy"]),
+        ("raise PlanError(reason)", ["remedy"]),
+        ('raise typer.BadParameter("--speed is 0")', ["remedy"]),
+        ('x = PlanError("no plan is given")', ["remedy"]),
+        ('raise PlanError("no plan is given", "give at least one")', []),
+        ('raise PlanError("no plan is given", remedy=hint)', []),
+        ("raise PlanError(*problem(rate_Hz))", []),
+        ('raise PlanError(f"stopped: {fault_text(code)}")', []),
+        ('raise typer.BadParameter("--speed is 0; give a number above 0")', []),
+        ("raise Refused(command)", []),
+        ('raise ValueError("negative width")', []),
+    ],
+)
+def test_an_error_for_the_user_says_what_to_do(raised: str, rules: list[str], tmp_path: Path) -> None:
+    (tmp_path / "host/heli_host").mkdir(parents=True)
+    (tmp_path / "host/heli_host/errors.py").write_text(ERRORS)
+    assert rules_broken(tmp_path, "host/heli_host/module.py", raised + "\n") == rules

@@ -140,7 +140,10 @@ class FlownFlight:
         if was_interrupted(self.summary.outcome):
             raise KeyboardInterrupt
         if not self.summary.completed:
-            raise FlightAborted(self.summary.outcome)
+            # A fault's text says what to do already.
+            explained = ";" in self.summary.outcome
+            events = f"look at its events: heli-host info {self.log} --events"
+            raise FlightAborted(self.summary.outcome, "" if explained else events)
 
 
 def fly_plans(

@@ -153,7 +153,9 @@ def _monitor(
     t_s = samples.number * sample_s - zero_s
     rows = (t_s >= low) & (t_s < high)
     if not np.any(rows):
-        raise TwinError(f"{label} has no row from {low:g} to {high:g} s", "give a part of the flight")
+        raise TwinError(
+            f"{label} has no row between {low:g} and {high:g} s", "give --from and --to within the flight"
+        )
     part = samples.select(rows)
     model = TwinModel(chosen.model, chosen.rig)
     twin = Twin(model, chosen.calibration, count_rad, sample_s, false_alarm_interval_h, zero_s=zero_s)

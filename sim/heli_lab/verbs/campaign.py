@@ -108,7 +108,7 @@ def campaign(
             )
         except KeyboardInterrupt:
             raise CampaignError(
-                f"stopped; {ended} of {len(loaded.cases)} cases have ended and are saved",
+                f"stopped: {ended} of {len(loaded.cases)} cases have ended and are saved",
                 "run the same command again to continue with the others",
             ) from None
     summary = summarise(loaded, rows)

@@ -156,7 +156,9 @@ def _quantity(name: str) -> Quantity:
     for quantity in RIG_QUANTITIES:
         if quantity.name == name:
             return quantity
-    raise RigError(f"unknown rig parameter '{name}'", f"it has: {', '.join(q.name for q in RIG_QUANTITIES)}")
+    raise RigError(
+        f"unknown rig parameter '{name}'", f"choose from: {', '.join(q.name for q in RIG_QUANTITIES)}"
+    )
 
 
 def _number(quantity: Quantity, value: str, tolerance: str | None, unit: str, source: str) -> Number:

@@ -81,6 +81,9 @@ class Rules:
     def findings(self, text: Text) -> Iterator[Finding]:
         """Yield all findings of one paragraph, heading, cell or message."""
         yield from self._words(text)
+        if not text.has_remedy:
+            message = f"say what is wrong; and what to do: {_shortened(text.content)}"
+            yield Finding(text.file, text.line, "remedy", message)
         sentences = sentences_of(text)
         for sentence in sentences:
             yield from self._sentence(text, sentence)
