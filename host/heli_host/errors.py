@@ -42,7 +42,7 @@ from typing import ClassVar
 from heli_host.declaration import FAULTS, PARAMS, Fault, FaultSpec, LawError, MessageId, Param, Result, State
 
 MAX_CHARACTERS = 2000
-"""Longest cause and longest remedy: a file may hold a name of a megabyte."""
+"""Longest cause and longest instruction: a file may hold a name of a megabyte."""
 
 
 def listening_remedy(error: Exception, option: str) -> str:

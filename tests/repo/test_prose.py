@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.repo.prose.__main__ import HERE, check, findings, long_share, page_words
-from tests.repo.prose.rules import Rules
+from tests.repo.prose.__main__ import GLOSSARY, HERE, check, findings, long_share, page_words
+from tests.repo.prose.rules import Rules, abbreviations
 
-RULES = Rules.read(HERE / "words.toml")
+RULES = Rules.read(HERE / "words.toml", GLOSSARY)
 BAD = {
     "word": "The program tells the user what happened.",
     "sentence": " ".join(["The board reads the encoder and"] * 7) + " stops.",
@@ -53,8 +53,9 @@ def test_a_good_sentence_breaks_no_rule(what: str, tmp_path: Path) -> None:
         'def fly() -> None:\n    """Fly.\n\n    The program tells it.\n    """\n',
         'def fly(x):\n    raise ValueError(f"the file {x} tells nothing")\n',
         'X = option(help="Tell it.")\n',
+        'LIMIT_s = 1.0\n"""The program tells it [s]."""\n',
     ],
-    ids=["module", "function", "message", "help"],
+    ids=["module", "function", "message", "help", "threshold"],
 )
 def test_text_inside_of_python_is_read(source: str, tmp_path: Path) -> None:
     assert rules_broken(tmp_path, "host/heli_host/module.py", source) == ["word"]
@@ -122,3 +123,13 @@ def test_an_error_for_the_user_says_what_to_do(raised: str, rules: list[str], tm
     (tmp_path / "host/heli_host").mkdir(parents=True)
     (tmp_path / "host/heli_host/errors.py").write_text(ERRORS)
     assert rules_broken(tmp_path, "host/heli_host/module.py", raised + "\n") == rules
+
+
+def test_abbreviations_are_those_of_the_glossary() -> None:
+    row = "| AIC, BIC | A criterion, B criterion |\n"
+    table = f"# Words\n\n## Abbreviations\n\n| abbreviation | means |\n|---|---|\n{row}"
+    assert abbreviations(table + "\n## Flying\n\n| SIL | no |\n") == {
+        "AIC": "A criterion",
+        "BIC": "B criterion",
+    }
+    assert len(RULES.abbreviations) > 20

@@ -281,7 +281,7 @@ class Service:
     async def _act(self, client: Outbox, name: str, action: Action, message: Mapping[str, Any]) -> None:
         source, epoch = self._source, self._source.stop_epoch()
         if not self._allowed(client, action):
-            pilot = self.lease.name(self.lease.pilot) or "nobody"
+            pilot = self.lease.name(self.lease.pilot) or "no page"
             self._tell(client, _refused(message, f"{pilot} is the pilot, and you watch", "ask for control"))
             return
 

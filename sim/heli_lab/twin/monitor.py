@@ -66,7 +66,8 @@ class TwinReport:
         if not self.free_s:
             return ["no free flight to compare"]
         if not self.alarms:
-            return [f"no change of the rig ({self.free_s:.0f} s, at most {self.max_evidence_nats:.1f} nats)"]
+            evidence = f"evidence: {self.max_evidence_nats:.1f} nats at most"
+            return [f"no change of the rig in {self.free_s:.0f} s ({evidence})"]
         return [event.text for event in self.alarms]
 
 

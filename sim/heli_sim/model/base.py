@@ -62,7 +62,7 @@ class Model(ABC):
     name: str
     """Short name of the model."""
     rig_parameters: tuple[str, ...]
-    """Names of the rig's numbers that the model itself uses."""
+    """Names of the rig parameters that the model itself uses."""
 
     def __init__(self, effects: tuple[Effect, ...] = ()) -> None:
         self.effects = effects = tuple(sorted(effects, key=lambda effect: effect.stage))

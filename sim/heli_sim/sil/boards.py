@@ -88,7 +88,7 @@ class NativeBoard:
     """
 
     stops: tuple[type[Exception], ...] = ()
-    """What the board may raise while time passes."""
+    """Exceptions that the board may raise while time passes."""
 
     def __init__(self, flash_file: str, boot_seed: int = 1) -> None:
         self.sim = _native.NativeBoard(flash_file, boot_seed=boot_seed)

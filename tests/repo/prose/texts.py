@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import inspect
 import itertools
 import re
 import subprocess
@@ -204,6 +205,9 @@ def _python(source: str, name: str, errors: frozenset[str]) -> Iterator[Text]:
     is_verb = "/verbs/" in name
     documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
     for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef):
+            for line, constant_doc in _attribute_docstrings(node):
+                yield from _docstring(constant_doc, name, line, "docstring")
         if isinstance(node, documented):
             public = isinstance(node, ast.Module) or _is_public(node.name)
             doc = ast.get_docstring(node) if public else None
@@ -220,6 +224,16 @@ def _python(source: str, name: str, errors: frozenset[str]) -> Iterator[Text]:
         elif isinstance(node, ast.keyword) and node.arg == "help":
             for text in _strings(node.value):
                 yield Text(name, node.value.lineno, "help", False, text)
+
+
+def _attribute_docstrings(node: ast.Module | ast.ClassDef) -> Iterator[tuple[int, str]]:
+    """Strings below the public constants of a module, such as thresholds, and attributes of a class."""
+    for named, said in itertools.pairwise(node.body):
+        target = named.targets[0] if isinstance(named, ast.Assign) else getattr(named, "target", None)
+        if not (isinstance(target, ast.Name) and _is_public(target.id)):
+            continue
+        if isinstance(said, ast.Expr) and isinstance(said.value, ast.Constant):
+            yield said.lineno, inspect.cleandoc(str(said.value.value))
 
 
 def _docstring(doc: str, name: str, line: int, kind: str) -> Iterator[Text]:
