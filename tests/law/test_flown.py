@@ -63,7 +63,7 @@ def test_parameters_of_a_law_are_set_by_name() -> None:
     with heli_host.connect("sil://") as heli:
         heli.load_law(law.program)
         heli.set_law_parameter(law.program, "hover_V", 1.5)
-        with pytest.raises(heli_host.HeliError, match="has no parameter hover; it has: hover_V"):
+        with pytest.raises(heli_host.HeliError, match="has no parameter hover; choose from: hover_V"):
             heli.set_law_parameter(law.program, "hover", 1.5)
 
 

@@ -233,8 +233,8 @@ def test_effects_are_read_from_the_command_line() -> None:
         ("rotor_lag=fast", "s = 'fast' is not a number; give a number"),
         ("rotor_lag=-1", "rotor_lag_s = -1 s is out of range; give 0 to 0.6"),
         ("rotor_lag=nan", "out of range"),
-        ("rotor_lag=0.1@3", "'rotor_lag' has no 'at_s'; it has: s"),
-        ("axis_tilt=z:1", "'axis_tilt' has no 'z'; it has: x_rad, y_rad"),
+        ("rotor_lag=0.1@3", "'rotor_lag' has no 'at_s'; choose from s"),
+        ("axis_tilt=z:1", "'axis_tilt' has no 'z'; choose from x_rad, y_rad"),
         ("", "unknown effect ''"),
     ],
 )
@@ -280,7 +280,7 @@ def test_a_rigs_file_holds_effects_and_flies_them(tmp_path: Path) -> None:
     ("old", "new", "error", "message"),
     [
         ("rotor_lag", "rotor_lagg", EffectError, "did you mean rotor_lag?"),
-        ('"rotor_lag".s', '"rotor_lag".ms', EffectError, "effect 'rotor_lag' has no 'ms'; it has: s"),
+        ('"rotor_lag".s', '"rotor_lag".ms', EffectError, "effect 'rotor_lag' has no 'ms'; choose from s"),
         ('value = 0.118\nunit = "s"', 'value = 118\nunit = "ms"', EffectError, "is in 'ms'; give it in 's'"),
         ("value = 0.118", "value = -0.1", EffectError, "rotor_lag_s = -0.1 s is out of range"),
         ('"rotor_lag".s', '"rotor_lag"', RigError, 'write [effects."rotor_lag".NUMBER] for each number'),

@@ -314,7 +314,7 @@ def test_what_is_no_request_is_answered_in_words(served: Served) -> None:
         for message in ("", "[]", "{", '{"do": 3}', "x" * 5000):
             page.socket.send(message)
         page.until(lambda: sum("error" in words for words in page.words) == 5)
-        assert "nothing is called" in page.ask("explode")["error"]
+        assert "unknown request" in page.ask("explode")["error"]
         assert "unknown plan" in page.ask("fly", plans=["nowhere"])["error"]
         assert "is not a number" in page.ask("setpoint", travel_deg="far")["error"]
         assert "is not a number" in page.ask("take_off", elevation_deg=None)["error"]

@@ -13,7 +13,7 @@ PACKAGES = {"heli_host": "host", "heli_sim": "sim", "heli_lab": "sim", "heli_ben
 CELLS = [
     [cell.strip() for cell in line.split("|")[1:-1]] for line in TEXT.splitlines() if line.startswith("| ")
 ]
-ROWS = {cells[0]: (cells[3], cells[4]) for cells in CELLS if cells[0] != "term"}
+ROWS = {cells[0]: (cells[3], cells[4]) for cells in CELLS if len(cells) == 5 and cells[0] != "term"}
 REFERENCES = set(re.findall(r"^- \[([^]]+)\]", TEXT, re.MULTILINE))
 
 

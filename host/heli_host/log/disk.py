@@ -25,7 +25,7 @@ from heli_host.errors import LogWriteError
 MAX_BYTES_PER_S = 125_000
 """A second of ticks that do not compress at all, with their index; a usual one is 15 to 20 kB."""
 QUEUED_BYTES = 32 * 1024 * 1024
-"""What may wait for the disk: half an hour of a usual flight, 4 minutes of ticks that do not compress."""
+"""Most data that may wait for the disk: half an hour of a usual flight, 4 minutes of incompressible ticks."""
 RESERVED_BYTES = 4 * 1024 * 1024
 """Free space at which a flight ends: its landing, and summary and figure after it, still find room."""
 

@@ -13,7 +13,7 @@ TIME_UNITS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 VOLTAGE_UNITS: Final = {"V": 1.0, "mV": 1e-3}
 """Volts in one of each; shares of the supply are in `SHARES`."""
 SHARES: Final = {"duty": 1.0, "percent": 100.0, "pwm": 255.0}
-"""What full supply is written as; a profile may state another number for `pwm`."""
+"""Number that stands for full supply; a profile may state another number for `pwm`."""
 COUNT: Final = "count"
 
 _SPELLINGS: Final = {

@@ -247,7 +247,7 @@ class BoardInLockstep(Simulator):
 
     def _connected(self) -> heli_host.Heli:
         if self._heli is None:
-            raise LearningError("no episode has begun", "call reset first")
+            raise LearningError("no episode has begun", "call reset() first")
         return self._heli
 
     def _clip_to_limits(self, volts_V: Floats) -> tuple[float, float]:

@@ -131,7 +131,7 @@ def _unknown(model: Model, name: str) -> IdentifyError:
     close = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
     return IdentifyError(
-        f"the model '{model.name}' has no parameter '{name}'", f"{hint}names: {', '.join(known)}"
+        f"the model '{model.name}' has no parameter '{name}'", f"{hint}choose from {', '.join(known)}"
     )
 
 

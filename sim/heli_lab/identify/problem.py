@@ -107,14 +107,16 @@ class Problem:
         if not self.records:
             raise IdentifyError("there is no flight to identify from", "give at least one")
         if len({record.label for record in self.records}) < len(self.records):
-            raise IdentifyError("two flights have the same label", "give each its own")
+            raise IdentifyError("two flights have the same label", "give each flight a label of its own")
         shared = [parameter for parameter in wanted if parameter.quantity not in per_flight]
         local = [parameter for parameter in wanted if parameter.quantity in per_flight]
         names = [quantity.name for quantity in model.parameters]
         base: Floats = model.parameter_values(rig)
         for name, value in (values or {}).items():
             if name not in names:
-                raise IdentifyError(f"the model has no parameter '{name}'", f"names are: {', '.join(names)}")
+                raise IdentifyError(
+                    f"the model has no parameter '{name}'", f"choose from: {', '.join(names)}"
+                )
             base[names.index(name)] = value
         labels = [record.label for record in self.records]
         self.parameter_vector = ParameterVector(names, base, shared, local, labels)

@@ -172,7 +172,7 @@ def _step_s(flight: Flight, label: str) -> float:
     worst = int(np.argmax(stray))
     if stray[worst] > thresholds.MAX_STRAY_STEPS:
         raise IdentifyError(
-            f"{label}: t_s strays by {stray[worst]:.0f} steps of {step_s:.4g} s from even steps by data row "
+            f"{label}: t_s differs by {stray[worst]:.0f} steps of {step_s:.4g} s from even steps at data row "
             f"{worst + 2}",
             "log with an even clock, or resample the flight",
         )
@@ -187,8 +187,8 @@ def _refuse_duties(flight: Flight, label: str, rig: Rig) -> None:
     row = int(np.argmax(column))
     if column[row] < least_V:
         raise IdentifyError(
-            f"{label}: {highest} reaches {column[row]:.3g} at most, in data row {row + 1}, and below the "
-            f"dead zone of {least_V:g} V no rotor pushes",
+            f"{label}: {highest} reaches {column[row]:.3g} at most, in data row {row + 1}, which is "
+            f"within the dead zone of {least_V:g} V, where no rotor gives thrust",
             "if the column is a duty cycle, multiply it by the supply voltage",
         )
 

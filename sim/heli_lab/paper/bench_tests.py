@@ -113,7 +113,7 @@ def record_of(test: BenchTest, flight: Flight, rig: Rig) -> Record:
             "give makki2024 or a similar rig",
         )
     if flight.gaps.size:
-        raise IdentifyError(f"{test.name}: rows are missing", "run it again")
+        raise IdentifyError(f"{test.name}: rows are missing", "run the command again")
     per_rev = rig["encoder_counts"].value * np.array([1.0, 1.0, rig["encoder_travel_ratio"].value])
     return Record(
         test.name,

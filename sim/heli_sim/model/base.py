@@ -62,7 +62,7 @@ class Model(ABC):
     name: str
     """Short name of the model."""
     rig_parameters: tuple[str, ...]
-    """Names of the rig's numbers that the model itself uses."""
+    """Names of the rig parameters that the model itself uses."""
 
     def __init__(self, effects: tuple[Effect, ...] = ()) -> None:
         self.effects = effects = tuple(sorted(effects, key=lambda effect: effect.stage))
@@ -76,10 +76,14 @@ class Model(ABC):
         every = [s.name for s in self.states] + own
         twice = sorted({name for name in every if every.count(name) > 1 or (name in own and name in _RIG)})
         if twice:
-            raise PlantError(f"effects of '{self.name}' share the names {', '.join(twice)}", "rename them")
+            raise PlantError(
+                f"effects of '{self.name}' share the names {', '.join(twice)}", "give each another name"
+            )
         delays = [effect.delay for effect in effects if effect.delay]
         if len(delays) > 1:
-            raise PlantError(f"{' and '.join(delays)} both delay the voltages of '{self.name}'", "keep one")
+            raise PlantError(
+                f"{' and '.join(delays)} both delay the voltages of '{self.name}'", "leave one of them out"
+            )
         self.delay: str = delays[0] if delays else ""
         """Name of the parameter by which the voltages act late, or empty."""
 

@@ -26,8 +26,8 @@ COLUMNS: Final = ("name", "value", "unit", "tolerance", "source")
 
 UNSTATED_SHARE: Final = 0.3
 """Tolerance of a number that was not stated, as a share of the other rig's, at least. By judgement: rigs
-of this make differ by a third. Smaller: a fit trusts another rig's numbers. Larger: short flights do not tell
-what is left open."""
+of this type differ by a third. Smaller: a fit trusts the parameters of another rig. Larger: short flights
+cannot determine what is left open."""
 _ALIKE: Final = ("g", "air_density", "table_damping", "driver_dead_band")
 """Numbers that are no machine's own."""
 _SCALE_SHARE, _RULER_m, _OTHER_SHARE = 0.01, 0.005, 0.1
@@ -156,7 +156,9 @@ def _quantity(name: str) -> Quantity:
     for quantity in RIG_QUANTITIES:
         if quantity.name == name:
             return quantity
-    raise RigError(f"unknown rig parameter '{name}'", f"it has: {', '.join(q.name for q in RIG_QUANTITIES)}")
+    raise RigError(
+        f"unknown rig parameter '{name}'", f"choose from: {', '.join(q.name for q in RIG_QUANTITIES)}"
+    )
 
 
 def _number(quantity: Quantity, value: str, tolerance: str | None, unit: str, source: str) -> Number:

@@ -26,7 +26,7 @@ LARGEST: Final[Mapping[str, float]] = {
     "1": 1e4,
 }
 """Largest value and tolerance that a rig file may state, by unit: a thousand times a laboratory's and more.
-Above, products of a rig's numbers overflow; a smaller limit would refuse experiments on purpose."""
+Above, products of rig parameters overflow; a smaller limit would refuse experiments on purpose."""
 LARGEST_OF_OTHER_UNITS: Final = 1e9
 SMALLEST: Final = 1e-9
 """Smallest size of a number that is not 0, in its unit: below, quotients overflow."""

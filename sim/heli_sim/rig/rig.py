@@ -231,7 +231,7 @@ def _number(path: Path, name: str, entry: object) -> Number:
         )
     for key in ("value", "tolerance"):
         if isinstance(entry[key], bool) or not isinstance(entry[key], int | float):
-            raise RigError(f"{where}: {key} must be a number, not {entry[key]!r}", "correct it")
+            raise RigError(f"{where}: {key} must be a number, not {entry[key]!r}", "write it without quotes")
     for key in ("unit", "source"):
         if not isinstance(entry[key], str) or not entry[key]:
             raise RigError(f"{where}: {key} must be a text, not {entry[key]!r}", "put it in quotes")
@@ -244,7 +244,7 @@ def _number(path: Path, name: str, entry: object) -> Number:
 
 def _unknown(rig: str, name: str) -> RigError:
     known = ", ".join(quantity.name for quantity in RIG_QUANTITIES)
-    return RigError(f"rig '{rig}' knows no '{name}'", f"names are: {known}")
+    return RigError(f"rig '{rig}' has no parameter '{name}'", f"choose from: {known}")
 
 
 def _check_inertias(rig: Rig, stated: Mapping[str, Number]) -> None:
@@ -257,13 +257,15 @@ def _check_inertias(rig: Rig, stated: Mapping[str, Number]) -> None:
         if number.unit != units[name]:
             raise RigError(f"{where} is in '{number.unit}'", f"give it in '{units[name]}'")
         if not (math.isfinite(number.value) and math.isfinite(number.tolerance) and number.tolerance >= 0.0):
-            raise RigError(f"{where} = {number.value} +- {number.tolerance} must be finite", "correct it")
+            raise RigError(
+                f"{where} = {number.value} +- {number.tolerance} must be finite", "give finite numbers"
+            )
         least, most = possible[name]
         if not least - number.tolerance <= number.value <= most + number.tolerance:
             raise RigError(
-                f"{where} = {number.value:g} kg m2 cannot be: however its masses lie within the tolerances, "
+                f"{where} = {number.value:g} kg m2 is impossible: with all masses within their tolerances, "
                 f"they give {least:.4g} to {most:.4g}",
-                "correct it, a mass or a length",
+                "correct this inertia, a mass or a length",
             )
 
 
@@ -280,16 +282,19 @@ def _check(rig: str, numbers: Mapping[str, Number]) -> None:
         if number.unit != wanted[name].unit:
             raise RigError(f"{where} is in '{number.unit}'", f"give it in '{wanted[name].unit}'")
         if not math.isfinite(number.value):
-            raise RigError(f"{where} = {number.value} is not finite", "correct it")
+            raise RigError(f"{where} = {number.value} is not finite", "give a finite number")
         if not (math.isfinite(number.tolerance) and number.tolerance >= 0.0):
             raise RigError(
-                f"{where}: tolerance {number.tolerance} must be finite and not negative", "correct it"
+                f"{where}: tolerance {number.tolerance} must be finite and not negative", "give 0 or more"
             )
         if number.value < 0.0 and name not in _MAY_BE_NEGATIVE:
-            raise RigError(f"{where} = {number.value} must not be negative", "correct it")
+            raise RigError(f"{where} = {number.value} must not be negative", "give 0 or more")
         if number.value == 0.0 and name not in _MAY_BE_ZERO | _MAY_BE_NEGATIVE:
-            raise RigError(f"{where} must not be 0", "correct it")
+            raise RigError(f"{where} must not be 0", "give another number")
     if numbers["elevation_min"].value >= numbers["elevation_max"].value:
         raise RigError(f"rig '{rig}': elevation_min must be below elevation_max", "correct one of them")
     if numbers["driver_dead_band"].value >= 0.5:
-        raise RigError(f"rig '{rig}': driver_dead_band must be below 0.5, or no duty passes", "correct it")
+        raise RigError(
+            f"rig '{rig}': driver_dead_band is not below 0.5, so that no duty has an effect",
+            "give 0 or more, and less than 0.5",
+        )

@@ -88,7 +88,7 @@ class NativeBoard:
     """
 
     stops: tuple[type[Exception], ...] = ()
-    """What the board may raise while time passes."""
+    """Exceptions that the board may raise while time passes."""
 
     def __init__(self, flash_file: str, boot_seed: int = 1) -> None:
         self.sim = _native.NativeBoard(flash_file, boot_seed=boot_seed)
@@ -141,7 +141,7 @@ class EmulatedDue:
             if len(kept) != _FILE_BYTES:
                 raise SimError(
                     f"the flash file {self._file} is not {_FILE_BYTES} bytes long",
-                    "delete it, it is made again",
+                    "delete it; the simulated board creates it again",
                 )
             self.sim.due.load(_PAGES_AT, kept[:_PAGES_BYTES])
         self._writes = self.sim.due.flash_writes

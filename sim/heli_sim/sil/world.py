@@ -204,6 +204,8 @@ class SilWorld:
         try:
             passed = self.native.advance(ticks, write, until_output, least)
         except self.board.stops as error:
-            raise BoardStopped(f"the emulated Due stopped: {error}", "correct the firmware") from error
+            raise BoardStopped(
+                f"the emulated Due stopped: {error}", "correct the firmware; see docs/how-to/gdb.md"
+            ) from error
         self.board.keep_flash()
         return passed

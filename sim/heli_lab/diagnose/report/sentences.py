@@ -14,7 +14,7 @@ from heli_lab.diagnose.thresholds import CONFIDENCE_NATS, REPORT_DISTURBANCE_NAT
 from heli_lab.diagnose.wording import dependence_in_words, evidence_in_words
 
 METRIC: Final = "2 s free-run rms on the validation flights, deg"
-"""What the error reductions measure if flights are held out."""
+"""Quantity that the error reductions compare if flights are held out."""
 
 
 def title(result: Diagnosis) -> str:

@@ -315,7 +315,7 @@ class EffectSpec:
     def _check(self, name: str, value: float) -> None:
         ranges = {q.name: self.priors.get(q.name) for q in self.parameters}
         if name not in ranges:
-            raise EffectError(f"'{self.id}' has no '{name}'", f"it has: {', '.join(ranges)}")
+            raise EffectError(f"'{self.id}' has no '{name}'", f"choose from {', '.join(ranges)}")
         prior = ranges[name]
         low, high = (prior.low, prior.high) if prior is not None else (-math.inf, math.inf)
         if not (math.isfinite(value) and low <= value <= high):
