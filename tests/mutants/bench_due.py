@@ -146,7 +146,7 @@ class _Probes:
 
 
 def _look(elf: Path, addresses: list[int]) -> dict[str, Any]:
-    machine: Any = importlib.import_module("heli_sim.due.machine")
+    machine: Any = importlib.import_module("due_emulator.machine")
     probes = _Probes(addresses)
     load = machine.load_image
 
