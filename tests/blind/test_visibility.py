@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from heli_host.arrays import Floats
+from heli_sim.rig.encoders import count_rad
 
 from tests.blind.course import ReferenceTrajectory
 from tests.blind.disturbed_case import COURSE, DisturbedCase
@@ -31,8 +32,7 @@ def chance(case: DisturbedCase, course: ReferenceTrajectory) -> Pushes:
     alone = replace(case, effects=(), unlisted=(), makers=())
     rig = case.rig().replace(torque_elevation=0.0, torque_pitch=0.0, torque_travel=0.0)
     torque = Rebuilt(rig, alone.hidden(0)).forces(course).torque_Nm
-    count_rad = 2.0 * np.pi / 4096.0 / np.array([1.0, 1.0, rig["encoder_travel_ratio"].value])
-    errors = np.random.default_rng(1).uniform(-0.5, 0.5, (steps(course), 3)) * count_rad
+    errors = np.random.default_rng(1).uniform(-0.5, 0.5, (steps(course), 3)) * count_rad(rig)
     return Pushes(torque.reshape(-1, FINE, 3).mean(axis=1), errors)
 
 

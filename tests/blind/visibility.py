@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from heli_host.arrays import Floats
 from heli_sim.rig import Rig
+from heli_sim.rig.encoders import count_rad
 
 from tests.blind.cases import TRAIN_S
 from tests.blind.course import ReferenceTrajectory
@@ -141,9 +142,7 @@ class Line:
         forces = Rebuilt(rig, ()).forces(course)
         self._by_state = _jacobians(rig, course, forces)
         self._weather = disturbances
-        count_rad = 2.0 * np.pi / rig["encoder_counts"].value
-        ratios = np.array([1.0, 1.0, rig["encoder_travel_ratio"].value])
-        self._noise = np.diag((count_rad / ratios) ** 2 / 12.0)
+        self._noise = np.diag(count_rad(rig) ** 2 / 12.0)
 
     def torque(self, acceleration: Floats, parts: int) -> Floats:
         """Torques that make accelerations given in so many `parts` of a step, each step's mean, (n, 3)."""

@@ -19,10 +19,7 @@ _DECIMATION: Final = 10
 """The regressions use every tenth row: 10 Hz samples all that the low-pass filter leaves."""
 _MAX_COLUMNS: Final = 14
 _DUPLICATE_CORRELATION: Final = 0.99999
-_RATE_SCALES: Final = (
-    *(1.0, 180.0 / np.pi, np.pi / 180.0),
-    *(turn / counts for turn in (2.0 * np.pi, 360.0) for counts in (4096.0, 8192.0)),
-)
+_RATE_SCALES: Final = (1.0, 180.0 / np.pi, np.pi / 180.0)
 
 
 @dataclass(frozen=True)
@@ -165,10 +162,13 @@ def free_rows(signals: Signals, name: str) -> NDArray[np.bool_]:
     return free
 
 
-def candidates(signals: Signals, encoders: Collection[str] = frozenset()) -> list[str]:
+def candidates(
+    signals: Signals, encoders: Collection[str] = frozenset(), counts_per_turn: Collection[float] = ()
+) -> list[str]:
     """List the columns that may be an angle or a voltage.
 
     Constant columns, rates and duplicates are left out. If columns are duplicates, one in `encoders` is kept.
+    An angle or its rate may be in counts of an encoder with these `counts_per_turn`.
     """
     moving = [name for name, values in signals.raw.items() if np.ptp(values) > 0.0]
     moving.sort(
@@ -180,11 +180,11 @@ def candidates(signals: Signals, encoders: Collection[str] = frozenset()) -> lis
             _abs_correlation(signals.raw[name], signals.raw[other]) > _DUPLICATE_CORRELATION for other in kept
         ):
             kept.append(name)
-    rates = _rates(signals, kept) - set(encoders)
+    rates = _rates(signals, kept, counts_per_turn) - set(encoders)
     return [name for name in kept if name not in rates][:_MAX_COLUMNS]
 
 
-def _rates(signals: Signals, columns: list[str]) -> set[str]:
+def _rates(signals: Signals, columns: list[str], counts_per_turn: Collection[float]) -> set[str]:
     """Find the columns that are the time derivative of a column that is not itself a derivative.
 
     The derivative of the travel rate resembles pitch, which drives it, and that of the pitch rate a voltage.
@@ -193,7 +193,9 @@ def _rates(signals: Signals, columns: list[str]) -> set[str]:
     for name, other in itertools.permutations(columns, 2):
         rate, value = signals.filtered[other].rate, signals.filtered[name].value
         likeness = _abs_correlation(rate, value)
-        if not names.role_of(name) and likeness > thresholds.RATE_MATCH**0.5 and _unit_slope(rate, value):
+        if names.role_of(name) or likeness <= thresholds.RATE_MATCH**0.5:
+            continue
+        if _unit_slope(rate, value, counts_per_turn):
             pairs[name, other] = likeness
     rates: set[str] = set()
     settled: set[str] = set()
@@ -210,11 +212,14 @@ def _rates(signals: Signals, columns: list[str]) -> set[str]:
     return rates
 
 
-def _unit_slope(rate: Floats, value: Floats) -> bool:
-    """Whether `value` is about `rate` times 1 or a factor between angle units, with either sign."""
+def _unit_slope(rate: Floats, value: Floats, counts_per_turn: Collection[float]) -> bool:
+    """Whether `value` is about `rate` times 1 or a factor between angle units, with either sign; one of them
+    may be in counts of an encoder with these `counts_per_turn`.
+    """
     variance = float(rate.var())
     slope = float(np.mean((rate - rate.mean()) * (value - value.mean()))) / variance if variance else 0.0
-    return any(0.6 < abs(slope) / scale < 1.5 for scale in _RATE_SCALES)
+    from_counts = (turn / counts for turn in (2.0 * np.pi, 360.0) for counts in counts_per_turn)
+    return any(0.6 < abs(slope) / scale < 1.5 for scale in (*_RATE_SCALES, *from_counts))
 
 
 def _abs_correlation(first: Floats, second: Floats) -> float:
@@ -243,7 +248,7 @@ def assignments(
     encoders : collection of str
         Columns quantised by an encoder: measured angles, not estimates or setpoints.
     """
-    candidates_ = candidates(signals, encoders)
+    candidates_ = candidates(signals, encoders, {*reference.counts.values()})
     count = len(candidates_)
     if count < 5:
         return []

@@ -9,7 +9,9 @@ import numpy as np
 from heli_sim.errors import PlantError
 from heli_sim.model import MultibodyModel
 from heli_sim.model.linear import derivatives, trim
+from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
+from heli_sim.rig.encoders import counts_per_turn
 
 from heli_lab.errors import IdentifyError
 
@@ -65,7 +67,6 @@ def reference_of(rig: Rig) -> Reference:
         axis: (float(linear.A[row, column]), float(max(1.0, 0.5 * abs(linear.A[row, column]))))
         for axis, row, column in (("elevation", 3, 0), ("pitch", 4, 1))
     }
-    counts = rig["encoder_counts"].value
     return Reference(
         stiffness,
         {
@@ -76,10 +77,6 @@ def reference_of(rig: Rig) -> Reference:
         float(hover.volts_V.sum()),
         rig["elevation_min"].value,
         rig["elevation_min"].tolerance,
-        {
-            "elevation": counts,
-            "pitch": counts,
-            "travel": counts * rig["encoder_travel_ratio"].value,
-        },
+        dict(zip(AXES, counts_per_turn(rig).tolist(), strict=True)),
         rig["supply"].value,
     )

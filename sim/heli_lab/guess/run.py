@@ -78,7 +78,7 @@ def propose(table: Table, rig: Rig, rate_Hz: float | None = None) -> tuple[Guess
     t_s = np.arange(len(table)) / rate_Hz if rate_Hz else times_in_s(table, clock)
     table, t_s = longest_run(table, t_s)
     others = [name for name in table.columns if name != clock.column and not names.is_time(name)]
-    signals = column_signals(table, t_s, others)
+    signals = column_signals(table, t_s, others, {*reference.counts.values()})
     encoders = {name for name in others if is_encoder(table.columns[name].values, reference)}
     ranked = assignments(signals, reference, encoders)
     if not ranked:

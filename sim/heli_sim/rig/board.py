@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from heli_host.declaration import PARAMS
+from heli_host.declaration import AXES, PARAMS
+from heli_host.rig_check import RigParameters
 
 from heli_sim.errors import RigError
+from heli_sim.rig.encoders import counts_per_turn, direction_is_known, directions
 from heli_sim.rig.rig import Rig, load_rig
 
 _SPECS: Final = {spec.name: spec for spec in PARAMS}
@@ -19,19 +21,16 @@ _SETPOINT_INSIDE_deg: Final = 10.0
 
 
 def parameters_of(rig: Rig) -> dict[str, float]:
-    """Return the parameters that a rig determines: counts per turn, rest angle, supply, and upper limits.
+    """Return the parameters that a rig determines: counts per turn with their direction, rest angle, supply,
+    and upper limits. An encoder whose direction is not known counts up.
 
     Raises
     ------
     RigError
         The board cannot be set to one of them.
     """
-    counts = rig["encoder_counts"].value
     supply_V = rig["supply"].value
-    exact = {
-        "elevation_counts_per_rev": counts,
-        "pitch_counts_per_rev": counts,
-        "travel_counts_per_rev": counts * rig["encoder_travel_ratio"].value,
+    exact = encoder_parameters(rig) | {
         "elevation_rest_deg": rig["elevation_min"].value,
         "supply_V": supply_V,
     }
@@ -46,6 +45,12 @@ def parameters_of(rig: Rig) -> dict[str, float]:
     most = {f"{name}_deg": rig[name].value - inside for name, inside in _INSIDE_STOP_deg.items()}
     most |= {"motor_max_V": supply_V, "pitch_setpoint_max_deg": rig["pitch_max"].value - _SETPOINT_INSIDE_deg}
     return exact | {name: min(max(value, _SPECS[name].min), _SPECS[name].max) for name, value in most.items()}
+
+
+def encoder_parameters(rig: Rig) -> dict[str, float]:
+    """Return counts per turn by the board's parameter, negative for an encoder that counts down."""
+    signed = directions(rig) * counts_per_turn(rig)
+    return {f"{axis}_counts_per_rev": float(count) for axis, count in zip(AXES, signed, strict=True)}
 
 
 def in_simulation(rig: Rig) -> dict[str, float]:
@@ -65,7 +70,7 @@ def in_simulation(rig: Rig) -> dict[str, float]:
     return {name: value for name, value in wanted.items() if value != _SPECS[name].default}
 
 
-def rig_parameters(name_or_path: str) -> dict[str, float]:
+def rig_parameters(name_or_path: str) -> RigParameters:
     """Return the parameters that a rig determines, by its name or file; see `parameters_of`.
 
     Parameters
@@ -78,7 +83,9 @@ def rig_parameters(name_or_path: str) -> dict[str, float]:
     RigError
         There is no such rig, its file is not a complete and valid one, or no board can be set to it.
     """
-    return parameters_of(load_rig(name_or_path))
+    rig = load_rig(name_or_path)
+    known = zip(encoder_parameters(rig), direction_is_known(rig), strict=True)
+    return RigParameters(parameters_of(rig), frozenset(name for name, is_known in known if is_known))
 
 
 def set_from_rig_text(rig: str, values: Mapping[str, float]) -> str:

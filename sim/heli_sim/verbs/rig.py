@@ -14,6 +14,9 @@ from heli_host.cli.verb import Verb
 from heli_sim.formatting import found_of, half_width, plain, signed, with_tolerance
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from heli_host.rig_check import RigDifference
     from rich.console import Console
 
     from heli_sim.rig import Number, Rig
@@ -110,12 +113,26 @@ def check(
     rigs: Annotated[
         list[str], typer.Argument(metavar="NAME|FILE...", help="Check these rigs: names or TOML files.")
     ],
+    port: Annotated[
+        str | None,
+        typer.Option(
+            "--port", "-p", metavar="PORT", help="Compare the rigs with the board on this port too."
+        ),
+    ] = None,
+    params: Annotated[
+        Path | None,
+        typer.Option(
+            "--params", metavar="FILE", help="Compare the rigs with parameters from params dump too."
+        ),
+    ] = None,
     json: JsonOption = None,
 ) -> None:
     """Check that rig files are complete and plausible, and that each rig can fly.
 
-    Prints inertias and the hover voltage, and warns of implausible parameters. The exit code is 1 if a rig
-    cannot fly on its supply. It is 2 if a rig file is wrong.
+    Prints inertias and the hover voltage, and warns of implausible parameters. With --port or --params it
+    compares counts and direction of each encoder, rest angle, supply and limits with a board. The exit code
+    is 1 if a rig cannot fly on its supply, or the board contradicts its encoders. It is 2 if a rig file is
+    wrong.
 
     Example: `heli-host rig check my-rig.toml`
     """
@@ -124,9 +141,10 @@ def check(
     from heli_sim.rig import load_rig
 
     data_on_stdout(json)
+    board = _board_parameters(port, params)
     refused: list[RigError | EffectError] = []
     told: list[dict[str, Any]] = []
-    grounded = 0
+    grounded = contradicted = 0
     for name in rigs:
         try:
             rig = load_rig(name)
@@ -139,15 +157,49 @@ def check(
             continue
         found = found_of(rig)
         grounded += not found.can_fly
-        told.append({"rig": name, "can_be": True, "can_fly": found.can_fly, "found": list(found.words)})
+        entry = {"rig": name, "can_be": True, "can_fly": found.can_fly, "found": list(found.words)}
         say(f"{name}: {'; '.join(found.words)}")
+        if board is not None:
+            differences, undirected = _compared_with_board(name, board)
+            contradicted += any(difference.is_refused for difference in differences)
+            entry["board"] = [asdict(one) | {"part": one.part.value} for one in differences]
+            texts = [str(difference) for difference in differences] or ["the board's parameters fit"]
+            say(*(f"{name}: {text}" for text in texts))
+            if undirected:
+                say(f"{name}: states no encoder direction of {', '.join(undirected)}: signs not compared")
+        told.append(entry)
     write_result(json, {"rigs": told})
     if len(rigs) > 1 and refused:
         raise RigError(f"{len(refused)} of {len(rigs)} rig files are wrong, see above", "correct them")
     if refused:
         raise refused[0]
-    if grounded:
+    if grounded or contradicted:
         raise typer.Exit(1)
+
+
+def _board_parameters(port: str | None, params: Path | None) -> dict[str, float] | None:
+    """Parameters of a board, from the board itself or a file; None if neither is given."""
+    from heli_host.cli.board import open_board
+    from heli_host.parameter_file import read_parameter_set
+
+    if port is not None and params is not None:
+        raise typer.BadParameter("--port and --params both name a board's parameters; leave one out")
+    if params is not None:
+        return read_parameter_set(params).values
+    if port is None:
+        return None
+    with open_board(port, None) as heli:
+        return heli.params.dump()
+
+
+def _compared_with_board(rig: str, board: Mapping[str, float]) -> tuple[list[RigDifference], list[str]]:
+    """Differences of a board from a rig, and axes whose encoder's direction the rig does not state."""
+    from heli_host.declaration import AXES
+    from heli_host.rig_check import rig_differences, rig_parameters
+
+    stated = rig_parameters(rig)
+    differences = rig_differences(stated.values, board, simulated=False, directed=stated.directed)
+    return differences, [axis for axis in AXES if f"{axis}_counts_per_rev" not in stated.directed]
 
 
 @app.command("diff")
