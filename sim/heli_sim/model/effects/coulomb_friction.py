@@ -13,7 +13,7 @@ from heli_sim.model.effects.spec import ChangeSpec, EffectSpec, Parameter
 from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior
 
-_RATE_STD_COUNTS_PER_s: Final = 2.93
+_RATE_STD_COUNTS_PER_s: Final = 2.9335
 """How closely a flight shows the rate of an axis that moves, in counts of its encoder per second: 0.0045
 rad/s with 4096 counts. Set on nineteen simulated flights with dry friction (2026-11), most likely with 0.004
 rad/s without disturbances and with 0.004 to 0.012 in gusts. Half as much: in gusts friction comes out up to
