@@ -8,8 +8,9 @@ from pathlib import Path
 import heli_host
 import numpy as np
 import pytest
+from heli_host.declaration import AXES
 from heli_host.errors import RigMismatch
-from heli_host.parameter_file import parameters_text
+from heli_host.parameter_file import parameters_text, read_parameters
 from heli_host.rig_check import Part, check_rig, rig_differences, rig_parameters
 from heli_lab.diagnose import diagnose
 from heli_lab.identify import prepare
@@ -24,6 +25,7 @@ from heli_sim.plant import Plant
 from heli_sim.rig import Rig, load_rig, rig_text, write_rig
 from heli_sim.rig.encoders import counts_per_turn, direction_is_known, directions
 from heli_sim.sil.inprocess import InProcessTransport
+from heli_sim.sil.process import SilProcess
 
 from tests.cli.terminal import Terminal, terminal
 from tests.identify.made import flown, thinned
@@ -220,3 +222,34 @@ def test_the_cause_is_found_on_such_a_rig() -> None:
     (cause,) = found.verdict.causes
     assert cause.effect == "rotor_lag"
     assert cause.parameters["rotor_lag_s"].value == pytest.approx(0.08, abs=0.01)
+
+
+def test_a_board_and_a_rig_file_convert_into_each_other(terminal: Terminal, tmp_path: Path) -> None:
+    write_rig(odd_rig(encoder_direction_travel=1.0, supply=9.0, elevation_min=-20.0), tmp_path / "mine.toml")
+    ended = terminal("rig", "to-board", "mine.toml", "board.toml")
+    assert ended.code == 0, ended
+    assert terminal("rig", "check", "mine.toml", "--params", "board.toml").code == 0
+    ended = terminal("rig", "from-board", "board.toml", "again.toml")
+    assert ended.code == 0, ended
+    mine, again = load_rig("mine.toml"), load_rig("again.toml")
+    assert {name: number.value for name, number in again.items()} == {
+        name: number.value for name, number in mine.items()
+    }
+    assert all(direction_is_known(again))
+    assert "exists already" in terminal("rig", "from-board", "board.toml", "again.toml").err
+
+
+@pytest.mark.medium
+def test_a_board_keeps_the_signs_that_its_rig_does_not_state(terminal: Terminal, tmp_path: Path) -> None:
+    write_rig(odd_rig(), tmp_path / "mine.toml")
+    with SilProcess() as sil:
+        terminal("params", "set", "travel_counts_per_rev", "-2000", "--port", sil.url)
+        terminal("params", "dump", "before.toml", "--port", sil.url)
+        assert terminal("rig", "to-board", "mine.toml", "to.toml", "--params", "before.toml").code == 0
+        assert terminal("params", "restore", "to.toml", "--port", sil.url).code == 0
+        terminal("params", "dump", "after.toml", "--port", sil.url)
+    after = read_parameters(tmp_path / "after.toml")
+    assert [after[f"{axis}_counts_per_rev"] for axis in AXES] == [-4096.0, 1000.0, -4096.0]
+    checked = terminal("rig", "check", "mine.toml", "--params", "after.toml")
+    assert checked.code == 0, checked
+    assert "mine.toml: the board's parameters fit" in checked.out

@@ -9,7 +9,6 @@ import numpy as np
 from heli_host.arrays import Floats
 from heli_host.declaration import AXES
 from heli_host.flight.flight import Flight
-from heli_host.link.channels import rad_per_count
 
 _REST_rad = 1e-7
 """Moves below this are rounding of printed angles."""
@@ -26,13 +25,13 @@ def count_rad(flight: Flight) -> Floats:
     The counts per turn are the board's parameters if the flight has them. Otherwise they are measured, and
     nan for angles that are not in whole counts or do not move.
     """
-    stated = rad_per_count(flight.parameters)
-    angles_rad = (getattr(flight, f"{axis}_rad") for axis in AXES)
-    measured = [
-        known if math.isfinite(known) else measured_count_rad(angle_rad)
-        for known, angle_rad in zip(stated.tolist(), angles_rad, strict=True)
-    ]
-    return np.array(measured)
+    result = np.empty(len(AXES))
+    for index, axis in enumerate(AXES):
+        # A negative number reverses the direction on the board.
+        counts = abs(flight.parameters.get(f"{axis}_counts_per_rev", 0.0))
+        angle_rad = getattr(flight, f"{axis}_rad")
+        result[index] = 2.0 * math.pi / counts if counts else measured_count_rad(angle_rad)
+    return result
 
 
 def measured_count_rad(angle_rad: Floats) -> float:

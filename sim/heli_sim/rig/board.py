@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final
 
 from heli_host.declaration import AXES, PARAMS
@@ -10,7 +12,8 @@ from heli_host.rig_check import RigParameters
 
 from heli_sim.errors import RigError
 from heli_sim.rig.encoders import counts_per_turn, direction_is_known, directions
-from heli_sim.rig.rig import Rig, load_rig
+from heli_sim.rig.rig import Number, Rig, load_rig
+from heli_sim.rig.schema import ENCODER_COUNTS, ENCODER_DIRECTIONS
 
 _SPECS: Final = {spec.name: spec for spec in PARAMS}
 _INSIDE_STOP_deg: Final = {"elevation_max": 1.0, "pitch_max": 5.0, "travel_max": 5.0}
@@ -18,6 +21,12 @@ _INSIDE_STOP_deg: Final = {"elevation_max": 1.0, "pitch_max": 5.0, "travel_max":
 the paper's rig. Less: the arm hits the stop before the motors are off. More: it cannot fly where it could."""
 _SETPOINT_INSIDE_deg: Final = 10.0
 """The same for the setpoint of pitch, which has to be below its limit or the board does not arm."""
+_UPPER: Final = frozenset(
+    {"motor_max_V", "pitch_setpoint_max_deg", *(f"{name}_deg" for name in _INSIDE_STOP_deg)}
+)
+"""Upper limits: a rig's are the most that a board should have."""
+_OF_BOARD: Final = {"elevation_rest_deg": "elevation_min", "supply_V": "supply", "dead_zone_V": "dead_zone"}
+"""Numbers of a rig that a board knows besides its encoders, by the board's parameter."""
 
 
 def parameters_of(rig: Rig) -> dict[str, float]:
@@ -63,11 +72,72 @@ def in_simulation(rig: Rig) -> dict[str, float]:
         The board cannot be set to one of them.
     """
     stated = parameters_of(rig)
-    upper = {"elevation_max_deg", "pitch_max_deg", "travel_max_deg", "motor_max_V", "pitch_setpoint_max_deg"}
     wanted = {
-        name: min(value, _SPECS[name].default) if name in upper else value for name, value in stated.items()
+        name: min(value, _SPECS[name].default) if name in _UPPER else value for name, value in stated.items()
     }
     return {name: value for name, value in wanted.items() if value != _SPECS[name].default}
+
+
+def board_settings(rig: Rig, board: Mapping[str, float] | None = None) -> dict[str, float]:
+    """Return the parameters that fit a board to a rig, for `rig to-board`.
+
+    Counts per turn of an encoder whose direction the rig does not state get the sign that the board has; they
+    are left out without a board. Limits that are beyond the rig's are brought within, others stay.
+
+    Parameters
+    ----------
+    board : Mapping of str to float, optional
+        The board's parameters; None for the declared defaults.
+
+    Raises
+    ------
+    RigError
+        The board cannot be set to one of them.
+    """
+    stated = parameters_of(rig) | {"dead_zone_V": rig["dead_zone"].value}
+    now = {name: spec.default for name, spec in _SPECS.items()} | dict(board or {})
+    for (name, count), is_known in zip(encoder_parameters(rig).items(), direction_is_known(rig), strict=True):
+        if not is_known:
+            del stated[name]
+            if board is not None:
+                stated[name] = math.copysign(count, now[name])
+    return {name: min(value, now[name]) if name in _UPPER else value for name, value in stated.items()}
+
+
+def rig_of_board(board: Mapping[str, float], like: Rig, name: str) -> Rig:
+    """Return a rig with the encoders, rest angle, supply and dead zone of a board, for `rig from-board`.
+
+    Parameters
+    ----------
+    board : Mapping of str to float
+        The board's parameters.
+    like : Rig
+        Rig with all other numbers; also the tolerances, apart from those of the encoders.
+    name : str
+        Name of the new rig.
+
+    Raises
+    ------
+    RigError
+        The board lacks a parameter, or has one that no rig can have.
+    """
+    missing = [key for key in (*encoder_parameters(like), *_OF_BOARD) if key not in board]
+    if missing:
+        raise RigError(
+            f"the board's parameters lack {', '.join(missing)}", "give a file that params dump wrote"
+        )
+    source = "parameters of the board"
+    numbers = dict(like)
+    for counts, direction, parameter in zip(
+        ENCODER_COUNTS, ENCODER_DIRECTIONS, encoder_parameters(like), strict=True
+    ):
+        numbers[counts] = Number(abs(board[parameter]), "count", 0.0, source)
+        numbers[direction] = Number(math.copysign(1.0, board[parameter]), "1", 0.0, source)
+    for parameter, quantity in _OF_BOARD.items():
+        numbers[quantity] = replace(like[quantity], value=board[parameter], source=source)
+    return replace(
+        like, name=name, description=f"parameters of a board, the rest as {like.name}", numbers=numbers
+    )
 
 
 def rig_parameters(name_or_path: str) -> RigParameters:

@@ -35,6 +35,12 @@ app = typer.Typer(
 RigArgument = Annotated[str, typer.Argument(metavar="NAME|FILE", help="Use this rig: a name or a TOML file.")]
 
 
+BoardParametersOption = Annotated[
+    Path | None,
+    typer.Option("--params", metavar="FILE", help="Read a board's parameters from this file of params dump."),
+]
+
+
 @app.command("list")
 def list_rigs(json: JsonOption = None) -> None:
     """List the rigs that come with the package.
@@ -113,23 +119,12 @@ def check(
     rigs: Annotated[
         list[str], typer.Argument(metavar="NAME|FILE...", help="Check these rigs: names or TOML files.")
     ],
-    port: Annotated[
-        str | None,
-        typer.Option(
-            "--port", "-p", metavar="PORT", help="Compare the rigs with the board on this port too."
-        ),
-    ] = None,
-    params: Annotated[
-        Path | None,
-        typer.Option(
-            "--params", metavar="FILE", help="Compare the rigs with parameters from params dump too."
-        ),
-    ] = None,
+    params: BoardParametersOption = None,
     json: JsonOption = None,
 ) -> None:
     """Check that rig files are complete and plausible, and that each rig can fly.
 
-    Prints inertias and the hover voltage, and warns of implausible parameters. With --port or --params it
+    Prints inertias and the hover voltage, and warns of implausible parameters. With --params it
     compares counts and direction of each encoder, rest angle, supply and limits with a board. The exit code
     is 1 if a rig cannot fly on its supply, or the board contradicts its encoders. It is 2 if a rig file is
     wrong.
@@ -141,7 +136,7 @@ def check(
     from heli_sim.rig import load_rig
 
     data_on_stdout(json)
-    board = _board_parameters(port, params)
+    board = _board_parameters(params)
     refused: list[RigError | EffectError] = []
     told: list[dict[str, Any]] = []
     grounded = contradicted = 0
@@ -177,19 +172,11 @@ def check(
         raise typer.Exit(1)
 
 
-def _board_parameters(port: str | None, params: Path | None) -> dict[str, float] | None:
-    """Parameters of a board, from the board itself or a file; None if neither is given."""
-    from heli_host.cli.board import open_board
+def _board_parameters(params: Path | None) -> dict[str, float] | None:
+    """Parameters of a board in a file; None without a file."""
     from heli_host.parameter_file import read_parameter_set
 
-    if port is not None and params is not None:
-        raise typer.BadParameter("--port and --params both name a board's parameters; leave one out")
-    if params is not None:
-        return read_parameter_set(params).values
-    if port is None:
-        return None
-    with open_board(port, None) as heli:
-        return heli.params.dump()
+    return None if params is None else read_parameter_set(params).values
 
 
 def _compared_with_board(rig: str, board: Mapping[str, float]) -> tuple[list[RigDifference], list[str]]:
@@ -200,6 +187,75 @@ def _compared_with_board(rig: str, board: Mapping[str, float]) -> tuple[list[Rig
     stated = rig_parameters(rig)
     differences = rig_differences(stated.values, board, simulated=False, directed=stated.directed)
     return differences, [axis for axis in AXES if f"{axis}_counts_per_rev" not in stated.directed]
+
+
+@app.command("from-board")
+def from_board(
+    params: Annotated[
+        Path,
+        typer.Argument(metavar="PARAMS", help="Read a board's parameters from this file of params dump."),
+    ],
+    out: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Write the rig to this TOML file, which names the rig.")
+    ],
+    like: Annotated[
+        str, typer.Option("--like", metavar="NAME|FILE", help="Copy every other parameter from this rig.")
+    ] = "makki2024",
+) -> None:
+    """Convert a board's parameters into a rig file.
+
+    Takes counts and direction of each encoder, rest angle, supply and dead zone from the board, and all other
+    parameters from another rig. It never replaces a rig file.
+
+    Example: `heli-host rig from-board board.toml mine.toml`
+    """
+    from heli_host.cli.outputs import check_place
+    from heli_host.parameter_file import read_parameter_set
+
+    from heli_sim.errors import RigError
+    from heli_sim.rig import load_rig, write_rig
+    from heli_sim.rig.board import rig_of_board
+
+    base = load_rig(like)
+    check_place(out)
+    if out.exists():
+        raise RigError(f"{out} exists already", "give another name, because no rig is overwritten")
+    rig = rig_of_board(read_parameter_set(params).values, base, out.stem)
+    write_rig(rig, out, f"Written by heli-host rig from-board from {params.name}: the rest as {base.name}.")
+    changed = [name for name in rig if rig[name].value != base[name].value]
+    say(f"differs from {base.name} in: {', '.join(changed) or 'nothing'}")
+    say_files([out])
+
+
+@app.command("to-board")
+def to_board(
+    rig: RigArgument,
+    out: Annotated[Path, typer.Argument(metavar="FILE", help="Write the parameters to this TOML file.")],
+    params: BoardParametersOption = None,
+) -> None:
+    """Convert a rig into parameters for a board: encoders, rest angle, supply, dead zone, limits.
+
+    An encoder whose direction the rig file does not state keeps the sign that it has in --params, and is left
+    out without --params. Limits are only lowered. An existing file is replaced.
+
+    Example: `heli-host rig to-board mine.toml board.toml`
+    """
+    from heli_host.cli.outputs import check_place
+    from heli_host.parameter_file import parameters_text
+
+    from heli_sim.rig import load_rig
+    from heli_sim.rig.board import board_settings
+
+    loaded = load_rig(rig)
+    board = _board_parameters(params)
+    check_place(out)
+    settings = board_settings(loaded, board)
+    out.write_text(
+        parameters_text(settings, f"heli-host rig to-board: parameters of rig {loaded.name}"),
+        encoding="utf-8",
+    )
+    say(f"{len(settings)} parameters; to set them on a board: heli-host params restore {out} --port PORT")
+    say_files([out])
 
 
 @app.command("diff")
