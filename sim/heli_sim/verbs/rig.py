@@ -233,9 +233,9 @@ def to_board(
     out: Annotated[Path, typer.Argument(metavar="FILE", help="Write the parameters to this TOML file.")],
     params: BoardParametersOption = None,
 ) -> None:
-    """Convert a rig into parameters for a board: encoders, rest angle, supply, dead zone, limits.
+    """Convert a rig file into parameters for a board.
 
-    An encoder whose direction the rig file does not state keeps the sign that it has in --params, and is left
+    These are counts per turn, rest angle, supply, dead zone and limits. An encoder whose direction the rig file does not state keeps the sign that it has in --params, and is left
     out without --params. Limits are only lowered. An existing file is replaced.
 
     Example: `heli-host rig to-board mine.toml board.toml`
