@@ -23,6 +23,7 @@ from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.plant import Plant
 from heli_sim.rig import Rig, load_rig, rig_text, write_rig
+from heli_sim.rig.board import rig_of_board
 from heli_sim.rig.encoders import counts_per_turn, direction_is_known, directions
 from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.process import SilProcess
@@ -237,6 +238,15 @@ def test_a_board_and_a_rig_file_convert_into_each_other(terminal: Terminal, tmp_
     }
     assert all(direction_is_known(again))
     assert "exists already" in terminal("rig", "from-board", "board.toml", "again.toml").err
+
+
+def test_what_a_board_does_not_state_is_not_known_of_its_rig() -> None:
+    rig = rig_of_board({"pitch_counts_per_rev": -1000.0}, odd_rig(), "mine")
+    assert tuple(counts_per_turn(rig)) == (4096.0, 1000.0, 4096.0)
+    assert direction_is_known(rig) == (False, True, False)
+    assert directions(rig)[1] == -1.0
+    with pytest.raises(RigError, match="have none of elevation_counts_per_rev"):
+        rig_of_board({"pitch_kp": 1.0}, odd_rig(), "mine")
 
 
 @pytest.mark.medium

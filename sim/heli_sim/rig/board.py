@@ -13,7 +13,7 @@ from heli_host.rig_check import RigParameters
 from heli_sim.errors import RigError
 from heli_sim.rig.encoders import counts_per_turn, direction_is_known, directions
 from heli_sim.rig.rig import Number, Rig, load_rig
-from heli_sim.rig.schema import ENCODER_COUNTS, ENCODER_DIRECTIONS
+from heli_sim.rig.schema import ENCODER_COUNTS, ENCODER_DIRECTIONS, UNSTATED
 
 _SPECS: Final = {spec.name: spec for spec in PARAMS}
 _INSIDE_STOP_deg: Final = {"elevation_max": 1.0, "pitch_max": 5.0, "travel_max": 5.0}
@@ -110,7 +110,7 @@ def rig_of_board(board: Mapping[str, float], like: Rig, name: str) -> Rig:
     Parameters
     ----------
     board : Mapping of str to float
-        The board's parameters.
+        The board's parameters; some may be missing.
     like : Rig
         Rig with all other numbers; also the tolerances, apart from those of the encoders.
     name : str
@@ -119,22 +119,26 @@ def rig_of_board(board: Mapping[str, float], like: Rig, name: str) -> Rig:
     Raises
     ------
     RigError
-        The board lacks a parameter, or has one that no rig can have.
+        The board's parameters are none of these, or no rig can have them.
     """
-    missing = [key for key in (*encoder_parameters(like), *_OF_BOARD) if key not in board]
-    if missing:
+    quantities = zip(ENCODER_COUNTS, ENCODER_DIRECTIONS, strict=True)
+    encoders = dict(zip(encoder_parameters(like), quantities, strict=True))
+    if not {*encoders, *_OF_BOARD} & set(board):
         raise RigError(
-            f"the board's parameters lack {', '.join(missing)}", "give a file that params dump wrote"
+            f"the board's parameters have none of {', '.join((*encoders, *_OF_BOARD))}",
+            "give a file that params dump wrote",
         )
     source = "parameters of the board"
     numbers = dict(like)
-    for counts, direction, parameter in zip(
-        ENCODER_COUNTS, ENCODER_DIRECTIONS, encoder_parameters(like), strict=True
-    ):
-        numbers[counts] = Number(abs(board[parameter]), "count", 0.0, source)
-        numbers[direction] = Number(math.copysign(1.0, board[parameter]), "1", 0.0, source)
+    for parameter, (counts, direction) in encoders.items():
+        # The direction of another rig's encoder says nothing about this one.
+        numbers[direction] = Number(0.0, "1", 0.0, UNSTATED[direction].source)
+        if parameter in board:
+            numbers[counts] = Number(abs(board[parameter]), "count", 0.0, source)
+            numbers[direction] = Number(math.copysign(1.0, board[parameter]), "1", 0.0, source)
     for parameter, quantity in _OF_BOARD.items():
-        numbers[quantity] = replace(like[quantity], value=board[parameter], source=source)
+        if parameter in board:
+            numbers[quantity] = replace(like[quantity], value=board[parameter], source=source)
     return replace(
         like, name=name, description=f"parameters of a board, the rest as {like.name}", numbers=numbers
     )
