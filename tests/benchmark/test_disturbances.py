@@ -19,6 +19,7 @@ from heli_benchmark.engine.true_trajectory import TrueTrajectory
 from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_sim.rig import load_rig
+from heli_sim.rig.encoders import count_rad
 
 CASES = {case.name: case for case in disturbed_cases()}
 
@@ -140,9 +141,8 @@ def test_a_log_holds_whole_counts_and_the_voltages_that_acted(name: str) -> None
     case = CASES[name]
     log, trajectory = flown(name)
     assert len(log) == round(3.0 * case.rate_Hz)
-    counts = log.angles_rad / (2.0 * np.pi / 4096.0)
-    ratio = np.array([1.0, 1.0, load_rig(case.rig_name)["encoder_travel_ratio"].value])
-    np.testing.assert_allclose(counts * ratio, np.round(counts * ratio), atol=1e-6)
+    counts = log.angles_rad / count_rad(load_rig(case.rig_name))
+    np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
     halves = round(1.0 / case.rate_Hz / STEP_S)
     np.testing.assert_array_equal(trajectory.volts_V, np.repeat(log.voltages_V, halves, axis=0))
 

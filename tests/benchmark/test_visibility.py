@@ -13,6 +13,7 @@ from heli_benchmark.engine.true_trajectory import TrueTrajectory
 from heli_benchmark.reference.replay import FINE, Forces, ReplayedRig, acts_by_itself, inertia_kg_m2, steps
 from heli_benchmark.reference.visibility import CauseContribution, LinearisedRig, imitators, visibility
 from heli_host.arrays import Floats
+from heli_sim.rig.encoders import count_rad
 
 from tests.running.long import samples
 
@@ -31,8 +32,7 @@ def chance(case: DisturbedCase, trajectory: TrueTrajectory) -> CauseContribution
     alone = replace(case, effects=(), unlisted=(), makers=())
     rig = case.rig().replace(torque_elevation=0.0, torque_pitch=0.0, torque_travel=0.0)
     torque = ReplayedRig(rig, alone.hidden(0)).forces(trajectory).torque_Nm
-    count_rad = 2.0 * np.pi / 4096.0 / np.array([1.0, 1.0, rig["encoder_travel_ratio"].value])
-    errors = np.random.default_rng(1).uniform(-0.5, 0.5, (steps(trajectory), 3)) * count_rad
+    errors = np.random.default_rng(1).uniform(-0.5, 0.5, (steps(trajectory), 3)) * count_rad(rig)
     return CauseContribution(torque.reshape(-1, FINE, 3).mean(axis=1), errors)
 
 

@@ -14,6 +14,7 @@ from heli_host.arrays import Floats
 from heli_host.errors import FlightAborted
 from heli_host.flight import Flight
 from heli_sim.rig import Rig
+from heli_sim.rig.encoders import count_rad
 from scipy.linalg import solve_continuous_are
 
 from heli_benchmark.engine.plant import HiddenEffect, MujocoPlant
@@ -93,8 +94,7 @@ def tracked(
     wanted = _places(route, times_s, rng)
     excited_V = route.excitation_V * _multisine(times_s, rng)
     pilot = _Pilot(nominal, controller, step_s, rng)
-    count_rad = 2.0 * np.pi / rig["encoder_counts"].value
-    counts_rad = count_rad / np.array([1.0, 1.0, rig["encoder_travel_ratio"].value])
+    counts_rad = count_rad(rig)
     state = np.zeros(6)
     for one in hidden:
         one.rest(state)

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from heli_host.arrays import Floats
 from heli_sim.rig import Rig
+from heli_sim.rig.encoders import count_rad
 
 from heli_benchmark.cases.clean import TRAIN_S
 from heli_benchmark.cases.disturbed_case import DisturbedCase
@@ -150,9 +151,7 @@ class LinearisedRig:
         forces = ReplayedRig(rig, ()).forces(trajectory)
         self._by_state = _jacobians(rig, trajectory, forces)
         self._disturbances = disturbances
-        count_rad = 2.0 * np.pi / rig["encoder_counts"].value
-        ratios = np.array([1.0, 1.0, rig["encoder_travel_ratio"].value])
-        self._noise = np.diag((count_rad / ratios) ** 2 / 12.0)
+        self._noise = np.diag(count_rad(rig) ** 2 / 12.0)
 
     def torque(self, acceleration: Floats, parts: int) -> Floats:
         """Return the torques of an `acceleration`, rad/s2, given in `parts` of a step, as means of the steps,

@@ -14,10 +14,7 @@ from heli_lab.guess.signals import Signal, Signals
 
 _MAX_COLUMNS: Final = 14
 _DUPLICATE_CORRELATION: Final = 0.99999
-_RATE_SCALES: Final = (
-    *(1.0, 180.0 / np.pi, np.pi / 180.0),
-    *(turn / counts for turn in (2.0 * np.pi, 360.0) for counts in (4096.0, 8192.0)),
-)
+_RATE_SCALES: Final = (1.0, 180.0 / np.pi, np.pi / 180.0)
 
 
 def candidates(
@@ -92,7 +89,8 @@ def _angle_of_feedback(signals: Signals, group: list[str], columns: list[str]) -
 
 
 def _is_rate(name: str, rate: Floats, signals: Signals) -> bool:
-    return _unit_slope(rate, signals.filtered[name].value) or names.is_derived_signal(name)
+    slope = _unit_slope(rate, signals.filtered[name].value, signals.counts_per_turn)
+    return slope or names.is_derived_signal(name)
 
 
 def _rates(signals: Signals, columns: list[str]) -> dict[str, str]:
@@ -104,7 +102,9 @@ def _rates(signals: Signals, columns: list[str]) -> dict[str, str]:
     for name, other in itertools.permutations(columns, 2):
         rate, value = signals.filtered[other].rate, signals.filtered[name].value
         likeness = _abs_correlation(rate, value)
-        if not names.role_of(name) and likeness > thresholds.RATE_MATCH**0.5 and _unit_slope(rate, value):
+        if names.role_of(name) or likeness <= thresholds.RATE_MATCH**0.5:
+            continue
+        if _unit_slope(rate, value, signals.counts_per_turn):
             pairs[name, other] = likeness
     rates: set[str] = set()
     settled: set[str] = set()
@@ -121,14 +121,16 @@ def _rates(signals: Signals, columns: list[str]) -> dict[str, str]:
     return {name: next(of for first, of in pairs if first == name and of not in rates) for name in rates}
 
 
-def _unit_slope(rate: Floats, value: Floats) -> bool:
-    """Whether `value` is about `rate` times 1 or a factor between angle units.
+def _unit_slope(rate: Floats, value: Floats, counts_per_turn: Collection[float]) -> bool:
+    """Whether `value` is about `rate` times 1 or a factor between angle units; one of them may be in counts
+    of an encoder with these `counts_per_turn`.
 
     A negative factor is feedback: programs log an angle and its rate with the same sign.
     """
     variance = float(rate.var())
     slope = float(np.mean((rate - rate.mean()) * (value - value.mean()))) / variance if variance else 0.0
-    return any(0.6 < slope / scale < 1.5 for scale in _RATE_SCALES)
+    from_counts = (turn / counts for turn in (2.0 * np.pi, 360.0) for counts in counts_per_turn)
+    return any(0.6 < slope / scale < 1.5 for scale in (*_RATE_SCALES, *from_counts))
 
 
 def _abs_correlation(first: Floats, second: Floats) -> float:
@@ -137,13 +139,14 @@ def _abs_correlation(first: Floats, second: Floats) -> float:
     return abs(float(np.corrcoef(first, second)[0, 1]))
 
 
-def feedback_sign(total: Floats, signal: Signal) -> float:
+def feedback_sign(total: Floats, signal: Signal, counts_per_turn: Collection[float]) -> float:
     """Return 1 or -1 if `total` is proportional to the rate of a signal, as under state feedback;
     otherwise 0.
 
-    A column in a unit of the rate is the rate, not feedback.
+    A column in a unit of the rate is the rate, not feedback; it may be in counts of an encoder with these
+    `counts_per_turn`.
     """
-    if np.ptp(total) == 0.0 or np.ptp(signal.rate) == 0.0 or _unit_slope(signal.rate, total):
+    if np.ptp(total) == 0.0 or np.ptp(signal.rate) == 0.0 or _unit_slope(signal.rate, total, counts_per_turn):
         return 0.0
     likeness = float(np.corrcoef(total, signal.rate)[0, 1])
     return float(np.sign(likeness)) if abs(likeness) > thresholds.FEEDBACK_MATCH**0.5 else 0.0

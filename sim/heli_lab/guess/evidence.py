@@ -70,7 +70,7 @@ def prepare_file(table: Table, reference: Reference, rate_Hz: float | None) -> P
     t_s = np.arange(len(table)) / rate_Hz if rate_Hz else times_in_s(table, clock)
     table, t_s = longest_run(table, t_s)
     others = [name for name in table.columns if name != clock.column and not names.is_time(name)]
-    signals = column_signals(table, t_s, others)
+    signals = column_signals(table, t_s, others, reference.counts.values())
     encoders = frozenset(name for name in others if is_encoder(table.columns[name].values, reference))
     return PreparedFile(table, clock, signals, encoders)
 

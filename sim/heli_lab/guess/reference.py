@@ -9,7 +9,9 @@ import numpy as np
 from heli_sim.errors import PlantError
 from heli_sim.model import MultibodyModel
 from heli_sim.model.linear import derivatives, trim
+from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
+from heli_sim.rig.encoders import counts_per_turn
 
 from heli_lab.errors import IdentifyError
 
@@ -70,7 +72,6 @@ def reference_of(rig: Rig) -> Reference:
         axis: (float(linear.A[row, column]), float(max(1.0, 0.5 * abs(linear.A[row, column]))))
         for axis, row, column in (("elevation", 3, 0), ("pitch", 4, 1))
     }
-    counts = rig["encoder_counts"].value
     torque, friction = rig["torque_travel"], rig["friction_travel"].value
     # Friction over inertia is the damping of travel; twice the standard deviation is the tolerance.
     per_torque = float(-linear.A[5, 5]) / friction if friction > 0.0 and torque.value else 0.0
@@ -87,11 +88,7 @@ def reference_of(rig: Rig) -> Reference:
         float(hover.volts_V.sum()),
         rig["elevation_min"].value,
         rig["elevation_min"].tolerance,
-        {
-            "elevation": counts,
-            "pitch": counts,
-            "travel": counts * rig["encoder_travel_ratio"].value,
-        },
+        dict(zip(AXES, counts_per_turn(rig).tolist(), strict=True)),
         rig["supply"].value,
         per_torque * torque.value,
         std_rad_s2,

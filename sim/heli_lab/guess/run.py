@@ -122,6 +122,7 @@ def propose(
         feedback_sign(
             filtered_signal(sum_and_difference(file.signals, assignment, bias, limit)[0]).value,
             file.signals.filtered[assignment.elevation],
+            file.signals.counts_per_turn,
         )
         for file in files
     )

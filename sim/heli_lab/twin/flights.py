@@ -94,7 +94,4 @@ def count_rad_of(flight: Flight, rig: Rig) -> Floats:
     """Return the angle of one count of each encoder [rad], (3,): from the board's parameters if the flight
     has them, otherwise from the steps of the angles.
     """
-    known = rad_per_count(flight.parameters)
-    if np.all(np.isfinite(known)):
-        return known
-    return encoder_counts(flight.angles_rad, rig)[0]
+    return encoder_counts(flight, rig)[0]

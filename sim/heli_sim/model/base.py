@@ -21,6 +21,7 @@ from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.parts import AXES, friction_torque_Nm, thrust_N
 from heli_sim.rig import RIG_QUANTITIES, Rig
 from heli_sim.rig.quantity import Quantity
+from heli_sim.rig.schema import ENCODER_COUNTS
 
 STATES: Final[tuple[Quantity, ...]] = (
     Quantity("elevation_rad", "rad", "long arm above level, up positive"),
@@ -40,6 +41,8 @@ _SHARED: Final = (
     *("thrust_gain", "dead_zone", "reverse_thrust"),
     *(f"{kind}_{axis}" for kind in ("friction", "torque") for axis in AXES),
     *("offset_elevation", "offset_pitch"),
+    # What a measured angle shows of a rate depends on the size of a count.
+    *ENCODER_COUNTS,
 )
 _RIG: Final = {quantity.name: quantity for quantity in RIG_QUANTITIES}
 

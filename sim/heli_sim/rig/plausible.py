@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from heli_sim.errors import RigError
-from heli_sim.rig.schema import RIG_QUANTITIES
+from heli_sim.rig.schema import ENCODER_COUNTS, RIG_QUANTITIES
 
 LARGEST: Final[Mapping[str, float]] = {
     "kg": 1e4,
@@ -54,7 +54,7 @@ TABLE_TOP: Final[Mapping[str, tuple[float, float]]] = {
     "thrust_gain": (0.005, 10.0),
     "dead_zone": (0.0, 6.0),
     "supply": (2.0, 60.0),
-    "encoder_counts": (50.0, 100_000.0),
+    **dict.fromkeys(ENCODER_COUNTS, (50.0, 100_000.0)),
 }
 """Range of a rig that stands on a table, in the unit of rig files. Outside, a unit or a decimal point is most
 often wrong: 64 for 64 cm. A wider range misses that; a narrower one refuses real rigs."""
