@@ -86,6 +86,8 @@ SPEC: Final = EffectSpec(
         Quantity("front_V", "V", "speed of the front rotor, as the voltage that holds it"),
         Quantity("back_V", "V", "speed of the back rotor, as the voltage that holds it"),
     ),
+    # A second lag next to this one would be a second name for the same motor.
+    excludes=("rotor_lag", "rotor_lag_with_delay"),
     linearisable=True,
     rank=12,
     source="propeller theory: thrust is the square of the speed; a motor's speed lags its voltage",

@@ -135,6 +135,8 @@ class EffectSpec:
     contains : Mapping[str, Mapping[str, str]]
         Effects that this one is with the rest of its parameters at their neutral values (nested models): by
         id, for each of their parameters that of this one; both named without the effects' names.
+    excludes : tuple of str
+        Ids of further effects that no model may have together with this one; naming one side is enough.
     linearisable : bool
         True if a linear model at hover contains the effect. False for what is not smooth there or biases a
         measurement only. The design of gains reports effects that its linear plants do not contain.
@@ -164,6 +166,7 @@ class EffectSpec:
     baseline: bool = False
     override: Mapping[str, float] = field(default_factory=dict)
     contains: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    excludes: tuple[str, ...] = ()
     linearisable: bool = False
     time_varying: bool = False
     change: ChangeSpec | None = None
@@ -223,11 +226,15 @@ class EffectSpec:
         return {*self.needs, *self.override} <= {quantity.name for quantity in model.parameters}
 
     def compatible_with(self, other: EffectSpec) -> bool:
-        """Whether one model may have this and the `other` effect: not both where one of them contains the
-        other, or where both delay the voltages.
+        """Whether one model may have this and the `other` effect.
+
+        It may not if one of them contains or excludes the other, if both delay the voltages, or if both are
+        equations of the thrust's lag (`Stage.LAG`).
         """
         nested = other.id in self.contains or self.id in other.contains
-        return other.id != self.id and not nested and not (self.delay and other.delay)
+        excluded = other.id in self.excludes or self.id in other.excludes
+        same_role = bool(self.delay and other.delay) or self.stage == other.stage == Stage.LAG
+        return other.id != self.id and not (nested or excluded or same_role)
 
     def from_contained(self, values: Mapping[str, float]) -> dict[str, float]:
         """Values by full name at which this effect is the effects that it contains.
