@@ -21,7 +21,7 @@ from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 from typing_extensions import override
 
-from tests.blind.disturbances import MEMORIES_s, STRENGTHS_Nm, DisturbanceModel
+from tests.blind.disturbances import DisturbanceModel, MEMORIES_s, STRENGTHS_Nm
 from tests.blind.disturbed_case import DisturbedCase
 from tests.blind.disturbed_cases import PAPER, RATES_Hz
 from tests.blind.mujoco_rig import Hidden, Moment

@@ -76,6 +76,11 @@ EVENT_EDGE_s: Final[Annotated[float, "s", JUDGEMENT]] = 1.0
 refused, because initial states or the last window imitate it: half a window. Lower: false steps at the
 edges. Higher: true steps there are lost."""
 
+EVENT_STD_ERRORS: Final[Annotated[float, "standard errors", MEASUREMENT]] = 5.0
+"""Level in a held-out flight, about any axis, from which on an effect with a moment is tried there. Slips of
+10 and 30 mm reach 10 to 14, the largest of other levels 3.0 (development seeds 5000 of `tests.blind.shocks`,
+2026-11). Lower: time. Higher: an event in a held-out flight contradicts its own cause."""
+
 NEW_DISTURBANCES_NATS: Final[Annotated[float, "nats", JUDGEMENT]] = 20.0
 """Gain of a refit above which the disturbances are estimated again from other start values: a cause of six
 standard deviations. Lower: time. Higher: disturbances keep the size that they had while they replaced the

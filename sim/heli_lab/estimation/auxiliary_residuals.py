@@ -68,6 +68,12 @@ class AuxiliaryResiduals:
     level: ShockScores
     impulse: ShockScores
 
+    def largest_level(self) -> tuple[float, float]:
+        """Instant (s) of the most significant level of any output, and the absolute t statistic there."""
+        statistic = np.abs(self.level.t_statistic).max(axis=1)
+        place = int(statistic.argmax())
+        return float(self.t_s[place]), float(statistic[place])
+
 
 def auxiliary_residuals(
     filtered: InnovationsModel,

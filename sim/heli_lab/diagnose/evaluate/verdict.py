@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from heli_sim.model.effect import Effect
 from heli_sim.model.effects import EffectSpec
 from heli_sim.model.parts import AXES
 
@@ -112,9 +113,18 @@ def _named(cause: Cause, kind: EffectSpec, fit: Fit, unexplained: bool) -> Named
         kind.describe(
             {name: number.value for name, number in parameters.items()},
             {name: number.std for name, number in parameters.items()},
-        ),
+        )
+        + _flights_in_words(cause.candidate.effect),
         kind.equation,
     )
+
+
+def _flights_in_words(effect: Effect) -> str:
+    """The flight in which an effect with a moment happens, and its moments in others."""
+    if not effect.flight:
+        return ""
+    others = (f", and at {at_s:.2f} s in {label}" for label, at_s in effect.other_moments_s.items())
+    return f" in {effect.flight}{''.join(others)}"
 
 
 def has_random_torque(residual: ResidualAnalysis, kinds: Mapping[str, EffectSpec]) -> bool:

@@ -6,11 +6,13 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
+from heli_sim.model.effect import NEVER_s
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.evaluate import (
     CauseParameter,
     ErrorReduction,
+    NamedCause,
     ResidualAnalysis,
     correlates,
 )
@@ -40,9 +42,25 @@ def _effects(result: Diagnosis) -> list[dict[str, Any]]:
                 "alternatives": {other.id: other.log_likelihood_ratio for other in cause.alternatives},
             },
             "ambiguous_with": list(cause.ambiguous_with),
+            **_moments(cause, result),
         }
         for cause in result.verdict.causes
     ]
+
+
+def _moments(cause: NamedCause, result: Diagnosis) -> dict[str, dict[str, float | None]]:
+    """When a cause with a moment happens in each flight, by label; None in a flight where it does not."""
+    effect = cause.candidate.effect
+    if not effect.flight:
+        return {}
+    after = result.assessment.after
+    records = [
+        *after.fit.problem.records,
+        *(after.held_out_fit.problem.records if after.held_out_fit else ()),
+    ]
+    values = {name: number.value for name, number in cause.parameters.items()}
+    moments_s = {record.label: effect.values_in(record.label, values)[effect.moment] for record in records}
+    return {"moments_s": {label: None if at_s == NEVER_s else at_s for label, at_s in moments_s.items()}}
 
 
 def _random_torque(result: Diagnosis) -> list[dict[str, Any]]:

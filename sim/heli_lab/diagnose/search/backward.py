@@ -10,6 +10,7 @@ from heli_lab.diagnose.search.acceptance import Acceptance
 from heli_lab.diagnose.search.candidate import Candidate, may_join
 from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, Refit, Round
 from heli_lab.diagnose.search.model_comparison import ModelComparison
+from heli_lab.diagnose.search.moments import with_held_out_moments
 from heli_lab.diagnose.search.progress import Progress
 from heli_lab.threads import parallel_map
 
@@ -36,7 +37,7 @@ class BackwardElimination:
         """Return the model `final` with the causes alone that are needed and that held-out flights do not
         contradict, and the evidence of each cause, the strongest first.
         """
-        final, without = self._needed(final)
+        final, without = self._needed(with_held_out_moments(self.comparison, final))
         held_out = self._held_out(final, without)
         against = min(held_out, key=lambda id_: held_out[id_], default=None)
         if against is not None and held_out[against] < thresholds.HELD_OUT_AGAINST:
