@@ -76,6 +76,11 @@ EVENT_EDGE_s: Final[Annotated[float, "s", JUDGEMENT]] = 1.0
 refused, because initial states or the last window imitate it: half a window. Lower: false steps at the
 edges. Higher: true steps there are lost."""
 
+CONCENTRATED_MIN_NATS: Final[Annotated[float, "nats", JUDGEMENT]] = 5.0
+"""Score of an effect with a moment from which on the disturbances are estimated again with it: three standard
+errors, as chance reaches at the best of 60 moments. Lower: time, 0.1 s per candidate. Higher: large events
+that hide themselves in the disturbances are missed."""
+
 EVENT_STD_ERRORS: Final[Annotated[float, "standard errors", MEASUREMENT]] = 5.0
 """Level in a held-out flight, about any axis, from which on an effect with a moment is tried there. Slips of
 10 and 30 mm reach 10 to 14, the largest of other levels 3.0 (development seeds 5000 of `tests.blind.shocks`,

@@ -97,7 +97,7 @@ class EffectGrids:
         return labels, [float(flight.trajectory.t_s[-1]) for flight in flights], jumps
 
     def _peaks(self, axis: str) -> tuple[float, ...]:
-        """Frequencies of the highest peaks in the spectrum of the torques about an axis in the first flight."""
+        """Frequencies of the highest peaks in the first flight's spectrum of the torques about an axis."""
         index = AXES.index(axis)
         t_s, torque_Nm = self._smoothed[0]
         value = torque_Nm[:, index]

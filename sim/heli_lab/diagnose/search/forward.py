@@ -15,6 +15,7 @@ from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.search.acceptance import Acceptance
 from heli_lab.diagnose.search.baseline_terms import RemovedTerm, tightly_specified_terms
 from heli_lab.diagnose.search.candidate import Candidate, Scored, may_join, typical_candidate
+from heli_lab.diagnose.search.concentrated_score import with_concentrated_scores
 from heli_lab.diagnose.search.hypothesis import Hypothesis, Refit, Round
 from heli_lab.diagnose.search.model_comparison import ModelComparison
 from heli_lab.diagnose.search.progress import Progress
@@ -63,7 +64,7 @@ class ForwardSelection:
             remaining = [
                 kind for kind in self.kinds.values() if may_join(kind.id, hypothesis.ids, self.kinds)
             ]
-            screened = screening.effects(remaining)
+            screened = with_concentrated_scores(screening, self.acceptance, screening.effects(remaining))
             splines = screening.splines(number)
             full = len(hypothesis.candidates) >= thresholds.MAX_CAUSES or not self.progress.refits_left()
             refits: list[Refit] = []

@@ -175,8 +175,8 @@ class ModelComparison:
         )
 
     def with_effects(self, hypothesis: Hypothesis, candidates: Sequence[Candidate]) -> Hypothesis:
-        """Return a `hypothesis` whose candidates differ in nothing that its fitted flights show, with the same
-        estimate.
+        """Return a `hypothesis` with other `candidates` that act alike in the fitted flights: the estimate is
+        the same.
         """
         model = type(self.model)((*self.model.effects, *(candidate.effect for candidate in candidates)))
         vector = RigParameters(model, self.rig, self.train)

@@ -69,7 +69,7 @@ class _Moment:
         return [level_s] if statistic > EVENT_STD_ERRORS else []
 
     def _refined(self, hypothesis: Hypothesis, value: float, moment_s: float) -> float:
-        """The vertex of a parabola through the log-likelihoods about a moment; at its ends, if it has none."""
+        """The vertex of a parabola through the log-likelihoods about a moment, at most a step away."""
         before, after = (self._at(hypothesis, moment_s + step_s)[0] for step_s in (-_STEP_s, _STEP_s))
         curvature = before - 2.0 * value + after
         if curvature >= 0.0:
