@@ -13,7 +13,12 @@ from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.evaluate.prediction import Prediction
-from heli_lab.diagnose.evaluate.reported import CauseParameter, cause_parameters
+from heli_lab.diagnose.evaluate.reported import (
+    CauseParameter,
+    FamilyNumber,
+    cause_parameters,
+    family_number,
+)
 from heli_lab.diagnose.evaluate.residual_analysis import ResidualAnalysis
 from heli_lab.diagnose.search import Cause, Search
 from heli_lab.identify import Fit
@@ -35,12 +40,15 @@ class NamedCause(Cause):
         The cause with its parameters in a sentence, without its full stop.
     equation : str
         The term that the effect adds to the model, in LaTeX.
+    family : FamilyNumber or None
+        The number that it shares with effects that may replace it.
     """
 
     parameters: Mapping[str, CauseParameter]
     confidence: float
     sentence: str
     equation: str
+    family: FamilyNumber | None = None
 
 
 @dataclass(frozen=True)
@@ -91,7 +99,7 @@ def judge(
     visible = max(after.train.total, after.held_out.total) > thresholds.NOISE_FLOOR
     random = visible and not unlisted and not residual.dependences and has_random_torque(residual, kinds)
     unexplained = visible and bool(unlisted or residual.dependences)
-    causes = tuple(_named(cause, kinds[cause.effect], after.fit, unexplained) for cause in effects)
+    causes = tuple(_named(cause, kinds, after.fit, unexplained) for cause in effects)
     if unexplained:
         return Verdict("unexplained", causes, unlisted, False)
     if causes:
@@ -100,7 +108,8 @@ def judge(
     return Verdict("cause_found" if random or absent else "explained", (), (), random)
 
 
-def _named(cause: Cause, kind: EffectSpec, fit: Fit, unexplained: bool) -> NamedCause:
+def _named(cause: Cause, kinds: Mapping[str, EffectSpec], fit: Fit, unexplained: bool) -> NamedCause:
+    kind = kinds[cause.effect]
     parameters = cause_parameters(fit, kind, cause.candidate.effect.values)
     return NamedCause(
         cause.candidate,
@@ -116,6 +125,7 @@ def _named(cause: Cause, kind: EffectSpec, fit: Fit, unexplained: bool) -> Named
         )
         + _flights_in_words(cause.candidate.effect),
         kind.equation,
+        family_number(fit, kind, kinds, parameters),
     )
 
 

@@ -43,9 +43,29 @@ def _effects(result: Diagnosis) -> list[dict[str, Any]]:
             },
             "ambiguous_with": list(cause.ambiguous_with),
             **_moments(cause, result),
+            **_family(cause),
         }
         for cause in result.verdict.causes
     ]
+
+
+def _family(cause: NamedCause) -> dict[str, dict[str, Any]]:
+    """The number of a cause's family, and whether these flights do not distinguish its members."""
+    family = cause.family
+    if family is None:
+        return {}
+    unclear = bool({*cause.ambiguous_with} & {*family.members})
+    text = f"{family.sentence}; {family.unclear}" if unclear else family.sentence
+    return {
+        "family": {
+            "name": family.name,
+            "value": family.value,
+            "std": family.std,
+            "unit": family.unit,
+            "members": list(family.members),
+            "sentence": text,
+        }
+    }
 
 
 def _moments(cause: NamedCause, result: Diagnosis) -> dict[str, dict[str, float | None]]:

@@ -53,6 +53,10 @@ def _verdict(result: Diagnosis) -> str:
         text = "; ".join(cause["sentence"] for cause in causes)
         others = sorted({other for cause in causes for other in cause["ambiguous_with"]})
         unclear = f" These flights do not distinguish it from {', '.join(others)}." if others else ""
+        for cause in causes:
+            family = cause.get("family")
+            if family and {*cause["ambiguous_with"]} & {*family["members"]}:
+                unclear += f" {family['sentence'][:1].upper()}{family['sentence'][1:]}."
         return f"{text[:1].upper()}{text[1:]}.{unclear}{remaining}"
     missing = findings.unexplained(result) or {}
     text = (

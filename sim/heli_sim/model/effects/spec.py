@@ -97,6 +97,25 @@ class ChangeSpec:
 
 
 @dataclass(frozen=True)
+class EffectFamily:
+    """Effects that replace each other after small changes of the flights, with one number that all have.
+
+    Parameters
+    ----------
+    name : str
+        Name of the family.
+    sentence : str
+        The number in words, with ``{}`` in its place.
+    unclear : str
+        Statement that flights do not distinguish its members.
+    """
+
+    name: str
+    sentence: str
+    unclear: str
+
+
+@dataclass(frozen=True)
 class EffectSpec:
     """An effect of the catalogue.
 
@@ -137,6 +156,10 @@ class EffectSpec:
         id, for each of their parameters that of this one; both named without the effects' names.
     excludes : tuple of str
         Ids of further effects that no model may have together with this one; naming one side is enough.
+    family : EffectFamily or None
+        Family that it belongs to.
+    family_numbers : tuple of str
+        Parameters whose sum is the family's number, named without the effect's name.
     linearisable : bool
         True if a linear model at hover contains the effect. False for what is not smooth there or biases a
         measurement only. The design of gains reports effects that its linear plants do not contain.
@@ -167,6 +190,8 @@ class EffectSpec:
     override: Mapping[str, float] = field(default_factory=dict)
     contains: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     excludes: tuple[str, ...] = ()
+    family: EffectFamily | None = None
+    family_numbers: tuple[str, ...] = ()
     linearisable: bool = False
     time_varying: bool = False
     change: ChangeSpec | None = None
