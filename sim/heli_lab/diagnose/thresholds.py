@@ -190,6 +190,11 @@ term: the encoder of a resting axis repeats its count, which the filter takes fo
 nats in two of ten field cases without friction, 2026-11). Lower: disturbances become `unexplained`. Higher:
 axes that stick are missed, unless the catalogue has their friction."""
 
+KICK_STD_ERRORS: Final[Annotated[float, "standard errors", JUDGEMENT]] = 6.0
+"""Impulse at one instant that is reported as a kick, in robust standard errors: by chance one of a hundred
+million instants. It decides a sentence, not the verdict. Lower: gusts are called kicks. Higher: kicks are
+called gusts."""
+
 RANDOM_TORQUE_MIN_SHARE: Final[Annotated[float, "1", JUDGEMENT]] = 0.1
 """Share of its typical size from which on a random torque about a single axis is named. Lower: integration
 errors are called a random torque. Higher: weak random torques count as disturbances."""

@@ -12,6 +12,7 @@ from heli_sim.model.parts import AXES
 from heli_lab.diagnose.evaluate import (
     CauseParameter,
     ErrorReduction,
+    Kicks,
     NamedCause,
     ResidualAnalysis,
     correlates,
@@ -162,15 +163,17 @@ def unexplained(result: Diagnosis) -> dict[str, Any] | None:
 
 def disturbances(analysis: ResidualAnalysis) -> dict[str, dict[str, float]]:
     """Write the disturbances about each axis: size and correlation time of the fast part, size of the slow
-    part, and log-likelihood ratio.
+    part, log-likelihood ratio, and kicks.
     """
-    estimated = analysis.disturbances
+    estimated, none = analysis.disturbances, Kicks(0, 0.0)
     return {
         axis: {
             "fast_std_Nm": float(estimated.fast_std[i]),
             "correlation_time_s": float(estimated.correlation_time_s[i]),
             "slow_std_Nm": float(estimated.slow_std[i]),
             "log_likelihood_ratio": float(analysis.gains[i]),
+            "kicks": analysis.kicks.get(axis, none).count,
+            "largest_kick_Nms": analysis.kicks.get(axis, none).largest_Nms,
         }
         for i, axis in enumerate(AXES)
     }

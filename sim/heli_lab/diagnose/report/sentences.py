@@ -71,12 +71,16 @@ def _verdict(result: Diagnosis) -> str:
 
 
 def disturbances_in_words(result: Diagnosis) -> str:
-    """List the significant fast disturbances with their size and correlation time."""
+    """List the significant fast disturbances with their size and correlation time, and the kicks."""
     parts = [
         f"{1e3 * values['fast_std_Nm']:.2g} mN m about {axis} "
         f"with a correlation time of {values['correlation_time_s']:.1g} s"
         for axis, values in findings.disturbances(result.assessment.residual_analysis).items()
         if values["log_likelihood_ratio"] > REPORT_DISTURBANCE_NATS
+    ]
+    parts += [
+        f"{kick.count} kick{'s' * (kick.count > 1)} of up to {1e3 * kick.largest_Nms:.2g} mN m s about {axis}"
+        for axis, kick in result.assessment.residual_analysis.kicks.items()
     ]
     return ", ".join(parts) or "none that is significant"
 

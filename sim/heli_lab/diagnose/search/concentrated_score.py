@@ -1,8 +1,8 @@
 """Concentrated scores: the gain of a candidate if the disturbances were estimated again with it.
 
 A score holds the disturbances of the model without the candidate. A rare, large event inflates them so much
-that its own score is worth little: a slip of 30 mm that gains 320 nats had a score of 8. The likelihood of the
-event and of the disturbances is therefore maximised in turn, with all other parameters held.
+that its own score is worth little: a slip of 30 mm that gains 320 nats had a score of 8. The likelihood of
+the event and of the disturbances is therefore maximised in turn, with all other parameters held.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from heli_lab.diagnose.thresholds import CONCENTRATED_MIN_NATS
 from heli_lab.estimation import DisturbanceModel, estimate_disturbances
 
 _TURNS: Final = 2
-"""Turns of coefficient and disturbances. The second changes the coefficient by less than its standard error."""
+"""Turns of coefficient and disturbances: the second changes the coefficient by less than its error."""
 
 _Error = list[list[tuple[Floats, Floats]]]
 
