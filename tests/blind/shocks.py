@@ -30,8 +30,8 @@ from tests.blind.tracking import CONTROLLERS
 
 DURATIONS_s: Final = (60.0, 40.0)
 LAYOUTS: Final = ("fit", "both", "second")
-"""The slip comes in the fitted flight alone; in the fitted and the validation flight, at different moments; or
-in the second of two fitted flights, without a validation flight."""
+"""The slip comes in the fitted flight alone; in the fitted and the validation flight, at different moments;
+or in the second of two fitted flights, without a validation flight."""
 SIZES_m: Final = (0.01, 0.03)
 CALM: Final = DisturbanceModel((0.0, 0.0, 0.0), 0.6)
 EFFECT: Final = "counterweight_shift"

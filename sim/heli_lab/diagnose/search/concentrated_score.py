@@ -86,7 +86,7 @@ def _concentrated(
         for regressors, flight in zip(made, innovations.flights, strict=True):
             information += regressors.T @ regressors
             score += regressors.T @ flight[:, 0]
-        coefficients = np.linalg.solve(information, score)
+        coefficients = np.asarray(np.linalg.solve(information, score), float)
     error = _without(screening, plain, signals, coefficients)
     after = float(filtered.log_likelihoods([disturbances], error).sum())
     gain = after - before - 0.5 * float(np.sum((coefficients / prior_std) ** 2))
