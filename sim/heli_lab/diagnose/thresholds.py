@@ -76,6 +76,16 @@ EVENT_EDGE_s: Final[Annotated[float, "s", JUDGEMENT]] = 1.0
 refused, because initial states or the last window imitate it: half a window. Lower: false steps at the
 edges. Higher: true steps there are lost."""
 
+CONCENTRATED_MIN_NATS: Final[Annotated[float, "nats", JUDGEMENT]] = 5.0
+"""Score of an effect with a moment from which on the disturbances are estimated again with it: three standard
+errors, as chance reaches at the best of 60 moments. Lower: time, 0.1 s per candidate. Higher: large events
+that hide themselves in the disturbances are missed."""
+
+EVENT_STD_ERRORS: Final[Annotated[float, "standard errors", MEASUREMENT]] = 5.0
+"""Level in a held-out flight, about any axis, from which on an effect with a moment is tried there. Slips of
+10 and 30 mm reach 10 to 14, the largest of other levels 3.0 (development seeds 5000 of `tests.blind.shocks`,
+2026-11). Lower: time. Higher: an event in a held-out flight contradicts its own cause."""
+
 NEW_DISTURBANCES_NATS: Final[Annotated[float, "nats", JUDGEMENT]] = 20.0
 """Gain of a refit above which the disturbances are estimated again from other start values: a cause of six
 standard deviations. Lower: time. Higher: disturbances keep the size that they had while they replaced the
@@ -179,6 +189,11 @@ NEAR_REST_NATS: Final[Annotated[float, "nats", MEASUREMENT]] = 20.0
 term. The encoder of a resting axis repeats its count, which the filter takes for a torque towards rest (22
 nats in two of ten field cases without friction, 2026-11). Lower: disturbances become `unexplained`. Higher:
 axes that stick are missed, unless the catalogue has their friction."""
+
+KICK_STD_ERRORS: Final[Annotated[float, "standard errors", JUDGEMENT]] = 6.0
+"""Impulse at one instant that is reported as a kick, in robust standard errors: by chance one of a hundred
+million instants. It decides a sentence, not the verdict. Lower: gusts are called kicks. Higher: kicks are
+called gusts."""
 
 RANDOM_TORQUE_MIN_SHARE: Final[Annotated[float, "1", JUDGEMENT]] = 0.1
 """Share of its typical size from which on a random torque about a single axis is named. Lower: integration

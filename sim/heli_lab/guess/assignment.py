@@ -203,7 +203,9 @@ def assignments(
     differences |= {(i, j): level[i] - level[j] for i, j in pairs}
     elevation_nats = _log_likelihood_table(sums, filtered, rows, reference.stiffness["elevation"])
     for i in range(count):
-        feedback = np.array([abs(feedback_sign(level[i], signal, signals.counts_per_turn)) for signal in filtered])
+        feedback = np.array(
+            [abs(feedback_sign(level[i], signal, signals.counts_per_turn)) for signal in filtered]
+        )
         elevation_nats[i,] += thresholds.FEEDBACK_NATS * feedback
     pitch_nats = _log_likelihood_table(
         differences, filtered, [signals.inner] * count, reference.stiffness["pitch"]

@@ -194,7 +194,8 @@ class Problem:
         """Complete the free parameters `theta`, shape (f,), to all those of the model, shape (p,), for record
         `index`.
         """
-        return self.parameter_vector.parameters(theta, index)
+        values = self.parameter_vector.parameters(theta, index)
+        return self.model.values_in(self.records[index].label, values)
 
     def grid(self, index: int, fine: bool, theta: Floats) -> Grid:
         """Windows of a record, with their inputs; the coarse and the fine grid have the same windows.

@@ -90,6 +90,22 @@ class Model(ABC):
         self.delay: str = delays[0] if delays else ""
         """Name of the parameter by which the voltages act late, or empty."""
 
+    def values_in(self, label: str, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Values of all parameters as they are in the flight `label`: moments belong to one flight.
+
+        Parameters
+        ----------
+        values : ndarray (p,)
+            Values of all parameters, in the order of `parameters`.
+        """
+        result = values.copy()
+        names = [quantity.name for quantity in self.parameters]
+        for effect in self.effects:
+            if effect.flight and effect.moment:
+                place = names.index(effect.moment)
+                result[place] = effect.values_in(label, {effect.moment: values[place]})[effect.moment]
+        return result
+
     def dead_zone_V(self, parameters: npt.NDArray[np.float64], free: Collection[str] = ()) -> float | None:
         """Voltage below which no rotor gives thrust.
 
