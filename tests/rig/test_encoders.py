@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from heli_host.declaration import AXES
 from heli_host.errors import RigMismatch
-from heli_host.parameter_file import parameters_text, read_parameters
+from heli_host.parameter_file import parameters_text, read_parameter_set
 from heli_host.rig_check import Part, check_rig, rig_differences, rig_parameters
 from heli_lab.diagnose import diagnose
 from heli_lab.identify import prepare
@@ -258,7 +258,7 @@ def test_a_board_keeps_the_signs_that_its_rig_does_not_state(terminal: Terminal,
         assert terminal("rig", "to-board", "mine.toml", "to.toml", "--params", "before.toml").code == 0
         assert terminal("params", "restore", "to.toml", "--port", sil.url).code == 0
         terminal("params", "dump", "after.toml", "--port", sil.url)
-    after = read_parameters(tmp_path / "after.toml")
+    after = read_parameter_set(tmp_path / "after.toml").values
     assert [after[f"{axis}_counts_per_rev"] for axis in AXES] == [-4096.0, 1000.0, -4096.0]
     checked = terminal("rig", "check", "mine.toml", "--params", "after.toml")
     assert checked.code == 0, checked

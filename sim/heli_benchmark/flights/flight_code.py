@@ -124,5 +124,5 @@ def flown(rig: Rig, hidden: Sequence[HiddenEffect], course: Plan, seed: int) -> 
         flight = read_flight(log)
     # The masses of Table 2 balance at -22 degrees and never touch the table: the flight is complete.
     if summary.outcome != "completed" and Fault.LANDING_TIMEOUT.name.lower() not in summary.outcome:
-        raise FlightAborted(f"{course.title}: {summary.outcome}")
+        raise FlightAborted(f"{course.title}: {summary.outcome}", "draw another seed")
     return flight

@@ -26,7 +26,7 @@ def diagnose_shock(case: ShockCase) -> dict[str, Any]:
 
 
 def is_named(case: ShockCase, result: dict[str, Any]) -> bool:
-    """Return whether a `result` names the slip, and nothing else, with its size within three standard errors."""
+    """Return whether a `result` names only the slip, with its size within three standard errors."""
     if [cause["effect"] for cause in result["causes"]] != [SLIP_EFFECT]:
         return False
     size = result["causes"][0]["parameters"][f"{SLIP_EFFECT}_m"]

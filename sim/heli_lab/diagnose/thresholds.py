@@ -83,7 +83,7 @@ that hide themselves in the disturbances are missed."""
 
 EVENT_STD_ERRORS: Final[Annotated[float, "standard errors", MEASUREMENT]] = 5.0
 """Level in a held-out flight, about any axis, from which on an effect with a moment is tried there. Slips of
-10 and 30 mm reach 10 to 14, the largest of other levels 3.0 (development seeds 5000 of `tests.blind.shocks`,
+10 and 30 mm reach 10 to 14, the largest of other levels 3.0 (development seeds 5000 of `heli_benchmark`,
 2026-11). Lower: time. Higher: an event in a held-out flight contradicts its own cause."""
 
 NEW_DISTURBANCES_NATS: Final[Annotated[float, "nats", JUDGEMENT]] = 20.0

@@ -42,7 +42,7 @@ DERIVED_SIGNAL_NATS: Final = 12.0
 well obeys the same equations as the angle."""
 FEEDBACK_MATCH: Final = 0.8
 """Share of a sum's variance that the rate of elevation explains, from which on the sum counts as state
-feedback. Encoder noise takes up to 15 % in gentle flights; other controllers give less than 60 %."""
+feedback. Encoder noise takes up to 15 % in weakly excited flights; other controllers give less than 60 %."""
 FEEDBACK_NATS: Final = 4.0
 """Reward of a sum of the voltages that is proportional to the rate of elevation [nats]. State feedback
 gives such a sum, and its motion then shows no cause. Below `DECISIVE_NATS`: such a column stays in doubt."""
