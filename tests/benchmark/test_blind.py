@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import heli_benchmark
 import pytest
 from heli_benchmark.cases.clean import TRAIN_S, VALIDATE_S, clean_cases
 from heli_benchmark.runs.ask import diagnosis_json
@@ -23,8 +24,7 @@ from tests.running.long import LONG, samples
 
 pytestmark = pytest.mark.diagnosis
 
-HERE = Path(__file__).parent
-MADE_BY = (*sorted(HERE.glob("*.py")), HERE.with_name("mujoco_rig.py"), Path(made.__file__))
+MADE_BY = (*sorted(Path(heli_benchmark.__file__).parent.rglob("*.py")), Path(made.__file__))
 DURATIONS_S = (TRAIN_S, VALIDATE_S) if LONG else (38.0, 34.0)
 EVERY_ROW = samples(1, 2)
 NOTHING = ("nothing-6",)

@@ -25,7 +25,7 @@ import numpy as np
 from heli_benchmark.cases.disturbed_case import DisturbedCase
 from heli_benchmark.effects.disturbances import DisturbanceModel, MEMORIES_s, STRENGTHS_Nm
 from heli_benchmark.effects.listed import RotorLag
-from heli_benchmark.flights.tracking import CONTROLLERS
+from heli_benchmark.simulation.tracking import CONTROLLERS
 from heli_lab.diagnose.evaluate import FreeRun, free_runs, predict
 from heli_lab.diagnose.search import Hypothesis, ModelComparison
 from heli_lab.identify import Record, prepare

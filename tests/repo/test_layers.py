@@ -50,6 +50,16 @@ WRONG = {
         "from due_emulator import machine",
         "due_emulator.image -> due_emulator.machine",
     ),
+    "benchmark: commands": Wrong(
+        "sim/heli_benchmark/engine/bodies.py",
+        "from heli_benchmark.effects import listed",
+        "heli_benchmark.engine.bodies -> heli_benchmark.effects.listed",
+    ),
+    "benchmark: what flies": Wrong(
+        "sim/heli_benchmark/effects/disturbances.py",
+        "from heli_sim.model import parts",
+        "heli_benchmark.effects.disturbances -> heli_sim.model.parts",
+    ),
     "host": Wrong(
         "host/heli_host/link/frames.py",
         "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from heli_host.fly import plan",

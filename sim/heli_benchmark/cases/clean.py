@@ -13,7 +13,7 @@ from heli_sim.rig import Rig, load_rig
 from heli_benchmark.effects.listed import LISTED, MORE_LISTED, OTHER_FORMS, Maker
 from heli_benchmark.effects.unlisted import MORE_OFF_LIST, OFF_LIST
 from heli_benchmark.engine.plant import HiddenEffect
-from heli_benchmark.flights.flight_code import flown, plan
+from heli_benchmark.simulation.flight_code import flown, plan
 
 TRAIN_S, VALIDATE_S = 60.0, 40.0
 _NOTHING = 12

@@ -11,7 +11,7 @@ from heli_benchmark.effects.disturbances import DisturbanceModel, MEMORIES_s, ST
 from heli_benchmark.effects.listed import LISTED, MORE_LISTED, Maker
 from heli_benchmark.effects.measured import MEASURED_EFFECTS
 from heli_benchmark.effects.unlisted import DISTURBED
-from heli_benchmark.flights.tracking import CONTROLLERS
+from heli_benchmark.simulation.tracking import CONTROLLERS
 
 PAPER_RIG = "makki2024"
 RATES_Hz = (100, 250, 500)

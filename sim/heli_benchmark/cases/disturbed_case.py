@@ -15,7 +15,7 @@ from heli_benchmark.cases.clean import TRAIN_S, VALIDATE_S, Case
 from heli_benchmark.effects.disturbances import DisturbanceModel, DisturbanceTorques
 from heli_benchmark.engine.plant import HiddenEffect
 from heli_benchmark.engine.true_trajectory import TrajectoryRecorder, TrueTrajectory
-from heli_benchmark.flights.tracking import Route, tracked
+from heli_benchmark.simulation.tracking import Route, tracked
 
 QUANSER_RIG = "quanser-course"
 """Name of the rig of the other type, a Quanser rig of a trajectory."""

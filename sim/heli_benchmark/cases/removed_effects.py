@@ -10,7 +10,7 @@ from heli_benchmark.cases.disturbed_case import DisturbedCase
 from heli_benchmark.effects.disturbances import DisturbanceModel, MEMORIES_s, STRENGTHS_Nm
 from heli_benchmark.effects.listed import LISTED, MORE_LISTED, Maker
 from heli_benchmark.effects.measured import MEASURED_EFFECTS
-from heli_benchmark.flights.tracking import CONTROLLERS
+from heli_benchmark.simulation.tracking import CONTROLLERS
 
 REMOVED: Final[Mapping[str, tuple[str, ...]]] = {
     LAG: ("rotor_speed_lag", "rotor_lag_with_delay", "input_delay"),

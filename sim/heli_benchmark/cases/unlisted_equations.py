@@ -8,7 +8,7 @@ from heli_benchmark.cases.disturbed_case import DisturbedCase
 from heli_benchmark.effects.disturbances import DisturbanceModel, MEMORIES_s, STRENGTHS_Nm
 from heli_benchmark.effects.equations import EQUATIONS, MakeUnlisted
 from heli_benchmark.effects.listed import LISTED, Maker
-from heli_benchmark.flights.tracking import CONTROLLERS
+from heli_benchmark.simulation.tracking import CONTROLLERS
 
 _SIZES = {"large": 1.6, "small": 1.0}
 _LARGER = (0.7, 1.0, 1.6)

@@ -31,14 +31,14 @@ _FLIGHT_CODE_FILES = tuple(
     _HERE / name
     for name in (
         *("engine/bodies.py", "engine/plant.py", "effects/listed.py", "effects/unlisted.py"),
-        *("cases/clean.py", "flights/flight_code.py"),
+        *("cases/clean.py", "simulation/flight_code.py"),
     )
 )
 _DISTURBED_FILES = tuple(
     _HERE / name
     for name in (
         *("engine/bodies.py", "engine/plant.py", "effects/listed.py", "effects/unlisted.py"),
-        *("effects/measured.py", "effects/disturbances.py", "flights/tracking.py"),
+        *("effects/measured.py", "effects/disturbances.py", "simulation/tracking.py"),
         *("cases/clean.py", "cases/disturbed_case.py"),
     )
 )

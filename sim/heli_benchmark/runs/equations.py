@@ -106,7 +106,7 @@ def judge_rows(
 
 
 def is_visible(row: EquationRow) -> bool:
-    """Return whether the equation of a case is visible enough to count."""
+    """Return whether the equation of a case, by its `row`, is visible enough to count."""
     return (
         min((z for what, z in row["visibility"].items() if what.startswith("off-")), default=0.0)
         >= MIN_VISIBILITY_STD

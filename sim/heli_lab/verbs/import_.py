@@ -11,13 +11,12 @@ from heli_host.cli.options import JsonOption
 from heli_host.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.cli.verb import Verb
 
-from heli_lab.guess.import_targets import Target, digest, entry_lines, output_names
-
 if TYPE_CHECKING:
     from heli_host.tables import Profile, Table
     from heli_sim.rig import Rig
 
     from heli_lab.guess import Ambiguity, Guess
+    from heli_lab.guess.import_targets import Target
 
 
 def import_(
@@ -78,6 +77,8 @@ def import_(
     """
     from heli_host.tables import read_profile, read_table
     from heli_sim.rig import load_rig
+
+    from heli_lab.guess.import_targets import Target, digest, output_names
 
     if profile is None and not guess:
         raise typer.BadParameter("import needs --profile or --guess; give one of them")
@@ -151,6 +152,8 @@ def _write_profile(
 ) -> tuple[list[Path], dict[str, int]]:
     """Write the profile; return its path, and the line of each entry."""
     from heli_host.tables import profile_text
+
+    from heli_lab.guess.import_targets import entry_lines
 
     target = out / "profile.toml"
     doubts = [f"UNSURE: {ambiguity.sentence()}" for ambiguity in ambiguities]
