@@ -20,7 +20,7 @@ WITHOUT = {"export", "flash", "motors", "watch", "sil", "dashboard"}
 """Verbs whose result is a file, a served board, or only what is shown live."""
 WITHOUT_PARTS = {
     *("law export", "paper equations", "paper figures", "params dump", "params save"),
-    *("rig export", "rig new"),
+    *("rig export", "rig from-board", "rig new", "rig to-board"),
 }
 
 

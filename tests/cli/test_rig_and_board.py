@@ -98,6 +98,7 @@ def test_on_a_port_a_name_that_no_rig_has_is_a_label(terminal: Terminal, tmp_pat
     assert missing.code == 2 and "unknown rig 'lab-7.toml'" in missing.err
 
 
+@pytest.mark.slow
 def test_law_fly_flies_the_rig_that_is_named(terminal: Terminal, tmp_path: Path) -> None:
     write_mine(tmp_path)
     ended = terminal(*f"law fly {LAW} --sil --speed max --rig mine.toml --duration 3 --log a.mcap".split())

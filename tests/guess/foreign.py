@@ -156,9 +156,7 @@ def _signals(
     angles: dict[str, Angle] = {}
     written: list[_Signal] = []
     for place, (axis, sign) in enumerate(zip(AXES, signs, strict=True)):
-        counts = rig["encoder_counts"].value * (
-            rig["encoder_travel_ratio"].value if axis == "travel" else 1.0
-        )
+        counts = rig[f"encoder_counts_{axis}"].value
         rest_rad = flight.elevation_rad[0] if at_rest and axis == "elevation" else 0.0
         angle = Angle(names[1 + place], angle_unit, counts, sign, float(np.degrees(rest_rad)))
         values = sign * (flight.angles_rad[:, place] - rest_rad) / angle.rad

@@ -87,7 +87,7 @@ def test_a_file_with_one_number_for_all_encoders_is_read(
         (entry("encoder_counts", 0.0), "encoder_counts_elevation must not be 0"),
         (entry("encoder_counts", -4096.0), "encoder_counts_elevation = -4096.0 must not be negative"),
         (entry("encoder_counts", 4096.0) + entry("encoder_travel_ratio", 2.0), "give it in '1'"),
-        (entry("encoder_travel_ratio", 2.0, "1"), "knows no 'encoder_travel_ratio'"),
+        (entry("encoder_travel_ratio", 2.0, "1"), "has no parameter 'encoder_travel_ratio'"),
         (
             entry("encoder_counts", 4096.0) + entry("encoder_direction_pitch", 0.5, "1"),
             "encoder_direction_pitch = 0.5 is not a direction; give 1, -1, or 0",

@@ -19,7 +19,7 @@ from heli_benchmark.cases.disturbed import PAPER_RIG, RATES_Hz
 from heli_benchmark.cases.disturbed_case import DisturbedCase
 from heli_benchmark.effects.disturbances import DisturbanceModel, MEMORIES_s, STRENGTHS_Nm
 from heli_benchmark.engine.plant import HiddenEffect, Moment
-from heli_benchmark.flights.tracking import CONTROLLERS
+from heli_benchmark.simulation.tracking import CONTROLLERS
 
 SHOCK_DURATIONS_s: Final = (60.0, 40.0)
 SHOCK_LAYOUTS: Final = ("fit", "both", "second")

@@ -54,7 +54,7 @@ def kicks(
     filtered : InnovationsModel
         The final model along the flights.
     disturbances : DisturbanceModel
-        Its disturbances.
+        Sizes and correlation times of the random torques; a kick is what they do not explain.
     error : list, optional
         As in `auxiliary_residuals`.
     """
