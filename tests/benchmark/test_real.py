@@ -146,3 +146,19 @@ def test_without_the_shared_flights_the_command_says_so(
     monkeypatch.setattr("tests.measured.hidden.MEASURED", tmp_path / "none")
     assert main([]) == 2
     assert capsys.readouterr().out == "skipped: no shared data\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["nobody"], "there is no pair 'nobody'; choose from "),
+        (["--effect", "none"], "invalid choice: 'none'"),
+    ],
+)
+def test_an_unknown_pair_or_effect_is_refused_in_one_line(
+    words: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == 2
+    assert says in capsys.readouterr().err.splitlines()[-1]

@@ -1,90 +1,79 @@
 """Known effects hidden in the measured flights: ``python -m tests.measured.hidden``.
 
 Six effects of two sizes are hidden in each of four pairs, both flights alike, and diagnosed. A step comes in
-the middle of the part that flies. Results are kept in a file, so that an interrupted run continues.
+the middle of the part that flies. Diagnoses are kept for as long as the code that makes them is the same, so
+an interrupted run continues.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from heli_benchmark.real.hide import HIDDEN_EFFECTS, KnownEffect, hide
+import heli_benchmark.real.hide
+from heli_benchmark.real.hide import HIDDEN_EFFECTS, HIDERS, KnownEffect, hide
 from heli_benchmark.real.score import HiddenResult, score
-from heli_host.log.flight_file import read_flight
+from heli_host.flight import Flight
 from heli_lab.diagnose import diagnose, to_json
-from heli_lab.identify import Record, prepare
+from heli_lab.identify import Record
+from heli_lab.identify.record import encoder_counts
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 
-from tests.measured.pairs import MEASURED, PAIRS, RIG, FROM_s, LANDS_s
+from tests.field.cases import NO_DATA
+from tests.measured import pairs
+from tests.measured.pairs import MEASURED, PAIRS, RIG, FROM_s, LANDS_s, add_pairs, flights
+from tests.running.kept import KEPT
 
-KEPT: Final = Path("build/hidden-in-measured.jsonl")
+MADE_BY: Final = tuple(map(Path, (__file__, pairs.__file__, heli_benchmark.real.hide.__file__)))
 
 
 def hidden_pair(pair: str, effect: KnownEffect | None) -> tuple[Record, Record]:
     """Read a pair and hide an effect in both flights; None reads them unchanged."""
-    rig, records = load_rig(RIG), []
-    for name in PAIRS[pair]:
-        flight, stop_s = read_flight(MEASURED / f"{name}.csv.gz"), LANDS_s.get(name)
-        if effect is not None:
-            count_rad = prepare(flight, rig, name, start_s=FROM_s, stop_s=stop_s).count_rad
-            ends_s = stop_s or float(flight.t_s[-1])
-            flight = hide(flight, effect, 0.5 * (FROM_s + ends_s), count_rad)
-        records.append(prepare(flight, rig, name, start_s=FROM_s, stop_s=stop_s))
-    return records[0], records[1]
+    if effect is None:
+        return flights(pair)
+    rig = load_rig(RIG)
+
+    def change(flight: Flight, name: str) -> Flight:
+        middle_s = 0.5 * (FROM_s + LANDS_s.get(name, float(flight.t_s[-1])))
+        counts_rad, _ = encoder_counts(flight, rig)
+        return hide(flight, effect, middle_s, counts_rad)
+
+    return flights(pair, change=change)
 
 
-def diagnosed(pair: str, effect: KnownEffect | None) -> dict[str, Any]:
-    """Diagnose a pair, and keep only what the score needs."""
-    train, held_out = hidden_pair(pair, effect)
-    result = to_json(diagnose(MultibodyModel(), load_rig(RIG), [train], [held_out], labels=list(PAIRS[pair])))
-    return {key: result[key] for key in ("verdict", "causes", "rig", "undetectable")}
+def diagnosed(pair: str, effect: KnownEffect | None, records: tuple[Record, Record]) -> dict[str, Any]:
+    """Diagnose `records`, a pair with an effect; what the score needs of it is kept for the next run."""
+
+    def diagnosis() -> dict[str, Any]:
+        train, held_out = records
+        labels = list(PAIRS[pair])
+        result = to_json(diagnose(MultibodyModel(), load_rig(RIG), [train], [held_out], labels=labels))
+        return {key: result[key] for key in ("verdict", "causes", "rig", "undetectable")}
+
+    what = f"{effect.id} {effect.size:.4g}" if effect else "nothing"
+    return KEPT(f"hidden in {pair}: {what}", diagnosis, made_by=MADE_BY)
 
 
-def scored(
-    pair: str, effect: KnownEffect, result: Mapping[str, Any], reference: Mapping[str, Any]
-) -> HiddenResult:
-    """Judge the diagnosis of a pair."""
-    train, _ = hidden_pair(pair, effect)
-    return score(effect, result, reference, train.voltages_V, train.t_s, load_rig(RIG))
-
-
-def rows(
-    pairs: Sequence[str], effects: Sequence[KnownEffect], kept: Path
-) -> Iterator[tuple[str, HiddenResult]]:
-    """Diagnose what is not in the file yet, and judge everything.
+def rows(names: Sequence[str], effects: Sequence[KnownEffect]) -> Iterator[tuple[str, HiddenResult]]:
+    """Diagnose and judge each effect in each pair.
 
     Parameters
     ----------
-    pairs : sequence of str
+    names : sequence of str
         Keys of `PAIRS`.
-    kept : Path
-        File of results, a line each.
     """
-    done: dict[str, dict[str, Any]] = {}
-    if kept.exists():
-        for line in kept.read_text().splitlines():
-            row = json.loads(line)
-            done[row["key"]] = row["result"]
-    kept.parent.mkdir(parents=True, exist_ok=True)
-
-    def result(pair: str, effect: KnownEffect | None) -> dict[str, Any]:
-        key = f"{pair} {effect.id} {effect.size:.4g}" if effect else f"{pair} nothing"
-        if key not in done:
-            done[key] = diagnosed(pair, effect)
-            with kept.open("a") as file:
-                file.write(json.dumps({"key": key, "result": done[key]}) + "\n")
-        return done[key]
-
-    for pair in pairs:
-        reference = result(pair, None)
+    rig = load_rig(RIG)
+    for pair in names:
+        reference = diagnosed(pair, None, hidden_pair(pair, None))
         for effect in effects:
-            yield pair, scored(pair, effect, result(pair, effect), reference)
+            records = hidden_pair(pair, effect)
+            result = diagnosed(pair, effect, records)
+            train, _ = records
+            yield pair, score(effect, result, reference, train.voltages_V, train.t_s, rig)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -101,16 +90,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit status: 2 without the flights.
     """
     parser = argparse.ArgumentParser(prog="python -m tests.measured.hidden", description=__doc__)
-    parser.add_argument("pairs", nargs="*", help=f"some of {', '.join(PAIRS)}; all without")
-    parser.add_argument("--effect", action="append", help="only this effect; may be given again")
-    parser.add_argument("--kept", type=Path, default=KEPT, help="file of results")
+    add_pairs(parser)
+    ids = tuple(HIDERS)
+    parser.add_argument(
+        "--effect", action="append", choices=ids, metavar="EFFECT", help=f"only this one of {', '.join(ids)}"
+    )
     given = parser.parse_args(arguments)
     if not MEASURED.exists():
-        print("skipped: no shared data")
+        print(NO_DATA)
         return 2
     effects = [effect for effect in HIDDEN_EFFECTS if not given.effect or effect.id in given.effect]
     results = []
-    for pair, row in rows(given.pairs or list(PAIRS), effects, given.kept):
+    for pair, row in rows(given.pairs or list(PAIRS), effects):
         results.append(row)
         print(_line(pair, row), flush=True)
     print(*summary(results), sep="\n")

@@ -65,13 +65,13 @@ def _asymmetry(flight: Flight, size: float, _at_s: float, _count_rad: Floats) ->
 
 
 def _step(flight: Flight, size: float, at_s: float, _count_rad: Floats) -> Flight:
-    left = np.where(flight.t_s < at_s, 1.0, 1.0 - size)
-    return replace(flight, front_V=flight.front_V / left)
+    voltage_share = np.where(flight.t_s < at_s, 1.0, 1.0 - size)
+    return replace(flight, front_V=flight.front_V / voltage_share)
 
 
 def _fade(flight: Flight, size: float, _at_s: float, _count_rad: Floats) -> Flight:
-    left = 1.0 - size * flight.t_s
-    return replace(flight, front_V=flight.front_V / left, back_V=flight.back_V / left)
+    voltage_share = 1.0 - size * flight.t_s
+    return replace(flight, front_V=flight.front_V / voltage_share, back_V=flight.back_V / voltage_share)
 
 
 def _play(flight: Flight, size: float, _at_s: float, count_rad: Floats) -> Flight:

@@ -107,7 +107,7 @@ def score(
 
 
 def _means(cause: Mapping[str, Any], names: tuple[str, ...]) -> bool:
-    return cause["effect"] in names or bool({*names} & {*cause["ambiguous_with"]})
+    return bool({*names} & {cause["effect"], *cause["ambiguous_with"]})
 
 
 def _alike(cause: Mapping[str, Any]) -> tuple[str, ...]:
@@ -199,11 +199,11 @@ def steady_thrust(result: Mapping[str, Any], rig: Rig) -> Curve:
     causes = {cause["effect"]: cause["parameters"] for cause in result["causes"]}
     squared = causes.get("rotor_speed_lag")
     bent = causes.get("thrust_quadratic")
+    begins_V = dead_zone_V * (squared["rotor_speed_lag_begins"]["value"] if squared else 1.0)
 
     def curve(volts_V: Floats) -> Floats:
-        begins = squared["rotor_speed_lag_begins"]["value"] if squared else 1.0
-        forward_V = np.maximum(volts_V - begins * dead_zone_V, 0.0)
-        backward_V = np.maximum(-volts_V - begins * dead_zone_V, 0.0)
+        forward_V = np.maximum(volts_V - begins_V, 0.0)
+        backward_V = np.maximum(-volts_V - begins_V, 0.0)
         if squared:
             return np.asarray(forward_V**2 - reverse * backward_V**2)
         thrust = forward_V - reverse * backward_V
