@@ -1,6 +1,6 @@
 # Two commands matter: `make fly` and `make test`. Everything they need is set up in .venv by .ci/setup.
 .DEFAULT_GOAL := help
-.PHONY: help setup fly docs quick test long check bench blind mutants fuzz firmware clean
+.PHONY: help setup fly docs quick test long check bench blind mutants fuzz firmware release clean
 
 PLANS ?= hover sine
 SPEED ?= 1
@@ -65,6 +65,10 @@ firmware: ## build what is flashed to the Due: build/pio/due/firmware.{elf,bin}
 	@.ci/setup firmware
 	@.venv/bin/python firmware/pio/build.py run -e due
 
+release: ## check what a release needs, build wheel and source archive into dist/; publishes nothing
+	@.ci/setup test
+	@.venv/bin/python .ci/release.py
+
 clean: ## remove .venv and everything built; flights/ stays
-	rm -rf .venv build bench.json blind.json .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv build dist bench.json blind.json .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

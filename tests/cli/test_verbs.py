@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import time
@@ -9,6 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from heli_host.cli.extras import USERS_EXTRAS, packages_of
 from heli_host.cli.finding import Verdict
 from heli_host.cli.flight_command import FlownFlight
 from heli_host.cli.verbs import doctor
@@ -20,6 +22,8 @@ from serial.tools import list_ports
 from tests.cli.terminal import Terminal, process
 
 pytestmark = pytest.mark.medium
+
+ROOT = Path(__file__).resolve().parents[2]
 
 SIL = ("--sil", "--speed", "max")
 DUE = SimpleNamespace(device="/dev/ttyDUE", description="n/a", vid=0x2341, pid=0x003D, serial_number=None)
@@ -124,6 +128,22 @@ def test_doctor_names_a_missing_package() -> None:
     finding = doctor.check_packages(lambda name: name != "cobs")
     assert finding.verdict is Verdict.BAD
     assert "cobs" in finding.what
+
+
+def test_doctor_lists_optional_parts_and_how_to_add_them() -> None:
+    notes = {finding.what: finding for finding in doctor.check_extras(lambda name: name != "pyarrow")}
+    lacking = next(finding for what, finding in notes.items() if "logs as Parquet" in what)
+    assert lacking.verdict is Verdict.NOTE
+    assert lacking.what == "not installed: logs as Parquet (needs pyarrow)"
+    assert lacking.remedy.endswith("pip install 'heli-host[export]'")
+    assert "optional: the dashboard, the Gymnasium environment" in notes
+
+
+def test_every_optional_part_of_the_documents_exists() -> None:
+    rows = (ROOT / "docs" / "how-to" / "platforms.md").read_text().partition("## Optional parts")[2]
+    listed = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", rows.partition("## Containers")[0], re.M))
+    assert listed == dict(USERS_EXTRAS)
+    assert all(packages_of(extra) for extra in listed)
 
 
 def test_help_imports_nothing_heavy() -> None:

@@ -15,7 +15,6 @@ import contextvars
 import copy
 import functools
 import os
-import re
 import signal
 import stat
 import sys
@@ -79,7 +78,6 @@ for _name, _verb in installed_verbs().items():
 # Typer raises its errors from click, or from its own copy of click since 0.25; this class is in both.
 _UsageError = next(base for base in typer.BadParameter.__mro__ if base.__name__ == "ClickException")
 
-_USERS_EXTRAS = ("page", "import", "export", "gym", "campaign")
 EXIT_ASKED, EXIT_FILE, EXIT_BUG, EXIT_INTERRUPTED = 2, 5, 70, 130
 
 
@@ -177,15 +175,11 @@ def _explain(error: Exception) -> tuple[str, int]:
 
 
 def _remedy(package: str) -> str:
-    """How to install a package: with all that goes with it, where it is one of this program's extras."""
-    from importlib.metadata import metadata
+    """Return the command that installs a package, together with the others of its extra if it has one."""
+    from heli_host.cli.extras import extra_with
 
-    name = re.compile(rf"{re.escape(package.partition('.')[0])}(?![\w.-])", re.I)
-    lines = metadata(DISTRIBUTION).get_all("Requires-Dist") or ()
-    for extra in _USERS_EXTRAS:
-        if any(name.match(line) and re.search(rf"extra == ['\"]{extra}['\"]", line) for line in lines):
-            return f"pip install '{DISTRIBUTION}[{extra}]'"
-    return f"pip install {package}"
+    extra = extra_with(package)
+    return f"pip install '{DISTRIBUTION}[{extra}]'" if extra else f"pip install {package}"
 
 
 def _usage_text(error: Exception) -> tuple[str, int]:

@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING
 import typer
 
 from heli_host.cli.board import is_due, is_due_native
+from heli_host.cli.extras import USERS_EXTRAS, packages_of
 from heli_host.cli.finding import ENTRY_POINT_GROUP, Finding, Verdict
 from heli_host.cli.modem_manager import check_modem_manager
 from heli_host.cli.options import JsonOption
 from heli_host.cli.say import write_result
-from heli_host.cli.verb import Verb
+from heli_host.cli.verb import DISTRIBUTION, Verb
 
 if TYPE_CHECKING:
     from heli_host.link.transport import PortInfo
@@ -66,6 +67,7 @@ def examine() -> Iterator[Finding]:
     """
     yield check_python()
     yield check_packages()
+    yield from check_extras()
     for entry in entry_points(group=ENTRY_POINT_GROUP):
         yield from entry.load()()
     from heli_host.link.transport import available_ports
@@ -95,6 +97,30 @@ def check_packages(is_installed: Callable[[str], bool] | None = None) -> Finding
     if missing:
         return Finding(Verdict.BAD, f"packages missing: {', '.join(missing)}", "run: make setup")
     return Finding(Verdict.GOOD, f"{len(names)} packages: {', '.join(names)}")
+
+
+def check_extras(is_installed: Callable[[str], bool] | None = None) -> Iterator[Finding]:
+    """Yield the optional parts that work, and one note per part that lacks a package.
+
+    Parameters
+    ----------
+    is_installed : callable, optional
+        Whether the distribution of a name is installed; by default, whether it is here.
+    """
+    is_installed = is_installed or _is_installed
+    complete = []
+    for extra, purpose in USERS_EXTRAS.items():
+        missing = [name for name in packages_of(extra) if not is_installed(name)]
+        if missing:
+            yield Finding(
+                Verdict.NOTE,
+                f"not installed: {purpose} (needs {', '.join(missing)})",
+                f"if you want it, run: pip install '{DISTRIBUTION}[{extra}]'",
+            )
+        else:
+            complete.append(purpose)
+    if complete:
+        yield Finding(Verdict.GOOD, f"optional: {', '.join(complete)}")
 
 
 def _is_installed(name: str) -> bool:

@@ -1,0 +1,47 @@
+"""Optional parts of the package, by the name of the extra that installs what they need."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import re
+from collections.abc import Mapping
+from typing import Final
+
+from heli_host.cli.verb import DISTRIBUTION
+
+USERS_EXTRAS: Final[Mapping[str, str]] = {
+    "page": "the dashboard",
+    "import": "spreadsheets, Parquet files and ROS bags",
+    "export": "logs as Parquet",
+    "gym": "the Gymnasium environment",
+    "campaign": "campaigns on several computers",
+}
+"""Extras that users choose, and their purpose. Other extras are for developers."""
+
+
+def packages_of(extra: str) -> tuple[str, ...]:
+    """Return the names of the packages that an extra installs.
+
+    Parameters
+    ----------
+    extra : str
+        One of `USERS_EXTRAS`.
+    """
+    lines = importlib.metadata.requires(DISTRIBUTION) or []
+    wanted = re.compile(rf"extra == ['\"]{re.escape(extra)}['\"]")
+    return tuple(re.split(r"[^\w.-]", line, maxsplit=1)[0] for line in lines if wanted.search(line))
+
+
+def extra_with(package: str) -> str | None:
+    """Return the users' extra that installs a package, or None.
+
+    Parameters
+    ----------
+    package : str
+        Its import name, such as ``rosbags.highlevel``.
+    """
+    wanted = package.partition(".")[0].lower()
+    for extra in USERS_EXTRAS:
+        if wanted in (name.lower() for name in packages_of(extra)):
+            return extra
+    return None
