@@ -13,6 +13,7 @@ FILES ?= firmware/core
 SEED ?= 1
 COUNT ?= 150
 PARTS ?=
+PINS ?=
 HELI := .venv/bin/heli-host
 
 help: ## this list
@@ -61,9 +62,9 @@ fuzz: ## fuzz the board, the host and its logs: make fuzz [FUZZ_S=60] [FRAMES=10
 	@.venv/bin/python -m tests.link.fuzz_host $(FRAMES)
 	@.venv/bin/python -m tests.log.fuzz_log $(LOGS)
 
-firmware: ## build what is flashed to the Due: build/pio/due/firmware.{elf,bin}
+firmware: ## build what is flashed to the Due: make firmware [PINS=my.toml, for another wiring]
 	@.ci/setup firmware
-	@.venv/bin/python firmware/pio/build.py run -e due
+	@.venv/bin/python firmware/pio/build.py $(if $(PINS),--pins "$(PINS)") run -e due
 
 release: ## check what a release needs, build wheel and source archive into dist/; publishes nothing
 	@.ci/setup test

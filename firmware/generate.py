@@ -1,8 +1,8 @@
-"""Write the C++, Python and MATLAB tables and three pages of docs/reference from firmware/link.toml.
+"""Write what link.toml and pins.toml declare: C++, Python and MATLAB tables, and pages of docs.
 
-Run ``python firmware/generate.py`` after every change of link.toml; ``--check`` writes nothing and
-fails when a generated file is stale. Needs nothing but the standard library, so that a firmware
-build can run it before any package is installed.
+Run ``python firmware/generate.py`` after every change of link.toml or pins.toml; ``--check`` writes
+nothing and fails when a generated file is stale. Needs nothing but the standard library, so that a
+firmware build can run it before any package is installed.
 """
 
 from __future__ import annotations
@@ -17,10 +17,15 @@ from firmware.generator.cpp import generate_cpp
 from firmware.generator.declared import DeclarationError, read
 from firmware.generator.document import generate_doc, generate_faults, generate_parameters
 from firmware.generator.matlab import generate_matlab
+from firmware.generator.pins import read_pins
 from firmware.generator.python import generate_python
+from firmware.generator.wiring import generate_header, with_table
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = "firmware/link.toml"
+PINS = "firmware/pins.toml"
+HEADER = "firmware/due/wiring.hpp"
+WIRING_PAGE = "docs/how-to/wiring.md"
 WRITERS = {
     "firmware/core/link/declaration.hpp": generate_cpp,
     "host/heli_host/declaration.py": generate_python,
@@ -38,15 +43,25 @@ def main() -> int:
     parser.add_argument("--source", type=Path, metavar="FILE", help=f"the declaration, instead of {SOURCE}")
     parser.add_argument("--root", type=Path, metavar="DIR", default=ROOT, help="the tree to write into")
     arguments = parser.parse_args()
-    source: Path = arguments.source or arguments.root / SOURCE
+    root: Path = arguments.root
+    source: Path = arguments.source or root / SOURCE
     try:
         declaration = read(source)
     except DeclarationError as error:
         print(f"{source.name}: {error}", file=sys.stderr)
         return 2
+    texts = {name: write(declaration) for name, write in WRITERS.items()}
+    if (root / PINS).exists():
+        try:
+            wiring = read_pins(root / PINS)
+            texts[HEADER] = generate_header(wiring)
+            texts[WIRING_PAGE] = with_table((root / WIRING_PAGE).read_text(encoding="utf-8"), wiring)
+        except DeclarationError as error:
+            print(f"pins.toml: {error}", file=sys.stderr)
+            return 2
     stale = False
-    for name, write in WRITERS.items():
-        path, text = arguments.root / name, write(declaration)
+    for name, text in texts.items():
+        path = root / name
         if path.exists() and path.read_text(encoding="utf-8") == text:
             continue
         stale = True

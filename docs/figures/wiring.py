@@ -1,8 +1,7 @@
-"""Draw docs/figures/wiring.svg from the firmware's own pins: ``python docs/figures/wiring.py [FILE]``."""
+"""Draw docs/figures/wiring.svg from firmware/pins.toml: ``python docs/figures/wiring.py [FILE [PINS]]``."""
 
 from __future__ import annotations
 
-import re
 import sys
 from pathlib import Path
 from typing import NamedTuple
@@ -13,7 +12,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
 HERE = Path(__file__).resolve().parent
-PINS = HERE.parents[1] / "firmware" / "due" / "pins.hpp"
+ROOT = HERE.parents[1]
+sys.path.insert(0, str(ROOT))
+
+from firmware.generator.pins import CHIP_PINS, read_pins  # noqa: E402 - found by the line above
+from firmware.generator.wiring import rows  # noqa: E402
+
+PINS = ROOT / "firmware" / "pins.toml"
 
 SIGNAL, POWER, SUPPLY, GROUND = "#1b4f8f", "#b04a00", "#a01515", "#333333"
 BOARD_LEFT, BOARD_RIGHT = 58.0, 84.0
@@ -22,26 +27,21 @@ RAIL = 141.0
 
 
 class Pin(NamedTuple):
-    """A constant of pins.hpp: its chip pin, and its name as printed on the Due."""
+    """A pin: its name at the chip, and its name as printed on the Due."""
 
     chip: str
     due: str
 
 
-def read_pins(source: str) -> dict[str, Pin]:
-    """Pins by the names of their constants, without the k.
+def wires(path: Path) -> dict[str, Pin]:
+    """Return the pins of a wiring by the names of their signals.
 
     Parameters
     ----------
-    source : str
-        Text of pins.hpp.
-
-    Returns
-    -------
-    dict of str to Pin
+    path : Path
+        A wiring such as firmware/pins.toml.
     """
-    pattern = re.compile(r"Pin k(\w+)\{PIO([A-D]), (\d+)\};\s*// (D\d+)")
-    return {match[1]: Pin(f"P{match[2]}{match[3]}", match[4]) for match in pattern.finditer(source)}
+    return {name: Pin(CHIP_PINS[due], due) for name, due, _, _ in rows(read_pins(path))}
 
 
 def wire(axes: Axes, points: list[tuple[float, float]], colour: str = SIGNAL) -> None:
@@ -116,7 +116,7 @@ def encoder(axes: Axes, top: float, name: str, line_a: Pin, line_b: Pin) -> None
     axes.text(5.0, top - 3.5, "N type:\nopen collector", fontsize=7, va="center")
 
 
-def driver(axes: Axes, top: float, name: str, lines: list[tuple[str, Pin]]) -> float:
+def driver(axes: Axes, top: float, name: str, lines: list[tuple[str, Pin]], *, inverted: bool) -> float:
     """A driver module, its control lines, supply and motor; returns the height of its supply terminal."""
     block(axes, RIGHT_EDGE, top - 30.0, 19.0, 33.0, f"{name} driver: IBT-2")
     for row, (terminal, pin) in enumerate(lines):
@@ -125,7 +125,8 @@ def driver(axes: Axes, top: float, name: str, lines: list[tuple[str, Pin]]) -> f
         wire(axes, [(BOARD_RIGHT, y), (RIGHT_EDGE, y)])
         board_pin(axes, y, pin.due, pin.chip, left=False)
         if terminal.endswith("EN"):
-            pull_down(axes, 92.0 if terminal == "R_EN" else 100.0, y, "4.7 k")
+            hold_off = pull_up if inverted else pull_down
+            hold_off(axes, 92.0 if terminal == "R_EN" else 100.0, y, "4.7 k")
     y = top - 5.5 * len(lines)
     axes.text(RIGHT_EDGE + 1.0, y, "VCC", ha="left", va="center", fontsize=8)
     wire(axes, [(RIGHT_EDGE, y), (100.0, y)], POWER)
@@ -153,18 +154,19 @@ def driver(axes: Axes, top: float, name: str, lines: list[tuple[str, Pin]]) -> f
     return supply_y
 
 
-def draw(pins: dict[str, Pin]) -> Figure:
+def draw(path: Path) -> Figure:
     """The whole diagram.
 
     Parameters
     ----------
-    pins : dict of str to Pin
-        From `read_pins`.
+    path : Path
+        A wiring such as firmware/pins.toml.
 
     Returns
     -------
     Figure
     """
+    pins, wiring = wires(path), read_pins(path)
     figure = Figure(figsize=(14.4, 9.6))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_xlim(0, 144)
@@ -202,8 +204,10 @@ def draw(pins: dict[str, Pin]) -> Figure:
         y - 5.5,
         LEFT_EDGE - 4.0,
         8.5,
-        "stop: normally closed",
-        "opens when pressed; second contact: right",
+        "stop: normally closed" if wiring.stop_is_high else "stop: normally open",
+        "opens when pressed; second contact: right"
+        if wiring.stop_is_high
+        else "second contact, which opens: right",
     )
     axes.text(LEFT_EDGE - 1.0, y, "to D29", ha="right", va="center", fontsize=7)
     axes.text(LEFT_EDGE - 1.0, y - 3.4, "to ground", ha="right", va="center", fontsize=7)
@@ -236,8 +240,8 @@ def draw(pins: dict[str, Pin]) -> Figure:
         ("RPWM", pins["BackForward"]),
         ("LPWM", pins["BackReverse"]),
     ]
-    upper = driver(axes, 84.0, "front", front)
-    lower = driver(axes, 44.0, "back", back)
+    upper = driver(axes, 84.0, "front", front, inverted=wiring.enable_inverted)
+    lower = driver(axes, 44.0, "back", back, inverted=wiring.enable_inverted)
     wire(axes, [(RAIL, upper), (RAIL, 7.0), (133.0, 7.0)], SUPPLY)
     dot(axes, RAIL, lower, SUPPLY)
     # A normally closed contact.
@@ -254,11 +258,12 @@ def draw(pins: dict[str, Pin]) -> Figure:
 
 
 def main() -> None:
-    """Draw it into the file named, or beside this program."""
+    """Draw it into the file named, or into this folder."""
     target = Path(sys.argv[1]) if len(sys.argv) > 1 else HERE / "wiring.svg"
+    pins = Path(sys.argv[2]) if len(sys.argv) > 2 else PINS
     # Text stays text, and the same pins make the same file.
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "wiring", "font.family": "DejaVu Sans"}):
-        draw(read_pins(PINS.read_text())).savefig(
+        draw(pins).savefig(
             target, metadata={"Date": None} if target.suffix == ".svg" else None, dpi=110, facecolor="white"
         )
 

@@ -1,6 +1,7 @@
 #include "encoders.hpp"
 
 #include <cstdint>
+#include <wiring.hpp>
 
 #include "cortex_m3.hpp"
 #include "pins.hpp"
@@ -23,11 +24,11 @@ constexpr std::uint32_t kDecoder = TC_BMR_QDEN | TC_BMR_POSEN | TC_BMR_EDGPHA | 
 // count.
 constexpr std::uint32_t kPosition = TC_CMR_TCCLKS_XC0 | TC_CMR_ETRGEDG_RISING | TC_CMR_ABETRG;
 
-constexpr std::uint32_t kTravelMask = pins::kTravelA.mask() | pins::kTravelB.mask();
-static_assert(pins::kTravelA.number == 0 && pins::kTravelB.number == 1 && kTravelMask == 3U,
+constexpr std::uint32_t kEdgeMask = pins::kInterruptA.mask() | pins::kInterruptB.mask();
+static_assert(pins::kInterruptA.number == 0 && pins::kInterruptB.number == 1 && kEdgeMask == 3U,
               "the masked port is the index of the transition table");
 
-// Edges of travel that are served in a tick: twice what comes at 200,000 a second, and less than a
+// Edges that are served in a tick: twice what comes at 200,000 a second, and less than a
 // third of the tick, so that noise on the lines starves neither the tick nor the idle loop.
 constexpr std::uint32_t kMaxEdges = 400;
 
@@ -42,11 +43,11 @@ constexpr std::int8_t kSteps[16] = {
 };
 
 // Written by the encoder interrupt, read by the tick; each is one aligned word.
-volatile std::int32_t travel_count;
-volatile std::uint32_t travel_illegal;
-volatile std::uint32_t travel_edges;  // since the tick looked
-volatile bool travel_overloaded;
-std::uint32_t travel_state;
+volatile std::int32_t edge_count;
+volatile std::uint32_t illegal_edges;
+volatile std::uint32_t edges_in_tick;  // since the tick looked
+volatile bool overloaded;
+std::uint32_t line_state;
 
 std::uint32_t decoder_errors[2];
 
@@ -66,12 +67,12 @@ std::uint32_t errors(At<Tc> tc, std::uint32_t& count) {
   return count;
 }
 
-// How many edges used up the budget, 0 if it was enough; travel gets a new one.
+// How many edges used up the budget, 0 if it was enough; the next tick has a new one.
 std::uint32_t renew_budget() {
-  travel_edges = 0;
-  if (!travel_overloaded) return 0;
-  travel_overloaded = false;
-  PIOD->PIO_IER.write(kTravelMask);
+  edges_in_tick = 0;
+  if (!overloaded) return 0;
+  overloaded = false;
+  PIOD->PIO_IER.write(kEdgeMask);
   return kMaxEdges;
 }
 
@@ -80,27 +81,27 @@ std::uint32_t renew_budget() {
 void start() {
   PMC->PMC_PCER0.write(bit(ID_TC0));
   PMC->PMC_PCER1.write(bit(ID_TC6 - 32));
-  pins::to_peripheral_b(PIOB, pins::kElevationA.mask() | pins::kElevationB.mask());
-  pins::to_peripheral_b(PIOC, pins::kPitchA.mask() | pins::kPitchB.mask());
+  pins::to_peripheral_b(PIOB, pins::kTc0A.mask() | pins::kTc0B.mask());
+  pins::to_peripheral_b(PIOC, pins::kTc2A.mask() | pins::kTc2B.mask());
   start_decoder(TC0);
   start_decoder(TC2);
 
-  PIOD->PIO_ODR.write(kTravelMask);
-  PIOD->PIO_PER.write(kTravelMask);
-  travel_state = PIOD->PIO_PDSR.read() & kTravelMask;
+  PIOD->PIO_ODR.write(kEdgeMask);
+  PIOD->PIO_PER.write(kEdgeMask);
+  line_state = PIOD->PIO_PDSR.read() & kEdgeMask;
   // After reset a pin's interrupt comes at both edges.
-  PIOD->PIO_IER.write(kTravelMask);
+  PIOD->PIO_IER.write(kEdgeMask);
   enable_interrupt(ID_PIOD, kEncoderPriority);
 }
 
 EncoderReading read() {
   EncoderReading reading{};
-  reading.count[kElevation] = static_cast<std::int32_t>(TC0->TC_CHANNEL[0].TC_CV.read());
-  reading.count[kPitch] = static_cast<std::int32_t>(TC2->TC_CHANNEL[0].TC_CV.read());
-  reading.count[kTravel] = travel_count;
-  reading.illegal[kElevation] = errors(TC0, decoder_errors[0]);
-  reading.illegal[kPitch] = errors(TC2, decoder_errors[1]);
-  reading.illegal[kTravel] = travel_illegal;
+  reading.count[wiring::kTc0Axis] = static_cast<std::int32_t>(TC0->TC_CHANNEL[0].TC_CV.read());
+  reading.count[wiring::kTc2Axis] = static_cast<std::int32_t>(TC2->TC_CHANNEL[0].TC_CV.read());
+  reading.count[wiring::kInterruptAxis] = edge_count;
+  reading.illegal[wiring::kTc0Axis] = errors(TC0, decoder_errors[0]);
+  reading.illegal[wiring::kTc2Axis] = errors(TC2, decoder_errors[1]);
+  reading.illegal[wiring::kInterruptAxis] = illegal_edges;
   reading.overload_edges = renew_budget();
   return reading;
 }
@@ -113,18 +114,18 @@ extern "C" void encoder_interrupt() {
   // Status before state: an edge between the two calls this again and finds nothing new, the other
   // way round it would be lost.
   static_cast<void>(PIOD->PIO_ISR.read());
-  const std::uint32_t now = PIOD->PIO_PDSR.read() & kTravelMask;
-  const std::int32_t step = kSteps[travel_state << 2U | now];
-  travel_state = now;
+  const std::uint32_t now = PIOD->PIO_PDSR.read() & kEdgeMask;
+  const std::int32_t step = kSteps[line_state << 2U | now];
+  line_state = now;
   if (step == kIllegal) {
-    travel_illegal = travel_illegal + 1U;
+    illegal_edges = illegal_edges + 1U;
   } else {
-    travel_count = travel_count + step;
+    edge_count = edge_count + step;
   }
-  const std::uint32_t edges = travel_edges + 1U;
-  travel_edges = edges;
+  const std::uint32_t edges = edges_in_tick + 1U;
+  edges_in_tick = edges;
   if (edges >= kMaxEdges) {
-    PIOD->PIO_IDR.write(kTravelMask);
-    travel_overloaded = true;
+    PIOD->PIO_IDR.write(kEdgeMask);
+    overloaded = true;
   }
 }

@@ -1,6 +1,7 @@
 #include "motors.hpp"
 
 #include <cstdint>
+#include <wiring.hpp>
 
 #include "clock.hpp"
 #include "pins.hpp"
@@ -9,15 +10,12 @@
 namespace heli::due::motors {
 namespace {
 
-constexpr unsigned kFrontForward = 4;
-constexpr unsigned kFrontReverse = 5;
-constexpr unsigned kBackForward = 6;
-constexpr unsigned kBackReverse = 7;
 constexpr std::uint32_t kChannelMask = 0xF0;
 // Synchronous channels take clock, period, alignment and fault enables from channel 0, which is
 // therefore always one of them; its own pins are not used.
 constexpr std::uint32_t kGroup = kChannelMask | 1U;
-constexpr unsigned kChannels[] = {0, kFrontForward, kFrontReverse, kBackForward, kBackReverse};
+constexpr unsigned kChannels[] = {0, wiring::kFrontForwardChannel, wiring::kFrontReverseChannel,
+                                  wiring::kBackForwardChannel, wiring::kBackReverseChannel};
 
 constexpr std::uint32_t kPeriod = kDutyFull;
 
@@ -27,52 +25,73 @@ constexpr std::uint32_t kMode = PWM_CMR_CPRE_MCK | PWM_CMR_CALG | PWM_CMR_CPOL;
 
 // PWMFI2 is fault input 2 of the SAM3X.
 constexpr std::uint32_t kStopInput = bit(2);
-// Which level stops: high, so that a normally closed switch to ground stops when it is pressed,
-// when its wire breaks and when nothing is connected. Change it only together with the wiring.
-constexpr bool kStopIsHigh = true;
-
 // Bits of the PWML outputs in the override registers.
 constexpr std::uint32_t kOverride = kChannelMask << 16U;
 
-constexpr std::uint32_t kPwmPins = pins::kFrontForward.mask() | pins::kFrontReverse.mask() |
-                                   pins::kBackForward.mask() | pins::kBackReverse.mask();
-constexpr std::uint32_t kEnablesA =
-    pins::kFrontReverseEnable.mask() | pins::kBackForwardEnable.mask();
-constexpr std::uint32_t kEnablesB = pins::kFrontForwardEnable.mask();
-constexpr std::uint32_t kEnablesD = pins::kBackReverseEnable.mask();
+// Override and fault levels that switch a bridge off.
+constexpr std::uint32_t kOffLevels = wiring::kPwmInverted ? kOverride : 0U;
+
+constexpr std::uint32_t kPwmPins = wiring::kFrontForward.mask() | wiring::kFrontReverse.mask() |
+                                   wiring::kBackForward.mask() | wiring::kBackReverse.mask();
+
+constexpr std::uint32_t enables_on(At<Pio> port) {
+  return wiring::kFrontForwardEnable.mask_on(port) | wiring::kFrontReverseEnable.mask_on(port) |
+         wiring::kBackForwardEnable.mask_on(port) | wiring::kBackReverseEnable.mask_on(port);
+}
+constexpr std::uint32_t kEnablesA = enables_on(PIOA);
+constexpr std::uint32_t kEnablesB = enables_on(PIOB);
+constexpr std::uint32_t kEnablesC = enables_on(PIOC);
+constexpr std::uint32_t kEnablesD = enables_on(PIOD);
 
 bool enabled;
 
-void drive_low(At<Pio> port, std::uint32_t mask) {
-  port->PIO_CODR.write(mask);
+void set_level(At<Pio> port, std::uint32_t mask, bool high) {
+  if (high) {
+    port->PIO_SODR.write(mask);
+  } else {
+    port->PIO_CODR.write(mask);
+  }
+}
+
+// On a port without an enable nothing is written.
+template <bool kOn>
+void set_enables() {
+  constexpr bool kHigh = kOn != wiring::kEnableInverted;
+  if constexpr (kEnablesA != 0U) set_level(PIOA, kEnablesA, kHigh);
+  if constexpr (kEnablesB != 0U) set_level(PIOB, kEnablesB, kHigh);
+  if constexpr (kEnablesC != 0U) set_level(PIOC, kEnablesC, kHigh);
+  if constexpr (kEnablesD != 0U) set_level(PIOD, kEnablesD, kHigh);
+}
+
+void drive(At<Pio> port, std::uint32_t mask, bool high) {
+  set_level(port, mask, high);
   port->PIO_OER.write(mask);
   port->PIO_PER.write(mask);
   port->PIO_PUDR.write(mask);
 }
 
-void disable_drivers() {
-  PIOA->PIO_CODR.write(kEnablesA);
-  PIOB->PIO_CODR.write(kEnablesB);
-  PIOD->PIO_CODR.write(kEnablesD);
-}
+void disable_drivers() { set_enables<false>(); }
 
 void set_duty(unsigned channel, std::int32_t duty) {
-  PWM->PWM_CH_NUM[channel].PWM_CDTYUPD.write(kPeriod - static_cast<std::uint32_t>(duty));
+  const auto on = static_cast<std::uint32_t>(duty);
+  PWM->PWM_CH_NUM[channel].PWM_CDTYUPD.write(wiring::kPwmInverted ? on : kPeriod - on);
 }
 
 }  // namespace
 
 void hold_off() {
   pins::clock_all_ports();
-  drive_low(PIOA, kEnablesA);
-  drive_low(PIOB, kEnablesB);
-  drive_low(PIOD, kEnablesD);
-  drive_low(PIOC, kPwmPins);
+  constexpr bool kOff = wiring::kEnableInverted;
+  if constexpr (kEnablesA != 0U) drive(PIOA, kEnablesA, kOff);
+  if constexpr (kEnablesB != 0U) drive(PIOB, kEnablesB, kOff);
+  if constexpr (kEnablesC != 0U) drive(PIOC, kEnablesC, kOff);
+  if constexpr (kEnablesD != 0U) drive(PIOD, kEnablesD, kOff);
+  drive(PIOC, kPwmPins, wiring::kPwmInverted);
 }
 
 void start() {
   PMC->PMC_PCER1.write(bit(ID_PWM - 32));
-  PWM->PWM_OOV.write(0);
+  PWM->PWM_OOV.write(kOffLevels);
   PWM->PWM_OSS.write(kOverride);
 
   PWM->PWM_SCM.write(kGroup | PWM_SCM_UPDM_MODE0);
@@ -80,13 +99,13 @@ void start() {
     PwmChannel& registers = PWM->PWM_CH_NUM[channel];
     registers.PWM_CMR.write(kMode);
     registers.PWM_CPRD.write(kPeriod);
-    registers.PWM_CDTY.write(kPeriod);
+    registers.PWM_CDTY.write(wiring::kPwmInverted ? 0U : kPeriod);
   }
 
-  // Latched (FMOD) and filtered, so that a bouncing switch stops once and for good. FPV = 0: low.
-  PWM->PWM_FMR.write(PWM_FMR_FPOL(kStopIsHigh ? kStopInput : 0U) | PWM_FMR_FMOD(kStopInput) |
-                     PWM_FMR_FFIL(kStopInput));
-  PWM->PWM_FPV.write(0);
+  // Latched (FMOD) and filtered, so that a bouncing switch stops once and for good. FPV: off.
+  PWM->PWM_FMR.write(PWM_FMR_FPOL(wiring::kStopIsHigh ? kStopInput : 0U) |
+                     PWM_FMR_FMOD(kStopInput) | PWM_FMR_FFIL(kStopInput));
+  PWM->PWM_FPV.write(kOffLevels);
   PWM->PWM_FPE1.write(kStopInput);
   PWM->PWM_FPE2.write(kStopInput * 0x01010101U);
   PIOD->PIO_PUER.write(pins::kHardwareStop.mask());
@@ -105,17 +124,15 @@ void write(const MotorCommand& command) {
   }
   const std::int32_t front = command.enable ? command.front_duty : 0;
   const std::int32_t back = command.enable ? command.back_duty : 0;
-  set_duty(kFrontForward, front > 0 ? front : 0);
-  set_duty(kFrontReverse, front < 0 ? -front : 0);
-  set_duty(kBackForward, back > 0 ? back : 0);
-  set_duty(kBackReverse, back < 0 ? -back : 0);
+  set_duty(wiring::kFrontForwardChannel, front > 0 ? front : 0);
+  set_duty(wiring::kFrontReverseChannel, front < 0 ? -front : 0);
+  set_duty(wiring::kBackForwardChannel, back > 0 ? back : 0);
+  set_duty(wiring::kBackReverseChannel, back < 0 ? -back : 0);
   PWM->PWM_SCUC.write(PWM_SCUC_UPDULOCK);
 
   if (command.enable && !enabled) {
     PWM->PWM_OSC.write(kOverride);
-    PIOA->PIO_SODR.write(kEnablesA);
-    PIOB->PIO_SODR.write(kEnablesB);
-    PIOD->PIO_SODR.write(kEnablesD);
+    set_enables<true>();
   }
   enabled = command.enable;
 }
@@ -124,7 +141,7 @@ bool hardware_stop() {
   const std::uint32_t status = PWM->PWM_FSR.read();
   const bool active = (PWM_FSR_FS.of(status) & kStopInput) != 0U;
   const bool high = (PWM_FSR_FIV.of(status) & kStopInput) != 0U;
-  const bool pressed = high == kStopIsHigh;
+  const bool pressed = high == wiring::kStopIsHigh;
   if (active && !pressed && !enabled) PWM->PWM_FCR.write(PWM_FCR_FCLR(kStopInput));
   return active || pressed;
 }

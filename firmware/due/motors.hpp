@@ -2,15 +2,15 @@
 #pragma once
 
 #include <cstdint>
+#include <wiring.hpp>
 
 #include "board.hpp"
 #include "clock.hpp"
 
 namespace heli::due::motors {
 
-inline constexpr std::uint32_t kPwm_Hz = 20000;
 // Centre-aligned: the counter runs up and down again.
-inline constexpr std::int16_t kDutyFull = clock::kMck_Hz / (2 * kPwm_Hz);
+inline constexpr std::int16_t kDutyFull = clock::kMck_Hz / (2 * wiring::kPwm_Hz);
 
 // Before anything else after a reset: enables low, PWM pins low.
 void hold_off();

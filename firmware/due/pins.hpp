@@ -1,34 +1,20 @@
-// What is wired where. The numbers behind D are those printed on the Arduino Due.
+// Pins that the chip fixes, and their ports. The numbers behind D are those printed on the Arduino
+// Due. What can be wired in more than one way is in wiring.hpp.
 #pragma once
 
 #include <cstdint>
 
+#include "pin.hpp"
 #include "registers.hpp"
 
 namespace heli::due::pins {
 
-struct Pin {
-  At<Pio> port;
-  unsigned number;
-  constexpr std::uint32_t mask() const { return bit(number); }
-};
-
-inline constexpr Pin kElevationA{PIOB, 25};  // D2, TIOA0, peripheral B
-inline constexpr Pin kElevationB{PIOB, 27};  // D13, TIOB0, peripheral B; carries the LED too
-inline constexpr Pin kPitchA{PIOC, 25};      // D5, TIOA6, peripheral B
-inline constexpr Pin kPitchB{PIOC, 26};  // D4, TIOB6, peripheral B; also on PA29: never drive it
-inline constexpr Pin kTravelA{PIOD, 0};  // D25
-inline constexpr Pin kTravelB{PIOD, 1};  // D26
-
-inline constexpr Pin kFrontForward{PIOC, 21};  // D9, PWML4, peripheral B: RPWM of the front driver
-inline constexpr Pin kFrontReverse{PIOC, 22};  // D8, PWML5, peripheral B: LPWM
-inline constexpr Pin kBackForward{PIOC, 23};   // D7, PWML6, peripheral B: RPWM of the back driver
-inline constexpr Pin kBackReverse{PIOC, 24};   // D6, PWML7, peripheral B: LPWM
-
-inline constexpr Pin kFrontForwardEnable{PIOB, 26};  // D22: R_EN of the front driver
-inline constexpr Pin kFrontReverseEnable{PIOA, 14};  // D23: L_EN
-inline constexpr Pin kBackForwardEnable{PIOA, 15};   // D24: R_EN of the back driver
-inline constexpr Pin kBackReverseEnable{PIOD, 3};    // D28: L_EN
+inline constexpr Pin kTc0A{PIOB, 25};       // D2, TIOA0, peripheral B
+inline constexpr Pin kTc0B{PIOB, 27};       // D13, TIOB0, peripheral B; carries the LED too
+inline constexpr Pin kTc2A{PIOC, 25};       // D5, TIOA6, peripheral B
+inline constexpr Pin kTc2B{PIOC, 26};       // D4, TIOB6, peripheral B; also on PA29: never drive it
+inline constexpr Pin kInterruptA{PIOD, 0};  // D25
+inline constexpr Pin kInterruptB{PIOD, 1};  // D26
 
 inline constexpr Pin kHardwareStop{PIOD, 6};  // D29, PWMFI2, peripheral B
 

@@ -1,7 +1,9 @@
-"""Run PlatformIO without a network: ``python firmware/pio/build.py [ARGUMENTS]``; ``run -e due`` if none.
+"""Run PlatformIO without a network: ``python firmware/pio/build.py [--pins FILE] [ARGUMENTS]``.
 
-Everything after the name goes to ``pio``. PlatformIO's core directory is made in ``build/platformio`` from
-the stand-in platform beside this file and SCons as installed beside PlatformIO.
+The arguments go to ``pio``; without any, it gets ``run -e due``. With ``--pins`` the firmware is built for
+the wiring in that file, into ``build/pio-pins`` instead of ``build/pio``: a simulation that takes the newest
+firmware must not find one for another wiring. PlatformIO's core directory is made in ``build/platformio``
+from the replacement platform in this folder and SCons as installed with PlatformIO.
 """
 
 from __future__ import annotations
@@ -16,6 +18,13 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
+sys.path.insert(0, str(ROOT))
+
+from firmware.generator.declared import DeclarationError  # noqa: E402 - found by the line above
+from firmware.generator.pins import read_pins  # noqa: E402
+from firmware.generator.wiring import generate_header, generate_table  # noqa: E402
+
+WIRING = ROOT / "build" / "pio-wiring"
 CORE = ROOT / "build" / "platformio"
 
 # Files of the stand-in platform, and where PlatformIO looks for them.
@@ -68,14 +77,31 @@ def _prepare() -> None:
     _package(CORE / "packages" / "tool-bossac", "tool", "tool-bossac", UPLOADER_VERSION)
 
 
+def _write_wiring(path: Path) -> None:
+    """Write the header and the table of a wiring into `WIRING`."""
+    wiring = read_pins(path)
+    WIRING.mkdir(parents=True, exist_ok=True)
+    for name, text in (("wiring.hpp", generate_header(wiring)), ("wiring.md", generate_table(wiring))):
+        (WIRING / name).write_text(text)
+
+
 def main() -> int:
     """Run PlatformIO in the prepared directory.
 
     Returns
     -------
     int
-        PlatformIO's exit code; 1 when something is missing.
+        PlatformIO's exit code; 1 when something is missing, 2 for a wiring that is refused.
     """
+    arguments = sys.argv[1:]
+    pins = Path(arguments[1]) if arguments[:1] == ["--pins"] and len(arguments) > 1 else None
+    arguments = (arguments[2:] if pins else arguments) or ["run", "-e", "due"]
+    if pins is not None:
+        try:
+            _write_wiring(pins)
+        except DeclarationError as error:
+            print(f"error: {pins}: {error}", file=sys.stderr)
+            return 2
     missing = _needs()
     if missing is not None:
         print(f"error: {missing}", file=sys.stderr)
@@ -84,13 +110,18 @@ def main() -> int:
     environment = {
         **os.environ,
         "PLATFORMIO_CORE_DIR": str(CORE),
-        "PLATFORMIO_BUILD_DIR": str(ROOT / "build" / "pio"),
+        "PLATFORMIO_BUILD_DIR": str(ROOT / "build" / ("pio-pins" if pins else "pio")),
+        "HELI_WIRING": str(WIRING) if pins else "",
         "PLATFORMIO_SETTING_ENABLE_TELEMETRY": "no",
         "PLATFORMIO_SETTING_CHECK_PLATFORMIO_INTERVAL": "3650",
     }
-    arguments = sys.argv[1:] or ["run", "-e", "due"]
     command = [sys.executable, "-m", "platformio", *arguments]
-    return subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
+    status = subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
+    if pins is not None and status == 0:
+        print(
+            f"wires: {WIRING / 'wiring.md'}; firmware: {ROOT / 'build' / 'pio-pins' / 'due' / 'firmware.bin'}"
+        )
+    return status
 
 
 if __name__ == "__main__":

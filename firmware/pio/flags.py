@@ -4,6 +4,7 @@ The platform's bare-metal mode brings flags of its own (gnu++11, -Os, Arduino's 
 so that the real platform, the stand-in and the Makefile of firmware/due compile and link alike.
 """
 
+import os
 from pathlib import Path
 
 Import("env", "projenv")  # type: ignore[name-defined]  # noqa: F821 - SCons puts these names here
@@ -24,7 +25,12 @@ project.Replace(
     CCFLAGS=flags("compile.flags"),
     CXXFLAGS=[],
     CPPDEFINES=[],
-    CPPPATH=[str(FIRMWARE / "core"), str(FIRMWARE / "due")],
+    # The first wiring.hpp is taken: of HELI_WIRING, if build.py has made one from another pins.toml.
+    CPPPATH=[
+        *filter(None, [os.environ.get("HELI_WIRING")]),
+        str(FIRMWARE / "core"),
+        str(FIRMWARE / "due"),
+    ],
 )
 build.Replace(
     # The g++ driver would ask for libstdc++, which nothing here needs.

@@ -76,10 +76,14 @@ class Board:
         self.due = new_due(read_image(str(elf)))
         self.due.stop_at_hardfault(False)
         self.due.usb_line_coding(250000)
-        wire(self.due)
+        self.connect_wires()
         self.due.power_on()
         self._start_us = self.due.now_us
         self._moved = np.zeros(3, dtype=np.int64)
+
+    def connect_wires(self) -> None:
+        """Attach encoders, pull-downs and stop switch to the pins."""
+        wire(self.due)
 
     def advance(self, milliseconds: int) -> bytes:
         """Let time pass; the bytes that reached the host."""

@@ -120,8 +120,10 @@ def fault(right: str, wrong: str) -> Mutation:
     )
 
 
-def wire(right: str, wrong: str, claim: Callable[..., None], *arguments: object) -> Mutation:
-    return Mutation("pins.hpp", right, wrong, claim, arguments)
+def wire(
+    right: str, wrong: str, claim: Callable[..., None], *arguments: object, file: str = "wiring.hpp"
+) -> Mutation:
+    return Mutation(file, right, wrong, claim, arguments)
 
 
 CLOCK = (
@@ -162,7 +164,7 @@ ENCODERS = (
     encoders("start_decoder(TC2)", "start_decoder(TC1)"),
     encoders("  tc->TC_CHANNEL[0].TC_CMR.write(0);\n", "  tc->TC_CHANNEL[0].TC_CMR.write(kPosition);\n"),
     encoders(
-        "PIOD->PIO_IER.write(kTravelMask);\n  enable_interrupt",
+        "PIOD->PIO_IER.write(kEdgeMask);\n  enable_interrupt",
         "PIOD->PIO_IER.write(1);\n  enable_interrupt",
     ),
     encoders("static_cast<void>(PIOD->PIO_ISR.read());", ""),
@@ -173,13 +175,13 @@ ENCODERS = (
         "TC_QISR_QERR) == 0U",
         claims.test_illegal_transitions_are_counted_on_every_encoder,
     ),
-    overload("PIOD->PIO_IDR.write(kTravelMask);", ""),
-    overload("travel_overloaded = true;", ""),
-    overload("PIOD->PIO_IER.write(kTravelMask);\n  return", "return"),
-    overload("travel_overloaded = false;", ""),
+    overload("PIOD->PIO_IDR.write(kEdgeMask);", ""),
+    overload("overloaded = true;", ""),
+    overload("PIOD->PIO_IER.write(kEdgeMask);\n  return", "return"),
+    overload("overloaded = false;", ""),
     overload("kMaxEdges = 400", "kMaxEdges = 4000"),
     Mutation(
-        "encoders.cpp", "  travel_edges = 0;", "", claims.test_no_travel_edge_is_lost_at_200000_a_second
+        "encoders.cpp", "  edges_in_tick = 0;", "", claims.test_no_travel_edge_is_lost_at_200000_a_second
     ),
     Mutation(
         "encoders.cpp",
@@ -196,8 +198,8 @@ ENCODERS = (
     ),
     Mutation(
         "encoders.cpp",
-        "reading.illegal[kTravel] = travel_illegal;",
-        "reading.illegal[kTravel] = travel_illegal < 0xFFFF ? travel_illegal : 0xFFFF;",
+        "reading.illegal[wiring::kInterruptAxis] = illegal_edges;",
+        "reading.illegal[wiring::kInterruptAxis] = illegal_edges < 0xFFFF ? illegal_edges : 0xFFFF;",
         claims.test_illegal_transitions_are_counted_beyond_16_bits,
         (2,),
     ),
@@ -218,13 +220,13 @@ MOTORS = (
     pwm("PWM->PWM_OSC.write(kOverride);", ""),
     pwm("PWM->PWM_ENA.write(kGroup);", ""),
     pwm("to_peripheral_b(PIOC, kPwmPins)", "to_peripheral_a(PIOC, kPwmPins)"),
-    pwm("PIOD->PIO_SODR.write(kEnablesD);", ""),
+    pwm("set_enables<true>();", ""),
     pwm("port->PIO_OER.write(mask);", ""),
-    pwm("kPeriod - static_cast<std::uint32_t>(duty)", "static_cast<std::uint32_t>(duty)"),
-    pwm("kFrontForward = 4", "kFrontForward = 5"),
-    stopping("PIOA->PIO_CODR.write(kEnablesA);", "PIOA->PIO_SODR.write(kEnablesA);"),
-    stopping("PIOB->PIO_CODR.write(kEnablesB);", ""),
-    stopping("PIOD->PIO_CODR.write(kEnablesD);", ""),
+    pwm("kPwmInverted ? on : kPeriod - on", "kPwmInverted ? kPeriod - on : on"),
+    pwm("wiring::kFrontForwardChannel, front > 0", "wiring::kFrontReverseChannel, front > 0"),
+    stopping("kOn != wiring::kEnableInverted", "kOn == wiring::kEnableInverted"),
+    stopping("if constexpr (kEnablesB != 0U) set_level(PIOB, kEnablesB, kHigh);", ""),
+    stopping("if constexpr (kEnablesD != 0U) set_level(PIOD, kEnablesD, kHigh);", ""),
     cutting("ID_PWM - 32));\n  PWM->PWM_OSS.write(kOverride);\n}", "ID_PWM - 32));\n}"),
     cutting("  disable_drivers();\n  PMC->", "  PMC->"),
     stop("PWM->PWM_FPE1.write(kStopInput);", ""),
@@ -242,7 +244,7 @@ MOTORS = (
         safety.test_hardware_stop_trips_and_must_be_released_and_cleared,
     ),
     Mutation(
-        "motors.cpp",
+        "wiring.hpp",
         "kStopIsHigh = true",
         "kStopIsHigh = false",
         safety.test_a_stop_input_that_is_not_wired_keeps_the_motors_off,
@@ -353,10 +355,15 @@ WIRES = (
         "kTransmit{PIOA, 9}",
         "kTransmit{PIOA, 10}",
         claims.test_first_answer_comes_within_50_ms_of_power_up,
+        file="pins.hpp",
     ),
     wire(
-        "bit(ID_PIOC) | bit(ID_PIOD)", "bit(ID_PIOC)", claims.test_encoders_count_alike_and_a_before_b_is_up
+        "bit(ID_PIOC) | bit(ID_PIOD)",
+        "bit(ID_PIOC)",
+        claims.test_encoders_count_alike_and_a_before_b_is_up,
+        file="pins.hpp",
     ),
+    wire("kTc0Axis = kElevation", "kTc0Axis = kPitch", claims.test_encoders_count_alike_and_a_before_b_is_up),
 )
 
 MUTATIONS = (*CLOCK, *TICK, *ENCODERS, *MOTORS, *UART, *FLASH, *WATCHDOG, *FAULTS, *WIRES)

@@ -14,7 +14,7 @@ from tests.firmware.hangs import FASTEST_Hz
 from tests.firmware.mutations import Mutation
 
 CLEAR_EDGES = "  static_cast<void>(PIOD->PIO_ISR.read());\n"
-LOOK_AT_LINES = "  const std::uint32_t now = PIOD->PIO_PDSR.read() & kTravelMask;\n"
+LOOK_AT_LINES = "  const std::uint32_t now = PIOD->PIO_PDSR.read() & kEdgeMask;\n"
 
 
 def locking(right: str, wrong: str) -> Mutation:
@@ -236,7 +236,7 @@ ORDER = (
     ),
     Mutation(
         "motors.cpp",
-        "  drive_low(PIOD, kEnablesD);\n",
+        "  if constexpr (kEnablesD != 0U) drive(PIOD, kEnablesD, kOff);\n",
         "",
         timing.test_enables_are_driven_low_within_microseconds_of_a_reset,
     ),
@@ -261,7 +261,7 @@ ORDER = (
     ),
     Mutation(
         "encoders.cpp",
-        "  travel_state = PIOD->PIO_PDSR.read() & kTravelMask;\n",
+        "  line_state = PIOD->PIO_PDSR.read() & kEdgeMask;\n",
         "",
         noise.test_where_the_travel_encoder_stands_at_the_start_is_its_zero,
         (1,),

@@ -42,7 +42,7 @@ pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 
 EFC0_FMR, EFC1_FMR = 0x400E0A00, 0x400E0C00
 DECODER_ERRORS = "_ZN4heli3due8encoders12_GLOBAL__N_114decoder_errorsE"
-TRAVEL_ILLEGAL = "_ZN4heli3due8encoders12_GLOBAL__N_114travel_illegalE"
+TRAVEL_ILLEGAL = "_ZN4heli3due8encoders12_GLOBAL__N_113illegal_edgesE"
 UART_MR, UART_BRGR = 0x400E0804, 0x400E0820
 UART_RCR, UART_RNCR = 0x400E0904, 0x400E0914
 

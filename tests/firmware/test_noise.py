@@ -22,8 +22,8 @@ CYCLES_PER_US = 84.0
 WRITE_MOTORS = "_ZN4heli3due6motors5writeERKNS_12MotorCommandE"
 PWM_FSR = 0x4009_4060
 STOP_INPUT = 1 << 2
-TRAVEL_COUNT = "_ZN4heli3due8encoders12_GLOBAL__N_112travel_countE"
-TRAVEL_ILLEGAL = "_ZN4heli3due8encoders12_GLOBAL__N_114travel_illegalE"
+TRAVEL_COUNT = "_ZN4heli3due8encoders12_GLOBAL__N_110edge_countE"
+TRAVEL_ILLEGAL = "_ZN4heli3due8encoders12_GLOBAL__N_113illegal_edgesE"
 
 
 def word(board: Board, symbol: str) -> int:

@@ -98,6 +98,19 @@ def test_platformio_builds_the_same_program_as_the_makefile_wherever_the_project
     assert (built / "firmware.map").exists()
 
 
+def test_platformio_builds_for_another_wiring_apart(uploaded: Uploaded, tmp_path: Path) -> None:
+    project, pins = uploaded.project, tmp_path / "my.toml"
+    pins.write_text((project / "firmware" / "pins.toml").read_text().replace('"D22"', '"D34"'))
+    program = project / "firmware" / "pio" / "build.py"
+    done = subprocess.run(
+        [sys.executable, program, "--pins", pins], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    assert "| `FrontForwardEnable` | D34 | PC2 |" in (project / "build/pio-wiring/wiring.md").read_text()
+    for_pins, usual = (project / "build" / name / "due" / "firmware.bin" for name in ("pio-pins", "pio"))
+    assert for_pins.read_bytes() != usual.read_bytes()
+
+
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo-terminals on this system")
 def test_upload_writes_the_image_that_was_built_over_heli_host_flash(uploaded: Uploaded) -> None:
     [call] = uploaded.calls

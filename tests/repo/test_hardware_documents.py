@@ -25,7 +25,7 @@ from tests.repo.test_documents import ROOT, blocks, verbs
 from tests.sil.patient import PATIENT
 
 DOCS = ROOT / "docs"
-PINS = ROOT / "firmware/due/pins.hpp"
+PINS = ROOT / "firmware/pins.toml"
 CHECKLIST = DOCS / "how-to/first-power-up.md"
 # Programs of others whose options no test here can know.
 OTHERS = {"cd", "git", "make", "sudo", "source", "stty", "pio", "bossac"}
@@ -51,8 +51,17 @@ def wiring() -> ModuleType:
 
 
 def constants() -> dict[str, tuple[str, str]]:
-    """Pins of the firmware: printed name and chip's name by constant."""
-    return {name: (pin.due, pin.chip) for name, pin in wiring().read_pins(PINS.read_text()).items()}
+    """Pins in the headers of the firmware: printed name and chip's name, by axis and line or by constant."""
+    source = "".join((ROOT / "firmware/due" / name).read_text() for name in ("wiring.hpp", "pins.hpp"))
+    pattern = re.compile(r"Pin k(\w+)\{PIO([A-D]), (\d+)\};\s*// (D\d+)")
+    axes = dict(re.findall(r"k(\w+)Axis = k(\w+);", source))
+    return {
+        re.sub(r"^(Tc0|Tc2|Interrupt)(?=[AB]$)", lambda name: axes[name[1]], match[1]): (
+            match[4],
+            f"P{match[2]}{match[3]}",
+        )
+        for match in pattern.finditer(source)
+    }
 
 
 def table() -> dict[str, tuple[str, str]]:
@@ -63,7 +72,7 @@ def table() -> dict[str, tuple[str, str]]:
 
 def test_the_wiring_table_is_the_firmwares_pins() -> None:
     assert table() == constants()
-    assert len(table()) == PINS.read_text().count("inline constexpr Pin k")
+    assert len(table()) == 17
 
 
 def test_no_pin_is_used_twice_or_beside_its_shorted_twin() -> None:
@@ -91,7 +100,7 @@ def test_the_wiring_diagram_is_the_firmwares_pins(tmp_path: Path, monkeypatch: p
 
 
 def test_the_stop_is_documented_as_the_firmware_reads_it() -> None:
-    assert "kStopIsHigh = true" in (ROOT / "firmware/due/motors.cpp").read_text()
+    assert "kStopIsHigh = true" in (ROOT / "firmware/due/wiring.hpp").read_text()
     assert "normally closed" in (DOCS / "how-to/wiring.md").read_text()
 
 
