@@ -17,6 +17,7 @@ from heli_host.cli.verbs import doctor
 from heli_host.errors import FlightAborted
 from heli_host.log.flight_file import read_flight
 from heli_host.log.summary import FlightSummary
+from heli_sim.checks import check_compiler
 from serial.tools import list_ports
 
 from tests.cli.terminal import Terminal, process
@@ -117,6 +118,14 @@ def test_doctor_says_what_to_mend(
     assert ended.code == 1
     assert "move the cable to the programming port" in ended.out
     assert "XDG_CACHE_HOME" in ended.out
+
+
+def test_doctor_calls_a_missing_compiler_slow_not_broken(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    finding = check_compiler()
+    assert finding.verdict is Verdict.NOTE
+    assert "50 times slower" in finding.what
 
 
 def test_doctor_knows_an_old_python() -> None:

@@ -28,7 +28,7 @@ DOCS = ROOT / "docs"
 PINS = ROOT / "firmware/pins.toml"
 CHECKLIST = DOCS / "how-to/first-power-up.md"
 # Programs of others whose options no test here can know.
-OTHERS = {"cd", "git", "make", "sudo", "source", "stty", "pio", "bossac"}
+OTHERS = {"cd", "cp", "git", "make", "sudo", "source", "stty", "pio", "bossac"}
 # Verbs of the checklist that look at this computer, or need the board's own flash.
 NOT_SIMULATED = {"doctor", "ports", "flash", "sil"}
 # The rig of the bench steps: in the checklist the arm is tied, here it moves through tar.
