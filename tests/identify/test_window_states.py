@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from heli_host.arrays import Floats
 from heli_host.flight import Flight
-from heli_lab.identify import Budget, Problem, check, prepare, solve, validate
+from heli_lab.identify import Problem, check, prepare, solve, validate
 from heli_lab.identify.initial_states import alternative_states, initial_state_guess
-from heli_lab.identify.levenberg_marquardt import LevenbergMarquardt
+from heli_lab.identify.shooting_cost import ShootingCost
 from heli_lab.identify.window_states import refine_states, restart_states, window_cost
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
@@ -144,10 +144,10 @@ def test_first_states_follow_the_parameters_and_are_worked_out_once_for_each() -
     lag = catalogue()["rotor_lag"].make({"rotor_lag_s": 0.05})
     record = prepare(dry_flight(7), RIG, "flight 7")
     problem = Problem(MultibodyModel((lag,)), RIG, [record], free=["rotor_lag_s"], step_s=0.004)
-    descent = LevenbergMarquardt(problem, Budget(), False, None)
+    cost = ShootingCost(problem, False)
     slow, fast = np.array([0.2]), np.array([0.02])
     for theta in (slow, fast, fast, slow):
-        (states,) = descent.initial_state_guess(theta)
+        (states,) = cost.initial_state_guess(theta)
         assert np.array_equal(states, initial_state_guess(problem, theta)[0])
         # Whoever optimises them does not change what is remembered.
         states += 1.0

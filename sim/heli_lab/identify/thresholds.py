@@ -130,31 +130,18 @@ FINE_STEPS: Final = 10
 SETTLED_CHANGE: Final = 0.15
 """Weights are final when no variance changed by more than this share. Set by judgement: standard errors
 go with the root, so 7 % at most is left; smaller costs rounds that change no digit."""
-SMALL_STEP: Final = 0.02
-"""A step is small when no parameter moves by more of its standard error. Set by judgement; what is left
-of a fit is then well inside its error. An undamped step of parameters and states together that is shorter,
-measured by what it takes off the cost, is not taken."""
-LARGEST_DAMPING: Final = 1e8
-"""Levenberg-Marquardt damping beyond which a fit gives up, in units of the priors' precision. Set by
-judgement: steps are then smaller than any digit printed."""
 STATE_DAMPING: Final = 0.01
 """Damping of the initial states, as a share of their own diagonal, for each unit of the parameters'. Set
 so that dry friction is found from a start without any: at 0 only the parameters take small steps."""
-MIN_DAMPING: Final = 0.05
-"""Damping below which it is set to 0, and Gauss-Newton steps are whole. Set by judgement."""
+FINE_IDLE_SHARE: Final = 0.2
+"""Factor on every sample on the gain below which two steps end a search (`levenberg_marquardt`). Set by
+judgement: the coarse fit is near."""
 LEFT_BEHIND: Final = 1.1
 """A window whose cost grows by this factor in a step did not follow it, and its states are optimised
 alone. 1.5 at first; lowered when dry friction had to be found from none. Higher, one lost window makes
 the whole step be rejected; lower costs evaluations."""
 LEFT_BEHIND_SHARE: Final = 1e-3
 """And by this share of the whole cost. Set by judgement: less is not worth an evaluation."""
-IDLE_GAIN: Final = 1e-3
-"""A fit whose cost falls by less than this share in each of two steps has converged, small steps or not.
-Set on flights with backlash and dry friction, whose kinks keep steps from ever being small. On every
-sample a fifth of it."""
-CONVERGED_GAIN: Final = 1e-6
-"""An undamped step that gains less than this share ends a fit; with a small step `IDLE_GAIN` does. Set by
-judgement."""
 WORTHWHILE: Final = 0.99
 """Where re-optimised or restarted states lower the cost below this share, the fit goes on from them. Set
 by judgement."""

@@ -43,15 +43,17 @@ def quantisation_scatter(
     scores = np.zeros((DITHER_PHASES, len(theta)))
     nx = problem.state_count
     for index, record in enumerate(problem.records):
-        residual, jacobian = problem.jacobian(index, theta, states[index], fine=True)
         grid = problem.grid(index, True, theta)
-        counts = (grid.measured_rad - residual * record.sigma_rad) / record.count_rad
+        parameters = problem.parameters(theta, index)
+        angles_rad, jacobian = problem.kernel.run(grid.inputs, states[index], parameters, True)
+        assert jacobian is not None
+        counts = angles_rad / record.count_rad
         phases = random.uniform(0.0, 1.0, (DITHER_PHASES, 1, 3))
         for window, part in enumerate(grid.slices):
             shifted = counts[None, part] + phases
             errors = (np.round(shifted) - shifted) * math.sqrt(12.0)
             scale = np.sqrt(weights[index][window] / variance[index])[:, None]
-            rows = jacobian[part] * scale
+            rows = jacobian[part] / record.sigma_rad[:, None] * scale
             # Not a product of matrices: threads of the linear algebra cost more here than they save.
             normal = np.einsum("tai,taj->ij", rows[:, :, :nx], rows)
             pulls = np.einsum("pta,tai->pi", errors * scale[:, 0], rows)

@@ -8,8 +8,7 @@ joint step would be rejected. Such a window returns in a few damped steps of its
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
-from heli_host.arrays import Floats, Integers
+from heli_host.arrays import Flags, Floats, Integers
 
 from heli_lab.identify import thresholds
 from heli_lab.identify.problem import Evaluation, Problem
@@ -163,13 +162,13 @@ class _Windows:
         self.residual = evaluation.residual[self.rows].copy()
         self.cost = self._cost(self.states, self.normal_matrix)
 
-    def offer(self, states: Floats) -> npt.NDArray[np.bool_]:
+    def offer(self, states: Floats) -> Flags:
         """Take other states where they are better; say where."""
         measured, sigma = self.grid.measured_rad, self.grid.record.sigma_rad
         kernel = self.problem.kernel
         angles, normal_matrix = kernel.products(self.grid.inputs, states, self.parameters, measured, sigma)
         cost = self._cost(states, normal_matrix)
-        better: npt.NDArray[np.bool_] = cost < self.cost
+        better: Flags = cost < self.cost
         self.states[better], self.normal_matrix[better], self.cost[better] = (
             states[better],
             normal_matrix[better],

@@ -177,14 +177,14 @@ def disturbance_gains(screening: Screening) -> Floats:
         )
         for gone in np.eye(3, dtype=bool)
     ]
-    error = filtered.perturbed_residual(np.zeros(filtered.size))
+    error = filtered.perturbed_residual()
     values = filtered.log_likelihoods([disturbances, *less], error).sum(axis=1)
     result: Floats = values[0] - values[1:]
     return result
 
 
 def _autocorrelation(screening: Screening) -> tuple[Floats, float]:
-    innovations = screening.filtered.innovations_by_flight(screening.estimate.disturbances)
+    innovations = screening.filtered.innovations(screening.estimate.disturbances)
     value = np.concatenate([flight[:, 0] for flight in innovations.flights]).reshape(-1, 3)
     variance = np.maximum((value**2).mean(axis=0), 1e-12)
     correlations = [

@@ -59,7 +59,7 @@ class Screening:
         """Number of regressors that are filtered together, one flight after the other."""
         # On a long flight, a single batch needs more memory than that.
         self.threads = threads if batch >= KNOTS else 1
-        self._innovations = innovations = filtered.innovations_by_flight(disturbances)
+        self._innovations = innovations = filtered.innovations(disturbances)
         parameter_vector = estimate.parameter_vector
         self.measurements = sum(len(flight) for flight in innovations.flights)
         self._arrowhead = (
