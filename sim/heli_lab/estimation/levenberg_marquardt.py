@@ -14,19 +14,19 @@ import numpy as np
 from heli_host.arrays import Floats
 
 SMALL_STEP: Final = 0.02
-"""A step is small if no parameter moves by more of its standard error. Judgement: the remaining error is
+"""A step is small if no parameter moves by more of its standard error: the remaining error is
 then well inside the standard error. An undamped step of all unknowns that promises to reduce the cost by less
 than the square of this is not made."""
 _MAX_DAMPING: Final = 1e8
-"""Damping beyond which the search ends. Judgement: steps are then smaller than any printed digit."""
+"""Damping beyond which the search ends: steps are then smaller than any printed digit."""
 _MIN_DAMPING: Final = 0.05
-"""Damping below which it is set to 0, and Gauss-Newton steps are whole. Judgement."""
+"""Damping below which it is set to 0, and Gauss-Newton steps are whole."""
 _IDLE_GAIN: Final = 1e-3
 """If the cost falls by less than this share in each of two steps, the search has converged, even if the steps
 are not small. Measured on flights with backlash and dry friction, whose kinks keep steps from becoming small.
 A single small step of this gain ends the search too."""
 _CONVERGED_GAIN: Final = 1e-6
-"""A lightly damped step that reduces the cost by less than this share ends the search. Judgement."""
+"""A lightly damped step that reduces the cost by less than this share ends the search."""
 
 
 class Iterate(Protocol):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
@@ -19,6 +20,9 @@ from heli_lab.identify.fit import Budget, FitProgress
 from heli_lab.identify.schur import eliminate_states
 from heli_lab.identify.shooting_cost import Iterate, ShootingCost
 from heli_lab.identify.window_recovery import recover_windows, reoptimise_states
+
+_FINE_IDLE_SHARE: Final = 0.2
+"""Factor on every sample on the gain below which two steps end a search: the coarse fit is near."""
 
 
 class MultipleShooting:
@@ -147,7 +151,7 @@ class MultipleShooting:
             iterate,
             damping=self.damping,
             max_steps=max_steps,
-            idle_share=thresholds.FINE_IDLE_SHARE if self.cost.fine else 1.0,
+            idle_share=_FINE_IDLE_SHARE if self.cost.fine else 1.0,
             on_step=report,
         )
         self.damping = minimum.damping

@@ -274,7 +274,7 @@ def _near_table(flight: Flight, rig: Rig, step_s: float) -> Flags:
     typical_deg = float(np.median(elevation_deg[clear])) if clear.any() else 0.0
     up = elevation_deg > max(table_deg + thresholds.TAKE_OFF_DEG, typical_deg - 5.0)
     cut = contact.copy()
-    tail = round(thresholds.TAKE_OFF_TAIL_S / step_s)
+    tail = round(thresholds.SETTLED_S / step_s)
     edges = np.flatnonzero(np.diff(contact.astype(int)))
     for edge in edges:
         if contact[edge]:
@@ -292,7 +292,7 @@ def _last_descent(flight: Flight, near_table: Flags, step_s: float) -> Flags:
     """
     descent = np.zeros(len(flight), bool)
     flying = ~near_table
-    tail = max(1, round(thresholds.LANDING_TAIL_S / step_s))
+    tail = max(1, round(thresholds.LAG_S / step_s))
     if int(flying.sum()) < 4 * tail:
         return descent
     total_V = flight.front_V + flight.back_V
@@ -316,7 +316,7 @@ def _last_descent(flight: Flight, near_table: Flags, step_s: float) -> Flags:
 
 def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> list[tuple[str, Flags, list[str]]]:
     reasons: list[tuple[str, Flags, list[str]]] = []
-    around = round(thresholds.AROUND_STOP_S / step_s)
+    around = round(thresholds.LAG_S / step_s)
     names = ("elevation_max", "pitch_max", "travel_max")
     for index, (axis, name) in enumerate(zip(AXES, names, strict=True)):
         stop, degrees = rig[name], np.rad2deg(angles_rad[:, index])

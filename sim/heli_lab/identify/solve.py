@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
+from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
@@ -17,6 +18,13 @@ from heli_lab.identify.problem import Problem
 from heli_lab.identify.shooting_cost import Iterate, ShootingCost
 from heli_lab.identify.uncertainty import quantisation_scatter, timing_variance
 from heli_lab.identify.window_recovery import restart_outliers
+
+_ROUGH_STEPS: Final = 4
+"""Most steps of a rough round: more are lost when the weights change."""
+_COARSE_STEPS: Final = 30
+"""Most steps of a later round on the coarse grid, hardly ever reached."""
+_FINE_STEPS: Final = 10
+"""Most steps of a round on every sample: the coarse fit is near."""
 
 
 def solve(
@@ -78,7 +86,7 @@ def solve(
         shooting.is_fixed[:] = [rough and parameter.quantity in multimodal for parameter in problem.free]
         share = (0.6 * number / rounds, 0.6 * (number + 1) / rounds)
         # Far from the solution the weights are rough: only later rounds need small steps.
-        most = thresholds.ROUGH_STEPS if rough else thresholds.COARSE_STEPS
+        most = _ROUGH_STEPS if rough else _COARSE_STEPS
         iterate, finished = shooting.descend(iterate, f"coarse fit, round {number + 1}", share, most)
         converged = finished
         restarted = number in (2, 3) and finished and restart_outliers(cost, iterate)
@@ -94,7 +102,7 @@ def solve(
         cost.reweight(iterate)
         for number in range(thresholds.FINE_ROUNDS):
             share = (0.6 + 0.4 * number / thresholds.FINE_ROUNDS, 1.0)
-            iterate, finished = shooting.descend(iterate, "every sample", share, thresholds.FINE_STEPS)
+            iterate, finished = shooting.descend(iterate, "every sample", share, _FINE_STEPS)
             converged = converged and finished
             restarted = number < 2 and finished and restart_outliers(cost, iterate)
             cost.update_state_prior(iterate)

@@ -28,12 +28,12 @@ def reoptimise_states(cost: ShootingCost, iterate: Iterate) -> Iterate | None:
     other = Iterate(iterate.theta, list(iterate.states), list(iterate.evaluations), iterate.cost)
     for index, states in enumerate(iterate.states):
         _refine(cost, other, index, np.arange(len(states)), None, 6)
-    return other if other.cost < thresholds.WORTHWHILE * iterate.cost else None
+    return other if other.cost < (1.0 - thresholds.WORTHWHILE_GAIN) * iterate.cost else None
 
 
 def restart_outliers(cost: ShootingCost, iterate: Iterate) -> bool:
     """Optimise the outlying windows of an `iterate` from alternative initial states; return whether the cost
-    fell by more than `thresholds.WORTHWHILE` requires.
+    fell by more than `thresholds.WORTHWHILE_GAIN` requires.
     """
     problem, before = cost.problem, iterate.cost
     for index in range(len(iterate.evaluations)):
@@ -62,7 +62,7 @@ def restart_outliers(cost: ShootingCost, iterate: Iterate) -> bool:
                     fine=cost.fine,
                 )
     iterate.cost = cost.cost(iterate)
-    return iterate.cost < thresholds.WORTHWHILE * before
+    return iterate.cost < (1.0 - thresholds.WORTHWHILE_GAIN) * before
 
 
 def _refine(

@@ -7,12 +7,17 @@ joint step would be rejected. Such a window returns in a few damped steps of its
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from heli_host.arrays import Flags, Floats, Integers
 
 from heli_lab.identify import thresholds
 from heli_lab.identify.problem import Evaluation, Problem
-from heli_lab.identify.schur import add_state_prior, eliminate
+from heli_lab.identify.schur import SINGULAR_GUARD, add_state_prior, eliminate
+
+_DAMPING: Final = 1e-3
+"""First damping of a window, as a share of its diagonal."""
 
 
 def window_cost(
@@ -188,14 +193,14 @@ class _Windows:
 
     def descend(self, most: int, patience: int) -> None:
         """Take damped steps while the cost falls enough."""
-        damping, idle = np.full(len(self.which), thresholds.WINDOW_DAMPING), 0
+        damping, idle = np.full(len(self.which), _DAMPING), 0
         for _ in range(most):
             if not np.isfinite(self.cost).all() or idle == patience:
                 break
             total = float(self.cost.sum())
             better = self.offer(self.step(damping))
             damping = np.where(better, 0.2 * damping, 30.0 * damping)
-            idle = 0 if total - float(self.cost.sum()) > thresholds.WINDOW_GAIN * total else idle + 1
+            idle = 0 if total - float(self.cost.sum()) > thresholds.WORTHWHILE_GAIN * total else idle + 1
 
     def step(self, damping: Floats) -> Floats:
         """States after a damped Gauss-Newton step, each window's damping in units of its own diagonal."""
@@ -203,7 +208,7 @@ class _Windows:
         normal = np.einsum("a,waij->wij", 1.0 / self.variance, self.normal_matrix)
         add_state_prior(self.problem, normal, self.states, self.reference, damping)
         residual = [*range(nx), normal.shape[1] - 1]
-        _, gain = eliminate(normal[:, residual][:, :, residual], nx, thresholds.SINGULAR_GUARD)
+        _, gain = eliminate(normal[:, residual][:, :, residual], nx, SINGULAR_GUARD)
         result: Floats = self.states + gain[:, :, 0]
         return result
 

@@ -286,7 +286,7 @@ def correlates(splines: Sequence[Scored]) -> list[str]:
         ``CHANNEL on QUANTITY``, the best first.
     """
     best = splines[0].log_likelihood_gain if splines else 0.0
-    least = max(thresholds.CORRELATE_SHARE * best, thresholds.CORRELATE_MIN)
+    least = max(thresholds.CORRELATE_SHARE * best, thresholds.CHANCE_NATS)
     return [
         " on ".join(spline.candidate.id.split(":")[1:])
         for spline in splines[:_MAX_CORRELATES]

@@ -17,7 +17,7 @@ from heli_host.arrays import Floats
 from heli_lab.diagnose.search.acceptance import Acceptance
 from heli_lab.diagnose.search.candidate import Scored
 from heli_lab.diagnose.search.screening import Screening, coefficient_std, signals_of
-from heli_lab.diagnose.thresholds import CONCENTRATED_MIN_NATS
+from heli_lab.diagnose.thresholds import CHANCE_NATS
 from heli_lab.estimation import DisturbanceModel, estimate_disturbances
 
 _TURNS: Final = 2
@@ -48,7 +48,7 @@ def with_concentrated_scores(
     hidden = [
         scored
         for scored in screened
-        if scored.candidate.effect.moment and scored.log_likelihood_gain > CONCENTRATED_MIN_NATS
+        if scored.candidate.effect.moment and scored.log_likelihood_gain > CHANCE_NATS
     ]
     enough = {scored.candidate.id for scored in acceptance.worth_a_refit(screened)}
     hidden = [scored for scored in hidden if scored.candidate.id not in enough]

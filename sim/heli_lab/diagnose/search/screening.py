@@ -14,7 +14,7 @@ from heli_lab.diagnose.search.candidate import Candidate, Scored
 from heli_lab.diagnose.search.effect_grids import EffectGrids
 from heli_lab.diagnose.search.regressors import ChangeFunctions, Regressors, spline_candidates
 from heli_lab.diagnose.search.splines import KNOTS, SplineTerm
-from heli_lab.diagnose.thresholds import REFINE_MIN_NATS
+from heli_lab.diagnose.thresholds import MIN_MARGIN
 from heli_lab.estimation import Estimate
 from heli_lab.estimation.arrowhead import solve_arrowhead
 from heli_lab.threads import default_thread_count, parallel_map
@@ -283,7 +283,7 @@ def _best_on_grid(
     if not allowed:
         return None
     best = Scored(candidates[max(allowed)[1]], *scores[max(allowed)[1]], len(candidates))
-    if best.candidate.grid and len(candidates) > 1 and best.log_likelihood_gain > REFINE_MIN_NATS:
+    if best.candidate.grid and len(candidates) > 1 and best.log_likelihood_gain > 0.5 * MIN_MARGIN:
         best = _refined(screening, kind, candidates, best)
     return best
 
