@@ -94,10 +94,6 @@ MIN_SHARE: Final = 0.5
 """Share of the largest unexplained variance of an axis, in rad^2, that every axis is given at least. At 0
 pitch had twice the error on measured flights; 0.25 at first, raised when the tolerances of the Quanser
 rig were widened; at 1 all axes weigh alike."""
-MIN_VARIANCE: Final = 0.05
-"""Mean square over a block that quantisation alone leaves at least, in its variances; keeps an axis at
-rest from weighing all. Set by judgement: a constant angle would otherwise have a likelihood without
-bound."""
 OUTLIER: Final = 3.0
 """A window whose rms residual is this many times the median window's loses weight. Set by judgement:
 lower discards honest windows of a wrong model, higher lets one disturbed window decide."""

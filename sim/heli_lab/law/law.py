@@ -144,27 +144,6 @@ class Law:
         """
         return Streamed(self.runner(), self.dt_s, params)
 
-    def with_parameters(self, **values: float) -> Law:
-        """Return it with other values of its parameters.
-
-        Parameters
-        ----------
-        **values : float
-            By name.
-
-        Raises
-        ------
-        BadLaw
-            It has no such parameter.
-        """
-        unknown = sorted(set(values) - set(self.parameters))
-        if unknown:
-            known = ", ".join(self.parameters) or "none"
-            raise BadLaw(f"the law {self.name} has no parameter {unknown[0]}", f"choose from: {known}")
-        return Law(
-            self.name, self.rate_Hz, self.function, self.states, {**self.parameters, **values}, self.signals
-        )
-
 
 class Runner:
     """A law as numpy, call by call.
