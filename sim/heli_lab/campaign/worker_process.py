@@ -102,7 +102,7 @@ class WorkerProcess:
         return JobResult(**{**answer.to_json(), "seconds": time.monotonic() - started_s})
 
     def _attempt(self, case: Case, key: str) -> JobResult | None:
-        """Do it once; None where the process was killed from outside."""
+        """Run the case once; None if the process was killed from outside."""
         if self._process is None or self._process.poll() is not None:
             self.close()
             self._start()
@@ -124,7 +124,7 @@ class WorkerProcess:
         return JobResult(case.name, key, reply["row"], reply["detail"], reply["failure"], reply["cpu_s"])
 
     def _ended(self, case: Case, key: str) -> JobResult | None:
-        """Say why the process has ended."""
+        """Return the reason why the process has ended."""
         assert self._process
         code = self._process.wait()
         self.close()
@@ -237,14 +237,16 @@ def _line(message: Mapping[str, Any]) -> bytes:
 
 
 def _plain(value: Any) -> Any:
-    """Numbers and arrays of numpy as Python has them."""
+    """Convert numbers and arrays of numpy to those of Python."""
     if hasattr(value, "tolist"):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} is no JSON")
 
 
 def _cpu_limit() -> Callable[[float], None]:
-    """What sets the CPU time, s, from which on this process is ended: by the kernel where it counts."""
+    """Return a function that sets the CPU time, in s, after which this process is ended; the kernel counts it
+    if it can.
+    """
     try:
         import resource
     except ImportError:

@@ -1,4 +1,4 @@
-"""A control law written once, as a function of symbols."""
+"""A control law: a function of symbols that can run in several places."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ class Law:
 
     @cached_property
     def program(self) -> LawProgram:
-        """The law as the board takes it.
+        """The law compiled for the board.
 
         Raises
         ------
@@ -135,7 +135,7 @@ class Law:
         return Runner(self)
 
     def over_link(self, params: Mapping[str, float]) -> Streamed:
-        """Return it as what `heli_host.Heli.run_controller` calls.
+        """Return the law as a controller for `heli_host.Heli.run_controller`.
 
         Parameters
         ----------
@@ -146,7 +146,7 @@ class Law:
 
 
 class Runner:
-    """A law as numpy, call by call.
+    """Runs a law with numpy, one call at a time.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ class Runner:
         self.state: Floats = np.array([*law.states.values()], float)
 
     def __call__(self, inputs: npt.ArrayLike) -> Floats:
-        """Call it once.
+        """Compute one call of the law.
 
         Parameters
         ----------
