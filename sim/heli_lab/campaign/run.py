@@ -181,7 +181,7 @@ def _row(case: Case, result: JobResult) -> dict[str, Cell]:
 def _kept_rows(
     store: Store, keys: dict[str, Case], again: Callable[[JobResult], bool] | None
 ) -> dict[str, dict[str, Any]]:
-    """Return the rows of the cases that have ended, and add to the table those that are in none of its parts."""
+    """Return the rows of the cases that have ended, and add to the table those that none of its parts has."""
     stored = store.read(keys)
     if again is not None:
         store.forget(key for key, result in stored.items() if again(result))

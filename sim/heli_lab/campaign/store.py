@@ -141,7 +141,7 @@ def _check_packages() -> None:
 
 
 def row_of(case: Case, result: JobResult) -> dict[str, Cell]:
-    """Return the row of a case: its name, its settings, the values that its work returned, and its CPU time."""
+    """Return the row of a case: its name, its settings, the values from its work, and its CPU time."""
     settings = {name: _cell(value) for name, value in case.settings.items()}
     fields = {name: getattr(result, name) for name in OWN}
     return {"case": case.name, **settings, **result.row, **fields}

@@ -98,7 +98,7 @@ def _idle_processes() -> _IdleProcesses:
 
 
 def here() -> str:
-    """Return the name of this worker: its address in the cluster, or outside of one, machine and process id."""
+    """Return the name of this worker: its address in the cluster, or otherwise machine and process id."""
     from distributed import get_worker
 
     try:

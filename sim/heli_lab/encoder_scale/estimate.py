@@ -258,8 +258,8 @@ def _noise(known: FlightInWeakForm) -> tuple[Floats, _Fit]:
 
 
 def _fit(known: FlightInWeakForm, noise: Floats, axes: Sequence[int], start: Floats) -> _Fit:
-    """Levenberg and Marquardt's search over the scales of some axes and everything else, with priors, from
-    `start` on.
+    """Fit the scales of some axes and everything else, with priors, from `start` on, by the
+    Levenberg-Marquardt method.
     """
     free = np.array([*axes, *range(3, len(known.mean))], int)
     weight = np.where(np.isfinite(known.std[free]), 1.0 / known.std[free], 0.0)

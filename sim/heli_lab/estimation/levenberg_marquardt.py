@@ -66,10 +66,10 @@ class LeastSquares(Protocol[IterateT]):
     """A nonlinear least-squares problem."""
 
     def step(self, iterate: IterateT, damping: float) -> Step[IterateT]:
-        """Linearise at an iterate and solve for a step."""
+        """Linearise at an `iterate` and solve for a step with this `damping`."""
 
     def with_states_refined(self, iterate: IterateT) -> IterateT | None:
-        """Optimise the eliminated unknowns alone; None if this reduces the cost too little."""
+        """Optimise the eliminated unknowns of an `iterate` alone; None if that gains too little."""
 
     def is_out_of_budget(self) -> bool:
         """Whether the search has cost as much as it may."""

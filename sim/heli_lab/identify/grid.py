@@ -132,12 +132,10 @@ def make_grid(
 
 
 class WindowGrids:
-    """Windows of records and the grids over them, which are computed when they are first needed.
+    """Windows of `records` and the grids over them, which are computed when they are first needed.
 
     Parameters
     ----------
-    records : sequence of Record
-        The records.
     window_s : float
         Length of the windows, nearly.
     step_s : float

@@ -88,7 +88,7 @@ class MultipleShooting:
         return eliminate_states(cost.problem, *of_records, damping=damping)
 
     def step(self, iterate: Iterate, damping: float) -> Step[Iterate]:
-        """Linearise at an `iterate` and solve for a damped step."""
+        """Linearise at an `iterate` and solve for a step with this `damping`."""
         cost, problem = self.cost, self.cost.problem
         information, score, follow, gain = self.normal_equations(iterate, thresholds.STATE_DAMPING * damping)
         step = posterior_step(

@@ -143,7 +143,7 @@ def restart_states(
 
 
 class _Windows:
-    """The best states so far of some windows."""
+    """The best states so far of some windows, with their cost."""
 
     def __init__(
         self,
@@ -168,7 +168,7 @@ class _Windows:
         self.cost = self._cost(self.states, self.normal_matrix)
 
     def offer(self, states: Floats) -> Flags:
-        """Take other states where they are better; say where."""
+        """Replace states by other `states` if these are better; return for each window whether they are."""
         measured, sigma = self.grid.measured_rad, self.grid.record.sigma_rad
         kernel = self.problem.kernel
         angles, normal_matrix = kernel.products(self.grid.inputs, states, self.parameters, measured, sigma)
@@ -184,7 +184,7 @@ class _Windows:
         return better
 
     def take(self, other: _Windows) -> None:
-        """Take the states of another optimisation of the same windows where they are better."""
+        """Replace states by those of another optimisation of the same windows if these are better."""
         better = other.cost < self.cost
         self.states[better], self.normal_matrix[better] = other.states[better], other.normal_matrix[better]
         self.cost[better] = other.cost[better]
@@ -213,7 +213,7 @@ class _Windows:
         return result
 
     def inserted(self, states: Floats, evaluation: Evaluation) -> tuple[Floats, Evaluation]:
-        """States and evaluation of all windows, these ones replaced."""
+        """Return states and evaluation of all windows of the record, with these windows replaced."""
         assert evaluation.normal_matrix is not None
         all_states, normal_matrix, residual = (
             states.copy(),

@@ -135,7 +135,7 @@ def _without_dead_ends(program: Program, outputs: list[int]) -> tuple[Program, l
 
 
 def _allot(law: LawSource, program: Program, outputs: list[int]) -> tuple[list[Instruction], list[int]]:
-    """Assign a cell to every value; the cell of a value is used again after the last operation that reads it."""
+    """Assign a cell to every value. A cell is free again after the last operation that reads its value."""
     start = {"input": 0, "constant": len(LAW_INPUTS)}
     start["parameter"] = start["constant"] + len(program.constants)
     start["state"] = start["parameter"] + len(law.parameters)
