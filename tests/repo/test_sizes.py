@@ -13,7 +13,7 @@ pytestmark = pytest.mark.medium
 ROOT = Path(__file__).resolve().parents[2]
 LONGEST = 200
 """Lines of a class without docstrings, comments and blank lines."""
-LONGER = {"Cockpit": 287, "Engine": 283, "Pilot": 250, "Scan": 257, "Service": 262}
+LONGER = {"Cockpit": 287, "Engine": 283, "Pilot": 250, "Service": 262}
 """Classes that are longer still; none may grow, and no other may join them."""
 MAX_JUDGEMENTS = 80
 """Constants that no record of a measurement and no theory supports."""
