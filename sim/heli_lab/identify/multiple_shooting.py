@@ -63,25 +63,8 @@ class MultipleShooting:
     def normal_equations(
         self, iterate: Iterate, damping: float = 0.0
     ) -> tuple[Floats, Floats, list[tuple[Floats, Floats]], float]:
-        """Normal equations of the free parameters alone; see `eliminate_states`.
-
-        Parameters
-        ----------
-        iterate : Iterate
-            Where the model is linearised.
-        damping : float
-            Damping of the initial states, as a share of their diagonal.
-
-        Returns
-        -------
-        information : ndarray (f, f)
-            Normal matrix of the free parameters, without priors.
-        score : ndarray (f,)
-            Negative gradient of half the sum of squares, without priors.
-        follow : list of (ndarray (w, states), ndarray (w, states, k))
-            How the initial states follow.
-        gain : float
-            Reduction of the sum of squares by the step of the initial states with the parameters fixed.
+        """Normal equations of the free parameters at an `iterate`, with `damping` of the initial states; see
+        `eliminate_states`.
         """
         cost = self.cost
         of_records = iterate.evaluations, iterate.states, cost.state_prior, cost.variance, cost.weights

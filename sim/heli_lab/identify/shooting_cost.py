@@ -16,7 +16,6 @@ from heli_lab.identify.grid import Grid
 from heli_lab.identify.initial_states import initial_state_guess
 from heli_lab.identify.problem import Evaluation, Problem
 from heli_lab.identify.residual_noise import floor_axes, long_run_variance, window_weights
-from heli_lab.identify.window_states import window_cost
 
 
 @dataclass
@@ -39,6 +38,37 @@ class Iterate:
     states: list[Floats]
     evaluations: list[Evaluation]
     cost: float = math.inf
+
+
+def window_cost(
+    problem: Problem,
+    normal_matrix: Floats,
+    states: Floats,
+    reference: Floats,
+    variance: Floats,
+    weights: Floats,
+) -> Floats:
+    """Cost of each window of a record, shape (w,): weighted sums of squares with the states' prior; infinite
+    if a prediction diverges.
+
+    Parameters
+    ----------
+    normal_matrix : ndarray (w, 3, z + 1, z + 1)
+        As in `Evaluation`.
+    states : ndarray (w, states)
+        Initial states.
+    reference : ndarray (w, states)
+        Prior means of the initial states of effects.
+    variance : ndarray (3,)
+        Variance of each axis, by which its squared residuals are divided.
+    weights : ndarray (w,)
+        Weights of the windows.
+    """
+    cost = weights * (normal_matrix[:, :, -1, -1] / variance).sum(axis=1)
+    if problem.state_count > 6:
+        cost = cost + (((states - reference)[:, 6:] / problem.state_std) ** 2).sum(axis=1)
+    result: Floats = np.where(np.isfinite(cost), cost, np.inf)
+    return result
 
 
 class ShootingCost:
@@ -104,8 +134,10 @@ class ShootingCost:
 
     def window_cost(self, iterate: Iterate, index: int) -> Floats:
         """Cost of each window of record `index`, shape (w,)."""
+        normal_matrix = iterate.evaluations[index].normal_matrix
+        assert normal_matrix is not None
         of_record = self.state_prior[index], self.variance[index], self.weights[index]
-        return window_cost(self.problem, iterate.evaluations[index], iterate.states[index], *of_record)
+        return window_cost(self.problem, normal_matrix, iterate.states[index], *of_record)
 
     def reweight(self, iterate: Iterate) -> float:
         """Estimate variances and weights again from the residuals of an `iterate`, whose cost is updated;

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from heli_host.arrays import Floats, Integers
 
 from heli_lab.identify import thresholds
 from heli_lab.identify.initial_states import alternative_states
@@ -20,14 +19,14 @@ def recover_windows(cost: ShootingCost, iterate: Iterate, before: Iterate) -> No
                 new - old > thresholds.LEFT_BEHIND_SHARE * before.cost
             )
         if lost.any():
-            _refine(cost, iterate, index, np.flatnonzero(lost), before.states[index], 4)
+            refine_states(cost, iterate, index, np.flatnonzero(lost), before=before.states[index], most=4)
 
 
 def reoptimise_states(cost: ShootingCost, iterate: Iterate) -> Iterate | None:
     """Optimise all initial states with the parameters of an `iterate` fixed; None if they have converged."""
     other = Iterate(iterate.theta, list(iterate.states), list(iterate.evaluations), iterate.cost)
     for index, states in enumerate(iterate.states):
-        _refine(cost, other, index, np.arange(len(states)), None, 6)
+        refine_states(cost, other, index, np.arange(len(states)), most=6)
     return other if other.cost < (1.0 - thresholds.WORTHWHILE_GAIN) * iterate.cost else None
 
 
@@ -49,37 +48,5 @@ def restart_outliers(cost: ShootingCost, iterate: Iterate) -> bool:
                 break
             others = alternative_states(problem, index, iterate.theta, iterate.states[index])
             for other in others if turn == 0 else others[:1]:
-                iterate.states[index], iterate.evaluations[index] = restart_states(
-                    problem,
-                    index,
-                    iterate.theta,
-                    iterate.states[index],
-                    iterate.evaluations[index],
-                    cost.state_prior[index],
-                    cost.variance[index],
-                    lost,
-                    other,
-                    fine=cost.fine,
-                )
-    iterate.cost = cost.cost(iterate)
+                restart_states(cost, iterate, index, lost, other)
     return iterate.cost < (1.0 - thresholds.WORTHWHILE_GAIN) * before
-
-
-def _refine(
-    cost: ShootingCost, iterate: Iterate, index: int, which: Integers, before: Floats | None, most: int
-) -> None:
-    """Optimise the initial states of some windows of an iterate alone."""
-    iterate.states[index], iterate.evaluations[index] = refine_states(
-        cost.problem,
-        index,
-        iterate.theta,
-        iterate.states[index],
-        iterate.evaluations[index],
-        cost.state_prior[index],
-        cost.variance[index],
-        which,
-        before=before,
-        fine=cost.fine,
-        most=most,
-    )
-    iterate.cost = cost.cost(iterate)
