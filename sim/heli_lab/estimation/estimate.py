@@ -138,7 +138,9 @@ class _Iterate:
 
 
 class _GaussNewton:
-    """Gauss-Newton steps of the parameters and Newton steps of the disturbances in turn, neither downhill."""
+    """Gauss-Newton steps of the parameters in turn with Newton steps of the disturbances. No step reduces the
+    posterior density.
+    """
 
     def __init__(
         self,

@@ -26,7 +26,7 @@ class InnovationsModel:
     linearised_flights : sequence of LinearisedFlight
         The model along each flight; one at least.
     columns : sequence of ndarray
-        For each flight, which free parameters its derivatives are of.
+        For each flight, indices of the free parameters that it depends on.
     size : int
         Number of free parameters.
     """

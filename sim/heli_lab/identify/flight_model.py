@@ -1,4 +1,4 @@
-"""The helicopter as a grey-box model: what the estimation core gets, and its parameters in some flights."""
+"""The helicopter as a grey-box model for the estimation core, and its parameters in several flights."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The noise that residuals show: variance, autocorrelation, outlying windows."""
+"""Noise of the residuals: variance, autocorrelation, outlying windows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The normal equations: block elimination by the Schur complement, and steps that keep bounds."""
+"""Normal equations of multiple shooting: elimination of the initial states by the Schur complement."""
 
 from __future__ import annotations
 

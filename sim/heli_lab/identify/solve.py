@@ -1,4 +1,4 @@
-"""Fits a problem: rounds of descent between estimates of the noise, first on the coarse grid."""
+"""Fit a problem: searches for the minimum in turn with estimates of the noise, first on the coarse grid."""
 
 from __future__ import annotations
 

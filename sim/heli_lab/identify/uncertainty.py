@@ -90,7 +90,7 @@ class Combination:
         Change of each parameter that takes part, one posterior standard deviation of the combination, in the
         parameter's unit; the largest first.
     std_over_prior : float
-        Posterior standard deviation of the combination over its prior one: 1 when the flights say nothing.
+        Posterior standard deviation of the combination over its prior one: 1 if the flights contain no information.
     """
 
     change: dict[str, float]
@@ -98,7 +98,7 @@ class Combination:
 
 
 def combinations(names: Sequence[str], information: Floats, prior_std: Floats) -> list[Combination]:
-    """Find the combinations of parameters about which the flights say less than the priors, worst first.
+    """Find the combinations of parameters that the flights determine worse than the priors, worst first.
     Directions along a single parameter are among them.
 
     Parameters
