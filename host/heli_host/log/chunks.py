@@ -38,12 +38,12 @@ class TickRecord:
 
 
 def unpacked(chunk: Chunk, has_crcs: bool, path: Path) -> bytes:
-    """Return the content of a chunk that is whole.
+    """Return the content of a `chunk` of the log at `path`.
 
     Parameters
     ----------
     has_crcs : bool
-        Whether every chunk of the log at `path` carries a CRC.
+        Whether every chunk carries a CRC.
 
     Raises
     ------

@@ -90,7 +90,7 @@ class Combination:
         Change of each parameter that takes part, one posterior standard deviation of the combination, in the
         parameter's unit; the largest first.
     std_over_prior : float
-        Posterior standard deviation of the combination over its prior one: 1 if the flights contain no information.
+        Posterior standard deviation of the combination over its prior one; 1 without any information.
     """
 
     change: dict[str, float]
