@@ -148,12 +148,12 @@ def _draw(given: Any) -> Any:
 def _limits(given: Any) -> Limits:
     if not isinstance(given, dict):
         raise CampaignError("limits is not a table", "write [limits]")
-    usual = Limits()
+    default = Limits()
     _known(given, ("cpu_s", "wait_s"), "[limits]")
     for name, value in given.items():
         if not isinstance(value, int | float) or isinstance(value, bool) or not value > 0.0:
             raise CampaignError(f"[limits] {name} = {value!r} is invalid", "give seconds above 0")
-    cpu_s = float(given.get("cpu_s", usual.cpu_s))
+    cpu_s = float(given.get("cpu_s", default.cpu_s))
     return Limits(cpu_s, float(given.get("wait_s", 10.0 * cpu_s)))
 
 

@@ -100,7 +100,7 @@ def run_campaign(
     processes: int = 1,
     code: str | None = None,
     again: Callable[[JobResult], bool] | None = None,
-    say: Callable[[State], None] | None = None,
+    on_progress: Callable[[State], None] | None = None,
 ) -> list[dict[str, Any]]:
     """Run all cases that have not ended yet, and write the table of all cases; return its rows.
 
@@ -116,7 +116,7 @@ def run_campaign(
         Digest of the code, if results do not depend on the code of the installed packages.
     again : callable, optional
         Takes the result of a case and returns whether the case is to be run again.
-    say : callable, optional
+    on_progress : callable, optional
         Called with the state of the campaign after each case.
 
     Raises
@@ -124,13 +124,13 @@ def run_campaign(
     CampaignError
         When the cluster cannot be used, or is gone before all cases have ended; what has ended is kept.
     """
-    tell = say or (lambda _: None)
+    report = on_progress or (lambda _: None)
     digest = _digest(campaign) if code is None else code
     keys = {case.key(digest): case for case in campaign.cases}
     with store.locked():
         rows = _kept_rows(store, keys, again)
         count = sum(bool(row.get("failure")) for row in rows.values())
-        tell(State(len(rows), count, len(keys)))
+        report(State(len(rows), count, len(keys)))
         remaining = {key: case for key, case in keys.items() if key not in rows}
         waiting: list[dict[str, Cell]] = []
         flushed_s = time.monotonic()
@@ -139,7 +139,7 @@ def run_campaign(
                 campaign, store, remaining, scheduler, processes, digest, code is None
             ):
                 if result is None:
-                    tell(State(len(rows), count, len(keys), None, note))
+                    report(State(len(rows), count, len(keys), None, note))
                     continue
                 store.keep(result)
                 rows[result.key] = _row(keys[result.key], result)
@@ -148,7 +148,7 @@ def run_campaign(
                 if time.monotonic() - flushed_s > _FLUSH_s:
                     store.append(waiting)
                     waiting, flushed_s = [], time.monotonic()
-                tell(State(len(rows), count, len(keys), result))
+                report(State(len(rows), count, len(keys), result))
         finally:
             store.append(waiting)
         store.settle(rows.values())

@@ -93,11 +93,11 @@ cause."""
 # Search: what a candidate must reach.
 
 MIN_MARGIN: Final[Annotated[float, "nats", JUDGEMENT]] = 6.0
-"""Log-likelihood ratio that decides, 400 to 1 if the noise model were exact: beyond the penalty for a cause,
-on held-out flights for a term of an equation, between two effects for their names, for a sentence on
-disturbances. With the penalty of one parameter a cause requires 14 nats, 5.3 standard deviations. A grid is
-refined from half of it. Lower: unmodelled chance is named, and wrong names get high confidence. Higher: weak
-causes are lost, and right names are called `ambiguous`."""
+"""Log-likelihood ratio that decides: 400 to 1, if the noise model were exact. A cause must exceed its penalty
+by it, and a term of an equation must gain it on held-out flights. It also separates the names of two effects,
+and selects the disturbances that a report mentions. With the penalty of one parameter a cause requires 14
+nats, 5.3 standard deviations. A grid is refined from half of it. Lower: unmodelled chance is named, and wrong
+names get high confidence. Higher: weak causes are lost, and right names are called `ambiguous`."""
 
 SIGNIFICANT_STD_ERRORS: Final[Annotated[float, "standard errors", THEORY]] = 2.0
 """Distance from its neutral value at which a parameter is significant: a 95 % interval. Higher: weak causes
