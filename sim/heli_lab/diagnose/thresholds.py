@@ -204,11 +204,13 @@ RANDOM_TORQUE_NATS: Final[Annotated[float, "nats", JUDGEMENT]] = 15.0
 both other axes are below: disturbances about several axes are no single cause. Lower: discretisation errors
 are called a random torque. Higher: weak ones are missed."""
 
-RANDOM_TORQUE_MIN_CORRELATION_s: Final[Annotated[float, "s", JUDGEMENT]] = 0.05
+RANDOM_TORQUE_MIN_CORRELATION_s: Final[Annotated[float, "s", MEASUREMENT]] = 0.05
 """Correlation time from which on a disturbance may be a cause: a little more than a measurement interval of
-the filter, 0.04 s. Dry friction that holds an axis for moments leaves torques without correlation in time.
-Lower: these are called a random torque. Higher: the shortest random torques of the catalogue's grid are
-missed."""
+the filter, 0.04 s. Random torques of 0.1 s are estimated at 0.072 s to 0.099 s on three development flights
+(`python -m tests.diagnose.calibration`, seeds 6200 to 6208, 2026-11). Dry friction that the catalogue lacks
+leaves torques of 0.044 s to 0.118 s on four. It is not named there, because those torques depend on the
+motion. Lower: weak friction that holds an axis is called a random torque. Higher: the shortest random torques
+of the catalogue's grid are missed."""
 
 CORRELATE_SHARE: Final[Annotated[float, "1", JUDGEMENT]] = 0.3
 """Share of the best spline's score from which on a quantity is listed in `correlates_with`. It decides the
@@ -245,8 +247,10 @@ CONFIDENCE_RANDOM_TORQUE: Final[Annotated[float, "1", JUDGEMENT]] = 0.8
 
 CONFIDENCE_FACTOR_UNEXPLAINED: Final[Annotated[float, "1", JUDGEMENT]] = 0.69
 """Factor on the confidence of causes if something unexplained remains that they may imitate: odds of about
-two to one, because an imitation fits held-out flights too. 1: false causes pass with high confidence. Lower:
-true causes are not believed."""
+two to one, because an imitation fits held-out flights too. On development flights with an effect that the
+catalogue lacks, three of four names are true (`python -m tests.diagnose.calibration`, seeds 6000 to 6041,
+2026-11): too few for a measured value. 1: false causes pass with high confidence. Lower: true causes are not
+believed."""
 
 # Equations of what the catalogue lacks.
 

@@ -11,8 +11,8 @@ from heli_host.arrays import Floats
 from heli_lab.identify.problem import Evaluation, Problem
 
 SINGULAR_GUARD: Final = 1e-12
-"""Added to the diagonal of a block, as a share of its largest entry: a state that no data show keeps the block
-regular. Far above the rounding of doubles, far below any information."""
+"""Added to the diagonal of a block, as a share of its largest entry. It keeps the block regular if no data
+show a state. It is far above the rounding of doubles, and far below any information."""
 
 
 def eliminate(matrices: Floats, count: int, guard: float = 0.0) -> tuple[Floats, Floats]:
