@@ -43,9 +43,7 @@ def test_a_notebook_has_goals_tasks_a_check_and_common_mistakes(path: Path) -> N
 
 
 @pytest.mark.documents
-def test_all_notebooks_run_whole_and_those_that_write_run_twice_in_one_folder(
-    typed: Typed, tmp_path: Path
-) -> None:
+def test_all_notebooks_run_and_those_that_write_run_twice_in_one_folder(typed: Typed, tmp_path: Path) -> None:
     """Cells tagged long too, on a part of their flights but for `make long`."""
 
     def run(path: Path, attempt: str) -> None:
