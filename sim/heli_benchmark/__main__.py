@@ -132,7 +132,7 @@ def _done(cases: Sequence[Case], given: argparse.Namespace) -> Iterator[tuple[Ro
 
         try:
             campaign = Campaign("blind", tuple(named.values()))
-            run_campaign(campaign, store, processes=given.processes, code=code, again=again, say=say)
+            run_campaign(campaign, store, processes=given.processes, code=code, again=again, on_progress=say)
             ended.put(None)
         except BaseException as error:  # noqa: BLE001 - raised again where it is waited for
             ended.put(error)

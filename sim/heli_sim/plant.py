@@ -9,6 +9,7 @@ from typing import Final
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
+from heli_host.arrays import Floats
 
 from heli_sim import _native
 from heli_sim.compiled import compile_function
@@ -197,12 +198,12 @@ class Plant:
         """What the simulation remembers besides the model's states; its states follow those."""
         self.function = step_function(model, late_s)
         limits = [rig[name].value for name in LIMITS]
-        self.parameters: npt.NDArray[np.float64] = np.array([*values, *limits])
+        self.parameters: Floats = np.array([*values, *limits])
         """Parameters of the step, shape (len(model.parameters) + 5,)."""
         # Seeds next to each other would draw nearly the same first number.
         self._first_chance = 1 + int(np.random.default_rng(seed).integers(_MODULUS - 1))
 
-    def rest_state(self) -> npt.NDArray[np.float64]:
+    def rest_state(self) -> Floats:
         """State of the arm at rest on the table, level in pitch, travel 0, in the order of ``model.states``
         and ``extras.states``.
         """
@@ -217,7 +218,7 @@ class Plant:
         state: npt.ArrayLike,
         volts_V: npt.ArrayLike,
         locked: tuple[bool, bool, bool] = (False, False, False),
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    ) -> tuple[Floats, Floats]:
         """State a millisecond later and the angles that the encoders see [rad], shape (3,), computed in
         Python; the compiled twin is `native_step`.
 

@@ -51,7 +51,9 @@ def test_a_worker_of_other_code_is_named_and_the_others_do_its_cases(
         monkeypatch.setenv("PYTHONPATH", "")
         own.add_worker(path=other.parents[1])
         own.wait_for_workers(2)
-        rows = run_campaign(squares(12), Store(tmp_path / "out"), scheduler=own.address, say=said.append)
+        rows = run_campaign(
+            squares(12), Store(tmp_path / "out"), scheduler=own.address, on_progress=said.append
+        )
     assert [row["square"] for row in rows] == [number**2 for number in range(12)]
     (note,) = [one.note for one in said if one.note]
     assert "is not used: its code has the digest" in note
@@ -78,7 +80,9 @@ def test_a_worker_without_the_package_says_so() -> None:
 def test_cases_that_fail_are_named_and_the_others_go_on(tmp_path: Path) -> None:
     bad = [Case(how, "tests.campaign.works:bad", {"how": how}) for how in ("crashes", "raises", "fine")]
     said: list[State] = []
-    rows = run_campaign(Campaign("bad", tuple(bad), Limits(5.0, 60.0)), Store(tmp_path), say=said.append)
+    rows = run_campaign(
+        Campaign("bad", tuple(bad), Limits(5.0, 60.0)), Store(tmp_path), on_progress=said.append
+    )
     assert {row["case"]: row["failure"] for row in rows} == {
         "crashes": "its process crashed: SIGSEGV",
         "raises": "ValueError: seven lines of it",

@@ -32,7 +32,7 @@ def test_scores_at_every_instant_are_those_of_single_regressors(
     (found,) = auxiliary_residuals(filtered, DISTURBANCES)
     (linearised,) = filtered.linearised_flights
     rows = np.concatenate([blocks.rows for blocks in linearised.blocks])
-    innovations = filtered.innovations_by_flight(DISTURBANCES).flights[0][:, 0]
+    innovations = filtered.innovations(DISTURBANCES).flights[0][:, 0]
     places = np.arange(3, len(rows), 97)
     steps = np.arange(linearised.rows)[:, None]
     for shock, added in (

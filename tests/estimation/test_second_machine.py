@@ -12,6 +12,7 @@ from heli_lab.estimation import (
     ParameterVector,
     estimate,
     kinematic_filter,
+    refiltered,
 )
 
 from tests.estimation.pendulum import MODEL, PARAMETERS, TRUE, run
@@ -32,7 +33,7 @@ def test_a_cart_with_a_pendulum_is_identified_within_its_standard_errors() -> No
     functions = ModelFunctions(MODEL, vector.quantities)
     references = [kinematic_filter(one, KINEMATICS) for one in runs]
     first = estimate(vector, references, functions, vector.start)
-    references = first.filtered().refiltered(first.disturbances)
+    references = refiltered(first.filtered(), first.disturbances)
     found = estimate(vector, references, functions, first.theta, first.disturbances)
     std = np.sqrt(np.diag(found.covariance))[: len(TRUE)]
     errors = (found.theta[: len(TRUE)] - np.array([*TRUE.values()])) / std

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from heli_host.arrays import Floats
 from heli_host.flight import Flight
-from heli_lab.identify import Budget, Problem, check, prepare, solve, validate
+from heli_lab.identify import Problem, check, prepare, solve, validate
 from heli_lab.identify.initial_states import alternative_states, initial_state_guess
-from heli_lab.identify.levenberg_marquardt import LevenbergMarquardt
-from heli_lab.identify.window_states import refine_states, restart_states, window_cost
+from heli_lab.identify.shooting_cost import Iterate, ShootingCost
+from heli_lab.identify.window_states import refine_states, restart_states
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig
@@ -49,28 +49,29 @@ def test_hard_dry_friction_of_the_light_axis_is_found_from_a_start_without_any()
     assert check(validate(fit, [dry_flight(8)], labels=["other"])).normalised < 1.05
 
 
+def at(problem: Problem, states: Floats, prior: Floats) -> tuple[ShootingCost, Iterate]:
+    """A cost of unit variances and weights, and these states at the parameters to start from."""
+    cost = ShootingCost(problem, False)
+    cost.variance, cost.weights, cost.state_prior = [np.ones(3)], [np.ones(len(states))], [prior]
+    return cost, cost.evaluate(problem.parameter_vector.start, [states])
+
+
 def test_a_window_in_a_wrong_state_returns_and_leaves_the_others_alone() -> None:
     problem = posed(DRY_Nm)
     theta = problem.parameter_vector.start
     (states,) = initial_state_guess(problem, theta)
-    ones: Floats = np.ones(3)
-
-    def costs(at: Floats) -> Floats:
-        evaluation = problem.evaluation(0, theta, at)
-        return window_cost(problem, evaluation, at, at, ones, np.ones(len(at)))
-
-    every = np.arange(len(states))
-    there, _ = refine_states(
-        problem, 0, theta, states, problem.evaluation(0, theta, states), states, ones, every, most=20
-    )
-    wrong = there.copy()
+    cost, there = at(problem, states, states)
+    refine_states(cost, there, 0, np.arange(len(states)), most=20)
+    right = cost.window_cost(there, 0)
+    wrong = there.states[0].copy()
     wrong[3, 4] += 0.3
-    assert costs(wrong)[3] > 100.0 * costs(there)[3]
-    evaluation = problem.evaluation(0, theta, wrong)
-    back, seen = refine_states(problem, 0, theta, wrong, evaluation, wrong, ones, np.array([3]), most=20)
-    assert costs(back)[3] < 1.05 * costs(there)[3]
-    np.testing.assert_array_equal(np.delete(back, 3, axis=0), np.delete(wrong, 3, axis=0))
-    np.testing.assert_allclose(seen.residual, problem.evaluation(0, theta, back).residual, atol=1e-9)
+    cost, back = at(problem, wrong, states)
+    assert cost.window_cost(back, 0)[3] > 100.0 * right[3]
+    refine_states(cost, back, 0, np.array([3]), most=20)
+    assert cost.window_cost(back, 0)[3] < 1.05 * right[3]
+    np.testing.assert_array_equal(np.delete(back.states[0], 3, axis=0), np.delete(wrong, 3, axis=0))
+    seen = problem.evaluation(0, theta, back.states[0])
+    np.testing.assert_allclose(back.evaluations[0].residual, seen.residual, atol=1e-9)
 
 
 def test_a_lost_window_starts_again_from_elsewhere_as_well_from_either_side_of_a_play() -> None:
@@ -83,25 +84,21 @@ def test_a_lost_window_starts_again_from_elsewhere_as_well_from_either_side_of_a
         step_s=0.004,
         state_std={"backlash_travel_shaft_rad": 0.02},
     )
-    theta, ones, first = problem.parameter_vector.start, np.ones(3), np.array([0])
+    theta = problem.parameter_vector.start
     (seen,) = initial_state_guess(problem, theta)
-    every = np.arange(len(seen))
-    weights = np.ones(len(seen))
-    there, evaluation = refine_states(
-        problem, 0, theta, seen, problem.evaluation(0, theta, seen), seen, ones, every, most=20
-    )
-    right = window_cost(problem, evaluation, there, seen, ones, weights)
-    lost = there.copy()
+    cost, there = at(problem, seen, seen)
+    refine_states(cost, there, 0, np.arange(len(seen)), most=20)
+    right = cost.window_cost(there, 0)
+    lost = there.states[0].copy()
     lost[0, 3:6] += 5.0
     others = alternative_states(problem, 0, theta, lost)
     # Nothing but the play itself ties the arm's travel to what its encoder shows.
     assert sorted(float(other[0, 2] - seen[0, 2]) for other in others[2:]) == pytest.approx([-0.01, 0.01])
-    states, evaluation = lost, problem.evaluation(0, theta, lost)
+    cost, found = at(problem, lost, seen)
     for other in others:
-        states, evaluation = restart_states(problem, 0, theta, states, evaluation, seen, ones, first, other)
-    found = window_cost(problem, evaluation, states, seen, ones, weights)
-    assert found[0] < 1.05 * right[0]
-    np.testing.assert_array_equal(states[1:], lost[1:])
+        restart_states(cost, found, 0, np.array([0]), other)
+    assert cost.window_cost(found, 0)[0] < 1.05 * right[0]
+    np.testing.assert_array_equal(found.states[0][1:], lost[1:])
 
 
 def test_a_frequency_waits_until_its_torque_is_found() -> None:
@@ -122,12 +119,9 @@ def test_a_better_state_from_before_is_taken() -> None:
     (states,) = initial_state_guess(problem, theta)
     lost = states.copy()
     lost[2, 3:] = np.nan
-    evaluation = problem.evaluation(0, theta, lost)
-    ones: Floats = np.ones(3)
-    back, _ = refine_states(
-        problem, 0, theta, lost, evaluation, states, ones, np.array([2]), before=states, most=0
-    )
-    np.testing.assert_array_equal(back[2], states[2])
+    cost, back = at(problem, lost, states)
+    refine_states(cost, back, 0, np.array([2]), before=states, most=0)
+    np.testing.assert_array_equal(back.states[0][2], states[2])
 
 
 def test_a_problem_posed_otherwise_has_the_kernel_of_the_first() -> None:
@@ -144,10 +138,10 @@ def test_first_states_follow_the_parameters_and_are_worked_out_once_for_each() -
     lag = catalogue()["rotor_lag"].make({"rotor_lag_s": 0.05})
     record = prepare(dry_flight(7), RIG, "flight 7")
     problem = Problem(MultibodyModel((lag,)), RIG, [record], free=["rotor_lag_s"], step_s=0.004)
-    descent = LevenbergMarquardt(problem, Budget(), False, None)
+    cost = ShootingCost(problem, False)
     slow, fast = np.array([0.2]), np.array([0.02])
     for theta in (slow, fast, fast, slow):
-        (states,) = descent.initial_state_guess(theta)
+        (states,) = cost.initial_state_guess(theta)
         assert np.array_equal(states, initial_state_guess(problem, theta)[0])
         # Whoever optimises them does not change what is remembered.
         states += 1.0

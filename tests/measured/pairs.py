@@ -17,7 +17,7 @@ from heli_lab.diagnose.evaluate.error_reduction import error_reduction
 from heli_lab.diagnose.evaluate.free_run import free_run
 from heli_lab.identify import Fit, Problem, Record, prepare, solve, trace
 from heli_lab.identify.free import flight_constants
-from heli_lab.identify.residual_noise import floored_mean_square
+from heli_lab.identify.residual_noise import floor_axes
 from heli_lab.identify.thresholds import BLOCK_S
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
@@ -43,6 +43,8 @@ LANDS_s: Final = {
 RIG: Final = "quanser-course"
 STEP_s: Final = 0.004
 """Longest step of the fits, as `diagnose` takes it."""
+_MIN_VARIANCE: Final = 0.05
+"""Least mean square that quantisation leaves, in its variances: an axis at rest would decide alone."""
 TOLD: Final = (
     (),
     ("rotor_lag",),
@@ -224,7 +226,7 @@ def _unlikely(fit: Fit) -> float:
     """Minus the logarithm of the likelihood; a fit's own cost is in units of its own errors."""
     seen, problem = trace(fit), fit.problem
     mean_square = np.mean(seen.residual**2, axis=0)
-    variance = floored_mean_square(mean_square, seen.sigma_rad)
+    variance = floor_axes(np.maximum(mean_square, _MIN_VARIANCE), mean_square, seen.sigma_rad)
     blocks = problem.records[0].used_s / BLOCK_S
     own = {name for effect in problem.model.effects for name in effect.priors}
     off = ((fit.theta - problem.parameter_vector.mean) / problem.parameter_vector.std)[

@@ -32,8 +32,8 @@ bool Guard::check(int a, int b) {
   return !enabled_;
 }
 """
-ROTATING = 20
-"""Mutants that the suite repeats: half a second of CPU each."""
+ROTATING = 10
+"""Mutants that the suite repeats, others after each change of the flight code."""
 
 
 def changes(kind: str) -> set[tuple[int, str, str]]:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 from heli_host.cli import app
-from heli_lab.paper.sensitivity import sensitivities
+from heli_lab.paper.bench_tests import ELEVATION_STEPS
+from heli_lab.paper.coefficients import analytic
 from heli_sim.rig import load_rig
 from typer.testing import CliRunner
 
@@ -80,7 +83,20 @@ def test_a_number_that_has_changed_is_noticed() -> None:
     assert not same("stable, dies at 0.029 1/s", "unstable, grows at 0.029 1/s")
 
 
+def equilibrium_deg(p: Mapping[str, float]) -> float:
+    """Elevation at which thrust and gravity balance: forced + P_2 cos + P_3 sin = 0."""
+    test = ELEVATION_STEPS[0]
+    forced = p["P_1"] + p["P_5"] + p["P_6"] * (test.front_V + test.back_V)
+    turn = math.asin(forced / math.hypot(p["P_2"], p["P_3"]))
+    return math.degrees(math.atan2(p["P_2"], -p["P_3"]) + turn)
+
+
 def test_the_sensitivities_told_are_those_of_the_figure() -> None:
-    computed = {item.name: abs(item.equilibrium_deg) for item in sensitivities(load_rig("makki2024"))}
+    base = analytic(load_rig("makki2024"))
+    rest_deg = equilibrium_deg(base)
+    computed = {
+        name: abs(equilibrium_deg(base | {name: 1.01 * base[name]}) - rest_deg)
+        for name in ("P_1", "P_2", "P_3", "P_4", "P_6")
+    }
     documented = {"P_6": 0.6, "P_1": 0.4, "P_2": 0.3, "P_3": 0.1, "P_4": 0.0}
     assert {name: round(value, 1) for name, value in computed.items()} == documented

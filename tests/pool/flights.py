@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from heli_host.arrays import Floats
 from heli_host.flight import Flight
-from heli_lab.estimation import estimate
+from heli_lab.estimation import estimate, refiltered
 from heli_lab.identify import Record, prepare
 from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
 from heli_lab.pool.rig_diagnosis import ParameterEstimate, without_prior
@@ -84,7 +84,7 @@ def pooled(rig: int, count: int) -> Pooled:
     for _ in range(2):
         fit = estimate(parameter_vector, references, functions, theta, disturbances)
         theta, disturbances = fit.theta, fit.disturbances
-        references = fit.filtered().refiltered(disturbances)
+        references = refiltered(fit.filtered(), disturbances)
     std = np.sqrt(np.diag(fit.covariance))
     truth = {**{name: number.value for name, number in true.items()}, "rotor_lag_s": lag_s}
     shared = [(i, item) for i, item in enumerate(parameter_vector.free) if item.record is None]

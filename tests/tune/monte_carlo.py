@@ -85,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{state.ended}/{state.cases}", flush=True)
 
     campaign = Campaign("tune", cases, worst="tilt_max_deg")
-    rows = run_campaign(campaign, Store(given.folder), processes=given.processes, say=say)
+    rows = run_campaign(campaign, Store(given.folder), processes=given.processes, on_progress=say)
     failed = [row for row in rows if row.get("failure")]
     done = [row for row in rows if not row.get("failure")]
     faults = sum(int(row["faults"]) for row in done)

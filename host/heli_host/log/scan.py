@@ -11,7 +11,6 @@ import json
 import re
 import struct
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,10 +25,10 @@ from numpy.typing import NDArray
 from heli_host.declaration import CHANNELS
 from heli_host.errors import LogError
 from heli_host.flight import OWN_COLUMNS
+from heli_host.log.chunks import TickRecord, records_of, unpacked
 from heli_host.log.index import PARSE_ERRORS, RECORD_HEADER, Index, parse, read_index
 from heli_host.log.integrity import HEAD, RECORD_CRC, head_values, metadata_crc
 from heli_host.log.schema import (
-    CDR_LITTLE_ENDIAN,
     EVENT_TOPIC,
     LINK_TOPIC,
     TICK_LAYOUT,
@@ -44,7 +43,6 @@ _MAGIC = bytes(MCAP0_MAGIC)
 _MESSAGE_HEADER = struct.Struct("<HIQQ")
 _MESSAGE_INDEX = struct.Struct("<HI")
 _INDEX_ENTRY_BYTES = 16
-_MAX_CHUNK_BYTES = 1 << 26
 _MAX_MESSAGE_BYTES = 1 << 16
 _MAX_MESSAGES = 1_000_000
 _MAX_TIME_S = 1e10
@@ -103,8 +101,7 @@ class Scan:
     _index: Index | None = None
     _schemas: dict[int, Schema] = field(default_factory=dict)
     _channels: dict[int, Channel] = field(default_factory=dict)
-    _tick_channel: int = -1
-    _record: np.dtype[Any] | None = None
+    _tick: TickRecord = field(default_factory=TickRecord)
     _records: list[Metadata] = field(default_factory=list)
     _has_crcs: bool = False
     _unpacked_bytes: int = 0
@@ -131,7 +128,7 @@ class Scan:
             try:
                 position = self._step(position)
             except _OutOfStep:
-                found = self._next_record(position)
+                found = _next_record(self.data, position, self._index)
                 if found is None:
                     self._note_break(position)
                     break
@@ -187,7 +184,7 @@ class Scan:
 
     def _add_channel(self, channel: Channel) -> None:
         self._channels[channel.id] = channel
-        if channel.topic != TICK_TOPIC or channel.id == self._tick_channel:
+        if channel.topic != TICK_TOPIC or channel.id == self._tick.channel:
             return
         schema = self._schemas.get(channel.schema_id)
         if schema is None or schema.name != TICK_SCHEMA_NAME or schema.encoding != "ros2msg":
@@ -201,8 +198,8 @@ class Scan:
                 f"{self.path} has no field {missing[0]} in its ticks",
                 "read it with the heli-host version that wrote it",
             )
-        self.layout, self._tick_channel = layout, channel.id
-        self._record = tick_record(layout)
+        self.layout = layout
+        self._tick.layout, self._tick.channel = tick_record(layout), channel.id
 
     def _add_metadata(self, record: Metadata, position: int) -> None:
         self._records.append(record)
@@ -236,24 +233,6 @@ class Scan:
             whole = "; all data before it is whole" if fits else ""
             self.notes.append(f"the index at its end is damaged or missing{whole}")
 
-    def _next_record(self, position: int) -> int | None:
-        """Where the walk can go on behind ``position``."""
-        if self._index is not None:
-            return next((offset for offset in self._index.offsets if offset > position), None)
-        if len(self.data) - position >= RECORD_HEADER.size:
-            behind = position + RECORD_HEADER.size + RECORD_HEADER.unpack_from(self.data, position)[1]
-            if self._may_stand_at(behind):
-                return int(behind)
-        landmark = _LANDMARK.search(self.data, position + 1)
-        return landmark.start() if landmark is not None else None
-
-    def _may_stand_at(self, position: int) -> bool:
-        """Whether a record of the data may begin there."""
-        if position > len(self.data) - RECORD_HEADER.size:
-            return False
-        opcode, length = RECORD_HEADER.unpack_from(self.data, position)
-        return opcode in _IN_DATA and length <= len(self.data) - position - RECORD_HEADER.size
-
     def _note_break(self, position: int) -> None:
         rest = len(self.data) - position
         if self.data[-len(_MAGIC) :] == _MAGIC and rest:
@@ -286,39 +265,21 @@ class Scan:
             self.notes.append(f"{self._damaged_chunks} chunks are damaged and were left out")
         for start, stop in self._lost:
             self.notes.append(f"bytes {start} to {stop} are damaged and were left out")
-        written = self._index.message_counts.get(self._tick_channel) if self._index else None
+        written = self._index.message_counts.get(self._tick.channel) if self._index else None
         read = sum(map(len, self.ticks))
         if written is not None and written != read:
             self.notes.append(f"{written} ticks were written, {read} are readable")
 
     def _read_chunk(self, chunk: Chunk) -> None:
-        if chunk.uncompressed_size > _MAX_CHUNK_BYTES:
-            raise ValueError("the chunk claims more than any writer puts into one")
         self._unpacked_bytes += chunk.uncompressed_size
         if self._unpacked_bytes > MAX_LOG_BYTES:
             raise LogError(
                 f"{self.path} unpacks to more than {MAX_LOG_BYTES >> 20} MiB", "cut it into pieces"
             )
-        if chunk.compression == "zstd":
-            # The frame's own word is what would be allocated.
-            if zstandard.get_frame_parameters(chunk.data).content_size != chunk.uncompressed_size:
-                raise ValueError("the chunk is not as large as it says")
-            body = zstandard.ZstdDecompressor().decompress(
-                chunk.data, max_output_size=chunk.uncompressed_size
-            )
-        elif chunk.compression == "":
-            body = chunk.data
-        elif chunk.compression == "lz4":
-            raise LogError(f"{self.path} is compressed by lz4", "convert it to zstd")
-        else:
-            raise ValueError("an unknown compression")
-        # MCAP leaves the field 0 where there is no CRC; heli-host always writes one.
-        carries = chunk.uncompressed_crc or self._has_crcs
-        if len(body) != chunk.uncompressed_size or (carries and zlib.crc32(body) != chunk.uncompressed_crc):
-            raise ValueError("the chunk's CRC does not fit")
+        body = unpacked(chunk, self._has_crcs, self.path)
         ticks: list[NDArray[Any]] = []
         messages: list[memoryview] = []
-        for item in self._messages(body):
+        for item in records_of(body, self._tick):
             if isinstance(item, np.ndarray):
                 ticks.append(item)
                 continue
@@ -330,41 +291,6 @@ class Scan:
         for message in messages:
             self._add_json(message)
         self.ticks += ticks
-
-    def _messages(self, body: bytes) -> Iterator[NDArray[Any] | tuple[int, memoryview]]:
-        """Yield runs of ticks as arrays and every other record with its opcode."""
-        view = memoryview(body)
-        position = 0
-        while position < len(body):
-            run = self._tick_run(body, position)
-            if run is not None:
-                yield run["payload"]
-                position += run.nbytes
-                continue
-            opcode, length = RECORD_HEADER.unpack_from(body, position)
-            start = position + RECORD_HEADER.size
-            if length > len(body) - start:
-                raise ValueError("a record reaches beyond its chunk")
-            yield opcode, view[start : start + length]
-            position = start + length
-
-    def _tick_run(self, body: bytes, position: int) -> NDArray[Any] | None:
-        """Map the ticks that follow each other from ``position`` on; None when there is none."""
-        record = self._record
-        if record is None:
-            return None
-        most = (len(body) - position) // record.itemsize
-        if most == 0:
-            return None
-        rows = np.frombuffer(body, record, count=most, offset=position)
-        ours = (
-            (rows["opcode"] == int(Opcode.MESSAGE))
-            & (rows["length"] == record.itemsize - RECORD_HEADER.size)
-            & (rows["channel"] == self._tick_channel)
-            & (rows["cdr"] == int.from_bytes(CDR_LITTLE_ENDIAN, "little"))
-        )
-        count = most if ours.all() else int(np.argmin(ours))
-        return rows[:count] if count else None
 
     def _add_json(self, record: memoryview) -> None:
         channel_id, *_ = _MESSAGE_HEADER.unpack_from(record)
@@ -404,3 +330,23 @@ def _entries_bytes(body: memoryview) -> int:
 
 def _vouched(record: Metadata) -> bool:
     return record.metadata.get(RECORD_CRC) == metadata_crc(record.name, record.metadata)
+
+
+def _next_record(data: memoryview, position: int, index: Index | None) -> int | None:
+    """Find where the log can be read on behind a damaged `position`."""
+    if index is not None:
+        return next((offset for offset in index.offsets if offset > position), None)
+    if len(data) - position >= RECORD_HEADER.size:
+        behind = position + RECORD_HEADER.size + RECORD_HEADER.unpack_from(data, position)[1]
+        if _may_begin_record(data, behind):
+            return int(behind)
+    landmark = _LANDMARK.search(data, position + 1)
+    return landmark.start() if landmark is not None else None
+
+
+def _may_begin_record(data: memoryview, position: int) -> bool:
+    """Whether a record of the data may begin at a position."""
+    if position > len(data) - RECORD_HEADER.size:
+        return False
+    opcode, length = RECORD_HEADER.unpack_from(data, position)
+    return opcode in _IN_DATA and length <= len(data) - position - RECORD_HEADER.size

@@ -1,4 +1,4 @@
-"""A case of a campaign, the key that its result is kept under, and the answer to it."""
+"""A case of a campaign, the key under which its result is stored, and the result."""
 
 from __future__ import annotations
 
@@ -78,10 +78,10 @@ class JobResult:
     where: str = ""
 
     def to_json(self) -> dict[str, Any]:
-        """Write it as JSON can hold it."""
+        """Return the result as JSON can hold it."""
         return asdict(self)
 
     @classmethod
     def read(cls, content: Mapping[str, Any]) -> JobResult:
-        """Read what `to_json` wrote as `content`; a KeyError or TypeError when it is none of these."""
+        """Read `content`, which `to_json` wrote. Other content raises a KeyError or a TypeError."""
         return cls(**{name: content[name] for name in cls.__dataclass_fields__})

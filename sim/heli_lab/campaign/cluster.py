@@ -1,4 +1,4 @@
-"""Workers: those of a Dask cluster that runs already, or threads of this process that each lead one case."""
+"""Workers of a campaign: those of a running Dask cluster, or threads of this process with one case each."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def workers_of(scheduler: str | None, processes: int) -> Iterator[Client]:
 def usable(
     client: Client, code: str, works: tuple[str, ...], modules: str = ""
 ) -> tuple[list[str], dict[str, str]]:
-    """Ask all workers for their code.
+    """Find the workers that have the campaign's code.
 
     Parameters
     ----------

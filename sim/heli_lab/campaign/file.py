@@ -113,7 +113,7 @@ def _values(name: str, given: Any, folder: Path) -> list[Any]:
 
 
 def _check(name: str, value: Any) -> None:
-    """Refuse a value of another type than the setting has."""
+    """Raise an error if a value has another type than the setting."""
     if name not in DEFAULTS:
         return
     wanted = type(DEFAULTS[name])
@@ -126,7 +126,7 @@ def _check(name: str, value: Any) -> None:
 
 
 def _placed(name: str, value: Any, folder: Path) -> Any:
-    """Name a file by its whole path: workers have folders of their own."""
+    """Make the path of a file absolute, because each worker has its own folder."""
     if name not in _FILES:
         return value
     if isinstance(value, list):
@@ -148,17 +148,17 @@ def _draw(given: Any) -> Any:
 def _limits(given: Any) -> Limits:
     if not isinstance(given, dict):
         raise CampaignError("limits is not a table", "write [limits]")
-    usual = Limits()
+    default = Limits()
     _known(given, ("cpu_s", "wait_s"), "[limits]")
     for name, value in given.items():
         if not isinstance(value, int | float) or isinstance(value, bool) or not value > 0.0:
             raise CampaignError(f"[limits] {name} = {value!r} is invalid", "give seconds above 0")
-    cpu_s = float(given.get("cpu_s", usual.cpu_s))
+    cpu_s = float(given.get("cpu_s", default.cpu_s))
     return Limits(cpu_s, float(given.get("wait_s", 10.0 * cpu_s)))
 
 
 def _spelled(value: Any) -> str:
-    """Write a setting in the name of a case."""
+    """Format a setting for the name of a case."""
     if isinstance(value, list):
         return "+".join(map(str, value)) or "nothing"
     return Path(value).stem if isinstance(value, str) and Path(value).is_absolute() else str(value)

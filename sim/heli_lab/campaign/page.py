@@ -47,7 +47,7 @@ def write_summary(campaign: Campaign, summary: Summary, folder: Path) -> Path:
 
 
 def figure_of_drawn(columns: Sequence[Column], worst: str) -> Figure:
-    """Draw histograms of some `columns`, that by which the `worst` cases are found in another colour."""
+    """Draw histograms of some `columns`. The column that ranks the `worst` cases has another colour."""
     rows = math.ceil(len(columns) / _IN_A_ROW)
     figure = Figure(figsize=(3.3 * _IN_A_ROW, 2.4 * rows), layout="constrained")
     for place, column in enumerate(columns, 1):

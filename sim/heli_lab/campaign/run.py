@@ -1,4 +1,4 @@
-"""A campaign from beginning to end, or from where it was killed."""
+"""Run a campaign, or continue one that was interrupted."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Campaign:
 
     @property
     def works(self) -> tuple[str, ...]:
-        """Functions that its cases are done by."""
+        """Functions that run its cases."""
         return tuple(sorted({case.work for case in self.cases}))
 
 
@@ -100,7 +100,7 @@ def run_campaign(
     processes: int = 1,
     code: str | None = None,
     again: Callable[[JobResult], bool] | None = None,
-    say: Callable[[State], None] | None = None,
+    on_progress: Callable[[State], None] | None = None,
 ) -> list[dict[str, Any]]:
     """Run all cases that have not ended yet, and write the table of all cases; return its rows.
 
@@ -116,7 +116,7 @@ def run_campaign(
         Digest of the code, if results do not depend on the code of the installed packages.
     again : callable, optional
         Takes the result of a case and returns whether the case is to be run again.
-    say : callable, optional
+    on_progress : callable, optional
         Called with the state of the campaign after each case.
 
     Raises
@@ -124,29 +124,31 @@ def run_campaign(
     CampaignError
         When the cluster cannot be used, or is gone before all cases have ended; what has ended is kept.
     """
-    tell = say or (lambda _: None)
+    report = on_progress or (lambda _: None)
     digest = _digest(campaign) if code is None else code
     keys = {case.key(digest): case for case in campaign.cases}
     with store.locked():
         rows = _kept_rows(store, keys, again)
         count = sum(bool(row.get("failure")) for row in rows.values())
-        tell(State(len(rows), count, len(keys)))
+        report(State(len(rows), count, len(keys)))
         remaining = {key: case for key, case in keys.items() if key not in rows}
         waiting: list[dict[str, Cell]] = []
         flushed_s = time.monotonic()
         try:
-            for answer, note in _done(campaign, store, remaining, scheduler, processes, digest, code is None):
-                if answer is None:
-                    tell(State(len(rows), count, len(keys), None, note))
+            for result, note in _results(
+                campaign, store, remaining, scheduler, processes, digest, code is None
+            ):
+                if result is None:
+                    report(State(len(rows), count, len(keys), None, note))
                     continue
-                store.keep(answer)
-                rows[answer.key] = _row(keys[answer.key], answer)
-                waiting.append(rows[answer.key])
-                count += bool(answer.failure)
+                store.keep(result)
+                rows[result.key] = _row(keys[result.key], result)
+                waiting.append(rows[result.key])
+                count += bool(result.failure)
                 if time.monotonic() - flushed_s > _FLUSH_s:
                     store.append(waiting)
                     waiting, flushed_s = [], time.monotonic()
-                tell(State(len(rows), count, len(keys), answer))
+                report(State(len(rows), count, len(keys), result))
         finally:
             store.append(waiting)
         store.settle(rows.values())
@@ -163,10 +165,10 @@ def _digest(campaign: Campaign) -> str:
         ) from None
 
 
-def _row(case: Case, answer: JobResult) -> dict[str, Cell]:
-    """Line of the table; a case without a result has what was drawn for it too."""
-    row = row_of(case, answer)
-    if answer.failure:
+def _row(case: Case, result: JobResult) -> dict[str, Cell]:
+    """Return the row of a case in the table. A case without a result has its drawn values too."""
+    row = row_of(case, result)
+    if result.failure:
         # Read only here: a campaign of other works needs no simulation.
         from heli_lab.campaign.works import WORKS, drawn_row
 
@@ -179,18 +181,18 @@ def _row(case: Case, answer: JobResult) -> dict[str, Cell]:
 def _kept_rows(
     store: Store, keys: dict[str, Case], again: Callable[[JobResult], bool] | None
 ) -> dict[str, dict[str, Any]]:
-    """Rows of the cases that have ended; those that are in no part of the table are added to it."""
-    answers = store.read(keys)
+    """Return the rows of the cases that have ended, and add to the table those that none of its parts has."""
+    stored = store.read(keys)
     if again is not None:
-        store.forget(key for key, answer in answers.items() if again(answer))
-        answers = {key: answer for key, answer in answers.items() if not again(answer)}
-    rows: dict[str, dict[str, Any]] = {key: _row(keys[key], answer) for key, answer in answers.items()}
+        store.forget(key for key, result in stored.items() if again(result))
+        stored = {key: result for key, result in stored.items() if not again(result)}
+    rows: dict[str, dict[str, Any]] = {key: _row(keys[key], result) for key, result in stored.items()}
     known = {row["key"] for row in store.rows()}
     store.append([row for key, row in rows.items() if key not in known])
     return rows
 
 
-def _done(
+def _results(
     campaign: Campaign,
     store: Store,
     remaining: dict[str, Case],
@@ -206,7 +208,7 @@ def _done(
         return
     works = campaign.works if compared else ()
     expected_code = code if compared else code_digest()
-    orders = {
+    jobs = {
         key: Job(
             case,
             key,
@@ -226,64 +228,62 @@ def _done(
         if not good:
             raise CampaignError("no worker has this code", _NO_WORKER_REMEDY)
         try:
-            yield from _attended(client, orders, set(bad))
+            yield from _attended(client, jobs, set(bad))
         finally:
             with suppress(Exception):
                 client.run(release, on_error="return")
 
 
-def _attended(
-    client: Client, orders: dict[str, Job], bad: set[str]
-) -> Iterator[tuple[JobResult | None, str]]:
+def _attended(client: Client, jobs: dict[str, Job], bad: set[str]) -> Iterator[tuple[JobResult | None, str]]:
     from distributed import as_completed
 
-    def submit(order: Job) -> Future[Any]:
+    def submit(job: Job) -> Future[Any]:
         # Should no other be left, a worker that cannot do it says so; what no worker may do is stuck.
         good = [worker for worker in client.scheduler_info()["workers"] if worker not in bad] if bad else None
         # A key of its own: another campaign's task of the case's key may be of other limits.
-        return client.submit(run_job, order, pure=False, workers=good or None, allow_other_workers=bool(good))
+        return client.submit(run_job, job, pure=False, workers=good or None, allow_other_workers=bool(good))
 
-    tasks = {submit(order): order for order in orders.values()}
+    tasks = {submit(job): job for job in jobs.values()}
     lost: Counter[str] = Counter()
     ended = 0
     completed = as_completed(tasks)
     for future in completed:
-        order = tasks.pop(future)
+        job = tasks.pop(future)
         if future.cancelled():
             raise CampaignError(
-                f"the scheduler has stopped: {ended} of {len(orders)} cases have ended in this run and "
+                f"the scheduler has stopped: {ended} of {len(jobs)} cases have ended in this run and "
                 "are saved",
                 "run the same command again to continue with the others",
             )
-        came = _came(future, order, lost)
-        if isinstance(came, JobResult):
+        result = _result_of(future, job, lost)
+        if isinstance(result, JobResult):
             ended += 1
-            yield came, ""
+            yield result, ""
             continue
-        if came is not None:
-            new = came.where not in bad
-            bad.add(came.where)
+        if result is not None:
+            new = result.where not in bad
+            bad.add(result.where)
             if new:
-                yield None, f"worker {came.where} is not used: {came.why}"
+                yield None, f"worker {result.where} is not used: {result.why}"
             elif not {*client.scheduler_info()["workers"]} - bad:
                 raise CampaignError("no worker is left that has this code", _NO_WORKER_REMEDY)
-        task = submit(order)
-        tasks[task] = order
+        task = submit(job)
+        tasks[task] = job
         completed.add(task)
 
 
-def _came(future: Future[Any], order: Job, lost: Counter[str]) -> JobResult | CodeMismatch | None:
-    """What came of a task; None where its worker was lost and another is to try."""
+def _result_of(future: Future[Any], job: Job, lost: Counter[str]) -> JobResult | CodeMismatch | None:
+    """Return the result of a task; None if its worker was lost and another worker is to try."""
     from distributed import KilledWorker
 
     try:
-        came: JobResult | CodeMismatch = future.result()
+        result: JobResult | CodeMismatch = future.result()
     except KilledWorker:
-        lost[order.key] += 1
-        if lost[order.key] < _LOST_WORKERS:
+        lost[job.key] += 1
+        if lost[job.key] < _LOST_WORKERS:
             return None
-        return JobResult(order.case.name, order.key, failure="worker after worker was lost under it")
+        return JobResult(job.case.name, job.key, failure="worker after worker was lost under it")
     except Exception as error:  # noqa: BLE001 - whatever a worker raises belongs to the case
         text = " ".join(f"{type(error).__name__}: {error}".split())
-        return JobResult(order.case.name, order.key, failure=f"its worker failed: {text}")
-    return came
+        return JobResult(job.case.name, job.key, failure=f"its worker failed: {text}")
+    return result

@@ -84,9 +84,9 @@ class Store:
         """File of the result with the given `key`."""
         return self.cases / f"{key}.json"
 
-    def keep(self, answer: JobResult) -> None:
+    def keep(self, result: JobResult) -> None:
         """Write a result, unless it is stored already."""
-        keep(self.cases, answer)
+        keep(self.cases, result)
 
     def forget(self, keys: Iterable[str]) -> None:
         """Remove the results with the given `keys`."""
@@ -97,7 +97,7 @@ class Store:
         """Read the stored results with the given `keys`; results that are unreadable are left out."""
         there = {path.stem for path in self.cases.glob("*.json")}
         read = {key: kept(self.cases, key) for key in keys if key in there}
-        return {key: answer for key, answer in read.items() if answer is not None}
+        return {key: result for key, result in read.items() if result is not None}
 
     def append(self, rows: Sequence[Mapping[str, Cell]]) -> None:
         """Append `rows` to the table, as a separate part."""
@@ -125,7 +125,9 @@ class Store:
 
 
 def _check_packages() -> None:
-    """Look for what the extra installs before any work is done; other extras have a part of it only."""
+    """Check that the packages of the extra are installed before any work is done; other extras contain only
+    some of them.
+    """
     for name in STORED_PACKAGES:
         try:
             spec = importlib.util.find_spec(name)
@@ -138,18 +140,18 @@ def _check_packages() -> None:
             )
 
 
-def row_of(case: Case, answer: JobResult) -> dict[str, Cell]:
-    """Line of the table: name and settings of a case, what its work returned, what it took."""
+def row_of(case: Case, result: JobResult) -> dict[str, Cell]:
+    """Return the row of a case: its name, its settings, the values from its work, and its CPU time."""
     settings = {name: _cell(value) for name, value in case.settings.items()}
-    fields = {name: getattr(answer, name) for name in OWN}
-    return {"case": case.name, **settings, **answer.row, **fields}
+    fields = {name: getattr(result, name) for name in OWN}
+    return {"case": case.name, **settings, **result.row, **fields}
 
 
-def keep(folder: Path, answer: JobResult) -> None:
+def keep(folder: Path, result: JobResult) -> None:
     """Write a result into the `folder` of results as JSON, whole or not at all, unless it is there."""
-    path = folder / f"{answer.key}.json"
-    if kept(folder, answer.key) is None:
-        _write_whole(path, json.dumps(answer.to_json(), indent=1).encode())
+    path = folder / f"{result.key}.json"
+    if kept(folder, result.key) is None:
+        _write_whole(path, json.dumps(result.to_json(), indent=1).encode())
 
 
 def kept(folder: Path, key: str) -> JobResult | None:
@@ -163,7 +165,7 @@ def kept(folder: Path, key: str) -> JobResult | None:
 
 
 def _cell(value: Any) -> Cell:
-    """Write a setting as one cell: a list as its items, a table as JSON."""
+    """Format a setting as one cell: a list as its items, a table as JSON."""
     if value is None or isinstance(value, str | int | float | bool):
         return value
     if isinstance(value, list | tuple):

@@ -123,7 +123,7 @@ def summarise(campaign: Campaign, rows: Sequence[Row]) -> Summary:
 
 
 def _kind(outcome: str) -> str:
-    """An outcome without its numbers: its first word, and the fault that it names."""
+    """Return an outcome without its numbers: its first word, and the fault that it names."""
     first, _, rest = outcome.partition(":")
     fault = next((word for word in re.findall(r"\w+", rest) if word in _FAULTS), "")
     return f"{first} ({fault})" if fault else first

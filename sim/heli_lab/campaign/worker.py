@@ -57,14 +57,14 @@ class CodeMismatch:
 
 
 @dataclass
-class _Cages:
+class _IdleProcesses:
     """Idle processes of this worker."""
 
     idle: list[WorkerProcess] = field(default_factory=list)
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     @contextmanager
-    def one(self, limits: Limits, modules: str) -> Iterator[WorkerProcess]:
+    def borrowed(self, limits: Limits, modules: str) -> Iterator[WorkerProcess]:
         with self.lock:
             wanted = (limits.threads, modules)
             fit = next(
@@ -77,28 +77,28 @@ class _Cages:
             )
             if fit is not None:
                 self.idle.remove(fit)
-        cage = fit or WorkerProcess(limits, modules)
-        cage.limits = limits
+        process = fit or WorkerProcess(limits, modules)
+        process.limits = limits
         try:
-            yield cage
+            yield process
         finally:
             with self.lock:
-                self.idle.append(cage)
+                self.idle.append(process)
 
     def close(self) -> None:
         with self.lock:
-            for cage in self.idle:
-                cage.close()
+            for process in self.idle:
+                process.close()
             self.idle.clear()
 
 
 @cache
-def _cages() -> _Cages:
-    return _Cages()
+def _idle_processes() -> _IdleProcesses:
+    return _IdleProcesses()
 
 
 def here() -> str:
-    """Name this worker: its address in the cluster, or machine and process id outside of one."""
+    """Return the name of this worker: its address in the cluster, or otherwise machine and process id."""
     from distributed import get_worker
 
     try:
@@ -108,8 +108,8 @@ def here() -> str:
 
 
 def other_code(code: str, works: tuple[str, ...], modules: str = "") -> str:
-    """Say how the code of this process differs from that of digest `code`, which covers the functions
-    `works`, also of modules in the folder `modules`; empty where it is the same.
+    """Return how the code of this process differs from the campaign's, in one line; empty if it is the same.
+    The digest `code` covers the functions `works`, also those of modules in the folder `modules`.
     """
     try:
         worker_code = code_digest(works, modules)
@@ -118,27 +118,27 @@ def other_code(code: str, works: tuple[str, ...], modules: str = "") -> str:
     return "" if worker_code == code else f"its code has the digest {worker_code}, the campaign's has {code}"
 
 
-def run_job(order: Job) -> JobResult | CodeMismatch:
+def run_job(job: Job) -> JobResult | CodeMismatch:
     """Run a case in a separate process, and store its result.
 
-    A result that is there already is taken: a cluster that has lost the worker which held it asks again.
-    Where this worker sees the folder of the results, only the row travels.
+    A stored result is returned without a run, because a cluster that lost a worker asks again. If this worker
+    sees the folder of the results, it returns the row of the table only.
     """
-    why = other_code(order.code, order.works, order.modules)
+    why = other_code(job.code, job.works, job.modules)
     if why:
         return CodeMismatch(here(), why)
-    cases = Path(order.cases)
+    cases = Path(job.cases)
     mark = cases.with_name("store.txt")
-    seen = mark.is_file() and mark.read_text() == order.token
-    answer = kept(cases, order.key) if seen else None
-    if answer is None:
-        with _cages().one(order.limits, order.modules) as cage:
-            answer = replace(cage.run(order.case, order.key), where=here())
+    seen = mark.is_file() and mark.read_text() == job.token
+    result = kept(cases, job.key) if seen else None
+    if result is None:
+        with _idle_processes().borrowed(job.limits, job.modules) as process:
+            result = replace(process.run(job.case, job.key), where=here())
         if seen:
-            keep(cases, answer)
-    return replace(answer, detail=None) if seen else answer
+            keep(cases, result)
+    return replace(result, detail=None) if seen else result
 
 
 def release() -> None:
     """End the processes that wait for cases."""
-    _cages().close()
+    _idle_processes().close()

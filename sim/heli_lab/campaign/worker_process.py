@@ -1,7 +1,7 @@
 """A separate process that runs cases, so that a case which crashes or does not end harms nothing else.
 
-Orders and answers go through two pipes, one JSON text per line. The process ends itself when its pipe of
-orders is closed, so that it does not outlive its worker. The kernel counts the CPU time of a case and ends a
+Jobs and replies go through two pipes, one JSON text per line. The process ends itself when its pipe of
+jobs is closed, so that it does not outlive its worker. The kernel counts the CPU time of a case and ends a
 process that exceeds the limit, even in compiled code. A case that waits without end uses no CPU time; the
 limit by the clock ends it. If the kernel has no such limit for processes (Windows), a thread of the process
 counts instead; a case in compiled code that blocks Python is then ended by the clock.
@@ -68,8 +68,8 @@ class WorkerProcess:
         self.limits = limits
         self.modules = modules
         self._process: subprocess.Popen[bytes] | None = None
-        self._orders: IO[bytes] | None = None
-        self._answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        self._jobs: IO[bytes] | None = None
+        self._replies: queue.SimpleQueue[bytes] = queue.SimpleQueue()
 
     def __enter__(self) -> Self:
         return self
@@ -85,36 +85,36 @@ class WorkerProcess:
             self._process.kill()
         self._process.wait()
         with suppress(OSError):
-            if self._orders is not None:
-                self._orders.close()
-        self._process = self._orders = None
+            if self._jobs is not None:
+                self._jobs.close()
+        self._process = self._jobs = None
 
     def run(self, case: Case, key: str) -> JobResult:
         """Run a case, whose result is stored under `key`; a failure is reported in the result."""
         started_s = time.monotonic()
-        answer = self._attempt(case, key)
+        result = self._attempt(case, key)
         for _ in range(_KILLED_AGAIN):
-            if answer is not None:
+            if result is not None:
                 break
-            answer = self._attempt(case, key)
-        if answer is None:
-            answer = JobResult(case.name, key, failure="its process was killed from outside, again and again")
-        return JobResult(**{**answer.to_json(), "seconds": time.monotonic() - started_s})
+            result = self._attempt(case, key)
+        if result is None:
+            result = JobResult(case.name, key, failure="its process was killed from outside, again and again")
+        return JobResult(**{**result.to_json(), "seconds": time.monotonic() - started_s})
 
     def _attempt(self, case: Case, key: str) -> JobResult | None:
-        """Do it once; None where the process was killed from outside."""
+        """Run the case once; None if the process was killed from outside."""
         if self._process is None or self._process.poll() is not None:
             self.close()
             self._start()
-        assert self._process and self._orders
-        order = {"work": case.work, "settings": case.settings, "cpu_s": self.limits.cpu_s}
+        assert self._process and self._jobs
+        job = {"work": case.work, "settings": case.settings, "cpu_s": self.limits.cpu_s}
         try:
-            self._orders.write(json.dumps(order).encode() + b"\n")
-            self._orders.flush()
+            self._jobs.write(json.dumps(job).encode() + b"\n")
+            self._jobs.flush()
         except OSError:
             return self._ended(case, key)
         try:
-            line = self._answers.get(timeout=self.limits.wait_s)
+            line = self._replies.get(timeout=self.limits.wait_s)
         except queue.Empty:
             self.close()
             return JobResult(case.name, key, failure=f"no answer after {self.limits.wait_s:g} s: it hung")
@@ -124,7 +124,7 @@ class WorkerProcess:
         return JobResult(case.name, key, reply["row"], reply["detail"], reply["failure"], reply["cpu_s"])
 
     def _ended(self, case: Case, key: str) -> JobResult | None:
-        """Say why the process has ended."""
+        """Return the reason why the process has ended."""
         assert self._process
         code = self._process.wait()
         self.close()
@@ -150,8 +150,8 @@ class WorkerProcess:
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
         )
-        self._orders, self._answers = self._process.stdin, queue.SimpleQueue()
-        pipes = (self._process.stdout, self._answers)
+        self._jobs, self._replies = self._process.stdin, queue.SimpleQueue()
+        pipes = (self._process.stdout, self._replies)
         # Windows waits for sockets only, so a thread waits for the pipe.
         threading.Thread(target=_pass_on, args=pipes, daemon=True).start()
 
@@ -164,30 +164,30 @@ def _pass_on(pipe: IO[bytes], lines: queue.SimpleQueue[bytes]) -> None:
     lines.put(b"")
 
 
-def serve_jobs(orders: IO[bytes], answers: IO[bytes]) -> None:
-    """Carry out each line of `orders`, a JSON text, and write one line per order to `answers`. Return when
-    `orders` is closed.
+def serve_jobs(jobs: IO[bytes], replies: IO[bytes]) -> None:
+    """Run the job in each line of `jobs`, a JSON text, and write one line per job to `replies`. The process
+    ends when `jobs` is closed.
     """
     waiting: queue.SimpleQueue[bytes] = queue.SimpleQueue()
 
     def read() -> None:
-        for line in orders:
+        for line in jobs:
             waiting.put(line)
-        # Whoever gave the orders is gone: what is being done is of no use to anybody.
+        # The worker has ended: nothing reads the result of the present case.
         os._exit(0)
 
     threading.Thread(target=read, daemon=True).start()
     allow_cpu = _cpu_limit()
     while True:
-        order = json.loads(waiting.get())
+        job = json.loads(waiting.get())
         before_s = time.process_time()
-        allow_cpu(before_s + order["cpu_s"])
-        reply = _done(order["work"], order["settings"])
-        answers.write(_line({**reply, "cpu_s": time.process_time() - before_s}) + b"\n")
-        answers.flush()
+        allow_cpu(before_s + job["cpu_s"])
+        reply = _reply(job["work"], job["settings"])
+        replies.write(_line({**reply, "cpu_s": time.process_time() - before_s}) + b"\n")
+        replies.flush()
 
 
-def _done(work: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+def _reply(work: str, settings: Mapping[str, Any]) -> dict[str, Any]:
     from heli_host.errors import HeliError
 
     try:
@@ -212,7 +212,7 @@ def _function(work: str) -> Callable[[Mapping[str, Any]], Any]:
 
 
 def _row_and_detail(work: str, returned: Any) -> tuple[dict[str, Any], Any]:
-    """Check what a function of a user's own returned."""
+    """Check the result of a user's function."""
     from heli_lab.errors import CampaignError
 
     if not isinstance(returned, tuple) or len(returned) != 2:
@@ -237,14 +237,16 @@ def _line(message: Mapping[str, Any]) -> bytes:
 
 
 def _plain(value: Any) -> Any:
-    """Numbers and arrays of numpy as Python has them."""
+    """Convert numbers and arrays of numpy to those of Python."""
     if hasattr(value, "tolist"):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} is no JSON")
 
 
 def _cpu_limit() -> Callable[[float], None]:
-    """What sets the CPU time, s, from which on this process is ended: by the kernel where it counts."""
+    """Return a function that sets the CPU time, in s, after which this process is ended; the kernel counts it
+    if it can.
+    """
     try:
         import resource
     except ImportError:
@@ -277,7 +279,7 @@ def _own_cpu_limit() -> Callable[[float], None]:
 
 
 def _private(descriptor: int, mode: str) -> IO[bytes]:
-    """Keep a pipe for orders or answers, where a case that reads or prints finds nothing and disturbs
+    """Keep a pipe for jobs or replies, where a case that reads or prints finds nothing and disturbs
     nothing.
     """
     kept = os.fdopen(os.dup(descriptor), mode)
@@ -288,6 +290,6 @@ def _private(descriptor: int, mode: str) -> IO[bytes]:
 
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for whoever gives the orders
-    with _private(0, "rb") as given, _private(1, "wb") as told:
-        serve_jobs(given, told)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the worker handles Ctrl-C
+    with _private(0, "rb") as jobs, _private(1, "wb") as replies:
+        serve_jobs(jobs, replies)

@@ -1,5 +1,5 @@
-"""The usual work of campaigns: flights, fits, diagnoses and gain checks on simulated rigs. Each is a function
-from the settings of a case to its result.
+"""Functions that run cases: flights, fits, diagnoses and gain checks on simulated rigs. Each returns the
+result for the settings of a case.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def fly(settings: Settings) -> Result:
 
 def identify(settings: Settings) -> Result:
     """Fit parameters to a flight of a rig that differs from its file by `settings`, and compare them with the
-    true ones.
+    true parameters.
     """
     from heli_lab.identify.run import identify as find
 
@@ -113,8 +113,8 @@ def identify(settings: Settings) -> Result:
 
 
 def diagnose(settings: Settings) -> Result:
-    """Hide the effects of the `settings` in two flights, and diagnose the flights: the row states whether
-    they were found.
+    """Hide the effects of the `settings` in two flights, and diagnose the flights. The row states whether the
+    diagnosis names them.
     """
     from heli_lab.diagnose import diagnose as find
     from heli_lab.diagnose import to_json
@@ -175,7 +175,9 @@ def gains(settings: Settings) -> Result:
 
 
 def drawn_row(settings: Settings) -> dict[str, Cell]:
-    """Columns of the table for what the `settings` of a case draw, without doing the case."""
+    """Return the columns of the table for the drawn values of a case with these `settings`, without running
+    the case.
+    """
     return _draw(settings)[1].row
 
 
@@ -187,7 +189,7 @@ def _draw(settings: Settings) -> tuple[Rig, Drawn]:
 
 @dataclass(frozen=True)
 class _Flown:
-    """The rig of the file, what flew in its place, the flight and its summary."""
+    """The rig of the file, the rig that flew, the flight and its summary."""
 
     nominal: Rig
     drawn: Drawn

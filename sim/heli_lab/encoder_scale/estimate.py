@@ -137,8 +137,8 @@ class FlightInWeakForm:
         )
         rows = flown_rows(flight) & (flight.elevation_rad > self._pivot[0] + np.radians(CLEAR_deg))
         # The lag is one of the thrust: below its dead zone a motor gives none, however low its voltage is.
-        least_V = -np.inf if rig["reverse_thrust"].value else rig["dead_zone"].value
-        parts = parts_of(flight, rows, least_V)
+        dead_zone_V = plain.dead_zone_V(self._parameters)
+        parts = parts_of(flight, rows, -np.inf if dead_zone_V is None else dead_zone_V)
         self.seconds = sum(part.seconds for part in parts)
         self._parts = parts
         self._tests = [TestFunctions(part) for part in parts]
@@ -258,8 +258,8 @@ def _noise(known: FlightInWeakForm) -> tuple[Floats, _Fit]:
 
 
 def _fit(known: FlightInWeakForm, noise: Floats, axes: Sequence[int], start: Floats) -> _Fit:
-    """Levenberg and Marquardt's search over the scales of some axes and everything else, with priors, from
-    `start` on.
+    """Fit the scales of some axes and everything else, with priors, from `start` on, by the
+    Levenberg-Marquardt method.
     """
     free = np.array([*axes, *range(3, len(known.mean))], int)
     weight = np.where(np.isfinite(known.std[free]), 1.0 / known.std[free], 0.0)

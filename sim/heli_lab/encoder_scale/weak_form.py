@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
-from heli_host.arrays import Floats
+from heli_host.arrays import Flags, Floats, Integers
 from heli_host.flight import Flight
 from scipy.signal import lfilter
 
@@ -66,7 +65,7 @@ class Part:
         return np.asarray(self.volts_V + share * (before - self.volts_V))
 
 
-def parts_of(flight: Flight, rows: npt.NDArray[np.bool_], least_V: float) -> list[Part]:
+def parts_of(flight: Flight, rows: Flags, least_V: float) -> list[Part]:
     """Cut the `rows` of a flight into parts without gaps, each longer than the longest test function;
     voltages below `least_V` act like it.
     """
@@ -111,7 +110,7 @@ class TestFunctions:
     def __init__(self, part: Part) -> None:
         self._weights: list[Floats] = []
         self._bent: list[Floats] = []
-        self._starts: list[npt.NDArray[np.int64]] = []
+        self._starts: list[Integers] = []
         for width_s in WIDTHS_s:
             count = round(width_s / part.step_s)
             x = (np.arange(count) + 0.5) / count * 2.0 - 1.0
@@ -139,6 +138,6 @@ class TestFunctions:
         return _apply(self._weights[axis], self._starts[axis], values)
 
 
-def _apply(weights: Floats, starts: npt.NDArray[np.int64], values: Floats) -> Floats:
+def _apply(weights: Floats, starts: Integers, values: Floats) -> Floats:
     windows = np.lib.stride_tricks.sliding_window_view(values, len(weights), axis=0)[starts]
     return np.asarray(windows @ weights)

@@ -8,7 +8,8 @@ from heli_lab.estimation.auxiliary_residuals import (
 from heli_lab.estimation.disturbances import DisturbanceModel
 from heli_lab.estimation.estimate import Estimate, estimate, estimate_disturbances
 from heli_lab.estimation.grey_box import ActingInputs, GreyBoxModel, Recording
-from heli_lab.estimation.innovations_model import Innovations, InnovationsModel
+from heli_lab.estimation.innovations import Innovations
+from heli_lab.estimation.innovations_model import InnovationsModel
 from heli_lab.estimation.linearised_flight import (
     BLOCK_s,
     Derivatives,
@@ -21,6 +22,7 @@ from heli_lab.estimation.reference_trajectory import (
     ReferenceTrajectory,
     kinematic_filter,
 )
+from heli_lab.estimation.smoothing import refiltered, smoothed_disturbances
 from heli_lab.estimation.trajectory_functions import (
     EFFECT_SUBSTEPS,
     AlongTrajectory,
@@ -55,4 +57,6 @@ __all__ = [
     "estimate",
     "estimate_disturbances",
     "kinematic_filter",
+    "refiltered",
+    "smoothed_disturbances",
 ]

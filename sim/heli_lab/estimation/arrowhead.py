@@ -1,8 +1,8 @@
-"""Normal equations of many flights: unknowns that all share, and each flight's own.
+"""Normal equations of many flights: unknowns that all flights share, and unknowns of single flights.
 
-A flight's own unknowns meet those of no other flight: the matrix is block diagonal but for a border. Each
-block is eliminated by itself, so that a solution costs as many small systems as there are flights, and not
-the cube of all unknowns.
+Unknowns of different flights are not coupled directly: the matrix is block diagonal except for a border. Each
+block is eliminated separately, so that a solution costs one small system per flight, not the cube of the
+number of all unknowns.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numpy as np
 from heli_host.arrays import Floats, Integers
 
 NO_BLOCKS: Final = np.zeros((0, 0), np.int64)
-"""Blocks of a system without unknowns of one flight alone."""
+"""Value of `per_flight` if no unknown belongs to a single flight."""
 
 
 def per_flight_columns(columns: Sequence[Integers], size: int) -> Integers:
-    """Find the unknowns that each flight has of its own, shape (flights, k); k is 0 for one flight alone.
+    """Find the unknowns that only one flight has, shape (flights, k); k is 0 if there is only one flight.
 
     Parameters
     ----------
@@ -77,8 +77,8 @@ def invert_arrowhead(matrix: Floats, per_flight: Integers) -> Floats:
 
 
 def _eliminated(matrix: Floats, per_flight: Integers) -> tuple[Integers, Floats, Floats, Floats]:
-    """Shared unknowns; for each flight what its own change for each unit of them; the shared ones' Schur
-    complement; the blocks.
+    """Eliminate the unknowns of single flights. Returns the shared unknowns, the change of the others for
+    each unit of them, the Schur complement of the shared ones, and the blocks.
     """
     shared = np.setdiff1d(np.arange(len(matrix)), per_flight.ravel())
     blocks = matrix[per_flight[:, :, None], per_flight[:, None, :]]

@@ -93,7 +93,7 @@ def auxiliary_residuals(
         by default.
     """
     if error is None:
-        error = filtered.perturbed_residual(np.zeros(filtered.size))
+        error = filtered.perturbed_residual()
     outputs = len(filtered.model.outputs)
     results = []
     for linearised, signals in zip(filtered.linearised_flights, error, strict=True):

@@ -60,7 +60,7 @@ class DisturbanceModel:
 
     @classmethod
     def start(cls, fast_std: Sequence[float], slow_std: Sequence[float]) -> DisturbanceModel:
-        """Make what a search begins with.
+        """Return the disturbances from which a search starts.
 
         Parameters
         ----------
@@ -77,13 +77,15 @@ class DisturbanceModel:
 
     @classmethod
     def from_point(cls, point: Floats) -> DisturbanceModel:
-        """Make it of a `point`, the logarithms of all numbers, shape (m, 4), one row per output."""
+        """Return the disturbances of a `point` of the search: the logarithms of all parameters, shape (m, 4),
+        one row per output.
+        """
         fast_std, correlation_time_s, slow_std, quantisation = np.exp(point).T
         return cls(fast_std, correlation_time_s, slow_std, quantisation)
 
     @property
     def point(self) -> Floats:
-        """Logarithms of all numbers, shape (m, 4), one row per output."""
+        """Logarithms of all parameters, shape (m, 4), one row per output."""
         result: Floats = np.log(
             np.stack((self.fast_std, self.correlation_time_s, self.slow_std, self.quantisation), axis=1)
         )

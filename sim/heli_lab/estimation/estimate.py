@@ -18,12 +18,11 @@ import numpy as np
 from heli_host.arrays import Floats
 from typing_extensions import TypeVar
 
-from heli_lab.estimation.arrowhead import invert_arrowhead
-from heli_lab.estimation.bounded_solve import bounded_solve
 from heli_lab.estimation.disturbances import DisturbanceModel, maximise
-from heli_lab.estimation.innovations_model import Innovations, InnovationsModel
+from heli_lab.estimation.innovations_model import InnovationsModel
 from heli_lab.estimation.linearised_flight import LinearisedFlight, ModelFunctions
 from heli_lab.estimation.parameter_vector import ParameterVector
+from heli_lab.estimation.posterior_step import PosteriorStep, posterior_step
 from heli_lab.estimation.reference_trajectory import ReferenceTrajectory
 
 _MAX_MOVES: Final = 15
@@ -83,44 +82,10 @@ class Estimate(Generic[VectorT]):
         where the result is not more likely.
         """
         filtered = self.filtered()
-        error = filtered.perturbed_residual(np.zeros(len(self.theta)))
+        error = filtered.perturbed_residual()
         other = estimate_disturbances(filtered, error, filtered.model.disturbance_start)
         now, then = filtered.log_likelihoods([self.disturbances, other], error).sum(axis=1)
         return other if then > now + _TURN_NATS else None
-
-
-def gauss_newton_step(
-    parameter_vector: ParameterVector, theta: Floats, innovations: Innovations
-) -> tuple[Floats, Floats, float]:
-    """Solve for the step of the parameters to the maximum of the linearised posterior, within their bounds.
-
-    Parameters
-    ----------
-    parameter_vector : ParameterVector
-        Priors and bounds.
-    theta : ndarray (f,)
-        Parameters at which the model is linearised.
-    innovations : Innovations
-        Innovations at `theta`, with their derivatives.
-
-    Returns
-    -------
-    move : ndarray (f,)
-        The step.
-    covariance : ndarray (f, f)
-        Covariance of the parameters.
-    value : float
-        Logarithm of the posterior at `theta`, nats.
-    """
-    precision, per_flight = parameter_vector.std**-2.0, innovations.per_flight
-    offset = theta - parameter_vector.mean
-    information = innovations.information() + np.diag(precision)
-    gradient = innovations.score() - precision * offset
-    value = innovations.log_likelihoods.sum() - 0.5 * (offset @ (precision * offset))
-    low, high = parameter_vector.bounds
-    move = bounded_solve(information, gradient, low - theta, high - theta, per_flight)
-    covariance = invert_arrowhead(information, per_flight)
-    return move, covariance, float(value)
 
 
 def estimate_disturbances(
@@ -165,16 +130,17 @@ class _Iterate:
     theta: Floats
     disturbances: DisturbanceModel
     filtered: InnovationsModel | None
-    move: Floats
-    covariance: Floats
+    step: PosteriorStep
     value: float
-    promised: float
+    """Log-posterior, nats."""
     by_output: Floats
     """Log-likelihood of each output's innovations, nats."""
 
 
 class _GaussNewton:
-    """Gauss-Newton steps of the parameters and Newton steps of the disturbances in turn, neither downhill."""
+    """Gauss-Newton steps of the parameters in turn with Newton steps of the disturbances. No step reduces the
+    posterior density.
+    """
 
     def __init__(
         self,
@@ -188,16 +154,13 @@ class _GaussNewton:
         return _linearised(self.parameter_vector, self.references, self.functions, theta)
 
     def at(self, theta: Floats, disturbances: DisturbanceModel, filtered: InnovationsModel) -> _Iterate:
-        innovations = filtered.innovations_by_flight(disturbances)
-        move, covariance, value = gauss_newton_step(self.parameter_vector, theta, innovations)
-        squares = sum(float(residual @ residual) for residual in innovations.after(move))
-        offset = theta + move - self.parameter_vector.mean
-        prior = offset @ (self.parameter_vector.std**-2.0 * offset)
-        after = -0.5 * (squares + prior + innovations.log_variances.sum())
-        promised = float(after) - value
-        return _Iterate(
-            theta, disturbances, filtered, move, covariance, value, promised, innovations.log_likelihoods
-        )
+        innovations = filtered.innovations(disturbances)
+        information, score = innovations.information(), innovations.score()
+        vector, per_flight = self.parameter_vector, innovations.per_flight
+        step = posterior_step(vector, theta, information, score, per_flight=per_flight)
+        by_output = innovations.log_likelihoods
+        value = float(by_output.sum()) - 0.5 * float(np.sum(((theta - vector.mean) / vector.std) ** 2))
+        return _Iterate(theta, disturbances, filtered, step, value, by_output)
 
     def first(self, theta: Floats, disturbances: DisturbanceModel | None) -> _Iterate:
         """Begin; without disturbances these are estimated first, the parameters following to first order."""
@@ -206,7 +169,7 @@ class _GaussNewton:
         if disturbances is None:
             for _ in range(_FIRST_TURNS):
                 better = estimate_disturbances(
-                    filtered, filtered.perturbed_residual(iterate.move), iterate.disturbances
+                    filtered, filtered.perturbed_residual(iterate.step.move), iterate.disturbances
                 )
                 iterate = self.at(theta, better, filtered)
         return iterate
@@ -218,9 +181,9 @@ class _GaussNewton:
         iterate.filtered = None
         share = 1.0
         for _ in range(_HALVINGS):
-            theta = iterate.theta + share * iterate.move
+            theta = iterate.theta + share * iterate.step.move
             after = self.at(theta, iterate.disturbances, self.linearised(theta))
-            if after.value > iterate.value + _MIN_GAIN * share * iterate.promised:
+            if after.value > iterate.value + _MIN_GAIN * share * iterate.step.promised_nats:
                 return after
             after.filtered = None
             share *= 0.3
@@ -229,7 +192,7 @@ class _GaussNewton:
     def with_next_disturbances(self, iterate: _Iterate, enough_nats: float) -> _Iterate:
         """Maximise the likelihood over the disturbances, to `enough_nats`."""
         filtered = iterate.filtered or self.linearised(iterate.theta)
-        error = filtered.perturbed_residual(np.zeros(len(iterate.theta)))
+        error = filtered.perturbed_residual()
         disturbances = estimate_disturbances(
             filtered, error, iterate.disturbances, enough_nats, iterate.by_output
         )
@@ -238,15 +201,15 @@ class _GaussNewton:
     def run(self, iterate: _Iterate) -> tuple[_Iterate, bool]:
         last = -np.inf
         for _ in range(_MAX_MOVES):
-            if iterate.promised > _CONVERGED_NATS:
+            if iterate.step.promised_nats > _CONVERGED_NATS:
                 after = self.with_next_parameters(iterate)
                 if after is None:
                     return self.with_next_disturbances(iterate, _CONVERGED_NATS), False
                 iterate = after
             # While parameters still move far the disturbances follow roughly; then to convergence.
-            enough_nats = max(_CONVERGED_NATS, _DISTURBANCE_SHARE * iterate.promised)
+            enough_nats = max(_CONVERGED_NATS, _DISTURBANCE_SHARE * iterate.step.promised_nats)
             iterate = self.with_next_disturbances(iterate, enough_nats)
-            if iterate.promised < _CONVERGED_NATS and iterate.value - last < _TURN_NATS:
+            if iterate.step.promised_nats < _CONVERGED_NATS and iterate.value - last < _TURN_NATS:
                 return iterate, True
             last = iterate.value
         return iterate, False
@@ -283,7 +246,7 @@ def estimate(
     return Estimate(
         parameter_vector,
         last.theta,
-        last.covariance,
+        last.step.covariance,
         last.value,
         last.disturbances,
         converged,

@@ -1,4 +1,4 @@
-"""The vector of what is estimated: free parameters with their priors, shared by all flights or of one flight.
+"""The vector of free parameters with their priors: shared by all flights, or of a single flight.
 
 A flight is one recording. Parameters of one flight alone, such as the zero of an encoder, make the normal
 equations block-sparse (`arrowhead.py`).
@@ -42,7 +42,7 @@ class Prior(Protocol):
 
 @dataclass(frozen=True)
 class NormalPrior:
-    """What is known of a parameter before the measurements: a normal distribution within bounds.
+    """Normal prior of a parameter, within bounds.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ class ParameterVector:
         return other
 
     def without_priors(self, names: Collection[str]) -> ParameterVector:
-        """Remove what is known beforehand of the free parameters `names`, but for their bounds."""
+        """Remove the priors of the free parameters `names`; their bounds stay."""
         other = copy.copy(self)
         removed = np.array([parameter.name in names for parameter in self.free], bool)
         other.std = np.where(removed, _VAGUE * self.std, self.std)

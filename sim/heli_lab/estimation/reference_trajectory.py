@@ -166,11 +166,10 @@ def _changed(record: Recording) -> Flags:
 
 
 def _directions(record: Recording, nodes: Integers) -> Floats:
-    """In which direction each output moved last, shape (n, m), in these rows of a flight.
+    """Direction in which each output moved last, shape (n, m), in these rows of a flight.
 
-    An axis that turns round stands still when its count stops, and from there falls through a play ever
-    faster: as the square of the time. One whose count rests long and that then moves on has been on its way
-    through the play and back.
+    If an axis reverses, it moves through a play with the square of the time since its count stopped. If its
+    count rests for long and then continues in the same direction, the axis has moved into the play and back.
     """
     changed = _changed(record)
     directions = np.zeros((len(nodes), changed.shape[1]))

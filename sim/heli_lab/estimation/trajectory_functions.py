@@ -111,7 +111,7 @@ class _Listing:
 
     @property
     def arguments(self) -> tuple[list[int], list[int], list[int], list[float], list[int]]:
-        """As programs take them."""
+        """Arguments in the order of the programs."""
         return self.operations, self.a, self.b, self.constants, self.widths
 
 

@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.arrays import Flags, Floats
 from heli_host.errors import FlightDataError
 from heli_host.tables import Table
 from heli_host.tables.units import ANGLE_UNITS, COUNT, SHARES, VOLTAGE_UNITS, split_unit
-from numpy.typing import NDArray
 
 from heli_lab.guess import names, thresholds
 from heli_lab.guess.assignment import ColumnAssignment, RegressionFit, assignments, free_rows
@@ -233,7 +232,7 @@ def _limited_motions(
     signals: Signals,
     assignment: ColumnAssignment,
     reference: Reference,
-    rows: NDArray[np.bool_],
+    rows: Flags,
     first: dict[str, RegressionFit],
 ) -> dict[VoltageScale, LimitedMotion]:
     """Repeat the regressions with limited commands, for each unit in which some exceed the supply."""

@@ -16,6 +16,7 @@ from heli_lab.guess.reference import Reference
 from heli_lab.guess.signals import Signals, filtered_signal
 
 _EVERY: Final = 10
+
 _OTHER_WAY: Final = 0.1
 """Share of rigs whose torque has the opposite direction to the rig file's. Set by judgement: cables pull
 either way, and on measured flights of four rigs, the constant acceleration had this direction in two."""

@@ -7,6 +7,7 @@ from typing import Any, Final, Literal
 import gymnasium
 import numpy as np
 import numpy.typing as npt
+from heli_host.arrays import Floats
 from heli_sim.model.linear import trim
 from heli_sim.model.multibody import MultibodyModel
 from heli_sim.rig import load_rig
@@ -84,7 +85,7 @@ class HoverEnv(gymnasium.Env[Observation, Action]):
         )
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
         nominal = load_rig(self.domain.rigs[0])
-        self.hover_V: npt.NDArray[np.float64] = trim(MultibodyModel(), nominal).volts_V
+        self.hover_V: Floats = trim(MultibodyModel(), nominal).volts_V
         """Front and back voltage of a zero action [V], shape (2,)."""
         self._simulator: Simulator = PlantAlone() if through == "plant" else BoardInLockstep()
         self._setpoint_range_rad = float(np.deg2rad(setpoint_deg))
@@ -165,14 +166,12 @@ class HoverEnv(gymnasium.Env[Observation, Action]):
         self._has_ended = True
         self._simulator.close()
 
-    def _observation(
-        self, angles_rad: npt.NDArray[np.float64], action: npt.NDArray[np.float64]
-    ) -> Observation:
+    def _observation(self, angles_rad: Floats, action: Floats) -> Observation:
         rates = (angles_rad - self._previous_rad) / ACTION_STEP_s
         observation = np.concatenate((angles_rad - self._setpoint, rates, action))
         return np.clip(observation, -_OBSERVATION_LIMITS, _OBSERVATION_LIMITS).astype(np.float32)
 
     @staticmethod
-    def _reward(error_rad: npt.NDArray[np.float64], action: npt.NDArray[np.float64]) -> float:
+    def _reward(error_rad: Floats, action: Floats) -> float:
         squared_shares = np.minimum((error_rad / np.deg2rad([5.0, 30.0, 15.0])) ** 2, 1.0)
         return float(1.0 - squared_shares @ [0.5, 0.1, 0.3] - 0.1 * np.mean(action**2))

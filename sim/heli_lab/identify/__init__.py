@@ -1,4 +1,4 @@
-"""Finds the numbers of a model from flights, and how sure they are."""
+"""Estimate a model's parameters and their standard errors from flights."""
 
 from __future__ import annotations
 

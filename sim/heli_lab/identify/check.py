@@ -141,8 +141,8 @@ def validate(fit: Fit, flights: Sequence[Flight | Record], labels: Sequence[str]
         free=tuple(local),
         per_flight=tuple(local) or PER_FLIGHT,
         labels=labels,
-        window_s=problem.window_s,
-        step_s=problem.step_s,
+        window_s=problem.grids.window_s,
+        step_s=problem.grids.step_s,
         priors=local,
         values=dict(
             zip((q.name for q in problem.model.parameters), problem.parameter_vector.values, strict=True)

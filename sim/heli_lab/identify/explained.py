@@ -1,6 +1,6 @@
-"""Whether the voltages explain a flight: how alike its motion and the fit's free run are, window by window.
+"""Test whether the voltages explain a flight: compare its motion with the fit's free run, window by window.
 
-A parabola is taken out of both: initial states and constant torques make one of any voltages. What is left
+A parabola is subtracted from both: initial states and constant torques make one of any voltages. The rest
 of a rig's motion follows its voltages, also under a model that is wrong by a factor; noise follows nothing.
 """
 
@@ -44,7 +44,7 @@ def unexplained_shares(seen: Trace) -> tuple[Floats, Floats]:
 
 
 def refuse_unexplained(seen: Trace) -> None:
-    """Refuse a flight on no axis of which the free run is like the motion.
+    """Refuse a flight if the free run resembles its motion about no axis.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The helicopter as a grey-box model: what the estimation core gets, and its parameters in some flights."""
+"""The helicopter as a grey-box model for the estimation core, and its parameters in several flights."""
 
 from __future__ import annotations
 
@@ -32,6 +32,7 @@ from heli_lab.identify.grid import make_grid
 from heli_lab.identify.record import Record
 
 TORQUES: Final = tuple(f"torque_{axis}" for axis in AXES)
+
 TORQUE_STD_Nm: Final = dict(zip(TORQUES, (0.02, 0.01, 0.01), strict=True))
 """Prior standard deviation of the constant torque about each axis in a flight: an unlevel table, a cable or a
 draught. By judgement, of the order of the disturbances. Smaller: a rig whose balance changes from flight to

@@ -74,8 +74,8 @@ def free_parameters(
 
 
 def estimated_names(model: Model, rig: Rig, free: Sequence[str] | None, fixed: Sequence[str]) -> list[str]:
-    """Take the `fixed` parameters out of the `free` ones, those of `free_parameters`; return the names of
-    the rest. An IdentifyError when a name is unknown, a name is both free and fixed, or no name is left.
+    """Return the names of the `free` parameters, as of `free_parameters`, without the `fixed` ones. An
+    IdentifyError states an unknown name, a name that is both free and fixed, or that no name remains.
     """
     known = [quantity.name for quantity in model.parameters]
     for name in fixed:

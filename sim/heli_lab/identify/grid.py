@@ -6,12 +6,14 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from heli_host.arrays import Floats, Integers
 
 from heli_lab.identify.functions import Inputs
 from heli_lab.identify.record import Record
+from heli_lab.identify.thresholds import BLOCK_S
 
 
 @dataclass(frozen=True)
@@ -127,6 +129,73 @@ def make_grid(
         tuple(shaped),
     )
     return Grid(record, inputs, rows, every)
+
+
+class WindowGrids:
+    """Windows of `records` and the grids over them, which are computed when they are first needed.
+
+    Parameters
+    ----------
+    window_s : float
+        Length of the windows, nearly.
+    step_s : float
+        Longest Runge-Kutta step, and distance of the samples compared, of the coarse grid.
+    parts : int
+        Number of windows that each window is divided into.
+    """
+
+    def __init__(self, records: Sequence[Record], window_s: float, step_s: float, parts: int = 1) -> None:
+        self.records, self.window_s, self.step_s, self.parts = tuple(records), window_s, step_s, parts
+        self._grids: dict[tuple[int, bool], tuple[object, Grid]] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        # The grids follow from the records.
+        return {**self.__dict__, "_grids": {}}
+
+    def copy(self, *, window_s: float | None = None, parts: int | None = None) -> WindowGrids:
+        """Lay other windows over the same records: of nearly `window_s`, each divided into `parts`."""
+        return WindowGrids(self.records, window_s or self.window_s, self.step_s, parts or self.parts)
+
+    def windows(self, index: int) -> list[tuple[int, int]]:
+        """Windows of record `index`, a whole number of steps and of blocks of `thresholds.BLOCK_S`: first row
+        and number of rows of each.
+        """
+        record = self.records[index]
+        block = max(1, int(BLOCK_S / record.step_s + 1e-6))
+        return window_starts(record, self.window_s, math.lcm(self._coarse(record), block), self.parts)
+
+    def grid(
+        self, index: int, fine: bool, delay: tuple[str, float] | None, dead_zone_V: float | None
+    ) -> Grid:
+        """Windows of a record, with their inputs; the coarse and the fine grid have the same windows.
+
+        Parameters
+        ----------
+        index : int
+            Which record.
+        fine : bool
+            Every sample, or steps of about `step_s`.
+        delay : (str, float) or None
+            As in `make_grid`.
+        dead_zone_V : float or None
+            As in `make_grid`.
+        """
+        key, shape = (index, fine), (delay, None if fine else dead_zone_V)
+        if key not in self._grids or self._grids[key][0] != shape:
+            record = self.records[index]
+            grid = make_grid(
+                record,
+                self.windows(index),
+                1 if fine else self._coarse(record),
+                longest_step_s=self.step_s,
+                delay=delay,
+                dead_zone_V=dead_zone_V,
+            )
+            self._grids[key] = (shape, grid)
+        return self._grids[key][1]
+
+    def _coarse(self, record: Record) -> int:
+        return max(1, int(self.step_s / record.step_s + 1e-6))
 
 
 def _ramp(volts: Floats, dt: float, rows: Integers, every: int, delay_s: float) -> tuple[Floats, Floats]:

@@ -11,7 +11,7 @@ from heli_sim.model.parts import AXES
 from heli_lab.identify.grid import make_grid
 from heli_lab.identify.problem import Problem
 from heli_lab.identify.record import Record
-from heli_lab.identify.thresholds import RUN_IN_S, SHORT_FIT_S, STATE_FIT_S
+from heli_lab.identify.thresholds import SETTLED_S, SHORT_FIT_S, STATE_FIT_S
 
 _MECHANICAL: Final = 6
 """Three angles and their rates; the states of effects follow."""
@@ -108,7 +108,7 @@ def _after_run_in(problem: Problem, index: int, rows: Integers, states: Floats, 
     effect_states = np.zeros((len(rows), problem.state_count - _MECHANICAL))
     begun = np.array([0, *(gap + 1 for gap in record.gaps)])
     first = begun[np.searchsorted(begun, rows, side="right") - 1]
-    back = np.minimum(rows - first, round(RUN_IN_S / record.step_s))
+    back = np.minimum(rows - first, round(SETTLED_S / record.step_s))
     some = np.flatnonzero(back > 0)
     if len(some):
         begun_at = rows[some] - back[some]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +16,7 @@ from heli_lab.errors import IdentifyError
 from heli_lab.estimation.parameter_vector import FreeParameter, ParameterVector, Prior
 from heli_lab.identify import thresholds
 from heli_lab.identify.free import PER_FLIGHT, free_parameters
-from heli_lab.identify.grid import Grid, make_grid, window_starts
+from heli_lab.identify.grid import Grid, WindowGrids
 from heli_lab.identify.kernel import kernel
 from heli_lab.identify.record import Record, prepare
 
@@ -98,57 +97,37 @@ class Problem:
         self.model = model
         self.rig = rig
         wanted = free_parameters(model, rig, free, priors or {})
-        self.records = tuple(
-            flight
-            if isinstance(flight, Record)
-            else prepare(flight, rig, labels[i] if labels is not None else f"flight {i + 1}")
-            for i, flight in enumerate(flights)
-        )
-        if not self.records:
-            raise IdentifyError("there is no flight to identify from", "give at least one")
-        if len({record.label for record in self.records}) < len(self.records):
-            raise IdentifyError("two flights have the same label", "give each flight a label of its own")
+        self.records = _prepared(flights, rig, labels)
         shared = [parameter for parameter in wanted if parameter.quantity not in per_flight]
         local = [parameter for parameter in wanted if parameter.quantity in per_flight]
         names = [quantity.name for quantity in model.parameters]
-        base: Floats = model.parameter_values(rig)
-        for name, value in (values or {}).items():
-            if name not in names:
-                raise IdentifyError(
-                    f"the model has no parameter '{name}'", f"choose from: {', '.join(names)}"
-                )
-            base[names.index(name)] = value
         labels = [record.label for record in self.records]
-        self.parameter_vector = ParameterVector(names, base, shared, local, labels)
-        self.window_s = window_s
-        self.window_parts = 1
-        self.step_s = step_s
+        self.parameter_vector = ParameterVector(
+            names, _values(model, rig, values or {}), shared, local, labels
+        )
+        self.grids = WindowGrids(self.records, window_s, step_s)
         self.state_count = len(model.states)
-        thrust_N = thresholds.STATE_STD_V * rig["thrust_gain"].value
-        usual = {**thresholds.STATE_STD, "V": thresholds.STATE_STD_V, "N": thrust_N}
-        usual_std = {s.name: usual.get(s.unit, 1.0) for s in model.states[6:]}
-        self.state_std_by_name = usual_std | dict(state_std or {})
+        self.state_std_by_name = _state_stds(model, rig) | dict(state_std or {})
         """Prior standard deviation of each effect's state about what the flight before its window gives."""
         self.state_std: Floats = np.array([self.state_std_by_name[s.name] for s in model.states[6:]])
         self._delay = names.index(model.delay) if model.delay else None
         self._kernel_free = self.parameter_vector.quantities
         self.threads = threads
         self.kernel = kernel(model, self._kernel_free, threads)
-        self._grids: dict[tuple[int, bool], tuple[object, Grid]] = {}
 
     def __getstate__(self) -> dict[str, Any]:
-        # The kernel is code of this machine, the grids follow from the records: both are made again.
-        return {**self.__dict__, "kernel": None, "_grids": {}}
+        # The kernel is code of this machine.
+        return {**self.__dict__, "kernel": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self.kernel = kernel(self.model, self._kernel_free, self.threads)
 
-    def _same(self) -> Problem:
-        """The same problem, with this one's kernel and grids of its own."""
-        # copy.copy goes by what is pickled, and would build the kernel again.
+    def _with(self, grids: WindowGrids) -> Problem:
+        """Pose the same problem with this kernel and other grids."""
+        # copy.copy uses the pickled state, and would build the kernel again.
         other = Problem.__new__(Problem)
-        other.__dict__.update(self.__dict__, _grids={})
+        other.__dict__.update(self.__dict__, grids=grids)
         return other
 
     @property
@@ -170,15 +149,13 @@ class Problem:
         """Pose the same problem with windows of nearly `window_s`; it shares records, parameters and kernel
         with this one.
         """
-        other = self._same()
-        other.window_s = window_s
-        return other
+        return self._with(self.grids.copy(window_s=window_s))
 
     def with_free(self, free: Sequence[FreeParameter]) -> Problem:
         """Pose a problem of other free parameters for predictions alone: its kernel has no derivatives by
         them. Parameters that a flight has of its own come after those that all flights share.
         """
-        other = self._same()
+        other = self._with(self.grids.copy())
         other.parameter_vector = self.parameter_vector.with_free(free)
         return other
 
@@ -186,9 +163,7 @@ class Problem:
         """Pose the same problem with each window divided into `parts` of nearly equal length, each with its
         own initial state: the same samples, predicted over a shorter horizon.
         """
-        other = self._same()
-        other.window_parts = parts
-        return other
+        return self._with(self.grids.copy(parts=parts))
 
     def parameters(self, theta: Floats, index: int = 0) -> Floats:
         """Complete the free parameters `theta`, shape (f,), to all those of the model, shape (p,), for record
@@ -209,32 +184,11 @@ class Problem:
         theta : ndarray (f,)
             Free parameters; a delay among them shifts the voltages.
         """
-        delay, dead_zone_V = self.input_shape(self.parameters(theta, index))
-        key = (index, fine)
-        shape = (delay, None if fine else dead_zone_V)
-        if key not in self._grids or self._grids[key][0] != shape:
-            record = self.records[index]
-            coarse = max(1, int(self.step_s / record.step_s + 1e-6))
-            windows = self.windows(index)
-            grid = make_grid(
-                record,
-                windows,
-                1 if fine else coarse,
-                longest_step_s=self.step_s,
-                delay=delay,
-                dead_zone_V=dead_zone_V,
-            )
-            self._grids[key] = (shape, grid)
-        return self._grids[key][1]
+        return self.grids.grid(index, fine, *self.input_shape(self.parameters(theta, index)))
 
     def windows(self, index: int) -> list[tuple[int, int]]:
-        """Windows of record `index`, a whole number of steps and of blocks of `BLOCK_S`: first row and number
-        of rows of each.
-        """
-        record = self.records[index]
-        coarse = max(1, int(self.step_s / record.step_s + 1e-6))
-        block = max(1, int(thresholds.BLOCK_S / record.step_s + 1e-6))
-        return window_starts(record, self.window_s, math.lcm(coarse, block), self.window_parts)
+        """First row and number of rows of each window of record `index`."""
+        return self.grids.windows(index)
 
     def evaluation(
         self, index: int, theta: Floats, states: Floats, *, fine: bool = False, derivatives: bool = True
@@ -265,36 +219,6 @@ class Problem:
             angles, _ = self.kernel.run(grid.inputs, states, parameters, False)
         return Evaluation((grid.measured_rad - angles) / sigma, normal_matrix)
 
-    def jacobian(
-        self, index: int, theta: Floats, states: Floats, *, fine: bool = False
-    ) -> tuple[Floats, Floats]:
-        """Residuals of a record with all their derivatives.
-
-        Parameters
-        ----------
-        index : int
-            Which record.
-        theta : ndarray (f,)
-            Free parameters.
-        states : ndarray (w, states)
-            Initial states of the windows.
-        fine : bool
-            Compare every sample.
-
-        Returns
-        -------
-        residual : ndarray (m, 3)
-            As in `Evaluation`.
-        jacobian : ndarray (m, 3, states + f)
-            Derivatives of the predicted angles, in the same unit, to the window's initial state and to the
-            free parameters.
-        """
-        grid = self.grid(index, fine, theta)
-        angles, jacobian = self.kernel.run(grid.inputs, states, self.parameters(theta, index), True)
-        sigma = grid.record.sigma_rad
-        assert jacobian is not None
-        return (grid.measured_rad - angles) / sigma, jacobian / sigma[:, None]
-
     def input_shape(self, parameters: Floats) -> tuple[tuple[str, float] | None, float | None]:
         """Delay and dead zone, which shape the voltages before they act.
 
@@ -313,3 +237,38 @@ class Problem:
         """
         delay = None if self._delay is None else (self.model.delay, float(parameters[self._delay]))
         return delay, self.model.dead_zone_V(parameters, self.names)
+
+
+def _prepared(
+    flights: Sequence[Flight | Record], rig: Rig, labels: Sequence[str] | None
+) -> tuple[Record, ...]:
+    """Find the free flight in each log that is not prepared yet."""
+    records = tuple(
+        flight
+        if isinstance(flight, Record)
+        else prepare(flight, rig, labels[i] if labels is not None else f"flight {i + 1}")
+        for i, flight in enumerate(flights)
+    )
+    if not records:
+        raise IdentifyError("there is no flight to identify from", "give at least one")
+    if len({record.label for record in records}) < len(records):
+        raise IdentifyError("two flights have the same label", "give each flight a label of its own")
+    return records
+
+
+def _values(model: Model, rig: Rig, values: Mapping[str, float]) -> Floats:
+    """All parameters of a model, shape (p,), some of them replaced by `values`."""
+    names = [quantity.name for quantity in model.parameters]
+    result: Floats = model.parameter_values(rig)
+    for name, value in values.items():
+        if name not in names:
+            raise IdentifyError(f"the model has no parameter '{name}'", f"choose from: {', '.join(names)}")
+        result[names.index(name)] = value
+    return result
+
+
+def _state_stds(model: Model, rig: Rig) -> dict[str, float]:
+    """Prior standard deviations of effects' states at the beginning of a window, by name."""
+    thrust_N = thresholds.STATE_STD_V * rig["thrust_gain"].value
+    by_unit = {**thresholds.STATE_STD, "V": thresholds.STATE_STD_V, "N": thrust_N}
+    return {state.name: by_unit.get(state.unit, 1.0) for state in model.states[6:]}

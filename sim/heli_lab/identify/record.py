@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
-from heli_host.arrays import Floats
+from heli_host.arrays import Flags, Floats
 from heli_host.flight import Flight
 from heli_host.flight.counts import count_rad
 from heli_sim.model.parts import AXES
@@ -133,7 +132,7 @@ def prepare(
     _refuse_dead_columns(flight, label, counts_rad)
     _refuse_duties(flight, label, rig)
 
-    reasons: list[tuple[npt.NDArray[np.bool_], str]] = []
+    reasons: list[tuple[Flags, str]] = []
     if start_s is not None or stop_s is not None:
         low, high = -math.inf if start_s is None else start_s, math.inf if stop_s is None else stop_s
         reasons.append(((t_s < low) | (t_s >= high), "not asked for"))
@@ -247,7 +246,7 @@ def _refuse_dead_columns(flight: Flight, label: str, count_rad: Floats) -> None:
             )
 
 
-def _near_table(flight: Flight, rig: Rig, step_s: float) -> npt.NDArray[np.bool_]:
+def _near_table(flight: Flight, rig: Rig, step_s: float) -> Flags:
     """Rows on the table, taking off or landing."""
     elevation_deg = np.rad2deg(flight.elevation_rad)
     table_deg = rig["elevation_min"].value
@@ -275,7 +274,7 @@ def _near_table(flight: Flight, rig: Rig, step_s: float) -> npt.NDArray[np.bool_
     typical_deg = float(np.median(elevation_deg[clear])) if clear.any() else 0.0
     up = elevation_deg > max(table_deg + thresholds.TAKE_OFF_DEG, typical_deg - 5.0)
     cut = contact.copy()
-    tail = round(thresholds.TAKE_OFF_TAIL_S / step_s)
+    tail = round(thresholds.SETTLED_S / step_s)
     edges = np.flatnonzero(np.diff(contact.astype(int)))
     for edge in edges:
         if contact[edge]:
@@ -287,13 +286,13 @@ def _near_table(flight: Flight, rig: Rig, step_s: float) -> npt.NDArray[np.bool_
     return cut
 
 
-def _last_descent(flight: Flight, near_table: npt.NDArray[np.bool_], step_s: float) -> npt.NDArray[np.bool_]:
+def _last_descent(flight: Flight, near_table: Flags, step_s: float) -> Flags:
     """Rows of the descent at the end of a flight whose voltages were taken back, whether or not the log goes
     on until the table.
     """
     descent = np.zeros(len(flight), bool)
     flying = ~near_table
-    tail = max(1, round(thresholds.LANDING_TAIL_S / step_s))
+    tail = max(1, round(thresholds.LAG_S / step_s))
     if int(flying.sum()) < 4 * tail:
         return descent
     total_V = flight.front_V + flight.back_V
@@ -315,9 +314,9 @@ def _last_descent(flight: Flight, near_table: npt.NDArray[np.bool_], step_s: flo
     return descent
 
 
-def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> list[tuple[str, npt.NDArray[np.bool_], list[str]]]:
-    reasons: list[tuple[str, npt.NDArray[np.bool_], list[str]]] = []
-    around = round(thresholds.AROUND_STOP_S / step_s)
+def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> list[tuple[str, Flags, list[str]]]:
+    reasons: list[tuple[str, Flags, list[str]]] = []
+    around = round(thresholds.LAG_S / step_s)
     names = ("elevation_max", "pitch_max", "travel_max")
     for index, (axis, name) in enumerate(zip(AXES, names, strict=True)):
         stop, degrees = rig[name], np.rad2deg(angles_rad[:, index])
@@ -337,7 +336,7 @@ def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> list[tuple[str, npt.N
 
 
 def _segments(
-    reasons: list[tuple[npt.NDArray[np.bool_], str]], gap: npt.NDArray[np.bool_], t_s: Floats, least: int
+    reasons: list[tuple[Flags, str]], gap: Flags, t_s: Floats, least: int
 ) -> tuple[tuple[tuple[int, int], ...], tuple[Cut, ...]]:
     code = np.zeros(len(t_s), int)  # 0: free; else 1 + index of the first reason
     for index in reversed(range(len(reasons))):

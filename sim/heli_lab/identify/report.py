@@ -61,7 +61,7 @@ def verdict(identification: Identification) -> str:
     judged = residual["train"] if residual["validation"] is None else residual["validation"]
     held_out = residual["validation"] is not None
     where = "flights that it never saw" if held_out else "the flights that it was fitted to"
-    window_s = identification.fit.problem.window_s
+    window_s = identification.fit.problem.grids.window_s
     errors = ", ".join(f"{axis} {numbers['free_run_rms_deg'][axis]:.3g}" for axis in AXES)
     if judged <= NOTHING_LEFT:
         first = f"Nothing but the encoders' quantisation is left on {where}: normalised error {judged:.3f}."

@@ -1,4 +1,4 @@
-"""The noise that residuals show: variance, autocorrelation, outlying windows."""
+"""Noise of the residuals: variance, autocorrelation, outlying windows."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from heli_host.arrays import Floats
 
 from heli_lab.estimation.long_run_variance import autocovariance, newey_west_variance
-from heli_lab.identify.thresholds import GROSS, LONGEST_LAG_S, MIN_SHARE, MIN_VARIANCE, OUTLIER
+from heli_lab.identify.thresholds import GROSS, LONGEST_LAG_S, MIN_SHARE, OUTLIER
 
 
 def long_run_variance(residual: Floats, windows: Sequence[slice], step_s: float) -> Floats:
@@ -56,23 +56,6 @@ def floor_axes(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floa
     least_rad2 = MIN_SHARE * np.max(variance * wrong * sigma_rad**2, axis=-1, keepdims=True)
     result: Floats = np.maximum(variance, least_rad2 / sigma_rad**2)
     return result
-
-
-def floored_mean_square(mean_square: Floats, sigma_rad: Floats) -> Floats:
-    """Variances of the axes, shape (..., 3), from mean squares in the same unit, bounded as a fit bounds
-    them.
-
-    Without the bound, travel alone decides a score test, because its encoder is fine. The test then ranks
-    candidates low that a refit to measured flights accepts.
-
-    Parameters
-    ----------
-    mean_square : ndarray (..., 3)
-        Mean square of the residuals, in units of the quantisation's variance.
-    sigma_rad : ndarray (3,)
-        Standard deviation of the quantisation of each axis.
-    """
-    return floor_axes(np.maximum(mean_square, MIN_VARIANCE), mean_square, sigma_rad)
 
 
 def window_weights(residual: Floats, windows: Sequence[slice], variance: Floats) -> Floats:

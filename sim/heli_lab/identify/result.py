@@ -137,7 +137,7 @@ class Identification:
             "free_run_rms_deg": {
                 axis: _together([check.rms_deg[axis] for check in judged], judged) for axis in AXES
             },
-            "free_run_s": problem.window_s,
+            "free_run_s": problem.grids.window_s,
             "free_run_of": "validation" if self.validation else "train",
             "correlations": {
                 name: {other: round(float(value), 4) for other, value in zip(problem.names, row, strict=True)}

@@ -1,14 +1,18 @@
-"""The normal equations: block elimination by the Schur complement, and steps that keep bounds."""
+"""Normal equations of multiple shooting: elimination of the initial states by the Schur complement."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
 
 from heli_lab.identify.problem import Evaluation, Problem
-from heli_lab.identify.thresholds import SINGULAR_GUARD
+
+SINGULAR_GUARD: Final = 1e-12
+"""Added to the diagonal of a block, as a share of its largest entry. It keeps the block regular if no data
+show a state. It is far above the rounding of doubles, and far below any information."""
 
 
 def eliminate(matrices: Floats, count: int, guard: float = 0.0) -> tuple[Floats, Floats]:

@@ -1,10 +1,11 @@
-"""Fits a problem: rounds of descent between estimates of the noise, first on the coarse grid."""
+"""Fit a problem: searches for the minimum in turn with estimates of the noise, first on the coarse grid."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Callable, Mapping
+from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
@@ -12,9 +13,18 @@ from heli_host.arrays import Floats
 from heli_lab.errors import IdentifyError
 from heli_lab.identify import thresholds
 from heli_lab.identify.fit import Budget, Fit, FitProgress
-from heli_lab.identify.levenberg_marquardt import LevenbergMarquardt, Point
+from heli_lab.identify.multiple_shooting import MultipleShooting
 from heli_lab.identify.problem import Problem
+from heli_lab.identify.shooting_cost import Iterate, ShootingCost
 from heli_lab.identify.uncertainty import quantisation_scatter, timing_variance
+from heli_lab.identify.window_recovery import restart_outliers
+
+_ROUGH_STEPS: Final = 4
+"""Most steps of a rough round: more are lost when the weights change."""
+_COARSE_STEPS: Final = 30
+"""Most steps of a later round on the coarse grid, hardly ever reached."""
+_FINE_STEPS: Final = 10
+"""Most steps of a round on every sample: the coarse fit is near."""
 
 
 def solve(
@@ -57,12 +67,13 @@ def solve(
     IdentifyError
         When the model cannot predict the flights at all from the start values.
     """
-    solver = LevenbergMarquardt(problem, budget or Budget(), robust, on_progress)
-    theta, states = _start(solver, start)
-    solver.reference = solver.initial_state_guess(theta)
-    point = solver.evaluate(theta, states)
-    solver.reweight(point)
-    if not math.isfinite(point.cost):
+    cost = ShootingCost(problem, robust)
+    shooting = MultipleShooting(cost, budget or Budget(), on_progress)
+    theta, states = _start(cost, start)
+    cost.state_prior = cost.initial_state_guess(theta)
+    iterate = cost.evaluate(theta, states)
+    cost.reweight(iterate)
+    if not math.isfinite(iterate.cost):
         raise IdentifyError(
             "the model's free run diverges from the start values", "check the rig parameters and units"
         )
@@ -72,42 +83,40 @@ def solve(
     for number in range(rounds):
         # While amplitudes are still wrong, a frequency or a moment would leave its basin of attraction.
         rough = number < thresholds.ROUGH_ROUNDS
-        solver.frozen[:] = [rough and parameter.quantity in multimodal for parameter in problem.free]
+        shooting.is_fixed[:] = [rough and parameter.quantity in multimodal for parameter in problem.free]
         share = (0.6 * number / rounds, 0.6 * (number + 1) / rounds)
         # Far from the solution the weights are rough: only later rounds need small steps.
-        most = thresholds.ROUGH_STEPS if rough else thresholds.COARSE_STEPS
-        point, finished = solver.descend(point, f"coarse fit, round {number + 1}", share, most)
+        most = _ROUGH_STEPS if rough else _COARSE_STEPS
+        iterate, finished = shooting.descend(iterate, f"coarse fit, round {number + 1}", share, most)
         converged = finished
-        restarted = number in (2, 3) and finished and solver.restart_outliers(point)
-        solver.update_state_prior(point)
-        change = solver.reweight(point)
-        solver.damping = 0.0
+        restarted = number in (2, 3) and finished and restart_outliers(cost, iterate)
+        cost.update_state_prior(iterate)
+        change = cost.reweight(iterate)
+        shooting.damping = 0.0
         enough = number >= thresholds.ROUGH_ROUNDS - 1 + bool(multimodal)
         if warm_start or not finished or (enough and change < thresholds.SETTLED_CHANGE and not restarted):
             break
-    if fine and not solver.out_of_budget():
-        solver.fine = True
-        point = solver.evaluate(point.theta, point.states)
-        solver.reweight(point)
+    if fine and not shooting.is_out_of_budget():
+        cost.fine = True
+        iterate = cost.evaluate(iterate.theta, iterate.states)
+        cost.reweight(iterate)
         for number in range(thresholds.FINE_ROUNDS):
             share = (0.6 + 0.4 * number / thresholds.FINE_ROUNDS, 1.0)
-            point, finished = solver.descend(point, "every sample", share, thresholds.FINE_STEPS)
+            iterate, finished = shooting.descend(iterate, "every sample", share, _FINE_STEPS)
             converged = converged and finished
-            restarted = number < 2 and finished and solver.restart_outliers(point)
-            solver.update_state_prior(point)
-            change = solver.reweight(point)
+            restarted = number < 2 and finished and restart_outliers(cost, iterate)
+            cost.update_state_prior(iterate)
+            change = cost.reweight(iterate)
             if not finished or not (restarted or change >= thresholds.SETTLED_CHANGE):
                 break
-    return _result(solver, point, converged, scatter)
+    return _result(shooting, iterate, converged, scatter)
 
 
-def _start(
-    solver: LevenbergMarquardt, start: Fit | Mapping[str, float] | None
-) -> tuple[Floats, list[Floats]]:
-    problem = solver.problem
+def _start(cost: ShootingCost, start: Fit | Mapping[str, float] | None) -> tuple[Floats, list[Floats]]:
+    problem = cost.problem
     given = start.values if isinstance(start, Fit) else start or {}
     theta = problem.parameter_vector.started_from(given)
-    states = solver.initial_state_guess(theta)
+    states = cost.initial_state_guess(theta)
     if isinstance(start, Fit) and len(start.states) == len(states):
         # An effect's state and the rates beside it compensate for each other: one without the other is worse
         # than neither.
@@ -120,31 +129,31 @@ def _start(
     return theta, states
 
 
-def _result(solver: LevenbergMarquardt, point: Point, converged: bool, scatter: bool) -> Fit:
-    problem = solver.problem
-    information, *_ = solver.reduced(point)
+def _result(shooting: MultipleShooting, iterate: Iterate, converged: bool, scatter: bool) -> Fit:
+    cost, problem = shooting.cost, shooting.cost.problem
+    information, *_ = shooting.normal_equations(iterate)
     weight = np.diag(1.0 / problem.parameter_vector.std**2)
     covariance: Floats = np.linalg.inv(information + weight).astype(np.float64)
-    if scatter and solver.fine and len(problem.free):
+    if scatter and cost.fine and len(problem.free):
         scattered = quantisation_scatter(
-            problem, point.theta, point.states, solver.variance, solver.weights, covariance
+            problem, iterate.theta, iterate.states, cost.variance, cost.weights, covariance
         )
         wider = np.maximum(1.0, scattered / np.sqrt(np.diag(covariance)))
         covariance = covariance * np.outer(wider, wider)
         covariance = covariance + np.diag(timing_variance(problem))
     low, high = problem.parameter_vector.bounds
-    bound = (point.theta <= low) | (point.theta >= high)
+    bound = (iterate.theta <= low) | (iterate.theta >= high)
     return Fit(
         problem,
-        point.theta,
+        iterate.theta,
         covariance,
         information,
-        tuple(point.states),
-        tuple(solver.variance),
-        tuple(solver.weights),
-        point.cost,
+        tuple(iterate.states),
+        tuple(cost.variance),
+        tuple(cost.weights),
+        iterate.cost,
         tuple(name for name, there in zip(problem.names, bound, strict=True) if there),
-        solver.evaluations,
-        time.perf_counter() - solver.started_s,
+        cost.evaluations,
+        time.perf_counter() - shooting.started_s,
         converged,
     )

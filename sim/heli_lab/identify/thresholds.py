@@ -18,18 +18,21 @@ fitted as flight; higher, low flight is lost."""
 TAKE_OFF_DEG: Final = 10.0
 """A take-off or landing is over only this far above the table, deg. Set by judgement. Lower, the cushion
 of air near the table is fitted as lift; higher, slow climbs are lost."""
-TAKE_OFF_TAIL_S: Final = 1.0
-"""Cut after a take-off is over, s. Set by judgement: several times the rotors' lag of 0.1 s."""
+LAG_S: Final = 0.3
+"""Cut on either side of a contact with a stop, and time over which the last voltages of a flight are means,
+s: three times the rotors' lag of 0.1 s. Set by judgement. Shorter, a motion that a contact began is fitted;
+longer, free flight is lost."""
+SETTLED_S: Final = 1.0
+"""Cut after a take-off is over, and free run before a window that the states of effects are taken from, s.
+Set by judgement: half of it leaves 0.1 % of a lag of 0.07 s. Longer costs flight."""
 TAKEN_BACK: Final = 0.6
-"""Share of the usual sum of the voltages below which the last moments of a flight are a landing. A measured
+"""Share of the typical sum of the voltages below which the last moments of a flight are a landing. A measured
 log that ends in the air ends with 0.04 of it; the others' last moments hold 0.7 and more."""
 TAKEN_BACK_FROM: Final = 0.85
 """Share of it from which on the descent before those moments is counted as part of the landing. Set by
 judgement: lower leaves the first of it in, higher cuts flight away."""
-LANDING_TAIL_S: Final = 0.3
-"""Time over which these shares are means, s: three times the rotors' lag."""
 LANDING_DEG: Final = 5.0
-"""How far below the usual elevation a flight must end to have landed in the air, deg. Set by judgement."""
+"""How far below the typical elevation a flight must end to have landed in the air, deg. Set by judgement."""
 ROTOR_m: Final = 0.1
 """How far a rotor reaches beyond its axle, m: propellers of rigs of this kind are 0.2 m and more across.
 Found on measured flights, two of which strike the table with a leaning arm; 0 takes those strikes for
@@ -43,8 +46,6 @@ contacts."""
 BEYOND_STOP_DEG: Final = 5.0
 """Beyond a stop by more than its tolerance and this, deg, the rig file's stop is disbelieved and noted.
 Set by judgement."""
-AROUND_STOP_S: Final = 0.3
-"""Cut on either side of a contact with a stop, s. Set by judgement: several times the rotors' lag."""
 MIN_MOTION_COUNTS: Final = 10
 """Encoder counts an axis must span to have moved. Set by judgement: noise and drift give one or two."""
 MIN_SEGMENT_S: Final = 1.0
@@ -69,12 +70,9 @@ constant."""
 SHORT_FIT_S: Final = 0.05
 """The same for another guess, which no jump of a torque nearby bends, s. Set on flights with dry friction
 and backlash (tests/identify/test_window_states.py)."""
-RUN_IN_S: Final = 1.0
-"""Free run before a window that the states of effects are taken from, s: several times the slowest rotor
-lag. Set by judgement; half of it leaves 0.1 % of a lag of 0.07 s."""
 STATE_STD: Final[Mapping[str, float]] = {"rad": 0.02, "N m": 0.1}
 """Prior standard deviation of an effect's state at a window's beginning, by its unit. Set by judgement:
-twice a usual backlash, several usual torques. Much smaller ties a window to a wrong run-in; much larger
+twice a typical backlash, several typical torques. Much smaller ties a window to a wrong run-in; much larger
 leaves it open."""
 STATE_STD_V: Final = 0.15
 """The same for a rotor's thrust, V. Left open, each window of a measured flight took the thrust that
@@ -96,10 +94,6 @@ MIN_SHARE: Final = 0.5
 """Share of the largest unexplained variance of an axis, in rad^2, that every axis is given at least. At 0
 pitch had twice the error on measured flights; 0.25 at first, raised when the tolerances of the Quanser
 rig were widened; at 1 all axes weigh alike."""
-MIN_VARIANCE: Final = 0.05
-"""Mean square over a block that quantisation alone leaves at least, in its variances; keeps an axis at
-rest from weighing all. Set by judgement: a constant angle would otherwise have a likelihood without
-bound."""
 OUTLIER: Final = 3.0
 """A window whose rms residual is this many times the median window's loses weight. Set by judgement:
 lower discards honest windows of a wrong model, higher lets one disturbed window decide."""
@@ -121,43 +115,21 @@ ROUGH_ROUNDS: Final = 3
 they are. Set on a periodic torque whose frequency ran away while its amplitude was still wrong."""
 FINE_ROUNDS: Final = 4
 """Most updates of the weights on every sample. Set with `ROUNDS`."""
-ROUGH_STEPS: Final = 4
-"""Most steps of a rough round. Set by judgement: more are lost when the weights change."""
-COARSE_STEPS: Final = 30
-"""Most steps of a later round on the coarse grid. Set by judgement; it is hardly ever reached."""
-FINE_STEPS: Final = 10
-"""Most steps of a round on every sample. Set by judgement: the coarse fit is near."""
 SETTLED_CHANGE: Final = 0.15
 """Weights are final when no variance changed by more than this share. Set by judgement: standard errors
 go with the root, so 7 % at most is left; smaller costs rounds that change no digit."""
-SMALL_STEP: Final = 0.02
-"""A step is small when no parameter moves by more of its standard error. Set by judgement; what is left
-of a fit is then well inside its error. An undamped step of parameters and states together that is shorter,
-measured by what it takes off the cost, is not taken."""
-LARGEST_DAMPING: Final = 1e8
-"""Levenberg-Marquardt damping beyond which a fit gives up, in units of the priors' precision. Set by
-judgement: steps are then smaller than any digit printed."""
 STATE_DAMPING: Final = 0.01
 """Damping of the initial states, as a share of their own diagonal, for each unit of the parameters'. Set
 so that dry friction is found from a start without any: at 0 only the parameters take small steps."""
-MIN_DAMPING: Final = 0.05
-"""Damping below which it is set to 0, and Gauss-Newton steps are whole. Set by judgement."""
 LEFT_BEHIND: Final = 1.1
 """A window whose cost grows by this factor in a step did not follow it, and its states are optimised
 alone. 1.5 at first; lowered when dry friction had to be found from none. Higher, one lost window makes
 the whole step be rejected; lower costs evaluations."""
 LEFT_BEHIND_SHARE: Final = 1e-3
 """And by this share of the whole cost. Set by judgement: less is not worth an evaluation."""
-IDLE_GAIN: Final = 1e-3
-"""A fit whose cost falls by less than this share in each of two steps has converged, small steps or not.
-Set on flights with backlash and dry friction, whose kinks keep steps from ever being small. On every
-sample a fifth of it."""
-CONVERGED_GAIN: Final = 1e-6
-"""An undamped step that gains less than this share ends a fit; with a small step `IDLE_GAIN` does. Set by
-judgement."""
-WORTHWHILE: Final = 0.99
-"""Where re-optimised or restarted states lower the cost below this share, the fit goes on from them. Set
-by judgement."""
+WORTHWHILE_GAIN: Final = 0.01
+"""Share of the cost that windows optimised alone must gain: in one step to be worth another, and in all for
+the fit to go on from them. Set by judgement."""
 RESTART_OUTLIER: Final = 1.5
 """A window whose mean square is this many times the median window's starts again from other states. Set
 on backlash of travel and sticking axes, whose windows may converge to a wrong minimum; lower restarts
@@ -171,14 +143,6 @@ RESTARTS: Final = 2
 WEIGHT_TURNS: Final = 3
 """Turns between variances and robust weights, so that an outlier does not widen what it is measured
 against. Set on a flight with a disturbed window; the loop ends sooner where no weight changes."""
-SINGULAR_GUARD: Final = 1e-12
-"""Added to a block's diagonal, as a share of its largest entry, so that a state that no data show keeps
-the block regular. Set by judgement, far above the rounding of doubles and far below any information."""
-WINDOW_DAMPING: Final = 1e-3
-"""First damping of a window whose states are optimised alone, as a share of its diagonal. Set by
-judgement."""
-WINDOW_GAIN: Final = 0.01
-"""Share of the windows' cost that a step must gain to be worth another. Set by judgement."""
 WINDOW_PATIENCE: Final = 2
 """Steps without that gain before windows stop. Set with `RESTART_PATIENCE`."""
 RESTART_PATIENCE: Final = 5

@@ -43,15 +43,17 @@ def quantisation_scatter(
     scores = np.zeros((DITHER_PHASES, len(theta)))
     nx = problem.state_count
     for index, record in enumerate(problem.records):
-        residual, jacobian = problem.jacobian(index, theta, states[index], fine=True)
         grid = problem.grid(index, True, theta)
-        counts = (grid.measured_rad - residual * record.sigma_rad) / record.count_rad
+        parameters = problem.parameters(theta, index)
+        angles_rad, jacobian = problem.kernel.run(grid.inputs, states[index], parameters, True)
+        assert jacobian is not None
+        counts = angles_rad / record.count_rad
         phases = random.uniform(0.0, 1.0, (DITHER_PHASES, 1, 3))
         for window, part in enumerate(grid.slices):
             shifted = counts[None, part] + phases
             errors = (np.round(shifted) - shifted) * math.sqrt(12.0)
             scale = np.sqrt(weights[index][window] / variance[index])[:, None]
-            rows = jacobian[part] * scale
+            rows = jacobian[part] / record.sigma_rad[:, None] * scale
             # Not a product of matrices: threads of the linear algebra cost more here than they save.
             normal = np.einsum("tai,taj->ij", rows[:, :, :nx], rows)
             pulls = np.einsum("pta,tai->pi", errors * scale[:, 0], rows)
@@ -88,7 +90,7 @@ class Combination:
         Change of each parameter that takes part, one posterior standard deviation of the combination, in the
         parameter's unit; the largest first.
     std_over_prior : float
-        Posterior standard deviation of the combination over its prior one: 1 when the flights say nothing.
+        Posterior standard deviation of the combination over its prior one; 1 without any information.
     """
 
     change: dict[str, float]
@@ -96,7 +98,7 @@ class Combination:
 
 
 def combinations(names: Sequence[str], information: Floats, prior_std: Floats) -> list[Combination]:
-    """Find the combinations of parameters about which the flights say less than the priors, worst first.
+    """Find the combinations of parameters that the flights determine worse than the priors, worst first.
     Directions along a single parameter are among them.
 
     Parameters

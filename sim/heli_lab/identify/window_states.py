@@ -7,169 +7,95 @@ joint step would be rejected. Such a window returns in a few damped steps of its
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
-import numpy.typing as npt
-from heli_host.arrays import Floats, Integers
+from heli_host.arrays import Flags, Floats, Integers
 
 from heli_lab.identify import thresholds
-from heli_lab.identify.problem import Evaluation, Problem
-from heli_lab.identify.schur import add_state_prior, eliminate
+from heli_lab.identify.problem import Evaluation
+from heli_lab.identify.schur import SINGULAR_GUARD, add_state_prior, eliminate
+from heli_lab.identify.shooting_cost import Iterate, ShootingCost, window_cost
 
-
-def window_cost(
-    problem: Problem,
-    evaluation: Evaluation,
-    states: Floats,
-    reference: Floats,
-    variance: Floats,
-    weights: Floats,
-) -> Floats:
-    """Cost of each window of a record, shape (w,): weighted sums of squares with the states' prior; infinite
-    where a prediction diverges.
-
-    Parameters
-    ----------
-    states : ndarray (w, states)
-        Initial states.
-    reference : ndarray (w, states)
-        Prior means of the initial states of effects.
-    variance : ndarray (3,)
-        Variance of each axis, by which its squared residuals are divided.
-    weights : ndarray (w,)
-        Weights of the windows.
-    """
-    assert evaluation.normal_matrix is not None
-    cost = weights * (evaluation.normal_matrix[:, :, -1, -1] / variance).sum(axis=1)
-    if problem.state_count > 6:
-        cost = cost + (((states - reference)[:, 6:] / problem.state_std) ** 2).sum(axis=1)
-    result: Floats = np.where(np.isfinite(cost), cost, np.inf)
-    return result
+_DAMPING: Final = 1e-3
+"""First damping of a window, as a share of its diagonal."""
 
 
 def refine_states(
-    problem: Problem,
+    cost: ShootingCost,
+    iterate: Iterate,
     index: int,
-    theta: Floats,
-    states: Floats,
-    evaluation: Evaluation,
-    reference: Floats,
-    variance: Floats,
     which: Integers,
     *,
     before: Floats | None = None,
-    fine: bool = False,
     most: int = 4,
-) -> tuple[Floats, Evaluation]:
-    """Improve the initial states of some windows, each by Levenberg-Marquardt steps of its own.
+) -> None:
+    """Improve the initial states of some windows of an `iterate`, each by its own Levenberg-Marquardt steps.
 
     Parameters
     ----------
+    cost : ShootingCost
+        Its variances apply; weights of windows do not.
     index : int
         Which record.
-    theta : ndarray (f,)
-        Free parameters, which stay.
-    states : ndarray (w, states)
-        Initial states of all windows of the record.
-    evaluation : Evaluation
-        Predictions from them with their derivatives.
-    reference : ndarray (w, states)
-        Prior means of the initial states of effects.
-    variance : ndarray (3,)
-        Variance of each axis, by which its squared residuals are divided.
     which : ndarray of int64 (k,)
         Windows to improve.
     before : ndarray (w, states), optional
         Other states to start from, for windows in which they are better.
-    fine : bool
-        Compare every sample, as `evaluation` does.
     most : int
         Most steps.
-
-    Returns
-    -------
-    states : ndarray (w, states)
-        Initial states of all windows.
-    evaluation : Evaluation
-        Predictions from them.
     """
-    some = _Windows(problem, index, theta, states, evaluation, reference, variance, which, fine)
+    windows = _Windows(cost, iterate, index, which)
     if before is not None:
-        some.offer(before[which])
-    some.descend(most, thresholds.WINDOW_PATIENCE)
-    return some.inserted(states, evaluation)
+        windows.offer(before[which])
+    windows.descend(most, thresholds.WINDOW_PATIENCE)
+    windows.insert(cost, iterate, index)
 
 
 def restart_states(
-    problem: Problem,
-    index: int,
-    theta: Floats,
-    states: Floats,
-    evaluation: Evaluation,
-    reference: Floats,
-    variance: Floats,
-    which: Integers,
-    other: Floats,
-    *,
-    fine: bool = False,
-    most: int = 12,
-) -> tuple[Floats, Evaluation]:
-    """Optimise some windows from other initial states, and keep the result where it is better.
+    cost: ShootingCost, iterate: Iterate, index: int, which: Integers, other: Floats, *, most: int = 12
+) -> None:
+    """Optimise some windows of an `iterate` from other initial states, and keep the result if it is better.
 
     Parameters
     ----------
-    problem, index, theta, states, evaluation, reference, variance, which, fine, most
+    cost, index, which, most
         As in `refine_states`.
     other : ndarray (w, states)
         Initial states to start from, of all windows of the record.
-
-    Returns
-    -------
-    states : ndarray (w, states)
-        Initial states of all windows.
-    evaluation : Evaluation
-        Predictions from them.
     """
-    some = _Windows(problem, index, theta, states, evaluation, reference, variance, which, fine)
-    again = _Windows(problem, index, theta, states, evaluation, reference, variance, which, fine)
+    windows, again = (_Windows(cost, iterate, index, which) for _ in range(2))
     again.cost[:] = np.inf
     again.offer(other[which])
     again.descend(most, thresholds.RESTART_PATIENCE)
-    some.take(again)
-    return some.inserted(states, evaluation)
+    windows.take(again)
+    windows.insert(cost, iterate, index)
 
 
 class _Windows:
-    """The best states so far of some windows."""
+    """The best states so far of some windows, with their cost."""
 
-    def __init__(
-        self,
-        problem: Problem,
-        index: int,
-        theta: Floats,
-        states: Floats,
-        evaluation: Evaluation,
-        reference: Floats,
-        variance: Floats,
-        which: Integers,
-        fine: bool,
-    ) -> None:
+    def __init__(self, cost: ShootingCost, iterate: Iterate, index: int, which: Integers) -> None:
+        problem, evaluation = cost.problem, iterate.evaluations[index]
         assert evaluation.normal_matrix is not None
-        whole = problem.grid(index, fine, theta)
-        self.problem, self.which, self.variance = problem, which, variance
+        whole = problem.grid(index, cost.fine, iterate.theta)
+        self.problem, self.which, self.variance = problem, which, cost.variance[index]
         self.grid = whole.only(which)
         self.rows = np.concatenate([np.arange(whole.slices[i].start, whole.slices[i].stop) for i in which])
-        self.parameters, self.reference = problem.parameters(theta, index), reference[which]
-        self.states, self.normal_matrix = states[which].copy(), evaluation.normal_matrix[which].copy()
+        self.parameters = problem.parameters(iterate.theta, index)
+        self.reference = cost.state_prior[index][which]
+        self.states = iterate.states[index][which].copy()
+        self.normal_matrix = evaluation.normal_matrix[which].copy()
         self.residual = evaluation.residual[self.rows].copy()
         self.cost = self._cost(self.states, self.normal_matrix)
 
-    def offer(self, states: Floats) -> npt.NDArray[np.bool_]:
-        """Take other states where they are better; say where."""
+    def offer(self, states: Floats) -> Flags:
+        """Replace states by other `states` if these are better; return for each window whether they are."""
         measured, sigma = self.grid.measured_rad, self.grid.record.sigma_rad
         kernel = self.problem.kernel
         angles, normal_matrix = kernel.products(self.grid.inputs, states, self.parameters, measured, sigma)
         cost = self._cost(states, normal_matrix)
-        better: npt.NDArray[np.bool_] = cost < self.cost
+        better: Flags = cost < self.cost
         self.states[better], self.normal_matrix[better], self.cost[better] = (
             states[better],
             normal_matrix[better],
@@ -180,7 +106,7 @@ class _Windows:
         return better
 
     def take(self, other: _Windows) -> None:
-        """Take the states of another optimisation of the same windows where they are better."""
+        """Replace states by those of another optimisation of the same windows if these are better."""
         better = other.cost < self.cost
         self.states[better], self.normal_matrix[better] = other.states[better], other.normal_matrix[better]
         self.cost[better] = other.cost[better]
@@ -189,14 +115,14 @@ class _Windows:
 
     def descend(self, most: int, patience: int) -> None:
         """Take damped steps while the cost falls enough."""
-        damping, idle = np.full(len(self.which), thresholds.WINDOW_DAMPING), 0
+        damping, idle = np.full(len(self.which), _DAMPING), 0
         for _ in range(most):
             if not np.isfinite(self.cost).all() or idle == patience:
                 break
             total = float(self.cost.sum())
             better = self.offer(self.step(damping))
             damping = np.where(better, 0.2 * damping, 30.0 * damping)
-            idle = 0 if total - float(self.cost.sum()) > thresholds.WINDOW_GAIN * total else idle + 1
+            idle = 0 if total - float(self.cost.sum()) > thresholds.WORTHWHILE_GAIN * total else idle + 1
 
     def step(self, damping: Floats) -> Floats:
         """States after a damped Gauss-Newton step, each window's damping in units of its own diagonal."""
@@ -204,27 +130,21 @@ class _Windows:
         normal = np.einsum("a,waij->wij", 1.0 / self.variance, self.normal_matrix)
         add_state_prior(self.problem, normal, self.states, self.reference, damping)
         residual = [*range(nx), normal.shape[1] - 1]
-        _, gain = eliminate(normal[:, residual][:, :, residual], nx, thresholds.SINGULAR_GUARD)
+        _, gain = eliminate(normal[:, residual][:, :, residual], nx, SINGULAR_GUARD)
         result: Floats = self.states + gain[:, :, 0]
         return result
 
-    def inserted(self, states: Floats, evaluation: Evaluation) -> tuple[Floats, Evaluation]:
-        """States and evaluation of all windows, these ones replaced."""
+    def insert(self, cost: ShootingCost, iterate: Iterate, index: int) -> None:
+        """Replace these windows of a record in an `iterate`, and update its cost."""
+        evaluation = iterate.evaluations[index]
         assert evaluation.normal_matrix is not None
-        all_states, normal_matrix, residual = (
-            states.copy(),
-            evaluation.normal_matrix.copy(),
-            evaluation.residual.copy(),
-        )
-        all_states[self.which], normal_matrix[self.which], residual[self.rows] = (
-            self.states,
-            self.normal_matrix,
-            self.residual,
-        )
-        return all_states, Evaluation(residual, normal_matrix)
+        states, residual = iterate.states[index].copy(), evaluation.residual.copy()
+        normal_matrix = evaluation.normal_matrix.copy()
+        states[self.which], residual[self.rows] = self.states, self.residual
+        normal_matrix[self.which] = self.normal_matrix
+        iterate.states[index], iterate.evaluations[index] = states, Evaluation(residual, normal_matrix)
+        iterate.cost = cost.cost(iterate)
 
     def _cost(self, states: Floats, normal_matrix: Floats) -> Floats:
-        evaluation = Evaluation(self.residual, normal_matrix)
-        return window_cost(
-            self.problem, evaluation, states, self.reference, self.variance, np.ones(len(self.which))
-        )
+        ones = np.ones(len(self.which))
+        return window_cost(self.problem, normal_matrix, states, self.reference, self.variance, ones)

@@ -1,4 +1,4 @@
-"""Pieces that laws are made of."""
+"""Parts of control laws."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ def saturated(value: Any, least: Any, most: Any) -> Any:
 
 
 def motor_volts(collective_V: Any, differential_V: Any, dead_zone_V: Any = 1.0) -> tuple[Any, Any]:
-    """Turn lift into motor voltages: a rotor gives no thrust below its dead zone (paper, eqs. 31 and 32).
+    """Convert collective and differential into motor voltages, with the rotors' dead zone (paper, eqs. 31 and
+    32).
 
     Pitch goes first, as in the board's own mixer: the collective gives way so that no rotor pulls down.
 

@@ -1,4 +1,4 @@
-"""The rows of a log during which a law flew: flights of different laws are compared on these rows."""
+"""Cut a log to the rows that a control law flew, so that flights of different laws can be compared."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from heli_host.log.flight_file import read_flight
 
 
 def flight_of_law(path: Path) -> Flight:
-    """Read a log and cut it to what a law flew: one that came over the link where one did, else the host's or
-    the board's own.
+    """Read a log and cut it to the rows that a law flew. A law that came over the link has priority.
+    Otherwise these are the rows of a controller on the host, or of the board's control law.
 
     Parameters
     ----------

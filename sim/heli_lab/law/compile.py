@@ -109,14 +109,14 @@ def _read(law: LawSource, function: ca.Function) -> tuple[Program, list[int]]:
 
 
 def _with_copies(law: LawSource, program: Program, outputs: list[int]) -> None:
-    """Copy states that go into others: one may not be read any more once it is written."""
+    """Copy a state before it is written if a later operation still reads its old value."""
     for k in range(_FIRST_NEW_STATE + len(law.signals), len(outputs)):
         if program.values[outputs[k]].kind == "state":
             outputs[k] = program.do("copy", outputs[k])
 
 
 def _without_dead_ends(program: Program, outputs: list[int]) -> tuple[Program, list[int]]:
-    """Leave out values that no operation and no output reads."""
+    """Remove values that no operation and no output reads."""
     needed = set(outputs)
     for place in range(len(program.values) - 1, -1, -1):
         if place in needed:
@@ -135,7 +135,7 @@ def _without_dead_ends(program: Program, outputs: list[int]) -> tuple[Program, l
 
 
 def _allot(law: LawSource, program: Program, outputs: list[int]) -> tuple[list[Instruction], list[int]]:
-    """Give every value a cell; one whose value nobody reads any more is used again."""
+    """Assign a cell to every value. A cell is free again after the last operation that reads its value."""
     start = {"input": 0, "constant": len(LAW_INPUTS)}
     start["parameter"] = start["constant"] + len(program.constants)
     start["state"] = start["parameter"] + len(law.parameters)

@@ -1,4 +1,4 @@
-"""A law as one file of C, to be compiled."""
+"""Export a control law as one file of C."""
 
 from __future__ import annotations
 

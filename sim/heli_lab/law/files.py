@@ -1,4 +1,4 @@
-"""A law in a separate file: a Python module with a ``LAW``, run in a separate process."""
+"""Load a control law from a Python file that defines ``LAW``. The file runs in a separate process."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def load_law(path: Path, limit_s: float = FILE_LIMIT_s) -> Law:
 
 
 def _run_apart(path: Path, limit_s: float) -> dict[str, Any]:
-    """Run a file in another process: its law, or what is wrong."""
+    """Run a file in another process; return its law, or the error."""
     process = subprocess.Popen(
         [sys.executable, "-m", "heli_lab.law.run_file", str(path)],
         env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
@@ -99,7 +99,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 def run_law(path: Path) -> Law:
-    """Run a file here and take its ``LAW``.
+    """Run a file in this process and return its ``LAW``.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def run_law(path: Path) -> Law:
 
 
 def load_program(path: Path) -> LawProgram:
-    """Make a program of the ``LAW`` of a file; the entry point ``heli_host.laws``.
+    """Compile the ``LAW`` of a file; the entry point ``heli_host.laws``.
 
     Parameters
     ----------

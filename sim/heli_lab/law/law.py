@@ -1,4 +1,4 @@
-"""A control law written once, as a function of symbols."""
+"""A control law: a function of symbols that can run in several places."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ class Law:
 
     @cached_property
     def program(self) -> LawProgram:
-        """The law as the board takes it.
+        """The law compiled for the board.
 
         Raises
         ------
@@ -135,7 +135,7 @@ class Law:
         return Runner(self)
 
     def over_link(self, params: Mapping[str, float]) -> Streamed:
-        """Return it as what `heli_host.Heli.run_controller` calls.
+        """Return the law as a controller for `heli_host.Heli.run_controller`.
 
         Parameters
         ----------
@@ -144,30 +144,9 @@ class Law:
         """
         return Streamed(self.runner(), self.dt_s, params)
 
-    def with_parameters(self, **values: float) -> Law:
-        """Return it with other values of its parameters.
-
-        Parameters
-        ----------
-        **values : float
-            By name.
-
-        Raises
-        ------
-        BadLaw
-            It has no such parameter.
-        """
-        unknown = sorted(set(values) - set(self.parameters))
-        if unknown:
-            known = ", ".join(self.parameters) or "none"
-            raise BadLaw(f"the law {self.name} has no parameter {unknown[0]}", f"choose from: {known}")
-        return Law(
-            self.name, self.rate_Hz, self.function, self.states, {**self.parameters, **values}, self.signals
-        )
-
 
 class Runner:
-    """A law as numpy, call by call.
+    """Runs a law with numpy, one call at a time.
 
     Parameters
     ----------
@@ -180,7 +159,7 @@ class Runner:
         self.state: Floats = np.array([*law.states.values()], float)
 
     def __call__(self, inputs: npt.ArrayLike) -> Floats:
-        """Call it once.
+        """Compute one call of the law.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""A law around the linear rig: its closed loop's poles, and how far the loops are from instability."""
+"""Poles and stability margins of a control law around the linearised rig."""
 
 from __future__ import annotations
 

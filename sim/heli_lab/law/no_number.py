@@ -1,4 +1,4 @@
-"""A law's function in which "no number" (NaN) passes every limit and condition, as it does on the board.
+"""Make a law's function return NaN wherever a limit or condition gets NaN, as the board does.
 
 In C and in CasADi ``fmin(nan, 1)`` is 1, and a comparison with NaN is false: a limit hides that a law has
 failed. The board's operations give NaN there, so that its guard takes over in the same tick.
@@ -18,7 +18,7 @@ _HIDING: Final = {
 
 
 def with_no_number(function: ca.Function) -> ca.Function:
-    """Return the function, with NaN as the result of each operation that would hide it.
+    """Return the function with NaN as the result of each operation that would hide a NaN among its operands.
 
     Parameters
     ----------

@@ -33,14 +33,14 @@ _NAMES: Final = {getattr(ca, name): name[3:].lower() for name in dir(ca) if name
 
 @dataclass(frozen=True)
 class Value:
-    """One value of the program: an operation on others, or one that is there from the start.
+    """A value of the program: the result of an operation, or an input, constant, parameter or state.
 
     Parameters
     ----------
     kind : str
         ``input``, ``constant``, ``parameter``, ``state``, or the operation's name.
     place : int
-        Which of its kind; of a sum of products a bit for each product that is taken away.
+        Index among the values of its kind; for a sum of products, a bit for each product that is subtracted.
     operands : tuple of int
         Places of the values that it is computed from.
     """

@@ -19,7 +19,7 @@ from heli_lab.law.law import Law
 
 
 def answer_to(path: Path) -> dict[str, Any]:
-    """Run a file; its law, or what is wrong.
+    """Run a file; return its law, or the cause and fix of the error.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def _answers() -> IO[bytes]:
 
 
 def main() -> None:
-    """Run the file that the command line names."""
+    """Run the file named on the command line."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for whoever waits for the answer
     path = Path(sys.argv[1])
     sys.argv = [str(path)]

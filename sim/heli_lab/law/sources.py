@@ -1,4 +1,4 @@
-"""Laws from what control engineers have at hand: a gain matrix, a state space, a function of symbols."""
+"""Control laws made from a gain matrix, a state space, or a CasADi function."""
 
 from __future__ import annotations
 

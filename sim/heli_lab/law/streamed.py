@@ -1,4 +1,4 @@
-"""A law over the link: called with samples, its inputs made from them as the board makes its own."""
+"""A control law that runs on the host and streams voltages over the link."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from heli_host.link.clock import TICK_S
 
 
 class _RateFilter:
-    """Two low-passes in series, the rate being the slope of the second; as firmware/core/control has it."""
+    """Two low-pass filters in series; the rate is the slope of the second, as in firmware/core/control."""
 
     def __init__(self, cutoff_Hz: float) -> None:
         self.cutoff_Hz = cutoff_Hz
@@ -53,7 +53,7 @@ class _Shaper:
 
 
 class Streamed:
-    """A law as the controller that `heli_host.Heli.run_controller` calls.
+    """A law as a controller for `heli_host.Heli.run_controller`.
 
     Setpoints are those given to `follow`, shaped as the board shapes its own, because the board has none
     while voltages are streamed. The setpoints that the law follows are logged. Time is that of the samples: a
@@ -92,7 +92,7 @@ class Streamed:
         self.setpoints_rad: Mapping[str, float] = dict.fromkeys(AXES, 0.0)
 
     def follow(self, **wanted_rad: float) -> None:
-        """Set where it is to go.
+        """Set the targets of the setpoints.
 
         Parameters
         ----------
@@ -102,7 +102,7 @@ class Streamed:
         self._wanted_rad.update(wanted_rad)
 
     def __call__(self, sample: Any) -> tuple[float, float]:
-        """Return front and back voltage [V].
+        """Return the voltages of the front and the back motor [V].
 
         Parameters
         ----------

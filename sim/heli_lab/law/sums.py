@@ -1,4 +1,5 @@
-"""Sums and products of a program gathered into sums of products, where a board is quicker with those.
+"""Combine additions and multiplications of a program into sums of products, if the board computes those
+faster.
 
 What is added, taken away, and multiplied by constants on its way into one result becomes one operation with a
 term for each product: most of a linear law is that.
@@ -78,7 +79,7 @@ def _moved(part: _Part, moved: dict[int, int]) -> _Part:
 def _gathered(
     program: Program, uses: Counter[int], place: int, factor: float, root: bool = False
 ) -> list[_Part]:
-    """Terms of a value. One that is read elsewhere too stays a value of its own."""
+    """Return the terms of a value. A value that another operation reads too stays a separate term."""
     value = program.values[place]
     if value.kind not in _LINEAR or (uses[place] > 1 and not root):
         return [_Part(factor, place)]
@@ -98,7 +99,7 @@ def _gathered(
 
 
 def _merged(program: Program, parts: list[_Part]) -> list[_Part]:
-    """Each product once, all constants as one."""
+    """Combine equal products into one term, and all constants into one."""
     factors: dict[tuple[int, int | None], float] = {}
     offset, first = 0.0, -1
     for part in parts:
@@ -118,7 +119,7 @@ def _cost(name: str) -> int:
 
 
 def _put(program: Program, parts: list[_Part]) -> int:
-    """One sum of products, or operations one by one: what costs less."""
+    """Append one sum of products, or single operations, whichever costs less."""
     if not parts:
         return program.constant(0.0)
     parts = [_plain(program, part) for part in parts]
@@ -134,7 +135,9 @@ def _put(program: Program, parts: list[_Part]) -> int:
 
 
 def _plain(program: Program, part: _Part) -> _Part:
-    """A constant without a factor; a product with none but its sign."""
+    """Simplify a term: a constant and its factor become one constant, and a product with a factor becomes one
+    value with that factor.
+    """
     number = program.number(part.first)
     if number is not None and part.second is None:
         return _Part(1.0, program.constant(part.factor * number))

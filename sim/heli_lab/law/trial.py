@@ -1,4 +1,4 @@
-"""A plan to judge a control law by: a step of travel, then sines of elevation and travel; and its result."""
+"""Test flight of a control law: a step of travel, then sines of elevation and travel; and its result."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _TOLERANCE_deg: Final = 180.0
 
 @dataclass(frozen=True)
 class LawTrial:
-    """How a law followed its setpoints.
+    """Result of a test flight of a law.
 
     Parameters
     ----------

@@ -9,13 +9,10 @@ from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
-from heli_sim.rig import Rig
 
-from heli_lab.paper.bench_tests import ELEVATION_STEPS, TABLE_DEG, BenchTest
-from heli_lab.paper.coefficients import analytic
+from heli_lab.paper.bench_tests import TABLE_DEG, BenchTest
 
 _STEP_s: Final = 0.01
-_NAMES: Final = ("P_1", "P_2", "P_3", "P_4", "P_6")
 
 
 @dataclass(frozen=True)
@@ -43,25 +40,6 @@ CASES: Final[tuple[SensitivityCase, ...]] = (
     SensitivityCase("dead zone P_1 neglected", {"P_1": 0.0}),
 )
 """The paper's text mentions small changes in its cases 1 and 2, and neglected parameters."""
-
-
-@dataclass(frozen=True)
-class Sensitivity:
-    """Effect of an increase of one coefficient by 1 %.
-
-    Parameters
-    ----------
-    name : str
-        Name of the coefficient.
-    equilibrium_deg : float
-        Change of the equilibrium elevation.
-    rms_deg : float
-        RMS change of the response.
-    """
-
-    name: str
-    equilibrium_deg: float
-    rms_deg: float
 
 
 def response_deg(coefficients: Mapping[str, float], test: BenchTest, t_s: Floats) -> Floats:
@@ -104,34 +82,3 @@ def response_deg(coefficients: Mapping[str, float], test: BenchTest, t_s: Floats
             if x[0] <= table:
                 x = np.array([table, max(x[1], 0.0)])
     return np.degrees(out)
-
-
-def equilibrium_deg(coefficients: Mapping[str, float], test: BenchTest) -> float:
-    """Return the elevation [deg] at which thrust and gravity balance; NaN if there is no equilibrium.
-
-    Parameters
-    ----------
-    coefficients : Mapping of str to float
-        P_1 to P_6, in rad, s and V of U+.
-    """
-    p = coefficients
-    forced = p["P_1"] + p["P_5"] + p["P_6"] * (test.front_V + test.back_V)
-    # forced + P_2 cos + P_3 sin = 0
-    size = math.hypot(p["P_2"], p["P_3"])
-    if abs(forced) > size:
-        return math.nan
-    return math.degrees(math.atan2(p["P_2"], -p["P_3"]) + math.asin(forced / size))
-
-
-def sensitivities(rig: Rig, test: BenchTest = ELEVATION_STEPS[0]) -> list[Sensitivity]:
-    """Increase each coefficient by 1 % separately, and sort the changes by their size."""
-    base, t_s = analytic(rig), np.arange(0.0, 20.0, 0.02)
-    path, rest = response_deg(base, test, t_s), equilibrium_deg(base, test)
-    out = []
-    for name in _NAMES:
-        changed = base | {name: 1.01 * base[name]}
-        moved = response_deg(changed, test, t_s) - path
-        out.append(
-            Sensitivity(name, equilibrium_deg(changed, test) - rest, float(np.sqrt(np.mean(moved**2))))
-        )
-    return sorted(out, key=lambda row: -row.rms_deg)

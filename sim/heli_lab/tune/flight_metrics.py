@@ -10,8 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
-from heli_host.arrays import Floats
+from heli_host.arrays import Flags, Floats
 from heli_host.flight import Flight
 from heli_host.flight.counts import count_rad
 from heli_host.flight.response import StepMetrics, rms, step_metrics
@@ -102,7 +101,7 @@ def flight_metrics(
     )
 
 
-def _between(t_s: Floats, start_s: float, stop_s: float) -> npt.NDArray[np.bool_]:
+def _between(t_s: Floats, start_s: float, stop_s: float) -> Flags:
     return (t_s >= start_s) & (t_s < stop_s)
 
 

@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
+from heli_host.arrays import Floats
 
 _TICK_s: Final = 0.001
 _APPROACH_RATE: Final = 0.01
@@ -17,7 +17,7 @@ _SMOOTHING: Final = 0.01
 
 def shaped_step(
     distance: float, slew: float, acceleration: float, duration_s: float, every_s: float
-) -> npt.NDArray[np.float64]:
+) -> Floats:
     """Return the shaped setpoint after a step of the target, as the board computes it.
 
     Parameters

@@ -13,7 +13,7 @@ from heli_lab.identify import thresholds
 
 SETTLE_s: Final = 1.5
 """Time off the table before a flight counts as free, s: the ground effect and the thrust of the take-off have
-then decayed. Compare `identify.thresholds.TAKE_OFF_TAIL_S`. Longer: damage at take-off is detected late.
+then decayed. Compare `identify.thresholds.SETTLED_S`. Longer: damage at take-off is detected late.
 Shorter: the ground effect is taken for a change."""
 
 

@@ -107,7 +107,7 @@ def campaign(
                 scheduler=scheduler,
                 processes=workers or _cores(),
                 again=(lambda answer: bool(answer.failure)) if retry else None,
-                say=show,
+                on_progress=show,
             )
         except KeyboardInterrupt:
             raise CampaignError(

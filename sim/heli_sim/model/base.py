@@ -14,7 +14,7 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
+from heli_host.arrays import Floats
 
 from heli_sim.errors import PlantError
 from heli_sim.model.effect import Effect, Operands, Stage
@@ -90,7 +90,7 @@ class Model(ABC):
         self.delay: str = delays[0] if delays else ""
         """Name of the parameter by which the voltages act late, or empty."""
 
-    def values_in(self, label: str, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def values_in(self, label: str, values: Floats) -> Floats:
         """Values of all parameters as they are in the flight `label`: moments belong to one flight.
 
         Parameters
@@ -106,7 +106,7 @@ class Model(ABC):
                 result[place] = effect.values_in(label, {effect.moment: values[place]})[effect.moment]
         return result
 
-    def dead_zone_V(self, parameters: npt.NDArray[np.float64], free: Collection[str] = ()) -> float | None:
+    def dead_zone_V(self, parameters: Floats, free: Collection[str] = ()) -> float | None:
         """Voltage below which no rotor gives thrust.
 
         Parameters
@@ -275,7 +275,7 @@ class Model(ABC):
             angles = effect.measured_rad(at, angles)
         return angles
 
-    def parameter_values(self, rig: Rig) -> npt.NDArray[np.float64]:
+    def parameter_values(self, rig: Rig) -> Floats:
         """Numbers for the symbols of `parameters`, in their units, shape (len(parameters),): those of the
         `rig` and of the effects.
         """

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import casadi as ca
-import numpy as np
-import numpy.typing as npt
+from heli_host.arrays import Floats
 from typing_extensions import override
 
 from heli_sim.model.base import Model, Operands
@@ -39,5 +38,5 @@ class Locked(Model):
         return self._model.dynamics(x, u, p, time_s, held)
 
     @override
-    def parameter_values(self, rig: Rig) -> npt.NDArray[np.float64]:
+    def parameter_values(self, rig: Rig) -> Floats:
         return self._model.parameter_values(rig)

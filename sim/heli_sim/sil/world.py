@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
+from heli_host.arrays import Floats
 
 from heli_sim import _native
 from heli_sim.due.errors import BoardStopped
@@ -114,12 +114,12 @@ class SilWorld:
         return self.options.faults.unplugged(self.native.tick)
 
     @property
-    def state(self) -> npt.NDArray[np.float64]:
+    def state(self) -> Floats:
         """True state of the plant, as ``plant.rest_state()`` has it; may be set, to push the arm."""
         return np.array(self.native.state)
 
     @state.setter
-    def state(self, state: Sequence[float] | npt.NDArray[np.float64]) -> None:
+    def state(self, state: Sequence[float] | Floats) -> None:
         self.native.state = [float(value) for value in state]
 
     def advance(self, ticks: int, rx: bytes = b"", *, until_output: bool = False, least: int = 1) -> bytes:

@@ -36,7 +36,7 @@ def test_kicks_about_one_axis_are_counted_with_their_size(
     filtered, disturbances = model
     (linearised,) = filtered.linearised_flights
     t_s = np.concatenate([linearised.nodes.t_s[blocks.rows] for blocks in linearised.blocks])
-    error = filtered.perturbed_residual(np.zeros(filtered.size))
+    error = filtered.perturbed_residual()
     for at_s, size_Nms in KICKS_Nms.items():
         place = int(np.argmin(np.abs(t_s - at_s)))
         # A torque that the model lacks.

@@ -11,7 +11,7 @@ import numpy as np
 from heli_lab.diagnose.discover.equation import Equation, Group, equation_effect
 from heli_lab.diagnose.discover.scoring import ScoredGroup, TermSignals, term_coefficient_std
 from heli_lab.diagnose.search import Candidate, Hypothesis, ModelComparison
-from heli_lab.diagnose.thresholds import AMBIGUOUS, NEAR_REST_NATS, SIGNIFICANT_STD_ERRORS
+from heli_lab.diagnose.thresholds import MIN_MARGIN, NEAR_REST_NATS, SIGNIFICANT_STD_ERRORS
 
 
 @dataclass(frozen=True)
@@ -230,7 +230,7 @@ class EquationRefits:
         hypothesis = self.refit(refitted.equation, signals, start, self.base, held)
         penalty = refitted.penalty - 0.5 * len(fixed) * math.log(self.comparison.rows)
         whole = RefittedEquation(refitted.equation, hypothesis, penalty, refitted.group, held)
-        return whole if whole.margin > refitted.margin - AMBIGUOUS else refitted
+        return whole if whole.margin > refitted.margin - MIN_MARGIN else refitted
 
 
 def _on_own_rate(channel: str, key: str) -> bool:

@@ -19,12 +19,11 @@ from heli_lab.diagnose.search import (
     typical_candidate,
 )
 from heli_lab.diagnose.thresholds import (
-    AMBIGUOUS,
     CANDIDATES_TRIED,
-    EQUATION_MIN_REFIT_SHARE,
     EXPECTED_REFIT_GAIN,
     MIN_MARGIN,
     SHORTLIST,
+    SHORTLIST_SHARE,
     SPLINE_MARGIN,
 )
 
@@ -69,7 +68,7 @@ class ListedEffects:
         """
         # Like a spline, an equation must beat an effect by a share of its own margin.
         margin = warm_start.log_likelihood - penalty + self.held_out(warm_start)
-        enough = margin - max(AMBIGUOUS, SPLINE_MARGIN * (margin - self.base.log_likelihood))
+        enough = margin - max(MIN_MARGIN, SPLINE_MARGIN * (margin - self.base.log_likelihood))
         screening = Screening(replace(self.base.estimate, disturbances=warm_start.estimate.disturbances))
         remaining = self.remaining
 
@@ -98,7 +97,7 @@ class ListedEffects:
             if equivalent:
                 return scored.candidate.id
             gain = value + complexity_penalty - self.base.log_likelihood
-            kept += gain >= EQUATION_MIN_REFIT_SHARE * scored.log_likelihood_gain
+            kept += gain >= SHORTLIST_SHARE * scored.log_likelihood_gain
         return None
 
     @property
@@ -165,7 +164,7 @@ class ListedEffects:
             both.log_likelihood - hypothesis.log_likelihood + self.held_out(both) - self.held_out(hypothesis)
             for hypothesis in (made, warm_start)
         )
-        return by_equation - penalty > max(AMBIGUOUS, by_effect - self.complexity_penalty(listed))
+        return by_equation - penalty > max(MIN_MARGIN, by_effect - self.complexity_penalty(listed))
 
     def complexity_penalty(self, listed: Candidate) -> float:
         """Complexity penalty of the effect `listed`, nats: BIC for its parameters, and for multiple

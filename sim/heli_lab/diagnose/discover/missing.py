@@ -34,7 +34,7 @@ from heli_lab.diagnose.search import (
 )
 from heli_lab.diagnose.thresholds import CURVE_SHARE
 from heli_lab.diagnose.wording import SHOWN, quantity_in_words
-from heli_lab.estimation import AlongTrajectory, Estimate, LinearisedFlight, Trajectory
+from heli_lab.estimation import AlongTrajectory, Estimate, LinearisedFlight, Trajectory, smoothed_disturbances
 from heli_lab.estimation.estimate import estimate_disturbances
 from heli_lab.identify.flight_model import RigParameters, model_functions
 
@@ -165,9 +165,7 @@ def _without(estimate: Estimate, name: str) -> Estimate:
         functions=functions,
     )
     filtered = less.filtered()
-    disturbances = estimate_disturbances(
-        filtered, filtered.perturbed_residual(np.zeros(len(theta))), estimate.disturbances
-    )
+    disturbances = estimate_disturbances(filtered, filtered.perturbed_residual(), estimate.disturbances)
     return replace(less, disturbances=disturbances)
 
 
@@ -199,7 +197,7 @@ def _smoothed_torque(estimate: Estimate) -> tuple[Floats, Floats]:
     """Smoothed disturbance torques about the three axes, (k, 3) over all flights, and their
     standard errors.
     """
-    smoothed = estimate.filtered().smoothed_disturbances(estimate.disturbances, np.zeros(len(estimate.theta)))
+    smoothed = smoothed_disturbances(estimate.filtered(), estimate.disturbances)
     return np.concatenate([values for _, values, _ in smoothed]), np.concatenate(
         [values for _, _, values in smoothed]
     )

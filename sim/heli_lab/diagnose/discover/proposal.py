@@ -26,6 +26,7 @@ from heli_lab.diagnose.thresholds import (
     HELD_OUT_NATS,
     MAX_CONFIDENCE,
 )
+from heli_lab.estimation import smoothed_disturbances
 
 
 @dataclass(frozen=True)
@@ -150,9 +151,7 @@ def term_trace(discovery: Discovery) -> TermTrace:
     signals = TermSignals(Screening(with_equation))
     torque = signals.linearised_flights[0].disturbance_for(change)
     axis = int(np.argmax(torque.std(axis=0)))
-    t_s, missing, std = without.filtered().smoothed_disturbances(
-        without.disturbances, np.zeros(len(without.theta))
-    )[0]
+    t_s, missing, std = smoothed_disturbances(without.filtered(), without.disturbances)[0]
     term_Nm = np.interp(t_s, term_s, torque[:, axis])
     on = discovery.equation.terms[0].term.quantities[-1]
     value = signals.quantity(0, on)

@@ -29,11 +29,10 @@ from heli_lab.diagnose.thresholds import (
     EQUATION_FINALISTS,
     EQUATION_MAX_ALIKE,
     EQUATION_MAX_TERMS,
-    EQUATION_MIN_HELD_OUT_NATS,
-    EQUATION_MIN_REFIT_SHARE,
     EQUATION_MIN_SPLINE_SHARE,
     EXPECTED_REFIT_GAIN,
     MIN_MARGIN,
+    SHORTLIST_SHARE,
 )
 from heli_lab.estimation import DisturbanceModel
 
@@ -114,7 +113,7 @@ class EquationSearch:
             self.say(f"trying {scored_group.group.key}")
             made = self.refits.refit_extended(scored_group, equation, known, signals)
             gain = made.hypothesis.log_likelihood - warm_start.log_likelihood
-            kept += gain >= EQUATION_MIN_REFIT_SHARE * scored_group.log_likelihood_gain
+            kept += gain >= SHORTLIST_SHARE * scored_group.log_likelihood_gain
             rivals[scored_group.group.key] = gain - (made.penalty - known_penalty)
             if best is None or made.margin > best.margin:
                 best = made
@@ -244,7 +243,7 @@ def discover(
             with_equation = comparison.held_out_estimate(result.hypothesis)
             held_out = with_equation.log_likelihood - without.log_likelihood
             # Flights that had no part in its choice must confirm each term.
-            if held_out - before < EQUATION_MIN_HELD_OUT_NATS:
+            if held_out - before < MIN_MARGIN:
                 break
             before = held_out
         known, confirmed = result, (result, held_out, dict(search.rivals))

@@ -58,7 +58,7 @@ def kicks(
     error : list, optional
         As in `auxiliary_residuals`.
     """
-    error = filtered.perturbed_residual(np.zeros(filtered.size)) if error is None else error
+    error = filtered.perturbed_residual() if error is None else error
     sizes_Nms: dict[str, list[float]] = {}
     for _ in range(_MAX_KICKS):
         residuals = auxiliary_residuals(filtered, disturbances, error)

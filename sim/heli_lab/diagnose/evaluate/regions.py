@@ -12,20 +12,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.arrays import Flags, Floats, Integers
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.search import Screening, quantity_values
 from heli_lab.diagnose.thresholds import FALSE_DISCOVERY_RATE
-from heli_lab.estimation import Estimate
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    Booleans = npt.NDArray[np.bool_]
+from heli_lab.estimation import Estimate, smoothed_disturbances
 
 _CELLS: Final = 8
 """Cells along each quantity: with fewer, regions blur; with more, cells are visited too briefly."""
@@ -76,7 +71,7 @@ class RegionTest:
     """
 
     z: Floats
-    fails: Booleans
+    fails: Flags
     share: float
     rms_Nm: float
     flights: tuple[PlaneTrajectory, ...]
@@ -169,11 +164,11 @@ def _gain(screening: Screening, axis: str, by: list[tuple[Floats, Floats] | None
     return float(np.nansum(z**2 - 1.0) / np.sqrt(max(1, np.isfinite(z).sum())))
 
 
-def _number(values: Floats, edges: Floats) -> npt.NDArray[np.int64]:
+def _number(values: Floats, edges: Floats) -> Integers:
     return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, _CELLS - 1)
 
 
-def _scores(screening: Screening, axis: str, place: npt.NDArray[np.int64], count: int) -> Floats:
+def _scores(screening: Screening, axis: str, place: Integers, count: int) -> Floats:
     """Score of a torque in each of `count` cells in standard deviations, `place` being the cell of each step;
     nan if there were too few steps.
     """
@@ -208,7 +203,7 @@ def _test(
     p_values = [math.erfc(abs(score) / math.sqrt(2.0)) for score in z[tested]]
     if p_values:
         fails[tested] = false_discovery_control(p_values) <= FALSE_DISCOVERY_RATE
-    smoothed = screening.filtered.smoothed_disturbances(estimate.disturbances, np.zeros(len(estimate.theta)))
+    smoothed = smoothed_disturbances(screening.filtered, estimate.disturbances)
     trajectories = []
     for linear, (_, torque_Nm, _) in zip(screening.filtered.linearised_flights, smoothed, strict=True):
         rows = np.concatenate([blocks.rows for blocks in linear.blocks])

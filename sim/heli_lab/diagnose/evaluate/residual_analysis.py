@@ -177,14 +177,14 @@ def disturbance_gains(screening: Screening) -> Floats:
         )
         for gone in np.eye(3, dtype=bool)
     ]
-    error = filtered.perturbed_residual(np.zeros(filtered.size))
+    error = filtered.perturbed_residual()
     values = filtered.log_likelihoods([disturbances, *less], error).sum(axis=1)
     result: Floats = values[0] - values[1:]
     return result
 
 
 def _autocorrelation(screening: Screening) -> tuple[Floats, float]:
-    innovations = screening.filtered.innovations_by_flight(screening.estimate.disturbances)
+    innovations = screening.filtered.innovations(screening.estimate.disturbances)
     value = np.concatenate([flight[:, 0] for flight in innovations.flights]).reshape(-1, 3)
     variance = np.maximum((value**2).mean(axis=0), 1e-12)
     correlations = [
@@ -286,7 +286,7 @@ def correlates(splines: Sequence[Scored]) -> list[str]:
         ``CHANNEL on QUANTITY``, the best first.
     """
     best = splines[0].log_likelihood_gain if splines else 0.0
-    least = max(thresholds.CORRELATE_SHARE * best, thresholds.CORRELATE_MIN)
+    least = max(thresholds.CORRELATE_SHARE * best, thresholds.CHANCE_NATS)
     return [
         " on ".join(spline.candidate.id.split(":")[1:])
         for spline in splines[:_MAX_CORRELATES]

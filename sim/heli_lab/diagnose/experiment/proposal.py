@@ -16,7 +16,7 @@ from heli_lab.diagnose.experiment.design import (
     informative_experiment,
 )
 from heli_lab.diagnose.search import ModelComparison, Search, SplineTerm
-from heli_lab.diagnose.thresholds import AMBIGUOUS, MANY_UNDETECTABLE, SHORT_s
+from heli_lab.diagnose.thresholds import MANY_UNDETECTABLE, MIN_MARGIN, SHORT_s
 
 
 def propose_experiment(
@@ -41,7 +41,7 @@ def propose_experiment(
     label = assessment.verdict.label
     pair = _closest_pair(comparison, search, assessment) if label == "ambiguous" else None
     if pair is not None:
-        return discriminating_experiment(pair, comparison, kinds, AMBIGUOUS)
+        return discriminating_experiment(pair, comparison, kinds, MIN_MARGIN)
     if label == "unexplained":
         return _wider_range(search, assessment)
     seconds = sum(record.used_s for record in comparison.train)

@@ -16,7 +16,7 @@ from heli_lab.diagnose.discover import SplineCurve, accelerations
 from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.search import Round
 from heli_lab.diagnose.wording import channel_in_words, quantity_in_words, readable_id
-from heli_lab.estimation import Estimate
+from heli_lab.estimation import Estimate, smoothed_disturbances
 from heli_lab.identify import Fit, Trace, trace
 
 if TYPE_CHECKING:
@@ -260,9 +260,7 @@ def _broken(drawn: Trace, axis: int) -> tuple[Floats, Floats]:
 
 def _torque(estimate: Estimate) -> tuple[Floats, Floats]:
     """Times and smoothed disturbance torques about the three axes of the first fitted flight."""
-    t_s, torque_Nm, _ = estimate.filtered().smoothed_disturbances(
-        estimate.disturbances, np.zeros(len(estimate.theta))
-    )[0]
+    t_s, torque_Nm, _ = smoothed_disturbances(estimate.filtered(), estimate.disturbances)[0]
     return t_s, torque_Nm
 
 

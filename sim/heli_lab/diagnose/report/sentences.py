@@ -10,7 +10,7 @@ from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
 from heli_lab.diagnose.report import findings
 from heli_lab.diagnose.report.cautions import cautions
 from heli_lab.diagnose.result import Diagnosis, Proposal
-from heli_lab.diagnose.thresholds import CONFIDENCE_NATS, REPORT_DISTURBANCE_NATS, REPORT_RATIO
+from heli_lab.diagnose.thresholds import CONFIDENCE_NATS, MIN_MARGIN, REPORT_RATIO
 from heli_lab.diagnose.wording import dependence_in_words, evidence_in_words
 
 METRIC: Final = "2 s free-run rms on the validation flights, deg"
@@ -76,7 +76,7 @@ def disturbances_in_words(result: Diagnosis) -> str:
         f"{1e3 * values['fast_std_Nm']:.2g} mN m about {axis} "
         f"with a correlation time of {values['correlation_time_s']:.1g} s"
         for axis, values in findings.disturbances(result.assessment.residual_analysis).items()
-        if values["log_likelihood_ratio"] > REPORT_DISTURBANCE_NATS
+        if values["log_likelihood_ratio"] > MIN_MARGIN
     ]
     parts += [
         f"{kick.count} kick{'s' * (kick.count > 1)} of up to {1e3 * kick.largest_Nms:.2g} mN m s about {axis}"

@@ -17,7 +17,7 @@ from heli_host.arrays import Floats
 from heli_lab.diagnose.search.acceptance import Acceptance
 from heli_lab.diagnose.search.candidate import Scored
 from heli_lab.diagnose.search.screening import Screening, coefficient_std, signals_of
-from heli_lab.diagnose.thresholds import CONCENTRATED_MIN_NATS
+from heli_lab.diagnose.thresholds import CHANCE_NATS
 from heli_lab.estimation import DisturbanceModel, estimate_disturbances
 
 _TURNS: Final = 2
@@ -48,7 +48,7 @@ def with_concentrated_scores(
     hidden = [
         scored
         for scored in screened
-        if scored.candidate.effect.moment and scored.log_likelihood_gain > CONCENTRATED_MIN_NATS
+        if scored.candidate.effect.moment and scored.log_likelihood_gain > CHANCE_NATS
     ]
     enough = {scored.candidate.id for scored in acceptance.worth_a_refit(screened)}
     hidden = [scored for scored in hidden if scored.candidate.id not in enough]
@@ -62,7 +62,7 @@ def with_concentrated_scores(
 def concentrated(screening: Screening, screened: Sequence[Scored]) -> list[Scored]:
     """Score each candidate with its own estimate of the disturbances; never less than its plain score."""
     filtered, start = screening.filtered, screening.estimate.disturbances
-    plain = filtered.perturbed_residual(np.zeros(filtered.size))
+    plain = filtered.perturbed_residual()
     null = estimate_disturbances(filtered, plain, start)
     before = float(filtered.log_likelihoods([null], plain).sum())
     return [_concentrated(screening, scored, plain, null, before) for scored in screened]
@@ -80,7 +80,7 @@ def _concentrated(
     for _ in range(_TURNS):
         error = _without(screening, plain, signals, coefficients)
         disturbances = estimate_disturbances(filtered, error, disturbances)
-        innovations = filtered.innovations_by_flight(disturbances)
+        innovations = filtered.innovations(disturbances)
         information, score = np.diag(prior_std**-2.0), np.zeros(len(prior_std))
         made = filtered.regressors(disturbances, signals)
         for regressors, flight in zip(made, innovations.flights, strict=True):

@@ -13,7 +13,7 @@ from heli_sim.model.effects.spec import EffectSpec
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.search.candidate import Candidate, effect_candidates
-from heli_lab.estimation import DisturbanceModel, InnovationsModel, auxiliary_residuals
+from heli_lab.estimation import DisturbanceModel, InnovationsModel, auxiliary_residuals, smoothed_disturbances
 
 _JUMP_s: Final = 1.0
 """Time before and after a moment over which torques are averaged to find a jump: longer than a step response
@@ -79,7 +79,7 @@ class EffectGrids:
     @cached_property
     def _smoothed(self) -> list[tuple[Floats, Floats]]:
         """For each flight, times, (m,), and smoothed disturbance torques there, (m, 3)."""
-        smoothed = self.filtered.smoothed_disturbances(self.disturbances, np.zeros(self.filtered.size))
+        smoothed = smoothed_disturbances(self.filtered, self.disturbances)
         return [(t_s, torque_Nm) for t_s, torque_Nm, _ in smoothed]
 
     @cached_property

@@ -150,9 +150,7 @@ class ForwardSelection:
             for scored in screened
             if scored.candidate.id not in known and _acts_on(self.kinds[scored.candidate.id], channel)
         ]
-        like = [
-            scored for scored in like[: thresholds.SAME_CHANNEL_REFITS] if scored.log_likelihood_gain > 0.0
-        ]
+        like = [scored for scored in like[: thresholds.ALTERNATIVES] if scored.log_likelihood_gain > 0.0]
         return [self._refit(base, scored) for scored in like if self.progress.refits_left()]
 
     def _refit_without(self, base: Hypothesis, term: RemovedTerm) -> Refit:

@@ -153,5 +153,5 @@ class Cause:
         return tuple(
             alternative.id
             for alternative in self.alternatives
-            if alternative.log_likelihood_ratio < thresholds.AMBIGUOUS
+            if alternative.log_likelihood_ratio < thresholds.MIN_MARGIN
         )

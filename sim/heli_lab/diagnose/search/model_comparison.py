@@ -17,7 +17,7 @@ from heli_lab.diagnose.search.candidate import Candidate
 from heli_lab.diagnose.search.estimate_cache import EstimateCache, cache_key
 from heli_lab.diagnose.search.hypothesis import Hypothesis
 from heli_lab.diagnose.thresholds import NEW_DISTURBANCES_NATS, EVENT_EDGE_s
-from heli_lab.estimation import BLOCK_s, Estimate, ModelFunctions, ReferenceTrajectory, estimate
+from heli_lab.estimation import BLOCK_s, Estimate, ModelFunctions, ReferenceTrajectory, estimate, refiltered
 from heli_lab.identify import Record
 from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
 
@@ -226,7 +226,7 @@ def reference_trajectories(
     for _ in range(_FILTERED):
         estimate_ = estimate(parameter_vector, references, functions, theta, disturbances)
         disturbances, theta = estimate_.disturbances, estimate_.theta
-        references = tuple(estimate_.filtered().refiltered(disturbances))
+        references = tuple(refiltered(estimate_.filtered(), disturbances))
     return references
 
 

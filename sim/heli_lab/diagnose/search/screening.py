@@ -14,7 +14,7 @@ from heli_lab.diagnose.search.candidate import Candidate, Scored
 from heli_lab.diagnose.search.effect_grids import EffectGrids
 from heli_lab.diagnose.search.regressors import ChangeFunctions, Regressors, spline_candidates
 from heli_lab.diagnose.search.splines import KNOTS, SplineTerm
-from heli_lab.diagnose.thresholds import REFINE_MIN_NATS
+from heli_lab.diagnose.thresholds import MIN_MARGIN
 from heli_lab.estimation import Estimate
 from heli_lab.estimation.arrowhead import solve_arrowhead
 from heli_lab.threads import default_thread_count, parallel_map
@@ -59,7 +59,7 @@ class Screening:
         """Number of regressors that are filtered together, one flight after the other."""
         # On a long flight, a single batch needs more memory than that.
         self.threads = threads if batch >= KNOTS else 1
-        self._innovations = innovations = filtered.innovations_by_flight(disturbances)
+        self._innovations = innovations = filtered.innovations(disturbances)
         parameter_vector = estimate.parameter_vector
         self.measurements = sum(len(flight) for flight in innovations.flights)
         self._arrowhead = (
@@ -283,7 +283,7 @@ def _best_on_grid(
     if not allowed:
         return None
     best = Scored(candidates[max(allowed)[1]], *scores[max(allowed)[1]], len(candidates))
-    if best.candidate.grid and len(candidates) > 1 and best.log_likelihood_gain > REFINE_MIN_NATS:
+    if best.candidate.grid and len(candidates) > 1 and best.log_likelihood_gain > 0.5 * MIN_MARGIN:
         best = _refined(screening, kind, candidates, best)
     return best
 

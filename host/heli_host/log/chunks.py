@@ -1,0 +1,117 @@
+"""Unpacks the chunks of a log, and reads their records: runs of ticks as arrays, others one by one."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zstandard
+from mcap.opcode import Opcode
+from mcap.records import Chunk
+from numpy.typing import NDArray
+
+from heli_host.errors import LogError
+from heli_host.log.index import RECORD_HEADER
+from heli_host.log.schema import CDR_LITTLE_ENDIAN
+
+_MAX_CHUNK_BYTES = 1 << 26
+
+
+@dataclass
+class TickRecord:
+    """The record of a tick in this log.
+
+    Parameters
+    ----------
+    layout : dtype or None
+        Layout of its bytes; None as long as no record has described it.
+    channel : int
+        Number of its channel.
+    """
+
+    layout: np.dtype[Any] | None = None
+    channel: int = -1
+
+
+def unpacked(chunk: Chunk, has_crcs: bool, path: Path) -> bytes:
+    """Return the content of a `chunk` of the log at `path`.
+
+    Parameters
+    ----------
+    has_crcs : bool
+        Whether every chunk carries a CRC.
+
+    Raises
+    ------
+    ValueError
+        If the chunk is damaged.
+    LogError
+        If its compression is one that heli-host does not read.
+    """
+    if chunk.uncompressed_size > _MAX_CHUNK_BYTES:
+        raise ValueError("the chunk claims more than any writer puts into one")
+    if chunk.compression == "zstd":
+        # The frame's own word is what would be allocated.
+        if zstandard.get_frame_parameters(chunk.data).content_size != chunk.uncompressed_size:
+            raise ValueError("the chunk is not as large as it says")
+        body = zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=chunk.uncompressed_size)
+    elif chunk.compression == "":
+        body = chunk.data
+    elif chunk.compression == "lz4":
+        raise LogError(f"{path} is compressed by lz4", "convert it to zstd")
+    else:
+        raise ValueError("an unknown compression")
+    # MCAP leaves the field 0 where there is no CRC; heli-host always writes one.
+    carries = chunk.uncompressed_crc or has_crcs
+    if len(body) != chunk.uncompressed_size or (carries and zlib.crc32(body) != chunk.uncompressed_crc):
+        raise ValueError("the chunk's CRC does not fit")
+    return body
+
+
+def records_of(body: bytes, tick: TickRecord) -> Iterator[NDArray[Any] | tuple[int, memoryview]]:
+    """Yield runs of ticks as arrays, and every other record of a chunk with its opcode.
+
+    Parameters
+    ----------
+    body : bytes
+        The unpacked chunk.
+    tick : TickRecord
+        The caller may set it when a record of this chunk describes it.
+    """
+    view = memoryview(body)
+    position = 0
+    while position < len(body):
+        run = _tick_run(body, position, tick)
+        if run is not None:
+            yield run["payload"]
+            position += run.nbytes
+            continue
+        opcode, length = RECORD_HEADER.unpack_from(body, position)
+        start = position + RECORD_HEADER.size
+        if length > len(body) - start:
+            raise ValueError("a record reaches beyond its chunk")
+        yield opcode, view[start : start + length]
+        position = start + length
+
+
+def _tick_run(body: bytes, position: int, tick: TickRecord) -> NDArray[Any] | None:
+    """Map the ticks that follow each other from `position` on; None if there is none."""
+    record = tick.layout
+    if record is None:
+        return None
+    most = (len(body) - position) // record.itemsize
+    if most == 0:
+        return None
+    rows = np.frombuffer(body, record, count=most, offset=position)
+    ours = (
+        (rows["opcode"] == int(Opcode.MESSAGE))
+        & (rows["length"] == record.itemsize - RECORD_HEADER.size)
+        & (rows["channel"] == tick.channel)
+        & (rows["cdr"] == int.from_bytes(CDR_LITTLE_ENDIAN, "little"))
+    )
+    count = most if ours.all() else int(np.argmin(ours))
+    return rows[:count] if count else None

@@ -1,0 +1,170 @@
+"""Levenberg-Marquardt: control of the damping, and convergence (Nocedal and Wright, section 10.3).
+
+The parameters are estimated with any other unknowns, which the problem eliminates: the initial states of
+windows, for example.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Generic, Protocol, TypeVar
+
+import numpy as np
+from heli_host.arrays import Floats
+
+SMALL_STEP: Final = 0.02
+"""A step is small if no parameter moves by more of its standard error: the remaining error is
+then well inside the standard error. An undamped step of all unknowns that promises to reduce the cost by less
+than the square of this is not made."""
+_MAX_DAMPING: Final = 1e8
+"""Damping beyond which the search ends: steps are then smaller than any printed digit."""
+_MIN_DAMPING: Final = 0.05
+"""Damping below which it is set to 0, and Gauss-Newton steps are whole."""
+_IDLE_GAIN: Final = 1e-3
+"""If the cost falls by less than this share in each of two steps, the search has converged, even if the steps
+are not small. Measured on flights with backlash and dry friction, whose kinks keep steps from becoming small.
+A single small step of this gain ends the search too."""
+_CONVERGED_GAIN: Final = 1e-6
+"""A lightly damped step that reduces the cost by less than this share ends the search."""
+
+
+class Iterate(Protocol):
+    """Values of all unknowns."""
+
+    @property
+    def cost(self) -> float:
+        """Weighted sum of squares, priors included: minus twice the log-posterior up to a constant."""
+
+
+IterateT = TypeVar("IterateT", bound=Iterate)
+
+
+@dataclass(frozen=True)
+class Step(Generic[IterateT]):
+    """A damped step.
+
+    Parameters
+    ----------
+    move : ndarray (f,)
+        Step of the free parameters.
+    std : ndarray (f,)
+        Standard errors of the free parameters.
+    promised : float
+        Reduction of the cost by the step, if the cost is quadratic.
+    make : callable
+        Evaluates the model after the step.
+    """
+
+    move: Floats
+    std: Floats
+    promised: float
+    make: Callable[[], IterateT]
+
+
+class LeastSquares(Protocol[IterateT]):
+    """A nonlinear least-squares problem."""
+
+    def step(self, iterate: IterateT, damping: float) -> Step[IterateT]:
+        """Linearise at an `iterate` and solve for a step with this `damping`."""
+
+    def with_states_refined(self, iterate: IterateT) -> IterateT | None:
+        """Optimise the eliminated unknowns of an `iterate` alone; None if that gains too little."""
+
+    def is_out_of_budget(self) -> bool:
+        """Whether the search has cost as much as it may."""
+
+
+@dataclass(frozen=True)
+class Minimum(Generic[IterateT]):
+    """Result of a search.
+
+    Parameters
+    ----------
+    iterate : Iterate
+        The iterate of the lowest cost.
+    converged : bool
+        False if the budget ran out first.
+    damping : float
+        Damping of the next step.
+    """
+
+    iterate: IterateT
+    converged: bool
+    damping: float
+
+
+class _Damping:
+    """The damping, in any unit in which 1 is a strong damping."""
+
+    def __init__(self, value: float) -> None:
+        self.value = value
+        self._growth = 2.0
+
+    def increase(self) -> None:
+        """After a rejected step: faster from time to time."""
+        self.value = max(1.0, self._growth * self.value)
+        self._growth *= 2.0
+
+    def decrease(self) -> None:
+        """After an accepted step; slowly after a rejected one, or every second step is rejected."""
+        self.value *= 0.2 if self._growth == 2.0 else 0.5
+        self.value = self.value if self.value > _MIN_DAMPING else 0.0
+        self._growth = 2.0
+
+
+def minimise(
+    problem: LeastSquares[IterateT],
+    start: IterateT,
+    *,
+    damping: float,
+    max_steps: int,
+    idle_share: float = 1.0,
+    on_step: Callable[[int, float], None] = lambda number, cost: None,
+) -> Minimum[IterateT]:
+    """Reduce the cost until steps are small.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+        Solves for the steps and evaluates them.
+    start : Iterate
+        The first iterate.
+    damping : float
+        Damping of the first step; 0 for a Gauss-Newton step.
+    max_steps : int
+        Most steps.
+    idle_share : float
+        Factor on the gain below which two steps end the search; less than 1 if the cost is known better.
+    on_step : callable
+        Called before each step with its number and the cost.
+    """
+    iterate, control = start, _Damping(damping)
+    refined, idle = False, 0
+    for number in range(max_steps):
+        on_step(number, iterate.cost)
+        step = problem.step(iterate, control.value)
+        if problem.is_out_of_budget():
+            return Minimum(iterate, False, control.value)
+        if control.value == 0.0 and step.promised < SMALL_STEP**2:
+            break
+        trial = step.make()
+        is_small = bool(np.all(np.abs(step.move) < SMALL_STEP * step.std))
+        if not trial.cost < iterate.cost * (1 + 1e-12):
+            better = None if refined else problem.with_states_refined(iterate)
+            refined = True
+            if better is not None:
+                iterate = better
+            elif control.value > _MAX_DAMPING or (is_small and len(step.move)):
+                break
+            else:
+                control.increase()
+            continue
+        gain = (iterate.cost - trial.cost) / max(trial.cost, 1e-300)
+        control.decrease()
+        iterate, refined = trial, False
+        idle = idle + 1 if gain < idle_share * _IDLE_GAIN else 0
+        converged = gain < _CONVERGED_GAIN or (is_small and gain < _IDLE_GAIN)
+        if idle == 2 or (control.value < 1.0 and converged):
+            break
+    return Minimum(iterate, True, control.value)
