@@ -20,6 +20,7 @@ from heli_lab.diagnose.evaluate import (
     HeldOutEvaluation,
     HypothesisEvaluation,
     PriorConflict,
+    Replication,
     Verdict,
     cause_parameters,
     failing_regions,
@@ -73,8 +74,8 @@ class Diagnosis:
         Baseline, final model, causes with their evidence, and all rounds of the search.
     assessment : Assessment
         Verdict, extended model, its free runs over all flights, and what it leaves.
-    held_out : HeldOutEvaluation
-        Free-run errors before and after on the held-out flights.
+    replication : Replication
+        Which causes hold in both directions, and the model with these alone.
     undetectable : tuple of str
         Effects that would not be significant in these flights at their typical size.
     unidentifiable : tuple of str
@@ -91,7 +92,7 @@ class Diagnosis:
 
     search: Search
     assessment: Assessment
-    held_out: HeldOutEvaluation
+    replication: Replication
     kinds: Mapping[str, EffectSpec]
     undetectable: tuple[str, ...]
     unidentifiable: tuple[str, ...]
@@ -114,6 +115,11 @@ class Diagnosis:
     def proposed_term(self) -> ProposedTerm | None:
         """Proposed equation, if there is one."""
         return self.proposal.term if self.proposal else None
+
+    @property
+    def held_out(self) -> HeldOutEvaluation:
+        """Free-run errors before and after on the held-out flights; after, with the confirmed causes."""
+        return self.replication.evaluation
 
     @property
     def error_reductions(self) -> Mapping[str, ErrorReduction]:
@@ -171,13 +177,15 @@ class Diagnosis:
             }
         }
 
-    def rig(self, name: str, with_term: bool = False) -> Rig:
-        """Make the extended rig for ``heli-host sil`` and ``fly``: refitted parameters and causes.
+    def rig(self, name: str, with_term: bool = False, with_unconfirmed: bool = False) -> Rig:
+        """Make the extended rig for ``heli-host sil`` and ``fly``: refitted parameters and confirmed causes.
 
         Parameters
         ----------
         name : str
             Name of the rig.
+        with_unconfirmed : bool
+            Whether to add the causes that do not hold in both directions.
         with_term : bool
             Whether to add the proposed equation, if there is one. The rig then needs its effect file.
         """
@@ -188,7 +196,13 @@ class Diagnosis:
                 for candidate in term.discovery.hypothesis.candidates[:-1]
             }
             return extended_rig(name, fit, self.kinds, named, term)
-        causes = {cause.effect: cause.parameters for cause in self.verdict.causes}
-        return extended_rig(
-            name, self.assessment.after.fit, self.kinds, {**causes, **self.random_torque}, None
-        )
+        if with_unconfirmed:
+            fit = self.assessment.after.fit
+            causes = {cause.effect: cause.parameters for cause in self.verdict.causes}
+        else:
+            fit = self.replication.prediction.fit
+            causes = {
+                candidate.id: cause_parameters(fit, self.kinds[candidate.id], candidate.effect.values)
+                for candidate in self.replication.model.candidates
+            }
+        return extended_rig(name, fit, self.kinds, {**causes, **self.random_torque}, None)

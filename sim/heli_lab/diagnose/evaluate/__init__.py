@@ -17,6 +17,13 @@ from heli_lab.diagnose.evaluate.kicks import Kicks
 from heli_lab.diagnose.evaluate.prediction import predict
 from heli_lab.diagnose.evaluate.prior_conflict import PriorConflict, prior_conflicts, tried_without
 from heli_lab.diagnose.evaluate.regions import FailingRegions, RegionTest, failing_regions
+from heli_lab.diagnose.evaluate.replication import (
+    CauseReplication,
+    Replication,
+    WorseAxis,
+    replicate,
+    worse_axis_sentence,
+)
 from heli_lab.diagnose.evaluate.reported import CauseParameter, cause_parameters, reported_std
 from heli_lab.diagnose.evaluate.residual_analysis import ResidualAnalysis, correlates
 from heli_lab.diagnose.evaluate.verdict import NamedCause, Verdict, confidence
@@ -26,6 +33,7 @@ __all__ = [
     "AbsentTerm",
     "Assessment",
     "CauseParameter",
+    "CauseReplication",
     "ErrorReduction",
     "FailingRegions",
     "FreeRun",
@@ -35,8 +43,10 @@ __all__ = [
     "NamedCause",
     "PriorConflict",
     "RegionTest",
+    "Replication",
     "ResidualAnalysis",
     "Verdict",
+    "WorseAxis",
     "assess",
     "calibration_s",
     "cause_parameters",
@@ -49,8 +59,10 @@ __all__ = [
     "free_runs",
     "predict",
     "prior_conflicts",
+    "replicate",
     "reported_std",
     "tried_without",
     "undetectable_effects",
     "unidentifiable_parameters",
+    "worse_axis_sentence",
 ]

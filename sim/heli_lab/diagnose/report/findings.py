@@ -43,11 +43,24 @@ def _effects(result: Diagnosis) -> list[dict[str, Any]]:
                 "alternatives": {other.id: other.log_likelihood_ratio for other in cause.alternatives},
             },
             "ambiguous_with": list(cause.ambiguous_with),
+            **_replication(cause, result),
             **_moments(cause, result),
             **_family(cause),
         }
         for cause in result.verdict.causes
     ]
+
+
+def _replication(cause: NamedCause, result: Diagnosis) -> dict[str, Any]:
+    """Whether a cause holds in both directions, and why not."""
+    replication = result.replication.causes[cause.effect]
+    return {
+        "confirmed": replication.confirmed,
+        "replication": {
+            "log_likelihood_ratio": {"forward": replication.forward, "reverse": replication.reverse},
+            "why_not": replication.why_not or None,
+        },
+    }
 
 
 def _family(cause: NamedCause) -> dict[str, dict[str, Any]]:

@@ -285,6 +285,7 @@ def _cause_rows(cause: dict[str, Any], kept: _Kept) -> dict[str, Any]:
         "confidence": f"{cause['confidence']:.2f}",
         "sentence": _capital(cause["sentence"]),
         "unclear": f" These flights do not distinguish it from {others}." if others else "",
+        "confirmed": _confirmation(cause),
         "latex": cause["equation"],
         "equation": kept(f"equation-{cause['effect']}", equation),
         "rows": [
@@ -293,6 +294,24 @@ def _cause_rows(cause: dict[str, Any], kept: _Kept) -> dict[str, Any]:
         ],
         "evidence": f"Evidence: {evidence}.",
     }
+
+
+def _confirmation(cause: Mapping[str, Any]) -> str:
+    """Whether a cause holds in both directions, in sentences; empty for one that was not tested."""
+    if "confirmed" not in cause:
+        return ""
+    ratios = cause["replication"]["log_likelihood_ratio"]
+    both = ", ".join(
+        f"{evidence_in_words(nats)} {where}"
+        for nats, where in (
+            (ratios["forward"], "on the validation flights"),
+            (ratios["reverse"], "in the reverse direction"),
+        )
+        if nats is not None
+    )
+    if cause["confirmed"]:
+        return f"Confirmed: {both}."
+    return f"Not confirmed, and not in the extended rig: {cause['replication']['why_not']}."
 
 
 def _residual(residual: dict[str, Any]) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 from heli_lab.diagnose.evaluate import ErrorReduction
 from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
@@ -97,7 +97,7 @@ def lines(result: Diagnosis | InsufficientExcitation) -> list[str]:
     for cause in findings.causes(result):
         others = cause["ambiguous_with"]
         unclear = f"; not distinguished from {', '.join(others)}" if others else ""
-        lines.append(f"{cause['effect']} (confidence {cause['confidence']:.2f}{unclear})")
+        lines.append(f"{cause['effect']} (confidence {cause['confidence']:.2f}{unclear}{_confirmed(cause)})")
     lines.append(f"{metric(result)}, before and after, and their ratio:")
     for axis, reduction in result.error_reductions.items():
         low, high = reduction.interval95
@@ -119,6 +119,13 @@ def lines(result: Diagnosis | InsufficientExcitation) -> list[str]:
         lines.append("\N{PLUS-MINUS SIGN} is one standard error")
     lines.append(f"what to do next: {next_step(result)}")
     return lines + cautions(result)
+
+
+def _confirmed(cause: Mapping[str, Any]) -> str:
+    """Whether a cause is confirmed, as the end of a remark on it; empty for one that was not tested."""
+    if "confirmed" not in cause:
+        return ""
+    return "; confirmed" if cause["confirmed"] else f"; not confirmed: {cause['replication']['why_not']}"
 
 
 def next_step(result: Diagnosis) -> str:
