@@ -16,6 +16,7 @@ from heli_lab.diagnose.evaluate import (
     Assessment,
     CauseParameter,
     ErrorReduction,
+    Extrapolation,
     FailingRegions,
     HeldOutEvaluation,
     HypothesisEvaluation,
@@ -23,6 +24,7 @@ from heli_lab.diagnose.evaluate import (
     Replication,
     Verdict,
     cause_parameters,
+    extrapolations,
     failing_regions,
     prior_conflicts,
     tried_without,
@@ -158,6 +160,15 @@ class Diagnosis:
         """
         return tried_without(prior_conflicts(self.assessment.after.fit), self.assessment.extended.estimate)
 
+    @cached_property
+    def extrapolations(self) -> tuple[Extrapolation, ...]:
+        """Windows of each held-out flight whose voltages the fitted flights do not show; empty if no flight is
+        held out.
+        """
+        if self.assessment.after.held_out_fit is None:
+            return ()
+        return extrapolations(self.assessment.after.fit.problem.records, self.held_out.extension.after)
+
     @property
     def random_torque(self) -> dict[str, dict[str, CauseParameter]]:
         """Parameters of the random torque by full name, by effect id; empty if there is none."""
@@ -204,5 +215,6 @@ class Diagnosis:
             causes = {
                 candidate.id: cause_parameters(fit, self.kinds[candidate.id], candidate.effect.values)
                 for candidate in self.replication.model.candidates
+                if candidate.id not in self.replication.unconfirmed
             }
         return extended_rig(name, fit, self.kinds, {**causes, **self.random_torque}, None)

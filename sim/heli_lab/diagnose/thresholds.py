@@ -175,6 +175,16 @@ NOISE_FLOOR: Final[Annotated[float, "standard deviations of the quantisation", M
 1.02 on simulated flights (2026-11). Lower: the integration error, a tenth of a mN m, is called unexplained.
 Higher: small unlisted terms are missed."""
 
+MATTERS_COUNTS: Final[Annotated[float, "encoder counts", MEASUREMENT]] = 0.25
+"""Root mean square change of the 2 s open-loop prediction, on the axis where it is largest, from which on a
+significant effect is named. TODO"""
+
+DISTURBED_STD: Final[Annotated[float, "standard deviations of the quantisation", THEORY]] = 5.0
+"""Root mean square free-run error, disturbances included, above which every significant effect matters. The
+least significant one has 5.3 standard errors in some 850 innovations, a fifth of the disturbances: 0.28 counts
+at this error. Lower: effects below `MATTERS_COUNTS` are named in weak disturbances. Higher: time, one free run
+for each cause."""
+
 DEPENDENCE_NATS: Final[Annotated[float, "nats", MEASUREMENT]] = 10.0
 DEPENDENCE_NATS_PER_COEFFICIENT: Final[Annotated[float, "nats", MEASUREMENT]] = 2.0
 """Log-likelihood ratio that a regressor of the innovations must gain, and more of it for each coefficient.
@@ -297,6 +307,16 @@ Shorter: what a model lacks is taken for a constant. Longer: less is left to eva
 CALIBRATE_SHARE: Final[Annotated[float, "1", JUDGEMENT]] = 1.0 / 3.0
 """Largest share of a flight's free seconds for the calibration. Higher: a short flight is evaluated on a
 window or two. Lower: its constants are not known."""
+
+VOLTAGE_TAIL: Final[Annotated[float, "1", JUDGEMENT]] = 0.01
+"""Share of the fitted flights' voltages beyond each end of the range in which the model counts as fitted:
+brief extremes inform no thrust curve. Lower: a single step of the voltages widens the range. Higher: voltages
+that the flights do show count as extrapolation."""
+
+OUTSIDE_SHARE: Final[Annotated[float, "1", JUDGEMENT]] = 0.1
+"""Share of a window's time with voltages outside of that range from which on its prediction is marked: by the
+tails alone, two rotors have 0.04. Lower: windows of the fitted flight would be marked. Higher: extrapolations
+are not marked."""
 
 # Standard errors that are reported.
 

@@ -26,7 +26,7 @@ from heli_lab.diagnose.evaluate.prediction import Prediction, predict
 from heli_lab.diagnose.search import Hypothesis, ModelComparison, Search
 from heli_lab.diagnose.search.replication import Direction, direction
 
-HORIZON: Final = "1"
+WORSE_HORIZON: Final = "1"
 """Horizon of the open-loop errors that decide, a key of `HORIZONS`: the shortest that constants and slow terms
 do not dominate, and that still shows a lag."""
 
@@ -65,7 +65,7 @@ class WorseAxis:
     fitted, judged : str
         Labels of the flights that estimated the parameters, and of those that judge.
     reduction : ErrorReduction
-        The errors at `HORIZON`.
+        The errors at `WORSE_HORIZON`.
     """
 
     axis: str
@@ -83,7 +83,7 @@ class Replication:
     causes : Mapping[str, CauseReplication]
         By effect id.
     model : Hypothesis
-        The model with the confirmed causes.
+        The model with the confirmed causes, and with events that happened in one of its flights only.
     prediction : Prediction
         Its free runs over all flights.
     evaluation : HeldOutEvaluation
@@ -151,7 +151,7 @@ def worse_axis_sentence(worse: WorseAxis, model: str = "the extended model") -> 
     low, high = worse.reduction.interval95
     return (
         f"{model}, fitted on {worse.fitted}, predicts {worse.axis} of {worse.judged} worse than the "
-        f"baseline: its error at {HORIZON} s is {worse.reduction.ratio:.2f} times as large "
+        f"baseline: its error at {WORSE_HORIZON} s is {worse.reduction.ratio:.2f} times as large "
         f"({low:.2f} to {high:.2f})"
     )
 
@@ -185,7 +185,8 @@ class _Judge:
             frozenset(self.ids): (assessment.after, evaluation),
         }
         self._hypotheses = {frozenset(self.ids): assessment.extended, frozenset[str](): search.baseline}
-        self._baseline_runs: dict[int, Sequence[FreeRun]] = {}
+        self._baseline_runs: dict[bool, Sequence[FreeRun]] = {}
+        self._reductions: dict[tuple[frozenset[str], bool], Mapping[str, ErrorReduction]] = {}
 
     @cached_property
     def directions(self) -> tuple[Direction | None, Direction] | None:
@@ -212,9 +213,7 @@ class _Judge:
 
     def contradiction(self, id_: str) -> str:
         """Why the log-likelihood ratios of a cause do not confirm it; empty if they do."""
-        effect = next(c.effect for c in self.search.final.candidates if c.id == id_)
-        labels = {record.label for record in self.comparison.held_out}
-        if effect.flight and not labels & effect.other_moments_s.keys():
+        if self._is_of_one_flight(id_):
             return "it happened in one flight only"
         sides = self._labels()
         for nats, (fitted, judged) in zip(self.ratios, (sides, sides[::-1]), strict=True):
@@ -224,6 +223,17 @@ class _Judge:
                     f"(log-likelihood ratio {nats[id_]:.1f} nats)"
                 )
         return ""
+
+    def _with_events(self, ids: Sequence[str]) -> frozenset[str]:
+        """Some causes, and the events of one flight: these stay in the fit of their flight, and never happen in
+        another one.
+        """
+        return frozenset(ids) | {id_ for id_ in self.ids if self._is_of_one_flight(id_)}
+
+    def _is_of_one_flight(self, id_: str) -> bool:
+        effect = next(c.effect for c in self.search.final.candidates if c.id == id_)
+        labels = {record.label for record in self.comparison.held_out}
+        return bool(effect.flight) and not labels & effect.other_moments_s.keys()
 
     def worse(self, ids: Sequence[str]) -> tuple[WorseAxis, ...]:
         """Axes that the model with some causes predicts worse in one of the directions."""
@@ -252,33 +262,35 @@ class _Judge:
         return min(ids, key=left)
 
     def reductions(self, ids: Sequence[str], reverse: bool) -> Mapping[str, ErrorReduction]:
-        """Open-loop errors at `HORIZON` of the model with some causes, compared with the baseline's."""
+        """Open-loop errors at `WORSE_HORIZON` of the model with some causes, compared with the baseline's."""
         assert self.directions is not None
         side = self.directions[int(reverse)]
         if side is None:
-            return self.evaluated(ids)[1].extension.horizons[HORIZON]
-        number = int(reverse)
-        if number not in self._baseline_runs:
-            self._baseline_runs[number] = self._runs(side, side.baseline)
-        runs = self._runs(side, self._fitted(side, ids))
-        return error_reduction(
-            [run.errors[HORIZON] for run in self._baseline_runs[number]],
-            [run.errors[HORIZON] for run in runs],
-            self.comparison.seed,
-        )
+            return self.evaluated(ids)[1].extension.horizons[WORSE_HORIZON]
+        key = frozenset(ids), reverse
+        if key not in self._reductions:
+            if reverse not in self._baseline_runs:
+                self._baseline_runs[reverse] = self._runs(side, side.baseline)
+            runs = self._runs(side, self._fitted(side, ids))
+            self._reductions[key] = error_reduction(
+                [run.errors[WORSE_HORIZON] for run in self._baseline_runs[reverse]],
+                [run.errors[WORSE_HORIZON] for run in runs],
+                self.comparison.seed,
+            )
+        return self._reductions[key]
 
     def hypothesis(self, ids: Sequence[str]) -> Hypothesis:
         """The model with some of the causes, on the fitted flights."""
-        key = frozenset(ids)
+        key = self._with_events(ids)
         if key not in self._hypotheses:
             extended = self.assessment.extended
-            kept = [candidate for candidate in extended.candidates if candidate.id in ids]
+            kept = [candidate for candidate in extended.candidates if candidate.id in key]
             self._hypotheses[key] = self.comparison.refit(kept, None, extended)
         return self._hypotheses[key]
 
     def evaluated(self, ids: Sequence[str]) -> tuple[Prediction, HeldOutEvaluation]:
         """Free runs of the model with some of the causes, and their errors on the held-out flights."""
-        key = frozenset(ids)
+        key = self._with_events(ids)
         if key not in self._evaluated:
             comparison, before = self.comparison, self.assessment.before
             hypothesis = self.hypothesis(ids)
@@ -290,14 +302,15 @@ class _Judge:
 
     def _fitted(self, side: Direction, ids: Sequence[str]) -> Hypothesis:
         """The model with some causes on the fitted flights of a direction, without splines."""
-        kept = tuple(candidate for candidate in side.whole.candidates if candidate.id in ids)
+        some = self._with_events(ids)
+        kept = tuple(candidate for candidate in side.whole.candidates if candidate.id in some)
         if len(kept) == len(side.whole.candidates):
             return side.whole
         return side.comparison.refit_from(kept, side.whole.values, side.whole.estimate.disturbances)
 
     def _runs(self, side: Direction, hypothesis: Hypothesis) -> Sequence[FreeRun]:
         return estimated_free_runs(
-            hypothesis.estimate, side.comparison.held_out, self.calibrate_s, (HORIZON,)
+            hypothesis.estimate, side.comparison.held_out, self.calibrate_s, (WORSE_HORIZON,)
         )
 
     def _labels(self) -> tuple[str, str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from heli_lab.diagnose.evaluate import PriorConflict, worse_axis_sentence
+from heli_lab.diagnose.evaluate import Extrapolation, PriorConflict, worse_axis_sentence
 from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.thresholds import FEW_WINDOWS
 
@@ -47,7 +47,16 @@ def _held_out(result: Diagnosis, seconds: float) -> list[str]:
         # A difference of a sample is not worth a line.
         if run.calibrated_s < 0.99 * requested_s
     ]
-    return lines
+    return lines + [extrapolation_sentence(flight) for flight in result.extrapolations if flight.spans_s]
+
+
+def extrapolation_sentence(flight: Extrapolation) -> str:
+    """Describe the windows of a `flight` in which the model extrapolates, without a full stop."""
+    ranges = ", ".join(f"{rotor} {low:.1f} to {high:.1f} V" for rotor, (low, high) in flight.ranges_V.items())
+    return (
+        f"{len(flight.spans_s)} of {flight.windows} windows of {flight.label} have voltages outside of those "
+        f"that were fitted ({ranges}): predictions there are extrapolations"
+    )
 
 
 def prior_conflict_sentence(conflict: PriorConflict) -> str:

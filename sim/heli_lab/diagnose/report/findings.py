@@ -51,6 +51,22 @@ def _effects(result: Diagnosis) -> list[dict[str, Any]]:
     ]
 
 
+def small_effects(result: Diagnosis) -> list[dict[str, Any]]:
+    """List significant effects that are too small to matter: effect, parameters, sentence, and by how many
+    encoder counts each changes the prediction.
+    """
+    return [
+        {
+            "effect": effect.cause.effect,
+            "parameters": _parameters(effect.cause.parameters),
+            "sentence": effect.cause.sentence,
+            "change_counts": effect.change_counts,
+            "log_likelihood_ratio": effect.cause.train,
+        }
+        for effect in result.verdict.small
+    ]
+
+
 def _replication(cause: NamedCause, result: Diagnosis) -> dict[str, Any]:
     """Whether a cause holds in both directions, and why not."""
     replication = result.replication.causes[cause.effect]
