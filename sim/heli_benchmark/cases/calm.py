@@ -1,4 +1,4 @@
-"""Small effects, or none, in short flights without disturbances, at several rates.
+"""Small effects, or none, in flights without disturbances, at several rates.
 
 Without disturbances a flight shows effects far below an encoder count, and the numerical errors of the method
 are as large. Seeds 7000 to 7029 are for development; 7100 to 7129 judge.
@@ -18,14 +18,15 @@ from heli_benchmark.cases.shocks import UNDISTURBED
 from heli_benchmark.effects.listed import LISTED
 from heli_benchmark.simulation.tracking import CONTROLLERS
 
-CALM_DURATIONS_s: Final = (34.0, 26.0)
+CALM_DURATIONS_s: Final = (60.0, 40.0)
 CALM_EFFECTS: Final = (
     (),
-    (("supply_sag", 0.005),),
-    (("supply_sag", 0.00125),),
-    (("input_delay", 0.03), ("supply_sag", 0.004)),
+    (("supply_sag", 0.01),),
+    (("supply_sag", 0.0025),),
+    (("input_delay", 0.03), ("supply_sag", 0.008)),
 )
-"""Hidden effects with their sizes; a seed selects by its remainder."""
+"""Hidden effects with their sizes; a seed selects by its remainder. A sag is a share per volt of the rotors' mean:
+twice the catalogue's share per volt of their sum."""
 
 
 @dataclass(frozen=True)

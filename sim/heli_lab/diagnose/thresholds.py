@@ -175,9 +175,11 @@ NOISE_FLOOR: Final[Annotated[float, "standard deviations of the quantisation", M
 1.02 on simulated flights (2026-11). Lower: the integration error, a tenth of a mN m, is called unexplained.
 Higher: small unlisted terms are missed."""
 
-MATTERS_COUNTS: Final[Annotated[float, "encoder counts", MEASUREMENT]] = 0.25
+MATTERS_COUNTS: Final[Annotated[float, "encoder counts", JUDGEMENT]] = 0.1
 """Root mean square change of the 2 s open-loop prediction, on the axis where it is largest, from which on a
-significant effect is named. TODO"""
+significant effect is named: a third of the quantisation's standard deviation. A sag of 0.005 per volt changes
+0.085 counts, a delay of 30 ms 4.7 (development seeds 7000 of `heli_benchmark.cases.calm`, 2026-11). Lower:
+numerical errors of the method are named in flights without disturbances. Higher: weak causes are not."""
 
 DISTURBED_STD: Final[Annotated[float, "standard deviations of the quantisation", THEORY]] = 5.0
 """Root mean square free-run error, disturbances included, above which every significant effect matters. The
