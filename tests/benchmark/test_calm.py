@@ -11,7 +11,7 @@ def test_seeds_go_through_all_effects_and_some_rates() -> None:
     assert {case.effects for case in cases} == set(CALM_EFFECTS)
     assert {case.rate_Hz for case in cases} == {100, 250, 500}
     assert len({case.name for case in cases}) == len(cases)
-    assert not any(any(case.disturbances.strengths_Nm) for case in cases)
+    assert not any(any(case.disturbances.gusts_Nm) for case in cases)
 
 
 def test_effect_is_reported_if_named_or_too_small_and_other_names_are_false() -> None:
