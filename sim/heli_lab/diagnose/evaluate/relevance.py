@@ -13,7 +13,7 @@ from heli_host.arrays import Floats
 
 from heli_lab.diagnose.evaluate.prediction import Prediction, normalised_samples, predict
 from heli_lab.diagnose.search import Hypothesis, ModelComparison, Search
-from heli_lab.diagnose.thresholds import DISTURBED_STD
+from heli_lab.diagnose.thresholds import DISTURBED_STD, MATTERS_NATS_PER_ROW
 
 
 def prediction_changes(
@@ -38,13 +38,17 @@ def prediction_changes(
     Returns
     -------
     dict
-        Encoder counts, by effect id. Empty if disturbances are so large that every significant cause matters.
+        Encoder counts, by effect id. Effects whose evidence shows that they matter are missing, and all are if
+        the disturbances are so large that every significant cause matters.
     """
     if not extended.candidates or after.train.total > DISTURBED_STD:
         return {}
     whole = normalised_samples(after.fit)
     changes = {}
+    evidence = {cause.effect: cause.train for cause in search.causes}
     for candidate in extended.candidates:
+        if evidence[candidate.id] > MATTERS_NATS_PER_ROW * comparison.rows and len(extended.candidates) > 1:
+            continue
         rest = [other for other in extended.candidates if other is not candidate]
         # The elimination has estimated this model: it is in the cache.
         less = predict(comparison.refit(rest, None, extended).estimate, comparison.train, ()) if rest else before

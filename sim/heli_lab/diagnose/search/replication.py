@@ -10,6 +10,7 @@ from heli_lab.diagnose.search.candidate import Candidate
 from heli_lab.diagnose.search.hypothesis import Hypothesis
 from heli_lab.diagnose.search.model_comparison import ModelComparison, shared_values
 from heli_lab.estimation import DisturbanceModel, Estimate
+from heli_lab.threads import parallel_map
 
 _NO_FLIGHT: Final = "\0"
 """A label that no flight has."""
@@ -54,13 +55,15 @@ def direction(comparison: ModelComparison, final: Hypothesis, near: Estimate, ju
     baseline = comparison.filtering_baseline
     whole = _fitted(comparison, candidates, shared_values(final.estimate), near)
     likelihood = comparison.held_out_estimate(whole, judged_near).log_likelihood
-    ratios = {}
-    for candidate in candidates:
+
+    def ratio(candidate: Candidate) -> float:
         rest = tuple(other for other in candidates if other is not candidate)
         less = _fitted(comparison, rest, shared_values(whole.estimate), whole.estimate) if rest else baseline
-        without = comparison.held_out_estimate(less, judged_near)
-        ratios[candidate.id] = likelihood - without.log_likelihood
-    return Direction(comparison, baseline, whole, ratios)
+        return likelihood - comparison.held_out_estimate(less, judged_near).log_likelihood
+
+    ratios = parallel_map(ratio, candidates)
+    ids = (candidate.id for candidate in candidates)
+    return Direction(comparison, baseline, whole, dict(zip(ids, ratios, strict=True)))
 
 
 def _fitted(
