@@ -99,8 +99,8 @@ def _ahead(pair: str, one: Told) -> str:
 
 
 def _diagnosed(pair: str, exchanged: bool) -> tuple[str, int]:
-    """Diagnose a pair, perhaps with the flights exchanged: the result in words, and the number of axes that the
-    extended model predicts worse 1 s ahead by more than 10 %.
+    """Diagnose a pair, perhaps with the flights exchanged: the result in words, and the number of axes that
+    the extended model predicts worse 1 s ahead by more than 10 %.
     """
     train, held_out = flights(pair, exchanged)
     labels = list(reversed(PAIRS[pair])) if exchanged else list(PAIRS[pair])

@@ -25,8 +25,8 @@ CALM_EFFECTS: Final = (
     (("supply_sag", 0.0025),),
     (("input_delay", 0.03), ("supply_sag", 0.008)),
 )
-"""Hidden effects with their sizes; a seed selects by its remainder. A sag is a share per volt of the rotors' mean:
-twice the catalogue's share per volt of their sum."""
+"""Hidden effects with their sizes; a seed selects by its remainder. A sag is a share per volt of the
+rotors' mean: twice the catalogue's share per volt of their sum."""
 
 
 @dataclass(frozen=True)

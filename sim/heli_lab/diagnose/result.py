@@ -162,8 +162,8 @@ class Diagnosis:
 
     @cached_property
     def extrapolations(self) -> tuple[Extrapolation, ...]:
-        """Windows of each held-out flight whose voltages the fitted flights do not show; empty if no flight is
-        held out.
+        """Windows of each held-out flight whose voltages the fitted flights do not show; empty if no flight
+        is held out.
         """
         if self.assessment.after.held_out_fit is None:
             return ()

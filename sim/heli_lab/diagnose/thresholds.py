@@ -182,13 +182,13 @@ significant effect is named: a third of the quantisation's standard deviation. A
 numerical errors of the method are named in flights without disturbances. Higher: weak causes are not."""
 
 MATTERS_NATS_PER_ROW: Final[Annotated[float, "nats", MEASUREMENT]] = 0.5
-"""Log-likelihood ratio for each measurement of the filter above which a cause matters without a free run. It
-changes the innovations by a standard deviation of the quantisation, averaged over a step: 0.19 counts by the
-sags of `MATTERS_COUNTS` (120 nats in 1500 measurements, 0.075 counts). Lower: small effects in long flights are
-named. Higher: time, one free run for each of several causes."""
+"""Log-likelihood ratio for each measurement of the filter above which a cause matters without a free run: it
+changes the innovations by one standard deviation of their noise. This is at least 0.19 counts, by a sag that
+has 120 nats in 1500 measurements and changes 0.075 counts (development seed 7003, 2026-11). Lower: small
+effects in long flights are named. Higher: time, one free run for each of several causes."""
 
 DISTURBED_STD: Final[Annotated[float, "standard deviations of the quantisation", THEORY]] = 5.0
-"""Root mean square free-run error, disturbances included, above which every significant effect matters. The
+"""Root mean square free-run error, disturbances included, above which every significant effect matters: the
 least significant one has 5.3 standard errors in some 850 innovations, a fifth of the disturbances: 0.28 counts
 at this error. Lower: effects below `MATTERS_COUNTS` are named in weak disturbances. Higher: time, one free run
 for each cause."""

@@ -84,9 +84,9 @@ def diagnose(
     complexity penalty. Random torques count as disturbances. If no effect explains a predictable error, the
     verdict is `unexplained`. Then --report proposes an equation term as an effect file.
 
-    --validate evaluates the error reduction and confirms causes: a confirmed cause also holds if the roles of
-    the flights are exchanged. The rig of --save-rig has only confirmed causes. Without --report, --json and --save-rig the result is only
-    printed.
+    --validate evaluates the error reduction and confirms causes: a confirmed cause also holds if the roles
+    of the flights are exchanged. The rig of --save-rig has confirmed causes only. Without --report, --json
+    and --save-rig the result is only printed.
 
     Example: `heli-host diagnose a.mcap --validate b.mcap --report why --save-rig extended.toml`
     """

@@ -38,9 +38,7 @@ def test_every_significant_cause_matters_under_disturbances() -> None:
     found = diagnosed("rotor_lag=0.06")
     before, after = found.assessment.before, found.assessment.after
     disturbed = replace(after, train=replace(after.train, total=1.01 * DISTURBED_STD))
-    assert (
-        prediction_changes(_NO_REFIT, found.search, found.assessment.extended, before, disturbed) == {}
-    )
+    assert prediction_changes(_NO_REFIT, found.search, found.assessment.extended, before, disturbed) == {}
 
 
 def test_effect_that_is_too_small_is_listed_and_is_no_cause() -> None:

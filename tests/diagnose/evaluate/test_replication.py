@@ -24,7 +24,10 @@ def judged(
     monkeypatch: pytest.MonkeyPatch, found: Diagnosis, nats: float, worst: tuple[float, float]
 ) -> Replication:
     """Judge a lag again whose reverse direction has this log-likelihood ratio and interval of pitch."""
-    records = (found.assessment.after.fit.problem.records, found.held_out.extension.after[0].fit.problem.records)
+    records = (
+        found.assessment.after.fit.problem.records,
+        found.held_out.extension.after[0].fit.problem.records,
+    )
     comparison: Any = SimpleNamespace(
         train=records[0],
         held_out=records[1],

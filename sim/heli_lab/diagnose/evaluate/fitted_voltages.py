@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
-from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats

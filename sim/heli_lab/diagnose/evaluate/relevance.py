@@ -1,7 +1,7 @@
 """Relevance of causes: by how much each changes the open-loop prediction.
 
-Without disturbances, a flight shows effects far below an encoder count, and so small are the numerical errors of
-the method. A cause is named only if it is significant and matters.
+Without disturbances, a flight shows effects far below an encoder count, and numerical errors of the method are
+as large. A cause is named only if it is significant and matters.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ def prediction_changes(
     Returns
     -------
     dict
-        Encoder counts, by effect id. Effects whose evidence shows that they matter are missing, and all are if
-        the disturbances are so large that every significant cause matters.
+        Encoder counts, by effect id. An effect is missing if its evidence shows that it matters; all are
+        missing if the disturbances are so large that every significant cause matters.
     """
     if not extended.candidates or after.train.total > DISTURBED_STD:
         return {}
@@ -51,7 +51,9 @@ def prediction_changes(
             continue
         rest = [other for other in extended.candidates if other is not candidate]
         # The elimination has estimated this model: it is in the cache.
-        less = predict(comparison.refit(rest, None, extended).estimate, comparison.train, ()) if rest else before
+        less = (
+            predict(comparison.refit(rest, None, extended).estimate, comparison.train, ()) if rest else before
+        )
         changes[candidate.id] = _counts(whole - normalised_samples(less.fit))
     return changes
 

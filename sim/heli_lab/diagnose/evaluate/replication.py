@@ -27,8 +27,8 @@ from heli_lab.diagnose.search import Hypothesis, ModelComparison, Search
 from heli_lab.diagnose.search.replication import Direction, direction
 
 WORSE_HORIZON: Final = "1"
-"""Horizon of the open-loop errors that decide, a key of `HORIZONS`: the shortest that constants and slow terms
-do not dominate, and that still shows a lag."""
+"""Horizon of the open-loop errors that decide, a key of `HORIZONS`: long enough to show a lag, and
+too short for constants and slow terms to dominate."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,6 @@ class WorseAxis:
 
     Parameters
     ----------
-    axis : str
-        The axis.
     fitted, judged : str
         Labels of the flights that estimated the parameters, and of those that judge.
     reduction : ErrorReduction
@@ -225,8 +223,8 @@ class _Judge:
         return ""
 
     def _with_events(self, ids: Sequence[str]) -> frozenset[str]:
-        """Some causes, and the events of one flight: these stay in the fit of their flight, and never happen in
-        another one.
+        """Some causes, and the events of one flight: these stay in the fit of their flight, and never happen
+        in another one.
         """
         return frozenset(ids) | {id_ for id_ in self.ids if self._is_of_one_flight(id_)}
 
@@ -297,7 +295,10 @@ class _Judge:
             after = before if hypothesis is self.search.baseline else None
             after = after or predict(hypothesis.estimate, comparison.train, comparison.held_out)
             _, whole = self._evaluated[frozenset(self.ids)]
-            self._evaluated[key] = after, evaluate_extension(comparison, before, after, whole, self.calibrate_s)
+            self._evaluated[key] = (
+                after,
+                evaluate_extension(comparison, before, after, whole, self.calibrate_s),
+            )
         return self._evaluated[key]
 
     def _fitted(self, side: Direction, ids: Sequence[str]) -> Hypothesis:

@@ -51,7 +51,7 @@ def _effects(result: Diagnosis) -> list[dict[str, Any]]:
     ]
 
 
-def small_effects(result: Diagnosis) -> list[dict[str, Any]]:
+def too_small_effects(result: Diagnosis) -> list[dict[str, Any]]:
     """List significant effects that are too small to matter: effect, parameters, sentence, and by how many
     encoder counts each changes the prediction.
     """

@@ -92,7 +92,9 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
         judged="a flight that no fit used"
         if diagnosis.assessment.after.held_out_fit
         else "the fitted flight",
-        prediction=kept("prediction", figure_of_prediction(before, after, _axis(diagnosis, terms), _outside_s(diagnosis))),
+        prediction=kept(
+            "prediction", figure_of_prediction(before, after, _axis(diagnosis, terms), _outside_s(diagnosis))
+        ),
         gain={
             "address": kept("gain", figure_of_gain(held_out.horizons, extended)),
             "rows": _gain(numbers["gain"]["axis"]),

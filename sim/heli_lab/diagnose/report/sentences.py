@@ -10,7 +10,12 @@ from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
 from heli_lab.diagnose.report import findings
 from heli_lab.diagnose.report.cautions import cautions
 from heli_lab.diagnose.result import Diagnosis, Proposal
-from heli_lab.diagnose.thresholds import CONFIDENCE_NATS, MATTERS_COUNTS, REPORT_DISTURBANCE_NATS, REPORT_RATIO
+from heli_lab.diagnose.thresholds import (
+    CONFIDENCE_NATS,
+    MATTERS_COUNTS,
+    REPORT_DISTURBANCE_NATS,
+    REPORT_RATIO,
+)
 from heli_lab.diagnose.wording import dependence_in_words, evidence_in_words
 
 METRIC: Final = "2 s free-run rms on the validation flights, deg"
@@ -125,9 +130,9 @@ def lines(result: Diagnosis | InsufficientExcitation) -> list[str]:
 def small_effect_lines(result: Diagnosis) -> list[str]:
     """List significant effects that are too small to matter, one line each."""
     return [
-        f"too small to matter: {effect['effect']}, {effect['sentence']}; it changes the 2 s open-loop prediction "
-        f"by {effect['change_counts']:.2f} encoder counts rms, less than {MATTERS_COUNTS:g}"
-        for effect in findings.small_effects(result)
+        f"too small to matter: {effect['effect']}, {effect['sentence']}; it changes the 2 s open-loop "
+        f"prediction by {effect['change_counts']:.2f} encoder counts rms, less than {MATTERS_COUNTS:g}"
+        for effect in findings.too_small_effects(result)
     ]
 
 

@@ -18,7 +18,7 @@ from heli_lab.diagnose.evaluate import (
 )
 from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
 from heli_lab.diagnose.report.cautions import cautions
-from heli_lab.diagnose.report.findings import causes, disturbances, gains, small_effects, unexplained
+from heli_lab.diagnose.report.findings import causes, disturbances, gains, too_small_effects, unexplained
 from heli_lab.diagnose.report.sentences import METRIC, metric, summary
 from heli_lab.diagnose.result import Diagnosis, Proposal
 from heli_lab.diagnose.search import QUANTITIES
@@ -37,7 +37,7 @@ def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
         "verdict": result.label,
         "sentence": summary(result),
         "causes": causes(result),
-        "too_small": small_effects(result),
+        "too_small": too_small_effects(result),
         "rig": rig_numbers(result),
         "residual": _residual(result),
         "disturbances": disturbances(result.assessment.residual_analysis),

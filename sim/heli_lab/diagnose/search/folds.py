@@ -10,7 +10,9 @@ from heli_lab.identify.thresholds import MIN_SEGMENT_S
 
 
 def split(record: Record, seconds: float) -> tuple[Record, Record]:
-    """The first seconds of free flight, and the rest; pieces of the rest that are too short are dropped."""
+    """Return the first `seconds` of free flight of a `record`, and the rest; pieces of the rest that are too
+    short are dropped.
+    """
     remaining = round(seconds / record.step_s)
     first, rest = [], []
     for start, stop in record.segments:

@@ -92,7 +92,7 @@ class ModelComparison:
 
     @property
     def filtering_baseline(self) -> Hypothesis:
-        """The baseline as it was estimated to filter the fitted flights: no refit is needed for its values."""
+        """The baseline as it was estimated to filter the fitted flights: its values need no refit."""
         return Hypothesis((), self._filtered_train[1])
 
     @cached_property
@@ -234,8 +234,8 @@ class ModelComparison:
     def refit_from(
         self, candidates: Sequence[Candidate], start: Mapping[str, float], disturbances: DisturbanceModel
     ) -> Hypothesis:
-        """Estimate the model with some `candidates` from values by name and from `disturbances` of a similar
-        model, perhaps of other flights.
+        """Estimate the model with some `candidates` from `start`, values by name, and from `disturbances` of
+        a similar model, perhaps of other flights.
         """
         model = type(self.model)((*self.model.effects, *(candidate.effect for candidate in candidates)))
         vector = RigParameters(model, self.rig, self.train)

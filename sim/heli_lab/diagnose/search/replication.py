@@ -38,7 +38,9 @@ class Direction:
     log_likelihood_ratio: Mapping[str, float]
 
 
-def direction(comparison: ModelComparison, final: Hypothesis, near: Estimate, judged_near: Estimate) -> Direction:
+def direction(
+    comparison: ModelComparison, final: Hypothesis, near: Estimate, judged_near: Estimate
+) -> Direction:
     """Fit a model and the models without each of its causes on the fitted flights of a `comparison`, and
     compare them on its held-out flights.
 
