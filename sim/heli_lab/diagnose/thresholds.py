@@ -189,9 +189,9 @@ effects in long flights are named. Higher: time, one free run for each of severa
 
 DISTURBED_STD: Final[Annotated[float, "standard deviations of the quantisation", THEORY]] = 5.0
 """Root mean square free-run error, disturbances included, above which every significant effect matters: the
-least significant one has 5.3 standard errors in some 850 innovations, a fifth of the disturbances: 0.28 counts
-at this error. Lower: effects below `MATTERS_COUNTS` are named in weak disturbances. Higher: time, one free run
-for each cause."""
+least significant has 5.3 standard errors in 850 innovations, a fifth of the disturbances, or 0.28 counts.
+Lower: effects below `MATTERS_COUNTS` are named in weak disturbances. Higher: time, one free run for each
+cause."""
 
 DEPENDENCE_NATS: Final[Annotated[float, "nats", MEASUREMENT]] = 10.0
 DEPENDENCE_NATS_PER_COEFFICIENT: Final[Annotated[float, "nats", MEASUREMENT]] = 2.0

@@ -1,7 +1,7 @@
 """Relevance of causes: by how much each changes the open-loop prediction.
 
-Without disturbances, a flight shows effects far below an encoder count, and numerical errors of the method are
-as large. A cause is named only if it is significant and matters.
+Without disturbances, a flight shows effects far below an encoder count, as small as numerical errors of the
+method. A cause is named only if it is significant and matters.
 """
 
 from __future__ import annotations
