@@ -47,7 +47,7 @@ def prediction_changes(
     changes = {}
     evidence = {cause.effect: cause.train for cause in search.causes}
     for candidate in extended.candidates:
-        if evidence[candidate.id] > MATTERS_NATS_PER_ROW * comparison.rows and len(extended.candidates) > 1:
+        if len(extended.candidates) > 1 and (evidence[candidate.id] > MATTERS_NATS_PER_ROW * comparison.rows):
             continue
         rest = [other for other in extended.candidates if other is not candidate]
         # The elimination has estimated this model: it is in the cache.
