@@ -195,7 +195,7 @@ def test_causes_next_to_something_unknown_are_never_stated_as_facts() -> None:
         found,
         assessment=replace(found.assessment, verdict=verdict),
         search=other.search,
-        held_out=other.held_out,
+        replication=replace(found.replication, evaluation=other.held_out),
     )
     fact, perhaps = summary(unsure).split(" Together with it, perhaps: ")
     assert fact.startswith("Something is missing that no effect of the catalogue explains")

@@ -16,12 +16,15 @@ from heli_lab.diagnose.evaluate import (
     Assessment,
     CauseParameter,
     ErrorReduction,
+    Extrapolation,
     FailingRegions,
     HeldOutEvaluation,
     HypothesisEvaluation,
     PriorConflict,
+    Replication,
     Verdict,
     cause_parameters,
+    extrapolations,
     failing_regions,
     prior_conflicts,
     tried_without,
@@ -73,8 +76,8 @@ class Diagnosis:
         Baseline, final model, causes with their evidence, and all rounds of the search.
     assessment : Assessment
         Verdict, extended model, its free runs over all flights, and what it leaves.
-    held_out : HeldOutEvaluation
-        Free-run errors before and after on the held-out flights.
+    replication : Replication
+        Which causes hold in both directions, and the model with these alone.
     undetectable : tuple of str
         Effects that would not be significant in these flights at their typical size.
     unidentifiable : tuple of str
@@ -91,7 +94,7 @@ class Diagnosis:
 
     search: Search
     assessment: Assessment
-    held_out: HeldOutEvaluation
+    replication: Replication
     kinds: Mapping[str, EffectSpec]
     undetectable: tuple[str, ...]
     unidentifiable: tuple[str, ...]
@@ -114,6 +117,11 @@ class Diagnosis:
     def proposed_term(self) -> ProposedTerm | None:
         """Proposed equation, if there is one."""
         return self.proposal.term if self.proposal else None
+
+    @property
+    def held_out(self) -> HeldOutEvaluation:
+        """Free-run errors before and after on the held-out flights; after, with the confirmed causes."""
+        return self.replication.evaluation
 
     @property
     def error_reductions(self) -> Mapping[str, ErrorReduction]:
@@ -152,6 +160,15 @@ class Diagnosis:
         """
         return tried_without(prior_conflicts(self.assessment.after.fit), self.assessment.extended.estimate)
 
+    @cached_property
+    def extrapolations(self) -> tuple[Extrapolation, ...]:
+        """Windows of each held-out flight whose voltages the fitted flights do not show; empty if no flight
+        is held out.
+        """
+        if self.assessment.after.held_out_fit is None:
+            return ()
+        return extrapolations(self.assessment.after.fit.problem.records, self.held_out.extension.after)
+
     @property
     def random_torque(self) -> dict[str, dict[str, CauseParameter]]:
         """Parameters of the random torque by full name, by effect id; empty if there is none."""
@@ -171,13 +188,15 @@ class Diagnosis:
             }
         }
 
-    def rig(self, name: str, with_term: bool = False) -> Rig:
-        """Make the extended rig for ``heli-host sil`` and ``fly``: refitted parameters and causes.
+    def rig(self, name: str, with_term: bool = False, with_unconfirmed: bool = False) -> Rig:
+        """Make the extended rig for ``heli-host sil`` and ``fly``: refitted parameters and confirmed causes.
 
         Parameters
         ----------
         name : str
             Name of the rig.
+        with_unconfirmed : bool
+            Whether to add the causes that do not hold in both directions.
         with_term : bool
             Whether to add the proposed equation, if there is one. The rig then needs its effect file.
         """
@@ -188,7 +207,14 @@ class Diagnosis:
                 for candidate in term.discovery.hypothesis.candidates[:-1]
             }
             return extended_rig(name, fit, self.kinds, named, term)
-        causes = {cause.effect: cause.parameters for cause in self.verdict.causes}
-        return extended_rig(
-            name, self.assessment.after.fit, self.kinds, {**causes, **self.random_torque}, None
-        )
+        if with_unconfirmed:
+            fit = self.assessment.after.fit
+            causes = {cause.effect: cause.parameters for cause in self.verdict.causes}
+        else:
+            fit = self.replication.prediction.fit
+            causes = {
+                candidate.id: cause_parameters(fit, self.kinds[candidate.id], candidate.effect.values)
+                for candidate in self.replication.model.candidates
+                if candidate.id not in self.replication.unconfirmed
+            }
+        return extended_rig(name, fit, self.kinds, {**causes, **self.random_torque}, None)

@@ -24,6 +24,7 @@ from heli_lab.diagnose.evaluate import (
     calibration_s,
     evaluate_held_out,
     evaluate_hypothesis,
+    replicate,
     undetectable_effects,
     unidentifiable_parameters,
 )
@@ -102,7 +103,8 @@ def diagnose(
             No effect of the catalogue explains the errors. `curves` shows the missing terms as splines, and
             `proposal` is an equation for them, if one was confirmed.
 
-        `error_reductions` has free-run errors before and after by axis, `held_out` at all horizons. `rig`
+        `error_reductions` has free-run errors before and after by axis, `held_out` at all horizons, both of
+        the model with the confirmed causes. `replication` states which causes hold in both directions. `rig`
         makes the extended rig. `search` and `assessment` hold the evidence. `to_json`, `summary` and
         `heli_lab.diagnose.report.write_report` write the result for programs and readers.
 
@@ -134,6 +136,8 @@ def diagnose(
         result, assessment = _search_and_assess(comparison, tried, every, report, refits)
         undetectable = undetectable_effects(result.rounds[-1].screened, every)
         evaluation = evaluate_held_out(comparison, result, assessment, calibrate_s)
+        report("judging the causes in the reverse direction", 0.91)
+        replication = replicate(comparison, result, assessment, evaluation, calibrate_s)
         proposal = None
         if assessment.verdict.label == "unexplained" and comparison.fits < refits:
             report("searching for an equation of what is missing", 0.92)
@@ -144,7 +148,7 @@ def diagnose(
         return Diagnosis(
             result,
             assessment,
-            evaluation,
+            replication,
             every,
             undetectable,
             unidentifiable_parameters(result.baseline.estimate),

@@ -175,6 +175,24 @@ NOISE_FLOOR: Final[Annotated[float, "standard deviations of the quantisation", M
 1.02 on simulated flights (2026-11). Lower: the integration error, a tenth of a mN m, is called unexplained.
 Higher: small unlisted terms are missed."""
 
+MATTERS_COUNTS: Final[Annotated[float, "encoder counts", JUDGEMENT]] = 0.1
+"""Root mean square change of the 2 s open-loop prediction, on the axis where it is largest, from which on a
+significant effect is named: a third of the quantisation's standard deviation. A sag of 0.005 per volt changes
+0.085 counts, a delay of 30 ms 4.7 (development seeds 7000 of `heli_benchmark.cases.calm`, 2026-11). Lower:
+numerical errors of the method are named in flights without disturbances. Higher: weak causes are not."""
+
+MATTERS_NATS_PER_ROW: Final[Annotated[float, "nats", MEASUREMENT]] = 0.5
+"""Log-likelihood ratio for each measurement of the filter above which a cause matters without a free run: it
+changes the innovations by one standard deviation of their noise. This is at least 0.19 counts, by a sag that
+has 120 nats in 1500 measurements and changes 0.075 counts (development seed 7003, 2026-11). Lower: small
+effects in long flights are named. Higher: time, one free run for each of several causes."""
+
+DISTURBED_STD: Final[Annotated[float, "standard deviations of the quantisation", THEORY]] = 5.0
+"""Root mean square free-run error, disturbances included, above which every significant effect matters: the
+least significant has 5.3 standard errors in 850 innovations, a fifth of the disturbances, or 0.28 counts.
+Lower: effects below `MATTERS_COUNTS` are named in weak disturbances. Higher: time, one free run for each
+cause."""
+
 DEPENDENCE_NATS: Final[Annotated[float, "nats", MEASUREMENT]] = 10.0
 DEPENDENCE_NATS_PER_COEFFICIENT: Final[Annotated[float, "nats", MEASUREMENT]] = 2.0
 """Log-likelihood ratio that a regressor of the innovations must gain, and more of it for each coefficient.
@@ -285,6 +303,16 @@ Shorter: what a model lacks is taken for a constant. Longer: less is left to eva
 CALIBRATE_SHARE: Final[Annotated[float, "1", JUDGEMENT]] = 1.0 / 3.0
 """Largest share of a flight's free seconds for the calibration. Higher: a short flight is evaluated on a
 window or two. Lower: its constants are not known."""
+
+VOLTAGE_TAIL: Final[Annotated[float, "1", JUDGEMENT]] = 0.01
+"""Share of the fitted flights' voltages beyond each end of the range in which the model counts as fitted:
+brief extremes inform no thrust curve. Lower: a single step of the voltages widens the range. Higher: voltages
+that the flights do show count as extrapolation."""
+
+OUTSIDE_SHARE: Final[Annotated[float, "1", JUDGEMENT]] = 0.1
+"""Share of a window's time with voltages outside of that range from which on its prediction is marked: by the
+tails alone, two rotors have 0.04. Lower: windows of the fitted flight would be marked. Higher: extrapolations
+are not marked."""
 
 # Standard errors that are reported.
 

@@ -40,6 +40,13 @@ def diagnose(
             help="Add a proposed equation term to the rig of --save-rig.",
         ),
     ] = False,
+    with_unconfirmed: Annotated[
+        bool,
+        typer.Option(
+            "--with-unconfirmed",
+            help="Add causes that are not confirmed to the rig of --save-rig.",
+        ),
+    ] = False,
     calibrate_s: Annotated[
         float | None,
         typer.Option(
@@ -77,8 +84,9 @@ def diagnose(
     complexity penalty. Random torques count as disturbances. If no effect explains a predictable error, the
     verdict is `unexplained`. Then --report proposes an equation term as an effect file.
 
-    --validate only evaluates the error reduction. Without --report, --json and --save-rig the result is only
-    printed.
+    --validate evaluates the error reduction and confirms causes: a confirmed cause also holds if the roles
+    of the flights are exchanged. The rig of --save-rig has confirmed causes only. Without --report, --json
+    and --save-rig the result is only printed.
 
     Example: `heli-host diagnose a.mcap --validate b.mcap --report why --save-rig extended.toml`
     """
@@ -139,7 +147,7 @@ def diagnose(
             result = insufficient_excitation(str(error), given.model, given.rig, kinds)
         if save_rig is not None and not isinstance(result, InsufficientExcitation):
             write_rig(
-                result.rig(save_rig.stem, with_term),
+                result.rig(save_rig.stem, with_term, with_unconfirmed),
                 save_rig,
                 f"Found by heli-host diagnose, model {given.model.name}. {summary(result)}",
             )

@@ -6,6 +6,7 @@ from heli_lab.diagnose.evaluate.absent_terms import AbsentTerm
 from heli_lab.diagnose.evaluate.assessment import Assessment, assess
 from heli_lab.diagnose.evaluate.detectability import undetectable_effects, unidentifiable_parameters
 from heli_lab.diagnose.evaluate.error_reduction import ErrorReduction, compare_free_runs
+from heli_lab.diagnose.evaluate.fitted_voltages import Extrapolation, extrapolations
 from heli_lab.diagnose.evaluate.free_run import HORIZONS, FreeRun, calibration_s, free_runs
 from heli_lab.diagnose.evaluate.held_out import (
     HeldOutEvaluation,
@@ -17,16 +18,27 @@ from heli_lab.diagnose.evaluate.kicks import Kicks
 from heli_lab.diagnose.evaluate.prediction import predict
 from heli_lab.diagnose.evaluate.prior_conflict import PriorConflict, prior_conflicts, tried_without
 from heli_lab.diagnose.evaluate.regions import FailingRegions, RegionTest, failing_regions
+from heli_lab.diagnose.evaluate.replication import (
+    WORSE_HORIZON,
+    CauseReplication,
+    Replication,
+    WorseAxis,
+    replicate,
+    worse_axis_sentence,
+)
 from heli_lab.diagnose.evaluate.reported import CauseParameter, cause_parameters, reported_std
 from heli_lab.diagnose.evaluate.residual_analysis import ResidualAnalysis, correlates
-from heli_lab.diagnose.evaluate.verdict import NamedCause, Verdict, confidence
+from heli_lab.diagnose.evaluate.verdict import NamedCause, SmallEffect, Verdict, confidence
 
 __all__ = [
     "HORIZONS",
+    "WORSE_HORIZON",
     "AbsentTerm",
     "Assessment",
     "CauseParameter",
+    "CauseReplication",
     "ErrorReduction",
+    "Extrapolation",
     "FailingRegions",
     "FreeRun",
     "HeldOutEvaluation",
@@ -35,8 +47,11 @@ __all__ = [
     "NamedCause",
     "PriorConflict",
     "RegionTest",
+    "Replication",
     "ResidualAnalysis",
+    "SmallEffect",
     "Verdict",
+    "WorseAxis",
     "assess",
     "calibration_s",
     "cause_parameters",
@@ -45,12 +60,15 @@ __all__ = [
     "correlates",
     "evaluate_held_out",
     "evaluate_hypothesis",
+    "extrapolations",
     "failing_regions",
     "free_runs",
     "predict",
     "prior_conflicts",
+    "replicate",
     "reported_std",
     "tried_without",
     "undetectable_effects",
     "unidentifiable_parameters",
+    "worse_axis_sentence",
 ]

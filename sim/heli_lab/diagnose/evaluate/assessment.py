@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from heli_sim.model.effects import EffectSpec
 
 from heli_lab.diagnose.evaluate.absent_terms import AbsentTerm, absent_terms
 from heli_lab.diagnose.evaluate.prediction import Prediction, predict
+from heli_lab.diagnose.evaluate.relevance import prediction_changes
 from heli_lab.diagnose.evaluate.residual_analysis import ResidualAnalysis, residual_analysis
-from heli_lab.diagnose.evaluate.verdict import Verdict, judge
+from heli_lab.diagnose.evaluate.verdict import Verdict, judge, small_effects
 from heli_lab.diagnose.search import Hypothesis, ModelComparison, Screening, Search
-from heli_lab.diagnose.thresholds import SHORT_s
+from heli_lab.diagnose.thresholds import MATTERS_COUNTS, SHORT_s
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,8 @@ class Assessment:
     residual_analysis : ResidualAnalysis
         Analysis of the residuals of the final model.
     extended : Hypothesis
-        The model with the causes of the catalogue, without spline terms: the one that a simulator can fly.
+        The model with the named causes of the catalogue, without spline terms and without effects that are
+        too small to matter: the one that a simulator can fly.
     before, after : Prediction
         Free runs of the refitted baseline and of the extended model over all flights.
     absent : tuple of AbsentTerm
@@ -58,7 +60,14 @@ def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, Effe
     before = predict(search.baseline.estimate, train, held_out)
     after = before if extended is search.baseline else predict(extended.estimate, train, held_out)
     absent = absent_terms(after.fit, comparison.rig, kinds)
-    verdict = judge(search, residual, after, kinds, bool(absent))
+    changes = prediction_changes(comparison, search, extended, before, after)
+    tiny = {id_: counts for id_, counts in changes.items() if counts < MATTERS_COUNTS}
+    small = small_effects(search, tiny, kinds, after.fit)
+    if small:
+        extended = without(comparison, search, extended, tiny)
+        after = before if extended is search.baseline else predict(extended.estimate, train, held_out)
+        absent = absent_terms(after.fit, comparison.rig, kinds)
+    verdict = judge(search, residual, after, kinds, bool(absent), small)
     return Assessment(residual, extended, before, after, absent, verdict)
 
 
@@ -70,3 +79,11 @@ def without_splines(comparison: ModelComparison, search: Search) -> Hypothesis:
     if not named:
         return search.baseline
     return comparison.refit(named, None, search.final)
+
+
+def without(
+    comparison: ModelComparison, search: Search, extended: Hypothesis, ids: Collection[str]
+) -> Hypothesis:
+    """Refit an `extended` model without the effects `ids`."""
+    kept = [candidate for candidate in extended.candidates if candidate.id not in ids]
+    return comparison.refit(kept, None, extended) if kept else search.baseline

@@ -14,7 +14,7 @@ initial states the rest is the model's error within the horizon.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -22,8 +22,10 @@ from heli_host.arrays import Floats
 from heli_sim.model.base import Model
 from heli_sim.rig import Prior, Rig
 
+from heli_lab.diagnose.search.folds import split
 from heli_lab.diagnose.thresholds import CALIBRATE_SHARE, CALIBRATE_s
 from heli_lab.errors import IdentifyError
+from heli_lab.estimation import Estimate
 from heli_lab.identify import Fit, Problem, Record, solve, trace
 from heli_lab.identify.free import flight_constants
 from heli_lab.identify.thresholds import MIN_SEGMENT_S
@@ -98,6 +100,8 @@ def free_run(
     record: Record,
     calibrate_s: float = CALIBRATE_s,
     threads: int | None = None,
+    horizons: Sequence[str] = tuple(HORIZONS),
+    fine: bool = True,
 ) -> FreeRun:
     """Calibrate constants of a flight on its beginning, and predict the rest.
 
@@ -112,15 +116,23 @@ def free_run(
         Duration of free flight to calibrate on; with 0 the whole flight is predicted with `values`.
     threads : int, optional
         Threads of the simulation, see `Problem`.
+    horizons : sequence of str
+        Keys of `HORIZONS` to predict; the fit of the result is that of the last.
+    fine : bool
+        Whether initial states and constants are fitted to every sample, not on the coarse grid alone.
     """
     names = [quantity.name for quantity in model.parameters]
     known = {**dict(zip(names, map(float, model.parameter_values(rig)), strict=True)), **values}
-    first, rest = _split(record, calibrate_s)
+    first, rest = split(record, calibrate_s)
     priors = flight_constants(model, rig, known)
     calibrated: dict[str, tuple[float, float]] = {}
     if first.segments:
         fit = solve(
-            _problem(model, rig, known, first, priors, threads), robust=False, scatter=False, warm_start=True
+            _problem(model, rig, known, first, priors, threads),
+            robust=False,
+            fine=fine,
+            scatter=False,
+            warm_start=True,
         )
         calibrated = {name: (value, fit.std[name]) for name, value in fit.values.items()}
         known |= fit.values
@@ -129,8 +141,14 @@ def free_run(
     problem = _problem(model, rig, known, rest, held, threads)
     windows = [rows for _, rows in problem.windows(0)]
     fits = {
-        key: solve(problem.with_split_windows(parts), robust=False, scatter=False, warm_start=True)
-        for key, parts in HORIZONS.items()
+        key: solve(
+            problem.with_split_windows(HORIZONS[key]),
+            robust=False,
+            fine=fine,
+            scatter=False,
+            warm_start=True,
+        )
+        for key in horizons
     }
     return FreeRun(
         record.label,
@@ -139,7 +157,38 @@ def free_run(
         calibrated,
         priors if calibrated else {},
         {key: _errors(fit, windows) for key, fit in fits.items()},
-        fits["2"],
+        fits[horizons[-1]],
+    )
+
+
+def estimated_free_runs(
+    estimate: Estimate, flights: Sequence[Record], calibrate_s: float | None, horizons: Sequence[str]
+) -> tuple[FreeRun, ...]:
+    """Predict `flights` with an `estimate` of other flights in innovations form, each after a calibration.
+    Initial states are fitted on the coarse grid, which takes half the time.
+
+    Parameters
+    ----------
+    calibrate_s : float, optional
+        Duration to calibrate on, at most `CALIBRATE_SHARE` of each flight.
+    horizons : sequence of str
+        Keys of `HORIZONS` to predict.
+    """
+    vector = estimate.parameter_vector
+    names = [quantity.name for quantity in vector.model.parameters]
+    parameters = [vector.parameters(estimate.theta, index) for index in range(len(estimate.references))]
+    values = dict(zip(names, map(float, np.mean(parameters, axis=0)), strict=True))
+    return tuple(
+        free_run(
+            vector.model,
+            vector.rig,
+            values,
+            record,
+            min(CALIBRATE_s if calibrate_s is None else calibrate_s, CALIBRATE_SHARE * record.used_s),
+            horizons=horizons,
+            fine=False,
+        )
+        for record in flights
     )
 
 
@@ -230,20 +279,6 @@ def _problem(
         values=values,
         threads=threads,
     )
-
-
-def _split(record: Record, seconds: float) -> tuple[Record, Record]:
-    """The first seconds of free flight, and the rest; pieces of the rest that are too short are dropped."""
-    remaining = round(seconds / record.step_s)
-    first, rest = [], []
-    for start, stop in record.segments:
-        cut = min(stop, start + remaining)
-        remaining -= cut - start
-        first += [(start, cut)] if cut > start else []
-        rest += [(cut, stop)] if stop > cut else []
-    least = round(MIN_SEGMENT_S / record.step_s)
-    rest = [(start, stop) for start, stop in rest if stop - start >= least] or rest
-    return replace(record, segments=tuple(first)), replace(record, segments=tuple(rest))
 
 
 def _errors(fit: Fit, windows: Sequence[int]) -> WindowErrors:

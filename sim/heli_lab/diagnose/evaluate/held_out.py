@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from heli_lab.diagnose.evaluate.assessment import Assessment
 from heli_lab.diagnose.evaluate.error_reduction import ErrorReduction, HeldOutComparison, compare_free_runs
@@ -97,3 +97,28 @@ def evaluate_held_out(
         splines = evaluate_hypothesis(search.final, comparison, runs_before, calibrate_s).reductions
     extension = compare_free_runs(runs_before, runs_after, comparison.seed)
     return HeldOutEvaluation(extension, splines, CALIBRATE_s if calibrate_s is None else calibrate_s)
+
+
+def evaluate_extension(
+    comparison: ModelComparison,
+    before: Prediction,
+    after: Prediction,
+    whole: HeldOutEvaluation,
+    calibrate_s: float | None,
+) -> HeldOutEvaluation:
+    """Compare the baseline and another extended model on the held-out flights.
+
+    Parameters
+    ----------
+    comparison : ModelComparison
+        The flights, and the seed of the bootstrap.
+    before, after : Prediction
+        Free runs of the baseline and of the other model.
+    whole : HeldOutEvaluation
+        The evaluation of the model with all causes; the baseline's free runs are its own.
+    calibrate_s : float, optional
+        Requested duration to calibrate on.
+    """
+    runs_before = whole.extension.before
+    runs = runs_before if after is before else free_runs(after.fit, comparison.held_out, calibrate_s)
+    return replace(whole, extension=compare_free_runs(runs_before, runs, comparison.seed))

@@ -87,13 +87,20 @@ def predict(estimate: Estimate, train: Sequence[Record], held_out: Sequence[Reco
 
 def normalised_error(fit: Fit) -> NormalisedError:
     """Measure the errors of a fit over every sample of its flights."""
-    samples = np.concatenate(
+    samples = normalised_samples(fit)
+    return NormalisedError(float(np.sqrt(np.mean(samples**2))), np.sqrt(np.mean(samples**2, axis=0)))
+
+
+def normalised_samples(fit: Fit) -> Floats:
+    """Open-loop errors of a fit at every sample of its flights, shape (n, 3), in standard deviations of the
+    encoders' quantisation.
+    """
+    return np.concatenate(
         [
             fit.problem.evaluation(index, fit.theta, states, fine=True, derivatives=False).residual
             for index, states in enumerate(fit.states)
         ]
     )
-    return NormalisedError(float(np.sqrt(np.mean(samples**2))), np.sqrt(np.mean(samples**2, axis=0)))
 
 
 def _free_run(estimate: Estimate, records: Sequence[Record], own_calibration: bool) -> Fit:

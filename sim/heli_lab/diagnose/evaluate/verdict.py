@@ -52,6 +52,22 @@ class NamedCause(Cause):
 
 
 @dataclass(frozen=True)
+class SmallEffect:
+    """A significant effect that is too small to matter.
+
+    Parameters
+    ----------
+    cause : NamedCause
+        The effect with its evidence.
+    change_counts : float
+        Root mean square change of the 2 s open-loop prediction, encoder counts.
+    """
+
+    cause: NamedCause
+    change_counts: float
+
+
+@dataclass(frozen=True)
 class Verdict:
     """Verdict of a diagnosis.
 
@@ -65,12 +81,15 @@ class Verdict:
         Spline terms in the place of causes that the catalogue lacks, the strongest first.
     random_torque : bool
         Whether a random torque acts about a single axis, unlike the disturbances that every rig has.
+    small : tuple of SmallEffect
+        Significant effects that are too small to matter.
     """
 
     label: str
     causes: tuple[NamedCause, ...]
     unlisted: tuple[Cause, ...]
     random_torque: bool
+    small: tuple[SmallEffect, ...] = ()
 
 
 def judge(
@@ -79,6 +98,7 @@ def judge(
     after: Prediction,
     kinds: Mapping[str, EffectSpec],
     absent: bool,
+    small: tuple[SmallEffect, ...] = (),
 ) -> Verdict:
     """Decide the verdict.
 
@@ -93,19 +113,47 @@ def judge(
         small to matter, however significant it is.
     absent : bool
         Whether the fit estimated a term of the baseline as zero, which is a cause too.
+    small : tuple of SmallEffect
+        Effects that are not causes, because they are too small to matter.
     """
-    effects = tuple(cause for cause in search.causes if not cause.candidate.is_spline)
+    ignored = {effect.cause.effect for effect in small}
+    effects = tuple(
+        cause for cause in search.causes if not cause.candidate.is_spline and cause.effect not in ignored
+    )
     unlisted = tuple(cause for cause in search.causes if cause.candidate.is_spline)
     visible = max(after.train.total, after.held_out.total) > thresholds.NOISE_FLOOR
     random = visible and not unlisted and not residual.dependences and has_random_torque(residual, kinds)
     unexplained = visible and bool(unlisted or residual.dependences)
     causes = tuple(_named(cause, kinds, after.fit, unexplained) for cause in effects)
     if unexplained:
-        return Verdict("unexplained", causes, unlisted, False)
+        return Verdict("unexplained", causes, unlisted, False, small)
     if causes:
         unclear = any(cause.ambiguous_with for cause in causes)
-        return Verdict("ambiguous" if unclear else "cause_found", causes, (), random)
-    return Verdict("cause_found" if random or absent else "explained", (), (), random)
+        return Verdict("ambiguous" if unclear else "cause_found", causes, (), random, small)
+    return Verdict("cause_found" if random or absent else "explained", (), (), random, small)
+
+
+def small_effects(
+    search: Search, changes: Mapping[str, float], kinds: Mapping[str, EffectSpec], fit: Fit
+) -> tuple[SmallEffect, ...]:
+    """Describe effects that are too small to matter.
+
+    Parameters
+    ----------
+    search : Search
+        Evidence of the effects.
+    changes : Mapping[str, float]
+        Change of the prediction by each of them, encoder counts, by id.
+    kinds : Mapping[str, EffectSpec]
+        Catalogue by effect id.
+    fit : Fit
+        Parameters of the model that has them.
+    """
+    return tuple(
+        SmallEffect(_named(cause, kinds, fit, False), changes[cause.effect])
+        for cause in search.causes
+        if cause.effect in changes
+    )
 
 
 def _named(cause: Cause, kinds: Mapping[str, EffectSpec], fit: Fit, unexplained: bool) -> NamedCause:

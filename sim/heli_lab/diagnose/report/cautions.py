@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from heli_lab.diagnose.evaluate import PriorConflict
+from heli_lab.diagnose.evaluate import Extrapolation, PriorConflict, worse_axis_sentence
 from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.thresholds import FEW_WINDOWS
 
@@ -15,10 +15,22 @@ def cautions(result: Diagnosis) -> list[str]:
         lines.append("no flight was held out: nothing here is confirmed; give one to --validate")
     else:
         lines += _held_out(result, sum(record.used_s for record in held_out.problem.records))
+    lines += [worse_axis_sentence(worse, _model(result)) for worse in result.replication.worse]
+    unconfirmed = ", ".join(result.replication.unconfirmed)
+    if unconfirmed:
+        lines.append(
+            f"not confirmed, and not in the extended rig: {unconfirmed}; --with-unconfirmed adds what is not "
+            "confirmed to the rig of --save-rig"
+        )
     lines += [prior_conflict_sentence(conflict) for conflict in result.prior_conflicts]
     if not result.search.complete:
         lines.append("the limit of refits ended the search before everything was tried; raise --budget")
     return lines
+
+
+def _model(result: Diagnosis) -> str:
+    """Name the model with all named causes."""
+    return "the model with all named causes" if result.replication.unconfirmed else "the extended model"
 
 
 def _held_out(result: Diagnosis, seconds: float) -> list[str]:
@@ -35,7 +47,16 @@ def _held_out(result: Diagnosis, seconds: float) -> list[str]:
         # A difference of a sample is not worth a line.
         if run.calibrated_s < 0.99 * requested_s
     ]
-    return lines
+    return lines + [extrapolation_sentence(flight) for flight in result.extrapolations if flight.spans_s]
+
+
+def extrapolation_sentence(flight: Extrapolation) -> str:
+    """Describe the windows of a `flight` in which the model extrapolates, without a full stop."""
+    ranges = ", ".join(f"{rotor} {low:.1f} to {high:.1f} V" for rotor, (low, high) in flight.ranges_V.items())
+    return (
+        f"{len(flight.spans_s)} of {flight.windows} windows of {flight.label} have voltages outside of those "
+        f"that were fitted ({ranges}): predictions there are extrapolations"
+    )
 
 
 def prior_conflict_sentence(conflict: PriorConflict) -> str:

@@ -43,11 +43,40 @@ def _effects(result: Diagnosis) -> list[dict[str, Any]]:
                 "alternatives": {other.id: other.log_likelihood_ratio for other in cause.alternatives},
             },
             "ambiguous_with": list(cause.ambiguous_with),
+            **_replication(cause, result),
             **_moments(cause, result),
             **_family(cause),
         }
         for cause in result.verdict.causes
     ]
+
+
+def too_small_effects(result: Diagnosis) -> list[dict[str, Any]]:
+    """List significant effects that are too small to matter: effect, parameters, sentence, and by how many
+    encoder counts each changes the prediction.
+    """
+    return [
+        {
+            "effect": effect.cause.effect,
+            "parameters": _parameters(effect.cause.parameters),
+            "sentence": effect.cause.sentence,
+            "change_counts": effect.change_counts,
+            "log_likelihood_ratio": effect.cause.train,
+        }
+        for effect in result.verdict.small
+    ]
+
+
+def _replication(cause: NamedCause, result: Diagnosis) -> dict[str, Any]:
+    """Whether a cause holds in both directions, and why not."""
+    replication = result.replication.causes[cause.effect]
+    return {
+        "confirmed": replication.confirmed,
+        "replication": {
+            "log_likelihood_ratio": {"forward": replication.forward, "reverse": replication.reverse},
+            "why_not": replication.why_not or None,
+        },
+    }
 
 
 def _family(cause: NamedCause) -> dict[str, dict[str, Any]]:

@@ -17,7 +17,13 @@ from heli_lab.diagnose.report.result_figures import (
     figure_of_missing_terms,
     figure_of_prediction,
 )
-from heli_lab.diagnose.report.sentences import disturbances_in_words, next_step, summary, title
+from heli_lab.diagnose.report.sentences import (
+    disturbances_in_words,
+    next_step,
+    small_effect_lines,
+    summary,
+    title,
+)
 from heli_lab.diagnose.report.serialize import proposal_json, to_json
 from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.wording import SHOWN, dependence_in_words, evidence_in_words, readable_id
@@ -86,12 +92,15 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
         judged="a flight that no fit used"
         if diagnosis.assessment.after.held_out_fit
         else "the fitted flight",
-        prediction=kept("prediction", figure_of_prediction(before, after, _axis(diagnosis, terms))),
+        prediction=kept(
+            "prediction", figure_of_prediction(before, after, _axis(diagnosis, terms), _outside_s(diagnosis))
+        ),
         gain={
             "address": kept("gain", figure_of_gain(held_out.horizons, extended)),
             "rows": _gain(numbers["gain"]["axis"]),
         },
         causes=[_cause_rows(cause, kept) for cause in numbers["causes"]],
+        small=[_sentence(line) for line in small_effect_lines(diagnosis)],
         unknown=_unknown(numbers["unexplained"]),
         curves=kept("curves", figures.figure_of_curves(curves)) if curves else None,
         disturbances=_disturbances(diagnosis, numbers),
@@ -168,6 +177,11 @@ def _axis(diagnosis: Diagnosis, terms: Sequence[MissingTerm]) -> str:
         return float((reduction.before_deg - after_deg) / max(ranges_deg[axis], 1e-9))
 
     return terms[0].axis if terms and not extended else max(AXES, key=shows)
+
+
+def _outside_s(diagnosis: Diagnosis) -> tuple[tuple[float, float], ...]:
+    """Times of the windows in which the first held-out flight is extrapolated."""
+    return diagnosis.extrapolations[0].spans_s if diagnosis.extrapolations else ()
 
 
 def _cause(terms: Sequence[MissingTerm], kept: _Kept) -> dict[str, Any] | None:
@@ -285,6 +299,7 @@ def _cause_rows(cause: dict[str, Any], kept: _Kept) -> dict[str, Any]:
         "confidence": f"{cause['confidence']:.2f}",
         "sentence": _capital(cause["sentence"]),
         "unclear": f" These flights do not distinguish it from {others}." if others else "",
+        "confirmed": _confirmation(cause),
         "latex": cause["equation"],
         "equation": kept(f"equation-{cause['effect']}", equation),
         "rows": [
@@ -293,6 +308,24 @@ def _cause_rows(cause: dict[str, Any], kept: _Kept) -> dict[str, Any]:
         ],
         "evidence": f"Evidence: {evidence}.",
     }
+
+
+def _confirmation(cause: Mapping[str, Any]) -> str:
+    """Whether a cause holds in both directions, in sentences; empty for one that was not tested."""
+    if "confirmed" not in cause:
+        return ""
+    ratios = cause["replication"]["log_likelihood_ratio"]
+    both = ", ".join(
+        f"{evidence_in_words(nats)} {where}"
+        for nats, where in (
+            (ratios["forward"], "on the validation flights"),
+            (ratios["reverse"], "in the reverse direction"),
+        )
+        if nats is not None
+    )
+    if cause["confirmed"]:
+        return f"Confirmed: {both}."
+    return f"Not confirmed, and not in the extended rig: {cause['replication']['why_not']}."
 
 
 def _residual(residual: dict[str, Any]) -> dict[str, Any]:

@@ -97,7 +97,9 @@ def _binned(quantity: Floats, value: Floats, bins: int) -> tuple[Floats, Floats]
     )
 
 
-def figure_of_prediction(before: Fit, after: Fit, first: str) -> Figure:
+def figure_of_prediction(
+    before: Fit, after: Fit, first: str, outside_s: Sequence[tuple[float, float]] = ()
+) -> Figure:
     """Draw free runs of 2 s: the angle of an axis, and the errors of all three axes.
 
     Parameters
@@ -107,6 +109,8 @@ def figure_of_prediction(before: Fit, after: Fit, first: str) -> Figure:
         same. If the flight is long, only the part with the largest errors of the baseline is drawn.
     first : str
         The axis whose angle is drawn.
+    outside_s : sequence of (float, float)
+        Times at which the model extrapolates; they are shaded.
     """
     from matplotlib.figure import Figure
 
@@ -134,6 +138,11 @@ def figure_of_prediction(before: Fit, after: Fit, first: str) -> Figure:
             for panel, axis in zip(panels[1:], order, strict=True):
                 error_deg = np.rad2deg(run.predicted_rad[window, axis] - run.measured_rad[window, axis])
                 panel.plot(run.t_s[window], error_deg, color=color, lw=0.9)
+    shaded_s = [(a, b) for a, b in outside_s if t_s[0] <= a and b <= t_s[-1]]
+    for number, (begin_s, end_s) in enumerate(shaded_s):
+        for panel in panels:
+            name = "voltages that were not fitted" if not number and panel is angle else None
+            panel.axvspan(begin_s, end_s, color="#f3e3c3", lw=0.0, zorder=-1, label=name)
     angle.set_ylabel(f"{AXES[order[0]]} [deg]", fontsize=10)
     for panel, axis in zip(panels[1:], order, strict=True):
         panel.axhline(0.0, color="#9aa0a6", lw=0.8, zorder=0)
@@ -144,7 +153,7 @@ def figure_of_prediction(before: Fit, after: Fit, first: str) -> Figure:
     figure.legend(
         *angle.get_legend_handles_labels(),
         loc="upper right",
-        ncols=3,
+        ncols=4,
         fontsize=9,
         frameon=False,
         markerscale=4,

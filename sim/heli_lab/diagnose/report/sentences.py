@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 from heli_lab.diagnose.evaluate import ErrorReduction
 from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
 from heli_lab.diagnose.report import findings
 from heli_lab.diagnose.report.cautions import cautions
 from heli_lab.diagnose.result import Diagnosis, Proposal
-from heli_lab.diagnose.thresholds import CONFIDENCE_NATS, MIN_MARGIN, REPORT_RATIO
+from heli_lab.diagnose.thresholds import CONFIDENCE_NATS, MATTERS_COUNTS, MIN_MARGIN, REPORT_RATIO
 from heli_lab.diagnose.wording import dependence_in_words, evidence_in_words
 
 METRIC: Final = "2 s free-run rms on the validation flights, deg"
@@ -97,7 +97,8 @@ def lines(result: Diagnosis | InsufficientExcitation) -> list[str]:
     for cause in findings.causes(result):
         others = cause["ambiguous_with"]
         unclear = f"; not distinguished from {', '.join(others)}" if others else ""
-        lines.append(f"{cause['effect']} (confidence {cause['confidence']:.2f}{unclear})")
+        lines.append(f"{cause['effect']} (confidence {cause['confidence']:.2f}{unclear}{_confirmed(cause)})")
+    lines += small_effect_lines(result)
     lines.append(f"{metric(result)}, before and after, and their ratio:")
     for axis, reduction in result.error_reductions.items():
         low, high = reduction.interval95
@@ -119,6 +120,22 @@ def lines(result: Diagnosis | InsufficientExcitation) -> list[str]:
         lines.append("\N{PLUS-MINUS SIGN} is one standard error")
     lines.append(f"what to do next: {next_step(result)}")
     return lines + cautions(result)
+
+
+def small_effect_lines(result: Diagnosis) -> list[str]:
+    """List significant effects that are too small to matter, one line each."""
+    return [
+        f"too small to matter: {effect['effect']}, {effect['sentence']}; it changes the 2 s open-loop "
+        f"prediction by {effect['change_counts']:.2f} encoder counts rms, less than {MATTERS_COUNTS:g}"
+        for effect in findings.too_small_effects(result)
+    ]
+
+
+def _confirmed(cause: Mapping[str, Any]) -> str:
+    """Whether a cause is confirmed, as the end of a remark on it; empty for one that was not tested."""
+    if "confirmed" not in cause:
+        return ""
+    return "; confirmed" if cause["confirmed"] else f"; not confirmed: {cause['replication']['why_not']}"
 
 
 def next_step(result: Diagnosis) -> str:

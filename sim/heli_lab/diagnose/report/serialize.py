@@ -8,10 +8,17 @@ from typing import Any
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.discover import CHANNELS, SYMBOLS, ProposedTerm, expression, latex
-from heli_lab.diagnose.evaluate import HORIZONS, FailingRegions, FreeRun, PriorConflict, ResidualAnalysis
+from heli_lab.diagnose.evaluate import (
+    HORIZONS,
+    WORSE_HORIZON,
+    FailingRegions,
+    FreeRun,
+    PriorConflict,
+    ResidualAnalysis,
+)
 from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
 from heli_lab.diagnose.report.cautions import cautions
-from heli_lab.diagnose.report.findings import causes, disturbances, gains, unexplained
+from heli_lab.diagnose.report.findings import causes, disturbances, gains, too_small_effects, unexplained
 from heli_lab.diagnose.report.sentences import METRIC, metric, summary
 from heli_lab.diagnose.result import Diagnosis, Proposal
 from heli_lab.diagnose.search import QUANTITIES
@@ -30,6 +37,7 @@ def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
         "verdict": result.label,
         "sentence": summary(result),
         "causes": causes(result),
+        "too_small": too_small_effects(result),
         "rig": rig_numbers(result),
         "residual": _residual(result),
         "disturbances": disturbances(result.assessment.residual_analysis),
@@ -57,6 +65,7 @@ def _of_insufficient_excitation(result: InsufficientExcitation) -> dict[str, Any
         "verdict": result.label,
         "sentence": summary(result),
         "causes": [],
+        "too_small": [],
         "rig": None,
         "residual": {"axis": dict.fromkeys(AXES, unknown), "normalised": unknown, "white": {}},
         "gain": {
@@ -64,6 +73,8 @@ def _of_insufficient_excitation(result: InsufficientExcitation) -> dict[str, Any
             "axis": gains,
             "horizons": {key: {"axis": gains} for key in HORIZONS},
             "calibration": [],
+            "extrapolation": [],
+            "worse": [],
         },
         "unexplained": None,
         "proposed_term": None,
@@ -82,7 +93,7 @@ def _of_insufficient_excitation(result: InsufficientExcitation) -> dict[str, Any
 
 def rig_numbers(result: Diagnosis) -> dict[str, Any]:
     """Write the parameters of the extended rig that all flights share, each with its prior."""
-    estimate = result.assessment.extended.estimate
+    estimate = result.replication.model.estimate
     std = estimate.covariance.diagonal() ** 0.5
     return {
         "name": estimate.parameter_vector.rig.name,
@@ -289,6 +300,26 @@ def _gain(result: Diagnosis) -> dict[str, Any]:
                 "after": _constants(after),
             }
             for before, after in zip(extension.before, extension.after, strict=True)
+        ],
+        "extrapolation": [
+            {
+                "flight": flight.label,
+                "windows": flight.windows,
+                "fitted_V": {rotor: list(span) for rotor, span in flight.ranges_V.items()},
+                "outside_s": [list(span) for span in flight.spans_s],
+            }
+            for flight in result.extrapolations
+        ],
+        "worse": [
+            {
+                "axis": worse.axis,
+                "horizon_s": float(WORSE_HORIZON),
+                "fitted": worse.fitted,
+                "judged": worse.judged,
+                "ratio": worse.reduction.ratio,
+                "interval95": list(worse.reduction.interval95),
+            }
+            for worse in result.replication.worse
         ],
     }
 

@@ -138,7 +138,11 @@ def _listed(value: Any) -> Any:
 
 
 def cache_key(
-    what: str, candidates: Iterable[Candidate], start: Mapping[str, float], warm_start: Estimate | None
+    what: str,
+    candidates: Iterable[Candidate],
+    start: Mapping[str, float],
+    warm_start: Estimate | None,
+    disturbances: DisturbanceModel | None = None,
 ) -> str:
     """Digest of what an estimate depends on in addition to the `fingerprint`.
 
@@ -152,6 +156,8 @@ def cache_key(
         Start values by name.
     warm_start : Estimate or None
         Estimate whose parameters and disturbances to start from.
+    disturbances : DisturbanceModel, optional
+        Disturbances to start from where there is no such estimate.
     """
     digest = hashlib.sha256(what.encode())
     for candidate in candidates:
@@ -162,8 +168,10 @@ def cache_key(
     if warm_start is not None:
         digest.update(repr((warm_start.parameter_vector.names, warm_start.log_likelihood)).encode())
         digest.update(np.ascontiguousarray(warm_start.theta).tobytes())
+        disturbances = warm_start.disturbances
+    if disturbances is not None:
         for name in _DISTURBANCES:
-            value = getattr(warm_start.disturbances, name)
+            value = getattr(disturbances, name)
             digest.update(b"none" if value is None else np.ascontiguousarray(value).tobytes())
     return digest.hexdigest()
 

@@ -15,9 +15,18 @@ from heli_sim.rig import Rig
 
 from heli_lab.diagnose.search.candidate import Candidate
 from heli_lab.diagnose.search.estimate_cache import EstimateCache, cache_key
+from heli_lab.diagnose.search.folds import two_folds
 from heli_lab.diagnose.search.hypothesis import Hypothesis
-from heli_lab.diagnose.thresholds import NEW_DISTURBANCES_NATS, EVENT_EDGE_s
-from heli_lab.estimation import BLOCK_s, Estimate, ModelFunctions, ReferenceTrajectory, estimate, refiltered
+from heli_lab.diagnose.thresholds import NEW_DISTURBANCES_NATS, EVENT_EDGE_s, SHORT_s
+from heli_lab.estimation import (
+    BLOCK_s,
+    DisturbanceModel,
+    Estimate,
+    ModelFunctions,
+    ReferenceTrajectory,
+    estimate,
+    refiltered,
+)
 from heli_lab.identify import Record
 from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
 
@@ -45,6 +54,8 @@ class ModelComparison:
         Seed of the bootstrap behind the intervals.
     kept : EstimateCache, optional
         Cached estimates.
+    side : str
+        Which flights are fitted, where several comparisons share a cache.
 
     Attributes
     ----------
@@ -61,23 +72,62 @@ class ModelComparison:
         *,
         seed: int = 0,
         kept: EstimateCache | None = None,
+        side: str = "",
     ) -> None:
-        self.model, self.rig, self.seed = model, rig, seed
+        self.model, self.rig, self.seed, self.side = model, rig, seed, side
         self._kept = kept or EstimateCache()
         self.train, self.held_out = tuple(train), tuple(held_out)
         self.fits = 0
         self._best: dict[frozenset[str], Hypothesis] = {}
         """The most likely hypothesis for each set of candidate ids."""
 
-    @cached_property
+    @property
     def references(self) -> tuple[ReferenceTrajectory, ...]:
         """Reference trajectories of the fitted flights, filtered with the baseline."""
+        return self._filtered_train[0]
+
+    @property
+    def held_out_references(self) -> tuple[ReferenceTrajectory, ...]:
+        """Reference trajectories of the held-out flights."""
+        return self._filtered_held_out[0]
+
+    @property
+    def filtering_baseline(self) -> Hypothesis:
+        """The baseline as it was estimated to filter the fitted flights: its values need no refit."""
+        return Hypothesis((), self._filtered_train[1])
+
+    @cached_property
+    def _filtered_train(self) -> tuple[tuple[ReferenceTrajectory, ...], Estimate]:
         return reference_trajectories(self.model, self.rig, self.train)
 
     @cached_property
-    def held_out_references(self) -> tuple[ReferenceTrajectory, ...]:
-        """Reference trajectories of the held-out flights."""
+    def _filtered_held_out(self) -> tuple[tuple[ReferenceTrajectory, ...], Estimate]:
         return reference_trajectories(self.model, self.rig, self.held_out)
+
+    def exchanged(self) -> ModelComparison:
+        """Exchange the fitted and the held-out flights, which stay filtered."""
+        other = ModelComparison(
+            self.model,
+            self.rig,
+            self.held_out,
+            self.train,
+            seed=self.seed,
+            kept=self._kept,
+            side=f"{self.side}exchanged ",
+        )
+        other._filtered_train, other._filtered_held_out = self._filtered_held_out, self._filtered_train
+        return other
+
+    def folds(self) -> ModelComparison | None:
+        """Divide the fitted flights into two folds where no flight is held out: the first is fitted, the
+        second held out. None if one of them is shorter than `SHORT_s`.
+        """
+        folds = two_folds(self.train)
+        if any(sum(record.used_s for record in fold) < SHORT_s for fold in folds):
+            return None
+        return ModelComparison(
+            self.model, self.rig, *folds, seed=self.seed, kept=self._kept, side=f"{self.side}fold "
+        )
 
     @cached_property
     def rows(self) -> int:
@@ -167,7 +217,7 @@ class ModelComparison:
         known = {**(warm_start.values if warm_start else {}), **start}
         theta = parameter_vector.started_from(known)
         return self._kept.estimate(
-            cache_key("train", candidates, start, warm_start.estimate if warm_start else None),
+            cache_key(f"{self.side}train", candidates, start, warm_start.estimate if warm_start else None),
             parameter_vector,
             self.references,
             functions,
@@ -182,30 +232,56 @@ class ModelComparison:
         vector = RigParameters(model, self.rig, self.train)
         return Hypothesis(tuple(candidates), replace(hypothesis.estimate, parameter_vector=vector))
 
-    def held_out_estimate(self, hypothesis: Hypothesis) -> Estimate:
+    def refit_from(
+        self, candidates: Sequence[Candidate], start: Mapping[str, float], disturbances: DisturbanceModel
+    ) -> Hypothesis:
+        """Estimate the model with some `candidates` from `start`, values by name, and from `disturbances` of
+        a similar model, perhaps of other flights.
+        """
+        model = type(self.model)((*self.model.effects, *(candidate.effect for candidate in candidates)))
+        vector = RigParameters(model, self.rig, self.train)
+        functions = model_functions(model, vector.quantities)
+        theta, disturbances = vector.started_from(start), replace(disturbances, curvature=None)
+        result = self._kept.estimate(
+            cache_key(f"{self.side}from", candidates, start, None, disturbances),
+            vector,
+            self.references,
+            functions,
+            lambda: estimate(vector, self.references, functions, theta, disturbances),
+        )
+        return Hypothesis(tuple(candidates), result)
+
+    def held_out_estimate(self, hypothesis: Hypothesis, near: Estimate | None = None) -> Estimate:
         """Estimate the held-out flights: parameters that all flights share are those of the `hypothesis`;
-        constants of each flight and the disturbances are estimated.
+        constants of each flight and the disturbances are estimated, from an estimate `near` them if given.
         """
         trained = hypothesis.estimate
-        shared = {
-            parameter.quantity: float(value)
-            for parameter, value in zip(trained.parameter_vector.free, trained.theta, strict=True)
-            if parameter.record is None
-        }
+        shared = shared_values(trained)
         parameter_vector = RigParameters(
             trained.parameter_vector.model, self.rig, self.held_out, fixed=shared
         )
         functions = model_functions(trained.parameter_vector.model, parameter_vector.quantities)
-        disturbances = replace(trained.disturbances, curvature=None)
+        known: dict[str, float] = {}
+        if near is not None:
+            known = dict(zip(near.parameter_vector.names, map(float, near.theta), strict=True))
+        theta = parameter_vector.started_from(known)
+        disturbances = replace((near or trained).disturbances, curvature=None)
         return self._kept.estimate(
-            cache_key("held out", hypothesis.candidates, shared, trained),
+            cache_key(f"{self.side}held out", hypothesis.candidates, {**known, **shared}, trained),
             parameter_vector,
             self.held_out_references,
             functions,
-            lambda: estimate(
-                parameter_vector, self.held_out_references, functions, parameter_vector.start, disturbances
-            ),
+            lambda: estimate(parameter_vector, self.held_out_references, functions, theta, disturbances),
         )
+
+
+def shared_values(estimate_: Estimate) -> dict[str, float]:
+    """Values of an estimate that all its flights share, by name in the model."""
+    return {
+        parameter.quantity: float(value)
+        for parameter, value in zip(estimate_.parameter_vector.free, estimate_.theta, strict=True)
+        if parameter.record is None
+    }
 
 
 def event_is_inside(record: Record, moment_s: float) -> bool:
@@ -217,8 +293,10 @@ def event_is_inside(record: Record, moment_s: float) -> bool:
 
 def reference_trajectories(
     model: Model, rig: Rig, records: Sequence[Record]
-) -> tuple[ReferenceTrajectory, ...]:
-    """Filter flights (`records`) with the baseline, a `model` of a `rig`, estimated on them."""
+) -> tuple[tuple[ReferenceTrajectory, ...], Estimate]:
+    """Filter flights (`records`) with the baseline, a `model` of a `rig`, estimated on them; return that
+    estimate too.
+    """
     references = tuple(filter_record(record) for record in records)
     parameter_vector = RigParameters(model, rig, records)
     functions = model_functions(model, parameter_vector.quantities)
@@ -227,7 +305,7 @@ def reference_trajectories(
         estimate_ = estimate(parameter_vector, references, functions, theta, disturbances)
         disturbances, theta = estimate_.disturbances, estimate_.theta
         references = tuple(refiltered(estimate_.filtered(), disturbances))
-    return references
+    return references, estimate_
 
 
 def _estimated(

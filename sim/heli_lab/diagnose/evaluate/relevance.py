@@ -1,0 +1,65 @@
+"""Relevance of causes: by how much each changes the open-loop prediction.
+
+Without disturbances, a flight shows effects far below an encoder count, as small as numerical errors of the
+method. A cause is named only if it is significant and matters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from heli_host.arrays import Floats
+
+from heli_lab.diagnose.evaluate.prediction import Prediction, normalised_samples, predict
+from heli_lab.diagnose.search import Hypothesis, ModelComparison, Search
+from heli_lab.diagnose.thresholds import DISTURBED_STD, MATTERS_NATS_PER_ROW
+
+
+def prediction_changes(
+    comparison: ModelComparison, search: Search, extended: Hypothesis, before: Prediction, after: Prediction
+) -> Mapping[str, float]:
+    """Compute by how much each cause changes the 2 s open-loop prediction of the fitted flights.
+
+    The model with all causes is compared with the refitted model without the cause: root mean square of the
+    difference, on the axis where that is largest.
+
+    Parameters
+    ----------
+    comparison : ModelComparison
+        The flights.
+    search : Search
+        Its baseline is the model without any cause.
+    extended : Hypothesis
+        The model with all causes of the catalogue.
+    before, after : Prediction
+        Open-loop predictions of the two.
+
+    Returns
+    -------
+    dict
+        Encoder counts, by effect id. An effect is missing if its evidence shows that it matters; all are
+        missing if the disturbances are so large that every significant cause matters.
+    """
+    if not extended.candidates or after.train.total > DISTURBED_STD:
+        return {}
+    whole = normalised_samples(after.fit)
+    changes = {}
+    evidence = {cause.effect: cause.train for cause in search.causes}
+    for candidate in extended.candidates:
+        if len(extended.candidates) > 1 and (evidence[candidate.id] > MATTERS_NATS_PER_ROW * comparison.rows):
+            continue
+        rest = [other for other in extended.candidates if other is not candidate]
+        # The elimination has estimated this model: it is in the cache.
+        less = (
+            predict(comparison.refit(rest, None, extended).estimate, comparison.train, ()) if rest else before
+        )
+        changes[candidate.id] = _counts(whole - normalised_samples(less.fit))
+    return changes
+
+
+def _counts(difference: Floats) -> float:
+    """Root mean square in counts, on the axis where it is largest, of a difference in standard deviations of
+    the quantisation, which is count / sqrt(12).
+    """
+    return float(np.sqrt(np.mean(difference**2, axis=0) / 12.0).max())

@@ -1,0 +1,61 @@
+"""A cause is named only if it matters; other significant effects are listed separately."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from heli_lab.diagnose import to_json
+from heli_lab.diagnose.evaluate.relevance import prediction_changes
+from heli_lab.diagnose.evaluate.verdict import judge, small_effects
+from heli_lab.diagnose.report import lines, summary
+from heli_lab.diagnose.thresholds import DISTURBED_STD
+
+from tests.diagnose.schema import conforms
+from tests.diagnose.test_causes import diagnosed
+
+pytestmark = pytest.mark.diagnosis
+
+_NO_REFIT: Any = SimpleNamespace()
+"""A single cause needs no refit: the model without it is the baseline."""
+
+
+def test_lag_changes_the_prediction_by_many_counts() -> None:
+    found = diagnosed("rotor_lag=0.06")
+    before, after = found.assessment.before, found.assessment.after
+    changes = prediction_changes(_NO_REFIT, found.search, found.assessment.extended, before, after)
+    assert changes.keys() == {"rotor_lag"}
+    # As much as the baseline's error: 11 standard deviations of the quantisation and more, on pitch.
+    assert changes["rotor_lag"] == pytest.approx(before.train.axes[1] / 12.0**0.5, rel=0.1)
+    # A model compared with itself changes nothing.
+    same = prediction_changes(_NO_REFIT, found.search, found.assessment.extended, after, after)
+    assert same == {"rotor_lag": 0.0}
+
+
+def test_every_significant_cause_matters_under_disturbances() -> None:
+    found = diagnosed("rotor_lag=0.06")
+    before, after = found.assessment.before, found.assessment.after
+    disturbed = replace(after, train=replace(after.train, total=1.01 * DISTURBED_STD))
+    assert prediction_changes(_NO_REFIT, found.search, found.assessment.extended, before, disturbed) == {}
+
+
+def test_effect_that_is_too_small_is_listed_and_is_no_cause() -> None:
+    found = diagnosed("rotor_lag=0.06")
+    assert found.verdict.small == ()
+    after, kinds = found.assessment.after, found.kinds
+    small = small_effects(found.search, {"rotor_lag": 0.11}, kinds, after.fit)
+    verdict = judge(found.search, found.assessment.residual_analysis, after, kinds, False, small)
+    assert verdict.label == "explained"
+    assert verdict.causes == ()
+    minor = replace(found, assessment=replace(found.assessment, verdict=verdict))
+    numbers = to_json(minor)
+    conforms(numbers)
+    assert numbers["causes"] == []
+    (effect,) = numbers["too_small"]
+    assert effect["effect"] == "rotor_lag"
+    assert effect["change_counts"] == 0.11
+    (line,) = [line for line in lines(minor) if line.startswith("too small to matter: rotor_lag")]
+    assert "by 0.11 encoder counts rms" in line
+    assert "lag" not in summary(minor)

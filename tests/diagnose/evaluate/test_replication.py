@@ -1,0 +1,116 @@
+"""Causes are confirmed if they hold in both directions, and enter the extended rig only then."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from heli_lab.diagnose import Diagnosis, to_json
+from heli_lab.diagnose.evaluate import Replication, extrapolations, replicate, replication
+from heli_lab.diagnose.evaluate.error_reduction import ErrorReduction
+from heli_lab.diagnose.report import lines
+from heli_lab.diagnose.search.folds import split, two_folds
+from heli_lab.diagnose.search.replication import Direction
+
+from tests.diagnose.test_causes import diagnosed
+
+pytestmark = pytest.mark.diagnosis
+
+
+def judged(
+    monkeypatch: pytest.MonkeyPatch, found: Diagnosis, nats: float, worst: tuple[float, float]
+) -> Replication:
+    """Judge a lag again whose reverse direction has this log-likelihood ratio and interval of pitch."""
+    records = (
+        found.assessment.after.fit.problem.records,
+        found.held_out.extension.after[0].fit.problem.records,
+    )
+    comparison: Any = SimpleNamespace(
+        train=records[0],
+        held_out=records[1],
+        seed=0,
+        held_out_estimate=lambda _final: None,
+        exchanged=lambda: None,
+    )
+    final = found.search.final
+    back = Direction(comparison, found.search.baseline, final, {"rotor_lag": nats})
+    monkeypatch.setattr(replication, "direction", lambda *_: back)
+
+    def reductions(_judge: object, _ids: object, reverse: bool) -> dict[str, ErrorReduction]:
+        ratio = float(np.mean(worst)) if reverse else 0.1
+        return {"pitch": ErrorReduction(1.0, ratio, worst if reverse else (0.05, 0.2))}
+
+    monkeypatch.setattr(replication._Judge, "reductions", reductions)
+    return replicate(comparison, found.search, found.assessment, found.held_out)
+
+
+def test_lag_that_both_flights_show_is_confirmed_and_in_the_rig() -> None:
+    found = diagnosed("rotor_lag=0.06")
+    cause = found.replication.causes["rotor_lag"]
+    assert cause.confirmed
+    assert cause.forward is not None and cause.reverse is not None
+    # The flights are alike but for their length, and so is the evidence.
+    assert cause.reverse == pytest.approx(cause.forward, rel=0.6)
+    assert min(cause.forward, cause.reverse) > 20.0
+    assert found.replication.worse == ()
+    assert found.replication.model is found.assessment.extended
+    assert "rotor_lag" in found.rig("extended").effects
+    assert to_json(found)["causes"][0]["confirmed"] is True
+
+
+@pytest.mark.parametrize(
+    ("nats", "interval", "why"),
+    [
+        (-1.0, (0.1, 0.3), "less likely (log-likelihood ratio -1.0 nats)"),
+        (50.0, (1.1, 1.5), "its error at 1 s is 1.30 times as large (1.10 to 1.50)"),
+    ],
+    ids=["likelihood", "open-loop error"],
+)
+def test_cause_that_fails_in_reverse_enters_the_rig_on_request_only(
+    monkeypatch: pytest.MonkeyPatch, nats: float, interval: tuple[float, float], why: str
+) -> None:
+    found = diagnosed("rotor_lag=0.06")
+    refuted = replace(found, replication=judged(monkeypatch, found, nats, interval))
+    assert not refuted.replication.causes["rotor_lag"].confirmed
+    assert refuted.rig("extended").effects == {}
+    assert "rotor_lag" in refuted.rig("extended", with_unconfirmed=True).effects
+    # The gain is that of the rig that is written: nothing was added to the baseline.
+    assert all(reduction.ratio == 1.0 for reduction in refuted.error_reductions.values())
+    (cause,) = to_json(refuted)["causes"]
+    assert cause["confirmed"] is False
+    assert why in cause["replication"]["why_not"]
+    said = "\n".join(lines(refuted))
+    assert f"not confirmed: {cause['replication']['why_not']}" in said
+    assert ("predicts pitch of" in said) == (interval[0] > 1.0)
+
+
+def test_worse_prediction_within_its_interval_does_not_refute_a_cause(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = diagnosed("rotor_lag=0.06")
+    assert judged(monkeypatch, found, 50.0, (0.9, 1.5)).causes["rotor_lag"].confirmed
+
+
+def test_flight_is_divided_into_two_folds_of_the_same_length() -> None:
+    (record,) = diagnosed("rotor_lag=0.06").assessment.after.fit.problem.records
+    (first,), (second,) = two_folds([record])
+    assert first.used_s == pytest.approx(second.used_s, abs=2.0 * record.step_s)
+    assert max(stop for _, stop in first.segments) <= min(start for start, _ in second.segments)
+    assert two_folds([first, second]) == ((first,), (second,))
+    beginning, _ = split(record, 3.0)
+    assert beginning.used_s == pytest.approx(3.0)
+
+
+def test_voltages_that_were_not_fitted_mark_the_prediction() -> None:
+    found = diagnosed("rotor_lag=0.06")
+    runs = found.held_out.extension.after
+    (record,) = runs[0].fit.problem.records
+    (same,) = extrapolations([record], runs)
+    assert same.spans_s == ()
+    mean_V = record.voltages_V.mean(axis=0)
+    narrow = replace(record, voltages_V=mean_V + 0.1 * (record.voltages_V - mean_V))
+    (outside,) = extrapolations([narrow], runs)
+    assert len(outside.spans_s) == outside.windows > 0
