@@ -51,7 +51,7 @@ def fly_law(
     HeliError
         As `fly_plans`.
     """
-    flown, taken_over = _flown(program, options, plan, typed)
+    flown, taken_over = flown_with(program, options, plan, typed)
     if not flown.summary.completed:
         flown.report()
         flown.write()
@@ -67,17 +67,19 @@ def fly_trial(program: LawProgram | None, options: FlightOptions, plan: Plan) ->
     try:
         with tempfile.TemporaryDirectory() as folder:
             kept = replace(options, log=Path(folder) / "trial.mcap")
-            flown, taken_over = _flown(program, kept, plan, "")
+            flown, taken_over = flown_with(program, kept, plan)
             flown.end()
             return LawTrial.of_log(flown.log, taken_over)
     finally:
         QUIET.reset(before)
 
 
-def _flown(
-    program: LawProgram | None, options: FlightOptions, plan: Plan, typed: str
+def flown_with(
+    program: LawProgram | None, options: FlightOptions, plan: Plan, typed: str = ""
 ) -> tuple[FlownFlight, str]:
-    """Fly a plan; the flight, and why the board's own law took over."""
+    """Fly a plan with a law; the flight, completed or not, and why the board's own law took over. Parameters
+    and errors are those of `fly_law`.
+    """
     from heli_host.guest_law import engage, takeover_text
 
     reasons: list[str] = []
