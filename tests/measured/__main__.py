@@ -14,7 +14,7 @@ from heli_sim.model.parts import AXES
 from heli_sim.rig import load_rig
 
 from tests.measured.figures import figure_of_pair, figure_of_sizes
-from tests.measured.pairs import MEASURED, PAIRS, RIG, Told, cross_validated, flights, told
+from tests.measured.pairs import MEASURED, PAIRS, RIG, Told, add_pairs, cross_validated, flights, told
 
 FIGURES = Path(__file__).resolve().parents[2] / "docs" / "figures"
 SIZES = {
@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit status: 2 without the flights.
     """
     parser = argparse.ArgumentParser(prog="python -m tests.measured", description=__doc__)
-    parser.add_argument("pairs", nargs="*", help=f"some of {', '.join(PAIRS)}; all without")
+    add_pairs(parser)
     parser.add_argument("--diagnose", action="store_true", help="let the search name the causes")
     parser.add_argument("--figures", type=Path, default=FIGURES, help="folder to draw into")
     given = parser.parse_args(arguments)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import argparse
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from heli_host.flight import Flight
 from heli_host.log.flight_file import read_flight
 from heli_lab.diagnose.evaluate import HORIZONS, ErrorReduction, FreeRun, compare_free_runs, free_runs
 from heli_lab.diagnose.evaluate.error_reduction import error_reduction
@@ -75,7 +77,21 @@ class Told:
     gain: Mapping[str, Mapping[str, ErrorReduction]]
 
 
-def flights(pair: str, back: bool = False) -> tuple[Record, Record]:
+def add_pairs(parser: argparse.ArgumentParser) -> None:
+    """Let a command take some of the pairs; its `pairs` are empty when none is given."""
+    # `choices` would refuse the empty list that argparse makes of no pair.
+    parser.add_argument("pairs", nargs="*", type=_pair, help=f"some of {', '.join(PAIRS)}; all without")
+
+
+def _pair(name: str) -> str:
+    if name not in PAIRS:
+        raise argparse.ArgumentTypeError(f"there is no pair '{name}'; choose from {', '.join(PAIRS)}")
+    return name
+
+
+def flights(
+    pair: str, back: bool = False, *, change: Callable[[Flight, str], Flight] | None = None
+) -> tuple[Record, Record]:
     """Read a pair.
 
     Parameters
@@ -84,6 +100,8 @@ def flights(pair: str, back: bool = False) -> tuple[Record, Record]:
         Key of `PAIRS`.
     back : bool
         Whether to fit the second and predict the first.
+    change : callable, optional
+        Changes a whole flight of a given name before its part is cut out.
 
     Returns
     -------
@@ -92,10 +110,13 @@ def flights(pair: str, back: bool = False) -> tuple[Record, Record]:
     """
     rig = load_rig(RIG)
     names = PAIRS[pair][::-1] if back else PAIRS[pair]
-    first, second = (
-        prepare(read_flight(MEASURED / f"{name}.csv.gz"), rig, name, start_s=FROM_s, stop_s=LANDS_s.get(name))
-        for name in names
-    )
+
+    def record(name: str) -> Record:
+        flight = read_flight(MEASURED / f"{name}.csv.gz")
+        flight = change(flight, name) if change else flight
+        return prepare(flight, rig, name, start_s=FROM_s, stop_s=LANDS_s.get(name))
+
+    first, second = map(record, names)
     return first, second
 
 

@@ -1,0 +1,1 @@
+"""Known effects, hidden in real flights."""

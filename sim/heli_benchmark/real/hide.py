@@ -1,0 +1,117 @@
+"""Hide a known effect in a logged flight: change the log as if the rig had had the effect.
+
+A voltage of `V` that is logged as `V / (1 + a)` makes the rotor push as much as `1 + a` times the logged
+voltage would give. Angles get an error between axis and encoder, and are quantised again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from heli_host.arrays import Floats
+from heli_host.flight import Flight
+
+
+@dataclass(frozen=True)
+class KnownEffect:
+    """An effect to hide.
+
+    Parameters
+    ----------
+    id : str
+        One of `HIDERS`.
+    size : float
+        Seconds (delay), radians (play, eccentricity), share of the *voltage* (asymmetry, step), or share of
+        the voltage per second (fade).
+    """
+
+    id: str
+    size: float
+
+
+def hide(flight: Flight, effect: KnownEffect, at_s: float, count_rad: Floats) -> Flight:
+    """Change the log of a flight as if the rig had had an effect.
+
+    Parameters
+    ----------
+    flight : Flight
+        Evenly sampled.
+    at_s : float
+        Moment of a step; a fade begins at `t_s` = 0.
+    count_rad : ndarray (3,)
+        Size of one count of each encoder.
+
+    Returns
+    -------
+    Flight
+        With other voltages or angles; a delay takes the last rows away.
+    """
+    return HIDERS[effect.id](flight, effect.size, at_s, count_rad)
+
+
+def _delay(flight: Flight, size: float, _at_s: float, _count_rad: Floats) -> Flight:
+    rows = round(size / flight.step_s)
+    kept = slice(None, len(flight) - rows)
+    elevation_rad, pitch_rad, travel_rad = flight.angles_rad[kept].T
+    front_V, back_V = flight.front_V[rows:], flight.back_V[rows:]
+    return Flight(flight.t_s[kept], front_V, back_V, elevation_rad, pitch_rad, travel_rad, meta=flight.meta)
+
+
+def _asymmetry(flight: Flight, size: float, _at_s: float, _count_rad: Floats) -> Flight:
+    return replace(flight, front_V=flight.front_V / (1.0 + size), back_V=flight.back_V / (1.0 - size))
+
+
+def _step(flight: Flight, size: float, at_s: float, _count_rad: Floats) -> Flight:
+    voltage_share = np.where(flight.t_s < at_s, 1.0, 1.0 - size)
+    return replace(flight, front_V=flight.front_V / voltage_share)
+
+
+def _fade(flight: Flight, size: float, _at_s: float, _count_rad: Floats) -> Flight:
+    voltage_share = 1.0 - size * flight.t_s
+    return replace(flight, front_V=flight.front_V / voltage_share, back_V=flight.back_V / voltage_share)
+
+
+def _play(flight: Flight, size: float, _at_s: float, count_rad: Floats) -> Flight:
+    shaft_rad, half_rad = np.empty(len(flight)), 0.5 * size
+    shaft = float(flight.pitch_rad[0])
+    for row, axis in enumerate(flight.pitch_rad):
+        shaft = min(max(shaft, axis - half_rad), axis + half_rad)
+        shaft_rad[row] = shaft
+    return replace(flight, pitch_rad=_quantised(shaft_rad, count_rad[1]))
+
+
+def _eccentricity(flight: Flight, size: float, _at_s: float, count_rad: Floats) -> Flight:
+    shown_rad = flight.travel_rad + size * np.sin(flight.travel_rad)
+    return replace(flight, travel_rad=_quantised(shown_rad, count_rad[2]))
+
+
+def _quantised(angle_rad: Floats, count_rad: float) -> Floats:
+    return np.asarray(np.round(angle_rad / count_rad) * count_rad)
+
+
+HIDERS: Final[Mapping[str, Callable[[Flight, float, float, Floats], Flight]]] = {
+    "input_delay": _delay,
+    "thrust_asymmetry": _asymmetry,
+    "thrust_step.front": _step,
+    "thrust_fade": _fade,
+    "backlash.pitch": _play,
+    "encoder_eccentricity.travel": _eccentricity,
+}
+HIDDEN_EFFECTS: Final[tuple[KnownEffect, ...]] = (
+    KnownEffect("input_delay", 0.03),
+    KnownEffect("input_delay", 0.06),
+    KnownEffect("thrust_asymmetry", 0.05),
+    KnownEffect("thrust_asymmetry", 0.1),
+    KnownEffect("thrust_step.front", 0.08),
+    KnownEffect("thrust_step.front", 0.16),
+    KnownEffect("thrust_fade", 0.002),
+    KnownEffect("thrust_fade", 0.004),
+    KnownEffect("backlash.pitch", np.deg2rad(1.0)),
+    KnownEffect("backlash.pitch", np.deg2rad(3.0)),
+    KnownEffect("encoder_eccentricity.travel", np.deg2rad(1.0)),
+    KnownEffect("encoder_eccentricity.travel", np.deg2rad(3.0)),
+)
+"""Six effects of two sizes each; chosen before any diagnosis was run on such a flight."""
