@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from heli_host.errors import FlightAborted, FlightDataError
+from heli_host.declaration import AXES, LAW_INPUTS
+from heli_host.errors import BadLaw, FlightAborted, FlightDataError, HeliError
 from heli_host.flight import Flight
 from heli_host.flight.response import effort_V, responses
 from heli_host.law_program import LawProgram
@@ -32,6 +33,9 @@ HEADS: Final = (
     "gain margin",
     "phase margin [deg]",
 )
+
+_FIRST_SETPOINT: Final = 2
+"""Place of the elevation setpoint in the outputs of a program."""
 
 FlyTrial = Callable[[LawProgram | None, str, int], LawTrial]
 """Flies a law, or the board's own for None, on a rig with a seed."""
@@ -145,6 +149,28 @@ class LawGrade:
         ]
 
 
+def judged(program: LawProgram) -> LawProgram:
+    """Return the same law, which logs the board's setpoints of elevation and travel.
+
+    A law may log setpoints that it computes. One that logs the measured angles has no error, so errors are
+    judged by the setpoints of the plan. The voltages are the same.
+
+    Parameters
+    ----------
+    program : LawProgram
+        Law as the board takes it.
+
+    Raises
+    ------
+    BadLaw
+        No instruction is left for the setpoints.
+    """
+    outputs = list(program.outputs)
+    for axis in ("elevation", "travel"):
+        outputs[_FIRST_SETPOINT + AXES.index(axis)] = LAW_INPUTS.index(f"{axis}_setpoint_rad")
+    return replace(program, outputs=tuple(outputs))
+
+
 def score_of(trial: LawTrial) -> FlightScore:
     """Return the score of a flight."""
     elevation, _, travel = responses(trial.flight)
@@ -189,10 +215,17 @@ def grade(
     """
     scores: list[FlightScore] = []
     first: Flight | None = None
+    try:
+        flown = judged(program) if program is not None else None
+    except BadLaw as error:
+        return LawGrade(label, str(error))
     for rig, seed in flights:
         try:
-            trial = fly(program, rig, seed)
-        except (FlightAborted, FlightDataError) as error:
+            trial = fly(flown, rig, seed)
+        except HeliError as error:
+            # Without a law, only a flight that ended early is a result; the board or the rig is at fault.
+            if program is None and not isinstance(error, FlightAborted | FlightDataError):
+                raise
             scores.append(FlightScore(ended=error.cause))
             continue
         scores.append(score_of(trial))

@@ -67,7 +67,7 @@ class Mark:
 def points_of(score: FlightScore, reference: FlightScore) -> float:
     """Return the points of a flight: full points for each number that is as good as the reference.
 
-    Numbers that either flight lacks do not count, and the others count for more.
+    Numbers that the reference lacks do not count, and the others count for more.
 
     Parameters
     ----------
@@ -81,9 +81,11 @@ def points_of(score: FlightScore, reference: FlightScore) -> float:
     total = possible = 0.0
     for name, weight in WEIGHTS.items():
         value, own = getattr(score, name), getattr(reference, name)
-        if math.isnan(own) or math.isnan(value):
+        if math.isnan(own):
             continue
         possible += weight
+        if math.isnan(value):
+            continue
         ratio = 1.0 if value <= own else value / max(own, FLOORS[name])
         total += weight * min(1.0, max(0.0, (NO_POINTS - ratio) / (NO_POINTS - 1.0)))
     return FULL * total / possible if possible else FULL

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from heli_host.flight import Flight
-from heli_host.log.comparison import MAX_FLIGHTS, figure_of_flights
+from heli_host.log.comparison import figure_of_flights, split_into_figures
 
 from heli_lab.classroom.grade import HEADS, LawGrade, reasons
 from heli_lab.page import folder_with, write_page
@@ -48,9 +48,7 @@ def write_grades(grades: Sequence[LawGrade], content: Mapping[str, Any], folder:
 
 def _figures(grades: Sequence[LawGrade]) -> list[tuple[dict[str, Flight], str]]:
     """Flights of each figure by label, the first grade in each, and the names of the others."""
-    flown = [(one.label, one.flight) for one in grades if one.flight is not None]
-    if len(flown) <= 1:
-        return [(dict(flown), flown[0][0])] if flown else []
-    size = MAX_FLIGHTS - 1
-    parts = [flown[first : first + size] for first in range(1, len(flown), size)]
-    return [(dict([flown[0], *part]), ", ".join(label for label, _ in part)) for part in parts]
+    flown = {one.label: one.flight for one in grades if one.flight is not None}
+    if not flown:
+        return []
+    return [(part, ", ".join(list(part)[1:] or part)) for part in split_into_figures(flown)]

@@ -24,15 +24,19 @@ from heli_lab.law.limits import FileLimits
 MARKED: Final = "marked"
 """Folder of a submission for what comes back: log, figure and mark."""
 LAW_FILE: Final = "law.py"
+RIG_LOG: Final = "rig.mcap"
+_RIG_FILES: Final = re.compile(r"rig(-\d+)?\.(mcap|png)")
+"""Files of flights on the rig in `MARKED`; they are kept when a submission is marked again."""
 LONGEST_PLAN_s: Final = 120.0
 """Longest plan of a submission [s]. The built-in plans take up to 80 s; thirty plans of an hour would occupy
 the rig for a day."""
 _MAX_FILES: Final = 200
 _GAINS: Final = re.compile(
     r"hover_(V|slope)|\w+_(kp|ki|kd|ff)|\w+_integral_max_(V|deg)|(elevation|pitch|travel)_filter_Hz"
-    r"|pitch_setpoint_max_deg|differential_max_V|\w+_slew_deg_s|\w+_acceleration_deg_s2|bumpless_s"
+    r"|pitch_setpoint_max_deg|differential_max_V|bumpless_s"
 )
-"""Parameters that a submission may change. The others describe the rig, or are the limits that protect it."""
+"""Parameters that a submission may change. The others describe the rig, are the limits that protect it, or
+shape the setpoints by which it is judged."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,7 @@ class Submission:
     plan : Plan or None
         Its plan; None for that of the class.
     gains : mapping of str to float
-        Parameters that differ from the board's defaults, by name.
+        Parameters of its file that tune the board's own law, by name.
     """
 
     name: str
@@ -156,23 +160,36 @@ def _short(plan: Plan) -> Plan:
 
 
 def _gains(path: Path) -> dict[str, float]:
-    """Parameters of a file that differ from the defaults, each of which a submission may change."""
+    """Gains of a file; its other parameters have to be the defaults, and the rig keeps its values of them."""
     defaults = {spec.name: spec.default for spec in PARAMS}
     values = read_parameter_set(path).values
-    changed = {name: value for name, value in values.items() if value != defaults[name]}
-    for name in changed:
-        if _GAINS.fullmatch(name) is None:
+    gains = {name: value for name, value in values.items() if _GAINS.fullmatch(name) is not None}
+    for name in sorted(values.keys() - gains.keys()):
+        if values[name] != defaults[name]:
             raise ParameterError(
-                f"{path.name} changes {name}, which is not a gain", f"leave it at {defaults[name]:g}"
+                f"{path.name} sets {name} to {values[name]:g}, which is not a gain", "remove this line"
             )
-    return changed
+    return gains
+
+
+def new_rig_log(folder: Path) -> Path:
+    """Return a path for the log of a flight on the rig that no file has.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the submission.
+    """
+    names = (RIG_LOG, *(f"{Path(RIG_LOG).stem}-{number}.mcap" for number in range(2, 10 * _MAX_FILES)))
+    return next(path for path in (folder / MARKED / name for name in names) if not path.exists())
 
 
 @contextmanager
 def returned_files(folder: Path) -> Iterator[Path]:
     """Offer an empty folder, whose files are those of ``marked`` in the submission afterwards.
 
-    The former ``marked`` is replaced, and never written through: it may be a link that leads elsewhere.
+    The former ``marked`` is replaced, but for flights on the rig. Nothing is written through it, because it
+    may be a link that leads elsewhere.
 
     Parameters
     ----------
@@ -191,6 +208,9 @@ def returned_files(folder: Path) -> Iterator[Path]:
             if place.is_symlink() or place.is_file():
                 place.unlink()
             elif place.exists():
+                for path in place.iterdir():
+                    if _RIG_FILES.fullmatch(path.name) and path.is_file() and not path.is_symlink():
+                        path.rename(Path(made) / path.name)
                 shutil.rmtree(place)
             Path(made).chmod(0o755)
             Path(made).rename(place)

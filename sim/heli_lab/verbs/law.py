@@ -218,7 +218,7 @@ def compare(
         list[Path],
         typer.Argument(
             metavar="A [B...]",
-            help="Compare up to 8 laws (.py, whose code is run) or logs (.mcap, .csv). One law is compared "
+            help="Compare these laws (.py, whose code is run) or logs (.mcap, .csv). One law is compared "
             "with the board's own.",
         ),
     ],
@@ -244,25 +244,20 @@ def compare(
 ) -> None:
     """Compare flight logs, or control laws along the same path.
 
-    Prints the metrics of `heli-host plot`, and draws a figure. Control laws need --sil or --port, logs do
-    not.
+    Prints the metrics of `heli-host plot`, and draws a figure; from nine flights on, several figures, each
+    with the first flight. Control laws need --sil or --port, logs do not.
 
     Example: `heli-host law compare lqi.mcap lqr.mcap --figure both.png`
     """
     from heli_host.cli.board import check_target
     from heli_host.cli.outputs import check_result_places
     from heli_host.log.comparison import (
-        MAX_FLIGHTS,
         comparison_lines,
         comparison_numbers,
-        write_comparison,
+        write_comparisons,
     )
 
     check_result_places(json, figure=figure)
-    if len(compared) > MAX_FLIGHTS:
-        raise typer.BadParameter(
-            f"{len(compared)} flights are too many for a figure; give at most {MAX_FLIGHTS}"
-        )
     are_laws = {path.suffix == ".py" for path in compared}
     if len(are_laws) > 1:
         raise typer.BadParameter("laws and logs do not compare; give only laws (.py), or only logs")
@@ -288,10 +283,11 @@ def compare(
         _fly_laws(compared, options, duration_s, load_timeout) if are_laws == {True} else _read_logs(compared)
     )
     numbers = comparison_numbers(flights)
-    write_comparison(flights, figure)
-    if not write_result(json, {"flights": numbers, "figure": str(figure)}):
+    figures = write_comparisons(flights, figure)
+    result = {"flights": numbers, "figure": str(figure), "figures": [str(file) for file in figures]}
+    if not write_result(json, result):
         say(*comparison_lines(numbers))
-    say_files((figure,))
+    say_files(figures)
 
 
 @app.command()
