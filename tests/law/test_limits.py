@@ -23,7 +23,7 @@ LAW: Final = (
     "    return Command(1.0, 1.0 + now.pitch_rad)\nLAW = law\n"
 )
 HOSTILE: Final = {
-    "an endless loop": ("while True: pass\n", "more than 0.2 s of processor time"),
+    "an endless loop": ("while True: pass\n", "did not end within 0.2 s of processor time"),
     "1 GB": ("data = bytearray(1 << 30)\n", "use less than 1024 MB"),
     "a file": ("open('written.txt', 'w')\n", "may not write a file"),
     "a socket": ("import socket\nsocket.socket()\n", "may not open a socket"),

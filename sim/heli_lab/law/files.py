@@ -27,9 +27,11 @@ from heli_lab.law.program_data import program_of_json
 
 _START_s: Final = 120.0
 """Longest wait until a process begins with the file [s]: a busy machine imports CasADi in some seconds."""
+_WAIT_PER_s: Final = 5.0
 _WAIT_s: Final = 3.0
-"""How much longer than twice its processor time a stranger's file may take [s]: the processor is shared, and
-the system ends an endless loop up to 2 s late."""
+"""A stranger's file may take this multiple of its processor time, and this time more [s]: the processor is
+shared, and the system ends an endless loop up to 2 s late. With less, a busy computer refuses lawful files;
+with more, a file that sleeps delays the class."""
 _MAX_ANSWER_BYTES: Final = 1 << 20
 """Of a stranger's file: a program of 1,536 words takes under 200 kB."""
 _FENCED: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
@@ -53,7 +55,13 @@ def load_law(path: Path, limit_s: float = FILE_LIMIT_s) -> Law:
     """
     if not path.is_file():
         raise BadLaw(f"{path} is not a file", "give a Python file that ends with LAW = ...")
-    pickled, status = _run_apart(path, limit_s)
+    try:
+        pickled, status = _run_apart(path, limit_s)
+    except TimeoutError:
+        raise BadLaw(
+            f"{path.name} did not end within {limit_s:g} s",
+            "look for a loop without an end; heli-host law allows longer with --load-timeout",
+        ) from None
     if not pickled:
         raise _ended(path, status)
     answer: dict[str, Any] = pickle.loads(pickled)
@@ -74,7 +82,7 @@ def load_limited(path: Path, limits: FileLimits) -> LawProgram:
     path : Path
         The file; its code is run, with its folder on the path of imports.
     limits : FileLimits
-        Processor time and memory; the file may also wait, for as long again.
+        Processor time and memory; the file may take five times this time, because the processor is shared.
 
     Raises
     ------
@@ -85,13 +93,18 @@ def load_limited(path: Path, limits: FileLimits) -> LawProgram:
     if not path.is_file():
         raise BadLaw(f"{path} is not a file", "give a Python file that ends with LAW = ...")
     options = (f"{limits.cpu_s}", f"{limits.memory_MB}")
-    answer, status = _run_apart(path, 2.0 * limits.cpu_s + _WAIT_s, options, _MAX_ANSWER_BYTES)
+    # One text for a loop and for a wait: the computer's load decides which limit is the first.
+    endless = BadLaw(
+        f"{path.name} did not end within {limits.cpu_s:g} s of processor time",
+        "look for a loop or a wait without an end; --load-timeout allows more",
+    )
+    try:
+        answer, status = _run_apart(path, _WAIT_PER_s * limits.cpu_s + _WAIT_s, options, _MAX_ANSWER_BYTES)
+    except TimeoutError:
+        raise endless from None
     if not answer:
         if status < 0 and signal.Signals(-status).name in ("SIGXCPU", "SIGKILL"):
-            raise BadLaw(
-                f"{path.name} used more than {limits.cpu_s:g} s of processor time",
-                "look for a loop without an end; --load-timeout allows more",
-            )
+            raise endless
         raise _ended(path, status)
     try:
         reply = json.loads(answer)
@@ -112,7 +125,9 @@ def load_limited(path: Path, limits: FileLimits) -> LawProgram:
 def _run_apart(
     path: Path, limit_s: float, options: tuple[str, ...] = (), max_bytes: int = -1
 ) -> tuple[bytes, int]:
-    """Run a file in another process: its answer, and the exit status where there is none."""
+    """Run a file in another process: its answer, and the exit status where there is none. A process that does
+    not end in time is a TimeoutError.
+    """
     fenced = bool(options)
     process = subprocess.Popen(
         # -P: a file in the present folder cannot replace a module of Python.
@@ -145,10 +160,7 @@ def _run_apart(
         # It has ended without a word, so it ends now.
         return answer, 0 if answer else process.wait(timeout=limit_s)
     except (queue.Empty, subprocess.TimeoutExpired):
-        raise BadLaw(
-            f"{path.name} did not end within {limit_s:g} s",
-            "look for a loop without an end; heli-host law allows longer with --load-timeout",
-        ) from None
+        raise TimeoutError from None
     finally:
         _end(process)
 
