@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -90,18 +90,17 @@ HOSTILE: Final[dict[str, dict[str, str]]] = {
 """Files of hostile submissions by name; each gets no points."""
 
 
-def make_class(folder: Path, count: int, hostile: int, duration_s: float) -> None:
+def make_class(folder: Path, count: int, names: Sequence[str], duration_s: float) -> None:
     """Write a class of submissions, and the folder next to it.
 
-    ``folder`` is made; of ``count`` submissions, ``hostile`` are such, spread over the class. The others are
-    laws, parameter files and plans in turn.
+    ``folder`` is made; of ``count`` submissions, those with ``names`` are hostile, spread over the class. The
+    others are laws, parameter files and plans in turn.
     """
-    names = list(HOSTILE)[:hostile]
-    every = count // max(hostile, 1)
+    every = count // max(len(names), 1)
     random = np.random.default_rng(1)
     for number in range(count):
-        at, rest = divmod(number, every) if hostile else (0, 1)
-        if rest == 0 and at < hostile:
+        at, rest = divmod(number, every)
+        if rest == 0 and at < len(names):
             name, files = names[at], HOSTILE[names[at]]
         else:
             name, files = "student", _honest(number, random, duration_s)
@@ -112,10 +111,9 @@ def make_class(folder: Path, count: int, hostile: int, duration_s: float) -> Non
     outside = folder.parent / OUTSIDE
     outside.mkdir()
     (outside / "kept.txt").write_text("kept")
-    # Two more ways out: the folder for answers leads elsewhere, and so does the law.
-    if count > hostile > 0:
-        honest = [path for path in sorted(folder.iterdir()) if path.name.endswith("student")]
-        (honest[0] / "marked").symlink_to(outside, target_is_directory=True)
+    # One more way out: the folder for the answer leads elsewhere.
+    first = next(path for path in sorted(folder.iterdir()) if path.name.endswith("student"))
+    (first / "marked").symlink_to(outside, target_is_directory=True)
 
 
 def _honest(number: int, random: np.random.Generator, duration_s: float) -> dict[str, str]:
@@ -147,28 +145,37 @@ def unsafe_ticks(log: Path) -> int:
 class Marked:
     """What a run of `heli-host class` left.
 
-    ``exit_code`` and ``errors`` of the command, its ``marks`` by name, ``ticks`` and ``unsafe`` ticks in all
+    ``exit_code`` and ``text`` of the command, its ``marks`` by name, ``ticks`` and ``unsafe`` ticks in all
     logs, ``digest`` of all files that it should not change.
     """
 
     exit_code: int
-    errors: str
+    text: str
     marks: dict[str, dict[str, Any]]
     ticks: int
     unsafe: int
     digest: str
 
 
-def mark_class(folder: Path, *options: str) -> Marked:
+Run = Callable[[Sequence[str]], tuple[int, str]]
+"""Runs a command line; its exit code and what it printed."""
+
+
+def in_a_process(words: Sequence[str]) -> tuple[int, str]:
+    """Run ``heli-host`` in another process."""
+    done = subprocess.run([*HOST, *words], capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout + done.stderr
+
+
+def mark_class(folder: Path, *options: str, run: Run = in_a_process) -> Marked:
     """Run `heli-host class` over a folder, and look at what it left."""
     result = folder.parent / "class.json"
-    words = [*HOST, "class", str(folder), "--json", str(result), *options]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    marks = json.loads(result.read_text())["marks"] if done.returncode == 0 else []
-    logs = sorted(folder.glob("*/marked/flight.mcap"))
+    code, text = run(["class", str(folder), "--json", str(result), *options])
+    marks = json.loads(result.read_text())["marks"] if code == 0 else []
+    logs = sorted(folder.glob("*/marked/*.mcap"))
     return Marked(
-        done.returncode,
-        done.stderr,
+        code,
+        text,
         {mark["submission"]: mark for mark in marks},
         sum(len(read_flight(log, allow_gaps=True)) for log in logs),
         sum(unsafe_ticks(log) for log in logs),
@@ -198,8 +205,8 @@ def problems(folder: Path, first: Marked, second: Marked, before: str) -> list[s
     checks: dict[str, Any] = {}
     for run in (first, second):
         checks |= {
-            f"exit code {run.exit_code}: {run.errors[-500:]}": run.exit_code == 0,
-            "a traceback": "Traceback" not in run.errors,
+            f"exit code {run.exit_code}: {run.text[-500:]}": run.exit_code == 0,
+            "a traceback": "Traceback" not in run.text,
             f"no answer: {sorted(names - run.marks.keys())}": names == run.marks.keys(),
             f"{run.unsafe} unsafe ticks": run.unsafe == 0,
             "a file of a submission or outside has changed": run.digest == before,
@@ -211,7 +218,8 @@ def problems(folder: Path, first: Marked, second: Marked, before: str) -> list[s
             else mark["points"] > 0.0 and not mark["reason"]
         )
         checks[f"{name}: no mark.json"] = (folder / name / "marked" / "mark.json").is_file()
-        checks[f"{name}: the second mark is another"] = mark == second.marks.get(name)
+        again = {**second.marks.get(name, {}), "rig": mark["rig"]}
+        checks[f"{name}: the second mark is another"] = mark == again
     return [text for text, good in checks.items() if not good]
 
 
@@ -225,7 +233,7 @@ def main() -> None:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as made:
         folder = (arguments.folder or Path(made)) / "submissions"
-        make_class(folder, arguments.count, arguments.hostile, arguments.duration)
+        make_class(folder, arguments.count, list(HOSTILE)[: arguments.hostile], arguments.duration)
         before, runs = digest(folder), []
         for number in (1, 2):
             began_s, cpu_s = time.monotonic(), sum(os.times()[2:4])
