@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from heli_host.cli.flight_command import FlightOptions
 from heli_host.cli.say import QUIET, write_result
@@ -23,6 +23,10 @@ from heli_lab.law_flight import flown_with
 if TYPE_CHECKING:
     from heli_host.fly.plan import Plan
 
+_SIMULATED: Final = {"arm_rate_max_deg_s": 100.0}
+"""Parameters of every simulated flight. On a rig with a torque about travel, the arm creeps on the table. A
+count of the encoder is then a rate of 3.05 deg/s, at which the board refuses to arm, by chance of the moment.
+This limit protects hands, and there are none."""
 LOG, FIGURE, MARK = "flight.mcap", "figure.png", "mark.json"
 
 
@@ -114,7 +118,7 @@ class Marking:
                 log=(files or Path(made)) / LOG,
                 figure=files / FIGURE if files is not None else None,
             )
-            return scored_flight(submission, options, plan, submission.gains)
+            return scored_flight(submission, options, plan, {**_SIMULATED, **submission.gains})
 
 
 def scored_flight(
