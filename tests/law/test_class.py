@@ -9,6 +9,7 @@ import io
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -47,10 +48,7 @@ def test_each_submission_is_answered_and_marked_the_same_again(tmp_path: Path, i
     make_class(folder, 4, ["forks", "not_a_number", "raises_a_limit"], 5.0)
     before = digest(folder)
     options = ("--duration", "5", "--port", "sil://?speed=max")
-    first, second = (
-        mark_class(folder, *options, run=lambda words, answer=answer: in_process(words, answer))
-        for answer in "yn"
-    )
+    first, second = (mark_class(folder, *options, run=partial(in_process, answer=answer)) for answer in "yn")
     assert not problems(folder, first, second, before)
     assert [run.text.count("on the rig?") for run in (first, second)] == [1, 1], "one good submission of four"
     (student,) = folder.glob("*student")

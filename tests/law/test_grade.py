@@ -34,11 +34,20 @@ FAILED = 4
 
 def flight(travel_deg: float = 0.0) -> Flight:
     """Two seconds at this travel; the setpoints are zero."""
-    t_s = np.arange(2000) * 1e-3
+    t_s = np.arange(2000, dtype=np.float64) * 1e-3
     zero = np.zeros(2000)
     travel_rad = np.full(2000, np.deg2rad(travel_deg))
-    setpoints = {f"{axis}_setpoint_rad": zero for axis in ("elevation", "pitch", "travel")}
-    return Flight(t_s, zero + 1.5, zero + 1.5, zero, zero, travel_rad, **setpoints)
+    return Flight(
+        t_s,
+        zero + 1.5,
+        zero + 1.5,
+        zero,
+        zero,
+        travel_rad,
+        elevation_setpoint_rad=zero,
+        pitch_setpoint_rad=zero,
+        travel_setpoint_rad=zero,
+    )
 
 
 def a_law(**setpoints: Any) -> Law:
