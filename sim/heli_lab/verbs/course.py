@@ -23,7 +23,7 @@ def course(
     """Make student and teacher editions of notebooks, for Jupyter and nbgrader.
 
     A notebook is a Python file with cells, such as those in docs/course. The student edition has no
-    solutions. The teacher edition has solutions, and is a source notebook of nbgrader; the rubric is a file
+    solutions. The teacher edition has solutions, and is a source notebook of nbgrader. The rubric is a file
     next to it. Former editions in the folder are replaced.
 
     Example: `heli-host course docs/course --output editions`

@@ -218,8 +218,7 @@ def compare(
         list[Path],
         typer.Argument(
             metavar="A [B...]",
-            help="Compare these laws (.py, whose code is run) or logs (.mcap, .csv). One law is compared "
-            "with the board's own.",
+            help="Compare these laws (.py) or logs (.mcap, .csv), one law with the board's own.",
         ),
     ],
     duration_s: DurationOption = 30.0,
@@ -244,8 +243,9 @@ def compare(
 ) -> None:
     """Compare flight logs, or control laws along the same path.
 
-    Prints the metrics of `heli-host plot`, and draws a figure; from nine flights on, several figures, each
-    with the first flight. Control laws need --sil or --port, logs do not.
+    Prints the metrics of `heli-host plot`, and draws a figure. From nine flights on, it draws several
+    figures, each with the first flight. The code of a law's file is run. Control laws need --sil or --port,
+    logs do not.
 
     Example: `heli-host law compare lqi.mcap lqr.mcap --figure both.png`
     """
@@ -316,7 +316,7 @@ def grade(
     json: JsonOption = None,
     load_timeout: LoadTimeoutOption = FILE_LIMIT_s,
 ) -> None:
-    """Grade control laws that fly the same plan, on the same simulated rigs, with the same seeds.
+    """Grade control laws on the same plan, simulated rigs and seeds.
 
     The board's own control law is the first row. --duration applies without --plan. A file may use processor
     time and 1 GB of memory, and may not write files, open sockets or start processes. The exit code is 4 if a
