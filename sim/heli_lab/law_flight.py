@@ -77,8 +77,12 @@ def fly_trial(program: LawProgram | None, options: FlightOptions, plan: Plan) ->
 def flown_with(
     program: LawProgram | None, options: FlightOptions, plan: Plan, typed: str = ""
 ) -> tuple[FlownFlight, str]:
-    """Fly a plan with a law; the flight, completed or not, and why the board's own law took over. Parameters
-    and errors are those of `fly_law`.
+    """Fly a plan with a law; the flight, completed or not, and why the board's own law took over.
+
+    Parameters
+    ----------
+    program, options, plan, typed
+        As in `fly_law`; so are the errors.
     """
     from heli_host.guest_law import engage, takeover_text
 

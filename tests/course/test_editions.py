@@ -15,7 +15,7 @@ from heli_lab.classroom.notebook import (
     TEXT_STUB,
     NotebookError,
     cells_of,
-    points_of,
+    rubric_points,
     write_editions,
 )
 
@@ -99,10 +99,10 @@ def test_each_notebook_has_ten_points_and_a_rubric(path: Path, made: Path) -> No
     ],
 )
 def test_a_source_with_a_missing_part_is_refused(old: str, new: str, reason: str) -> None:
-    points_of(cells_of(SMALL, "small.py"), "small.py")
+    rubric_points(cells_of(SMALL, "small.py"), "small.py")
     text = SMALL.replace(old, new)
     with pytest.raises(NotebookError, match=reason) as refused:
-        points_of(cells_of(text, "small.py"), "small.py")
+        rubric_points(cells_of(text, "small.py"), "small.py")
     assert refused.value.remedy
 
 

@@ -115,7 +115,13 @@ class LawGrade:
         return not self.refused and not self.takeovers
 
     def mean(self, name: str) -> float:
-        """Return the mean of a number over the flights; nan if a flight lacks it."""
+        """Return the mean of a number over the flights; nan if a flight lacks it.
+
+        Parameters
+        ----------
+        name : str
+            One of `NUMBERS`.
+        """
         values = [getattr(score, name) for score in self.scores]
         return float(np.mean(values)) if values else math.nan
 
@@ -171,7 +177,7 @@ def judged(program: LawProgram) -> LawProgram:
     return replace(program, outputs=tuple(outputs))
 
 
-def score_of(trial: LawTrial) -> FlightScore:
+def score_of_trial(trial: LawTrial) -> FlightScore:
     """Return the score of a flight."""
     elevation, _, travel = responses(trial.flight)
     step = max(elevation, travel, key=lambda one: 0.0 if math.isnan(one.step_deg) else abs(one.step_deg))
@@ -187,7 +193,15 @@ def score_of(trial: LawTrial) -> FlightScore:
 
 
 def flights_of(rigs: Sequence[str], seeds: Sequence[int]) -> list[tuple[str, int]]:
-    """Return each rig with each seed."""
+    """Return each rig with each seed.
+
+    Parameters
+    ----------
+    rigs : sequence of str
+        Names or files.
+    seeds : sequence of int
+        Seeds of the flights on each rig.
+    """
     return [(rig, seed) for rig in rigs for seed in seeds]
 
 
@@ -228,7 +242,7 @@ def grade(
                 raise
             scores.append(FlightScore(ended=error.cause))
             continue
-        scores.append(score_of(trial))
+        scores.append(score_of_trial(trial))
         first = trial.flight if first is None else first
     gain, phase_deg = _margins(program, plant)
     return LawGrade(label, "", tuple(scores), gain, phase_deg, first)

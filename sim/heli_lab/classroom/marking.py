@@ -13,7 +13,7 @@ from heli_host.cli.say import QUIET, write_result
 from heli_host.errors import FlightAborted, FlightDataError, HeliError
 from heli_host.parameter_file import parameters_text
 
-from heli_lab.classroom.grade import FlightScore, judged, score_of
+from heli_lab.classroom.grade import FlightScore, judged, score_of_trial
 from heli_lab.classroom.mark import Mark, mark_of
 from heli_lab.classroom.submission import Submission, read_submission, returned_files
 from heli_lab.law.limits import FileLimits
@@ -159,6 +159,6 @@ def scored_flight(
     except FlightAborted as error:
         outcome = error.cause
     try:
-        return score_of(LawTrial.of_log(flown.log, outcome or taken_over))
+        return score_of_trial(LawTrial.of_log(flown.log, outcome or taken_over))
     except FlightDataError as error:
         return FlightScore(ended=outcome or error.cause)

