@@ -19,20 +19,26 @@ with heli_host.connect("sil://", land_on_exit=True) as heli:
     heli.setpoint(travel_deg=20.0)
     heli.wait(12.0)
     flown = heli.samples(last_s=heli.latest.t_s - begin)
+t_s = flown.t_s - flown.t_s[0]
 flown  # in a notebook this line draws the flight
 
 # %% [markdown]
 # **Task 1.** The setpoint of travel grows. Which way does pitch go first, and why? Look at the figure, then at the sign.
 
-# %%
-t_s = flown.t_s - flown.t_s[0]
+# %% tags=["solution"]
+# first: pitch between 0.5 s and 2 s [deg]
 first = flown.pitch_deg[(t_s > 0.5) & (t_s < 2.0)]
 print(f"pitch between 0.5 and 2 s: {first.mean():+.1f} degrees")
+
+# %% [markdown] tags=["solution"]
+# Positive pitch tilts the thrust, and the tilted thrust accelerates travel positive. The board therefore pitches positive first, and negative
+# before the setpoint is reached, to brake.
 
 # %% [markdown]
 # **Task 2.** Measure overshoot, settling time to 1 degree, and the rms error of the last four seconds.
 
-# %%
+# %% tags=["solution"]
+# overshoot_deg [deg], settling_s [s], rms_deg [deg]
 target_deg = 20.0
 travel = flown.travel_deg
 overshoot_deg = travel.max() - target_deg
@@ -45,7 +51,8 @@ print(f"overshoot {overshoot_deg:.1f} deg, settled after {settling_s:.1f} s, rms
 # **Task 3.** How does a motion of travel affect elevation? Tilted thrust lifts less. By how much did the arm sink, and how did the voltages
 # change?
 
-# %%
+# %% tags=["solution"]
+# sink_deg: lowest elevation [deg]
 table = flown.dataframe()
 sink_deg = table["elevation_deg"].min()
 lift_V = (table["front_V"] + table["back_V"]) / 2
@@ -55,10 +62,13 @@ print(
 axes = table[["elevation_deg", "pitch_deg", "travel_deg"]].plot(subplots=True, sharex=True)
 plt.close()
 
+# %% [markdown] tags=["solution"]
+# Only the vertical part of the thrust lifts. The arm sinks by less than a degree, because the elevation loop raises the mean voltage.
+
 # %% [markdown]
 # **Check.**
 
-# %%
+# %% tags=["check"]
 assert first.mean() > 2.0, "positive pitch accelerates travel positive"
 assert 0.0 < overshoot_deg < 5.0 and 2.0 < settling_s < 11.0 and rms_deg < 1.0
 assert -2.0 < sink_deg < 0.5
@@ -68,3 +78,13 @@ assert -2.0 < sink_deg < 0.5
 # - You mix radians and degrees. A log stores `travel_rad`; `travel_deg` is the same angle in degrees. Setpoints are in degrees.
 # - You call `heli.samples()` without `last_s`. The samples then include the take-off and its overshoot.
 # - You use `time.sleep` instead of `heli.wait`. Simulated time passes only while the program waits for the board.
+
+# %% [markdown] tags=["rubric"]
+# **Rubric.**
+#
+# | task | points | full points for |
+# |---|---|---|
+# | 1 | 2 | the mean pitch with its sign; the reason names the tilted thrust |
+# | 2 | 3 | overshoot, settling time and RMS error, one point each; samples after the take-off only |
+# | 3 | 2 | the lowest elevation; the reason names the vertical part of the thrust and the elevation loop |
+# | Check | 3 | the check passes |

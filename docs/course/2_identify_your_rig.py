@@ -30,7 +30,8 @@ flight
 # **Task 1.** Fit 18 s of the flight. Which parameters changed, and by how many of their *prior* standard deviations? The prior is what you
 # know before the flight: the tolerance in the rig file is two standard deviations.
 
-# %%
+# %% tags=["solution"]
+# found: result of the fit; mine: its rig; print the parameters that moved
 found = identify(MultibodyModel(), believed, [flight], stop_s=22.0)
 mine = found.rig("mine")
 for name, number in mine.items():
@@ -41,26 +42,39 @@ for name, number in mine.items():
             f"{name}: {prior.value:g} -> {number.value:.4g} (tolerance {number.tolerance:.2g}) {number.unit}, {moved:+.1f} sigma"
         )
 
+# %% [markdown] tags=["solution"]
+# `friction_travel` moved by more than one prior standard deviation. `thrust_gain` moved by less, but by many of its new standard errors: the
+# flight determines it far better than the rig file.
+
 # %% [markdown]
 # **Task 2.** A flight determines combinations of parameters, such as thrust over mass, or mass times length. Which parameters did this flight not
 # determine?
 
-# %%
+# %% tags=["solution"]
+# print the parameters without information
 print(found.uninformed_parameters)
+
+# %% [markdown] tags=["solution"]
+# The angles depend on ratios only: a larger mass with a larger thrust gives the same flight. The priors keep such parameters at their values.
 
 # %% [markdown]
 # **Task 3.** Fit only the hover before the sines (3 s), and compare the standard error of `friction_travel`. Why does a hover contain so
 # much less information?
 
-# %%
+# %% tags=["solution"]
+# ratio: standard error of friction_travel in the hover, divided by that of task 1
 hover = identify(MultibodyModel(), believed, [flight.between(3.0, 7.0)])
 ratio = hover.rig("hover")["friction_travel"].tolerance / mine["friction_travel"].tolerance
 print(f"from the hover it is {ratio:.0f} times less certain")
 
+# %% [markdown] tags=["solution"]
+# Friction acts on the rate of travel, which is nearly zero in a hover. The voltages hardly vary, so that no parameter changes the angles by
+# more than the encoder's step.
+
 # %% [markdown]
 # **Check.**
 
-# %%
+# %% tags=["check"]
 for name, truth in {"thrust_gain": 0.63, "friction_travel": 0.055}.items():
     number = mine[name]
     # Two standard errors hold the truth in 95 of 100 flights; three in 997 of 1000.
@@ -73,3 +87,13 @@ assert np.isclose(mine["M_h"].value, believed["M_h"].value, rtol=0.05), "a prior
 # - You read a value without its standard error. If the error is as large as its prior, the flight did not measure the parameter.
 # - You fit take-off and landing. The model does not contain the table. Cut the flight with `start_s` and `stop_s`.
 # - You judge the fit on the fitted flight. Fly a second one, and pass it as `validation`.
+
+# %% [markdown] tags=["rubric"]
+# **Rubric.**
+#
+# | task | points | full points for |
+# |---|---|---|
+# | 1 | 3 | a fit without take-off and landing; each move in prior standard deviations, and compared with the new standard error |
+# | 2 | 2 | the list, and a combination of parameters that explains it |
+# | 3 | 2 | the ratio; the reason names the rate of travel or the lack of excitation |
+# | Check | 3 | the check passes |

@@ -38,11 +38,16 @@ zeros, numbers = np.zeros((3, RUN)), np.tile(plant.parameters[:, None], RUN)
 rates = np.deg2rad(
     np.column_stack([flying.elevation_rate_deg_s, flying.pitch_rate_deg_s, flying.travel_rate_deg_s])
 )
+
+# %% tags=["solution"]
+# errors_deg: for each start, angles of the model minus measured angles over the run, shape (RUN, 3)
 errors_deg = []
 for start in range(100, len(flying) - RUN, RUN):
     state = np.concatenate((flying.angles_rad[start], rates[start]))
     _, run = step(state, flying.voltages_V[start : start + RUN].T, zeros, numbers)
     errors_deg.append(np.rad2deg(np.asarray(run).T - flying.angles_rad[start + 1 : start + 1 + RUN]))
+
+# %%
 ends_deg = np.array([one[-1] for one in errors_deg])
 print(
     "rms error after 2 s [deg], elevation, pitch, travel:", np.round(np.sqrt(np.mean(ends_deg**2, axis=0)), 3)
@@ -51,7 +56,8 @@ print(
 # %% [markdown]
 # **Task 2.** Is the error noise? Plot the error of travel after two seconds against travel at the start. Noise would give an unstructured cloud.
 
-# %%
+# %% tags=["solution"]
+# correlation: of travel at the start of a run, and the error of travel at its end
 where_rad = np.array([flying.travel_rad[start] for start in range(100, len(flying) - RUN, RUN)])
 correlation = np.corrcoef(where_rad, ends_deg[:, 2])[0, 1]
 plt.plot(np.rad2deg(where_rad), ends_deg[:, 2], "o")
@@ -59,6 +65,10 @@ plt.xlabel("travel [deg]")
 plt.ylabel("error of travel after 2 s [deg]")
 plt.close()
 print(f"correlation {correlation:+.2f}")
+
+# %% [markdown] tags=["solution"]
+# The error grows with travel, in proportion: the points are on a line. Noise does not know where the arm is. A torque is missing that depends on
+# travel.
 
 # %% [markdown]
 # **Task 3.** Compute the missing torque:
@@ -80,6 +90,9 @@ measured = slope(flying.t_s, rates[:, 2])[every]
 pushed_p = ca.SX(model.parameter_values(rig.replace(torque_travel=1.0)))
 pushed = ca.Function("pushed", [x, u], [model.dynamics(x, u, pushed_p)])
 here = states[0], flying.voltages_V[0]
+
+# %% tags=["solution"]
+# estimate: spring constant [N m/rad]
 inertia = 1.0 / float(pushed(*here)[5] - rate(*here)[5])  # rad/s2 that 1 N m gives
 missing_Nm = inertia * (measured - predicted)
 estimate = -np.polyfit(flying.travel_rad[every], missing_Nm, 1)[0]
@@ -104,7 +117,7 @@ assert [cause.effect for cause in result.verdict.causes] == ["cable_spring.trave
 # %% [markdown]
 # **Check.**
 
-# %%
+# %% tags=["check"]
 assert abs(correlation) > 0.8, "an error that goes with a state is structure, not noise"
 assert abs(estimate - SPRING) < 0.015
 
@@ -113,3 +126,13 @@ assert abs(estimate - SPRING) < 0.015
 # - You use one-step predictions. Over one millisecond every model is right. Only free runs show a missing effect.
 # - You smooth the rates too much. The delay of the filter then looks like physics.
 # - You accept the first cause that fits. Fit its rivals too, as task 4 does.
+
+# %% [markdown] tags=["rubric"]
+# **Rubric.**
+#
+# | task | points | full points for |
+# |---|---|---|
+# | 1 | 3 | each run starts from measured angles and rates, and uses the logged voltages alone |
+# | 2 | 2 | figure and correlation; the reason distinguishes structure from noise |
+# | 3 | 2 | the inertia by a torque of 1 N m; the spring constant with its sign |
+# | Check | 3 | the check passes |

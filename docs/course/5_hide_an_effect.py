@@ -26,9 +26,10 @@ folder = Path("course/05")  # the files of this notebook
 # **Task 1, you.** Choose an effect and a size, and seal them. Give your neighbour the digest now, and the effect and the salt at the end. The
 # salt prevents your neighbour from trying all effects against the digest.
 
-# %%
+# %% tags=["solution"]
+# SECRET: effect and size, such as "rotor_lag=0.1"; salt: random text; sealed: SHA-256 of both, joined by a colon
 SECRET = "rotor_lag=0.1"
-parse_effects([SECRET])  # a name that there is
+parse_effects([SECRET])  # the name is valid
 salt = secrets.token_hex(16)
 sealed = hashlib.sha256(f"{SECRET}:{salt}".encode()).hexdigest()
 print("sealed:", sealed)
@@ -40,11 +41,17 @@ print("sealed:", sealed)
 for name, plan, seed in (("a", "identify", 1), ("b", "step", 2)):
     with heli_host.connect(f"sil://?effect={SECRET}&seed={seed}") as heli:
         heli.fly(plan, log=folder / f"{name}.mcap", overwrite=True)
+
+# %% tags=["solution"]
+# a.csv and b.csv in the folder: rows from 3 s to 33 s of both flights, with time, voltages and angles only
+for name in "ab":
     whole = heli_host.read_flight(folder / f"{name}.mcap").between(3.0, 33.0)
     bare = Flight(
         whole.t_s, whole.front_V, whole.back_V, whole.elevation_rad, whole.pitch_rad, whole.travel_rad
     )
     write_csv(bare, folder / f"{name}.csv")
+
+# %%
 handed_over = (folder / "a.csv").read_text() + (folder / "b.csv").read_text()
 
 # %% [markdown]
@@ -55,6 +62,10 @@ handed_over = (folder / "a.csv").read_text() + (folder / "b.csv").read_text()
 given = [heli_host.read_flight(folder / f"{name}.csv") for name in "ab"]
 for flight in given:
     print(flight, f"pitch moves {np.ptp(flight.pitch_deg):.0f} deg")
+
+# %% [markdown] tags=["solution"]
+# The angles follow the voltages later than in the model. There is no constant error, so it is a delay or a lag. The answer
+# names the effect, its size and its confidence.
 
 # %% tags=["long"]
 result = diagnose(MultibodyModel(), load_rig("makki2024"), given[:1], given[1:])
@@ -73,7 +84,8 @@ assert answer == ["rotor_lag"]
 # | a wrong name | -1 |
 
 
-# %%
+# %% tags=["solution"]
+# opened(effect, salt, seal): whether the seal was made of this effect and salt
 def opened(effect, salt, seal):
     """Whether this is what was sealed."""
     return hashlib.sha256(f"{effect}:{salt}".encode()).hexdigest() == seal
@@ -84,7 +96,7 @@ print("the seal holds:", opened(SECRET, salt, sealed))
 # %% [markdown]
 # **Check.**
 
-# %%
+# %% tags=["check"]
 assert opened(SECRET, salt, sealed) and not opened("rotor_lag=0.2", salt, sealed)
 assert not any(word in handed_over for word in (*catalogue(), "makki", "rig", "sil"))
 assert handed_over.splitlines()[0] == "t_s,front_V,back_V,elevation_rad,pitch_rad,travel_rad"
@@ -95,3 +107,14 @@ assert handed_over.splitlines()[0] == "t_s,front_V,back_V,elevation_rad,pitch_ra
 #   `heli-host fly --sil --blind` and `heli-host export --blind` seal the address and omit it.
 # - The effect is too small. `heli-host diagnose` lists the effects that a flight could not have shown. That is not the neighbour's fault.
 # - You change the rule of judgement after the seal is open.
+
+# %% [markdown] tags=["rubric"]
+# **Rubric.**
+#
+# | task | points | full points for |
+# |---|---|---|
+# | 1 | 2 | a salt that nobody can guess; the digest covers effect and salt |
+# | 2 | 2 | six columns; no metadata |
+# | 3 | 2 | the axis and the kind of error before the diagnosis; an answer with its confidence before the seal is opened |
+# | 4 | 1 | the function compares digests |
+# | Check | 3 | the check passes |

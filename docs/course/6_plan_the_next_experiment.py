@@ -54,7 +54,8 @@ def expected_errors(volts_V):
 # **Task 1.** Compare three flights of 8 s. The first is slow. The second strongly excites both rotors together. The third also excites their
 # difference. Guess first: which parameters does each flight determine?
 
-# %%
+# %% tags=["solution"]
+# flights: voltages (TICKS, 2) of "slow", "together" and "apart"; found: their expected errors by name
 slow = 0.02 * np.sin(2.0 * np.pi * 0.1 * t_s)
 together = 0.15 * np.sin(2.0 * np.pi * 0.4 * t_s)
 apart = 0.15 * np.sin(2.0 * np.pi * 0.25 * t_s) + 0.1 * np.sin(2.0 * np.pi * 0.55 * t_s)
@@ -68,27 +69,37 @@ for name, volts_V in flights.items():
     found[name] = expected_errors(volts_V)
     print(name, dict(zip(names, np.round(100.0 * found[name], 4).tolist(), strict=True)), "%")
 
+# %% [markdown] tags=["solution"]
+# Rotors that act alike move neither pitch nor travel. Both frictions remain unknown in the first two flights. The third determines all three
+# parameters.
+
 # %% [markdown]
 # **Task 2.** Is it better to fly twice as long, or with twice the amplitude? Information grows with the length, and with the *square* of the
 # amplitude. Why does the error of `thrust_gain` hardly change?
 
-# %%
+# %% tags=["solution"]
+# gain: expected errors at half the amplitude, divided by those of "apart"
 half = hover_V + 0.5 * (flights["apart"] - hover_V)
 gain = expected_errors(half) / found["apart"]
 print("half the amplitude costs in error:", np.round(gain, 2))
+
+# %% [markdown] tags=["solution"]
+# Twice the amplitude: the information becomes four times as large, with twice the length only two times. The hover alone determines
+# `thrust_gain`, whatever the amplitude.
 
 # %% [markdown]
 # **Task 3.** Where must you stop? The linear theory always asks for more amplitude. Stops, the table and the rotors' dead zone limit it. Look
 # how far the third flight goes.
 
-# %%
+# %% tags=["solution"]
+# reach_deg: largest elevation, pitch and travel of "apart" [deg]
 reach_deg = np.rad2deg(np.abs(angles_rad(rig, flights["apart"])).max(axis=0))
 print("elevation, pitch and travel go to [deg]:", np.round(reach_deg, 1))
 
 # %% [markdown]
 # **Check.**
 
-# %%
+# %% tags=["check"]
 assert np.isinf(found["together"][1:]).all(), "both rotors alike pitch nothing, and nothing travels"
 assert np.isfinite(found["apart"]).all()
 assert gain[0] < gain[1] and 1.5 < gain[1] < 3.0
@@ -100,3 +111,13 @@ assert reach_deg[0] < rig["elevation_max"].value and reach_deg[1] < rig["pitch_m
 # - You optimise the flight for the model that you believe. If a rival model is possible, plan the flight that distinguishes them
 #   (`next_flight` of [Diagnose](../how-to/diagnosing.md)).
 # - You forget the priors. A parameter that you know to 1 % beforehand needs no flight.
+
+# %% [markdown] tags=["rubric"]
+# **Rubric.**
+#
+# | task | points | full points for |
+# |---|---|---|
+# | 1 | 3 | three flights of the right kind; a guess before the numbers |
+# | 2 | 2 | the ratio of errors; the reason names the square of the amplitude |
+# | 3 | 2 | the angles, compared with the limits of the rig |
+# | Check | 3 | the check passes |

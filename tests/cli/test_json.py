@@ -16,7 +16,7 @@ pytestmark = pytest.mark.medium
 
 LAW = str(Path(__file__).resolve().parents[2] / "docs/laws/lqr.py")
 SIL = ("--sil", "--speed", "max")
-WITHOUT = {"export", "flash", "motors", "watch", "sil", "dashboard"}
+WITHOUT = {"course", "export", "flash", "motors", "watch", "sil", "dashboard"}
 """Verbs whose result is a file, a served board, or only what is shown live."""
 WITHOUT_PARTS = {
     *("law export", "paper equations", "paper figures", "params dump", "params save"),

@@ -108,6 +108,46 @@ def _cell(value: float, form: str) -> str:
     return "–" if math.isnan(value) else f"{value:{form}}"
 
 
+def split_into_figures(flights: Mapping[str, Flight]) -> list[dict[str, Flight]]:
+    """Return the flights of each figure by label; the first flight is in each, for comparison.
+
+    Parameters
+    ----------
+    flights : Mapping[str, Flight]
+        Any number, by label.
+    """
+    (first, *others), size = list(flights.items()), MAX_FLIGHTS - 1
+    starts = range(0, max(len(others), 1), size)
+    return [dict([first, *others[start : start + size]]) for start in starts]
+
+
+def write_comparisons(flights: Mapping[str, Flight], path: Path) -> list[Path]:
+    """Draw any number of flights, `MAX_FLIGHTS` per file: ``NAME.png``, ``NAME-2.png`` and so on.
+
+    Parameters
+    ----------
+    flights : Mapping[str, Flight]
+        By label; the first is in each file.
+    path : Path
+        First file, as for `write_comparison`.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    LogWriteError
+        One cannot be written.
+    """
+    parts = split_into_figures(flights)
+    files = [path, *(path.with_stem(f"{path.stem}-{number}") for number in range(2, len(parts) + 1))]
+    for part, file in zip(parts, files, strict=True):
+        write_comparison(part, file)
+    return files
+
+
 def write_comparison(flights: Mapping[str, Flight], path: str | Path) -> None:
     """Draw flights over each other into a file, from the moment on at which each came under control.
 

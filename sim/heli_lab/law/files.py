@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pickle
 import queue
@@ -21,9 +22,20 @@ from heli_host.law_program import LawProgram
 from heli_host.laws import FILE_LIMIT_s
 
 from heli_lab.law.law import Law
+from heli_lab.law.limits import FileLimits
+from heli_lab.law.program_data import program_of_json
 
 _START_s: Final = 120.0
 """Longest wait until a process begins with the file [s]: a busy machine imports CasADi in some seconds."""
+_WAIT_PER_s: Final = 5.0
+_WAIT_s: Final = 3.0
+"""A stranger's file may take this multiple of its processor time, and this time more [s]: the processor is
+shared, and the system ends an endless loop up to 2 s late. With less, a busy computer refuses lawful files;
+with more, a file that sleeps delays the class."""
+_MAX_ANSWER_BYTES: Final = 1 << 20
+"""Of a stranger's file: a program of 1,536 words takes under 200 kB."""
+_FENCED: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
+"""Threads would take memory; the order of a set would differ from run to run."""
 
 
 def load_law(path: Path, limit_s: float = FILE_LIMIT_s) -> Law:
@@ -43,50 +55,126 @@ def load_law(path: Path, limit_s: float = FILE_LIMIT_s) -> Law:
     """
     if not path.is_file():
         raise BadLaw(f"{path} is not a file", "give a Python file that ends with LAW = ...")
-    answer = _run_apart(path, limit_s)
+    try:
+        pickled, status = _run_apart(path, limit_s)
+    except TimeoutError:
+        raise BadLaw(
+            f"{path.name} did not end within {limit_s:g} s",
+            "look for a loop without an end; heli-host law allows longer with --load-timeout",
+        ) from None
+    if not pickled:
+        raise _ended(path, status)
+    answer: dict[str, Any] = pickle.loads(pickled)
     law = answer["law"]
     if not isinstance(law, Law):
         raise BadLaw(answer["cause"], answer["remedy"])
     return law
 
 
-def _run_apart(path: Path, limit_s: float) -> dict[str, Any]:
-    """Run a file in another process; return its law, or the error."""
+def load_limited(path: Path, limits: FileLimits) -> LawProgram:
+    """Run a stranger's file in a fenced process, and return the program of its ``LAW``.
+
+    The process has limits of time and memory, and can write no file, open no socket and start no process. Its
+    answer is data that is checked here, and its output is dropped. The file can read what you can read.
+
+    Parameters
+    ----------
+    path : Path
+        The file; its code is run, with its folder on the path of imports.
+    limits : FileLimits
+        Processor time and memory; the file may take five times this time, because the processor is shared.
+
+    Raises
+    ------
+    BadLaw
+        As `load_law`, or the file breaks a limit.
+    """
+    # A pipe or a device of this name would be waited for without an end.
+    if not path.is_file():
+        raise BadLaw(f"{path} is not a file", "give a Python file that ends with LAW = ...")
+    options = (f"{limits.cpu_s}", f"{limits.memory_MB}")
+    # One text for a loop and for a wait: the computer's load decides which limit is the first.
+    endless = BadLaw(
+        f"{path.name} did not end within {limits.cpu_s:g} s of processor time",
+        "look for a loop or a wait without an end; --load-timeout allows more",
+    )
+    try:
+        answer, status = _run_apart(path, _WAIT_PER_s * limits.cpu_s + _WAIT_s, options, _MAX_ANSWER_BYTES)
+    except TimeoutError:
+        raise endless from None
+    if not answer:
+        if status < 0 and signal.Signals(-status).name in ("SIGXCPU", "SIGKILL"):
+            raise endless
+        raise _ended(path, status)
+    try:
+        reply = json.loads(answer)
+        if "program" in reply:
+            return program_of_json(reply["program"])
+        cause, remedy = str(reply["cause"]), str(reply["remedy"])
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise BadLaw(
+            f"{path.name} did not return a law", "do not replace the answer of its process"
+        ) from error
+    if MemoryError.__name__ in cause:
+        remedy = f"use less than {limits.memory_MB} MB of memory"
+    elif PermissionError.__name__ in cause:
+        remedy = "a law's file only computes: remove this line"
+    raise BadLaw(cause, remedy)
+
+
+def _run_apart(
+    path: Path, limit_s: float, options: tuple[str, ...] = (), max_bytes: int = -1
+) -> tuple[bytes, int]:
+    """Run a file in another process; return its answer, and the exit status if there is none. A process that
+    does not end in time is a TimeoutError.
+    """
+    fenced = bool(options)
     process = subprocess.Popen(
-        [sys.executable, "-m", "heli_lab.law.run_file", str(path)],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        # -P: a file in the present folder cannot replace a module of Python.
+        [
+            sys.executable,
+            "-P",
+            "-m",
+            "heli_lab.law.run_file",
+            str(path.absolute() if fenced else path),
+            *options,
+        ],
+        env={
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+            **(_FENCED if fenced else {}),
+        },
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL if fenced else None,
+        cwd=path.parent if fenced else None,
         # A session of its own, so that what the file has started ends with it.
         start_new_session=True,
     )
     answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     # Windows waits for sockets only, so a thread waits for the pipe.
-    threading.Thread(target=_pass_on, args=(process.stdout, answers), daemon=True).start()
+    threading.Thread(target=_pass_on, args=(process.stdout, answers, max_bytes), daemon=True).start()
     try:
         answers.get(timeout=_START_s)
         answer = answers.get(timeout=limit_s)
         # It has ended without a word, so it ends now.
-        status = 0 if answer else process.wait()
-    except queue.Empty:
-        raise BadLaw(
-            f"{path.name} did not end within {limit_s:g} s",
-            "look for a loop without an end; heli-host law allows longer with --load-timeout",
-        ) from None
+        return answer, 0 if answer else process.wait(timeout=limit_s)
+    except (queue.Empty, subprocess.TimeoutExpired):
+        raise TimeoutError from None
     finally:
         _end(process)
-    if answer:
-        reply: dict[str, Any] = pickle.loads(answer)
-        return reply
+
+
+def _ended(path: Path, status: int) -> BadLaw:
     how = f"exit status {status}" if status >= 0 else signal.Signals(-status).name
-    raise BadLaw(f"{path.name} ended Python ({how})", "correct the file; python FILE shows details")
+    return BadLaw(f"{path.name} ended Python ({how})", "correct the file; python FILE shows details")
 
 
-def _pass_on(pipe: IO[bytes], answers: queue.SimpleQueue[bytes]) -> None:
+def _pass_on(pipe: IO[bytes], answers: queue.SimpleQueue[bytes], max_bytes: int) -> None:
     """Put the line that says that the file begins, then all that follows, into a queue."""
     with pipe:
         answers.put(pipe.readline())
-        answers.put(pipe.read())
+        answers.put(pipe.read(max_bytes))
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

@@ -1,33 +1,32 @@
-"""``heli-host law``: check, fly, compare and export your own control law."""
+"""``heli-host law``: check, fly, compare, grade and export control laws."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from heli_host.cli import simulated
-from heli_host.cli.flight_command import DEFAULT_SEED, FlightOptions, FlownFlight, fly_plans
+from heli_host.cli.flight_command import DEFAULT_SEED, FlightOptions
 from heli_host.cli.gains import GainsOption, ParamsFileOption
 from heli_host.cli.options import ClearFaultOption, FigureOption, JsonOption, LogOption, PortOption
-from heli_host.cli.say import QUIET, data_on_stdout, say, say_files, write_result
+from heli_host.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.cli.simulated import DEFAULT_RIG, MAX_SPEED, SeedOption
 from heli_host.cli.twin_options import OnAlarmOption, TwinOption
 from heli_host.cli.verb import Verb
-from heli_host.declaration import Takeover
 from heli_host.laws import FILE_LIMIT_s
 
 if TYPE_CHECKING:
     from heli_host.flight import Flight
-    from heli_host.fly.plan import Plan
-    from heli_host.heli import Heli
+    from heli_host.law_program import LawProgram
 
     from heli_lab.law import Law
     from heli_lab.law.trial import LawTrial
 
 app = typer.Typer(
     no_args_is_help=True,
-    help="Check, fly, compare and export your own control law.\n\n"
+    help="Check, fly, compare, grade and export control laws.\n\n"
     "See `heli-host law COMMAND --help` for options and examples.",
     rich_markup_mode="markdown",
 )
@@ -43,8 +42,20 @@ DurationOption = Annotated[
     float,
     typer.Option("--duration", metavar="S", min=1.0, max=600.0, help="Fly each law for this time in s."),
 ]
+SeedsOption = Annotated[
+    int, typer.Option("--seeds", metavar="N", min=1, max=100, help="Fly N times, with the seeds 1 to N.")
+]
+GradedPlanOption = Annotated[
+    str | None,
+    typer.Option(
+        "--plan",
+        metavar="NAME|FILE",
+        help="Fly this plan, such as sine.  [default: a travel step, then sines]",
+        show_default=False,
+    ),
+]
 _MAX_POLES = 4
-_LANDED = Takeover.STATE.name.lower()
+_TWO = 2
 _CHECK_s = 15.0
 """Flight time with the law on each rig of `law check` [s]."""
 
@@ -87,6 +98,8 @@ def check(
     from heli_sim.rig import load_rig
 
     from heli_lab.law.linear import linearised
+    from heli_lab.law.trial import trial_plan
+    from heli_lab.law_flight import fly_trial
     from heli_lab.tune.plants import linear_plant
 
     linear = linearised(loaded, linear_plant(load_rig(rig)))
@@ -110,7 +123,7 @@ def check(
             speed=MAX_SPEED,
             effect=(f"rotor_lag={lag_s:.3f}", *thrust_effects),
         )
-        trial = _fly_trial(loaded, options, _CHECK_s)
+        trial = fly_trial(program, options, trial_plan(_CHECK_s))
         say(f"rig {number + 1} ({description}): {trial}")
         trials.append({"thrust": 1.0 + thrust, "lag_s": lag_s, **trial.as_dict()})
     write_result(
@@ -132,15 +145,7 @@ def check(
 @app.command()
 def fly(
     law: LawArgument,
-    plan: Annotated[
-        str | None,
-        typer.Option(
-            "--plan",
-            metavar="NAME|FILE",
-            help="Fly this plan, such as sine.  [default: a travel step, then sines]",
-            show_default=False,
-        ),
-    ] = None,
+    plan: GradedPlanOption = None,
     duration_s: DurationOption = 20.0,
     port: PortOption = None,
     sil: simulated.SilOption = False,
@@ -175,6 +180,7 @@ def fly(
 
     from heli_lab.law.files import load_law
     from heli_lab.law.trial import trial_plan
+    from heli_lab.law_flight import fly_law
 
     options = FlightOptions(
         port=port,
@@ -200,7 +206,7 @@ def fly(
     check_target(port, sil)
     flown_plan = load_plan(plan) if plan is not None else trial_plan(duration_s)
     loaded = load_law(law, load_timeout)
-    flown, trial = _fly(loaded, options, flown_plan, plan or "")
+    flown, trial = fly_law(loaded.program, options, flown_plan, plan or "")
     flown.report()
     say(f"law {loaded.name}: {trial}")
     flown.write(law=loaded.name, trial=trial.as_dict())
@@ -208,18 +214,13 @@ def fly(
 
 @app.command()
 def compare(
-    law: Annotated[
-        Path,
-        typer.Argument(metavar="A", help="Compare this law (.py, whose code is run) or log (.mcap, .csv)."),
-    ],
-    other: Annotated[
-        Path | None,
+    compared: Annotated[
+        list[Path],
         typer.Argument(
-            metavar="[B]",
-            help="Compare with this law or log.  [default: the board's control law]",
-            show_default=False,
+            metavar="A [B...]",
+            help="Compare these laws (.py) or logs (.mcap, .csv), one law with the board's own.",
         ),
-    ] = None,
+    ],
     duration_s: DurationOption = 30.0,
     port: PortOption = None,
     sil: simulated.SilOption = False,
@@ -236,23 +237,31 @@ def compare(
     params: ParamsFileOption = None,
     json: JsonOption = None,
     figure: Annotated[
-        Path, typer.Option("--figure", metavar="FILE", help="Draw both flights: .png, .pdf or .svg.")
+        Path, typer.Option("--figure", metavar="FILE", help="Draw the flights: .png, .pdf or .svg.")
     ] = Path("compare.png"),
     load_timeout: LoadTimeoutOption = FILE_LIMIT_s,
 ) -> None:
-    """Compare two flight logs, or two control laws along the same path.
+    """Compare flight logs, or control laws along the same path.
 
-    Prints the metrics of `heli-host plot`, and draws a figure. Control laws need --sil or --port, logs do
-    not.
+    Prints the metrics of `heli-host plot`, and draws a figure. From nine flights on, it draws several
+    figures, each with the first flight. The code of a law's file is run. Control laws need --sil or --port,
+    logs do not.
 
     Example: `heli-host law compare lqi.mcap lqr.mcap --figure both.png`
     """
     from heli_host.cli.board import check_target
     from heli_host.cli.outputs import check_result_places
-    from heli_host.log.comparison import comparison_lines, comparison_numbers, write_comparison
+    from heli_host.log.comparison import (
+        comparison_lines,
+        comparison_numbers,
+        write_comparisons,
+    )
 
     check_result_places(json, figure=figure)
-    if law.suffix == ".py":
+    are_laws = {path.suffix == ".py" for path in compared}
+    if len(are_laws) > 1:
+        raise typer.BadParameter("laws and logs do not compare; give only laws (.py), or only logs")
+    if are_laws == {True}:
         check_target(port, sil)
     data_on_stdout(json)
     options = FlightOptions(
@@ -271,15 +280,103 @@ def compare(
         params=params,
     )
     flights = (
-        _read_logs(law, other)
-        if law.suffix != ".py"
-        else _fly_both(law, other, options, duration_s, load_timeout)
+        _fly_laws(compared, options, duration_s, load_timeout) if are_laws == {True} else _read_logs(compared)
     )
     numbers = comparison_numbers(flights)
-    write_comparison(flights, figure)
-    if not write_result(json, {"flights": numbers, "figure": str(figure)}):
+    figures = write_comparisons(flights, figure)
+    result = {"flights": numbers, "figure": str(figure), "figures": [str(file) for file in figures]}
+    if not write_result(json, result):
         say(*comparison_lines(numbers))
-    say_files((figure,))
+    say_files(figures)
+
+
+@app.command()
+def grade(
+    laws: Annotated[
+        list[Path],
+        typer.Argument(metavar="LAW.py...", help="Grade these laws. Each file's code is run behind limits."),
+    ],
+    rig: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--rig",
+            metavar="NAME|FILE",
+            help=f"Fly on this rig. Repeatable.  [default: {DEFAULT_RIG}]",
+            show_default=False,
+        ),
+    ] = None,
+    effect: simulated.EffectOption = None,
+    seeds: SeedsOption = 3,
+    plan: GradedPlanOption = None,
+    duration_s: DurationOption = 30.0,
+    report: Annotated[
+        Path | None,
+        typer.Option("--report", metavar="DIR", help="Write an HTML page with figures into this folder."),
+    ] = None,
+    json: JsonOption = None,
+    load_timeout: LoadTimeoutOption = FILE_LIMIT_s,
+) -> None:
+    """Grade control laws on the same plan, simulated rigs and seeds.
+
+    The board's own control law is the first row. --duration applies without --plan. A file may use processor
+    time and 1 GB of memory, and may not write files, open sockets or start processes. The exit code is 4 if a
+    law was refused, or was taken over.
+
+    Example: `heli-host law grade lqi.py lqr.py --seeds 5 --report grades`
+    """
+    from heli_host.cli.outputs import check_result_places
+    from heli_host.errors import BadLaw, FlightAborted
+    from heli_host.fly.plan import load_plan
+    from heli_sim.rig import load_rig
+
+    from heli_lab.classroom.grade import REFERENCE, LawGrade, flights_of, grade_lines
+    from heli_lab.classroom.grade import grade as graded
+    from heli_lab.law.files import load_limited
+    from heli_lab.law.limits import FileLimits
+    from heli_lab.law.trial import trial_plan
+    from heli_lab.law_flight import fly_trial
+    from heli_lab.tune.plants import linear_plant
+
+    check_result_places(json, report=report)
+    data_on_stdout(json)
+    flown_plan = load_plan(plan) if plan is not None else trial_plan(duration_s)
+    rigs = rig or [DEFAULT_RIG]
+    plant = linear_plant(load_rig(rigs[0]))
+    flights = flights_of(rigs, range(1, seeds + 1))
+
+    def fly_on(program: LawProgram | None, name: str, seed: int) -> LawTrial:
+        options = FlightOptions(sil=True, rig=name, seed=seed, speed=MAX_SPEED, effect=effect)
+        return fly_trial(program, options, flown_plan)
+
+    grades = [graded(REFERENCE, None, flights, fly_on)]
+    for path in laws:
+        label = path.stem if path.stem not in {one.label for one in grades} else str(path)
+        try:
+            program = load_limited(path, FileLimits(load_timeout))
+        except BadLaw as error:
+            grades.append(LawGrade(label, str(error)))
+            continue
+        grades.append(graded(label, program, flights, fly_on, plant))
+    content: dict[str, Any] = {
+        "plan": flown_plan.title,
+        "rigs": rigs,
+        "seeds": list(range(1, seeds + 1)),
+        "effects": list(effect or ()),
+        "grades": [one.as_dict() for one in grades],
+    }
+    if not write_result(json, content):
+        say(*grade_lines(grades))
+    page = None
+    if report is not None:
+        from heli_lab.classroom.page import write_grades
+
+        page = write_grades(grades, content, report)
+    say_files((json, page))
+    if failed := [one.label for one in grades[1:] if not one.passed]:
+        raise FlightAborted(
+            f"{len(failed)} of {len(laws)} laws did not fly to the end: {', '.join(failed)}",
+            "look at the reasons above, or try one with heli-host law check",
+        )
 
 
 @app.command()
@@ -303,76 +400,35 @@ def export(
     say_files((output,))
 
 
-def _fly(law: Law | None, options: FlightOptions, plan: Plan, typed: str) -> tuple[FlownFlight, LawTrial]:
-    """Fly a plan with a law, or with the board's own for None."""
-    from heli_host.guest_law import engage, takeover_text
-
-    from heli_lab.law.trial import LawTrial
-
-    reasons: list[str] = []
-
-    def note_takeovers(heli: Heli) -> None:
-        # The landing ends closed loop, which the board reports as a takeover too.
-        texts = (takeover_text(event) for event in heli.session.events)
-        reasons.extend(text[0] for text in texts if text is not None and text[0] != _LANDED)
-
-    program = law.program if law is not None else None
-    flown = fly_plans(
-        options,
-        [plan],
-        plan_names=[typed],
-        on_taken_off=(lambda heli: engage(heli, program)) if program is not None else None,
-        on_flown=note_takeovers,
-    )
-    if not flown.summary.completed:
-        flown.report()
-        flown.write()
-        flown.end()
-    return flown, LawTrial.of_log(flown.log, ", ".join(reasons))
-
-
-def _read_logs(first: Path, second: Path | None) -> dict[str, Flight]:
+def _read_logs(paths: Sequence[Path]) -> dict[str, Flight]:
     from heli_host.errors import FlightDataError
 
     from heli_lab.law.compare import flight_of_law
 
-    if second is None:
+    if len(paths) < _TWO:
         raise FlightDataError("a comparison needs two logs", "give two logs, or a law (.py)")
-    if first == second:
-        raise FlightDataError(f"{first} is given twice", "give two different logs")
-    return {str(path): flight_of_law(path) for path in (first, second)}
+    twice = next((path for k, path in enumerate(paths) if path in paths[:k]), None)
+    if twice is not None:
+        raise FlightDataError(f"{twice} is given twice", "give different logs")
+    return {str(path): flight_of_law(path) for path in paths}
 
 
-def _fly_both(
-    first: Path, second: Path | None, options: FlightOptions, duration_s: float, limit_s: float
+def _fly_laws(
+    paths: Sequence[Path], options: FlightOptions, duration_s: float, limit_s: float
 ) -> dict[str, Flight]:
     from heli_lab.law.files import load_law
+    from heli_lab.law.trial import trial_plan
+    from heli_lab.law_flight import fly_trial
 
     flights = {}
-    laws = [load_law(path, limit_s) if path is not None else None for path in (first, second)]
-    for path, law in zip((first, second), laws, strict=True):
-        trial = _fly_trial(law, options, duration_s)
+    laws: list[tuple[Path | None, Law | None]] = [(path, load_law(path, limit_s)) for path in paths]
+    for path, law in laws if len(laws) > 1 else [*laws, (None, None)]:
+        trial = fly_trial(law.program if law is not None else None, options, trial_plan(duration_s))
         name = law.name if law is not None else "the board's own"
         flights[name if name not in flights else str(path)] = trial.flight
         if trial.taken_over:
             say(f"law {name}: the board's control law took over: {trial.taken_over}")
     return flights
-
-
-def _fly_trial(law: Law | None, options: FlightOptions, duration_s: float) -> LawTrial:
-    """Fly a trial of a law and keep no file of it."""
-    import tempfile
-    from dataclasses import replace
-
-    from heli_lab.law.trial import trial_plan
-
-    before = QUIET.set(True)
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            kept = replace(options, log=Path(folder) / "trial.mcap")
-            return _fly(law, kept, trial_plan(duration_s), "")[1]
-    finally:
-        QUIET.reset(before)
 
 
 VERB = Verb(app, "Laboratory")

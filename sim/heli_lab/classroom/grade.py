@@ -1,0 +1,292 @@
+"""Grades of control laws: the same plan on the same rigs with the same seeds."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from heli_host.declaration import AXES, LAW_INPUTS
+from heli_host.errors import BadLaw, FlightAborted, FlightDataError, HeliError
+from heli_host.flight import Flight
+from heli_host.flight.response import effort_V, responses
+from heli_host.law_program import LawProgram
+
+from heli_lab.law.linear import linearised
+from heli_lab.law.program_data import law_of_program
+from heli_lab.law.trial import LawTrial
+from heli_lab.tune.plants import LinearPlant
+
+REFERENCE: Final = "the board's own"
+"""Label of the control law to which the others are compared."""
+HEADS: Final = (
+    "law",
+    "settling [s]",
+    "overshoot [%]",
+    "rms elevation [deg]",
+    "rms travel [deg]",
+    "effort [V rms]",
+    "taken over",
+    "gain margin",
+    "phase margin [deg]",
+)
+
+_FIRST_SETPOINT: Final = 2
+"""Place of the elevation setpoint in the outputs of a program."""
+
+FlyTrial = Callable[[LawProgram | None, str, int], LawTrial]
+"""Flies a law, or the board's own for None, on a rig with a seed."""
+
+
+@dataclass(frozen=True)
+class FlightScore:
+    """How well one flight followed its setpoints.
+
+    Parameters
+    ----------
+    settling_s, overshoot_percent : float
+        Of the largest step of elevation or travel; nan without a step, infinite if it did not settle.
+    elevation_rms_deg, travel_rms_deg : float
+        Following errors; nan for an axis without setpoints.
+    effort_V : float
+        RMS of the motor voltages about their mean.
+    ended : str
+        Why the law did not fly to the end; empty if it did.
+    """
+
+    settling_s: float = math.nan
+    overshoot_percent: float = math.nan
+    elevation_rms_deg: float = math.nan
+    travel_rms_deg: float = math.nan
+    effort_V: float = math.nan
+    ended: str = ""
+
+    @property
+    def rms_deg(self) -> float:
+        """Following errors of both axes together."""
+        errors_deg = np.array([self.elevation_rms_deg, self.travel_rms_deg])
+        return math.nan if np.isnan(errors_deg).all() else float(np.sqrt(np.nansum(errors_deg**2)))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the numbers for JSON."""
+        return {**{name: getattr(self, name) for name in NUMBERS}, "ended": self.ended}
+
+
+NUMBERS: Final = ("settling_s", "overshoot_percent", "elevation_rms_deg", "travel_rms_deg", "effort_V")
+"""Names of a score's numbers."""
+
+
+@dataclass(frozen=True)
+class LawGrade:
+    """Grade of one law.
+
+    Parameters
+    ----------
+    label : str
+        Name for the reader, different for each law.
+    refused : str
+        Why the law did not fly at all; empty if it did.
+    scores : tuple of FlightScore
+        One per rig and seed, in the order of `flights_of`.
+    gain_margin, phase_margin_deg : float
+        Lesser margin of the collective and the differential on the first rig; nan without one.
+    flight : Flight or None
+        First flight, for the figure.
+    """
+
+    label: str
+    refused: str = ""
+    scores: tuple[FlightScore, ...] = ()
+    gain_margin: float = math.nan
+    phase_margin_deg: float = math.nan
+    flight: Flight | None = None
+
+    @property
+    def takeovers(self) -> int:
+        """Number of flights that the law did not fly to their end."""
+        return sum(bool(score.ended) for score in self.scores)
+
+    @property
+    def passed(self) -> bool:
+        """Whether the law flew each flight to its end."""
+        return not self.refused and not self.takeovers
+
+    def mean(self, name: str) -> float:
+        """Return the mean of a number over the flights; nan if a flight lacks it.
+
+        Parameters
+        ----------
+        name : str
+            One of `NUMBERS`.
+        """
+        values = [getattr(score, name) for score in self.scores]
+        return float(np.mean(values)) if values else math.nan
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the grade for JSON."""
+        return {
+            "law": self.label,
+            "refused": self.refused,
+            "takeovers": self.takeovers,
+            "gain_margin": self.gain_margin,
+            "phase_margin_deg": self.phase_margin_deg,
+            "mean": {name: self.mean(name) for name in NUMBERS},
+            "flights": [score.as_dict() for score in self.scores],
+        }
+
+    def row(self) -> list[str]:
+        """Return the cells of a table under `HEADS`."""
+        if self.refused:
+            return [self.label, *["–"] * 5, "refused", "–", "–"]
+        settling_s = self.mean("settling_s")
+        return [
+            self.label,
+            "never" if math.isinf(settling_s) else _cell(settling_s, ".2f"),
+            *(
+                _cell(self.mean(name), form)
+                for name, form in zip(NUMBERS[1:], (".0f", ".3f", ".3f", ".2f"), strict=True)
+            ),
+            f"{self.takeovers} of {len(self.scores)}",
+            _cell(self.gain_margin, ".2f"),
+            _cell(self.phase_margin_deg, ".0f"),
+        ]
+
+
+def judged(program: LawProgram) -> LawProgram:
+    """Return the same law, which logs the board's setpoints of elevation and travel.
+
+    A law may log setpoints that it computes. One that logs the measured angles has no error, so errors are
+    judged by the setpoints of the plan. The voltages are the same.
+
+    Parameters
+    ----------
+    program : LawProgram
+        Law as the board takes it.
+
+    Raises
+    ------
+    BadLaw
+        No instruction is left for the setpoints.
+    """
+    outputs = list(program.outputs)
+    for axis in ("elevation", "travel"):
+        outputs[_FIRST_SETPOINT + AXES.index(axis)] = LAW_INPUTS.index(f"{axis}_setpoint_rad")
+    return replace(program, outputs=tuple(outputs))
+
+
+def score_of_trial(trial: LawTrial) -> FlightScore:
+    """Return the score of a flight."""
+    elevation, _, travel = responses(trial.flight)
+    step = max(elevation, travel, key=lambda one: 0.0 if math.isnan(one.step_deg) else abs(one.step_deg))
+    never = math.nan if math.isnan(step.step_deg) else math.inf
+    return FlightScore(
+        never if math.isnan(step.settling_s) else step.settling_s,
+        step.overshoot_percent,
+        elevation.rms_deg,
+        travel.rms_deg,
+        effort_V(trial.flight),
+        trial.taken_over,
+    )
+
+
+def flights_of(rigs: Sequence[str], seeds: Sequence[int]) -> list[tuple[str, int]]:
+    """Return each rig with each seed.
+
+    Parameters
+    ----------
+    rigs : sequence of str
+        Names or files.
+    seeds : sequence of int
+        Seeds of the flights on each rig.
+    """
+    return [(rig, seed) for rig in rigs for seed in seeds]
+
+
+def grade(
+    label: str,
+    program: LawProgram | None,
+    flights: Sequence[tuple[str, int]],
+    fly: FlyTrial,
+    plant: LinearPlant | None = None,
+) -> LawGrade:
+    """Fly a law on each rig with each seed, and grade it.
+
+    Parameters
+    ----------
+    label : str
+        Name for the reader.
+    program : LawProgram or None
+        The law; None for the board's own.
+    flights : sequence of (str, int)
+        Rig and seed of each flight.
+    fly : callable
+        Flies one of them.
+    plant : LinearPlant, optional
+        Linear rig for the margins of `program`.
+    """
+    scores: list[FlightScore] = []
+    first: Flight | None = None
+    try:
+        flown = judged(program) if program is not None else None
+    except BadLaw as error:
+        return LawGrade(label, str(error))
+    for rig, seed in flights:
+        try:
+            trial = fly(flown, rig, seed)
+        except HeliError as error:
+            # Without a law, only a flight that ended early is a result; the board or the rig is at fault.
+            if program is None and not isinstance(error, FlightAborted | FlightDataError):
+                raise
+            scores.append(FlightScore(ended=error.cause))
+            continue
+        scores.append(score_of_trial(trial))
+        first = trial.flight if first is None else first
+    gain, phase_deg = _margins(program, plant)
+    return LawGrade(label, "", tuple(scores), gain, phase_deg, first)
+
+
+def _margins(program: LawProgram | None, plant: LinearPlant | None) -> tuple[float, float]:
+    if program is None or plant is None:
+        return math.nan, math.nan
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        # Frequencies above half of the law's rate, of which there is a warning for each.
+        warnings.simplefilter("ignore")
+        try:
+            linear = linearised(law_of_program(program), plant)
+        # A law that is not a number at level has no margins.
+        except (ValueError, np.linalg.LinAlgError):
+            return math.nan, math.nan
+    return (min(linear.gain_up), min(linear.phase_deg)) if linear.stable else (math.nan, math.nan)
+
+
+def grade_lines(grades: Sequence[LawGrade]) -> list[str]:
+    """Return the table of grades as lines of text, and a line for each reason."""
+    rows = [list(HEADS), *(one.row() for one in grades)]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(HEADS))]
+    lines = [
+        "  ".join(
+            cell.ljust(width) if k == 0 else cell.rjust(width)
+            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+        )
+        for row in rows
+    ]
+    return lines + reasons(grades)
+
+
+def reasons(grades: Sequence[LawGrade]) -> list[str]:
+    """Return a line for each law that was refused or did not fly to its end."""
+    lines = []
+    for one in grades:
+        if one.refused:
+            lines.append(f"{one.label}: refused: {one.refused}")
+        elif one.takeovers:
+            causes = sorted({score.ended for score in one.scores if score.ended})
+            lines.append(f"{one.label}: did not fly to the end: {', '.join(causes)}")
+    return lines
+
+
+def _cell(value: float, form: str) -> str:
+    return "–" if math.isnan(value) else f"{value:{form}}"

@@ -1,0 +1,164 @@
+"""Flights of submissions on equal simulated boards, and the files that return to each submission."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from heli_host.cli.flight_command import FlightOptions
+from heli_host.cli.say import QUIET, write_result
+from heli_host.errors import FlightAborted, FlightDataError, HeliError
+from heli_host.parameter_file import parameters_text
+
+from heli_lab.classroom.grade import FlightScore, judged, score_of_trial
+from heli_lab.classroom.mark import Mark, mark_of
+from heli_lab.classroom.submission import Submission, read_submission, returned_files
+from heli_lab.law.limits import FileLimits
+from heli_lab.law.trial import LawTrial
+from heli_lab.law_flight import flown_with
+
+if TYPE_CHECKING:
+    from heli_host.fly.plan import Plan
+
+_SIMULATED: Final = {"arm_rate_max_deg_s": 100.0}
+"""Parameters of every simulated flight. On a rig with a torque about travel, the arm creeps on the table. A
+count of the encoder is then a rate of 3.05 deg/s, at which the board refuses to arm, by chance of the moment.
+This limit protects hands, and there are none."""
+LOG, FIGURE, MARK = "flight.mcap", "figure.png", "mark.json"
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Answer to a submission.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the submission.
+    mark : Mark
+        Its mark, or why it has none.
+    submission : Submission or None
+        Its files; None if they are invalid.
+    """
+
+    folder: Path
+    mark: Mark
+    submission: Submission | None
+
+    @property
+    def may_fly(self) -> bool:
+        """Whether it flew to the end of the simulation, so that it may fly on the rig."""
+        return self.submission is not None and not self.mark.reason
+
+
+class Marking:
+    """Marks submissions by flights along one plan, compared with the board's own law.
+
+    Parameters
+    ----------
+    options : FlightOptions
+        Simulated board.
+    plan : Plan
+        Plan of the class; a submission with a plan flies that plan.
+    seeds : sequence of int
+        Seed of each flight.
+    limits : FileLimits
+        Limits of a law's file.
+    """
+
+    def __init__(self, options: FlightOptions, plan: Plan, seeds: Sequence[int], limits: FileLimits) -> None:
+        self.options, self.plan, self.seeds, self.limits = options, plan, seeds, limits
+        self._references: dict[tuple[str, int], FlightScore] = {}
+
+    def answer(self, folder: Path) -> Answer:
+        """Read, fly and mark a submission, and write log, figure and mark into its folder.
+
+        Parameters
+        ----------
+        folder : Path
+            Folder of the submission. Each fault of it is the reason of its mark.
+        """
+        mark, submission = Mark(folder.name), None
+        try:
+            if folder.is_symlink():
+                raise HeliError("the folder is a link", "submit the folder itself")
+            with returned_files(folder) as files:
+                try:
+                    submission = read_submission(folder, self.limits)
+                    mark = self._mark(submission, files)
+                except HeliError as error:
+                    mark = replace(mark, reason=str(error))
+                write_result(files / MARK, mark.as_dict())
+        except HeliError as error:
+            mark = replace(mark, points=0.0, reason=mark.reason or str(error))
+        return Answer(folder, mark, submission)
+
+    def _mark(self, submission: Submission, files: Path) -> Mark:
+        plan = submission.plan or self.plan
+        scores = [
+            self._score(submission, plan, seed, files if seed == self.seeds[0] else None)
+            for seed in self.seeds
+        ]
+        return mark_of(submission.name, scores, [self._reference(plan, seed) for seed in self.seeds])
+
+    def _reference(self, plan: Plan, seed: int) -> FlightScore:
+        key = plan.text, seed
+        if key not in self._references:
+            self._references[key] = self._score(Submission("reference"), plan, seed, None)
+        return self._references[key]
+
+    def _score(self, submission: Submission, plan: Plan, seed: int, files: Path | None) -> FlightScore:
+        with tempfile.TemporaryDirectory() as made:
+            options = replace(
+                self.options,
+                seed=seed,
+                log=(files or Path(made)) / LOG,
+                figure=files / FIGURE if files is not None else None,
+            )
+            return scored_flight(submission, options, plan, {**_SIMULATED, **submission.gains})
+
+
+def scored_flight(
+    submission: Submission, options: FlightOptions, plan: Plan, parameters: Mapping[str, float]
+) -> FlightScore:
+    """Fly a submission without output on the terminal, and score the flight.
+
+    Parameters
+    ----------
+    submission : Submission
+        Law to fly; the board's own without one.
+    options : FlightOptions
+        Board, and files to write.
+    plan : Plan
+        Plan to fly.
+    parameters : mapping of str to float
+        Parameters of the board to fly with.
+
+    Raises
+    ------
+    HeliError
+        The board refuses the flight, or does not answer.
+    """
+    program = judged(submission.program) if submission.program is not None else None
+    before = QUIET.set(True)
+    try:
+        with tempfile.TemporaryDirectory() as made:
+            if parameters:
+                file = Path(made) / "parameters.toml"
+                file.write_text(parameters_text(parameters, "Parameters of a submission"), encoding="utf-8")
+                options = replace(options, params=file)
+            flown, taken_over = flown_with(program, options, plan)
+    finally:
+        QUIET.reset(before)
+    outcome = ""
+    try:
+        flown.end()
+    except FlightAborted as error:
+        outcome = error.cause
+    try:
+        return score_of_trial(LawTrial.of_log(flown.log, outcome or taken_over))
+    except FlightDataError as error:
+        return FlightScore(ended=outcome or error.cause)

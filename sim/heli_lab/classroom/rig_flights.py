@@ -1,0 +1,101 @@
+"""Flights of submissions on the rig, with a confirmation before each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from heli_host.cli.board import open_board
+from heli_host.cli.flight_command import FlightOptions
+from heli_host.cli.say import say
+from heli_host.declaration import State
+from heli_host.errors import HeliError, LinkError, fault_text, printable
+
+from heli_lab.classroom.marking import Answer, scored_flight
+from heli_lab.classroom.submission import new_rig_log
+
+if TYPE_CHECKING:
+    from heli_host.fly.plan import Plan
+
+Confirm = Callable[[str], bool | None]
+"""Puts a question to the person at the rig; None ends the session."""
+NOT_FLOWN = "not flown"
+
+
+def fly_on_rig(
+    answers: Sequence[Answer], options: FlightOptions, plan: Plan, confirm: Confirm
+) -> Iterator[tuple[Answer, str]]:
+    """Yield each answer with the outcome of its flight on the rig.
+
+    Each flight begins with the parameters that the rig had, and the gains of the submission. Afterwards the
+    rig has its own parameters again.
+
+    Parameters
+    ----------
+    answers : sequence of Answer
+        Submissions that may fly.
+    options : FlightOptions
+        Port and rig.
+    plan : Plan
+        Plan of the class.
+    confirm : callable
+        Called before each flight.
+
+    Raises
+    ------
+    HeliError
+        The board does not answer before the first flight.
+    """
+    with _parameters_kept(options.port) as before:
+        for answer in answers:
+            submission = answer.submission
+            assert submission is not None
+            try:
+                agreed, has_fault = _ask(options.port, submission.name, confirm)
+                if agreed is None:
+                    return
+                outcome = NOT_FLOWN
+                if agreed:
+                    log = new_rig_log(answer.folder)
+                    score = scored_flight(
+                        submission,
+                        replace(options, log=log, figure=log.with_suffix(".png"), clear_fault=has_fault),
+                        submission.plan or plan,
+                        {**before, **submission.gains},
+                    )
+                    outcome = score.ended or "completed"
+            except HeliError as error:
+                yield answer, str(error)
+                if isinstance(error, LinkError):
+                    # The board is in a state that a person has to look at.
+                    return
+            else:
+                yield answer, outcome
+
+
+def _ask(port: str | None, name: str, confirm: Confirm) -> tuple[bool | None, bool]:
+    """Ask whether to fly, and to clear the fault that an earlier flight has left; whether there is one."""
+    with open_board(port) as heli:
+        has_fault, fault = heli.state is State.FAULT, heli.fault
+    name = printable(name)
+    if has_fault:
+        say(f"the rig has a fault: {fault_text(fault)}")
+        return confirm(f"clear the fault, and fly {name} on the rig?"), True
+    return confirm(f"fly {name} on the rig?"), False
+
+
+@contextmanager
+def _parameters_kept(port: str | None) -> Iterator[dict[str, float]]:
+    """Offer the parameters of a board, and restore them in the end."""
+    with open_board(port) as heli:
+        before = heli.params.dump()
+    try:
+        yield before
+    finally:
+        try:
+            with open_board(port) as heli:
+                heli.params.restore(before)
+        except HeliError as error:
+            say(f"warning: the rig has the parameters of a submission: {error}")

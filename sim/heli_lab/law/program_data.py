@@ -1,0 +1,200 @@
+"""A program of a board as plain data that a stranger may have made, and as a function of CasADi again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+import casadi as ca
+from heli_host.declaration import LAW_CELLS, LAW_INPUTS, LAW_MAX_TERMS, OPERATIONS
+from heli_host.errors import BadLaw
+from heli_host.law_program import Instruction, LawProgram, Term, check_number
+
+from heli_lab.law.law import Law
+from heli_lab.law.program import CODE
+from heli_lab.law.sums import SUM
+
+_FIRST_SIGNAL: Final = 5
+_LONGEST_NAME: Final = 63
+_MAX_ITEMS: Final = 8192
+"""Longest list [entries]: more than the 1,536 words that a board stores."""
+
+_COMPUTED: Final[dict[str, Callable[..., Any]]] = {
+    "copy": lambda a: a, "add": lambda a, b: a + b, "subtract": lambda a, b: a - b,
+    "multiply": lambda a, b: a * b, "divide": lambda a, b: a / b, "negate": lambda a: -a,
+    "absolute": ca.fabs, "minimum": ca.fmin, "maximum": ca.fmax, "less": lambda a, b: a < b,
+    "less_equal": lambda a, b: a <= b, "equal": ca.eq, "not_equal": ca.ne, "both": ca.logic_and,
+    "either": ca.logic_or, "negation": ca.logic_not, "select": lambda a, b: ca.if_else(a, b, 0),
+    "floor": ca.floor, "square_root": ca.sqrt, "sine": ca.sin, "cosine": ca.cos, "tangent": ca.tan,
+    "arctangent": ca.atan2, "hyperbolic_tangent": ca.tanh, "exponential": ca.exp,
+}  # fmt: skip
+
+
+def program_json(program: LawProgram) -> str:
+    """Return the program as JSON that `program_of_json` reads."""
+    content = {
+        "name": program.name,
+        "divisor": program.divisor,
+        "constants": program.constants,
+        "parameters": program.parameters,
+        "states": program.states,
+        "outputs": program.outputs,
+        "signals": program.signals,
+        "instructions": [
+            (
+                one.code,
+                one.target,
+                one.first,
+                one.second,
+                [(term.first, term.second, int(term.negative)) for term in one.terms],
+            )
+            for one in program.instructions
+        ],
+    }
+    return json.dumps(content)
+
+
+def program_of_json(text: str) -> LawProgram:
+    """Read a program that a process without trust wrote; every number is checked.
+
+    Parameters
+    ----------
+    text : str
+        As `program_json` writes it.
+
+    Raises
+    ------
+    BadLaw
+        It is not such a text, or the board could not run the program.
+    """
+    try:
+        content = json.loads(text)
+        return _program(content)
+    except (ValueError, TypeError, KeyError, IndexError, RecursionError, OverflowError) as error:
+        raise BadLaw("the file's process did not return a program", "remove what replaces it") from error
+
+
+def _program(content: Mapping[str, Any]) -> LawProgram:
+    constants = tuple(_number("constant", value) for value in _list(content["constants"]))
+    parameters = tuple(_named("parameter", *pair) for pair in _list(content["parameters"]))
+    states = tuple(_named("state", *pair) for pair in _list(content["states"]))
+    signals = tuple(_name(signal) for signal in _list(content["signals"]))
+    outputs = tuple(_cell(cell) for cell in _list(content["outputs"]))
+    if len(outputs) != _FIRST_SIGNAL + len(signals) + len(states):
+        raise ValueError("another number of outputs")
+    program = LawProgram(
+        _name(content["name"]),
+        _whole(content["divisor"], 256),
+        constants,
+        parameters,
+        states,
+        outputs,
+        signals,
+        tuple(_instruction(*one) for one in _list(content["instructions"])),
+    )
+    law_of_program(program)  # its names are checked, and every cell is written before it is read
+    return program
+
+
+def law_of_program(program: LawProgram) -> Law:
+    """Return the law that a program computes, to linearise it or run it with numpy.
+
+    Parameters
+    ----------
+    program : LawProgram
+        Program as the board takes it.
+
+    Raises
+    ------
+    BadLaw
+        A name is invalid, or a cell is read before it is written.
+    """
+    inputs = ca.SX.sym("inputs", len(LAW_INPUTS))
+    states, parameters = (
+        ca.SX.sym(kind, len(values))
+        for kind, values in (("states", program.states), ("parameters", program.parameters))
+    )
+    start = [
+        *ca.vertsplit(inputs),
+        *(ca.SX(value) for value in program.constants),
+        *(parameters[k] for k in range(len(program.parameters))),
+        *(states[k] for k in range(len(program.states))),
+    ]
+    cells: dict[int, ca.SX] = dict(enumerate(start))
+    try:
+        for one in program.instructions:
+            if one.code == CODE[SUM]:
+                products = (
+                    (-1.0 if term.negative else 1.0) * cells[term.first] * cells[term.second]
+                    for term in one.terms
+                )
+                cells[one.target] = sum(products, ca.SX(0.0))
+            else:
+                cells[one.target] = _COMPUTED[OPERATIONS[one.code].name](*(cells[cell] for cell in one.read))
+        results = [cells[cell] for cell in program.outputs]
+    except KeyError as error:
+        raise BadLaw(
+            f"the law {program.name} reads cell {error} before it is written", "compile the law again"
+        ) from error
+    count = _FIRST_SIGNAL + len(program.signals)
+    function = ca.Function(
+        "law",
+        [inputs, states, parameters],
+        [_column(results[:count]), _column(results[count:])],
+        ["inputs", "states", "parameters"],
+        ["outputs", "new_states"],
+    )
+    return Law(
+        program.name,
+        program.rate_Hz,
+        function,
+        dict(program.states),
+        dict(program.parameters),
+        program.signals,
+    )
+
+
+def _column(values: list[ca.SX]) -> ca.SX:
+    return ca.densify(ca.vertcat(*values)) if values else ca.SX(0, 1)
+
+
+def _list(value: Any) -> list[Any]:
+    if not isinstance(value, list) or len(value) > _MAX_ITEMS:
+        raise TypeError("not a list of a program")
+    return value
+
+
+def _whole(value: Any, stop: int) -> int:
+    if type(value) is not int or not 0 <= value < stop:
+        raise ValueError("not a number of a program")
+    return value
+
+
+def _cell(value: Any) -> int:
+    return _whole(value, LAW_CELLS)
+
+
+def _number(what: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError("not a number")
+    check_number(what, float(value))
+    return float(value)
+
+
+def _name(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError("not a name")
+    return "".join(one if one.isprintable() else "?" for one in value[:_LONGEST_NAME])
+
+
+def _named(kind: str, name: Any, value: Any) -> tuple[str, float]:
+    return _name(name), _number(f"{kind} {_name(name)}", value)
+
+
+def _instruction(code: Any, target: Any, first: Any, second: Any, terms: Any) -> Instruction:
+    code = _whole(code, len(OPERATIONS))
+    known = [Term(_cell(a), _cell(b), bool(_whole(negative, 2))) for a, b, negative in _list(terms)]
+    if bool(known) != (code == CODE[SUM]) or len(known) > LAW_MAX_TERMS:
+        raise ValueError("terms of another operation")
+    return Instruction(code, _cell(target), _cell(first), _cell(second), tuple(known))

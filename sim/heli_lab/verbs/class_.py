@@ -1,0 +1,158 @@
+"""``heli-host class``: fly and mark a folder of submissions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from heli_host.cli import simulated
+from heli_host.cli.flight_command import FlightOptions
+from heli_host.cli.options import JsonOption
+from heli_host.cli.say import data_on_stdout, say, say_files, write_result
+from heli_host.cli.simulated import DEFAULT_RIG, MAX_SPEED
+from heli_host.cli.verb import Verb
+
+if TYPE_CHECKING:
+    from heli_lab.classroom.mark import Mark
+
+_LOAD_s = 10.0
+"""Processor time of a law's file [s]. The laws of the documents take under 2 s. With less, a law that solves
+a problem first is refused; with more, each endless loop delays the class."""
+MARKS = "marks.csv"
+
+
+def class_(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Mark each folder in this folder.")],
+    plan: Annotated[
+        str | None,
+        typer.Option(
+            "--plan",
+            metavar="NAME|FILE",
+            help="Fly this plan, unless a submission has one.  [default: a travel step, then sines]",
+            show_default=False,
+        ),
+    ] = None,
+    duration_s: Annotated[
+        float,
+        typer.Option("--duration", metavar="S", min=5.0, max=600.0, help="Fly for this time in s."),
+    ] = 20.0,
+    rig: Annotated[
+        str | None,
+        typer.Option(
+            "--rig",
+            metavar="NAME|FILE",
+            help=f"Simulate this rig, and compare the real board with it.  [default: {DEFAULT_RIG}]",
+            show_default=False,
+        ),
+    ] = None,
+    effect: simulated.EffectOption = None,
+    seeds: Annotated[
+        int, typer.Option("--seeds", metavar="N", min=1, max=100, help="Fly N times, with the seeds 1 to N.")
+    ] = 1,
+    port: Annotated[
+        str | None,
+        typer.Option(
+            "--port",
+            "-p",
+            metavar="URL",
+            help="Then fly on the rig at this port, after a confirmation for each submission.",
+            show_default=False,
+        ),
+    ] = None,
+    json: JsonOption = None,
+    load_timeout: Annotated[
+        float,
+        typer.Option(
+            "--load-timeout", metavar="S", min=0.1, help="Stop a law's file after this processor time in s."
+        ),
+    ] = _LOAD_s,
+) -> None:
+    """Fly and mark a folder of submissions, in simulation and then on the rig.
+
+    A submission is a folder with law.py, a plan (TOML), a parameter file, or several of these. Log, figure
+    and mark go into its folder `marked`, which is replaced, but for flights on the rig. All marks go into
+    FOLDER/marks.csv. A law's file may use processor time and 1 GB of memory, and may not write files, open
+    sockets or start processes. Only submissions that flew to the end of the simulation may fly on the rig.
+
+    Example: `heli-host class submissions --seeds 3`
+    """
+    from heli_host.cli.outputs import check_result_places
+    from heli_host.fly.plan import load_plan
+
+    from heli_lab.classroom.marking import MARK, Answer, Marking
+    from heli_lab.classroom.rig_flights import fly_on_rig
+    from heli_lab.classroom.submission import MARKED, submissions_in
+    from heli_lab.law.limits import FileLimits
+    from heli_lab.law.trial import trial_plan
+
+    folders = submissions_in(folder)
+    check_result_places(folder / MARKS, json)
+    data_on_stdout(json)
+    class_plan = load_plan(plan) if plan is not None else trial_plan(duration_s)
+    options = FlightOptions(sil=True, rig=rig, effect=effect, speed=MAX_SPEED)
+    options.address()  # refuse invalid options before the first flight
+    marking = Marking(options, class_plan, range(1, seeds + 1), FileLimits(load_timeout))
+    answers: list[Answer] = []
+    try:
+        for one in folders:
+            answers.append(marking.answer(one))
+            say(str(answers[-1].mark))
+    finally:
+        _write_marks([answer.mark for answer in answers], folder / MARKS)
+    marks = {answer.folder: answer.mark for answer in answers}
+    if port is not None:
+        ready = [answer for answer in answers if answer.may_fly]
+        for answer, outcome in fly_on_rig(ready, FlightOptions(port=port, rig=rig), class_plan, _confirm):
+            say(f"{answer.mark.name}: rig: {outcome}")
+            marks[answer.folder] = replace(answer.mark, rig=outcome)
+            write_result(answer.folder / MARKED / MARK, marks[answer.folder].as_dict())
+            _write_marks(list(marks.values()), folder / MARKS)
+    write_result(json, {"plan": class_plan.title, "marks": [mark.as_dict() for mark in marks.values()]})
+    refused, ended = (
+        sum(mark.refused for mark in marks.values()),
+        sum(bool(mark.reason) for mark in marks.values()),
+    )
+    say(
+        f"{len(marks)} submissions: {len(marks) - ended} flew to the end, {ended - refused} ended early, "
+        f"{refused} refused"
+    )
+    say_files((folder / MARKS, json))
+
+
+def _confirm(question: str) -> bool | None:
+    try:
+        return typer.confirm(question, err=True)
+    except typer.Abort:  # the end of standard input
+        return None
+
+
+def _write_marks(marks: Sequence[Mark], path: Path) -> None:
+    """Write a table of all marks, in place of a former one."""
+    import csv
+    import tempfile
+
+    from heli_lab.classroom.mark import FULL
+
+    with tempfile.NamedTemporaryFile(
+        "w", dir=path.parent, prefix=".marks-", delete=False, newline="", encoding="utf-8"
+    ) as file:
+        table = csv.writer(file)
+        table.writerow(["submission", "points", "of", "reason", "rig"])
+        table.writerows(
+            [_plain(mark.name), mark.points, FULL, _plain(mark.reason), _plain(mark.rig)] for mark in marks
+        )
+    Path(file.name).chmod(0o644)
+    Path(file.name).replace(path)
+
+
+def _plain(text: str) -> str:
+    """Return a cell that no spreadsheet takes for a formula."""
+    from heli_host.errors import printable
+
+    return printable(f"'{text}" if text[:1] in ("=", "+", "-", "@") else text)
+
+
+VERB = Verb(class_, "Laboratory")

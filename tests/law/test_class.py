@@ -1,0 +1,130 @@
+"""A class of submissions is marked: each is answered, and a hostile one costs its own mark only.
+
+The class of 180 is ``python -m tests.law.class_of_thirty``.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+from heli_host.cli import run
+from heli_host.errors import HeliError
+from heli_lab.classroom.grade import FlightScore
+from heli_lab.classroom.mark import mark_of, points_of
+from heli_lab.classroom.submission import MARKED, new_rig_log, read_submission, returned_files
+from heli_lab.law.limits import FileLimits
+
+from tests.law.class_of_thirty import HOSTILE, digest, make_class, mark_class, problems
+
+REFERENCE = FlightScore(3.0, 10.0, 0.05, 0.8, 0.1)
+LIMITS = FileLimits(1.0)
+
+
+@pytest.fixture
+def in_process(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Any:
+    """Run the command line here, without the time of drawing, and answer its questions in turn."""
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda _, path, **options: Path(path).touch())
+
+    def type_in(words: Sequence[str], answer: str = "") -> tuple[int, str]:
+        monkeypatch.setattr("sys.stdin", io.StringIO(f"{answer}\n"))
+        code = run(list(words))
+        said = capsys.readouterr()
+        return code, said.out + said.err
+
+    return type_in
+
+
+@pytest.mark.slow
+def test_each_submission_is_answered_and_marked_the_same_again(tmp_path: Path, in_process: Any) -> None:
+    """The rig flies what a person confirms: the first time yes, the second time no."""
+    folder = tmp_path / "submissions"
+    make_class(folder, 4, ["forks", "not_a_number", "raises_a_limit"], 5.0)
+    before = digest(folder)
+    options = ("--duration", "5", "--port", "sil://?speed=max")
+    first, second = (mark_class(folder, *options, run=partial(in_process, answer=answer)) for answer in "yn")
+    assert not problems(folder, first, second, before)
+    assert [run.text.count("on the rig?") for run in (first, second)] == [1, 1], "one good submission of four"
+    (student,) = folder.glob("*student")
+    assert [run.marks[student.name]["rig"] for run in (first, second)] == ["completed", "not flown"]
+    names = {file.name for file in (student / MARKED).iterdir()}
+    assert names == {"mark.json", "flight.mcap", "figure.png", "rig.mcap", "rig.png"}
+    lines = (folder / "marks.csv").read_text().splitlines()
+    assert len(lines) == 5 and lines[0] == "submission,points,of,reason,rig"
+
+
+def test_a_flight_on_the_rig_is_kept_when_a_submission_is_marked_again(tmp_path: Path) -> None:
+    (tmp_path / MARKED).mkdir()
+    for name in ("rig.mcap", "rig-2.mcap", "rig.png", "flight.mcap"):
+        (tmp_path / MARKED / name).write_text(name)
+    (tmp_path / MARKED / "rig-3.mcap").symlink_to("/dev/null")
+    with returned_files(tmp_path) as files:
+        (files / "mark.json").write_text("new")
+    assert sorted(path.name for path in (tmp_path / MARKED).iterdir()) == [
+        "mark.json",
+        "rig-2.mcap",
+        "rig.mcap",
+        "rig.png",
+    ]
+    assert new_rig_log(tmp_path).name == "rig-3.mcap"
+
+
+def test_what_is_not_a_gain_and_a_link_are_refused(tmp_path: Path) -> None:
+    for name in ("motor_max_V = 12.0", "travel_slew_deg_s = 1.0", "elevation_max_deg = 20.0"):
+        (tmp_path / "gains.toml").write_text(f"[parameters]\n{name}\n")
+        with pytest.raises(HeliError, match="not a gain"):
+            read_submission(tmp_path, LIMITS)
+    (tmp_path / "gains.toml").unlink()
+    (tmp_path / "law.py").symlink_to(__file__)
+    with pytest.raises(HeliError, match="not a plain file"):
+        read_submission(tmp_path, LIMITS)
+
+
+@pytest.mark.parametrize("name", [name for name, files in HOSTILE.items() if "law.py" not in files])
+def test_a_hostile_table_is_refused_with_its_fix(name: str, tmp_path: Path) -> None:
+    for file, text in HOSTILE[name].items():
+        (tmp_path / file).write_text(text)
+    with pytest.raises(HeliError) as refused:
+        read_submission(tmp_path, LIMITS)
+    assert refused.value.remedy
+
+
+def test_a_flight_as_good_as_the_reference_has_all_points() -> None:
+    assert points_of(REFERENCE, REFERENCE) == 10.0
+    better = FlightScore(1.0, 0.0, 0.01, 0.1, 0.05)
+    assert points_of(better, REFERENCE) == 10.0
+    assert points_of(replace(better, ended="voltage_jump"), REFERENCE) == 0.0
+
+
+def test_motors_that_do_nothing_earn_nothing() -> None:
+    lazy = FlightScore(math.inf, 0.0, 7.0, 7.0, 0.001)
+    assert points_of(lazy, REFERENCE) == 0.0
+    without = FlightScore(math.nan, math.nan, math.nan, math.nan, 0.001)
+    assert points_of(without, REFERENCE) == 0.0
+
+
+def test_points_fall_with_each_number() -> None:
+    for name in ("settling_s", "overshoot_percent", "travel_rms_deg", "effort_V"):
+        points = [
+            points_of(replace(REFERENCE, **{name: factor * getattr(REFERENCE, name)}), REFERENCE)
+            for factor in (1.0, 2.0, 4.0, 12.0)
+        ]
+        assert points == sorted(points, reverse=True) and len(set(points)) == 4, name
+
+
+def test_a_mark_is_the_mean_of_the_flights_and_names_each_reason() -> None:
+    mark = mark_of("ann", [REFERENCE, replace(REFERENCE, ended="voltage_jump")], [REFERENCE, REFERENCE])
+    assert (mark.points, mark.reason) == (5.0, "voltage_jump")
+
+
+def test_no_cell_of_the_marks_is_a_formula(tmp_path: Path, in_process: Any) -> None:
+    (tmp_path / "class" / "=1+1").mkdir(parents=True)
+    code, text = in_process(["class", str(tmp_path / "class"), "--duration", "5"])
+    assert code == 0, text
+    assert (tmp_path / "class" / "marks.csv").read_text().splitlines()[1].startswith("'=1+1,0.0,")
