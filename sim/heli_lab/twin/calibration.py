@@ -15,6 +15,7 @@ from heli_lab.errors import TwinError
 from heli_lab.estimation import DisturbanceModel
 from heli_lab.identify.flight_model import DISTURBANCE_START
 from heli_lab.twin.likelihood_ratio import WINDOW_s
+from heli_lab.twin.parameter_uncertainty import EXACT, ParameterUncertainty
 
 SEGMENT_s: Final = 5.0
 """Length of the segments whose maxima are counted as excursions of the evidence, s. An onset stays in the
@@ -123,11 +124,14 @@ class Calibration:
         Tail of the evidence in nominal flights.
     source : str
         Flights from which both were estimated.
+    uncertainty : ParameterUncertainty
+        Errors of the rig's parameters, as far as these flights leave them open.
     """
 
     disturbances: DisturbanceModel
     tail: Tail
     source: str = ""
+    uncertainty: ParameterUncertainty = EXACT
 
     def threshold_nats(self, false_alarm_interval_h: float) -> float:
         """Return the alarm threshold [nats] for one false alarm per `false_alarm_interval_h`."""

@@ -28,6 +28,7 @@ from heli_lab.estimation import AlongTrajectory, DisturbanceModel, Trajectory, _
 from heli_lab.identify.flight_model import TORQUE_STD_Nm, model_functions
 from heli_lab.twin.changes import SCALES, SUPPLY, Change, changes_of, extended, free_numbers
 from heli_lab.twin.likelihood_ratio import ONSETS, Innovation
+from heli_lab.twin.parameter_uncertainty import EXACT, ParameterUncertainty
 
 ZEROS: Final = ("offset_elevation", "offset_pitch")
 """Encoders with an observable zero. The zero of travel cannot be distinguished from a constant torque."""
@@ -60,6 +61,8 @@ class TwinModel:
         disturbances.
     rig : Rig
         Parameters of the rig.
+    uncertainty : ParameterUncertainty
+        Errors of these parameters; exact without it.
 
     Attributes
     ----------
@@ -69,12 +72,16 @@ class TwinModel:
         Values of all parameters of the extended model.
     """
 
-    def __init__(self, model: Model, rig: Rig) -> None:
+    def __init__(self, model: Model, rig: Rig, uncertainty: ParameterUncertainty = EXACT) -> None:
         calm = type(model)(tuple(effect for effect in model.effects if not effect.noise_inputs))
         self.rig, self.model = rig, calm
         self.changes: tuple[Change, ...] = changes_of(calm)
         more = extended(calm)
-        self.functions = model_functions(more, free_numbers(self.changes))
+        free = tuple(dict.fromkeys((*free_numbers(self.changes), *uncertainty.names)))
+        self.functions = model_functions(more, free)
+        self.directions: Floats = uncertainty.directions(free)
+        """Amount of each free parameter per standard deviation of each unknown error, (parameters + 1, errors);
+        the last row is the supply."""
         more = self.functions.model.source
         self.plain = model_functions(more, ())
         """The same functions without derivatives by changes, which is faster."""
@@ -185,8 +192,10 @@ class KalmanFilter:
     ) -> None:
         self.twin, self.disturbances, self.step_s = twin, disturbances, step_s
         nx = self._nx = twin.states
-        order = self._order = nx + 9 + len(ZEROS)
-        self.mean: Floats = np.concatenate((state, np.zeros(9 + len(ZEROS))))
+        self._errors = slice(nx + 9 + len(ZEROS), nx + 9 + len(ZEROS) + twin.directions.shape[1])
+        self._zeros = slice(nx + 9, nx + 9 + len(ZEROS))
+        order = self._order = self._errors.stop
+        self.mean: Floats = np.concatenate((state, np.zeros(order - nx)))
         constant = np.array([TORQUE_STD_Nm[f"torque_{axis}"] for axis in AXES])
         zeros = np.hypot(_COUNT_SHARE * count_rad[: len(ZEROS)], 0.5 * twin.zero_tolerance_rad)
         initial = np.concatenate(
@@ -198,6 +207,7 @@ class KalmanFilter:
                 disturbances.slow_std,
                 constant,
                 zeros,
+                np.ones(twin.directions.shape[1]),
             )
         )
         self.covariance: Floats = np.diag(initial**2)
@@ -230,6 +240,11 @@ class KalmanFilter:
         nx = self._nx
         return np.asarray(self.mean[nx + 3 : nx + 9].reshape(2, 3).sum(axis=0))
 
+    @property
+    def zero_rad(self) -> Floats:
+        """Estimated errors of the encoder zeros [rad], (2,)."""
+        return self.mean[self._zeros]
+
     def predict(self, t_s: float, volts_V: Floats) -> None:
         """Predict over a step that begins at `t_s`, with the mean acting voltages `volts_V`, (2,)."""
         twin, nx, h = self.twin, self._nx, self.step_s
@@ -238,19 +253,6 @@ class KalmanFilter:
         phi, gamma = _kalman.midpoint(a, h)
         phi, gamma = phi[0], gamma[0]
         push = gamma @ by_torque[0]
-        transition = np.zeros((self._order, self._order))
-        transition[:nx, :nx] = phi
-        for first in (nx, nx + 3, nx + 6):
-            transition[:nx, first : first + 3] = push
-        np.fill_diagonal(transition[nx:, nx:], self._memory[nx:])
-        after = self.state + gamma @ rates[0, :, 0] + push @ self.torque_Nm
-        self.mean[nx:] *= self._memory[nx:]
-        self.mean[:nx] = after
-        if twin.resets is not None:
-            (reset,) = twin.resets(twin.at(t_s + h, after, volts_V, h))
-            self.mean[:nx] = reset[0, :, 0]
-        self.covariance = transition @ self.covariance @ transition.T
-        self.covariance[np.diag_indices(self._order)] += self._noise
         drive = np.empty((nx, self._drive.shape[1]))
         # The functions return the negative derivative of the rates by a parameter.
         drive[:, :-1] = -gamma @ rates[0, :, 1:]
@@ -258,6 +260,21 @@ class KalmanFilter:
         rate_std = np.sqrt(np.diagonal(self.covariance)[3:6])
         for place, axis in twin.frictions:
             drive[:, place] *= erf(abs(self.mean[3 + axis]) / (_SLIDES * rate_std[axis]))
+        by_error = drive @ twin.directions
+        transition = np.zeros((self._order, self._order))
+        transition[:nx, :nx] = phi
+        for first in (nx, nx + 3, nx + 6):
+            transition[:nx, first : first + 3] = push
+        transition[:nx, self._errors] = by_error
+        np.fill_diagonal(transition[nx:, nx:], self._memory[nx:])
+        after = self.state + gamma @ rates[0, :, 0] + push @ self.torque_Nm + by_error @ self.mean[self._errors]
+        self.mean[nx:] *= self._memory[nx:]
+        self.mean[:nx] = after
+        if twin.resets is not None:
+            (reset,) = twin.resets(twin.at(t_s + h, after, volts_V, h))
+            self.mean[:nx] = reset[0, :, 0]
+        self.covariance = transition @ self.covariance @ transition.T
+        self.covariance[np.diag_indices(self._order)] += self._noise
         self._drive = transition @ self._drive
         self._drive[:nx] += drive
         self._transition = transition @ self._transition
@@ -309,9 +326,10 @@ class KalmanFilter:
         """
         twin, nx = self.twin, self._nx
         angles, c, by_free = twin.measure(twin.at(t_s, self.state, volts_V, self.step_s))
-        predicted = angles[0, :, 0] + np.array([*self.mean[-len(ZEROS) :], 0.0])
         direct = np.zeros((3, twin.weights.shape[0]))
         direct[:, :-1] = by_free[0]
+        by_error = direct @ twin.directions
+        predicted = angles[0, :, 0] + np.array([*self.zero_rad, 0.0]) + by_error @ self.mean[self._errors]
         shown = direct @ twin.weights
         turned = {
             axis: (column, (self.mean[axis] - onset_rad[row]) * amount[column])
@@ -333,7 +351,8 @@ class KalmanFilter:
             row = np.zeros(order)
             row[:nx] = c[0, axis]
             if axis < len(ZEROS):
-                row[axis - len(ZEROS)] = 1.0
+                row[self._zeros.start + axis] = 1.0
+            row[self._errors] = by_error[axis]
             gain = self.covariance @ row
             total = float(row @ gain) + variance[axis]
             scale = total**-0.5

@@ -82,6 +82,6 @@ def _make_twin(chosen: TwinRig, parameters: Mapping[str, float], false_alarm_int
             "the board does not report the counts per turn of its encoders",
             "set elevation_counts_per_rev, pitch_counts_per_rev and travel_counts_per_rev on the board",
         )
-    model = TwinModel(chosen.model, chosen.rig)
+    model = TwinModel(chosen.model, chosen.rig, chosen.calibration.uncertainty)
     twin = Twin(model, chosen.calibration, count_rad, TICK_S, false_alarm_interval_h, with_ghost=True)
     return TickTwin(twin, count_rad)

@@ -158,7 +158,7 @@ def _monitor(
             f"{label} has no row between {low:g} and {high:g} s", "give --from and --to within the flight"
         )
     part = samples.select(rows)
-    model = TwinModel(chosen.model, chosen.rig)
+    model = TwinModel(chosen.model, chosen.rig, chosen.calibration.uncertainty)
     twin = Twin(model, chosen.calibration, count_rad, sample_s, false_alarm_interval_h, zero_s=zero_s)
     twin.records_evidence = True
     events = twin.update(part) + twin.finish()

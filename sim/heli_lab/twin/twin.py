@@ -15,7 +15,7 @@ from heli_lab.estimation import BLOCK_s
 from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.free_flight import FreeFlight
 from heli_lab.twin.ghost import Ghost
-from heli_lab.twin.kalman_filter import ZEROS, KalmanFilter, TwinModel, start_state
+from heli_lab.twin.kalman_filter import KalmanFilter, TwinModel, start_state
 from heli_lab.twin.likelihood_ratio import RECENT, WINDOW_BLOCKS, ChangeCandidate, LikelihoodRatio
 from heli_lab.twin.samples import Samples, Step, Stepper
 
@@ -191,7 +191,7 @@ class Twin:
         elif (step.index - self._began) % self._block == 0:
             yield from self._end_block(kalman, step, since_s, acting_V)
         if self._ghost is not None:
-            zero_rad = kalman.mean[-len(ZEROS) :]
+            zero_rad = kalman.zero_rad
             self._ghost.step(since_s, acting_V, kalman.state, kalman.steady_torque_Nm, zero_rad)
         kalman.predict(since_s, acting_V)
 
