@@ -19,7 +19,7 @@ from heli_host.log.flight_file import read_flight
 from heli_lab.estimation import estimate
 from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
 from heli_lab.twin.files import DEFAULT_CALIBRATION, TwinRig
-from heli_lab.twin.learn import learn
+from heli_lab.twin.learn import DRAWN_s, learn
 from heli_lab.twin.monitor import TwinReport, monitor_flight
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
@@ -108,9 +108,10 @@ def identified(pair: str, back: bool = False) -> TwinRig:
     return TwinRig(numbers, MultibodyModel(effects), DEFAULT_CALIBRATION, pair)
 
 
-def trained(twin: TwinRig, name: str) -> TwinRig:
+def trained(twin: TwinRig, name: str, drawn_s: float = DRAWN_s) -> TwinRig:
     """Train a twin on a flight, as `heli-host twin --learn` does."""
-    return replace(twin, calibration=learn(twin.model, twin.rig, [part(name)], [name]))
+    calibration = learn(twin.model, twin.rig, [part(name)], [name], seconds=drawn_s)
+    return replace(twin, calibration=calibration)
 
 
 def lost(flight: Flight, loss: Loss, at_s: float) -> Flight:
@@ -142,6 +143,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Print some lines for each pair and direction, then the totals; exit status 2 without the flights."""
     parser = argparse.ArgumentParser(prog="python -m tests.twin.measured", description=__doc__)
     add_pairs(parser)
+    parser.add_argument("--drawn-s", type=float, default=DRAWN_s, help="drawn evidence of each training")
     given = parser.parse_args(arguments)
     if not MEASURED.exists():
         print(NO_DATA)
@@ -151,7 +153,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for pair in given.pairs or PAIRS:
         for back in (False, True):
             teaches, judges = PAIRS[pair][::-1] if back else PAIRS[pair]
-            twin = trained(identified(pair, back), teaches)
+            twin = trained(identified(pair, back), teaches, given.drawn_s)
             threshold_nats = twin.calibration.threshold_nats(FALSE_ALARM_INTERVAL_h)
             flight = part(judges)
             report = monitor_flight(twin, flight, judges, FALSE_ALARM_INTERVAL_h)

@@ -9,7 +9,8 @@ import pytest
 from heli_host.flight import Flight
 from heli_lab.estimation import DisturbanceModel
 from heli_lab.twin import twin as twin_module
-from heli_lab.twin.calibration import Calibration, Tail
+from heli_lab.twin.calibration import Calibration
+from heli_lab.twin.tail import Tail
 from heli_lab.twin.flights import count_rad_of, samples_of
 from heli_lab.twin.healthy_flights import fly_simulated, random_plan, with_process_noise
 from heli_lab.twin.kalman_filter import KalmanFilter, TwinModel

@@ -65,6 +65,9 @@ class TwinReport:
         """Describe the result for people, one sentence per alarm."""
         if not self.free_s:
             return ["no free flight to compare"]
+        contradictions = [event.text for event in self.events if event.kind == "contradicts"]
+        if contradictions:
+            return [*contradictions, *(event.text for event in self.alarms)]
         if not self.alarms:
             evidence = f"evidence: {self.max_evidence_nats:.1f} nats at most"
             return [f"no change of the rig in {self.free_s:.0f} s ({evidence})"]
