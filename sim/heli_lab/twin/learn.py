@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 from heli_host.arrays import Floats
 from heli_host.errors import FlightAborted
 from heli_host.flight import Flight
@@ -46,9 +47,14 @@ flight. Shorter: the innovations lose the dependence that a model with small err
 _LEAST_s: Final = 10.0
 """Shortest free flight along which evidence is drawn, s: an onset needs some seconds to show. Longer: short
 flights are refused. Shorter: the draws contain no whole excursion."""
-_INFORMED: Final = (0.005, 0.995)
-"""Quantiles of the voltages between which the nominal flights inform the model. Closer together: usual voltages
-count as unknown. Farther apart: single spikes count as flown."""
+_BEYOND: Final = 0.1
+"""Share by which voltages may exceed those of the nominal flights, for the model to count as known: of their
+range below, so that a rotor that brakes or reverses for the first time is noticed; of the voltage above, where
+a weaker supply leads. Larger: unknown physics is taken for a change. Smaller: little of another flight counts."""
+_KICK: Final = 4.0
+"""Innovation of a kick, in standard deviations. Draws leave out `_PIECE` measurements before and after it: a
+kick is an event, not the noise between kicks, and the twin cuts its evidence off. Larger: one kick sets the
+threshold. Smaller: the noise is taken for calmer than it is."""
 
 _TRIES: Final = 3
 """Greatest number of attempts per flight: the board does not arm if gusts move the arm on the table."""
@@ -143,7 +149,8 @@ def learn_rig(
     _, covariance, _ = gauss_newton_step(every, theta, innovations)
     own = covariance[: len(shared), : len(shared)]
     free_V = np.vstack([record.voltages_V[start:stop] for record in records for start, stop in record.segments])
-    low_V, high_V = np.quantile(free_V, _INFORMED, axis=0)
+    least_V, most_V = free_V.min(axis=0), free_V.max(axis=0)
+    low_V, high_V = least_V - _BEYOND * (most_V - least_V), (1.0 + _BEYOND) * most_V
     return disturbances, ParameterUncertainty(tuple(shared), own, SUPPLY_STD, low_V, high_V)
 
 
@@ -228,14 +235,14 @@ class Draws:
     Parameters
     ----------
     pieces : sequence of ndarray (n, 3)
-        Innovations of each flight, in standard deviations. An axis whose innovations are smaller than stated
+        Innovations of each flight, in standard deviations; kicks are left out. An axis whose innovations are smaller than stated
         is scaled up to the stated size: a filter never counts as better than it claims.
     rng : numpy.random.Generator
         Source of the random places and signs.
     """
 
     def __init__(self, pieces: Sequence[Floats], rng: np.random.Generator) -> None:
-        every = np.vstack(list(pieces))
+        every = np.vstack([piece[~_near_kicks(piece)] for piece in pieces])
         size = np.sqrt(np.mean(every**2, axis=0)) if len(every) else np.ones(3)
         self._every: Floats = every / np.clip(size, 1e-6, 1.0)
         self._rng = rng
@@ -251,6 +258,14 @@ class Draws:
         value = self._sign * self._every[self._place % len(self._every)]
         self._place += 1
         return np.asarray(value)
+
+
+def _near_kicks(innovations: Floats) -> npt.NDArray[np.bool_]:
+    """Which rows of innovations, (n, 3), are no farther than `_PIECE` from a kick."""
+    kicks = np.flatnonzero(np.any(np.abs(innovations) > _KICK, axis=1))
+    rows = np.arange(len(innovations))
+    near = np.any(np.abs(rows[:, None] - kicks) <= _PIECE, axis=1)
+    return near if not near.all() else np.zeros(len(rows), bool)
 
 
 def _learn_simulated(model: Model, rig: Rig, seed: int, say: Say) -> Calibration:

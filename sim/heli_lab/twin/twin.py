@@ -17,7 +17,7 @@ from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.free_flight import FreeFlight
 from heli_lab.twin.ghost import Ghost
 from heli_lab.twin.kalman_filter import KalmanFilter, TwinModel, start_state
-from heli_lab.twin.likelihood_ratio import RECENT, WINDOW_BLOCKS, ChangeCandidate, LikelihoodRatio
+from heli_lab.twin.likelihood_ratio import RECENT, WINDOW_BLOCKS, ChangeCandidate, Innovation, LikelihoodRatio
 from heli_lab.twin.samples import Samples, Step, Stepper
 
 DIAGNOSIS_DELAY_s: Final = 3.0
@@ -41,6 +41,15 @@ longer than the lag of any rotor."""
 PERSISTENCE_BLOCKS: Final = 6
 """Number of measurements, 40 ms apart, over which evidence must persist before it counts: 0.24 s. Fewer:
 rounding that a gust makes larger raises an alarm. More: sudden changes are reported that much later."""
+UNKNOWN_s: Final = 0.5
+"""Time after a voltage that no nominal flight shows for which measurements carry no evidence, s: some lags of a
+rotor. Longer: aggressive flights hide changes. Shorter: what an unknown voltage does is taken for a change."""
+OUTLIER: Final = 4.0
+"""Size at which an innovation is cut off for the evidence (Huber), in standard deviations: a kick then counts
+8 nats at most for each measurement. Of normal innovations, one in four seconds is 3
+and one in three minutes is 4. Larger: a single kick of a
+real rig raises an alarm, and one in a nominal flight sets the threshold to 60 nats. Smaller: encoder jumps of a
+few counts are missed."""
 MIN_SCALE_ERROR: Final = 0.25
 """Error of an encoder's scale that is named even if a flight begins with it: a decoder that counts half the
 edges. Larger: such a decoder is not named. Smaller: a model of another day's rig is taken for one."""
@@ -154,6 +163,8 @@ class Twin:
         self._diagnosed = self._recalibrates = self._is_early = False
         self._squares: Floats = np.zeros(3)
         self._squared = 0
+        self._unknown_until = -1
+        """Last step after voltages that no nominal flight shows."""
 
     @property
     def ghost_rad(self) -> Floats | None:
@@ -205,6 +216,8 @@ class Twin:
         if not free or (step.landing and (self._alarm_block is None or self._diagnosed)):
             yield from self._wait(step.index, "landing, on the table, at a stop, or motors off")
             return
+        if np.any(self.model.uncertainty.outside_V(acting_V) > 0.0):
+            self._unknown_until = step.index + round(UNKNOWN_s / self.step_s)
         kalman = self._kalman
         if kalman is None:
             if step.measured_rad is None:
@@ -260,10 +273,14 @@ class Twin:
             innovation = kalman.update(
                 since_s, step.measured_rad, step.samples, volts_V, amount, self._onset_rad()
             )
-            self._squares += innovation.value**2 * (block * self.block_s > FILTER_SETTLING_s)
-            self._squared += block * self.block_s > FILTER_SETTLING_s
             if self.replace_innovation is not None:
                 innovation = replace(innovation, value=self.replace_innovation(innovation.value))
+            if step.index <= self._unknown_until:
+                innovation = Innovation(np.zeros(3), np.zeros_like(innovation.sensitivity))
+            elif block * self.block_s > FILTER_SETTLING_s:
+                self._squares += innovation.value**2
+                self._squared += 1
+            innovation = replace(innovation, value=np.clip(innovation.value, -OUTLIER, OUTLIER))
             self._latest_nats.append(ratio.update(innovation))
             self.evidence_nats = min(self._latest_nats)
         self._angles_rad[block % len(self._angles_rad)] = kalman.state[:3]
