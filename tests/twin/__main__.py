@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from heli_host.flight import Flight
 from heli_lab.twin.calibration import Calibration
+from heli_lab.twin.draws import NO_ALARM
 from heli_lab.twin.flights import count_rad_of, samples_of
 from heli_lab.twin.kalman_filter import TwinModel
-from heli_lab.twin.learn import NO_ALARM
 from heli_lab.twin.monitor import monitor_flight
 from heli_lab.twin.tail import Tail, segment_maxima
 from heli_lab.twin.twin import Twin

@@ -1,8 +1,8 @@
 """Twins of real machines: ``python -m tests.twin.measured``; needs ../shared/data/measured.
 
-The rig is identified on one flight of a pair, with the effects that docs/validation/measured-flights.md names.
-Its twin is trained on the same flight, then watches the other one: as it is, and with a loss of voltage hidden
-from the middle on. Both flights of a pair take both parts.
+The rig is identified on one flight of a pair, with the effects that docs/validation/measured-flights.md
+names. Its twin is trained on the same flight, then watches the other one: as it is, and with a loss of
+voltage hidden from the middle on. Both flights of a pair take both parts.
 """
 
 from __future__ import annotations
@@ -36,7 +36,9 @@ WITHIN_s: Final = 3.0
 
 @dataclass(frozen=True)
 class Loss:
-    """A hidden loss: the share of each voltage that does not reach its rotor, and the names that are right."""
+    """A hidden loss: the share of each voltage that does not reach its rotor, and the names that are
+    right.
+    """
 
     text: str
     front: float

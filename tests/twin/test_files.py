@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import heli_host
 import numpy as np
 import pytest
 from heli_host.cli import run
@@ -21,7 +20,11 @@ CALIBRATION = Calibration(
     Tail(5.0, 140.0, 1.25, 30, 0.04, 52.5),
     'two flights, "a" and b',
     ParameterUncertainty(
-        ("L_a", "M_w"), np.array([[4e-6, 1e-5], [1e-5, 9e-4]]), 0.03, np.array([1.5, -0.5]), np.array([4.0, 5.0])
+        ("L_a", "M_w"),
+        np.array([[4e-6, 1e-5], [1e-5, 9e-4]]),
+        0.03,
+        np.array([1.5, -0.5]),
+        np.array([4.0, 5.0]),
     ),
 )
 
@@ -104,7 +107,8 @@ def test_learning_from_a_healthy_flight_writes_a_file_that_the_twin_takes(
     assert run(["fly", "hover", "--sil", "--speed", "max", "--log", str(flown)]) == 0
     # Draws take seconds: here the evidence of each is this.
     evidence = [(0.04 * number, 0.001 * (number % 977)) for number in range(1500)]
-    monkeypatch.setattr(learn, "evidence", lambda *_: evidence)
+    monkeypatch.setattr(learn, "evidence", lambda *_: (evidence, np.ones((1500, 3))))
+    monkeypatch.setattr(learn, "drawn_evidence", lambda *_: 12 * [evidence])
     assert run(["twin", "--rig", "makki2024", "--nominal", str(flown), "--learn", str(file)]) == 0
     told = capsys.readouterr().out
     assert f"files: {file}" in told and "almost no disturbances" in told

@@ -11,13 +11,13 @@ from heli_host.flight import Flight
 from heli_lab.estimation import DisturbanceModel
 from heli_lab.twin import twin as twin_module
 from heli_lab.twin.calibration import Calibration
-from heli_lab.twin.tail import Tail
+from heli_lab.twin.draws import evidence
 from heli_lab.twin.flights import count_rad_of, samples_of
 from heli_lab.twin.healthy_flights import fly_simulated, random_plan, with_process_noise
 from heli_lab.twin.kalman_filter import KalmanFilter, TwinModel
-from heli_lab.twin.learn import evidence
 from heli_lab.twin.likelihood_ratio import ONSETS
 from heli_lab.twin.parameter_uncertainty import EXACT, SUPPLY_STD
+from heli_lab.twin.tail import Tail
 from heli_lab.twin.twin import Twin
 from heli_sim.model import MultibodyModel
 from heli_sim.model.linear import trim
@@ -105,7 +105,9 @@ def test_sensitivities_are_what_a_change_does_to_the_innovations(monkeypatch: py
 
 @pytest.mark.medium
 def test_no_variance_turns_negative_however_large_the_disturbances_are() -> None:
-    """Rounding made one negative in a filter that subtracts from its covariance; its power was not a number."""
+    """Rounding made one negative in a filter that subtracts from its covariance; its power was not a
+    number.
+    """
     rig = load_rig("makki2024")
     model = TwinModel(MultibodyModel(), rig)
     hover = trim(MultibodyModel(), rig)
@@ -127,7 +129,6 @@ def test_another_supply_than_the_rig_s_is_estimated_and_no_change() -> None:
     most = {}
     for uncertainty in (EXACT, replace(EXACT, supply_std=SUPPLY_STD)):
         twin = TwinModel(MultibodyModel(), rig, uncertainty)
-        most[uncertainty.supply_std] = max(
-            nats for _, nats in evidence(twin, DISTURBANCES, weak) if np.isfinite(nats)
-        )
+        history, _ = evidence(twin, DISTURBANCES, weak)
+        most[uncertainty.supply_std] = max(nats for _, nats in history if np.isfinite(nats))
     assert most[SUPPLY_STD] < 10.0 < most[0.0]

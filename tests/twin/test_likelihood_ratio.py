@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from heli_lab.twin.tail import SEGMENT_s, Tail, fit_tail
 from heli_lab.twin.changes import all_changes
 from heli_lab.twin.likelihood_ratio import KEPT, ONSETS, RECENT, Innovation, LikelihoodRatio
+from heli_lab.twin.tail import SEGMENT_s, Tail, fit_tail
 
 from tests.estimation.density import log_density
 

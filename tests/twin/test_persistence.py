@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from heli_lab.twin import twin as twin_module
 from heli_lab.twin.calibration import Calibration
-from heli_lab.twin.tail import Tail
 from heli_lab.twin.changes import Change, all_changes
 from heli_lab.twin.files import DEFAULT_CALIBRATION
 from heli_lab.twin.likelihood_ratio import ONSETS, ChangeCandidate, Innovation, LikelihoodRatio
 from heli_lab.twin.samples import Samples
+from heli_lab.twin.tail import Tail
 from heli_lab.twin.twin import PERSISTENCE_BLOCKS, DIAGNOSIS_DELAY_s, Twin
 from heli_sim.rig import load_rig
 

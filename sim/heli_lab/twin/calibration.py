@@ -46,8 +46,8 @@ class Calibration:
     uncertainty: ParameterUncertainty = EXACT
 
     def threshold_nats(self, false_alarm_interval_h: float) -> float:
-        """Return the alarm threshold [nats] for one false alarm per `false_alarm_interval_h`, or for the longest
-        interval that the healthy flights support.
+        """Return the alarm threshold [nats] for one false alarm per `false_alarm_interval_h`, or for the
+        longest interval that the healthy flights support.
         """
         return self.tail.threshold_nats(false_alarm_interval_h)
 

@@ -42,9 +42,9 @@ effects after a simulation from rest."""
 
 
 _HELD_s: Final = 0.2
-"""Length of an excursion of the voltage beyond those of the nominal flights, s: for so long, the effect of the
-excess is unknown by as much as it is. A rotor that is braked for a moment, for example. Longer: a single
-excursion hides changes for seconds. Shorter: what the rig does there is taken for a change."""
+"""Length of an excursion of the voltage beyond those of the nominal flights, s: for so long, the effect of
+the excess is unknown by as much as it is. A rotor that is braked for a moment, for example. Longer: a
+single excursion hides changes for seconds. Shorter: what the rig does there is taken for a change."""
 _REPEATS: Final = 10.0
 """Greatest number of measurements, 40 ms apart, of an angle within one count that together count as one,
 because their errors are equal, not independent. At 1, slow travel in hover shows 19 nats of dry friction in
@@ -85,8 +85,8 @@ class TwinModel:
         self.functions = model_functions(more, free)
         self.uncertainty = uncertainty
         self.directions: Floats = uncertainty.directions(free)
-        """Amount of each free parameter per standard deviation of each unknown error, (parameters + 1, errors);
-        the last row is the supply."""
+        """Amount of each free parameter per standard deviation of each unknown error, (parameters + 1,
+        errors); the last row is the supply."""
         more = self.functions.model.source
         self.plain = model_functions(more, ())
         """The same functions without derivatives by changes, which is faster."""
@@ -297,7 +297,9 @@ class KalmanFilter:
             transition[:nx, first : first + 3] = push
         transition[:nx, self._errors] = by_error
         np.fill_diagonal(transition[nx:, nx:], self._memory[nx:])
-        after = self.state + gamma @ rates[0, :, 0] + push @ self.torque_Nm + by_error @ self.mean[self._errors]
+        after = (
+            self.state + gamma @ rates[0, :, 0] + push @ self.torque_Nm + by_error @ self.mean[self._errors]
+        )
         self.mean[nx:] *= self._memory[nx:]
         self.mean[:nx] = after
         if twin.resets is not None:

@@ -1,19 +1,19 @@
 """Calibrates a twin on nominal flights: disturbances, uncertainty of the rig, and the tail of the evidence.
 
-The evidence without a change is drawn along the nominal flights themselves. The filter follows the flight, and
-its innovations are replaced by pieces of its own innovations in another order and with random signs. So no
-simulation under gains that may not hold the rig is needed. The errors of the rig's parameters are states of the
-filter, drawn from their covariance: innovations and sensitivities already contain them.
+The evidence without a change is drawn along the nominal flights themselves. The filter follows the flight,
+and its innovations are replaced by pieces of its own innovations in another order and with random signs. So
+no simulation under gains that may not hold the rig is needed. The errors of the rig's parameters are states
+of the filter, drawn from their covariance: innovations and sensitivities already contain them.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from heli_host.arrays import Floats
 from heli_host.errors import FlightAborted
 from heli_host.flight import Flight
@@ -25,37 +25,30 @@ from heli_sim.rig import Rig
 from heli_lab.errors import TwinError
 from heli_lab.estimation import BLOCK_s, DisturbanceModel, InnovationsModel, LinearisedFlight, estimate
 from heli_lab.estimation.estimate import gauss_newton_step
-from heli_lab.identify import Record, prepare
+from heli_lab.identify import prepare
 from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
 from heli_lab.twin.calibration import DEFAULT_DISTURBANCES, Calibration
-from heli_lab.twin.flights import count_rad_of, samples_of
+from heli_lab.twin.draws import Draws, drawn_evidence, evidence
+from heli_lab.twin.flights import count_rad_of
 from heli_lab.twin.healthy_flights import fly_simulated, random_plan, with_process_noise
 from heli_lab.twin.kalman_filter import TwinModel
 from heli_lab.twin.parameter_uncertainty import SUPPLY_STD, ParameterUncertainty
-from heli_lab.twin.tail import Tail, fit_tail
-from heli_lab.twin.twin import FILTER_SETTLING_s, Twin
+from heli_lab.twin.tail import fit_tail
+from heli_lab.twin.twin import FILTER_SETTLING_s
 
 DRAWN_s: Final = 720.0
-"""Time of flight for which the evidence is drawn, s. It gives some 30 excursions, and a standard error of 18 %
-for the scale of the tail. More: minutes of waiting. Less: thresholds that chance sets."""
+"""Time of flight for which the evidence is drawn, s. It gives some 30 excursions, and a standard error of
+18 % for the scale of the tail. More: minutes of waiting. Less: thresholds that chance sets."""
 FLIGHTS: Final = 12
 """Number of simulated flights of a rig without nominal flights, one minute each, for the same reason."""
-_PIECE: Final = 25
-"""Length of the pieces of innovations, in measurements: 1 s. Longer: few different draws from half a minute of
-flight. Shorter: the innovations lose the dependence that a model with small errors leaves in them."""
-
 _LEAST_s: Final = 10.0
 """Shortest free flight along which evidence is drawn, s: an onset needs some seconds to show. Longer: short
 flights are refused. Shorter: the draws contain no whole excursion."""
 _BEYOND: Final = 0.1
-"""Share by which voltages may exceed those of the nominal flights, for the model to count as known: of their
-range below, so that a rotor that brakes or reverses for the first time is noticed; of the voltage above, where
-a weaker supply leads. Larger: unknown physics is taken for a change. Smaller: little of another flight counts."""
-_KICK: Final = 4.0
-"""Innovation of a kick, in standard deviations. Draws leave out `_PIECE` measurements before and after it: a
-kick is an event, not the noise between kicks, and the twin cuts its evidence off. Larger: one kick sets the
-threshold. Smaller: the noise is taken for calmer than it is."""
-
+"""Share by which voltages may exceed those of the nominal flights, for the model to count as known: of
+their range below, so that a rotor that brakes or reverses for the first time is noticed; of the voltage
+above, where a weaker supply leads. Larger: unknown physics is taken for a change. Smaller: little of
+another flight counts."""
 _TRIES: Final = 3
 """Greatest number of attempts per flight: the board does not arm if gusts move the arm on the table."""
 DETECTABLE_WITHIN_s: Final = 0.5
@@ -64,9 +57,6 @@ the correlation time of the gusts of a quiet room. Longer: the lower bound admit
 Shorter: the lower bound exceeds the gusts of a quiet room."""
 _FEW: Final = 1.0 / 3.0
 """Share of a quiet room's gusts below which a warning is given."""
-NO_ALARM: Final = Tail(np.inf, 0.0, 0.0, 1)
-"""Tail of a twin that raises no alarm."""
-
 Say = Callable[[str, float], None]
 
 
@@ -116,8 +106,8 @@ def has_few_disturbances(disturbances: DisturbanceModel) -> bool:
 def learn_rig(
     model: Model, rig: Rig, healthy: Sequence[Flight], labels: Sequence[str]
 ) -> tuple[DisturbanceModel, ParameterUncertainty]:
-    """Estimate the disturbances in nominal flights, named `labels`, with the bounds of `at_least_rounding`, and
-    how uncertain these flights leave the rig's parameters.
+    """Estimate the disturbances in nominal flights, named `labels`, with the bounds of `at_least_rounding`,
+    and how uncertain these flights leave the rig's parameters.
 
     The parameters keep the rig's values; encoder zeros and constant torques are estimated per flight. The
     tolerances of the rig file are what is known beforehand.
@@ -148,7 +138,9 @@ def learn_rig(
     innovations = filtered.innovations_by_flight(disturbances)
     _, covariance, _ = gauss_newton_step(every, theta, innovations)
     own = covariance[: len(shared), : len(shared)]
-    free_V = np.vstack([record.voltages_V[start:stop] for record in records for start, stop in record.segments])
+    free_V = np.vstack(
+        [record.voltages_V[start:stop] for record in records for start, stop in record.segments]
+    )
     least_V, most_V = free_V.min(axis=0), free_V.max(axis=0)
     low_V, high_V = least_V - _BEYOND * (most_V - least_V), (1.0 + _BEYOND) * most_V
     return disturbances, ParameterUncertainty(tuple(shared), own, SUPPLY_STD, low_V, high_V)
@@ -196,76 +188,23 @@ def learn(
     say("disturbances of the nominal flights", 0.0)
     disturbances, uncertainty = learn_rig(model, rig, healthy, labels)
     twin = TwinModel(model, rig, uncertainty)
-    histories, pieces = [], []
+    histories, innovations = [], []
     for flight, label in zip(healthy, labels, strict=True):
         say(f"evidence in {label}", 0.1)
-        innovations: list[Floats] = []
-        histories.append(evidence(twin, disturbances, flight, recorder(innovations)))
-        pieces.append(np.array(innovations[round(FILTER_SETTLING_s / BLOCK_s) :]).reshape(-1, 3))
+        history, own = evidence(twin, disturbances, flight)
+        histories.append(history)
+        innovations.append(own[round(FILTER_SETTLING_s / BLOCK_s) :])
     healthy_s = BLOCK_s * sum(map(len, histories))
     if healthy_s < _LEAST_s:
         raise TwinError(
             f"{healthy_s:.1f} s of free nominal flight are too short for a threshold",
             f"give flights with at least {_LEAST_s:g} s in the air",
         )
-    draw = Draws(pieces, np.random.default_rng([seed, 32]))
-    drawn_s = healthy_s
-    number = 0
-    while drawn_s < seconds:
-        say(f"draws of the evidence: {drawn_s:.0f} of {seconds:.0f} s", 0.1 + 0.9 * drawn_s / seconds)
-        histories.append(evidence(twin, disturbances, healthy[number % len(healthy)], draw))
-        drawn_s += BLOCK_s * len(histories[-1])
-        number += 1
+    draws = Draws(innovations, math.ceil(seconds / healthy_s), np.random.default_rng([seed, 32]))
+    for number, flight in enumerate(healthy):
+        say(f"draws along {labels[number]}", 0.3 + 0.7 * number / len(healthy))
+        histories += drawn_evidence(twin, disturbances, flight, draws)
     return Calibration(disturbances, fit_tail(histories, healthy_s), ", ".join(labels), uncertainty)
-
-
-def recorder(innovations: list[Floats]) -> Callable[[Floats], Floats]:
-    """Return a function that keeps the innovations that it gets in a list, and returns them unchanged."""
-
-    def keep(value: Floats) -> Floats:
-        innovations.append(value.copy())
-        return value
-
-    return keep
-
-
-class Draws:
-    """Innovations of healthy flights in another order: pieces from random places, with random signs.
-
-    Parameters
-    ----------
-    pieces : sequence of ndarray (n, 3)
-        Innovations of each flight, in standard deviations; kicks are left out. An axis whose innovations are smaller than stated
-        is scaled up to the stated size: a filter never counts as better than it claims.
-    rng : numpy.random.Generator
-        Source of the random places and signs.
-    """
-
-    def __init__(self, pieces: Sequence[Floats], rng: np.random.Generator) -> None:
-        every = np.vstack([piece[~_near_kicks(piece)] for piece in pieces])
-        size = np.sqrt(np.mean(every**2, axis=0)) if len(every) else np.ones(3)
-        self._every: Floats = every / np.clip(size, 1e-6, 1.0)
-        self._rng = rng
-        self._place, self._left, self._sign = 0, 0, 1.0
-
-    def __call__(self, _value: Floats) -> Floats:
-        """Return the next innovation of the draw, (3,), instead of the filter's own one."""
-        if not self._left:
-            self._place = int(self._rng.integers(len(self._every)))
-            self._sign = float(self._rng.choice((-1.0, 1.0)))
-            self._left = _PIECE
-        self._left -= 1
-        value = self._sign * self._every[self._place % len(self._every)]
-        self._place += 1
-        return np.asarray(value)
-
-
-def _near_kicks(innovations: Floats) -> npt.NDArray[np.bool_]:
-    """Which rows of innovations, (n, 3), are no farther than `_PIECE` from a kick."""
-    kicks = np.flatnonzero(np.any(np.abs(innovations) > _KICK, axis=1))
-    rows = np.arange(len(innovations))
-    near = np.any(np.abs(rows[:, None] - kicks) <= _PIECE, axis=1)
-    return near if not near.all() else np.zeros(len(rows), bool)
 
 
 def _learn_simulated(model: Model, rig: Rig, seed: int, say: Say) -> Calibration:
@@ -283,24 +222,6 @@ def _learn_simulated(model: Model, rig: Rig, seed: int, say: Say) -> Calibration
             flight = fly_simulated(flown, rig, random_plan(flight_seed), flight_seed)
         except FlightAborted:
             continue
-        histories.append(evidence(twin, DEFAULT_DISTURBANCES, flight))
+        histories.append(evidence(twin, DEFAULT_DISTURBANCES, flight)[0])
     source = f"{FLIGHTS} simulated flights, seed {seed}"
     return Calibration(DEFAULT_DISTURBANCES, fit_tail(histories), source)
-
-
-def evidence(
-    twin: TwinModel,
-    disturbances: DisturbanceModel,
-    flight: Flight,
-    replace_innovation: Callable[[Floats], Floats] | None = None,
-) -> list[tuple[float, float]]:
-    """Return the times [s] and the evidence [nats] of a flight, without raising an alarm; the innovations may
-    be replaced.
-    """
-    samples, sample_s = samples_of(flight)
-    never = Calibration(disturbances, NO_ALARM)
-    follower = Twin(twin, never, count_rad_of(flight, twin.rig), sample_s)
-    follower.records_evidence = True
-    follower.replace_innovation = replace_innovation
-    follower.update(samples)
-    return follower.evidence_history

@@ -50,7 +50,9 @@ class TickTwin:
         return None if ghost is None else (float(ghost[0]), float(ghost[1]), float(ghost[2]))
 
     def words(self) -> str:
-        """Return the twin's status in one line: the newest alarm or contradiction, or whether it compares or waits."""
+        """Return the twin's status in one line: the newest alarm or contradiction, or whether it compares
+        or waits.
+        """
         if self._alarm_text:
             return f"Twin: {self._alarm_text}"
         return _COMPARES if self._twin.free else _WAITS

@@ -10,9 +10,10 @@ import numpy as np
 from heli_host.arrays import Floats
 
 SUPPLY_STD: Final = 0.03
-"""Standard deviation of the supply voltage between days, as a share: a supply set by hand, amplifiers that are
-warm or cold. By judgement. The first seconds of a flight show the supply to a percent, so this number hardly
-matters. Smaller: another day's supply contradicts the rig. Larger: a flight needs longer to settle."""
+"""Standard deviation of the supply voltage between days, as a share: a supply set by hand, amplifiers that
+are warm or cold. By judgement. The first seconds of a flight show the supply to a percent, so this number
+hardly matters. Smaller: another day's supply contradicts the rig. Larger: a flight needs longer to
+settle."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,9 @@ class ParameterUncertainty:
     high_V: Floats
 
     def outside_V(self, volts_V: Floats) -> Floats:
-        """Return by how much voltages, (2,), are outside the range for which the parameters hold [V], (2,)."""
+        """Return by how much voltages, (2,), are outside the range for which the parameters hold [V],
+        (2,).
+        """
         return np.maximum(self.low_V - volts_V, 0.0) + np.maximum(volts_V - self.high_V, 0.0)
 
     def directions(self, free: Sequence[str]) -> Floats:

@@ -1,4 +1,4 @@
-"""The tail of the evidence without a change: a generalised Pareto tail above the block maxima's upper fifth."""
+"""The tail of the evidence without a change: a generalised Pareto tail of block maxima."""
 
 from __future__ import annotations
 

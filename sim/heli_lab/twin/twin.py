@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -26,30 +26,30 @@ useful. Shorter: a step and a fade look alike."""
 FILTER_SETTLING_s: Final = 1.0
 """Time for which the filter estimates state, encoder zeros and torques before it looks for changes, s."""
 CALIBRATION_s: Final = 8.0
-"""Time in which the filter estimates what differs between days, s: supply, encoder zeros, constant torques, and
-the parameters within their covariance. `diagnose` takes the same. What contradicts the model so early was
-wrong from the start. Longer: an early change is not named. Shorter: another day's supply is taken for a
+"""Time in which the filter estimates what differs between days, s: supply, encoder zeros, constant torques,
+and the parameters within their covariance. `diagnose` takes the same. What contradicts the model so early
+was wrong from the start. Longer: an early change is not named. Shorter: another day's supply is taken for a
 change."""
 MAX_MEAN_SQUARE: Final = 2.0
 """Mean square of an axis' innovations in `CALIBRATION_s` above which the model is not this rig's; 1 is what
-the model states. 175 innovations with the outliers of real flights (kurtosis 6) have a standard error of 0.17,
-so chance needs six of them. Larger: flights that no model here explains raise alarms later. Smaller: a day
-with gusts 1.4 times as large contradicts the rig."""
+the model states. 175 innovations with the outliers of real flights (kurtosis 6) have a standard error of
+0.17, so chance needs six of them. Larger: flights that no model here explains raise alarms later. Smaller:
+a day with gusts 1.4 times as large contradicts the rig."""
 _HISTORY_s: Final = 2.0
 """Length of the flight before the filter begins from which the states of effects are integrated, s: far
 longer than the lag of any rotor."""
 PERSISTENCE_BLOCKS: Final = 6
 """Number of measurements, 40 ms apart, over which evidence must persist before it counts: 0.24 s. Fewer:
 rounding that a gust makes larger raises an alarm. More: sudden changes are reported that much later."""
-UNKNOWN_s: Final = 0.5
-"""Time after a voltage that no nominal flight shows for which measurements carry no evidence, s: some lags of a
-rotor. Longer: aggressive flights hide changes. Shorter: what an unknown voltage does is taken for a change."""
+UNKNOWN_s: Final = FILTER_SETTLING_s
+"""Time after a voltage that no nominal flight shows for which measurements carry no evidence, s: the filter
+has to settle again. Longer: aggressive flights hide changes. Shorter: what an unknown voltage does is taken
+for a change."""
 OUTLIER: Final = 4.0
-"""Size at which an innovation is cut off for the evidence (Huber), in standard deviations: a kick then counts
-8 nats at most for each measurement. Of normal innovations, one in four seconds is 3
-and one in three minutes is 4. Larger: a single kick of a
-real rig raises an alarm, and one in a nominal flight sets the threshold to 60 nats. Smaller: encoder jumps of a
-few counts are missed."""
+"""Size at which an innovation is cut off for the evidence (Huber), in standard deviations: a kick then
+counts 8 nats at most for each measurement. Of normal innovations, one in four minutes is larger. Larger: a
+single kick of a real rig raises an alarm, and one in a nominal flight sets the threshold to 60 nats.
+Smaller: encoder jumps of a few counts are missed."""
 MIN_SCALE_ERROR: Final = 0.25
 """Error of an encoder's scale that is named even if a flight begins with it: a decoder that counts half the
 edges. Larger: such a decoder is not named. Smaller: a model of another day's rig is taken for one."""
@@ -120,8 +120,6 @@ class Twin:
         True if this flight contradicted the model from the start; the twin then names no change of it.
     evidence_history : list of (float, float)
         Time [s] and evidence [nats] of each measurement, recorded if `records_evidence` is set.
-    replace_innovation : callable, optional
-        Takes each innovation, (3,), and returns the one from which the evidence is computed.
     """
 
     def __init__(
@@ -139,7 +137,6 @@ class Twin:
         self.threshold_nats = calibration.threshold_nats(false_alarm_interval_h)
         self.evidence_nats = -math.inf
         self.free = self.has_alarm = self.contradicts = False
-        self.replace_innovation: Callable[[Floats], Floats] | None = None
         self.records_evidence = False
         self.evidence_history: list[tuple[float, float]] = []
         self._count_rad, self._zero_s = count_rad, zero_s
@@ -154,7 +151,7 @@ class Twin:
         self._volts: deque[Floats] = deque(maxlen=self._delayed + 1)
         self._motors_since_s = math.nan
         self._kalman: KalmanFilter | None = None
-        self._ratio = LikelihoodRatio(model.changes, count_rad)
+        self._ratio = self._new_ratio()
         self._latest_nats: deque[float] = deque([-math.inf] * PERSISTENCE_BLOCKS, PERSISTENCE_BLOCKS)
         self._angles_rad: Floats = np.zeros((WINDOW_BLOCKS + math.ceil(DIAGNOSIS_DELAY_s / BLOCK_s) + 1, 3))
         """Angles [rad] at the ends of the latest blocks; block k is in row k modulo the number of rows."""
@@ -233,6 +230,9 @@ class Twin:
             self._ghost.step(since_s, acting_V, kalman.state, kalman.steady_torque_Nm, zero_rad)
         kalman.predict(since_s, acting_V)
 
+    def _new_ratio(self) -> LikelihoodRatio:
+        return LikelihoodRatio(self.model.changes, self._count_rad)
+
     def _begin(self, index: int) -> KalmanFilter:
         times, angles, volts = (np.array(values) for values in zip(*self._history, strict=True))
         self.free = True
@@ -242,7 +242,9 @@ class Twin:
         return self._restart(index, start_state(self.model, times, angles, volts, self.step_s), False)
 
     def _restart(self, index: int, state: Floats, changed: bool) -> KalmanFilter:
-        """Begin to filter from a state; after an alarm (`changed`) all possible changes are unknown constants."""
+        """Begin to filter from a state; after an alarm (`changed`) all possible changes are unknown
+        constants.
+        """
         self._kalman = KalmanFilter(
             self.model,
             self.calibration.disturbances,
@@ -252,7 +254,7 @@ class Twin:
             state,
             is_changed=changed,
         )
-        self._ratio = LikelihoodRatio(self.model.changes, self._count_rad)
+        self._ratio = self._new_ratio()
         self._latest_nats.extend([-math.inf] * PERSISTENCE_BLOCKS)
         self._began, self._blocks = index, 0
         self._alarm_block, self._diagnosed, self._recalibrates = None, False, changed
@@ -273,16 +275,12 @@ class Twin:
             innovation = kalman.update(
                 since_s, step.measured_rad, step.samples, volts_V, amount, self._onset_rad()
             )
-            if self.replace_innovation is not None:
-                innovation = replace(innovation, value=self.replace_innovation(innovation.value))
             if step.index <= self._unknown_until:
                 innovation = Innovation(np.zeros(3), np.zeros_like(innovation.sensitivity))
             elif block * self.block_s > FILTER_SETTLING_s:
                 self._squares += innovation.value**2
                 self._squared += 1
-            innovation = replace(innovation, value=np.clip(innovation.value, -OUTLIER, OUTLIER))
-            self._latest_nats.append(ratio.update(innovation))
-            self.evidence_nats = min(self._latest_nats)
+            self._weigh(innovation)
         self._angles_rad[block % len(self._angles_rad)] = kalman.state[:3]
         if self.records_evidence:
             self.evidence_history.append((t_s, self.evidence_nats))
@@ -306,6 +304,12 @@ class Twin:
         if fresh and block * self.block_s >= FILTER_SETTLING_s:
             ratio.begin_onset(block, kalman.state_sensitivity)
 
+    def _weigh(self, innovation: Innovation) -> None:
+        """Add an innovation to the evidence."""
+        value = np.clip(innovation.value, -OUTLIER, OUTLIER)
+        self._latest_nats.append(self._ratio.update(replace(innovation, value=value)))
+        self.evidence_nats = min(self._latest_nats)
+
     def _compare_spread(self, block: int, t_s: float) -> Iterator[TwinEvent]:
         """Compare the innovations' mean square with the stated one, once, at the end of `CALIBRATION_s`."""
         is_due = block == math.floor(CALIBRATION_s / self.block_s) and self._squared > 0
@@ -316,7 +320,8 @@ class Twin:
         if mean_square[worst] > MAX_MEAN_SQUARE:
             spread = mean_square[worst] ** 0.5
             yield self._contradicts(
-                t_s, f"{AXES[worst]} differs from its predictions {spread:.1f} times as much as the disturbances do"
+                t_s,
+                f"{AXES[worst]} differs from its predictions by {spread:.1f} times the stated deviation",
             )
 
     def _contradicts(self, t_s: float, why: str) -> TwinEvent:
@@ -351,7 +356,9 @@ class Twin:
         if self._is_early:
             first = self._ratio.ranking()[0]
             if not first.change.is_scale or abs(first.size) < MIN_SCALE_ERROR:
-                yield self._contradicts(t_s, f"the flight contradicts the rig by {self.evidence_nats:.0f} nats")
+                yield self._contradicts(
+                    t_s, f"the flight contradicts the rig by {self.evidence_nats:.0f} nats"
+                )
                 return
             self.has_alarm = True
             yield self._ranked_event("alarm", t_s)
