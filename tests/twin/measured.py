@@ -86,8 +86,9 @@ def part(name: str) -> Flight:
     """Read the part of a flight that its description calls sound."""
     flight = read_flight(MEASURED / f"{name}.csv.gz")
     rows = (flight.t_s >= FROM_s) & (flight.t_s < LANDS_s.get(name, np.inf))
+    elevation_rad, pitch_rad, travel_rad = flight.angles_rad[rows].T
     front_V, back_V = flight.front_V[rows], flight.back_V[rows]
-    return Flight(flight.t_s[rows], front_V, back_V, *flight.angles_rad[rows].T, meta=flight.meta)
+    return Flight(flight.t_s[rows], front_V, back_V, elevation_rad, pitch_rad, travel_rad, meta=flight.meta)
 
 
 def identified(pair: str, back: bool = False) -> TwinRig:

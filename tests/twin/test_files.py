@@ -56,8 +56,8 @@ def test_a_rig_alone_has_the_usual_weather() -> None:
         ("scale_nats", "scale", "tail.scale_nats"),
         ("excesses = 30", "excesses = 0", "tail.excesses"),
         ("healthy_s = 52.5", "healthy_s = nan", "tail.healthy_s"),
-        ("  [4e-06, 1e-05],\n", "", "parameters.covariance is not 2 rows of 2 numbers"),
-        ("supply_std = 0.03", "supply_std = 0", "parameters.supply_std"),
+        ("  [4e-06, 1e-05],\n", "", "parameters.covariance does not have 2 rows"),
+        ("supply_std = 0.03", "supply_std = inf", "parameters.supply_std"),
         ("low_V = [1.5, -0.5]", "low_V = [1.5]", "parameters.low_V"),
     ],
 )

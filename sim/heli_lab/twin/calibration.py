@@ -145,26 +145,28 @@ def parse_calibration(data: Mapping[str, Any], name: str) -> Calibration:
 
 
 def _parse_uncertainty(table: Mapping[str, Any], name: str) -> ParameterUncertainty:
-    names, supply_std = table.get("names"), table.get("supply_std")
+    names = table.get("names")
     if not isinstance(names, list) or not all(isinstance(entry, str) for entry in names):
         raise TwinError(f"{name}: parameters.names is not a list of names", _AGAIN)
-    if not _is_positive(supply_std):
-        raise TwinError(f"{name}: parameters.supply_std is not a positive number", _AGAIN)
-    rows = table.get("covariance")
     count = len(names)
-    is_square = isinstance(rows, list) and len(rows) == count
-    if not is_square or not all(
-        isinstance(row, list) and len(row) == count and all(map(_is_number, row)) for row in rows
-    ):
-        raise TwinError(f"{name}: parameters.covariance is not {count} rows of {count} numbers", _AGAIN)
-    volts_V = []
-    for key in ("low_V", "high_V"):
-        pair = table.get(key)
-        if not isinstance(pair, list) or len(pair) != _ROTORS or not all(map(_is_number, pair)):
-            raise TwinError(f"{name}: parameters.{key} is not two numbers", _AGAIN)
-        volts_V.append(np.array(pair, float))
-    covariance = np.array(rows, float).reshape(count, count)
-    return ParameterUncertainty(tuple(names), covariance, float(supply_std), *volts_V)
+    rows = table.get("covariance")
+    if not isinstance(rows, list) or len(rows) != count:
+        raise TwinError(f"{name}: parameters.covariance does not have {count} rows", _AGAIN)
+    covariance = [_numbers(row, count, f"{name}: a row of parameters.covariance") for row in rows]
+    (supply_std,) = _numbers([table.get("supply_std")], 1, f"{name}: parameters.supply_std")
+    return ParameterUncertainty(
+        tuple(names),
+        np.array(covariance, float).reshape(count, count),
+        float(supply_std),
+        _numbers(table.get("low_V"), _ROTORS, f"{name}: parameters.low_V"),
+        _numbers(table.get("high_V"), _ROTORS, f"{name}: parameters.high_V"),
+    )
+
+
+def _numbers(values: Any, count: int, what: str) -> Floats:
+    if not isinstance(values, list) or len(values) != count or not all(map(_is_number, values)):
+        raise TwinError(f"{what} is not {count} numbers", _AGAIN)
+    return np.array(values, float)
 
 
 _TAIL_NUMBERS: Final[Mapping[str, float | None]] = {

@@ -22,6 +22,10 @@ from heli_lab.twin.twin import OUTLIER, PERSISTENCE_BLOCKS, Twin
 PIECE: Final = 25
 """Length of the pieces of innovations, in measurements: 1 s. Longer: few different draws from half a minute
 of flight. Shorter: the innovations lose the dependence that a model with small errors leaves in them."""
+_DAY_STD: Final = 0.1
+"""Standard deviation of the logarithm of the size of a day's innovations. By judgement: half a minute of flight
+leaves it open to 0.05, and days differ. Each draw is a day. Larger: weak changes stay hidden. Smaller: a
+day with slightly larger gusts raises alarms."""
 NO_ALARM: Final = Tail(np.inf, 0.0, 0.0, 1)
 """Tail of a twin that raises no alarm."""
 
@@ -47,6 +51,7 @@ class Draws:
         self._every: Floats = np.vstack([flight[~_near_kicks(flight)] for flight in innovations])
         self._rng, self.count = rng, count
         self._place, self._sign = np.zeros(count, int), np.ones(count)
+        self._size: Floats = np.exp(_DAY_STD * rng.normal(size=(count, 3)))
         self._left = 0
 
     def next(self) -> Floats:
@@ -56,7 +61,7 @@ class Draws:
             self._sign = self._rng.choice((-1.0, 1.0), size=self.count)
             self._left = PIECE
         self._left -= 1
-        values = self._sign[:, None] * self._every[self._place % len(self._every)]
+        values = self._size * self._sign[:, None] * self._every[self._place % len(self._every)]
         self._place = self._place + 1
         return np.asarray(values)
 

@@ -311,7 +311,7 @@ class KalmanFilter:
             unknown = np.zeros((2, self._order))
             unknown[:, :nx] = (gamma @ by_volts[0] * (outside_V * (_HELD_s / h) ** 0.5)).T
             rows = np.vstack((rows, unknown))
-        self._root = np.linalg.qr(rows, mode="r").T
+        self._root = np.asarray(np.linalg.qr(rows, mode="r")).T
         self._drive = transition @ self._drive
         self._drive[:nx] += drive
         self._transition = transition @ self._transition
