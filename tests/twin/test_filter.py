@@ -129,6 +129,6 @@ def test_another_supply_than_the_rig_s_is_estimated_and_no_change() -> None:
     most = {}
     for uncertainty in (EXACT, replace(EXACT, supply_std=SUPPLY_STD)):
         twin = TwinModel(MultibodyModel(), rig, uncertainty)
-        history, _ = evidence(twin, DISTURBANCES, weak)
+        history = evidence(twin, DISTURBANCES, weak).history
         most[uncertainty.supply_std] = max(nats for _, nats in history if np.isfinite(nats))
     assert most[SUPPLY_STD] < 10.0 < most[0.0]

@@ -13,6 +13,7 @@ from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.changes import Change, all_changes
 from heli_lab.twin.files import DEFAULT_CALIBRATION
 from heli_lab.twin.likelihood_ratio import ONSETS, ChangeCandidate, Innovation, LikelihoodRatio
+from heli_lab.twin.parameter_uncertainty import EXACT
 from heli_lab.twin.samples import Samples
 from heli_lab.twin.tail import Tail
 from heli_lab.twin.twin import PERSISTENCE_BLOCKS, DIAGNOSIS_DELAY_s, Twin
@@ -70,7 +71,12 @@ def said(
     monkeypatch.setattr(LikelihoodRatio, "update", lambda *_: next(told, 0.0))
     monkeypatch.setattr(LikelihoodRatio, "ranking", lambda _: [first, first])
     model: Any = SimpleNamespace(
-        rig=load_rig("makki2024"), delay_s=0.0, least_V=-math.inf, changes=CHANGES, scales=()
+        rig=load_rig("makki2024"),
+        delay_s=0.0,
+        least_V=-math.inf,
+        changes=CHANGES,
+        scales=(),
+        uncertainty=EXACT,
     )
     twin = Twin(
         model,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -15,7 +16,7 @@ from heli_lab.estimation import DisturbanceModel
 from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.flights import count_rad_of, samples_of
 from heli_lab.twin.kalman_filter import TwinModel
-from heli_lab.twin.likelihood_ratio import Innovation, LikelihoodRatio
+from heli_lab.twin.likelihood_ratio import Innovation, LikelihoodRatio, WINDOW_s
 from heli_lab.twin.tail import Tail
 from heli_lab.twin.twin import OUTLIER, PERSISTENCE_BLOCKS, Twin
 
@@ -23,9 +24,9 @@ PIECE: Final = 25
 """Length of the pieces of innovations, in measurements: 1 s. Longer: few different draws from half a minute
 of flight. Shorter: the innovations lose the dependence that a model with small errors leaves in them."""
 _DAY_STD: Final = 0.1
-"""Standard deviation of the logarithm of the size of a day's innovations. By judgement: half a minute of flight
-leaves it open to 0.05, and days differ. Each draw is a day. Larger: weak changes stay hidden. Smaller: a
-day with slightly larger gusts raises alarms."""
+"""Standard deviation of the logarithm of the size of a day's innovations. By judgement: half a minute of
+flight leaves it open to 0.05, and days differ. Each draw is a day. Larger: weak changes stay hidden.
+Smaller: a day with slightly larger gusts raises alarms."""
 NO_ALARM: Final = Tail(np.inf, 0.0, 0.0, 1)
 """Tail of a twin that raises no alarm."""
 
@@ -83,10 +84,13 @@ class _RecordingTwin(Twin):
         super().__init__(model, calibration, count_rad, sample_s)
         self.records_evidence = True
         self.innovations: list[Floats] = []
+        self.kicks_s: list[float] = []
 
     @override
     def _weigh(self, innovation: Innovation) -> None:
         self.innovations.append(innovation.value)
+        if np.any(np.abs(innovation.value) > OUTLIER):
+            self.kicks_s.append(self._block_end_s())
         super()._weigh(innovation)
 
 
@@ -113,26 +117,46 @@ class _DrawnTwin(Twin):
         self._latest = [*self._latest[1 - PERSISTENCE_BLOCKS :], evidence]
         if len(self._latest) == PERSISTENCE_BLOCKS:
             lasting = np.min(self._latest, axis=0)
-            t_s = (self._began + self._blocks * self._block) * self.step_s
+            t_s = self._block_end_s()
             for history, nats in zip(self.histories, lasting, strict=True):
                 history.append((t_s, float(nats)))
 
 
-def evidence(twin: TwinModel, disturbances: DisturbanceModel, flight: Flight) -> tuple[History, Floats]:
-    """Follow a flight without raising an alarm.
+@dataclass(frozen=True)
+class Followed:
+    """A flight that a twin followed without raising an alarm.
 
-    Returns
-    -------
+    Parameters
+    ----------
     history : list of (float, float)
         Time [s] and evidence [nats] of each measurement.
     innovations : ndarray (n, 3)
-        Its innovations, in standard deviations.
+        Innovations, in standard deviations.
+    kicks_s : tuple of float
+        Times of innovations above `OUTLIER` [s].
     """
+
+    history: History
+    innovations: Floats
+    kicks_s: tuple[float, ...]
+
+    def history_without_kicks(self) -> History:
+        """Return the history without the times at which a kick is in the window."""
+        return [
+            (t_s, nats)
+            for t_s, nats in self.history
+            if not any(kick_s <= t_s <= kick_s + WINDOW_s for kick_s in self.kicks_s)
+        ]
+
+
+def evidence(twin: TwinModel, disturbances: DisturbanceModel, flight: Flight) -> Followed:
+    """Follow a flight without raising an alarm."""
     samples, sample_s = samples_of(flight)
     never = Calibration(disturbances, NO_ALARM)
     follower = _RecordingTwin(twin, never, count_rad_of(flight, twin.rig), sample_s)
     follower.update(samples)
-    return follower.evidence_history, np.array(follower.innovations).reshape(-1, 3)
+    innovations = np.array(follower.innovations).reshape(-1, 3)
+    return Followed(follower.evidence_history, innovations, tuple(follower.kicks_s))
 
 
 def drawn_evidence(

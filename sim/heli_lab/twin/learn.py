@@ -28,7 +28,7 @@ from heli_lab.estimation.estimate import gauss_newton_step
 from heli_lab.identify import prepare
 from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
 from heli_lab.twin.calibration import DEFAULT_DISTURBANCES, Calibration
-from heli_lab.twin.draws import Draws, drawn_evidence, evidence
+from heli_lab.twin.draws import Draws, Followed, drawn_evidence, evidence
 from heli_lab.twin.flights import count_rad_of
 from heli_lab.twin.healthy_flights import fly_simulated, random_plan, with_process_noise
 from heli_lab.twin.kalman_filter import TwinModel
@@ -188,18 +188,19 @@ def learn(
     say("disturbances of the nominal flights", 0.0)
     disturbances, uncertainty = learn_rig(model, rig, healthy, labels)
     twin = TwinModel(model, rig, uncertainty)
-    histories, innovations = [], []
+    followed: list[Followed] = []
     for flight, label in zip(healthy, labels, strict=True):
         say(f"evidence in {label}", 0.1)
-        history, own = evidence(twin, disturbances, flight)
-        histories.append(history)
-        innovations.append(own[round(FILTER_SETTLING_s / BLOCK_s) :])
-    healthy_s = BLOCK_s * sum(map(len, histories))
+        followed.append(evidence(twin, disturbances, flight))
+    healthy_s = BLOCK_s * sum(len(flight.history) for flight in followed)
     if healthy_s < _LEAST_s:
         raise TwinError(
             f"{healthy_s:.1f} s of free nominal flight are too short for a threshold",
             f"give flights with at least {_LEAST_s:g} s in the air",
         )
+    settled = round(FILTER_SETTLING_s / BLOCK_s)
+    innovations = [flight.innovations[settled:] for flight in followed]
+    histories = [flight.history_without_kicks() for flight in followed]
     draws = Draws(innovations, math.ceil(seconds / healthy_s), np.random.default_rng([seed, 32]))
     for number, flight in enumerate(healthy):
         say(f"draws along {labels[number]}", 0.3 + 0.7 * number / len(healthy))
@@ -222,6 +223,6 @@ def _learn_simulated(model: Model, rig: Rig, seed: int, say: Say) -> Calibration
             flight = fly_simulated(flown, rig, random_plan(flight_seed), flight_seed)
         except FlightAborted:
             continue
-        histories.append(evidence(twin, DEFAULT_DISTURBANCES, flight)[0])
+        histories.append(evidence(twin, DEFAULT_DISTURBANCES, flight).history)
     source = f"{FLIGHTS} simulated flights, seed {seed}"
     return Calibration(DEFAULT_DISTURBANCES, fit_tail(histories), source)

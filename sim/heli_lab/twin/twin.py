@@ -304,6 +304,10 @@ class Twin:
         if fresh and block * self.block_s >= FILTER_SETTLING_s:
             ratio.begin_onset(block, kalman.state_sensitivity)
 
+    def _block_end_s(self) -> float:
+        """Time of the present measurement [s]."""
+        return (self._began + self._blocks * self._block) * self.step_s - self._zero_s
+
     def _weigh(self, innovation: Innovation) -> None:
         """Add an innovation to the evidence."""
         value = np.clip(innovation.value, -OUTLIER, OUTLIER)
