@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
@@ -13,7 +14,7 @@ from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.changes import Change, all_changes
 from heli_lab.twin.files import DEFAULT_CALIBRATION
 from heli_lab.twin.likelihood_ratio import ONSETS, ChangeCandidate, Innovation, LikelihoodRatio
-from heli_lab.twin.parameter_uncertainty import EXACT
+from heli_lab.twin.parameter_uncertainty import EXACT, ParameterUncertainty
 from heli_lab.twin.samples import Samples
 from heli_lab.twin.tail import Tail
 from heli_lab.twin.twin import PERSISTENCE_BLOCKS, DIAGNOSIS_DELAY_s, Twin
@@ -57,6 +58,7 @@ def said(
     off_after: int | None = None,
     lands_after: int | None = None,
     calibration_s: float = 0.0,
+    uncertainty: ParameterUncertainty = EXACT,
     change: Change = CHANGES[0],
     size: float = 0.1,
 ) -> list[tuple[str, int]]:
@@ -76,7 +78,7 @@ def said(
         least_V=-math.inf,
         changes=CHANGES,
         scales=(),
-        uncertainty=EXACT,
+        uncertainty=uncertainty,
     )
     twin = Twin(
         model,
@@ -168,3 +170,10 @@ def test_innovations_twice_as_large_as_stated_contradict_the_rig(monkeypatch: py
         monkeypatch.setattr(_Filter, "value", np.array([0.0, value, 0.0]))
         told = said(monkeypatch, 300 * LITTLE, calibration_s=8.0)
         assert [kind for kind, _ in told] == expected
+
+
+def test_a_voltage_that_no_nominal_flight_had_carries_no_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_Filter, "value", np.array([0.0, 2.0, 0.0]))
+    gentle = replace(EXACT, low_V=np.full(2, 1.5))
+    told = said(monkeypatch, 300 * LITTLE, calibration_s=8.0, uncertainty=gentle)
+    assert [kind for kind, _ in told] == ["free"]
