@@ -90,7 +90,8 @@ class LikelihoodRatio:
         Angle of one count of each encoder [rad].
     draws : int, optional
         Number of sequences of innovations with the same sensitivities that are followed together; without it
-        there is one. The window keeps the onsets of the draw with the largest evidence.
+        there is one. The window keeps the onsets of the draw with the largest evidence. The last draw ranks
+        the changes.
 
     Attributes
     ----------
@@ -123,6 +124,7 @@ class LikelihoodRatio:
         self._column_of = np.repeat(np.arange(len(changes)), [len(c.numbers) for c in changes])
         self._halves = 0
         self.evidence: Floats = np.full(shape, -np.inf)
+        self._last_evidence: Floats = self.evidence
 
     def ages(self, block: int) -> Floats:
         """Return the age of each onset at the end of `block`, in blocks, (columns, onsets); negative for
@@ -186,7 +188,8 @@ class LikelihoodRatio:
         sided = self._non_negative
         evidence[..., sided, :] += np.log(2.0) + log_ndtr(size[..., sided, :] / std[sided])
         evidence = np.where(np.isfinite(self._onset) & (np.abs(size) >= self._least), evidence, -np.inf)
-        self.evidence = evidence.reshape(-1, *self._onset.shape).max(axis=0)
+        each = evidence.reshape(-1, *self._onset.shape)
+        self.evidence, self._last_evidence = each.max(axis=0), each[-1]
         return np.asarray(evidence.max(axis=(-2, -1)))
 
     def _solved(self) -> tuple[Floats, Floats, Floats, Floats]:
@@ -217,9 +220,10 @@ class LikelihoodRatio:
     def ranking(self) -> list[ChangeCandidate]:
         """Return all changes, the most likely first; all onsets have the same prior probability."""
         size, std, _, _ = self._solved()
-        best = np.argmax(self.evidence, axis=1)
+        size = size.reshape(-1, *self._onset.shape)[-1]
+        best = np.argmax(self._last_evidence, axis=1)
         used = max(1, int(np.isfinite(self._onset[0]).sum()))
-        together = logsumexp(self.evidence, axis=1) - np.log(used)
+        together = logsumexp(self._last_evidence, axis=1) - np.log(used)
         candidates = [
             ChangeCandidate(
                 change,

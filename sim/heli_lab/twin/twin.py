@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -231,7 +231,8 @@ class Twin:
         kalman.predict(since_s, acting_V)
 
     def _new_ratio(self) -> LikelihoodRatio:
-        return LikelihoodRatio(self.model.changes, self._count_rad)
+        # The first draw, with outliers cut off, raises alarms; the second, as measured, ranks the changes.
+        return LikelihoodRatio(self.model.changes, self._count_rad, draws=2)
 
     def _begin(self, index: int) -> KalmanFilter:
         times, angles, volts = (np.array(values) for values in zip(*self._history, strict=True))
@@ -310,8 +311,8 @@ class Twin:
 
     def _weigh(self, innovation: Innovation) -> None:
         """Add an innovation to the evidence."""
-        value = np.clip(innovation.value, -OUTLIER, OUTLIER)
-        self._latest_nats.append(self._ratio.update(replace(innovation, value=value)))
+        values = np.stack((np.clip(innovation.value, -OUTLIER, OUTLIER), innovation.value))
+        self._latest_nats.append(float(self._ratio.update_draws(values, innovation.sensitivity)[0]))
         self.evidence_nats = min(self._latest_nats)
 
     def _compare_spread(self, block: int, t_s: float) -> Iterator[TwinEvent]:
