@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 from heli_host.flight import Flight
-from heli_lab.twin.calibration import Calibration, Tail, segment_maxima
+from heli_lab.twin.calibration import Calibration
+from heli_lab.twin.draws import NO_ALARM
 from heli_lab.twin.flights import count_rad_of, samples_of
 from heli_lab.twin.kalman_filter import TwinModel
-from heli_lab.twin.learn import NO_ALARM
 from heli_lab.twin.monitor import monitor_flight
+from heli_lab.twin.tail import Tail, segment_maxima
 from heli_lab.twin.twin import Twin
 from heli_sim.model.multibody import MultibodyModel
 from scipy.stats import binom
@@ -40,7 +41,7 @@ def main() -> None:
     )
     parser.add_argument("--seconds", type=float, default=60.0, help="in the air, of each of those flights")
     parser.add_argument("--changed", type=int, default=5, help="flights of each change and size")
-    parser.add_argument("--simulated", type=int, default=12, help="flights that set the alarm of each rig")
+    parser.add_argument("--drawn", type=int, default=12, help="minutes of evidence that set each alarm")
     parser.add_argument("--out", type=Path, default=Path("twin.json"))
     parser.add_argument("--read", action="store_true", help="only print what the file holds")
     asked = parser.parse_args()
@@ -54,7 +55,7 @@ def main() -> None:
 def fly_missing(asked: argparse.Namespace, results: dict[str, Any]) -> None:
     """Fly all rigs healthy, then each change and size, again and again on other rigs; write what comes."""
     seeds = range(1, asked.rigs + 1)
-    rig_of = cache(partial(known, simulated=asked.simulated))
+    rig_of = cache(partial(known, drawn=asked.drawn))
 
     def keep(text: str) -> None:
         asked.out.write_text(json.dumps(results, indent=1))
@@ -80,8 +81,14 @@ def of_healthy(rig: Known, count: int, seconds: float = 60.0) -> dict[str, Any]:
     """Fly one rig so many times, so many `seconds` each, with nothing changed."""
     tail = rig.twin.calibration.tail
     found: dict[str, Any] = {
-        "tail": [tail.level_nats, tail.per_hour, tail.scale_nats, tail.excesses],
-        "learned": [round(one, 2) for course in rig.evidence for one in segment_maxima(course)],
+        "tail": [
+            tail.level_nats,
+            tail.per_hour,
+            tail.scale_nats,
+            tail.excesses,
+            tail.shape,
+            tail.healthy_s,
+        ],
         "healthy": [],
         "changed": [],
     }
@@ -125,7 +132,7 @@ def sigmas(rig: Known, flight: Flight, name: str, size: float, onset_s: float) -
     """Standard errors that a change is large for who knows what changed and when, after `SEEN_s` of it."""
     samples, sample_s = samples_of(flight)
     never = Calibration(rig.twin.calibration.disturbances, NO_ALARM)
-    model = TwinModel(rig.twin.model, rig.twin.rig)
+    model = TwinModel(rig.twin.model, rig.twin.rig, rig.twin.calibration.uncertainty)
     twin = Twin(model, never, count_rad_of(flight, rig.rig), sample_s)
     zero = round(float(samples.number[0]) - float(flight.t_s[0]) / sample_s)
     rows = (samples.number - zero) * sample_s < onset_s + SEEN_s

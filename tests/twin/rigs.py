@@ -7,15 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from heli_host.errors import HeliError
 from heli_host.flight import Flight
-from heli_lab.estimation import BLOCK_s, DisturbanceModel, estimate
+from heli_lab.estimation import DisturbanceModel, estimate
 from heli_lab.identify import prepare
 from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
-from heli_lab.twin.calibration import Calibration, fit_tail
 from heli_lab.twin.files import TwinRig
-from heli_lab.twin.flights import count_rad_of
 from heli_lab.twin.healthy_flights import fly_simulated, random_plan, with_process_noise
-from heli_lab.twin.kalman_filter import TwinModel
-from heli_lab.twin.learn import at_least_rounding, evidence
+from heli_lab.twin.learn import learn
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Effect, Model
 from heli_sim.model.effects import parse_effects
@@ -43,15 +40,12 @@ class Known:
         True equations, weather among the effects.
     twin : TwinRig
         What the user has.
-    evidence : list
-        Of the flights that the alarm was set by.
     """
 
     seed: int
     rig: Rig
     model: Model
     twin: TwinRig
-    evidence: list[list[tuple[float, float]]]
 
 
 def true_rig(seed: int) -> tuple[Rig, Model, DisturbanceModel]:
@@ -77,21 +71,15 @@ def true_rig(seed: int) -> tuple[Rig, Model, DisturbanceModel]:
     return base.replace(**drawn), MultibodyModel(lag), disturbances
 
 
-def known(seed: int, simulated: int) -> Known:
-    """Draw a rig, fly it, identify it, and set the alarm by as many flights `simulated` of what was found."""
+def known(seed: int, drawn: int) -> Known:
+    """Draw a rig, fly it, identify it, and train its twin on so many minutes of `drawn` evidence."""
     rig, calm, disturbances = true_rig(seed)
     model = with_process_noise(calm, disturbances)
     training_flights = flights(model, rig, 10_000 * seed, TEACHING)
-    found, numbers, felt = identified(calm, training_flights)
-    twin = TwinModel(found, numbers)
-    references = [evidence(twin, felt, flight) for flight in training_flights]
-    training_s = BLOCK_s * sum(map(len, references))
-    again = with_process_noise(found, felt)
-    references += [
-        evidence(twin, felt, flight) for flight in flights(again, numbers, 10_000 * seed + 5_000, simulated)
-    ]
-    calibration = Calibration(felt, fit_tail(references, training_s))
-    return Known(seed, rig, model, TwinRig(numbers, found, calibration, f"rig {seed}"), references)
+    found, numbers = identified(calm, training_flights)
+    labels = [f"teaching {i}" for i in range(TEACHING)]
+    calibration = learn(found, numbers, training_flights, labels, seconds=60.0 * drawn, seed=seed)
+    return Known(seed, rig, model, TwinRig(numbers, found, calibration, f"rig {seed}"))
 
 
 def flights(model: Model, rig: Rig, seed: int, count: int, seconds: float = 60.0) -> list[Flight]:
@@ -107,8 +95,8 @@ def flights(model: Model, rig: Rig, seed: int, count: int, seconds: float = 60.0
     return found
 
 
-def identified(model: Model, training_flights: list[Flight]) -> tuple[Model, Rig, DisturbanceModel]:
-    """Estimate numbers and weather from flights, from the nominal rig and typical effects on."""
+def identified(model: Model, training_flights: list[Flight]) -> tuple[Model, Rig]:
+    """Estimate numbers from flights, from the nominal rig and typical effects on."""
     base = load_rig("makki2024")
     start = type(model)(parse_effects([effect.name for effect in model.effects]))
     records = [prepare(flight, base, f"teaching {i}") for i, flight in enumerate(training_flights)]
@@ -127,7 +115,4 @@ def identified(model: Model, training_flights: list[Flight]) -> tuple[Model, Rig
         replace(effect, values={name: values.get(name, was) for name, was in effect.values.items()})
         for effect in start.effects
     ]
-    disturbances = at_least_rounding(
-        found.disturbances, start, numbers, count_rad_of(training_flights[0], numbers)
-    )
-    return type(model)(tuple(effects)), numbers, disturbances
+    return type(model)(tuple(effects)), numbers

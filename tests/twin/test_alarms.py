@@ -35,7 +35,7 @@ def of(seed: int) -> Known:
         np.array([1.8, 1.4, 1.1]),
     )
     twin = TwinRig(rig, model, Calibration(felt, DEFAULT_CALIBRATION.tail), f"rig {seed}")
-    return Known(seed, rig, with_process_noise(model, disturbances), twin, [])
+    return Known(seed, rig, with_process_noise(model, disturbances), twin)
 
 
 def test_alarms_are_as_seldom_as_stated_and_changes_have_their_names() -> None:

@@ -4,20 +4,29 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import heli_host
 import numpy as np
 import pytest
 from heli_host.cli import run
 from heli_host.errors import HeliError
 from heli_lab.estimation import DisturbanceModel
 from heli_lab.twin import learn
-from heli_lab.twin.calibration import Calibration, Tail, fit_tail, write_calibration
+from heli_lab.twin.calibration import Calibration, write_calibration
+from heli_lab.twin.draws import Followed
 from heli_lab.twin.files import DEFAULT_CALIBRATION, open_rig
+from heli_lab.twin.parameter_uncertainty import ParameterUncertainty
+from heli_lab.twin.tail import Tail
 
 CALIBRATION = Calibration(
     DisturbanceModel(np.array([0.01, 0.002, 0.003]), np.array([0.4, 0.5, 0.6]), np.full(3, 1e-3), np.ones(3)),
-    Tail(5.0, 140.0, 1.25, 30),
+    Tail(5.0, 140.0, 1.25, 30, 0.04, 52.5),
     'two flights, "a" and b',
+    ParameterUncertainty(
+        ("L_a", "M_w"),
+        np.array([[4e-6, 1e-5], [1e-5, 9e-4]]),
+        0.03,
+        np.array([1.5, -0.5]),
+        np.array([4.0, 5.0]),
+    ),
 )
 
 
@@ -28,6 +37,10 @@ def test_a_file_gives_back_what_was_learned(tmp_path: Path) -> None:
     assert read.rig.name == "quanser-course"
     assert read.calibration.tail == CALIBRATION.tail and read.calibration.source == CALIBRATION.source
     assert np.array_equal(read.calibration.disturbances.fast_std, CALIBRATION.disturbances.fast_std)
+    known, written = read.calibration.uncertainty, CALIBRATION.uncertainty
+    assert known.names == written.names and known.supply_std == written.supply_std
+    for name in ("covariance", "low_V", "high_V"):
+        assert np.array_equal(getattr(known, name), getattr(written, name))
 
 
 def test_a_rig_alone_has_the_usual_weather() -> None:
@@ -43,6 +56,10 @@ def test_a_rig_alone_has_the_usual_weather() -> None:
         ("[tail]", "[tail", "is not TOML"),
         ("scale_nats", "scale", "tail.scale_nats"),
         ("excesses = 30", "excesses = 0", "tail.excesses"),
+        ("healthy_s = 52.5", "healthy_s = nan", "tail.healthy_s"),
+        ("  [4e-06, 1e-05],\n", "", "parameters.covariance does not have 2 rows"),
+        ("supply_std = 0.03", "supply_std = inf", "parameters.supply_std"),
+        ("low_V = [1.5, -0.5]", "low_V = [1.5]", "parameters.low_V"),
     ],
 )
 def test_what_is_wrong_with_a_file_is_told(tmp_path: Path, old: str, new: str, told: str) -> None:
@@ -89,10 +106,10 @@ def test_learning_from_a_healthy_flight_writes_a_file_that_the_twin_takes(
 ) -> None:
     flown, file = tmp_path / "monday.mcap", tmp_path / "mine.toml"
     assert run(["fly", "hover", "--sil", "--speed", "max", "--log", str(flown)]) == 0
-    # A minute of a simulated flight takes seconds: here each is the one that was flown.
+    # Draws take seconds: here the evidence of each is this.
     evidence = [(0.04 * number, 0.001 * (number % 977)) for number in range(1500)]
-    monkeypatch.setattr(learn, "fly_simulated", lambda *_: heli_host.read_flight(flown))
-    monkeypatch.setattr(learn, "evidence", lambda *_: evidence)
+    monkeypatch.setattr(learn, "evidence", lambda *_: Followed(evidence, np.ones((1500, 3)), ()))
+    monkeypatch.setattr(learn, "drawn_evidence", lambda *_: 12 * [evidence])
     assert run(["twin", "--rig", "makki2024", "--nominal", str(flown), "--learn", str(file)]) == 0
     told = capsys.readouterr().out
     assert f"files: {file}" in told and "almost no disturbances" in told
@@ -100,9 +117,10 @@ def test_learning_from_a_healthy_flight_writes_a_file_that_the_twin_takes(
     assert learned.rig.name == "makki2024"
     assert run(["twin", str(flown), "--rig", "quanser-course", "--to", "9"]) == 0
     assert "is a flight of rig makki2024, but the twin is of rig quanser-course" in capsys.readouterr().out
-    assert learned.calibration.source.startswith("monday.mcap and 12 simulated flights")
-    # A minute of flight taught it, whose error the alarm allows for.
-    assert learned.calibration.tail.level_nats == pytest.approx(fit_tail(13 * [evidence], 60.0).level_nats)
+    assert learned.calibration.source == "monday.mcap"
+    # A minute of flight supports one false alarm in two hours.
+    assert learned.calibration.tail.healthy_s == pytest.approx(60.0)
+    assert "one false alarm in 2 h in the air at best" in told
     # A simulated flight without weather has next to none of it.
     fast_std_Nm = learned.calibration.disturbances.fast_std
     assert np.any(fast_std_Nm < DEFAULT_CALIBRATION.disturbances.fast_std)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -9,12 +10,17 @@ import pytest
 from heli_host.flight import Flight
 from heli_lab.estimation import DisturbanceModel
 from heli_lab.twin import twin as twin_module
-from heli_lab.twin.calibration import Calibration, Tail
+from heli_lab.twin.calibration import Calibration
+from heli_lab.twin.draws import evidence
 from heli_lab.twin.flights import count_rad_of, samples_of
 from heli_lab.twin.healthy_flights import fly_simulated, random_plan, with_process_noise
 from heli_lab.twin.kalman_filter import KalmanFilter, TwinModel
+from heli_lab.twin.likelihood_ratio import ONSETS
+from heli_lab.twin.parameter_uncertainty import EXACT, SUPPLY_STD
+from heli_lab.twin.tail import Tail
 from heli_lab.twin.twin import Twin
 from heli_sim.model import MultibodyModel
+from heli_sim.model.linear import trim
 from heli_sim.rig import Rig, load_rig
 
 NO_ALARM = Tail(np.inf, 0.0, 0.0, 1)
@@ -95,3 +101,34 @@ def test_sensitivities_are_what_a_change_does_to_the_innovations(monkeypatch: py
     scale = np.abs(numeric).max()
     assert scale > 10.0
     assert np.sqrt(((linear - numeric) ** 2).mean()) < 0.05 * scale
+
+
+@pytest.mark.medium
+def test_no_variance_turns_negative_however_large_the_disturbances_are() -> None:
+    """Rounding made one negative in a filter that subtracts from its covariance; its power was not a
+    number.
+    """
+    rig = load_rig("makki2024")
+    model = TwinModel(MultibodyModel(), rig)
+    hover = trim(MultibodyModel(), rig)
+    vast = DisturbanceModel(np.full(3, 1e7), np.full(3, 5.0), np.full(3, 1e-3), np.full(3, 0.02))
+    kalman = KalmanFilter(model, vast, np.full(3, 1e-9), 0.01, 4, hover.state.copy())
+    amount, onset_rad = np.ones((model.weights.shape[1], ONSETS)), np.zeros((len(model.scales), ONSETS))
+    for _ in range(20):
+        for _ in range(4):
+            kalman.predict(0.0, hover.volts_V)
+        kalman.update(0.0, hover.state[:3], 1, hover.volts_V, amount, onset_rad)
+        assert np.all(np.diagonal(kalman.covariance) > 0.0)
+
+
+@pytest.mark.slow
+def test_another_supply_than_the_rig_s_is_estimated_and_no_change() -> None:
+    """What differs between days is a state of the filter, from its prior and the first seconds."""
+    rig, flight = healthy()
+    weak = replace(flight, front_V=flight.front_V / 0.96, back_V=flight.back_V / 0.96)
+    most = {}
+    for uncertainty in (EXACT, replace(EXACT, supply_std=SUPPLY_STD)):
+        twin = TwinModel(MultibodyModel(), rig, uncertainty)
+        history = evidence(twin, DISTURBANCES, weak).history
+        most[uncertainty.supply_std] = max(nats for _, nats in history if np.isfinite(nats))
+    assert most[SUPPLY_STD] < 10.0 < most[0.0]

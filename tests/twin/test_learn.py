@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from heli_lab.estimation import DisturbanceModel
+from heli_lab.twin.changes import all_changes
+from heli_lab.twin.draws import Draws
 from heli_lab.twin.learn import DETECTABLE_WITHIN_s, at_least_rounding
+from heli_lab.twin.likelihood_ratio import ONSETS, Innovation, LikelihoodRatio
 from heli_sim.model import MultibodyModel
 from heli_sim.model.linear import derivatives, trim
 from heli_sim.model.parts import AXES
@@ -68,3 +71,36 @@ def test_a_gust_too_short_to_show_is_raised_too() -> None:
         3.0 * floored(CALM).fast_std, np.full(3, DETECTABLE_WITHIN_s / 10), CALM.slow_std, np.ones(3)
     )
     assert np.array_equal(floored(long).fast_std, long.fast_std)
+
+
+def test_draws_are_pieces_of_the_innovations_without_kicks() -> None:
+    rng = np.random.default_rng(7)
+    innovations = rng.normal(size=(2000, 3))
+    innovations = np.clip(innovations, -3.5, 3.5)
+    innovations[900:903, 1] = 12.0, -9.0, 6.0
+    draws = Draws([innovations], 50, np.random.default_rng(8))
+    drawn = np.array([draws.next() for _ in range(400)])
+    assert drawn.shape == (400, 50, 3)
+    # The kick is an event of its own; days differ by a tenth.
+    assert np.abs(drawn).max() < 3.5 * np.exp(4 * 0.1)
+    assert np.allclose(np.sqrt(np.mean(drawn**2, axis=(0, 1))), 1.0, atol=0.1)
+    # Both signs of each piece occur, so a mean that a flight happens to have is not kept.
+    assert np.all(np.abs(drawn.mean(axis=(0, 1))) < 0.1)
+
+
+def test_draws_followed_together_have_the_evidence_of_each_alone() -> None:
+    rng = np.random.default_rng(9)
+    changes = all_changes()
+    columns = sum(len(change.numbers) for change in changes)
+    values = rng.normal(size=(10, 4, 3))
+    sensitivity = rng.normal(size=(10, 3, columns, ONSETS))
+    together = LikelihoodRatio(changes, COUNT_rad, 4)
+    alone = [LikelihoodRatio(changes, COUNT_rad) for _ in range(4)]
+    for block in range(10):
+        for ratio in (together, *alone):
+            ratio.begin_onset(block, np.zeros((2, columns, ONSETS)))
+        each = [
+            ratio.update(Innovation(values[block, draw], sensitivity[block]))
+            for draw, ratio in enumerate(alone)
+        ]
+        assert np.allclose(together.update_draws(values[block], sensitivity[block]), each)

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from heli_lab.twin.calibration import SEGMENT_s, Tail, fit_tail
 from heli_lab.twin.changes import all_changes
-from heli_lab.twin.likelihood_ratio import KEPT, ONSETS, RECENT, Innovation, LikelihoodRatio, WINDOW_s
+from heli_lab.twin.likelihood_ratio import KEPT, ONSETS, RECENT, Innovation, LikelihoodRatio
+from heli_lab.twin.tail import SEGMENT_s, Tail, fit_tail
 
 from tests.estimation.density import log_density
 
@@ -98,7 +98,7 @@ def test_a_tail_gives_the_rate_that_is_asked_for_however_few_it_was_fitted_to() 
     rng = np.random.default_rng(5)
     scale, per_hour = 1.5, 3600.0 / SEGMENT_s
     rates = []
-    for _ in range(800):
+    for _ in range(150):
         maxima = [(SEGMENT_s * i + (i > 0), 4.0 + scale * rng.exponential()) for i in range(100)]
         threshold = fit_tail([maxima]).threshold_nats(1.0)
         rates.append(per_hour * math.exp(-(threshold - 4.0) / scale))
@@ -110,17 +110,23 @@ def test_no_alarm_is_called_for_before_the_level() -> None:
     assert Tail(5.0, 100.0, 2.0, 20).threshold_nats(1e-6) == 5.0
 
 
-@pytest.mark.medium
-def test_numbers_that_were_found_in_flights_give_no_more_alarms_than_stated() -> None:
-    """Windows of two means that are known from flights six times as long: one error for all of a rig's."""
-    rng = np.random.default_rng(6)
-    rigs, windows, training_s, stated = 1000, 400, 90.0, 0.2
-    known = 0.5 * (rng.normal(size=(20_000, 2)) ** 2).sum(axis=1)
-    course = [(SEGMENT_s * i + 1.0, one) for i, one in enumerate(known)]
-    error = rng.normal(size=(rigs, 1, 2)) * (WINDOW_s / training_s) ** 0.5
-    found = 0.5 * ((rng.normal(size=(rigs, windows, 2)) + error) ** 2).sum(axis=2)
-    expected = rigs * windows * SEGMENT_s / 3600.0 / stated
-    alarms = np.sum(found > fit_tail([course], training_s).threshold_nats(stated))
-    believed = np.sum(found > fit_tail([course]).threshold_nats(stated))
-    assert 0.8 * expected < alarms < 1.2 * expected
-    assert believed > 1.7 * expected
+def test_the_supported_rate_is_one_per_hour_for_half_a_minute() -> None:
+    """A rarer false alarm than the healthy flights support is not promised."""
+    tail = Tail(5.0, 100.0, 1.5, 30, healthy_s=30.0)
+    assert tail.supported_interval_h == pytest.approx(1.0)
+    assert tail.threshold_nats(10.0) == tail.threshold_nats(1.0) > tail.threshold_nats(0.5)
+
+
+def test_an_uncertain_tail_has_a_higher_threshold() -> None:
+    """The mean chance over tails that differ is more than that of the mean tail; many excesses leave none."""
+    few, many = Tail(5.0, 100.0, 1.5, 5), Tail(5.0, 100.0, 1.5, 100_000)
+    assert many.threshold_nats(1.0) == pytest.approx(5.0 + 1.5 * math.log(100.0), rel=1e-2)
+    assert few.threshold_nats(1.0) > many.threshold_nats(1.0) + 1.0
+
+
+def test_two_large_excesses_give_no_boundless_threshold() -> None:
+    """Two outliers among quiet segments once gave alarm levels of thousands of nats."""
+    maxima = [3.0 + 0.01 * (i % 10) for i in range(60)]
+    maxima[7], maxima[31] = 20.0, 30.0
+    history = [(SEGMENT_s * i + 1.0, value) for i, value in enumerate(maxima)]
+    assert fit_tail([history], 300.0).threshold_nats(10.0) < 100.0

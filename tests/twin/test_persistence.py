@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 from heli_lab.twin import twin as twin_module
-from heli_lab.twin.calibration import Calibration, Tail
-from heli_lab.twin.changes import all_changes
+from heli_lab.twin.calibration import Calibration
+from heli_lab.twin.changes import Change, all_changes
 from heli_lab.twin.files import DEFAULT_CALIBRATION
-from heli_lab.twin.likelihood_ratio import ONSETS, ChangeCandidate, LikelihoodRatio
+from heli_lab.twin.likelihood_ratio import ONSETS, ChangeCandidate, Innovation, LikelihoodRatio
+from heli_lab.twin.parameter_uncertainty import EXACT, ParameterUncertainty
 from heli_lab.twin.samples import Samples
+from heli_lab.twin.tail import Tail
 from heli_lab.twin.twin import PERSISTENCE_BLOCKS, DIAGNOSIS_DELAY_s, Twin
 from heli_sim.rig import load_rig
 
@@ -31,16 +34,21 @@ COLUMNS = sum(len(change.numbers) for change in CHANGES)
 class _Filter:
     """Stands for a filter of which only the times of the measurements count."""
 
-    def __init__(self, *_: Any) -> None:
+    def __init__(self, *_: Any, **__: Any) -> None:
         self.mean, self.state, self.state_sensitivity = (
             np.zeros(17),
             np.zeros(6),
             np.zeros((17, COLUMNS, ONSETS)),
         )
 
+    value: ClassVar = np.zeros(3)
+
     def _nothing(self, *_: Any) -> None: ...
 
-    predict = propagate_sensitivity = update = _nothing
+    def update(self, *_: Any) -> Innovation:
+        return Innovation(self.value, np.zeros((3, COLUMNS, ONSETS)))
+
+    predict = propagate_sensitivity = _nothing
 
 
 def said(
@@ -49,18 +57,28 @@ def said(
     *,
     off_after: int | None = None,
     lands_after: int | None = None,
+    calibration_s: float = 0.0,
+    uncertainty: ParameterUncertainty = EXACT,
+    change: Change = CHANGES[0],
+    size: float = 0.1,
 ) -> list[tuple[str, int]]:
     """What the twin says, and after how many measurements, where their evidence is this; with motors off for
     a moment after so many of them, or in a landing from there on.
     """
     told = iter(evidence)
-    first = ChangeCandidate(CHANGES[0], 0, 0.1, 0.01, THRESHOLD_nats)
+    first = ChangeCandidate(change, 0, size, 0.01, THRESHOLD_nats)
+    monkeypatch.setattr(twin_module, "CALIBRATION_s", calibration_s)
     monkeypatch.setattr(twin_module, "KalmanFilter", _Filter)
     monkeypatch.setattr(twin_module, "start_state", lambda *_: np.zeros(6))
-    monkeypatch.setattr(LikelihoodRatio, "update", lambda *_: next(told, 0.0))
+    monkeypatch.setattr(LikelihoodRatio, "update_draws", lambda *_: np.full(2, next(told, 0.0)))
     monkeypatch.setattr(LikelihoodRatio, "ranking", lambda _: [first, first])
     model: Any = SimpleNamespace(
-        rig=load_rig("makki2024"), delay_s=0.0, least_V=-math.inf, changes=CHANGES, scales=()
+        rig=load_rig("makki2024"),
+        delay_s=0.0,
+        least_V=-math.inf,
+        changes=CHANGES,
+        scales=(),
+        uncertainty=uncertainty,
     )
     twin = Twin(
         model,
@@ -119,3 +137,43 @@ def test_what_parts_before_a_landing_is_named_in_it(monkeypatch: pytest.MonkeyPa
     named = PERSISTENCE_BLOCKS + round(DIAGNOSIS_DELAY_s / BLOCK_s)
     assert [kind for kind, _ in told] == ["free", "alarm", "diagnosed", "waits"]
     assert [number for _, number in told[1:3]] == [PERSISTENCE_BLOCKS, named]
+
+
+def test_after_an_alarm_a_second_change_raises_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    named = PERSISTENCE_BLOCKS + round(DIAGNOSIS_DELAY_s / BLOCK_s)
+    told = said(monkeypatch, named * MUCH + 50 * LITTLE + named * MUCH)
+    assert [kind for kind, _ in told] == ["free", "alarm", "diagnosed", "alarm", "diagnosed"]
+    assert told[3][1] == named + 50 + PERSISTENCE_BLOCKS
+
+
+def test_a_flight_that_contradicts_the_rig_at_once_names_no_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = said(monkeypatch, 10 * LITTLE + 400 * MUCH, calibration_s=8.0)
+    assert [kind for kind, _ in told] == ["free", "contradicts"]
+
+
+def test_evidence_after_the_first_seconds_is_a_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = said(monkeypatch, 201 * LITTLE + 80 * MUCH, calibration_s=8.0)
+    assert [kind for kind, _ in told] == ["free", "alarm", "diagnosed"]
+
+
+def test_a_decoder_that_counts_half_the_edges_is_named_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    (scale,) = (change for change in CHANGES if change.id == "encoder_scale.travel")
+    kinds = []
+    for size in (-0.5, -0.05):
+        told = said(monkeypatch, 100 * MUCH, calibration_s=8.0, change=scale, size=size)
+        kinds.append([kind for kind, _ in told][1])
+    assert kinds == ["alarm", "contradicts"]
+
+
+def test_innovations_twice_as_large_as_stated_contradict_the_rig(monkeypatch: pytest.MonkeyPatch) -> None:
+    for value, expected in ((1.2, ["free"]), (2.0, ["free", "contradicts"])):
+        monkeypatch.setattr(_Filter, "value", np.array([0.0, value, 0.0]))
+        told = said(monkeypatch, 300 * LITTLE, calibration_s=8.0)
+        assert [kind for kind, _ in told] == expected
+
+
+def test_a_voltage_that_no_nominal_flight_had_carries_no_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_Filter, "value", np.array([0.0, 2.0, 0.0]))
+    gentle = replace(EXACT, low_V=np.full(2, 1.5))
+    told = said(monkeypatch, 300 * LITTLE, calibration_s=8.0, uncertainty=gentle)
+    assert [kind for kind, _ in told] == ["free"]

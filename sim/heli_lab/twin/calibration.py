@@ -1,9 +1,9 @@
-"""The calibration of a twin: disturbances of the rig, and the tail of the evidence without a change."""
+"""The calibration of a twin: disturbances and uncertainty of the rig, and the tail of the evidence."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -14,101 +14,14 @@ from heli_host.arrays import Floats
 from heli_lab.errors import TwinError
 from heli_lab.estimation import DisturbanceModel
 from heli_lab.identify.flight_model import DISTURBANCE_START
-from heli_lab.twin.likelihood_ratio import WINDOW_s
+from heli_lab.twin.parameter_uncertainty import EXACT, ParameterUncertainty
+from heli_lab.twin.tail import Tail
 
-SEGMENT_s: Final = 5.0
-"""Length of the segments whose maxima are counted as excursions of the evidence, s. An onset stays in the
-window for some seconds. Longer: few excursions to fit. Shorter: one excursion counts several times, and the
-alarms are rarer than stated."""
-_LEVEL: Final = 0.8
-"""Share of the segments whose maxima lie below the level from which the tail is exponential."""
-_MIN_SCALE_nats: Final = 1.0
-"""Scale of the tail of a likelihood ratio for white innovations, nats: by Wilks it falls by e per nat."""
-_AXES: Final = 3
+_AXES, _ROTORS = 3, 2
 
 
 DEFAULT_DISTURBANCES: Final = replace(DISTURBANCE_START, quantisation=np.ones(3))
 """Disturbances of a rig without nominal flights: gusts of a quiet room, encoders that round."""
-
-
-@dataclass(frozen=True)
-class Tail:
-    """Exponential tail of the evidence without a change.
-
-    Parameters
-    ----------
-    level_nats : float
-        Evidence from which the tail is exponential [nats].
-    per_hour : float
-        Rate of excursions above the level, per hour of free flight.
-    scale_nats : float
-        Mean excess of an excursion over the level [nats].
-    excesses : int
-        Number of excursions from which the scale was estimated.
-    """
-
-    level_nats: float
-    per_hour: float
-    scale_nats: float
-    excesses: int
-
-    def threshold_nats(self, false_alarm_interval_h: float) -> float:
-        """Return the evidence that is exceeded once per `false_alarm_interval_h` of free flight [nats], on
-        average over the sampling of the excursions.
-
-        Given n exponential excesses with the sum T, another one exceeds c T with the probability (1 + c)^-n.
-        Therefore few excesses give a longer tail, and many give an exponential one.
-        """
-        wanted = max(self.per_hour * false_alarm_interval_h, 1.0)
-        beyond = self.excesses * math.expm1(math.log(wanted) / self.excesses)
-        return self.level_nats + self.scale_nats * beyond
-
-
-def segment_maxima(history: Sequence[tuple[float, float]]) -> list[float]:
-    """Return the largest evidence [nats] of each segment of `SEGMENT_s`; `history` holds times [s] and
-    evidence.
-    """
-    times, evidence = np.array(history, float).reshape(-1, 2).T
-    known = np.isfinite(evidence)
-    times, evidence = times[known], evidence[known]
-    if not len(times):
-        return []
-    number = ((times - times[0]) // SEGMENT_s).astype(int)
-    return [float(evidence[number == segment].max()) for segment in np.unique(number)]
-
-
-def fit_tail(flights: Sequence[Sequence[tuple[float, float]]], training_s: float = math.inf) -> Tail:
-    """Fit the tail of the evidence to nominal flights.
-
-    If the rig's parameters were estimated from flights, their errors add to the error of an estimate from one
-    window. The variance of the difference is larger by 1 + window / training time, and so is the evidence,
-    which is half a squared standard score. Flights that are simulated with the estimated parameters, and the
-    training flights themselves, do not show this.
-
-    Parameters
-    ----------
-    flights : sequence of sequence of (float, float)
-        Times [s] and evidence [nats] of each flight.
-    training_s : float
-        Length of the flights from which the rig's parameters were estimated [s]; infinite if these are exact.
-
-    Raises
-    ------
-    TwinError
-        The flights are too short.
-    """
-    maxima = [maximum for history in flights for maximum in segment_maxima(history)]
-    if len(maxima) < 10:
-        raise TwinError(
-            f"{len(maxima)} segments of {SEGMENT_s:g} s of nominal flight are too few for a threshold",
-            "give a longer flight",
-        )
-    level = float(np.quantile(maxima, _LEVEL))
-    over = np.array([maximum - level for maximum in maxima if maximum > level])
-    scale = max(float(over.mean()), _MIN_SCALE_nats)
-    flown_h = len(maxima) * SEGMENT_s / 3600.0
-    wider = 1.0 + WINDOW_s / training_s
-    return Tail(level * wider, len(over) / flown_h, scale * wider, len(over))
 
 
 @dataclass(frozen=True)
@@ -123,14 +36,19 @@ class Calibration:
         Tail of the evidence in nominal flights.
     source : str
         Flights from which both were estimated.
+    uncertainty : ParameterUncertainty
+        Errors of the rig's parameters, as far as these flights leave them open.
     """
 
     disturbances: DisturbanceModel
     tail: Tail
     source: str = ""
+    uncertainty: ParameterUncertainty = EXACT
 
     def threshold_nats(self, false_alarm_interval_h: float) -> float:
-        """Return the alarm threshold [nats] for one false alarm per `false_alarm_interval_h`."""
+        """Return the alarm threshold [nats] for one false alarm per `false_alarm_interval_h`, or for the
+        longest interval that the healthy flights support.
+        """
         return self.tail.threshold_nats(false_alarm_interval_h)
 
 
@@ -156,6 +74,25 @@ def calibration_text(calibration: Calibration, rig: str) -> str:
         f"per_hour = {tail.per_hour:.6g}\n"
         f"scale_nats = {tail.scale_nats:.6g}\n"
         f"excesses = {tail.excesses}\n"
+        f"shape = {tail.shape:.6g}\n"
+        f"healthy_s = {tail.healthy_s:.6g}\n"
+    ) + _uncertainty_text(calibration.uncertainty)
+
+
+def _uncertainty_text(uncertainty: ParameterUncertainty) -> str:
+    if not uncertainty.names and not uncertainty.supply_std:
+        return ""
+    names = ", ".join(map(_quoted, uncertainty.names))
+    rows = "".join(
+        "  [" + ", ".join(f"{value:.9g}" for value in row) + "],\n" for row in uncertainty.covariance
+    )
+    return (
+        "\n[parameters]\n"
+        f"names = [{names}]\n"
+        f"supply_std = {uncertainty.supply_std:.6g}\n"
+        f"low_V = [{', '.join(f'{value:.6g}' for value in uncertainty.low_V)}]\n"
+        f"high_V = [{', '.join(f'{value:.6g}' for value in uncertainty.high_V)}]\n"
+        f"covariance = [\n{rows}]\n"
     )
 
 
@@ -194,14 +131,52 @@ def parse_calibration(data: Mapping[str, Any], name: str) -> Calibration:
     if not isinstance(excesses, int) or isinstance(excesses, bool) or excesses < 1:
         raise TwinError(f"{name}: tail.excesses is not a count", _AGAIN)
     tail = {}
-    for key in ("level_nats", "per_hour", "scale_nats"):
-        value = _table(data, "tail", name).get(key)
-        if value is None or not _is_number(value):
+    for key, usual in _TAIL_NUMBERS.items():
+        value = _table(data, "tail", name).get(key, usual)
+        if not _is_number(value) and value != math.inf:
             raise TwinError(f"{name}: tail.{key} is not a number", _AGAIN)
         tail[key] = float(value)
     return Calibration(
-        DisturbanceModel(**numbers), Tail(**tail, excesses=excesses), str(data.get("source", ""))
+        DisturbanceModel(**numbers),
+        Tail(**tail, excesses=excesses),
+        str(data.get("source", "")),
+        _parse_uncertainty(_table(data, "parameters", name), name) if "parameters" in data else EXACT,
     )
+
+
+def _parse_uncertainty(table: Mapping[str, Any], name: str) -> ParameterUncertainty:
+    names = table.get("names")
+    if not isinstance(names, list) or not all(isinstance(entry, str) for entry in names):
+        raise TwinError(f"{name}: parameters.names is not a list of names", _AGAIN)
+    count = len(names)
+    rows = table.get("covariance")
+    if not isinstance(rows, list) or len(rows) != count:
+        raise TwinError(f"{name}: parameters.covariance does not have {count} rows", _AGAIN)
+    covariance = [_numbers(row, count, f"{name}: a row of parameters.covariance") for row in rows]
+    (supply_std,) = _numbers([table.get("supply_std")], 1, f"{name}: parameters.supply_std")
+    return ParameterUncertainty(
+        tuple(names),
+        np.array(covariance, float).reshape(count, count),
+        float(supply_std),
+        _numbers(table.get("low_V"), _ROTORS, f"{name}: parameters.low_V"),
+        _numbers(table.get("high_V"), _ROTORS, f"{name}: parameters.high_V"),
+    )
+
+
+def _numbers(values: Any, count: int, what: str) -> Floats:
+    if not isinstance(values, list) or len(values) != count or not all(map(_is_number, values)):
+        raise TwinError(f"{what} is not {count} numbers", _AGAIN)
+    return np.array(values, float)
+
+
+_TAIL_NUMBERS: Final[Mapping[str, float | None]] = {
+    "level_nats": None,
+    "per_hour": None,
+    "scale_nats": None,
+    "shape": 0.0,
+    "healthy_s": math.inf,
+}
+"""Numbers of the tail in a twin file, and what holds where a file has none."""
 
 
 _AGAIN: Final = "write it again with heli-host twin --learn"

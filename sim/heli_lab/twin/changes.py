@@ -55,6 +55,11 @@ class Change:
     is_ramp: bool = False
     non_negative: bool = False
 
+    @property
+    def is_scale(self) -> bool:
+        """Whether it is a wrong scale of an encoder."""
+        return self.numbers[0] in SCALES
+
     def words(self, size: float, std: float) -> str:
         """Describe the change with the estimate `size` of its first number and its standard error `std`."""
         return (self.negative_text if size < 0 else self.positive_text).format(

@@ -28,6 +28,7 @@ from heli_lab.estimation import AlongTrajectory, DisturbanceModel, Trajectory, _
 from heli_lab.identify.flight_model import TORQUE_STD_Nm, model_functions
 from heli_lab.twin.changes import SCALES, SUPPLY, Change, changes_of, extended, free_numbers
 from heli_lab.twin.likelihood_ratio import ONSETS, Innovation
+from heli_lab.twin.parameter_uncertainty import EXACT, ParameterUncertainty
 
 ZEROS: Final = ("offset_elevation", "offset_pitch")
 """Encoders with an observable zero. The zero of travel cannot be distinguished from a constant torque."""
@@ -40,6 +41,10 @@ _EFFECT_STATE_STD: Final = 0.3
 effects after a simulation from rest."""
 
 
+_HELD_s: Final = 0.2
+"""Length of an excursion of the voltage beyond those of the nominal flights, s: for so long, the effect of
+the excess is unknown by as much as it is. A rotor that is braked for a moment, for example. Longer: a
+single excursion hides changes for seconds. Shorter: what the rig does there is taken for a change."""
 _REPEATS: Final = 10.0
 """Greatest number of measurements, 40 ms apart, of an angle within one count that together count as one,
 because their errors are equal, not independent. At 1, slow travel in hover shows 19 nats of dry friction in
@@ -60,6 +65,8 @@ class TwinModel:
         disturbances.
     rig : Rig
         Parameters of the rig.
+    uncertainty : ParameterUncertainty
+        Errors of these parameters; exact without it.
 
     Attributes
     ----------
@@ -69,12 +76,17 @@ class TwinModel:
         Values of all parameters of the extended model.
     """
 
-    def __init__(self, model: Model, rig: Rig) -> None:
+    def __init__(self, model: Model, rig: Rig, uncertainty: ParameterUncertainty = EXACT) -> None:
         calm = type(model)(tuple(effect for effect in model.effects if not effect.noise_inputs))
         self.rig, self.model = rig, calm
         self.changes: tuple[Change, ...] = changes_of(calm)
         more = extended(calm)
-        self.functions = model_functions(more, free_numbers(self.changes))
+        free = tuple(dict.fromkeys((*free_numbers(self.changes), *uncertainty.names)))
+        self.functions = model_functions(more, free)
+        self.uncertainty = uncertainty
+        self.directions: Floats = uncertainty.directions(free)
+        """Amount of each free parameter per standard deviation of each unknown error, (parameters + 1,
+        errors); the last row is the supply."""
         more = self.functions.model.source
         self.plain = model_functions(more, ())
         """The same functions without derivatives by changes, which is faster."""
@@ -99,6 +111,9 @@ class TwinModel:
         """Amount of each free parameter per unit of each number of the changes, (parameters + 1, columns);
         the last row is the supply."""
         entries = [entry for change in self.changes for entry in change.numbers]
+        self.prior_sizes: Floats = np.array([size for change in self.changes for size in change.sizes])
+        """Prior standard deviation of each number of the changes, (columns,)."""
+        self.prior_changes: Floats = self.weights * self.prior_sizes
         self.scales = [
             (column, AXES.index(SCALES[entry])) for column, entry in enumerate(entries) if entry in SCALES
         ]
@@ -166,6 +181,8 @@ class KalmanFilter:
         Number of steps between two measurements.
     state : ndarray (n,)
         Initial state of the model.
+    is_changed : bool
+        True if the rig has changed before: each possible change is then an unknown constant of the flight.
 
     Attributes
     ----------
@@ -182,11 +199,26 @@ class KalmanFilter:
         step_s: float,
         block: int,
         state: Floats,
+        *,
+        is_changed: bool = False,
     ) -> None:
         self.twin, self.disturbances, self.step_s = twin, disturbances, step_s
         nx = self._nx = twin.states
-        order = self._order = nx + 9 + len(ZEROS)
-        self.mean: Floats = np.concatenate((state, np.zeros(9 + len(ZEROS))))
+        known = twin.directions.shape[1]
+        self._directions = np.hstack((twin.directions, twin.prior_changes)) if is_changed else twin.directions
+        """Amount of each free parameter per standard deviation of each unknown error."""
+        self._scale_errors = (
+            [(known + column, axis, twin.prior_sizes[column]) for column, axis in twin.scales]
+            if is_changed
+            else []
+        )
+        """For each unknown encoder scale: its place among the errors, its axis and standard deviation."""
+        self._start_rad: Floats = state[:3].copy()
+        errors = self._directions.shape[1]
+        self._errors = slice(nx + 9 + len(ZEROS), nx + 9 + len(ZEROS) + errors)
+        self._zeros = slice(nx + 9, nx + 9 + len(ZEROS))
+        order = self._order = self._errors.stop
+        self.mean: Floats = np.concatenate((state, np.zeros(order - nx)))
         constant = np.array([TORQUE_STD_Nm[f"torque_{axis}"] for axis in AXES])
         zeros = np.hypot(_COUNT_SHARE * count_rad[: len(ZEROS)], 0.5 * twin.zero_tolerance_rad)
         initial = np.concatenate(
@@ -198,20 +230,28 @@ class KalmanFilter:
                 disturbances.slow_std,
                 constant,
                 zeros,
+                np.ones(errors),
             )
         )
-        self.covariance: Floats = np.diag(initial**2)
+        self._root: Floats = np.diag(initial)
+        """Square root of the covariance, P = R R'. It cannot give a negative variance; P itself, updated in
+        place, does by rounding where a flight contradicts the model."""
         memory = disturbances.memory(step_s)
         self._memory: Floats = np.ones(order)
         self._memory[nx : nx + 6] = memory
-        self._noise: Floats = np.zeros(order)
-        self._noise[nx : nx + 6] = (1.0 - memory**2) * disturbances.variance
+        self._noise: Floats = np.zeros((6, order))
+        self._noise[:, nx : nx + 6] = np.diag(np.sqrt((1.0 - memory**2) * disturbances.variance))
         self._count_rad = count_rad
         self._variance_rad2: Floats = count_rad**2 / 12.0 * disturbances.quantisation
         self.state_sensitivity: Floats = np.zeros((order, twin.weights.shape[1], ONSETS))
         self._transition: Floats = np.eye(order)
         self._drive: Floats = np.zeros((order, twin.weights.shape[0]))
         self._block_s = block * step_s
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance of the errors of the state z, (order, order)."""
+        return self._root @ self._root.T
 
     @property
     def state(self) -> Floats:
@@ -230,6 +270,11 @@ class KalmanFilter:
         nx = self._nx
         return np.asarray(self.mean[nx + 3 : nx + 9].reshape(2, 3).sum(axis=0))
 
+    @property
+    def zero_rad(self) -> Floats:
+        """Estimated errors of the encoder zeros [rad], (2,)."""
+        return self.mean[self._zeros]
+
     def predict(self, t_s: float, volts_V: Floats) -> None:
         """Predict over a step that begins at `t_s`, with the mean acting voltages `volts_V`, (2,)."""
         twin, nx, h = self.twin, self._nx, self.step_s
@@ -238,26 +283,35 @@ class KalmanFilter:
         phi, gamma = _kalman.midpoint(a, h)
         phi, gamma = phi[0], gamma[0]
         push = gamma @ by_torque[0]
+        drive = np.empty((nx, self._drive.shape[1]))
+        # The functions return the negative derivative of the rates by a parameter.
+        drive[:, :-1] = -gamma @ rates[0, :, 1:]
+        drive[:, -1] = -gamma @ (by_volts[0] @ volts_V)
+        rate_std = np.linalg.norm(self._root[3:6], axis=1)
+        for place, axis in twin.frictions:
+            drive[:, place] *= erf(abs(self.mean[3 + axis]) / (_SLIDES * rate_std[axis]))
+        by_error = drive @ self._directions
         transition = np.zeros((self._order, self._order))
         transition[:nx, :nx] = phi
         for first in (nx, nx + 3, nx + 6):
             transition[:nx, first : first + 3] = push
+        transition[:nx, self._errors] = by_error
         np.fill_diagonal(transition[nx:, nx:], self._memory[nx:])
-        after = self.state + gamma @ rates[0, :, 0] + push @ self.torque_Nm
+        after = (
+            self.state + gamma @ rates[0, :, 0] + push @ self.torque_Nm + by_error @ self.mean[self._errors]
+        )
         self.mean[nx:] *= self._memory[nx:]
         self.mean[:nx] = after
         if twin.resets is not None:
             (reset,) = twin.resets(twin.at(t_s + h, after, volts_V, h))
             self.mean[:nx] = reset[0, :, 0]
-        self.covariance = transition @ self.covariance @ transition.T
-        self.covariance[np.diag_indices(self._order)] += self._noise
-        drive = np.empty((nx, self._drive.shape[1]))
-        # The functions return the negative derivative of the rates by a parameter.
-        drive[:, :-1] = -gamma @ rates[0, :, 1:]
-        drive[:, -1] = -gamma @ (by_volts[0] @ volts_V)
-        rate_std = np.sqrt(np.diagonal(self.covariance)[3:6])
-        for place, axis in twin.frictions:
-            drive[:, place] *= erf(abs(self.mean[3 + axis]) / (_SLIDES * rate_std[axis]))
+        rows = np.vstack(((transition @ self._root).T, self._noise))
+        outside_V = twin.uncertainty.outside_V(volts_V)
+        if np.any(outside_V > 0.0):
+            unknown = np.zeros((2, self._order))
+            unknown[:, :nx] = (gamma @ by_volts[0] * (outside_V * (_HELD_s / h) ** 0.5)).T
+            rows = np.vstack((rows, unknown))
+        self._root = np.asarray(np.linalg.qr(rows, mode="r")).T
         self._drive = transition @ self._drive
         self._drive[:nx] += drive
         self._transition = transition @ self._transition
@@ -309,9 +363,12 @@ class KalmanFilter:
         """
         twin, nx = self.twin, self._nx
         angles, c, by_free = twin.measure(twin.at(t_s, self.state, volts_V, self.step_s))
-        predicted = angles[0, :, 0] + np.array([*self.mean[-len(ZEROS) :], 0.0])
         direct = np.zeros((3, twin.weights.shape[0]))
         direct[:, :-1] = by_free[0]
+        by_error = direct @ self._directions
+        for place, axis, std in self._scale_errors:
+            by_error[axis, place] += std * (self.mean[axis] - self._start_rad[axis])
+        predicted = angles[0, :, 0] + np.array([*self.zero_rad, 0.0]) + by_error @ self.mean[self._errors]
         shown = direct @ twin.weights
         turned = {
             axis: (column, (self.mean[axis] - onset_rad[row]) * amount[column])
@@ -333,9 +390,11 @@ class KalmanFilter:
             row = np.zeros(order)
             row[:nx] = c[0, axis]
             if axis < len(ZEROS):
-                row[axis - len(ZEROS)] = 1.0
-            gain = self.covariance @ row
-            total = float(row @ gain) + variance[axis]
+                row[self._zeros.start + axis] = 1.0
+            row[self._errors] = by_error[axis]
+            by_root = self._root.T @ row
+            gain = self._root @ by_root
+            total = float(by_root @ by_root) + variance[axis]
             scale = total**-0.5
             value[axis] = (residual[axis] - row @ change) * scale
             projection = (row @ moved).reshape(columns, onsets) + shown[axis][:, None] * amount
@@ -345,7 +404,8 @@ class KalmanFilter:
             sensitivity[axis] = projection
             change += gain * (scale * value[axis])
             moved -= np.outer(gain * scale, projection)
-            self.covariance -= np.outer(gain, gain) / total
+            # The measurement update of the root by Potter.
+            self._root -= np.outer(gain, by_root) / (total + (total * variance[axis]) ** 0.5)
         self.mean += change
         return Innovation(value, sensitivity)
 

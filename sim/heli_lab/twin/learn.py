@@ -1,4 +1,10 @@
-"""Calibrates a twin: disturbances from nominal flights, tail of the evidence by a parametric bootstrap."""
+"""Calibrates a twin on nominal flights: disturbances, uncertainty of the rig, and the tail of the evidence.
+
+The evidence without a change is drawn along the nominal flights themselves. The filter follows the flight,
+and its innovations are replaced by pieces of its own innovations in another order and with random signs. So
+no simulation under gains that may not hold the rig is needed. The errors of the rig's parameters are states
+of the filter, drawn from their covariance: innovations and sensitivities already contain them.
+"""
 
 from __future__ import annotations
 
@@ -16,19 +22,33 @@ from heli_sim.model.linear import derivatives, trim
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
-from heli_lab.estimation import BLOCK_s, DisturbanceModel, estimate
-from heli_lab.identify import Record, prepare
+from heli_lab.errors import TwinError
+from heli_lab.estimation import BLOCK_s, DisturbanceModel, InnovationsModel, LinearisedFlight, estimate
+from heli_lab.estimation.estimate import gauss_newton_step
+from heli_lab.identify import prepare
 from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
-from heli_lab.twin.calibration import DEFAULT_DISTURBANCES, Calibration, Tail, fit_tail
-from heli_lab.twin.flights import count_rad_of, samples_of
+from heli_lab.twin.calibration import DEFAULT_DISTURBANCES, Calibration
+from heli_lab.twin.draws import Draws, Followed, drawn_evidence, evidence
+from heli_lab.twin.flights import count_rad_of
 from heli_lab.twin.healthy_flights import fly_simulated, random_plan, with_process_noise
 from heli_lab.twin.kalman_filter import TwinModel
-from heli_lab.twin.twin import Twin
+from heli_lab.twin.parameter_uncertainty import SUPPLY_STD, ParameterUncertainty
+from heli_lab.twin.tail import fit_tail
+from heli_lab.twin.twin import FILTER_SETTLING_s
 
+DRAWN_s: Final = 720.0
+"""Time of flight for which the evidence is drawn, s. It gives some 30 excursions, and a standard error of
+18 % for the scale of the tail. More: minutes of waiting. Less: thresholds that chance sets."""
 FLIGHTS: Final = 12
-"""Number of simulated flights of the bootstrap, one minute each. They give some 30 excursions, and a standard
-error of 18 % for the scale of the tail. More: minutes of waiting. Fewer: thresholds that chance sets."""
-
+"""Number of simulated flights of a rig without nominal flights, one minute each, for the same reason."""
+_LEAST_s: Final = 10.0
+"""Shortest free flight along which evidence is drawn, s: an onset needs some seconds to show. Longer: short
+flights are refused. Shorter: the draws contain no whole excursion."""
+_BEYOND: Final = 0.1
+"""Share by which voltages may exceed those of the nominal flights, for the model to count as known: of
+their range below, so that a rotor that brakes or reverses for the first time is noticed; of the voltage
+above, where a weaker supply leads. Larger: unknown physics is taken for a change. Smaller: little of
+another flight counts."""
 _TRIES: Final = 3
 """Greatest number of attempts per flight: the board does not arm if gusts move the arm on the table."""
 DETECTABLE_WITHIN_s: Final = 0.5
@@ -37,29 +57,7 @@ the correlation time of the gusts of a quiet room. Longer: the lower bound admit
 Shorter: the lower bound exceeds the gusts of a quiet room."""
 _FEW: Final = 1.0 / 3.0
 """Share of a quiet room's gusts below which a warning is given."""
-NO_ALARM: Final = Tail(np.inf, 0.0, 0.0, 1)
-"""Tail of a twin that raises no alarm."""
-
 Say = Callable[[str, float], None]
-
-
-def learn_disturbances(model: Model, rig: Rig, records: Sequence[Record]) -> DisturbanceModel:
-    """Estimate the disturbances in nominal flights. The rig's parameters are fixed; encoder zeros and
-    constant torques are estimated per flight.
-    """
-    shared = RigParameters(model, rig, records)
-    values = dict(zip((q.name for q in model.parameters), model.parameter_values(rig), strict=True))
-    fixed = {
-        parameter.quantity: float(values[parameter.quantity])
-        for parameter in shared.free
-        if parameter.record is None
-    }
-    parameter_vector = RigParameters(model, rig, records, fixed)
-    functions = model_functions(model, parameter_vector.quantities)
-    estimate_ = estimate(
-        parameter_vector, [filter_record(record) for record in records], functions, parameter_vector.start
-    )
-    return estimate_.disturbances
 
 
 def at_least_rounding(
@@ -105,10 +103,14 @@ def has_few_disturbances(disturbances: DisturbanceModel) -> bool:
     return bool(np.any(disturbances.fast_std < _FEW * DEFAULT_DISTURBANCES.fast_std))
 
 
-def learn_disturbances_of_flights(
+def learn_rig(
     model: Model, rig: Rig, healthy: Sequence[Flight], labels: Sequence[str]
-) -> DisturbanceModel:
-    """Estimate the disturbances in nominal flights, named `labels`, with the bounds of `at_least_rounding`.
+) -> tuple[DisturbanceModel, ParameterUncertainty]:
+    """Estimate the disturbances in nominal flights, named `labels`, with the bounds of `at_least_rounding`,
+    and how uncertain these flights leave the rig's parameters.
+
+    The parameters keep the rig's values; encoder zeros and constant torques are estimated per flight. The
+    tolerances of the rig file are what is known beforehand.
 
     Raises
     ------
@@ -117,8 +119,31 @@ def learn_disturbances_of_flights(
     """
     calm = TwinModel(model, rig).model
     records = [prepare(flight, rig, label) for flight, label in zip(healthy, labels, strict=True)]
+    every = RigParameters(calm, rig, records)
+    values = dict(zip((q.name for q in calm.parameters), calm.parameter_values(rig), strict=True))
+    shared = [parameter.quantity for parameter in every.free if parameter.record is None]
+    fixed = {name: float(values[name]) for name in shared}
+    vector = RigParameters(calm, rig, records, fixed)
+    references = [filter_record(record) for record in records]
+    found = estimate(vector, references, model_functions(calm, vector.quantities), vector.start)
     count_rad = np.min([count_rad_of(flight, rig) for flight in healthy], axis=0)
-    return at_least_rounding(learn_disturbances(calm, rig, records), calm, rig, count_rad)
+    disturbances = at_least_rounding(found.disturbances, calm, rig, count_rad)
+    theta = np.concatenate(([fixed[name] for name in shared], found.theta))
+    functions = model_functions(calm, every.quantities)
+    linearised = [
+        LinearisedFlight(reference, functions, every.parameters(theta, index))
+        for index, reference in enumerate(references)
+    ]
+    filtered = InnovationsModel(linearised, every.columns, len(theta))
+    innovations = filtered.innovations_by_flight(disturbances)
+    _, covariance, _ = gauss_newton_step(every, theta, innovations)
+    own = covariance[: len(shared), : len(shared)]
+    free_V = np.vstack(
+        [record.voltages_V[start:stop] for record in records for start, stop in record.segments]
+    )
+    least_V, most_V = free_V.min(axis=0), free_V.max(axis=0)
+    low_V, high_V = least_V - _BEYOND * (most_V - least_V), (1.0 + _BEYOND) * most_V
+    return disturbances, ParameterUncertainty(tuple(shared), own, SUPPLY_STD, low_V, high_V)
 
 
 def learn(
@@ -127,7 +152,7 @@ def learn(
     healthy: Sequence[Flight] = (),
     labels: Sequence[str] = (),
     *,
-    flights: int = FLIGHTS,
+    seconds: float = DRAWN_s,
     seed: int = 1,
     say: Say = lambda _text, _share: None,
 ) -> Calibration:
@@ -140,14 +165,14 @@ def learn(
     rig : Rig
         Parameters of the rig.
     healthy : sequence of Flight
-        Nominal flights, together about as long as those from which the rig's parameters were estimated.
-        Without any, the disturbances are those of a quiet room and the parameters count as exact.
+        Nominal flights. Without any, flights of the rig are simulated: the disturbances are those of a quiet
+        room and the parameters count as exact.
     labels : sequence of str
         Names of these flights.
-    flights : int
-        Number of simulated flights.
+    seconds : float
+        Time of flight for which the evidence is drawn [s].
     seed : int
-        Seed of the simulated flights.
+        Seed of the draws or of the simulated flights.
     say : callable taking str and float
         Called with the present stage and the share of the work that is done.
 
@@ -155,42 +180,49 @@ def learn(
     ------
     IdentifyError
         A flight is damaged, or has no free flight.
+    TwinError
+        The free flight is too short.
     """
-    twin = TwinModel(model, rig)
-    disturbances = DEFAULT_DISTURBANCES
-    if healthy:
-        say("disturbances of the nominal flights", 0.0)
-        disturbances = learn_disturbances_of_flights(model, rig, healthy, labels)
-    references = []
+    if not healthy:
+        return _learn_simulated(model, rig, seed, say)
+    say("disturbances of the nominal flights", 0.0)
+    disturbances, uncertainty = learn_rig(model, rig, healthy, labels)
+    twin = TwinModel(model, rig, uncertainty)
+    followed: list[Followed] = []
     for flight, label in zip(healthy, labels, strict=True):
         say(f"evidence in {label}", 0.1)
-        references.append(evidence(twin, disturbances, flight))
-    training_s = BLOCK_s * sum(map(len, references)) if references else math.inf
-    flown = with_process_noise(twin.model, disturbances)
-    done = 0
-    for number in range(_TRIES * flights):
-        if done == flights:
+        followed.append(evidence(twin, disturbances, flight))
+    healthy_s = BLOCK_s * sum(len(flight.history) for flight in followed)
+    if healthy_s < _LEAST_s:
+        raise TwinError(
+            f"{healthy_s:.1f} s of free nominal flight are too short for a threshold",
+            f"give flights with at least {_LEAST_s:g} s in the air",
+        )
+    settled = round(FILTER_SETTLING_s / BLOCK_s)
+    innovations = [flight.innovations[settled:] for flight in followed]
+    histories = [flight.history_without_kicks() for flight in followed]
+    draws = Draws(innovations, math.ceil(seconds / healthy_s), np.random.default_rng([seed, 32]))
+    for number, flight in enumerate(healthy):
+        say(f"draws along {labels[number]}", 0.3 + 0.7 * number / len(healthy))
+        histories += drawn_evidence(twin, disturbances, flight, draws)
+    return Calibration(disturbances, fit_tail(histories, healthy_s), ", ".join(labels), uncertainty)
+
+
+def _learn_simulated(model: Model, rig: Rig, seed: int, say: Say) -> Calibration:
+    """Set the threshold by simulated flights in the disturbances of a quiet room."""
+    twin = TwinModel(model, rig)
+    flown = with_process_noise(twin.model, DEFAULT_DISTURBANCES)
+    histories: list[list[tuple[float, float]]] = []
+    for number in range(_TRIES * FLIGHTS):
+        if len(histories) == FLIGHTS:
             break
-        say(f"simulated flight {done + 1} of {flights}", 0.1 + 0.9 * done / flights)
+        say(f"simulated flight {len(histories) + 1} of {FLIGHTS}", len(histories) / FLIGHTS)
         # Users choose small seeds: these flights must differ from theirs.
         flight_seed = 1_000_000 * seed + number
         try:
             flight = fly_simulated(flown, rig, random_plan(flight_seed), flight_seed)
         except FlightAborted:
             continue
-        references.append(evidence(twin, disturbances, flight))
-        done += 1
-    real = f"{', '.join(labels)} and " if labels else ""
-    return Calibration(
-        disturbances, fit_tail(references, training_s), f"{real}{flights} simulated flights, seed {seed}"
-    )
-
-
-def evidence(twin: TwinModel, disturbances: DisturbanceModel, flight: Flight) -> list[tuple[float, float]]:
-    """Return the times [s] and the evidence [nats] of a flight, without raising an alarm."""
-    samples, sample_s = samples_of(flight)
-    never = Calibration(disturbances, NO_ALARM)
-    follower = Twin(twin, never, count_rad_of(flight, twin.rig), sample_s)
-    follower.records_evidence = True
-    follower.update(samples)
-    return follower.evidence_history
+        histories.append(evidence(twin, DEFAULT_DISTURBANCES, flight).history)
+    source = f"{FLIGHTS} simulated flights, seed {seed}"
+    return Calibration(DEFAULT_DISTURBANCES, fit_tail(histories), source)

@@ -88,14 +88,18 @@ class LikelihoodRatio:
         The hypotheses.
     count_rad : ndarray (3,)
         Angle of one count of each encoder [rad].
+    draws : int, optional
+        Number of sequences of innovations with the same sensitivities that are followed together; without it
+        there is one. The window keeps the onsets of the draw with the largest evidence. The last draw ranks
+        the changes.
 
     Attributes
     ----------
     evidence : ndarray (changes, onsets)
-        Log-likelihood ratio of each change at each onset against no change [nats].
+        Log-likelihood ratio of each change at each onset against no change [nats]; the largest of all draws.
     """
 
-    def __init__(self, changes: Sequence[Change], count_rad: Floats) -> None:
+    def __init__(self, changes: Sequence[Change], count_rad: Floats, draws: int | None = None) -> None:
         self.changes = tuple(changes)
         least = {
             f"zero_offset.{axis}": MIN_ZERO_SHIFT_COUNTS * count
@@ -113,12 +117,14 @@ class LikelihoodRatio:
         self.is_ramp: npt.NDArray[np.bool_] = np.array(columns)
         shape = (len(self.changes), ONSETS)
         self._s11, self._s12, self._s22 = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-        self._b1, self._b2 = np.zeros(shape), np.zeros(shape)
+        each = shape if draws is None else (draws, *shape)
+        self._b1, self._b2 = np.zeros(each), np.zeros(each)
         # Block of each onset; infinite for unused onsets.
         self._onset: Floats = np.full(shape, np.inf)
         self._column_of = np.repeat(np.arange(len(changes)), [len(c.numbers) for c in changes])
         self._halves = 0
         self.evidence: Floats = np.full(shape, -np.inf)
+        self._last_evidence: Floats = self.evidence
 
     def ages(self, block: int) -> Floats:
         """Return the age of each onset at the end of `block`, in blocks, (columns, onsets); negative for
@@ -148,7 +154,7 @@ class LikelihoodRatio:
             self._keep(state_sensitivity)
         state_sensitivity[:, :, place] = 0.0
         for sums in (self._s11, self._s12, self._s22, self._b1, self._b2):
-            sums[:, place] = 0.0
+            sums[..., place] = 0.0
         self._onset[:, place] = block
 
     def _keep(self, state_sensitivity: Floats) -> None:
@@ -157,27 +163,34 @@ class LikelihoodRatio:
         best = np.argmax(self.evidence[:, :RECENT], axis=1)
         rows = np.arange(len(best))
         for sums in (self._s11, self._s12, self._s22, self._b1, self._b2, self._onset):
-            sums[:, to] = sums[rows, best]
+            sums[..., to] = sums[..., rows, best]
         columns = np.arange(len(self._column_of))
         state_sensitivity[:, :, to] = state_sensitivity[:, columns, best[self._column_of]]
 
     def update(self, innovation: Innovation) -> float:
         """Add an innovation; return the evidence of the most likely change and onset [nats]."""
-        direction = innovation.sensitivity[:, self._first]
-        two = innovation.sensitivity[:, self._second]
-        value = innovation.value
+        return float(self.update_draws(innovation.value, innovation.sensitivity))
+
+    def update_draws(self, value: Floats, sensitivity: Floats) -> Floats:
+        """Add the innovation `value`, (3,) or (draws, 3), with a `sensitivity` as of `Innovation`; return the
+        evidence of the most likely change and onset of each draw [nats].
+        """
+        direction = sensitivity[:, self._first]
+        two = sensitivity[:, self._second]
         self._s11 += np.einsum("aho,aho->ho", direction, direction)
-        self._b1 += np.einsum("aho,a->ho", direction, value)
+        self._b1 += np.einsum("aho,...a->...ho", direction, value)
         self._s12 += np.where(self._pairs, np.einsum("aho,aho->ho", direction, two), 0.0)
         self._s22 += np.where(self._pairs, np.einsum("aho,aho->ho", two, two), 0.0)
-        self._b2 += np.where(self._pairs, np.einsum("aho,a->ho", two, value), 0.0)
+        self._b2 += np.where(self._pairs, np.einsum("aho,...a->...ho", two, value), 0.0)
         size, std, gain, determinant = self._solved()
         evidence = 0.5 * gain - 0.5 * np.log(determinant)
         # A half-normal prior: twice the posterior mass above zero.
-        inside = np.log(2.0) + log_ndtr(size[self._non_negative] / std[self._non_negative])
-        evidence[self._non_negative] += inside
-        self.evidence = np.where(np.isfinite(self._onset) & (np.abs(size) >= self._least), evidence, -np.inf)
-        return float(self.evidence.max())
+        sided = self._non_negative
+        evidence[..., sided, :] += np.log(2.0) + log_ndtr(size[..., sided, :] / std[sided])
+        evidence = np.where(np.isfinite(self._onset) & (np.abs(size) >= self._least), evidence, -np.inf)
+        each = evidence.reshape(-1, *self._onset.shape)
+        self.evidence, self._last_evidence = each.max(axis=0), each[-1]
+        return np.asarray(evidence.max(axis=(-2, -1)))
 
     def _solved(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Estimate of the first number, its standard error, b' (S + 1/P)^-1 b, and det(1 + P S)."""
@@ -207,9 +220,10 @@ class LikelihoodRatio:
     def ranking(self) -> list[ChangeCandidate]:
         """Return all changes, the most likely first; all onsets have the same prior probability."""
         size, std, _, _ = self._solved()
-        best = np.argmax(self.evidence, axis=1)
+        size = size.reshape(-1, *self._onset.shape)[-1]
+        best = np.argmax(self._last_evidence, axis=1)
         used = max(1, int(np.isfinite(self._onset[0]).sum()))
-        together = logsumexp(self.evidence, axis=1) - np.log(used)
+        together = logsumexp(self._last_evidence, axis=1) - np.log(used)
         candidates = [
             ChangeCandidate(
                 change,

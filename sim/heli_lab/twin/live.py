@@ -38,7 +38,7 @@ class TickTwin:
         """
         events = self._twin.update(samples_of_ticks(tick, raw, self._count_rad))
         for event in events:
-            if event.ranking:
+            if event.ranking or event.kind == "contradicts":
                 self._alarm_text = event.text
             elif event.kind == "free":
                 self._alarm_text = ""
@@ -50,7 +50,9 @@ class TickTwin:
         return None if ghost is None else (float(ghost[0]), float(ghost[1]), float(ghost[2]))
 
     def words(self) -> str:
-        """Return the twin's status in one line: the newest alarm, or whether it compares or waits."""
+        """Return the twin's status in one line: the newest alarm or contradiction, or whether it compares
+        or waits.
+        """
         if self._alarm_text:
             return f"Twin: {self._alarm_text}"
         return _COMPARES if self._twin.free else _WAITS
@@ -82,6 +84,6 @@ def _make_twin(chosen: TwinRig, parameters: Mapping[str, float], false_alarm_int
             "the board does not report the counts per turn of its encoders",
             "set elevation_counts_per_rev, pitch_counts_per_rev and travel_counts_per_rev on the board",
         )
-    model = TwinModel(chosen.model, chosen.rig)
+    model = TwinModel(chosen.model, chosen.rig, chosen.calibration.uncertainty)
     twin = Twin(model, chosen.calibration, count_rad, TICK_S, false_alarm_interval_h, with_ghost=True)
     return TickTwin(twin, count_rad)

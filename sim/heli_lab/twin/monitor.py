@@ -65,6 +65,9 @@ class TwinReport:
         """Describe the result for people, one sentence per alarm."""
         if not self.free_s:
             return ["no free flight to compare"]
+        contradictions = [event.text for event in self.events if event.kind == "contradicts"]
+        if contradictions:
+            return [*contradictions, *(event.text for event in self.alarms)]
         if not self.alarms:
             evidence = f"evidence: {self.max_evidence_nats:.1f} nats at most"
             return [f"no change of the rig in {self.free_s:.0f} s ({evidence})"]
@@ -158,7 +161,7 @@ def _monitor(
             f"{label} has no row between {low:g} and {high:g} s", "give --from and --to within the flight"
         )
     part = samples.select(rows)
-    model = TwinModel(chosen.model, chosen.rig)
+    model = TwinModel(chosen.model, chosen.rig, chosen.calibration.uncertainty)
     twin = Twin(model, chosen.calibration, count_rad, sample_s, false_alarm_interval_h, zero_s=zero_s)
     twin.records_evidence = True
     events = twin.update(part) + twin.finish()

@@ -10,13 +10,14 @@ from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
+from heli_sim.model.parts import AXES
 
 from heli_lab.estimation import BLOCK_s
 from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.free_flight import FreeFlight
 from heli_lab.twin.ghost import Ghost
-from heli_lab.twin.kalman_filter import ZEROS, KalmanFilter, TwinModel, start_state
-from heli_lab.twin.likelihood_ratio import RECENT, WINDOW_BLOCKS, ChangeCandidate, LikelihoodRatio
+from heli_lab.twin.kalman_filter import KalmanFilter, TwinModel, start_state
+from heli_lab.twin.likelihood_ratio import RECENT, WINDOW_BLOCKS, ChangeCandidate, Innovation, LikelihoodRatio
 from heli_lab.twin.samples import Samples, Step, Stepper
 
 DIAGNOSIS_DELAY_s: Final = 3.0
@@ -24,12 +25,35 @@ DIAGNOSIS_DELAY_s: Final = 3.0
 useful. Shorter: a step and a fade look alike."""
 FILTER_SETTLING_s: Final = 1.0
 """Time for which the filter estimates state, encoder zeros and torques before it looks for changes, s."""
+CALIBRATION_s: Final = 8.0
+"""Time in which the filter estimates what differs between days, s: supply, encoder zeros, constant torques,
+and the parameters within their covariance. `diagnose` takes the same. What contradicts the model so early
+was wrong from the start. Longer: an early change is not named. Shorter: another day's supply is taken for a
+change."""
+MAX_MEAN_SQUARE: Final = 2.0
+"""Mean square of an axis' innovations in `CALIBRATION_s` above which the model is not this rig's; 1 is what
+the model states. 175 innovations with the outliers of real flights (kurtosis 6) have a standard error of
+0.17, so chance needs six of them. Larger: flights that no model here explains raise alarms later. Smaller:
+a day with gusts 1.4 times as large contradicts the rig."""
 _HISTORY_s: Final = 2.0
 """Length of the flight before the filter begins from which the states of effects are integrated, s: far
 longer than the lag of any rotor."""
 PERSISTENCE_BLOCKS: Final = 6
 """Number of measurements, 40 ms apart, over which evidence must persist before it counts: 0.24 s. Fewer:
 rounding that a gust makes larger raises an alarm. More: sudden changes are reported that much later."""
+UNKNOWN_s: Final = FILTER_SETTLING_s
+"""Time after a voltage that no nominal flight shows for which measurements carry no evidence, s: the filter
+has to settle again. Longer: aggressive flights hide changes. Shorter: what an unknown voltage does is taken
+for a change."""
+OUTLIER: Final = 4.0
+"""Size at which an innovation is cut off for the evidence (Huber), in standard deviations: a kick then
+counts 8 nats at most for each measurement. Of normal innovations, one in four minutes is larger. Larger: a
+single kick of a real rig raises an alarm, and one in a nominal flight sets the threshold to 60 nats.
+Smaller: encoder jumps of a few counts are missed."""
+MIN_SCALE_ERROR: Final = 0.25
+"""Error of an encoder's scale that is named even if a flight begins with it: a decoder that counts half the
+edges. Larger: such a decoder is not named. Smaller: a model of another day's rig is taken for one."""
+NOT_THIS_MODEL: Final = "not this model from the start"
 _MAX_REPORTED_ODDS: Final = 1000.0
 """Odds above which no number is reported: such odds hold only if the catalogue contains the true cause."""
 
@@ -42,7 +66,8 @@ class TwinEvent:
     ----------
     kind : str
         ``free`` when it begins to compare, ``waits`` when it pauses, ``alarm`` when the rig has changed,
-        ``diagnosed`` with the final ranking.
+        ``diagnosed`` with the final ranking, ``contradicts`` when the flight contradicts the model from the
+        start, so that no change is named.
     t_s : float
         Time of the message on the clock of the samples minus its zero [s].
     text : str
@@ -91,6 +116,8 @@ class Twin:
         True while the twin compares; False while it waits for free flight.
     has_alarm : bool
         True if an alarm was raised since the twin last began to compare.
+    contradicts : bool
+        True if this flight contradicted the model from the start; the twin then names no change of it.
     evidence_history : list of (float, float)
         Time [s] and evidence [nats] of each measurement, recorded if `records_evidence` is set.
     """
@@ -109,7 +136,7 @@ class Twin:
         self.model, self.calibration = model, calibration
         self.threshold_nats = calibration.threshold_nats(false_alarm_interval_h)
         self.evidence_nats = -math.inf
-        self.free = self.has_alarm = False
+        self.free = self.has_alarm = self.contradicts = False
         self.records_evidence = False
         self.evidence_history: list[tuple[float, float]] = []
         self._count_rad, self._zero_s = count_rad, zero_s
@@ -124,13 +151,17 @@ class Twin:
         self._volts: deque[Floats] = deque(maxlen=self._delayed + 1)
         self._motors_since_s = math.nan
         self._kalman: KalmanFilter | None = None
-        self._ratio = LikelihoodRatio(model.changes, count_rad)
+        self._ratio = self._new_ratio()
         self._latest_nats: deque[float] = deque([-math.inf] * PERSISTENCE_BLOCKS, PERSISTENCE_BLOCKS)
         self._angles_rad: Floats = np.zeros((WINDOW_BLOCKS + math.ceil(DIAGNOSIS_DELAY_s / BLOCK_s) + 1, 3))
         """Angles [rad] at the ends of the latest blocks; block k is in row k modulo the number of rows."""
         self._began = self._blocks = 0
         self._alarm_block: int | None = None
-        self._diagnosed = False
+        self._diagnosed = self._recalibrates = self._is_early = False
+        self._squares: Floats = np.zeros(3)
+        self._squared = 0
+        self._unknown_until = -1
+        """Last step after voltages that no nominal flight shows."""
 
     @property
     def ghost_rad(self) -> Floats | None:
@@ -182,6 +213,8 @@ class Twin:
         if not free or (step.landing and (self._alarm_block is None or self._diagnosed)):
             yield from self._wait(step.index, "landing, on the table, at a stop, or motors off")
             return
+        if np.any(self.model.uncertainty.outside_V(acting_V) > 0.0):
+            self._unknown_until = step.index + round(UNKNOWN_s / self.step_s)
         kalman = self._kalman
         if kalman is None:
             if step.measured_rad is None:
@@ -190,24 +223,43 @@ class Twin:
             yield TwinEvent("free", t_s, "the comparison with the model begins")
         elif (step.index - self._began) % self._block == 0:
             yield from self._end_block(kalman, step, since_s, acting_V)
+            assert self._kalman is not None
+            kalman = self._kalman
         if self._ghost is not None:
-            zero_rad = kalman.mean[-len(ZEROS) :]
+            zero_rad = kalman.zero_rad
             self._ghost.step(since_s, acting_V, kalman.state, kalman.steady_torque_Nm, zero_rad)
         kalman.predict(since_s, acting_V)
 
+    def _new_ratio(self) -> LikelihoodRatio:
+        # The first draw, with outliers cut off, raises alarms; the second, as measured, ranks the changes.
+        return LikelihoodRatio(self.model.changes, self._count_rad, draws=2)
+
     def _begin(self, index: int) -> KalmanFilter:
         times, angles, volts = (np.array(values) for values in zip(*self._history, strict=True))
-        state = start_state(self.model, times, angles, volts, self.step_s)
-        self._kalman = KalmanFilter(
-            self.model, self.calibration.disturbances, self._count_rad, self.step_s, self._block, state
-        )
-        self._ratio = LikelihoodRatio(self.model.changes, self._count_rad)
-        self._latest_nats.extend([-math.inf] * PERSISTENCE_BLOCKS)
-        self._began, self._blocks = index, 0
-        self._alarm_block, self._diagnosed, self.has_alarm = None, False, False
         self.free = True
+        self.has_alarm = self.contradicts = False
         if self._ghost is not None:
             self._ghost.begin()
+        return self._restart(index, start_state(self.model, times, angles, volts, self.step_s), False)
+
+    def _restart(self, index: int, state: Floats, changed: bool) -> KalmanFilter:
+        """Begin to filter from a state; after an alarm (`changed`) all possible changes are unknown
+        constants.
+        """
+        self._kalman = KalmanFilter(
+            self.model,
+            self.calibration.disturbances,
+            self._count_rad,
+            self.step_s,
+            self._block,
+            state,
+            is_changed=changed,
+        )
+        self._ratio = self._new_ratio()
+        self._latest_nats.extend([-math.inf] * PERSISTENCE_BLOCKS)
+        self._began, self._blocks = index, 0
+        self._alarm_block, self._diagnosed, self._recalibrates = None, False, changed
+        self._squares, self._squared = np.zeros(3), 0
         return self._kalman
 
     def _end_block(
@@ -224,22 +276,64 @@ class Twin:
             innovation = kalman.update(
                 since_s, step.measured_rad, step.samples, volts_V, amount, self._onset_rad()
             )
-            self._latest_nats.append(ratio.update(innovation))
-            self.evidence_nats = min(self._latest_nats)
+            if step.index <= self._unknown_until:
+                innovation = Innovation(np.zeros(3), np.zeros_like(innovation.sensitivity))
+            elif block * self.block_s > FILTER_SETTLING_s:
+                self._squares += innovation.value**2
+                self._squared += 1
+            self._weigh(innovation)
         self._angles_rad[block % len(self._angles_rad)] = kalman.state[:3]
         if self.records_evidence:
             self.evidence_history.append((t_s, self.evidence_nats))
         if self._alarm_block is None:
-            if self.evidence_nats > self.threshold_nats:
-                self._alarm_block, self.has_alarm = block, True
-                yield self._ranked_event("alarm", t_s)
+            is_early = not self._recalibrates and block * self.block_s <= CALIBRATION_s
+            if is_early:
+                yield from self._compare_spread(block, t_s)
+            if self.evidence_nats > self.threshold_nats and not self.contradicts:
+                self._alarm_block, self._is_early = block, is_early
+                if not is_early:
+                    self.has_alarm = True
+                    yield self._ranked_event("alarm", t_s)
         elif (block - self._alarm_block) * self.block_s >= DIAGNOSIS_DELAY_s:
             yield from self._diagnose(step.index)
+            if not self.contradicts:
+                self._restart(step.index, kalman.state, True)
+            return
         # A sudden change raises the alarm before its true onset is in the window: onsets are added for half a
         # second more, then the window stays fixed.
         fresh = self._alarm_block is None or block - self._alarm_block < RECENT
         if fresh and block * self.block_s >= FILTER_SETTLING_s:
             ratio.begin_onset(block, kalman.state_sensitivity)
+
+    def _block_end_s(self) -> float:
+        """Time of the present measurement [s]."""
+        return (self._began + self._blocks * self._block) * self.step_s - self._zero_s
+
+    def _weigh(self, innovation: Innovation) -> None:
+        """Add an innovation to the evidence."""
+        values = np.stack((np.clip(innovation.value, -OUTLIER, OUTLIER), innovation.value))
+        self._latest_nats.append(float(self._ratio.update_draws(values, innovation.sensitivity)[0]))
+        self.evidence_nats = min(self._latest_nats)
+
+    def _compare_spread(self, block: int, t_s: float) -> Iterator[TwinEvent]:
+        """Compare the innovations' mean square with the stated one, once, at the end of `CALIBRATION_s`."""
+        is_due = block == math.floor(CALIBRATION_s / self.block_s) and self._squared > 0
+        if not is_due or self.threshold_nats == math.inf:
+            return
+        mean_square = self._squares / self._squared
+        worst = int(np.argmax(mean_square))
+        if mean_square[worst] > MAX_MEAN_SQUARE:
+            spread = mean_square[worst] ** 0.5
+            yield self._contradicts(
+                t_s,
+                f"{AXES[worst]} differs from its predictions by {spread:.1f} times the stated deviation",
+            )
+
+    def _contradicts(self, t_s: float, why: str) -> TwinEvent:
+        self.contradicts = True
+        self._alarm_block = None
+        text = f"{NOT_THIS_MODEL}: in the first {CALIBRATION_s:g} s, {why}; no change is named"
+        return TwinEvent("contradicts", t_s, text)
 
     def _onset_rad(self) -> Floats:
         """Angle of its axis [rad] at each onset of an encoder's scale, (scales, onsets)."""
@@ -261,9 +355,20 @@ class Twin:
         yield TwinEvent("waits", index * self.step_s - self._zero_s, f"the comparison stops: {why}")
 
     def _diagnose(self, index: int) -> Iterator[TwinEvent]:
-        if self._alarm_block is not None and not self._diagnosed:
-            self._diagnosed = True
-            yield self._ranked_event("diagnosed", index * self.step_s - self._zero_s)
+        if self._alarm_block is None or self._diagnosed:
+            return
+        t_s = index * self.step_s - self._zero_s
+        if self._is_early:
+            first = self._ratio.ranking()[0]
+            if not first.change.is_scale or abs(first.size) < MIN_SCALE_ERROR:
+                yield self._contradicts(
+                    t_s, f"the flight contradicts the rig by {self.evidence_nats:.0f} nats"
+                )
+                return
+            self.has_alarm = True
+            yield self._ranked_event("alarm", t_s)
+        self._diagnosed = True
+        yield self._ranked_event("diagnosed", t_s)
 
     def _ranked_event(self, kind: str, t_s: float) -> TwinEvent:
         ranking = tuple(self._ratio.ranking())

@@ -18,6 +18,7 @@ from heli_host.twins import FALSE_ALARM_INTERVAL_h
 if TYPE_CHECKING:
     from heli_lab.twin.files import TwinRig
     from heli_lab.twin.monitor import TwinReport
+    from heli_lab.twin.tail import Tail
 
 
 def twin(
@@ -47,7 +48,7 @@ def twin(
         typer.Option(
             "--learn",
             metavar="FILE",
-            help="Set the alarm threshold by simulation, and write this twin file.",
+            help="Set the alarm threshold along the nominal flights, and write this twin file.",
         ),
     ] = None,
     false_alarm_interval_h: Annotated[
@@ -88,7 +89,7 @@ def twin(
     from heli_lab.twin.calibration import write_calibration
     from heli_lab.twin.figure import draw_evidence
     from heli_lab.twin.files import open_rig
-    from heli_lab.twin.learn import has_few_disturbances, learn_disturbances_of_flights
+    from heli_lab.twin.learn import has_few_disturbances, learn_rig
     from heli_lab.twin.learn import learn as learn_calibration
     from heli_lab.twin.monitor import monitor_file
 
@@ -110,8 +111,9 @@ def twin(
             write_calibration(learn, calibration, chosen.name)
             chosen = replace(chosen, calibration=calibration)
         elif others:
-            disturbances = learn_disturbances_of_flights(chosen.model, chosen.rig, read, labels)
-            chosen = replace(chosen, calibration=replace(chosen.calibration, disturbances=disturbances))
+            disturbances, uncertainty = learn_rig(chosen.model, chosen.rig, read, labels)
+            calibration = replace(chosen.calibration, disturbances=disturbances, uncertainty=uncertainty)
+            chosen = replace(chosen, calibration=calibration)
         for path in flights or ():
             bar.show(f"following {path.name}", 0.9)
             reports.append(monitor_file(chosen, path, false_alarm_interval_h, start_s, stop_s))
@@ -129,7 +131,8 @@ def twin(
             "give more flights"
         )
     threshold_nats = chosen.calibration.threshold_nats(false_alarm_interval_h)
-    say(f"alarm threshold: {threshold_nats:.1f} nats, {_rate(false_alarm_interval_h)}; {_source(chosen)}")
+    rate = _rate(chosen.calibration.tail, false_alarm_interval_h)
+    say(f"alarm threshold: {threshold_nats:.1f} nats, {rate}; {_source(chosen)}")
     write_result(json, _numbers(chosen, reports, false_alarm_interval_h))
     written.append(json)
     if figure is not None and reports:
@@ -138,8 +141,13 @@ def twin(
     say_files(written)
 
 
-def _rate(false_alarm_interval_h: float) -> str:
-    return f"one false alarm in {false_alarm_interval_h:g} h in the air"
+def _rate(tail: Tail, false_alarm_interval_h: float) -> str:
+    if tail.supported_interval_h >= false_alarm_interval_h:
+        return f"one false alarm in {false_alarm_interval_h:g} h in the air"
+    return (
+        f"one false alarm in {tail.supported_interval_h:.1g} h in the air at best, "
+        f"because {tail.healthy_s:.0f} s of healthy flight support no rarer ones"
+    )
 
 
 def _source(chosen: TwinRig) -> str:

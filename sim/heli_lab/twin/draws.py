@@ -1,0 +1,170 @@
+"""Draws of the evidence along a healthy flight: its own innovations in another order, with random signs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from heli_host.arrays import Floats
+from heli_host.flight import Flight
+from typing_extensions import override
+
+from heli_lab.estimation import DisturbanceModel
+from heli_lab.twin.calibration import Calibration
+from heli_lab.twin.flights import count_rad_of, samples_of
+from heli_lab.twin.kalman_filter import TwinModel
+from heli_lab.twin.likelihood_ratio import Innovation, LikelihoodRatio, WINDOW_s
+from heli_lab.twin.tail import Tail
+from heli_lab.twin.twin import OUTLIER, PERSISTENCE_BLOCKS, Twin
+
+PIECE: Final = 25
+"""Length of the pieces of innovations, in measurements: 1 s. Longer: few different draws from half a minute
+of flight. Shorter: the innovations lose the dependence that a model with small errors leaves in them."""
+_DAY_STD: Final = 0.1
+"""Standard deviation of the logarithm of the size of a day's innovations. By judgement: half a minute of
+flight leaves it open to 0.05, and days differ. Each draw is a day. Larger: weak changes stay hidden.
+Smaller: a day with slightly larger gusts raises alarms."""
+NO_ALARM: Final = Tail(np.inf, 0.0, 0.0, 1)
+"""Tail of a twin that raises no alarm."""
+
+History = list[tuple[float, float]]
+
+
+class Draws:
+    """Innovations of healthy flights in another order: pieces from random places, with random signs.
+
+    Parameters
+    ----------
+    innovations : sequence of ndarray (n, 3)
+        Innovations of each flight, in standard deviations. Kicks are left out with `PIECE` measurements
+        before and after them: a kick is an event, not the noise between kicks, and the twin cuts its
+        evidence off.
+    count : int
+        Number of draws.
+    rng : numpy.random.Generator
+        Source of the random places and signs.
+    """
+
+    def __init__(self, innovations: Sequence[Floats], count: int, rng: np.random.Generator) -> None:
+        self._every: Floats = np.vstack([flight[~_near_kicks(flight)] for flight in innovations])
+        self._rng, self.count = rng, count
+        self._place, self._sign = np.zeros(count, int), np.ones(count)
+        self._size: Floats = np.exp(_DAY_STD * rng.normal(size=(count, 3)))
+        self._left = 0
+
+    def next(self) -> Floats:
+        """Return the next innovation of each draw, (count, 3)."""
+        if not self._left:
+            self._place = self._rng.integers(len(self._every), size=self.count)
+            self._sign = self._rng.choice((-1.0, 1.0), size=self.count)
+            self._left = PIECE
+        self._left -= 1
+        values = self._size * self._sign[:, None] * self._every[self._place % len(self._every)]
+        self._place = self._place + 1
+        return np.asarray(values)
+
+
+def _near_kicks(innovations: Floats) -> npt.NDArray[np.bool_]:
+    """Which rows of innovations, (n, 3), are no farther than `PIECE` from a kick; none if all are."""
+    kicks = np.flatnonzero(np.any(np.abs(innovations) > OUTLIER, axis=1))
+    rows = np.arange(len(innovations))
+    near = np.any(np.abs(rows[:, None] - kicks) <= PIECE, axis=1)
+    return near if not near.all() else np.zeros(len(rows), bool)
+
+
+class _RecordingTwin(Twin):
+    """A twin that keeps its innovations."""
+
+    def __init__(
+        self, model: TwinModel, calibration: Calibration, count_rad: Floats, sample_s: float
+    ) -> None:
+        super().__init__(model, calibration, count_rad, sample_s)
+        self.records_evidence = True
+        self.innovations: list[Floats] = []
+        self.kicks_s: list[float] = []
+
+    @override
+    def _weigh(self, innovation: Innovation) -> None:
+        self.innovations.append(innovation.value)
+        if np.any(np.abs(innovation.value) > OUTLIER):
+            self.kicks_s.append(self._block_end_s())
+        super()._weigh(innovation)
+
+
+class _DrawnTwin(Twin):
+    """A twin that follows a flight and computes the evidence of drawn innovations."""
+
+    def __init__(
+        self, model: TwinModel, calibration: Calibration, count_rad: Floats, sample_s: float, draws: Draws
+    ) -> None:
+        self._draws = draws
+        super().__init__(model, calibration, count_rad, sample_s)
+        self._latest: list[Floats] = []
+        self.histories: list[History] = [[] for _ in range(draws.count)]
+
+    @override
+    def _new_ratio(self) -> LikelihoodRatio:
+        self._latest = []
+        return LikelihoodRatio(self.model.changes, self._count_rad, self._draws.count)
+
+    @override
+    def _weigh(self, innovation: Innovation) -> None:
+        value = np.clip(self._draws.next(), -OUTLIER, OUTLIER)
+        evidence = self._ratio.update_draws(value, innovation.sensitivity)
+        self._latest = [*self._latest[1 - PERSISTENCE_BLOCKS :], evidence]
+        if len(self._latest) == PERSISTENCE_BLOCKS:
+            lasting = np.min(self._latest, axis=0)
+            t_s = self._block_end_s()
+            for history, nats in zip(self.histories, lasting, strict=True):
+                history.append((t_s, float(nats)))
+
+
+@dataclass(frozen=True)
+class Followed:
+    """A flight that a twin followed without raising an alarm.
+
+    Parameters
+    ----------
+    history : list of (float, float)
+        Time [s] and evidence [nats] of each measurement.
+    innovations : ndarray (n, 3)
+        Innovations, in standard deviations.
+    kicks_s : tuple of float
+        Times of innovations above `OUTLIER` [s].
+    """
+
+    history: History
+    innovations: Floats
+    kicks_s: tuple[float, ...]
+
+    def history_without_kicks(self) -> History:
+        """Return the history without the times at which a kick is in the window."""
+        return [
+            (t_s, nats)
+            for t_s, nats in self.history
+            if not any(kick_s <= t_s <= kick_s + WINDOW_s for kick_s in self.kicks_s)
+        ]
+
+
+def evidence(twin: TwinModel, disturbances: DisturbanceModel, flight: Flight) -> Followed:
+    """Follow a flight without raising an alarm."""
+    samples, sample_s = samples_of(flight)
+    never = Calibration(disturbances, NO_ALARM)
+    follower = _RecordingTwin(twin, never, count_rad_of(flight, twin.rig), sample_s)
+    follower.update(samples)
+    innovations = np.array(follower.innovations).reshape(-1, 3)
+    return Followed(follower.evidence_history, innovations, tuple(follower.kicks_s))
+
+
+def drawn_evidence(
+    twin: TwinModel, disturbances: DisturbanceModel, flight: Flight, draws: Draws
+) -> list[History]:
+    """Return the times [s] and the evidence [nats] of each draw along a flight."""
+    samples, sample_s = samples_of(flight)
+    never = Calibration(disturbances, NO_ALARM)
+    follower = _DrawnTwin(twin, never, count_rad_of(flight, twin.rig), sample_s, draws)
+    follower.update(samples)
+    return follower.histories

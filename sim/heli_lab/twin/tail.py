@@ -1,0 +1,153 @@
+"""The tail of the evidence without a change: a generalised Pareto tail of block maxima."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from heli_host.arrays import Floats
+from scipy.optimize import brentq, minimize
+from scipy.stats import genpareto
+
+from heli_lab.errors import TwinError
+
+SEGMENT_s: Final = 5.0
+"""Length of the segments whose maxima are counted as excursions of the evidence, s. An onset stays in the
+window for some seconds. Longer: few excursions to fit. Shorter: one excursion counts several times, and the
+alarms are rarer than stated."""
+_LEVEL: Final = 0.8
+"""Share of the segments whose maxima lie below the level from which the tail is a generalised Pareto one."""
+_MIN_SCALE_nats: Final = 1.0
+"""Scale of the tail of a likelihood ratio for white innovations, nats: by Wilks it falls by e per nat."""
+_SHAPE_STD: Final = 0.05
+"""Standard deviation of the shape before any flight was seen; its mean is 0. The evidence is half a square of
+a sum of many innovations, so its tail is exponential but for a remainder of their outliers. Larger: thirty
+excesses, which leave the shape open to 0.2, let the alarm level go to hundreds of nats. Smaller: outliers do
+not count."""
+SUPPORTED_LENGTHS: Final = 120.0
+"""Longest interval between false alarms that healthy flights support, in their own length: 30 s support one
+false alarm per hour. Their tail is then extrapolated by two powers of ten. More: the rate is a guess. Less:
+nobody has the flights that a useful rate needs."""
+_NODES: Final = 15
+
+
+@dataclass(frozen=True)
+class Tail:
+    """Generalised Pareto tail of the evidence without a change.
+
+    Parameters
+    ----------
+    level_nats : float
+        Evidence from which the tail holds [nats].
+    per_hour : float
+        Rate of excursions above the level, per hour of free flight.
+    scale_nats : float
+        Scale of the excesses over the level [nats]; their mean where the shape is 0.
+    excesses : int
+        Number of excursions from which scale and shape were estimated.
+    shape : float
+        Shape of the tail; 0 is an exponential one, more is a heavier one.
+    healthy_s : float
+        Length of the healthy flights along which the excursions were drawn [s]; infinite for simulated ones.
+    """
+
+    level_nats: float
+    per_hour: float
+    scale_nats: float
+    excesses: int
+    shape: float = 0.0
+    healthy_s: float = math.inf
+
+    @property
+    def supported_interval_h(self) -> float:
+        """Longest mean time between two false alarms that the healthy flights support [h]."""
+        return SUPPORTED_LENGTHS * self.healthy_s / 3600.0
+
+    def threshold_nats(self, false_alarm_interval_h: float) -> float:
+        """Return the evidence that is exceeded once per `false_alarm_interval_h` of free flight [nats], on
+        average over the tails that could have given the excesses. An interval that the healthy flights do not
+        support counts as the longest that they do.
+        """
+        interval_h = min(false_alarm_interval_h, self.supported_interval_h)
+        wanted = self.per_hour * interval_h
+        if wanted <= 1.0 or not math.isfinite(self.level_nats):
+            return self.level_nats
+        shapes, scales_nats, weights = self._tails()
+
+        def surplus(excess_nats: float) -> float:
+            chance = weights @ genpareto.sf(excess_nats, shapes, scale=scales_nats)
+            return math.log(max(float(chance), 1e-300)) + math.log(wanted)
+
+        high_nats = self.scale_nats
+        while surplus(high_nats) > 0.0:
+            high_nats *= 2.0
+        return self.level_nats + float(brentq(surplus, 0.0, high_nats, xtol=1e-6))
+
+    def _tails(self) -> tuple[Floats, Floats, Floats]:
+        """Shapes, scales [nats] and weights of tails that could have given the excesses."""
+        xi = max(self.shape, -0.4)
+        fisher = np.array([[2.0 / (1.0 + xi), 1.0 / (1.0 + xi)], [1.0 / (1.0 + xi), 1.0]]) / (1.0 + 2.0 * xi)
+        precision = self.excesses * fisher + np.diag([_SHAPE_STD**-2.0, 0.0])
+        root = np.linalg.cholesky(np.linalg.inv(precision))
+        nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES)
+        first, second = (grid.ravel() for grid in np.meshgrid(nodes, nodes))
+        shape = self.shape + root[0, 0] * first
+        scale_nats = self.scale_nats * np.exp(root[1, 0] * first + root[1, 1] * second)
+        weight = np.outer(weights, weights).ravel()
+        return shape, scale_nats, weight / weight.sum()
+
+
+def segment_maxima(history: Sequence[tuple[float, float]]) -> list[float]:
+    """Return the largest evidence [nats] of each segment of `SEGMENT_s`; `history` holds times [s] and
+    evidence.
+    """
+    times, evidence = np.array(history, float).reshape(-1, 2).T
+    known = np.isfinite(evidence)
+    times, evidence = times[known], evidence[known]
+    if not len(times):
+        return []
+    number = ((times - times[0]) // SEGMENT_s).astype(int)
+    return [float(evidence[number == segment].max()) for segment in np.unique(number)]
+
+
+def fit_tail(flights: Sequence[Sequence[tuple[float, float]]], healthy_s: float = math.inf) -> Tail:
+    """Fit the tail of the evidence to nominal flights.
+
+    Parameters
+    ----------
+    flights : sequence of sequence of (float, float)
+        Times [s] and evidence [nats] of each flight.
+    healthy_s : float
+        Length of the real flights along which these were drawn [s]; infinite for simulated ones.
+
+    Raises
+    ------
+    TwinError
+        The flights are too short.
+    """
+    maxima = [maximum for history in flights for maximum in segment_maxima(history)]
+    if len(maxima) < 10:
+        raise TwinError(
+            f"{len(maxima)} segments of {SEGMENT_s:g} s of nominal flight are too few for a threshold",
+            "give a longer flight",
+        )
+    level = float(np.quantile(maxima, _LEVEL))
+    over = np.array([maximum - level for maximum in maxima if maximum > level])
+    shape, scale = _fit(over)
+    flown_h = len(maxima) * SEGMENT_s / 3600.0
+    return Tail(level, len(over) / flown_h, max(scale, _MIN_SCALE_nats), len(over), shape, healthy_s)
+
+
+def _fit(over: Floats) -> tuple[float, float]:
+    """Most probable shape and scale [nats] of some excesses."""
+
+    def cost(point: Floats) -> float:
+        shape, scale = float(point[0]), math.exp(point[1])
+        density = genpareto.logpdf(over, shape, scale=scale).sum()
+        return 0.5 * (shape / _SHAPE_STD) ** 2 - float(density) if math.isfinite(density) else 1e9
+
+    best = minimize(cost, [0.0, math.log(over.mean())], method="Nelder-Mead", options={"xatol": 1e-4})
+    return float(best.x[0]), math.exp(best.x[1])
