@@ -177,11 +177,13 @@ def answer_with(
     parameters : Mapping[str, Estimate], optional
         Estimates by parameter name.
     """
-    certain = max(named.values(), default=0.0)
-    rest = {name: rate * (1.0 - 0.5 * certain) for name, rate in causes.base_rates.items()}
+    # Several causes may be hidden together: a certain cause halves the rates of the others, no more.
+    certain = max((value for name, value in named.items() if name != NOTHING), default=0.0)
+    share = (1.0 - 0.5 * certain) * (1.0 - named.get(NOTHING, 0.0))
+    rest = {name: rate * share for name, rate in causes.base_rates.items()}
     full = {**rest, **{name: min(max(value, 0.0), 1.0) for name, value in named.items()}}
-    if NOTHING not in named:
-        full[NOTHING] = math.prod(1.0 - value for name, value in named.items()) if named else rest[NOTHING]
+    if named and NOTHING not in named:
+        full[NOTHING] = math.prod(1.0 - value for value in named.values())
     highest = max(value for name, value in full.items() if name != NOTHING)
     full[NOTHING] = min(full[NOTHING], 1.0 - highest)
     return answer_content(Answer(full, parameters or {}))
