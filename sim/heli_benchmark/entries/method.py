@@ -15,6 +15,7 @@ from typing import Any, Final
 from heli_benchmark.errors import BenchmarkError
 
 _METHODS: Final = Path(__file__).parents[1] / "methods"
+_SHARED: Final = _METHODS / "terms.py"
 _FUNCTION: Final = "diagnose"
 _PREPARE: Final = "prepare"
 
@@ -39,9 +40,11 @@ class MethodAddress:
 
     @property
     def digest(self) -> str:
-        """Digest of the code: of the file, and of all methods if it belongs to this package."""
-        files = sorted(_METHODS.glob("*.py")) if self.builtin else [self.file]
-        return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
+        """Digest of the code: of the file, and of the shared terms if a method of this package uses them."""
+        content = self.file.read_bytes()
+        if self.builtin and _SHARED.stem.encode() in content:
+            content += _SHARED.read_bytes()
+        return hashlib.sha256(content).hexdigest()
 
 
 def builtin_methods() -> list[str]:

@@ -10,7 +10,7 @@ from pysindy.optimizers import STLSQ, EnsembleOptimizer
 from heli_benchmark.methods.terms import Term, residual_regression
 from heli_benchmark.task import BenchmarkCase, Estimate, answer_with
 
-_MODELS: Final = 40
+_MODELS: Final = 10
 _THRESHOLD: Final = 0.12
 """Smallest coefficient of a scaled term that STLSQ keeps: it then explains 1.4 % of the variance. Not tuned."""
 
