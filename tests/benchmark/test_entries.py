@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -23,7 +24,7 @@ METHODS = ROOT / "sim" / "heli_benchmark" / "methods"
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limits of a process")
 def test_a_run_goes_on_after_a_failed_case_and_continues(tmp_path: Path) -> None:
     split = make(tmp_path / "small", cases=3)
-    example = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)[0]
+    example = textwrap.dedent(re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)[0])
     # The method of the page answers the first case; the others fail as a stranger's method may.
     wrong = (
         '\n\ndef entered(case):\n    if case.name == "case-002":\n        raise ValueError("no\\nroot")\n'
@@ -62,7 +63,9 @@ def test_a_run_goes_on_after_a_failed_case_and_continues(tmp_path: Path) -> None
 
 
 def test_a_method_that_does_not_exist_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(BenchmarkError, match=r"unknown method 'our'; give FILE.py:FUNCTION, or one of base_r"):
+    with pytest.raises(
+        BenchmarkError, match=r"unknown method 'our'; give FILE.py:FUNCTION, or one of base_r"
+    ):
         find_method("our")
     with pytest.raises(BenchmarkError, match=r"mine.py, does not exist; check the path"):
         find_method(f"{tmp_path}/mine.py:diagnose")

@@ -42,7 +42,7 @@ GOOD: dict[str, Any] = {
 )
 def test_a_mistake_in_an_answer_is_one_line(change: dict[str, Any], words: str) -> None:
     check_answer(GOOD, CAUSES, "a.json")
-    with pytest.raises(BenchmarkError, match="a.json") as caught:
+    with pytest.raises(BenchmarkError, match=r"a\.json") as caught:
         check_answer(GOOD | change, CAUSES, "a.json")
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)

@@ -14,8 +14,8 @@ from heli_benchmark.task import NOTHING, UNLISTED, Answer, Causes, Split
 from heli_benchmark.task.answer import check_answer
 
 MIN_PROBABILITY: Final = 1e-3
-"""Lowest probability of what was true, in the log score. With 0, one wrong certainty would decide the table; at
-0.01 a method that is 99.9 % sure would gain nothing."""
+"""Lowest probability of what was true, in the log score. With 0, one wrong certainty would decide the table;
+at 0.01 a method that is 99.9 % sure would gain nothing."""
 NAMED: Final = 0.5
 """Probability from which an answer names a cause: more likely hidden than not."""
 _NO_SIZE: Final = ("_at_s", "_rest_rad", "_Hz")
@@ -186,7 +186,10 @@ def score_answer(
         len(named - truth.causes - truth.invisible),
         bool(named) if NOTHING in truth.causes else None,
         tuple(
-            (abs(of.value - truth.sizes[name]) <= 2.0 * of.std, _interval_score(of.value, of.std, truth.sizes[name]))
+            (
+                abs(of.value - truth.sizes[name]) <= 2.0 * of.std,
+                _interval_score(of.value, of.std, truth.sizes[name]),
+            )
             for name, of in answer.parameters.items()
             if name in truth.sizes
         ),

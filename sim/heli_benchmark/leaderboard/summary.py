@@ -33,8 +33,8 @@ def summarise_runs(runs: Mapping[str, Sequence[CaseScore]], seed: int = 0) -> di
     Returns
     -------
     dict
-        ``methods`` by name: scores as ``value``, ``low`` and ``high`` of the 95 % interval, and ``cases``, the
-        number that enters. ``pairs``: differences of two methods, the first minus the second.
+        ``methods`` by name: scores as ``value``, ``low`` and ``high`` of the 95 % interval, and ``cases``,
+        the number that enters. ``pairs``: differences of two methods, the first minus the second.
     """
     cases = len(next(iter(runs.values())))
     drawn = np.random.default_rng(seed).integers(cases, size=(RESAMPLES, cases))
@@ -59,7 +59,9 @@ def _summary(scores: Sequence[CaseScore], weights: Floats) -> dict[str, Any]:
     }
     ratios = {name: _ratio(sums, weights) for name, sums in _sums(scores).items()}
     return {
-        "skill": _interval(_skill(loss, base, np.ones((1, len(loss)))), _skill(loss, base, weights), len(loss)),
+        "skill": _interval(
+            _skill(loss, base, np.ones((1, len(loss)))), _skill(loss, base, weights), len(loss)
+        ),
         **ratios,
         "calibration_error": _calibration(scores, weights),
         **cost,

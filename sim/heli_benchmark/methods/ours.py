@@ -12,8 +12,8 @@ from heli_sim.model import MultibodyModel
 from heli_benchmark.task import NOTHING, UNLISTED, BenchmarkCase, Estimate, answer_with
 
 _EXPLAINED: Final = 0.95
-"""Probability of nothing if the nominal model explains the flights: the share that docs/validation/diagnosis.md
-requires of cases with nothing hidden."""
+"""Probability of nothing if the nominal model explains the flights: the share that
+docs/validation/diagnosis.md requires of cases with nothing hidden."""
 _UNEXPLAINED: Final = 0.7
 """Probability of an unlisted cause if the verdict is `unexplained`; set by judgement, not tuned."""
 _OTHERWISE: Final = 0.05

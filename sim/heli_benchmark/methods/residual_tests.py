@@ -1,4 +1,4 @@
-"""Ljung's recipe with statsmodels: an ARX model of the residuals, and tests of whiteness. It does not name causes."""
+"""Ljung's recipe with statsmodels: an ARX model of the residuals and tests of whiteness; names no cause."""
 
 from __future__ import annotations
 

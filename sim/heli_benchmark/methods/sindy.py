@@ -1,4 +1,4 @@
-"""PySINDy: sparse regression with an ensemble, in weak form, with the candidate terms of the stepwise regression."""
+"""PySINDy: sparse regression with an ensemble, in weak form, with the terms of the stepwise regression."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from heli_benchmark.task import BenchmarkCase, Estimate, answer_with
 
 _MODELS: Final = 10
 _THRESHOLD: Final = 0.12
-"""Smallest coefficient of a scaled term that STLSQ keeps: it then explains 1.4 % of the variance. Not tuned."""
+"""Smallest coefficient of a scaled term that STLSQ keeps; it explains 1.4 % of the variance. Not tuned."""
 
 
 def diagnose(case: BenchmarkCase) -> dict[str, Any]:
@@ -37,7 +37,7 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
     terms = [term for key, term in best.items() if key != "input_delay"]
     columns = np.column_stack([term.columns - known @ (onto @ term.columns) for term in terms])
     scale = columns.std(axis=0)
-    np.random.seed(0)  # noqa: NPY002 - PySINDy draws from the global generator
+    np.random.seed(0)  # PySINDy draws from the global generator
     ensemble = EnsembleOptimizer(STLSQ(threshold=_THRESHOLD, alpha=1e-3), bagging=True, n_models=_MODELS)
     ensemble.fit(columns / scale, (target / target.std())[:, None])
     coefficients = np.array(ensemble.coef_list)[:, 0, :]

@@ -1,4 +1,4 @@
-"""What an engineer would do: smoothed accelerations, and stepwise regression of their residuals by BIC."""
+"""An engineer's way: smoothed accelerations, and stepwise regression of their residuals by BIC."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ MAX_TERMS: Final = 5
 _TRIED_NATS: Final = 3.0
 """Evidence that pays for the number of candidates, about thirty. From the count, not tuned."""
 _SHARPNESS: Final = 0.5
-"""A regression that ignores the errors of its terms is too certain; half the evidence counts. By judgement."""
+"""A regression that ignores the errors of its terms is too certain; half the evidence counts. A guess."""
 
 
 def diagnose(case: BenchmarkCase) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Symbolic regression of the residual accelerations with pyoperon; an equation is named by its most similar term."""
+"""Symbolic regression of the residual accelerations with pyoperon; the most similar term names each."""
 
 from __future__ import annotations
 
@@ -34,7 +34,12 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
     for axis in range(3):
         target = regression.residuals[:, axis]
         search = SymbolicRegressor(
-            population_size=500, generations=200, max_evaluations=100_000, max_length=15, n_threads=1, random_state=1
+            population_size=500,
+            generations=200,
+            max_evaluations=100_000,
+            max_length=15,
+            n_threads=1,
+            random_state=1,
         )
         search.fit(features[first], target[first])
         predicted = np.asarray(search.predict(features)).ravel()

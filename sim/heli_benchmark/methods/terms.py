@@ -28,8 +28,8 @@ from heli_benchmark.task import UNLISTED, BenchmarkCase
 GRID_s: Final = 0.1
 """Step of the regression. The disturbances are correlated over 0.3 s and more."""
 _WINDOW_s: Final = 0.4
-"""Length of the smoothing filter: half the period of the fastest excitation, 4 Hz, would be 0.12 s, but at 100 Hz
-the encoders' counts need a longer one."""
+"""Length of the smoothing filter. Shorter: the counts of the encoders dominate at 100 Hz. Longer: it removes
+the excitation, which ends at 4 Hz. By judgement, not tuned."""
 _MOMENTS: Final = (15.0, 17.0, 19.0, 21.0, 23.0, 25.0, 27.0)
 _FREQUENCIES_Hz: Final = tuple(np.arange(0.3, 2.51, 0.1))
 _LATE: Final = {"rotor_lag": "rotor_lag_s", "input_delay": "input_delay_s"}
@@ -131,7 +131,7 @@ def residual_regression(case: BenchmarkCase, weak_form: bool = False) -> Residua
 
     def white(values: Floats) -> Floats:
         scaled = (values.swapaxes(1, -1) * scale).swapaxes(1, -1)
-        return (scaled[1:] - lag * scaled[:-1]).reshape(-1, *values.shape[2:])
+        return np.asarray((scaled[1:] - lag * scaled[:-1]).reshape(-1, *values.shape[2:]))
 
     terms = [Term(cause, names, white(columns)) for cause, names, columns in drafts]
     useful = [term for term in terms if np.isfinite(term.columns).all() and term.columns.std() > 1e-9]

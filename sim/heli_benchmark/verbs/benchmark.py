@@ -32,14 +32,16 @@ def make(
     split: Annotated[
         str, typer.Option("--split", metavar="NAME", help="Give the split this name.")
     ] = "public",
-    seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Draw the cases with this seed.")] = 0,
+    seed: Annotated[
+        int, typer.Option("--seed", metavar="N", min=0, help="Draw the cases with this seed.")
+    ] = 0,
     count: Annotated[int, typer.Option("--count", metavar="N", min=1, help="Draw this many cases.")] = 24,
     workers: WorkersOption = 1,
 ) -> None:
     """Fly cases with hidden causes, and write them as folders for methods.
 
-    Each case takes about 10 s of CPU time. The truth is in a folder of its own. After an interruption, the same
-    command continues.
+    Each case takes about 10 s of CPU time. The truth is in a folder of its own. After an interruption, the
+    same command continues.
 
     Example: `heli-host benchmark make public --seed 34 --count 24`
     """
@@ -70,7 +72,9 @@ def run(
     ],
     resources: Annotated[
         Path | None,
-        typer.Option("--resources", metavar="DIR", help="Give the method this folder, such as training cases."),
+        typer.Option(
+            "--resources", metavar="DIR", help="Give the method this folder, such as training cases."
+        ),
     ] = None,
     cpu_limit: Annotated[
         int, typer.Option("--cpu-limit", metavar="S", min=1, help="Limit the CPU time of a case.")
