@@ -32,6 +32,9 @@ _WINDOW_s: Final = 0.4
 the excitation, which ends at 4 Hz. By judgement, not tuned."""
 _MOMENTS: Final = (15.0, 17.0, 19.0, 21.0, 23.0, 25.0, 27.0)
 _FREQUENCIES_Hz: Final = tuple(np.arange(0.3, 2.51, 0.1))
+_SAME_SHAPE: Final = 0.98
+"""Correlation from which two terms are the same. A spring is a torque in proportion to an angle, about another
+angle of rest: 1 without filters."""
 _LATE: Final = {"rotor_lag": "rotor_lag_s", "input_delay": "input_delay_s"}
 
 
@@ -135,6 +138,8 @@ def residual_regression(case: BenchmarkCase, weak_form: bool = False) -> Residua
 
     terms = [Term(cause, names, white(columns)) for cause, names, columns in drafts]
     useful = [term for term in terms if np.isfinite(term.columns).all() and term.columns.std() > 1e-9]
+    listed = [term for term in useful if term.parameters]
+    useful = listed + [term for term in useful if not term.parameters and not _is_listed(term, listed)]
     features = np.concatenate([one.features for one in smooth])
     features = (features - features.mean(axis=0)) / features.std(axis=0)
     return ResidualRegression(white(target), white(nuisance), useful, fitted / fitted.std(axis=0), features)
@@ -257,6 +262,14 @@ def _shapes(flight: _Smoothed) -> list[Floats]:
     q, w = flight.angles_rad.T, flight.rates_rad_s.T
     singles = [*q, *w, *(np.sin(2.0 * one) for one in q), *(one * np.abs(one) for one in w)]
     return [*singles, *(one**2 for one in (*q, *w)), q[0] * q[1], q[0] * w[2], q[1] * w[0]]
+
+
+def _is_listed(term: Term, listed: Sequence[Term]) -> bool:
+    """Whether a listed cause has the same shape, so that the term says nothing of an unlisted one."""
+    column = term.columns[:, 0] / np.linalg.norm(term.columns)
+    return any(
+        abs(column @ other / np.linalg.norm(other)) > _SAME_SHAPE for one in listed for other in one.columns.T
+    )
 
 
 def _stack(parts: Sequence[Floats]) -> Floats:
