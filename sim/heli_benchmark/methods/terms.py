@@ -33,8 +33,8 @@ the excitation, which ends at 4 Hz. By judgement, not tuned."""
 _MOMENTS: Final = (15.0, 17.0, 19.0, 21.0, 23.0, 25.0, 27.0)
 _FREQUENCIES_Hz: Final = tuple(np.arange(0.3, 2.51, 0.1))
 _SAME_SHAPE: Final = 0.98
-"""Correlation from which two terms are the same. A spring is a torque in proportion to an angle, about another
-angle of rest: 1 without filters."""
+"""Correlation from which two terms are the same. The torque of a spring, for example, is proportional to an
+angle, as one of the shapes is."""
 _LATE: Final = {"rotor_lag": "rotor_lag_s", "input_delay": "input_delay_s"}
 
 
