@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from heli_benchmark.leaderboard.report import draw, pair_lines, table
-from heli_benchmark.leaderboard.score import CaseScore, score_answer, score_run, truth_of
+from heli_benchmark.leaderboard.report import comparison_table, draw_comparison, pair_lines
+from heli_benchmark.leaderboard.score import CaseScore, score_answer, score_run, scored_truth
 from heli_benchmark.leaderboard.summary import summarise_runs
 from heli_benchmark.splits.causes import causes_content
 from heli_benchmark.task import NOTHING, UNLISTED, Answer, Estimate, write_answer
@@ -23,7 +23,7 @@ EMPTY, LAG, TWO, WITH_FAINT, UNKNOWN, _ = CONTENTS
 
 def scores(method: Callable[[dict[str, Any]], Answer], failure: str = "") -> list[CaseScore]:
     return [
-        score_answer(f"case-{i}", method(content), truth_of(content), CAUSES, failure=failure)
+        score_answer(f"case-{i}", method(content), scored_truth(content), CAUSES, failure=failure)
         for i, content in enumerate(CONTENTS)
     ]
 
@@ -37,7 +37,7 @@ def certain(name: str, probability: float = 1.0, **parameters: Estimate) -> Answ
 
 
 def score(content: dict[str, Any], answer: Answer) -> CaseScore:
-    return score_answer("case", answer, truth_of(content), CAUSES)
+    return score_answer("case", answer, scored_truth(content), CAUSES)
 
 
 def test_base_rates_have_skill_0_and_the_truth_has_skill_1() -> None:
@@ -121,7 +121,7 @@ def test_answers_of_another_program_are_scored_and_reported(tmp_path: Path) -> N
     summary = summarise_runs({"theirs": score_run(split, folder)})
     assert summary["methods"]["theirs"]["skill"]["value"] == 1.0
     assert summary["methods"]["theirs"]["cpu_s"] is None
-    draw(summary, tmp_path / "figure.png")
+    draw_comparison(summary, tmp_path / "figure.png")
     assert (tmp_path / "figure.png").stat().st_size > 5000
-    assert "| theirs | 1.00 (1.00 to 1.00) | 100%" in table(summary)
+    assert "| theirs | 1.00 (1.00 to 1.00) | 100%" in comparison_table(summary)
     assert pair_lines(summary) == []

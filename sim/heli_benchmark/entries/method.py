@@ -17,7 +17,7 @@ from heli_benchmark.errors import BenchmarkError
 _METHODS: Final = Path(__file__).parents[1] / "methods"
 _SHARED: Final = _METHODS / "terms.py"
 _FUNCTION: Final = "diagnose"
-_PREPARE: Final = "prepare"
+_TRAIN: Final = "train"
 
 
 @dataclass(frozen=True)
@@ -93,15 +93,15 @@ def load_function(method: MethodAddress) -> Callable[..., Any]:
     return function  # type: ignore[no-any-return]
 
 
-def load_prepare(method: MethodAddress) -> Callable[[Path], None] | None:
-    """Import a method, and return its function `prepare`, or None if it has none.
+def load_train(method: MethodAddress) -> Callable[[Path], None] | None:
+    """Import a method, and return its function `train`, or None if it has none.
 
     Parameters
     ----------
     method : MethodAddress
         Where it is.
     """
-    return getattr(_module(method), _PREPARE, None)
+    return getattr(_module(method), _TRAIN, None)
 
 
 def _module(method: MethodAddress) -> ModuleType:

@@ -18,7 +18,7 @@ from heli_benchmark.task.json_file import read_json, write_json
 from heli_benchmark.task.split import CAUSES_FILE, SCHEMA, Split
 
 RUN_FILE: Final = "run.json"
-_PREPARED_FILE: Final = "prepared.json"
+_TRAINED_FILE: Final = "trained.json"
 _WALL_FACTOR: Final = 30.0
 """Elapsed time per CPU time from which a process counts as hanging without work. At 4, a case on a computer
 with 25 busy processes was stopped before its CPU limit."""
@@ -72,16 +72,16 @@ def run_method(
     Raises
     ------
     BenchmarkError
-        If the folder has results of another method or split, or the preparation fails.
+        If the folder has results of another method or split, or the training fails.
     """
     limits = limits or RunLimits()
     method = find_method(text)
     _check_folder(split, method, text, folder, limits)
-    if resources is not None and not (folder / _PREPARED_FILE).exists():
-        result = _called(method, "-", resources, limits, folder / _PREPARED_FILE)
+    if resources is not None and not (folder / _TRAINED_FILE).exists():
+        result = _called(method, "-", resources, limits, folder / _TRAINED_FILE)
         if result["failure"]:
-            (folder / _PREPARED_FILE).unlink()
-            raise BenchmarkError(f"{text} cannot prepare: {result['failure']}", "correct the method")
+            (folder / _TRAINED_FILE).unlink()
+            raise BenchmarkError(f"{text} cannot be trained: {result['failure']}", "correct the method")
     waiting = [case for case in split.cases if not (folder / f"{case.name}.json").exists()]
 
     def work(case: Path) -> None:

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from heli_benchmark.entries.method import find_method, load_function, load_prepare
+from heli_benchmark.entries.method import find_method, load_function, load_train
 from heli_benchmark.task.answer import answer_content, check_answer
 from heli_benchmark.task.case import read_case
 from heli_benchmark.task.json_file import write_json
@@ -16,12 +16,12 @@ _MB = 1 << 20
 
 
 def main(arguments: list[str]) -> int:
-    """Answer a case, or prepare a method.
+    """Answer a case, or train a method.
 
     Parameters
     ----------
     arguments : list of str
-        Method, folder of the case or ``-`` for the preparation, file of the result, resources or ``-``, limit
+        Method, folder of the case or ``-`` for the training, file of the result, resources or ``-``, limit
         of CPU time in s, and limit of memory in MB.
     """
     method_text, case_folder, result_file, resources_text, cpu_limit_s, memory_limit_MB = arguments
@@ -32,9 +32,9 @@ def main(arguments: list[str]) -> int:
     try:
         method = find_method(method_text)
         if case_folder == "-":
-            prepare = load_prepare(method)
-            if prepare is not None and resources is not None:
-                prepare(resources)
+            train = load_train(method)
+            if train is not None and resources is not None:
+                train(resources)
         else:
             case = read_case(Path(case_folder), resources)
             content = load_function(method)(case)

@@ -24,7 +24,7 @@ _PANELS: Final = (
 )
 
 
-def table(summary: Mapping[str, Any]) -> str:
+def comparison_table(summary: Mapping[str, Any]) -> str:
     """Return the table as Markdown, the best skill first.
 
     Parameters
@@ -59,7 +59,7 @@ def pair_lines(summary: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def draw(summary: Mapping[str, Any], path: Path) -> None:
+def draw_comparison(summary: Mapping[str, Any], path: Path) -> None:
     """Draw the skill, the named causes and the false alarms of each method with their intervals.
 
     Parameters

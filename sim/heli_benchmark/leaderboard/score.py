@@ -27,7 +27,7 @@ _NORMAL: Final = 1.959964
 
 @dataclass(frozen=True)
 class Truth:
-    """What a case hides.
+    """Hidden causes of a case.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def score_run(split: Split, folder: Path) -> list[CaseScore]:
     """
     scores = []
     for name, result in read_run(folder, split).items():
-        truth = truth_of(split.truth(name))
+        truth = scored_truth(split.truth(name))
         failure = str(result.get("failure", ""))
         answer = (
             Answer(split.causes.base_rates)
@@ -120,7 +120,7 @@ def score_run(split: Split, folder: Path) -> list[CaseScore]:
     return scores
 
 
-def truth_of(content: Mapping[str, Any]) -> Truth:
+def scored_truth(content: Mapping[str, Any]) -> Truth:
     """Return the scored truth of a case.
 
     Parameters
@@ -163,7 +163,7 @@ def score_answer(
     answer : Answer
         The answer.
     truth : Truth
-        What the case hides.
+        Hidden causes of the case.
     causes : Causes
         All names and their base rates.
     cost : tuple of float, optional

@@ -18,7 +18,7 @@ _FEWEST: Final = 3
 """Training cases with a cause from which a classifier learns it; other causes keep their base rates."""
 
 
-def prepare(resources: Path) -> None:
+def train(resources: Path) -> None:
     """Train one classifier per name on the cases of a split, and keep them in its folder.
 
     Parameters

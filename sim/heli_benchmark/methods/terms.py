@@ -2,8 +2,8 @@
 
 Accelerations come from measured angles by a smoothing filter; the model and all terms pass the same filter. A
 term is the derivative of the model's accelerations by the size of a cause, from the catalogue of `heli_sim`.
-Terms of causes that an encoder or a lag of its own state makes do not exist in this form, except for the lag
-and the delay of the thrust: both are a derivative of the voltages.
+Causes in an encoder or with a state of their own have no such term. The lag and the delay of the thrust have
+one: the derivative of the voltages.
 """
 
 from __future__ import annotations

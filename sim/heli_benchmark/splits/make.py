@@ -22,7 +22,7 @@ from heli_benchmark.task.json_file import read_json, write_json
 from heli_benchmark.task.split import CAUSES_FILE, SCHEMA
 
 MAX_ATTEMPTS: Final = 8
-"""Draws of a route until a case is given up. Of 96 cases, none needed more than three."""
+"""Draws of a route until a case is given up. Fewer: a hard case stops the split. More: time."""
 
 
 def make_split(
@@ -85,7 +85,7 @@ def make_split(
 def _fly_and_write(case: PublishedCase, folder: Path) -> str:
     case, flights = fly_case(case)
     split_at = len(case.training_s)
-    truth = truth_of(case, flights[0])
+    truth = truth_content(case, flights[0])
     write_json(folder / "truth" / f"{case.name}.json", truth)
     # Renamed when complete: a folder in `cases` is whole.
     unfinished = folder / f"unfinished-{case.name}"
@@ -122,7 +122,7 @@ def fly_case(case: PublishedCase) -> tuple[PublishedCase, tuple[Flight, ...]]:
     )
 
 
-def truth_of(case: PublishedCase, flight: Flight) -> dict[str, Any]:
+def truth_content(case: PublishedCase, flight: Flight) -> dict[str, Any]:
     """Return the truth of a case, as its file has it.
 
     Parameters

@@ -21,7 +21,7 @@ _TRAINING, _VALIDATION = "training", "validation"
 
 @dataclass(frozen=True)
 class BenchmarkCase:
-    """What a method gets.
+    """Input of a method.
 
     Parameters
     ----------

@@ -117,14 +117,14 @@ def score(folder: SplitArgument, runs: RunsArgument, json: JsonOption = None) ->
     from heli_host.cli.outputs import check_result_places
 
     from heli_benchmark.leaderboard import score_run, summarise_runs
-    from heli_benchmark.leaderboard.report import pair_lines, table
+    from heli_benchmark.leaderboard.report import comparison_table, pair_lines
     from heli_benchmark.task import read_split
 
     check_result_places(json)
     data_on_stdout(json)
     split = read_split(folder)
     summary = summarise_runs({run.name: score_run(split, run) for run in runs})
-    say(table(summary), *pair_lines(summary))
+    say(comparison_table(summary), *pair_lines(summary))
     if write_result(json, summary):
         return
     say_files([json])
@@ -145,14 +145,14 @@ def report(
 
     Example: `heli-host benchmark report scores.json -o report`
     """
-    from heli_benchmark.leaderboard.report import draw, pair_lines, table
+    from heli_benchmark.leaderboard.report import comparison_table, draw_comparison, pair_lines
     from heli_benchmark.task.json_file import read_json
 
     summary = read_json(scores, "give a file of `heli-host benchmark score --json`")
     output.mkdir(parents=True, exist_ok=True)
     pairs = "\n".join(f"- {line}" for line in pair_lines(summary))
-    (output / "table.md").write_text(f"{table(summary)}\n\n{pairs}\n", encoding="utf-8")
-    draw(summary, output / "figure.png")
+    (output / "table.md").write_text(f"{comparison_table(summary)}\n\n{pairs}\n", encoding="utf-8")
+    draw_comparison(summary, output / "figure.png")
     say_files([output / "table.md", output / "figure.png"])
 
 
