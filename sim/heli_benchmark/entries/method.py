@@ -27,7 +27,7 @@ class MethodAddress:
     Parameters
     ----------
     file : Path
-        Its file.
+        Python file that defines it.
     function : str
         Name of the function that answers a case.
     builtin : bool

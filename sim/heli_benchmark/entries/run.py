@@ -54,8 +54,6 @@ def run_method(
 
     Parameters
     ----------
-    split : Split
-        The split.
     text : str
         The method, see `find_method`.
     folder : Path
@@ -127,13 +125,7 @@ def read_run(folder: Path, split: Split) -> dict[str, dict[str, Any]]:
 
 
 def split_digest(split: Split) -> str:
-    """Return a digest of the definition of a split.
-
-    Parameters
-    ----------
-    split : Split
-        The split.
-    """
+    """Return a digest of the definition of a split."""
     return hashlib.sha256((split.folder / CAUSES_FILE).read_bytes()).hexdigest()
 
 

@@ -160,8 +160,6 @@ def score_answer(
     ----------
     case : str
         Name of the case.
-    answer : Answer
-        The answer.
     truth : Truth
         Hidden causes of the case.
     causes : Causes

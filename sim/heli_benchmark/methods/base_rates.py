@@ -9,11 +9,5 @@ from heli_benchmark.task.answer import answer_content
 
 
 def diagnose(case: BenchmarkCase) -> dict[str, Any]:
-    """Return the base rates of a case's causes.
-
-    Parameters
-    ----------
-    case : BenchmarkCase
-        The case.
-    """
+    """Return the base rates of a case's causes."""
     return answer_content(Answer(case.causes.base_rates))

@@ -24,13 +24,7 @@ _NO_CHANGE: Final = 0.6
 
 
 def diagnose(case: BenchmarkCase) -> dict[str, Any]:
-    """Identify the rig from the training flights, and look for changes in all flights.
-
-    Parameters
-    ----------
-    case : BenchmarkCase
-        The case.
-    """
+    """Identify the rig from the training flights, and look for changes in all flights."""
     labels = [f"training {i}" for i in range(len(case.training))]
     rig = identify(MultibodyModel(), case.rig, case.training, labels=labels, threads=1).rig("identified")
     disturbances = learn_disturbances_of_flights(MultibodyModel(), rig, case.training, labels)

@@ -23,13 +23,7 @@ _PARTS: Final = {"rotor_lag_with_delay": ("rotor_lag", "input_delay")}
 
 
 def diagnose(case: BenchmarkCase) -> dict[str, Any]:
-    """Diagnose a case with the laboratory.
-
-    Parameters
-    ----------
-    case : BenchmarkCase
-        The case.
-    """
+    """Diagnose a case with the laboratory."""
     labels = [f"flight {i}" for i in range(len(case.training) + len(case.validation))]
     found = lab_diagnose(
         MultibodyModel(), case.rig, case.training, case.validation, labels=labels, refits=_REFITS, threads=1

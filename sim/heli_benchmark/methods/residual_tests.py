@@ -19,13 +19,7 @@ _SIGNIFICANCE: Final = 0.01
 
 
 def diagnose(case: BenchmarkCase) -> dict[str, Any]:
-    """Test whether the residuals of the nominal model depend on its inputs.
-
-    Parameters
-    ----------
-    case : BenchmarkCase
-        The case.
-    """
+    """Test whether the residuals of the nominal model depend on its inputs."""
     regression = residual_regression(case)
     inputs = np.hstack([regression.features, regression.features[:, :6] ** 2])
     detected = False

@@ -16,13 +16,7 @@ _THRESHOLD: Final = 0.12
 
 
 def diagnose(case: BenchmarkCase) -> dict[str, Any]:
-    """Diagnose a case by sparse regression.
-
-    Parameters
-    ----------
-    case : BenchmarkCase
-        The case.
-    """
+    """Diagnose a case by sparse regression."""
     regression = residual_regression(case, weak_form=True)
     # The nuisance parameters are not sparse: they are projected out, within their priors.
     known = regression.nuisance

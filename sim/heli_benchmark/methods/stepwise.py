@@ -16,13 +16,7 @@ _SHARPNESS: Final = 0.5
 
 
 def diagnose(case: BenchmarkCase) -> dict[str, Any]:
-    """Diagnose a case by stepwise regression.
-
-    Parameters
-    ----------
-    case : BenchmarkCase
-        The case.
-    """
+    """Diagnose a case by stepwise regression."""
     regression = residual_regression(case)
     chosen, gains_nats = selected(regression)
     named = {

@@ -18,13 +18,7 @@ _SIMILAR: Final = 0.8
 
 
 def diagnose(case: BenchmarkCase) -> dict[str, Any]:
-    """Search an equation for the residual acceleration of each axis.
-
-    Parameters
-    ----------
-    case : BenchmarkCase
-        The case.
-    """
+    """Search an equation for the residual acceleration of each axis."""
     regression = residual_regression(case)
     features, count = regression.features, len(regression.residuals)
     first = slice(0, round((1.0 - _HELD_OUT) * count))

@@ -49,7 +49,7 @@ class Term:
     parameters : tuple of str
         Parameters whose estimates are the coefficients; empty for a term of an unlisted cause.
     columns : ndarray (n, k)
-        Its columns.
+        Changes of the accelerations per unit of each parameter, whitened.
     """
 
     cause: str
@@ -114,8 +114,6 @@ def residual_regression(case: BenchmarkCase, weak_form: bool = False) -> Residua
 
     Parameters
     ----------
-    case : BenchmarkCase
-        The case.
     weak_form : bool
         Whether integrals with test functions replace smoothed accelerations.
     """

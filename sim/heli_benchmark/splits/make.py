@@ -99,11 +99,6 @@ def _fly_and_write(case: PublishedCase, folder: Path) -> str:
 def fly_case(case: PublishedCase) -> tuple[PublishedCase, tuple[Flight, ...]]:
     """Fly all flights of a case, and draw other routes if the rig leaves its angles.
 
-    Parameters
-    ----------
-    case : PublishedCase
-        The case.
-
     Returns
     -------
     tuple of PublishedCase and tuple of Flight
@@ -127,8 +122,6 @@ def truth_content(case: PublishedCase, flight: Flight) -> dict[str, Any]:
 
     Parameters
     ----------
-    case : PublishedCase
-        The case.
     flight : Flight
         Its first training flight. The motors run from its first row on.
     """

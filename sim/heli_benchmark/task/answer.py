@@ -138,20 +138,12 @@ def write_answer(path: Path, answer: Answer) -> None:
     ----------
     path : Path
         The file.
-    answer : Answer
-        The answer.
     """
     write_json(path, answer_content(answer))
 
 
 def answer_content(answer: Answer) -> dict[str, Any]:
-    """Return an answer as the content of its file.
-
-    Parameters
-    ----------
-    answer : Answer
-        The answer.
-    """
+    """Return an answer as the content of its file."""
     return {
         "schema": SCHEMA,
         "probabilities": dict(answer.probabilities),

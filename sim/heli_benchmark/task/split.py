@@ -60,7 +60,7 @@ class Split:
     Parameters
     ----------
     folder : Path
-        The folder.
+        Place of `causes.json`, `cases` and `truth`.
     name : str
         Its name: public, train, or another word.
     seed : int
@@ -120,13 +120,7 @@ def read_split(folder: Path) -> Split:
 
 
 def causes_of(content: Mapping[str, Any]) -> Causes:
-    """Return the causes in the content of a causes file.
-
-    Parameters
-    ----------
-    content : Mapping[str, Any]
-        The content.
-    """
+    """Return the causes in the `content` of a causes file."""
     return Causes(
         {name: float(of["base_rate"]) for name, of in content["causes"].items()},
         {name: dict(of["parameters"]) for name, of in content["causes"].items()},
