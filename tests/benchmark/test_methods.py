@@ -10,6 +10,7 @@ from heli_benchmark.methods.stepwise import selected
 from heli_benchmark.methods.terms import ResidualRegression, Term
 from heli_benchmark.task import NOTHING, UNLISTED, BenchmarkCase, Causes
 from heli_benchmark.task.answer import check_answer
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
@@ -37,7 +38,7 @@ def flown(stiffness: float) -> Flight:
     rates = ca.Function("rates", [x, u, p], [model.dynamics(x, u, p)])
     values, hover_V = model.parameter_values(RIG), trim(MultibodyModel(), RIG).volts_V
     rng = np.random.default_rng(4)
-    t_s = 0.01 * np.arange(1200)
+    t_s: Floats = 0.01 * np.arange(1200.0)
     phases = rng.uniform(-np.pi, np.pi, (2, 12))
     lines_Hz = 0.15 + 0.25 * np.arange(12)
     excited_V = 0.05 * np.sin(2.0 * np.pi * lines_Hz[:, None, None] * t_s + phases.T[:, :, None]).sum(axis=0)
