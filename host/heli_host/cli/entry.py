@@ -79,7 +79,7 @@ for _name, _verb in installed_verbs().items():
 # Typer raises its errors from click, or from its own copy of click since 0.25; this class is in both.
 _UsageError = next(base for base in typer.BadParameter.__mro__ if base.__name__ == "ClickException")
 
-_USERS_EXTRAS = ("page", "import", "export", "gym", "campaign")
+_USERS_EXTRAS = ("page", "import", "export", "gym", "campaign", "benchmark")
 EXIT_ASKED, EXIT_FILE, EXIT_BUG, EXIT_INTERRUPTED = 2, 5, 70, 130
 
 
