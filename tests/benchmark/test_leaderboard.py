@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from heli_benchmark.leaderboard.report import comparison_table, draw_comparison, pair_lines
+from heli_benchmark.leaderboard.report import comparison_table, pair_lines
 from heli_benchmark.leaderboard.score import CaseScore, score_answer, score_run, scored_truth
 from heli_benchmark.leaderboard.summary import summarise_runs
 from heli_benchmark.splits.causes import causes_content
 from heli_benchmark.task import NOTHING, UNLISTED, Answer, Estimate, write_answer
 from heli_benchmark.task.split import causes_of
+from heli_host.cli.entry import run
 
 from tests.benchmark.small_split import TRUTHS, informed, make
 
@@ -47,6 +48,13 @@ def test_base_rates_have_skill_0_and_the_truth_has_skill_1() -> None:
     for name, best in (("first_right", 1.0), ("all_named", 1.0), ("false_names", 0.0), ("false_alarms", 0.0)):
         assert methods["truth"][name]["value"] == best
     assert methods["truth"]["sizes_within"]["value"] == methods["truth"]["sizes_given"]["value"] == 1.0
+
+
+def test_a_share_of_few_cases_has_a_wide_interval() -> None:
+    alarms = summarise_runs({"truth": scores(informed)})["methods"]["truth"]["false_alarms"]
+    # Two cases hide nothing. No alarm in two of two is compatible with 84 %: 0.16 squared is 2.5 %.
+    assert (alarms["value"], alarms["low"], alarms["cases"]) == (0.0, 0.0, 2)
+    assert alarms["high"] == pytest.approx(1.0 - 0.025**0.5)
 
 
 def test_a_wrong_certainty_costs_more_than_base_rates() -> None:
@@ -112,7 +120,7 @@ def test_methods_are_compared_on_the_same_cases() -> None:
 
 
 @pytest.mark.medium
-def test_answers_of_another_program_are_scored_and_reported(tmp_path: Path) -> None:
+def test_answers_of_another_program_are_scored(tmp_path: Path) -> None:
     split = make(tmp_path / "small")
     folder = tmp_path / "theirs"
     folder.mkdir()
@@ -121,7 +129,29 @@ def test_answers_of_another_program_are_scored_and_reported(tmp_path: Path) -> N
     summary = summarise_runs({"theirs": score_run(split, folder)})
     assert summary["methods"]["theirs"]["skill"]["value"] == 1.0
     assert summary["methods"]["theirs"]["cpu_s"] is None
-    draw_comparison(summary, tmp_path / "figure.png")
-    assert (tmp_path / "figure.png").stat().st_size > 5000
     assert "| theirs | 1.00 (1.00 to 1.00) | 100%" in comparison_table(summary)
     assert pair_lines(summary) == []
+
+
+@pytest.mark.medium
+def test_the_command_scores_reports_and_explains_an_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    split = make(tmp_path / "small", cases=2)
+    folder, scores_file = tmp_path / "theirs", tmp_path / "scores.json"
+    folder.mkdir()
+    for case in split.cases:
+        write_answer(folder / f"{case.name}.json", informed(split.truth(case.name)))
+    score = ["benchmark", "score", str(split.folder), str(folder), "--json", str(scores_file)]
+    assert run(score) == 0
+    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("|")]
+    assert [row.split(" | ")[0] for row in rows if "---" not in row] == ["| method", "| theirs"]
+    assert run(["benchmark", "report", str(scores_file), "-o", str(tmp_path / "report")]) == 0
+    assert (tmp_path / "report" / "table.md").read_text().splitlines()[2] == rows[2]
+    assert (tmp_path / "report" / "figure.png").stat().st_size > 5000
+    (folder / "case-002.json").write_text('{"schema": 1, "probabilities": {"lag": 1.0}}')
+    capsys.readouterr()
+    assert run(score) != 0
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and error.count("\n") == 1
+    assert "case-002.json: unknown cause 'lag'; choose from causes.json" in error

@@ -1,4 +1,4 @@
-"""Summaries of runs over cases, with bootstrap intervals and comparisons by pairs."""
+"""Summaries of runs over cases, with intervals and comparisons by pairs."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ RESAMPLES: Final = 2000
 """Bootstrap resamples. The ends of an interval then vary by less than a tenth of its width."""
 _BINS: Final = (0.0, 0.05, 0.2, 0.5, 0.8, 1.0 + 1e-9)
 """Bins of the probabilities for the calibration error."""
+_SHARES: Final = ("first_right", "all_named", "false_alarms")
+"""Shares of cases. Their intervals are binomial: a bootstrap of 0 of 4 cases has no width."""
 _OUTER: Final = (2.5, 97.5)
 
 SumsPerCase = tuple[Floats, Floats]
@@ -58,6 +60,8 @@ def _summary(scores: Sequence[CaseScore], weights: Floats) -> dict[str, Any]:
         "peak_MB": max((one.peak_MB for one in scores if one.peak_MB is not None), default=None),
     }
     ratios = {name: _ratio(sums, weights) for name, sums in _sums(scores).items()}
+    for name in _SHARES:
+        ratios[name] |= _binomial(*_sums(scores)[name])
     return {
         "skill": _interval(
             _skill(loss, base, np.ones((1, len(loss)))), _skill(loss, base, weights), len(loss)
@@ -109,6 +113,16 @@ def _ratio(sums: SumsPerCase, weights: Floats) -> dict[str, Any]:
     below = weights @ under
     resampled = (weights @ over)[below > 0.0] / below[below > 0.0]
     return _interval(np.array([over.sum() / under.sum()]), resampled, count)
+
+
+def _binomial(over: Floats, under: Floats) -> dict[str, float]:
+    """Return the 95 % interval of Clopper and Pearson of a share of cases."""
+    from scipy.stats import binomtest
+
+    if not under.sum():
+        return {}
+    interval = binomtest(int(over.sum()), int(under.sum())).proportion_ci(0.95, "exact")
+    return {"low": float(interval.low), "high": float(interval.high)}
 
 
 def _calibration(scores: Sequence[CaseScore], weights: Floats) -> dict[str, Any]:

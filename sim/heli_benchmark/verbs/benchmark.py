@@ -124,7 +124,7 @@ def score(folder: SplitArgument, runs: RunsArgument, json: JsonOption = None) ->
     data_on_stdout(json)
     split = read_split(folder)
     summary = summarise_runs({run.name: score_run(split, run) for run in runs})
-    say(comparison_table(summary), *pair_lines(summary))
+    say(*comparison_table(summary).splitlines(), *pair_lines(summary))
     if write_result(json, summary):
         return
     say_files([json])
