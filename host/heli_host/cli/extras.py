@@ -15,6 +15,7 @@ USERS_EXTRAS: Final[Mapping[str, str]] = {
     "export": "logs as Parquet",
     "gym": "the Gymnasium environment",
     "campaign": "campaigns on several computers",
+    "benchmark": "the benchmark of hidden causes, with other methods",
 }
 """Extras that users choose, and their purpose. Other extras are for developers."""
 

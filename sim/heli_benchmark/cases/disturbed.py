@@ -19,16 +19,16 @@ LAG, SPEED_LAG = "rotor_lag", "rotor_speed_lag"
 _NOTHING = 42
 _GENTLE, _ON_QUANSER, _DRIFTING = 0.25, 0.3, 0.35
 """Shares of the cases with weak excitation, on the other rig, and with a slow drift."""
-_LARGER = (0.7, 1.0, 1.6)
+STRENGTH_FACTORS = (0.7, 1.0, 1.6)
 """Factors of the sizes by strength of the disturbances, so that most causes are visible in any."""
-_GENTLE_LARGER = 1.6
+WEAK_EXCITATION_FACTOR = 1.6
 """Factor of the sizes in flights with weak excitation."""
-_PAPER_ONLY = (
+PAPER_RIG_ONLY = (
     *("ground_effect", "edgewise_flow"),
     *("zero_offset", "cable_spring.elevation", "rotor_reaction_torque"),
 )
 """Effects that need the dimensions of the paper's rig, or that the tolerances of the other rig include."""
-_LIVELY = (
+STRONGLY_EXCITED_ONLY = (
     *("travel_drag_quadratic", "pitch_drag_quadratic", "gyroscopic_torque", "flywheel", "inflow_damping"),
     *("edgewise_flow", "encoder_eccentricity", "rotor_reaction_torque", "cable_spring.elevation"),
     *(law for law in DISTURBED if law not in ("bumpy_pitch", "hysteretic_thrust")),
@@ -57,9 +57,9 @@ SIZES: dict[str, float] = {
     "gyroscopic_torque": 0.06,
 }
 """Sizes under moderate disturbances, in the unit of the effect."""
-_UNSEEN = ("random_torque", "encoder_eccentricity.elevation", "encoder_eccentricity.pitch")
+NEVER_DRAWN = ("random_torque", "encoder_eccentricity.elevation", "encoder_eccentricity.pitch")
 """Random torques are disturbances; over a few degrees an eccentricity of second order is a scale."""
-_MAKERS: dict[str, Maker] = {
+MAKERS: dict[str, Maker] = {
     **{name: maker for name, (maker, _, _) in (LISTED | MORE_LISTED).items()},
     **{name: maker for name, (maker, _) in MEASURED_EFFECTS.items()},
     **{name: maker for name, (maker, _) in DISTURBED.items()},
@@ -110,7 +110,7 @@ def _in_order() -> Iterator[DisturbedCase]:
         seed += 1
         yield _case(f"w-lag-{number}", seed, (LAG,), ())
     for name in SIZES:
-        if name not in (LAG, SPEED_LAG) and not name.startswith(_UNSEEN):
+        if name not in (LAG, SPEED_LAG) and not name.startswith(NEVER_DRAWN):
             seed += 1
             yield _case(f"w-lag+{name}", seed, (LAG, name), ())
     for name in _ALONE:
@@ -141,11 +141,11 @@ def _case(name: str, seed: int, effects: Sequence[str], equations: Sequence[str]
     gentle = bool(rng.random() < _GENTLE)
     rate_Hz = RATES_Hz[int(rng.integers(3))]
     controller = CONTROLLERS[int(rng.integers(3))]
-    if any(one.startswith(_PAPER_ONLY) for one in effects):
+    if any(one.startswith(PAPER_RIG_ONLY) for one in effects):
         on_quanser = False
-    if any(one.startswith(_LIVELY) for one in (*effects, *equations)):
+    if any(one.startswith(STRONGLY_EXCITED_ONLY) for one in (*effects, *equations)):
         gentle = False
-    larger = _LARGER[strength] * (_GENTLE_LARGER if gentle else 1.0)
+    larger = STRENGTH_FACTORS[strength] * (WEAK_EXCITATION_FACTOR if gentle else 1.0)
     sized = [(one, _size(one, SIZES[one], larger, rng)) for one in effects]
     off = [(law, _size(law, DISTURBED[law][1], larger, rng)) for law in equations]
     return DisturbedCase(
@@ -153,7 +153,7 @@ def _case(name: str, seed: int, effects: Sequence[str], equations: Sequence[str]
         tuple(sized),
         tuple(off),
         seed,
-        tuple(_MAKERS[one] for one in (*effects, *equations)),
+        tuple(MAKERS[one] for one in (*effects, *equations)),
         QUANSER_RIG if on_quanser else PAPER_RIG,
         rate_Hz,
         gentle,

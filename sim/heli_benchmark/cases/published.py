@@ -1,0 +1,185 @@
+"""Cases of the published benchmark: conditions first, then causes that may be hidden under them.
+
+Conditions do not depend on the causes: rate, length and number of flights give no hint of the truth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from typing import Final
+
+import numpy as np
+from typing_extensions import override
+
+from heli_benchmark.cases.disturbed import (
+    LAG,
+    MAKERS,
+    NEVER_DRAWN,
+    PAPER_RIG,
+    PAPER_RIG_ONLY,
+    SIZES,
+    SPEED_LAG,
+    STRENGTH_FACTORS,
+    STRONGLY_EXCITED_ONLY,
+    WEAK_EXCITATION_FACTOR,
+    RATES_Hz,
+)
+from heli_benchmark.cases.disturbed_case import QUANSER_RIG, DisturbedCase
+from heli_benchmark.effects.disturbances import DisturbanceModel, MEMORIES_s, STRENGTHS_Nm
+from heli_benchmark.effects.unlisted import DISTURBED
+from heli_benchmark.simulation.tracking import CONTROLLERS, Route
+
+LISTED_CAUSES: Final = tuple(name for name in SIZES if not name.startswith(NEVER_DRAWN))
+"""Causes that a case may hide, by their names in the catalogue."""
+KINDS: Final = ("nothing",) * 4 + ("one",) * 3 + ("two",) * 2 + ("three", "unlisted", "unlisted and one")
+"""Kinds of twelve cases; nothing is hidden in a third."""
+_LISTED_COUNT: Final = {"nothing": 0, "one": 1, "two": 2, "three": 3, "unlisted": 0, "unlisted and one": 1}
+_DISTURBANCES: Final = ("none", "weak", "moderate", "strong", "slow", "drifting")
+"""Without disturbances, and five kinds of them."""
+_ON_QUANSER, _WEAKLY_EXCITED = 0.3, 0.25
+"""Shares of the cases on the rig of the other type, and with weak excitation."""
+_TRAINING_s, _VALIDATION_s = (30.0, 45.0, 60.0), (20.0, 30.0, 40.0)
+"""Lengths of flights. No shorter training flight: a shock happens 15 to 28 s after the start."""
+_LATE: Final = (LAG, SPEED_LAG, "input_delay")
+"""Effects that delay the thrust. A case has one of them at most, because they imitate each other."""
+_FADING: Final = ("thrust_fade", "supply_fade")
+_MAX_CONFLICTS: Final = 40
+
+
+@dataclass(frozen=True)
+class PublishedCase(DisturbedCase):
+    """A case of a split, with one to three training flights and one or two validation flights.
+
+    Parameters
+    ----------
+    training_s, validation_s : tuple of float
+        Lengths of the flights.
+    attempt : int
+        Number of the draw of routes and controllers, after a flight that left the safe range of angles.
+    """
+
+    training_s: tuple[float, ...] = (30.0,)
+    validation_s: tuple[float, ...] = (20.0,)
+    attempt: int = 0
+
+    @property
+    def durations_s(self) -> tuple[float, ...]:
+        """Lengths of all flights, training flights first."""
+        return (*self.training_s, *self.validation_s)
+
+    @override
+    def route(self, flight: int, duration_s: float) -> Route:
+        """Draw the route of a flight; each flight has another one."""
+        rng = np.random.default_rng([self.seed, 8, flight, self.attempt])
+        weaker = 0.45 if self.gentle else 1.0
+        travel_deg, elevation_deg = rng.uniform(40.0, 75.0), rng.uniform(10.0, 15.0)
+        # The rotors of the Quanser rig give a quarter of the thrust per volt.
+        excitation_V = rng.uniform(0.12, 0.3) * (2.5 if self.rig_name == QUANSER_RIG else 1.0)
+        return Route(
+            duration_s,
+            weaker * travel_deg,
+            weaker * elevation_deg,
+            bool(rng.integers(2)),
+            weaker * excitation_V,
+        )
+
+
+def published_cases(seed: int, count: int) -> Iterator[PublishedCase]:
+    """Draw the cases of a split.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the split.
+    count : int
+        Number of cases; a multiple of 12 has the exact shares of all kinds.
+    """
+    kinds = [KINDS[i % len(KINDS)] for i in range(count)]
+    order = np.random.default_rng([seed, 0]).permutation(count)
+    for number in range(count):
+        yield _case(f"case-{number + 1:03d}", seed, number, kinds[order[number]])
+
+
+def base_rates() -> dict[str, float]:
+    """Return the probability that a case hides each cause, with `nothing` and `unlisted`."""
+    kinds = len(KINDS)
+    rates = {
+        "nothing": KINDS.count("nothing") / kinds,
+        "unlisted": sum(kind.startswith("unlisted") for kind in KINDS) / kinds,
+        **dict.fromkeys(LISTED_CAUSES, 0.0),
+    }
+    listed = sum(_LISTED_COUNT[kind] for kind in KINDS) / kinds
+    for on_quanser, weak in ((False, False), (False, True), (True, False), (True, True)):
+        share = (_ON_QUANSER if on_quanser else 1.0 - _ON_QUANSER) * (
+            _WEAKLY_EXCITED if weak else 1.0 - _WEAKLY_EXCITED
+        )
+        names = _possible(LISTED_CAUSES, on_quanser, weak)
+        for name in names:
+            rates[name] += share * listed / len(names)
+    return rates
+
+
+def _case(name: str, seed: int, number: int, kind: str) -> PublishedCase:
+    conditions = np.random.default_rng([seed, 1, number])
+    on_quanser = bool(conditions.random() < _ON_QUANSER)
+    weak = bool(conditions.random() < _WEAKLY_EXCITED)
+    disturbances, factor = _disturbances(conditions)
+    training = conditions.choice(_TRAINING_s, int(conditions.choice([1, 2, 3], p=[0.6, 0.25, 0.15])))
+    validation = conditions.choice(_VALIDATION_s, int(conditions.choice([1, 2], p=[0.7, 0.3])))
+    rate_Hz, controller = int(conditions.choice(RATES_Hz)), str(conditions.choice(CONTROLLERS))
+    truth = np.random.default_rng([seed, 2, number])
+    effects = _drawn(truth, _LISTED_COUNT[kind], on_quanser, weak)
+    unlisted: tuple[str, ...] = ()
+    if kind.startswith("unlisted"):
+        unlisted = (str(truth.choice(_possible(tuple(DISTURBED), on_quanser, weak))),)
+    factor *= WEAK_EXCITATION_FACTOR if weak else 1.0
+
+    def size(cause: str, typical: float) -> float:
+        # A lag depends on the rotors, not on the disturbances.
+        return typical * (1.0 if cause in _LATE else factor) * float(truth.uniform(0.75, 1.3))
+
+    return PublishedCase(
+        name,
+        tuple((cause, size(cause, SIZES[cause])) for cause in effects),
+        tuple((cause, size(cause, DISTURBED[cause][1])) for cause in unlisted),
+        int(np.random.default_rng([seed, 3, number]).integers(1 << 31)),
+        tuple(MAKERS[cause] for cause in (*effects, *unlisted)),
+        QUANSER_RIG if on_quanser else PAPER_RIG,
+        rate_Hz,
+        weak,
+        controller,
+        disturbances,
+        tuple(float(one) for one in training),
+        tuple(float(one) for one in validation),
+    )
+
+
+def _disturbances(rng: np.random.Generator) -> tuple[DisturbanceModel, float]:
+    """Draw disturbances, and the factor of the sizes that suit them."""
+    kind = str(rng.choice(_DISTURBANCES))
+    strength = {"none": 0, "weak": 0, "strong": 2}.get(kind, 1)
+    gusts_Nm = STRENGTHS_Nm[strength]
+    memory_s = MEMORIES_s[2] if kind == "slow" else MEMORIES_s[int(rng.integers(2))]
+    shares, drift_s = rng.uniform(0.5, 1.0, 3), float(rng.uniform(20.0, 40.0))
+    if kind == "none":
+        gusts_Nm = (0.0, 0.0, 0.0)
+    e, p, t = (float(one) for one in shares * gusts_Nm * (kind == "drifting"))
+    return DisturbanceModel(gusts_Nm, memory_s, (e, p, t), drift_s), STRENGTH_FACTORS[strength]
+
+
+@cache
+def _possible(names: tuple[str, ...], on_quanser: bool, weak: bool) -> tuple[str, ...]:
+    """Return the causes that may be hidden on this rig, with this excitation."""
+    excluded = (PAPER_RIG_ONLY if on_quanser else ()) + (STRONGLY_EXCITED_ONLY if weak else ())
+    return tuple(name for name in names if not (excluded and name.startswith(excluded)))
+
+
+def _drawn(rng: np.random.Generator, count: int, on_quanser: bool, weak: bool) -> tuple[str, ...]:
+    names = _possible(LISTED_CAUSES, on_quanser, weak)
+    for _ in range(_MAX_CONFLICTS):
+        drawn = tuple(str(one) for one in rng.choice(names, count, replace=False))
+        if all(sum(name in group for name in drawn) <= 1 for group in (_LATE, _FADING)):
+            return drawn
+    return drawn[:1]

@@ -1,0 +1,5 @@
+"""Runs of methods on a split, each case in a process with limits."""
+
+from heli_benchmark.entries.run import RunLimits, read_run, run_method
+
+__all__ = ["RunLimits", "read_run", "run_method"]

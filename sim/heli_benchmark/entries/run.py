@@ -1,0 +1,181 @@
+"""Run a method on all cases of a split; each case is a process with limits, and has a file of its own."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from heli_benchmark.entries.method import MethodAddress, find_method
+from heli_benchmark.errors import BenchmarkError
+from heli_benchmark.task.json_file import read_json, write_json
+from heli_benchmark.task.split import CAUSES_FILE, SCHEMA, Split
+
+RUN_FILE: Final = "run.json"
+_TRAINED_FILE: Final = "trained.json"
+_WALL_FACTOR: Final = 30.0
+"""Elapsed time per CPU time from which a process counts as hanging without work. At 4, a case on a computer
+with 25 busy processes was stopped before its CPU limit."""
+
+
+@dataclass(frozen=True)
+class RunLimits:
+    """Limits of the process of a case.
+
+    Parameters
+    ----------
+    cpu_s : int
+        CPU time.
+    memory_MB : int
+        Address space.
+    """
+
+    cpu_s: int = 300
+    memory_MB: int = 6000
+
+
+def run_method(
+    split: Split,
+    text: str,
+    folder: Path,
+    *,
+    limits: RunLimits | None = None,
+    resources: Path | None = None,
+    workers: int = 1,
+    say: Callable[[str, str], None] | None = None,
+) -> None:
+    """Run a method on the cases of a split that have no result yet.
+
+    Parameters
+    ----------
+    text : str
+        The method, see `find_method`.
+    folder : Path
+        Folder of the results.
+    limits : RunLimits, optional
+        Limits of each process.
+    resources : Path, optional
+        Folder for the method, such as training cases.
+    workers : int
+        Number of processes.
+    say : callable, optional
+        Called with the name of a finished case and its failure, if it has one.
+
+    Raises
+    ------
+    BenchmarkError
+        If the folder has results of another method or split, or the training fails.
+    """
+    limits = limits or RunLimits()
+    method = find_method(text)
+    _check_folder(split, method, text, folder, limits)
+    if resources is not None and not (folder / _TRAINED_FILE).exists():
+        result = _called(method, "-", resources, limits, folder / _TRAINED_FILE)
+        if result["failure"]:
+            (folder / _TRAINED_FILE).unlink()
+            raise BenchmarkError(f"{text} cannot be trained: {result['failure']}", "correct the method")
+    waiting = [case for case in split.cases if not (folder / f"{case.name}.json").exists()]
+
+    def work(case: Path) -> None:
+        result = _called(method, str(case), resources, limits, folder / f"{case.name}.json")
+        if say is not None:
+            say(case.name, result["failure"])
+
+    with ThreadPoolExecutor(workers) as pool:
+        jobs = [pool.submit(work, case) for case in waiting]
+        try:
+            for job in jobs:
+                job.result()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def read_run(folder: Path, split: Split) -> dict[str, dict[str, Any]]:
+    """Read the results of a run by case.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the run, or a folder of answers from another program, one JSON file per case.
+    split : Split
+        The split that was run.
+
+    Raises
+    ------
+    BenchmarkError
+        If the folder belongs to another split, or lacks a case.
+    """
+    mark = folder / RUN_FILE
+    if mark.exists() and read_json(mark, "run again").get("split_digest") != split_digest(split):
+        raise BenchmarkError(f"{folder} has answers to another split", f"run the method on {split.folder}")
+    results = {}
+    for case in split.cases:
+        path = folder / f"{case.name}.json"
+        content = read_json(path, "run `heli-host benchmark run` again, it continues")
+        # An answer from another program has no costs.
+        results[case.name] = content if "answer" in content else {"answer": content, "failure": ""}
+    return results
+
+
+def split_digest(split: Split) -> str:
+    """Return a digest of the definition of a split."""
+    return hashlib.sha256((split.folder / CAUSES_FILE).read_bytes()).hexdigest()
+
+
+def _check_folder(split: Split, method: MethodAddress, text: str, folder: Path, limits: RunLimits) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    content = {
+        "schema": SCHEMA,
+        "split": split.name,
+        "split_digest": split_digest(split),
+        "method": text,
+        "method_digest": method.digest,
+        "limits": asdict(limits),
+    }
+    mark = folder / RUN_FILE
+    if mark.exists():
+        earlier = read_json(mark, "choose another folder")
+        changed = [name for name, value in content.items() if earlier.get(name) != value]
+        if changed:
+            raise BenchmarkError(
+                f"{folder} has results with another {changed[0].replace('_', ' ')}",
+                "choose another folder, or delete it",
+            )
+    write_json(mark, content)
+
+
+def _called(
+    method: MethodAddress, case: str, resources: Path | None, limits: RunLimits, file: Path
+) -> dict[str, Any]:
+    """Run the worker, and return its result; a worker that dies has a failure instead of an answer."""
+    text = method.file.stem if method.builtin else f"{method.file}:{method.function}"
+    where = "-" if resources is None else str(resources.resolve())
+    command = [sys.executable, "-m", "heli_benchmark.entries.worker", text, case, str(file.resolve()), where]
+    command += [str(limits.cpu_s), str(limits.memory_MB)]
+    # Threads that wait for each other cost CPU time, and sums in another order change the last digits.
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    environment = {**os.environ, **threads, "PYTHONHASHSEED": "0"}
+    failure = ""
+    try:
+        ended = subprocess.run(
+            command,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=_WALL_FACTOR * limits.cpu_s,
+            check=False,
+        )
+        if ended.returncode:
+            failure = f"the process ended with code {ended.returncode}; its limits are {limits}"
+    except subprocess.TimeoutExpired:
+        failure = f"the process took more than {_WALL_FACTOR * limits.cpu_s:.0f} s"
+    if failure:
+        write_json(file, {"answer": None, "failure": failure, "cpu_s": None, "peak_MB": None})
+    return read_json(file, "run the method again")

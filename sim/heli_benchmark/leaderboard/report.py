@@ -1,0 +1,107 @@
+"""The table and the figure of a comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+_COLUMNS: Final = (
+    ("skill", "skill", "{:.2f}"),
+    ("first_right", "first name right", "{:.0%}"),
+    ("all_named", "every cause named", "{:.0%}"),
+    ("false_names", "false names per case", "{:.2f}"),
+    ("false_alarms", "false alarms", "{:.0%}"),
+    ("sizes_given", "sizes given", "{:.0%}"),
+    ("sizes_within", "sizes within 2 standard errors", "{:.0%}"),
+    ("interval_score", "interval score", "{:.2f}"),
+    ("calibration_error", "calibration error", "{:.2f}"),
+)
+_PANELS: Final = (
+    ("skill", "skill (truth known: 1)"),
+    ("all_named", "every cause named"),
+    ("false_alarms", "false alarms, nothing hidden"),
+)
+
+
+def comparison_table(summary: Mapping[str, Any]) -> str:
+    """Return the table as Markdown, the best skill first.
+
+    Parameters
+    ----------
+    summary : Mapping[str, Any]
+        Return value of `summarise_runs`.
+    """
+    heads = ["method", *(title for _, title, _ in _COLUMNS), "CPU s per case", "peak MB", "failed"]
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    for name in _ranked(summary):
+        of = summary["methods"][name]
+        cells = [_cell(of[key], form) for key, _, form in _COLUMNS]
+        cost = ["-" if of[key] is None else f"{of[key]:.3g}" for key in ("cpu_s", "peak_MB")]
+        lines.append(f"| {name} | " + " | ".join([*cells, *cost, str(of["failed"])]) + " |")
+    return "\n".join(lines)
+
+
+def pair_lines(summary: Mapping[str, Any]) -> list[str]:
+    """Return the comparisons by pairs as lines of text.
+
+    Parameters
+    ----------
+    summary : Mapping[str, Any]
+        Return value of `summarise_runs`.
+    """
+    lines = []
+    for pair in summary["pairs"]:
+        parts = []
+        for key, word, form in (("skill", "skill", "{:+.2f}"), ("all_named", "every cause named", "{:+.0%}")):
+            parts.append(f"{word} {_cell(pair[key], form)}")
+        lines.append(f"{pair['first']} minus {pair['second']}: {', '.join(parts)}")
+    return lines
+
+
+def draw_comparison(summary: Mapping[str, Any], path: Path) -> None:
+    """Draw the skill, the named causes and the false alarms of each method with their intervals.
+
+    Parameters
+    ----------
+    summary : Mapping[str, Any]
+        Return value of `summarise_runs`.
+    path : Path
+        File of the figure.
+    """
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    names = _ranked(summary)[::-1]
+    figure, axes = plt.subplots(1, len(_PANELS), figsize=(9.0, 0.8 + 0.36 * len(names)), sharey=True)
+    for axis, (key, title) in zip(axes, _PANELS, strict=True):
+        for place, name in enumerate(names):
+            of = summary["methods"][name][key]
+            if of["value"] is None:
+                continue
+            colour = "tab:blue" if name == "ours" else "0.35"
+            axis.plot([of["low"], of["high"]], [place, place], color=colour, linewidth=2.0)
+            axis.plot(of["value"], place, "o", color=colour)
+        axis.set_title(title, fontsize=10)
+        axis.grid(axis="x", color="0.9")
+        axis.set_axisbelow(True)
+    axes[0].axvline(0.0, color="0.6", linewidth=1.0)
+    axes[0].set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
+    for axis in axes[1:]:
+        axis.set_xlim(-0.04, 1.04)
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def _ranked(summary: Mapping[str, Any]) -> list[str]:
+    return sorted(summary["methods"], key=lambda name: -summary["methods"][name]["skill"]["value"])
+
+
+def _cell(of: Mapping[str, Any], form: str) -> str:
+    if of["value"] is None:
+        return "-"
+    value, low, high = (form.format(of[key]) for key in ("value", "low", "high"))
+    return f"{value} ({low} to {high})"

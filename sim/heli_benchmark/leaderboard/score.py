@@ -1,0 +1,209 @@
+"""Scores of the answers of one run, case by case."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from heli_benchmark.entries.run import read_run
+from heli_benchmark.scoring.judge import MIN_VISIBILITY_STD
+from heli_benchmark.task import NOTHING, UNLISTED, Answer, Causes, Split
+from heli_benchmark.task.answer import check_answer
+
+MIN_PROBABILITY: Final = 1e-3
+"""Lowest probability of what was true, in the log score. With 0, one wrong certainty would decide the table;
+at 0.01 a method that is 99.9 % sure would gain nothing."""
+NAMED: Final = 0.5
+"""Probability from which an answer names a cause: more likely hidden than not."""
+_NO_SIZE: Final = ("_at_s", "_rest_rad", "_Hz")
+"""Endings of parameters that are no size: moments, angles of rest and frequencies."""
+INTERVAL: Final = 0.05
+"""Probability outside the interval of the interval score, which is the estimate with 1.96 standard errors."""
+_NORMAL: Final = 1.959964
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Hidden causes of a case.
+
+    Parameters
+    ----------
+    causes : frozenset of str
+        Visible causes, with `unlisted`; `nothing` if no cause is hidden.
+    invisible : frozenset of str
+        Names that the case does not score: hidden causes below the limit of visibility, and `nothing` if no
+        hidden cause is visible.
+    sizes : Mapping[str, float]
+        Sizes of the visible causes by parameter.
+    """
+
+    causes: frozenset[str]
+    invisible: frozenset[str]
+    sizes: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class CaseScore:
+    """Scores of an answer.
+
+    Parameters
+    ----------
+    case : str
+        Name of the case.
+    log_loss, base_loss : float
+        Negative log-likelihood of the truth under the answer and under the base rates, nats.
+    first_right : bool
+        Whether the most probable name is true.
+    all_named : bool or None
+        Whether every visible cause is named; None without a visible cause.
+    false_names : int
+        Named causes that are not hidden.
+    false_alarm : bool or None
+        Whether a cause is named although nothing is hidden; None if something is.
+    sizes : tuple of (bool, float)
+        For each estimated size: whether it is within two standard errors, and its interval score relative to
+        the true size.
+    sizes_asked : int
+        Number of true sizes.
+    calibration : tuple of (float, bool)
+        Probability and truth of each name.
+    cpu_s, peak_MB : float or None
+        Cost of the answer.
+    failure : str
+        Why there is no answer; empty if there is one.
+    """
+
+    case: str
+    log_loss: float
+    base_loss: float
+    first_right: bool
+    all_named: bool | None
+    false_names: int
+    false_alarm: bool | None
+    sizes: tuple[tuple[bool, float], ...]
+    sizes_asked: int
+    calibration: tuple[tuple[float, bool], ...]
+    cpu_s: float | None
+    peak_MB: float | None
+    failure: str
+
+
+def score_run(split: Split, folder: Path) -> list[CaseScore]:
+    """Score a run.
+
+    Parameters
+    ----------
+    split : Split
+        The split, with its truth.
+    folder : Path
+        Folder of the run.
+
+    Returns
+    -------
+    list of CaseScore
+        One per case. A failed case counts as an answer of base rates that names nothing.
+    """
+    scores = []
+    for name, result in read_run(folder, split).items():
+        truth = scored_truth(split.truth(name))
+        failure = str(result.get("failure", ""))
+        answer = (
+            Answer(split.causes.base_rates)
+            if failure
+            else check_answer(result["answer"], split.causes, f"{folder / name}.json")
+        )
+        cost = (result.get("cpu_s"), result.get("peak_MB"))
+        scores.append(score_answer(name, answer, truth, split.causes, cost, failure))
+    return scores
+
+
+def scored_truth(content: Mapping[str, Any]) -> Truth:
+    """Return the scored truth of a case.
+
+    Parameters
+    ----------
+    content : Mapping[str, Any]
+        Content of the file of the truth.
+    """
+    listed = {name: float(of["visibility_std"]) for name, of in content["causes"].items()}
+    unlisted = [float(std) for std in content["unlisted"].values()]
+    hidden = listed | ({UNLISTED: max(unlisted)} if unlisted else {})
+    visible = {name for name, std in hidden.items() if std >= MIN_VISIBILITY_STD}
+    invisible = set(hidden) - visible
+    if not hidden:
+        visible = {NOTHING}
+    elif not visible:
+        invisible.add(NOTHING)
+    sizes = {
+        name: float(value)
+        for cause in visible & set(content["causes"])
+        for name, value in content["causes"][cause]["parameters"].items()
+        if not name.endswith(_NO_SIZE)
+    }
+    return Truth(frozenset(visible), frozenset(invisible), sizes)
+
+
+def score_answer(
+    case: str,
+    answer: Answer,
+    truth: Truth,
+    causes: Causes,
+    cost: tuple[float | None, float | None] = (None, None),
+    failure: str = "",
+) -> CaseScore:
+    """Score an answer.
+
+    Parameters
+    ----------
+    case : str
+        Name of the case.
+    truth : Truth
+        Hidden causes of the case.
+    causes : Causes
+        All names and their base rates.
+    cost : tuple of float, optional
+        CPU time in s and peak memory in MB.
+    failure : str
+        Why there is no answer.
+    """
+    scored = [name for name in causes.names if name not in truth.invisible]
+    given = {name: answer.probabilities.get(name, 0.0) for name in causes.names}
+    calibration = tuple((given[name], name in truth.causes) for name in scored)
+    named = set() if failure else {name for name in given if given[name] >= NAMED and name != NOTHING}
+    first = max(given, key=given.__getitem__)
+    visible = truth.causes - {NOTHING}
+    return CaseScore(
+        case,
+        _loss(calibration),
+        _loss(tuple((causes.base_rates[name], name in truth.causes) for name in scored)),
+        not failure and (first in truth.causes or first in truth.invisible),
+        visible <= named if visible else None,
+        len(named - truth.causes - truth.invisible),
+        bool(named) if NOTHING in truth.causes else None,
+        tuple(
+            (
+                abs(of.value - truth.sizes[name]) <= 2.0 * of.std,
+                _interval_score(of.value, of.std, truth.sizes[name]),
+            )
+            for name, of in answer.parameters.items()
+            if name in truth.sizes
+        ),
+        len(truth.sizes),
+        calibration,
+        *cost,
+        failure,
+    )
+
+
+def _loss(pairs: tuple[tuple[float, bool], ...]) -> float:
+    return sum(-math.log(max(p if true else 1.0 - p, MIN_PROBABILITY)) for p, true in pairs)
+
+
+def _interval_score(value: float, std: float, truth: float) -> float:
+    """Interval score of Gneiting and Raftery (2007), relative to the true size; lower is better."""
+    low, high = value - _NORMAL * std, value + _NORMAL * std
+    outside = max(low - truth, 0.0) + max(truth - high, 0.0)
+    return (high - low + 2.0 / INTERVAL * outside) / abs(truth)

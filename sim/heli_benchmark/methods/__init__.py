@@ -1,0 +1,1 @@
+"""Methods that find hidden causes, each an adaptor with a function `diagnose`."""

@@ -1,0 +1,49 @@
+"""Generalised likelihood ratio with the filter of the twin: which change of the identified rig began when?"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+from heli_lab.identify.run import identify
+from heli_lab.twin.calibration import Calibration, Tail
+from heli_lab.twin.flights import count_rad_of, samples_of
+from heli_lab.twin.kalman_filter import TwinModel
+from heli_lab.twin.learn import learn_disturbances_of_flights
+from heli_lab.twin.likelihood_ratio import ChangeCandidate
+from heli_lab.twin.twin import Twin
+from heli_sim.model import MultibodyModel
+
+from heli_benchmark.task import NOTHING, UNLISTED, BenchmarkCase, Estimate, answer_with
+
+_ALARM_NATS: Final = 12.0
+"""Evidence of an alarm. By judgement, not tuned: 6 nats are 400 times as likely, and a flight has hundreds of
+onsets."""
+_NO_CHANGE: Final = 0.6
+"""Probability of nothing without an alarm: a cause that acts from the start is no change in flight."""
+
+
+def diagnose(case: BenchmarkCase) -> dict[str, Any]:
+    """Identify the rig from the training flights, and look for changes in all flights."""
+    labels = [f"training {i}" for i in range(len(case.training))]
+    rig = identify(MultibodyModel(), case.rig, case.training, labels=labels, threads=1).rig("identified")
+    disturbances = learn_disturbances_of_flights(MultibodyModel(), rig, case.training, labels)
+    calibration = Calibration(disturbances, Tail(_ALARM_NATS, 1e-9, 1.0, 1000))
+    best: ChangeCandidate | None = None
+    for flight in (*case.training, *case.validation):
+        samples, sample_s = samples_of(flight)
+        twin = Twin(TwinModel(MultibodyModel(), rig), calibration, count_rad_of(flight, rig), sample_s)
+        for event in [*twin.update(samples), *twin.finish()]:
+            if event.kind == "diagnosed" and event.ranking:
+                first = event.ranking[0]
+                if best is None or first.log_evidence > best.log_evidence:
+                    best = first
+    if best is None:
+        return answer_with(case.causes, {NOTHING: _NO_CHANGE})
+    name = best.change.id if best.change.id in case.causes.listed else UNLISTED
+    parameters = {}
+    parameter = best.change.numbers[0]
+    if parameter in case.causes.parameter_names and best.std > 0.0:
+        parameters[parameter] = Estimate(best.size, best.std)
+    certain = 1.0 - math.exp(-0.1 * best.log_evidence)
+    return answer_with(case.causes, {name: min(0.9, certain)}, parameters)

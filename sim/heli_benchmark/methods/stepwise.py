@@ -1,0 +1,64 @@
+"""An engineer's way: smoothed accelerations, and stepwise regression of their residuals by BIC."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+from heli_benchmark.methods.terms import ResidualRegression, Term, residual_regression
+from heli_benchmark.task import UNLISTED, BenchmarkCase, Estimate, answer_with
+
+MAX_TERMS: Final = 5
+_TRIED_NATS: Final = 3.0
+"""Evidence that pays for the number of candidates, about thirty. From the count, not tuned."""
+_SHARPNESS: Final = 0.5
+"""A regression that ignores the errors of its terms is too certain; half the evidence counts. A guess."""
+
+
+def diagnose(case: BenchmarkCase) -> dict[str, Any]:
+    """Diagnose a case by stepwise regression."""
+    regression = residual_regression(case)
+    chosen, gains_nats = selected(regression)
+    named = {
+        term.cause: 1.0 / (1.0 + math.exp(min(50.0, _SHARPNESS * (_TRIED_NATS - gain))))
+        for term, gain in zip(chosen, gains_nats, strict=True)
+    }
+    named.setdefault(UNLISTED, 0.5 * case.causes.base_rates[UNLISTED])
+    _, values, stds = regression.fit(chosen)
+    names = [name for term in chosen for name in term.parameters or ("",) * term.columns.shape[1]]
+    parameters = {
+        name: Estimate(float(value), float(std))
+        for name, value, std in zip(names, values, stds, strict=True)
+        if name in case.causes.parameter_names and std > 0.0
+    }
+    return answer_with(case.causes, named, parameters)
+
+
+def selected(regression: ResidualRegression) -> tuple[list[Term], list[float]]:
+    """Select terms one by one, while the BIC decreases by more than the number of candidates costs.
+
+    Parameters
+    ----------
+    regression : ResidualRegression
+        Residuals and terms.
+
+    Returns
+    -------
+    tuple of list of Term and list of float
+        The terms, and by how much each lowered half the BIC, nats.
+    """
+    chosen: list[Term] = []
+    gains_nats: list[float] = []
+    before = regression.fit([])[0]
+    while len(chosen) < MAX_TERMS:
+        causes = {term.cause for term in chosen}
+        rest = [term for term in regression.terms if term.cause not in causes]
+        bics = [regression.fit([*chosen, term])[0] for term in rest]
+        best = min(range(len(rest)), key=bics.__getitem__)
+        gain_nats = 0.5 * (before - bics[best])
+        if gain_nats <= _TRIED_NATS:
+            break
+        chosen.append(rest[best])
+        gains_nats.append(gain_nats)
+        before = bics[best]
+    return chosen, gains_nats

@@ -1,0 +1,148 @@
+"""Make a split: fly each case, compute the visibility of its causes, and write its folder."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from heli_host.errors import FlightAborted
+from heli_host.flight import Flight
+from heli_sim.rig import load_rig
+
+from heli_benchmark.cases.published import PublishedCase, published_cases
+from heli_benchmark.errors import BenchmarkError
+from heli_benchmark.reference.truth import hidden_in
+from heli_benchmark.reference.visibility import visibility
+from heli_benchmark.splits.causes import causes_content
+from heli_benchmark.task.case import write_case
+from heli_benchmark.task.json_file import read_json, write_json
+from heli_benchmark.task.split import CAUSES_FILE, SCHEMA
+
+MAX_ATTEMPTS: Final = 8
+"""Draws of a route until a case is given up. Fewer: a hard case stops the split. More: time."""
+
+
+def make_split(
+    folder: Path,
+    split: str,
+    seed: int,
+    count: int,
+    *,
+    workers: int = 1,
+    say: Callable[[str, int], None] | None = None,
+) -> None:
+    """Make a split; cases that exist are kept, so that an interrupted run continues.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the split.
+    split : str
+        Its name.
+    seed : int
+        Seed of all cases.
+    count : int
+        Number of cases.
+    workers : int
+        Number of cases that are flown in parallel.
+    say : callable, optional
+        Called with the name of a finished case and the number of finished cases.
+
+    Raises
+    ------
+    BenchmarkError
+        If the folder has another split, or a case cannot be flown.
+    """
+    content = {"schema": SCHEMA, "split": split, "seed": seed, "count": count, "causes": causes_content()}
+    mark = folder / CAUSES_FILE
+    if mark.exists() and read_json(mark, "choose another folder") != content:
+        raise BenchmarkError(
+            f"{folder} has another split, or one of another release", "choose another folder, or delete it"
+        )
+    for name in ("cases", "truth"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    write_json(mark, content)
+    cases = list(published_cases(seed, count))
+    waiting = [case for case in cases if not (folder / "cases" / case.name).exists()]
+    done = count - len(waiting)
+    if workers == 1:
+        results = (_fly_and_write(case, folder) for case in waiting)
+    else:
+        from concurrent.futures import ProcessPoolExecutor
+        from multiprocessing import get_context
+
+        pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+        results = (name for name in pool.map(_fly_and_write, waiting, [folder] * len(waiting)))
+    for name in results:
+        done += 1
+        if say is not None:
+            say(name, done)
+
+
+def _fly_and_write(case: PublishedCase, folder: Path) -> str:
+    case, flights = fly_case(case)
+    split_at = len(case.training_s)
+    truth = truth_content(case, flights[0])
+    write_json(folder / "truth" / f"{case.name}.json", truth)
+    # Renamed when complete: a folder in `cases` is whole.
+    unfinished = folder / f"unfinished-{case.name}"
+    shutil.rmtree(unfinished, ignore_errors=True)
+    unfinished.mkdir()
+    write_case(unfinished, load_rig(case.rig_name), flights[:split_at], flights[split_at:])
+    unfinished.rename(folder / "cases" / case.name)
+    return case.name
+
+
+def fly_case(case: PublishedCase) -> tuple[PublishedCase, tuple[Flight, ...]]:
+    """Fly all flights of a case, and draw other routes if the rig leaves its angles.
+
+    Returns
+    -------
+    tuple of PublishedCase and tuple of Flight
+        The case that was flown, and its flights, training flights first.
+    """
+    for attempt in range(MAX_ATTEMPTS):
+        case = replace(case, attempt=attempt)
+        try:
+            # The first flight last: the visibility of the causes needs its trajectory next.
+            last = [case.fly(i, case.durations_s[i])[0] for i in range(1, len(case.durations_s))]
+            return case, (case.fly(0, case.durations_s[0])[0], *last)
+        except FlightAborted:
+            continue
+    raise BenchmarkError(
+        f"{case.name} left the safe range of angles in {MAX_ATTEMPTS} attempts", "make it with another seed"
+    )
+
+
+def truth_content(case: PublishedCase, flight: Flight) -> dict[str, Any]:
+    """Return the truth of a case, as its file has it.
+
+    Parameters
+    ----------
+    flight : Flight
+        Its first training flight. The motors run from its first row on.
+    """
+    visible = visibility(case, case.durations_s[0])
+    causes = {
+        hidden.id: {"visibility_std": visible[hidden.id], "parameters": dict(hidden.scalars)}
+        for hidden in hidden_in(case, float(flight.t_s[0]))
+    }
+    unlisted = {name: visible[f"off-{name}"] for name, _ in case.unlisted}
+    return {
+        "schema": SCHEMA,
+        "case": case.name,
+        "causes": causes,
+        "unlisted": unlisted,
+        "conditions": {
+            "rig": case.rig_name,
+            "rate_Hz": case.rate_Hz,
+            "controller": case.controller,
+            "weakly_excited": case.gentle,
+            "fast_std_Nm": list(case.disturbances.gusts_Nm),
+            "correlation_time_s": case.disturbances.correlation_time_s,
+            "slow_std_Nm": list(case.disturbances.slow_std_Nm),
+        },
+    }

@@ -1,0 +1,181 @@
+"""Answer of a method to a case: probabilities of causes, and parameters with standard errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from heli_benchmark.errors import BenchmarkError
+from heli_benchmark.task.json_file import read_json, write_json
+from heli_benchmark.task.split import NOTHING, SCHEMA, Causes
+
+_KEYS: Final = {"schema", "probabilities", "parameters", "equation"}
+_ROUNDING: Final = 1e-6
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """An estimated parameter.
+
+    Parameters
+    ----------
+    value : float
+        The estimate, in the unit of the causes file.
+    std : float
+        Its standard error.
+    """
+
+    value: float
+    std: float
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Answer to a case.
+
+    Parameters
+    ----------
+    probabilities : Mapping[str, float]
+        Probability that each cause is hidden, with `nothing` and `unlisted`. A name without an entry has 0.
+        Several causes may be hidden together, so that the probabilities need not add up to 1.
+    parameters : Mapping[str, Estimate]
+        Estimates by parameter name.
+    equation : str
+        An equation in words or symbols, for readers; it is not scored.
+    """
+
+    probabilities: Mapping[str, float]
+    parameters: Mapping[str, Estimate] = field(default_factory=dict)
+    equation: str = ""
+
+
+def check_answer(content: object, causes: Causes, where: str) -> Answer:
+    """Check the content of an answer.
+
+    Parameters
+    ----------
+    content : object
+        Parsed JSON, or the return value of a method.
+    causes : Causes
+        Names that the answer may use.
+    where : str
+        Name of the file or method, for messages.
+
+    Raises
+    ------
+    BenchmarkError
+        If a key, a name or a number is invalid; the message is one line.
+    """
+    if not isinstance(content, Mapping):
+        raise BenchmarkError(f"{where}: the answer is not an object", "return a dictionary")
+    if unknown := sorted(str(key) for key in content if key not in _KEYS):
+        raise BenchmarkError(f"{where}: unknown key '{unknown[0]}'", f"use {', '.join(sorted(_KEYS))}")
+    if content.get("schema") != SCHEMA:
+        raise BenchmarkError(f"{where}: schema is {content.get('schema')!r}", f"set schema to {SCHEMA}")
+    given = content.get("probabilities")
+    if not isinstance(given, Mapping) or not given:
+        raise BenchmarkError(f"{where}: there are no probabilities", "add an object 'probabilities'")
+    for name, value in given.items():
+        if name not in causes.base_rates:
+            raise BenchmarkError(f"{where}: unknown cause '{name}'", "choose from causes.json")
+        if not _is_number(value) or not 0.0 <= value <= 1.0:
+            raise BenchmarkError(
+                f"{where}: the probability of '{name}' is {value!r}", "give a number from 0 to 1"
+            )
+    highest = max((value for name, value in given.items() if name != NOTHING), default=0.0)
+    if given.get(NOTHING, 0.0) + highest > 1.0 + _ROUNDING:
+        raise BenchmarkError(
+            f"{where}: the probabilities of 'nothing' and of a cause add up to more than 1",
+            "lower one of them; both cannot be true",
+        )
+    equation = content.get("equation", "")
+    if not isinstance(equation, str):
+        raise BenchmarkError(f"{where}: the equation is not text", "give text, or leave the key out")
+    parameters = _parameters(content.get("parameters", {}), causes, where)
+    return Answer({name: float(value) for name, value in given.items()}, parameters, equation)
+
+
+def _parameters(given: object, causes: Causes, where: str) -> dict[str, Estimate]:
+    if not isinstance(given, Mapping):
+        raise BenchmarkError(f"{where}: 'parameters' is not an object", "give value and std by name")
+    for name, of in given.items():
+        if name not in causes.parameter_names:
+            raise BenchmarkError(f"{where}: unknown parameter '{name}'", "choose from causes.json")
+        if not isinstance(of, Mapping) or set(of) != {"value", "std"}:
+            raise BenchmarkError(f"{where}: '{name}' needs a value and a std", "give both, nothing else")
+        if not _is_number(of["value"]) or not _is_number(of["std"]) or of["std"] <= 0.0:
+            raise BenchmarkError(
+                f"{where}: '{name}' has value {of['value']!r} and std {of['std']!r}",
+                "give finite numbers and a positive std",
+            )
+    return {name: Estimate(float(of["value"]), float(of["std"])) for name, of in given.items()}
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def read_answer(path: Path, causes: Causes) -> Answer:
+    """Read and check an answer.
+
+    Parameters
+    ----------
+    path : Path
+        The JSON file.
+    causes : Causes
+        Names that the answer may use.
+    """
+    return check_answer(read_json(path, "write the answer again"), causes, str(path))
+
+
+def write_answer(path: Path, answer: Answer) -> None:
+    """Write an answer as JSON.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    """
+    write_json(path, answer_content(answer))
+
+
+def answer_content(answer: Answer) -> dict[str, Any]:
+    """Return an answer as the content of its file."""
+    return {
+        "schema": SCHEMA,
+        "probabilities": dict(answer.probabilities),
+        "parameters": {name: asdict(of) for name, of in answer.parameters.items()},
+        "equation": answer.equation,
+    }
+
+
+def answer_with(
+    causes: Causes, named: Mapping[str, float], parameters: Mapping[str, Estimate] | None = None
+) -> dict[str, Any]:
+    """Return the content of an answer that gives probabilities for some causes only.
+
+    Other causes keep a share of their base rates: the less certain `named` is, the larger the share.
+
+    Parameters
+    ----------
+    causes : Causes
+        Names that the answer may use.
+    named : Mapping[str, float]
+        Probabilities by name. Without an entry for `nothing`, it gets the product of the others'
+        complements.
+    parameters : Mapping[str, Estimate], optional
+        Estimates by parameter name.
+    """
+    # Several causes may be hidden together: a certain cause halves the rates of the others, no more.
+    certain = max((value for name, value in named.items() if name != NOTHING), default=0.0)
+    share = (1.0 - 0.5 * certain) * (1.0 - named.get(NOTHING, 0.0))
+    rest = {name: rate * share for name, rate in causes.base_rates.items()}
+    full = {**rest, **{name: min(max(value, 0.0), 1.0) for name, value in named.items()}}
+    if named and NOTHING not in named:
+        full[NOTHING] = math.prod(1.0 - value for value in named.values())
+    highest = max(value for name, value in full.items() if name != NOTHING)
+    full[NOTHING] = min(full[NOTHING], 1.0 - highest)
+    return answer_content(Answer(full, parameters or {}))

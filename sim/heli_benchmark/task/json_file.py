@@ -1,0 +1,55 @@
+"""JSON files from other people, with errors in one line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Final
+
+from heli_host.files import read_file
+
+from heli_benchmark.errors import BenchmarkError
+
+_MOST_BYTES: Final = 1 << 24
+"""Largest file. The names of a split need 10 kB and an answer 5 kB."""
+
+
+def read_json(path: Path, remedy: str) -> dict[str, Any]:
+    """Read a JSON object.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    remedy : str
+        Advice if the file cannot be used.
+
+    Raises
+    ------
+    BenchmarkError
+        If the file cannot be read, or is not a JSON object.
+    """
+    try:
+        content = json.loads(read_file(path, _MOST_BYTES))
+    except OSError as error:
+        raise BenchmarkError(f"cannot read {path}: {error.strerror or error}", remedy) from None
+    except (ValueError, RecursionError):
+        raise BenchmarkError(f"{path} is not valid JSON", remedy) from None
+    if not isinstance(content, dict):
+        raise BenchmarkError(f"{path} is not a JSON object", remedy)
+    return content
+
+
+def write_json(path: Path, content: object) -> None:
+    """Write JSON; the file is complete or absent.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    content : object
+        Dictionaries, lists, text and numbers.
+    """
+    unfinished = path.with_name(f"unfinished-{path.name}")
+    unfinished.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    unfinished.replace(path)

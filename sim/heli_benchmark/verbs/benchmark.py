@@ -1,0 +1,159 @@
+"""``heli-host benchmark``: make a split, run methods on it, score and report them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from heli_host.cli.options import JsonOption
+from heli_host.cli.say import data_on_stdout, say, say_files, say_progress, write_result
+from heli_host.cli.verb import Verb
+
+app = typer.Typer(
+    help="Compare methods that find hidden causes.\n\n"
+    "See `heli-host benchmark COMMAND --help` for options and examples.",
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+)
+
+SplitArgument = Annotated[Path, typer.Argument(metavar="DIR", help="Use the split in this folder.")]
+RunsArgument = Annotated[
+    list[Path], typer.Argument(metavar="RUN...", help="Score these folders of benchmark run.")
+]
+WorkersOption = Annotated[
+    int, typer.Option("--workers", metavar="N", min=1, help="Work on this many cases in parallel.")
+]
+
+
+@app.command("make")
+def make(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Write the split into this folder.")],
+    split: Annotated[
+        str, typer.Option("--split", metavar="NAME", help="Give the split this name.")
+    ] = "public",
+    seed: Annotated[
+        int, typer.Option("--seed", metavar="N", min=0, help="Draw the cases with this seed.")
+    ] = 0,
+    count: Annotated[int, typer.Option("--count", metavar="N", min=1, help="Draw this many cases.")] = 24,
+    workers: WorkersOption = 1,
+) -> None:
+    """Fly cases with hidden causes, and write them as folders for methods.
+
+    Each case takes about 10 s of CPU time. The truth is in a folder of its own. After an interruption, the
+    same command continues.
+
+    Example: `heli-host benchmark make public --seed 34 --count 24`
+    """
+    from heli_benchmark.splits import make_split
+
+    make_split(
+        folder,
+        split,
+        seed,
+        count,
+        workers=workers,
+        say=lambda name, done: say_progress(f"{name}: {done} of {count} cases"),
+    )
+    say_files([folder])
+
+
+@app.command("run")
+def run(
+    folder: SplitArgument,
+    method: Annotated[
+        str,
+        typer.Option(
+            "--method", metavar="NAME|FILE:FUNC", help="Run this method: a name, or FILE.py:FUNCTION."
+        ),
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="RUN", help="Write the answers into this folder.")
+    ],
+    resources: Annotated[
+        Path | None,
+        typer.Option(
+            "--resources", metavar="DIR", help="Give the method this folder, such as training cases."
+        ),
+    ] = None,
+    cpu_limit: Annotated[
+        int, typer.Option("--cpu-limit", metavar="S", min=1, help="Limit the CPU time of a case.")
+    ] = 300,
+    memory_limit: Annotated[
+        int, typer.Option("--memory-limit", metavar="MB", min=200, help="Limit the memory of a case.")
+    ] = 6000,
+    workers: WorkersOption = 1,
+) -> None:
+    """Run a method on each case of a split, in a process with limits.
+
+    A case without an answer counts as failed, and the run goes on. After an interruption, the same command
+    continues with the remaining cases. The method can read every file that you can read, so run only methods
+    that you trust.
+
+    Example: `heli-host benchmark run public --method mymethod.py:diagnose -o runs/mymethod`
+    """
+    from heli_benchmark.entries import RunLimits, run_method
+    from heli_benchmark.task import read_split
+
+    split = read_split(folder)
+
+    def show(case: str, failure: str) -> None:
+        say_progress(f"{case}: {failure or 'answered'}")
+
+    limits = RunLimits(cpu_limit, memory_limit)
+    run_method(split, method, output, limits=limits, resources=resources, workers=workers, say=show)
+    say_files([output])
+
+
+@app.command("score")
+def score(folder: SplitArgument, runs: RunsArgument, json: JsonOption = None) -> None:
+    """Score runs on a split against its truth.
+
+    Prints each score with its 95 % interval over cases, and compares each two methods. Nothing is written
+    without --json.
+
+    Example: `heli-host benchmark score public runs/ours runs/base_rates --json scores.json`
+    """
+    from heli_host.cli.outputs import check_result_places
+
+    from heli_benchmark.leaderboard import score_run, summarise_runs
+    from heli_benchmark.leaderboard.report import comparison_table, pair_lines
+    from heli_benchmark.task import read_split
+
+    check_result_places(json)
+    data_on_stdout(json)
+    split = read_split(folder)
+    summary = summarise_runs({run.name: score_run(split, run) for run in runs})
+    say(*comparison_table(summary).splitlines(), *pair_lines(summary))
+    if write_result(json, summary):
+        return
+    say_files([json])
+
+
+@app.command("report")
+def report(
+    scores: Annotated[
+        Path, typer.Argument(metavar="SCORES.json", help="Read this file of benchmark score --json.")
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Write table and figure into this folder.")
+    ],
+) -> None:
+    """Write the table and the figure of a comparison.
+
+    Writes table.md and figure.png.
+
+    Example: `heli-host benchmark report scores.json -o report`
+    """
+    from heli_benchmark.leaderboard.report import comparison_table, draw_comparison, pair_lines
+    from heli_benchmark.task.json_file import read_json
+
+    summary = read_json(scores, "give a file of `heli-host benchmark score --json`")
+    output.mkdir(parents=True, exist_ok=True)
+    pairs = "\n".join(f"- {line}" for line in pair_lines(summary))
+    (output / "table.md").write_text(f"{comparison_table(summary)}\n\n{pairs}\n", encoding="utf-8")
+    draw_comparison(summary, output / "figure.png")
+    say_files([output / "table.md", output / "figure.png"])
+
+
+VERB = Verb(app, "Laboratory")

@@ -1,0 +1,86 @@
+"""Methods of the published benchmark: the shared terms, and the selection among them."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from heli_benchmark.methods import base_rates, stepwise
+from heli_benchmark.methods.stepwise import selected
+from heli_benchmark.methods.terms import ResidualRegression, Term
+from heli_benchmark.task import NOTHING, UNLISTED, BenchmarkCase, Causes
+from heli_benchmark.task.answer import check_answer
+from heli_host.arrays import Floats
+from heli_host.flight import Flight
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import catalogue
+from heli_sim.model.linear import trim
+from heli_sim.rig import load_rig
+
+SPRING = "cable_spring.travel"
+STIFFNESS = "cable_spring_travel_Nm_per_rad"
+RATES = {NOTHING: 0.5, UNLISTED: 0.1, SPRING: 0.2, "travel_drag_quadratic": 0.2, "rotor_lag": 0.2}
+CAUSES = Causes(
+    RATES,
+    {
+        SPRING: {STIFFNESS: "N m/rad"},
+        "travel_drag_quadratic": {"travel_drag_quadratic_Nms2": "N m s2/rad2"},
+        "rotor_lag": {"rotor_lag_s": "s"},
+    },
+)
+RIG = load_rig("makki2024")
+
+
+def flown(stiffness: float) -> Flight:
+    """Twelve seconds of the model with a cable spring, from a hover, with small random torques."""
+    model = MultibodyModel((catalogue()[SPRING].make({STIFFNESS: stiffness}),))
+    x, u, p = ca.SX.sym("x", 6), ca.SX.sym("u", 2), ca.SX.sym("p", len(model.parameters))
+    rates = ca.Function("rates", [x, u, p], [model.dynamics(x, u, p)])
+    values, hover_V = model.parameter_values(RIG), trim(MultibodyModel(), RIG).volts_V
+    rng = np.random.default_rng(4)
+    t_s: Floats = 0.01 * np.arange(1200.0)
+    phases = rng.uniform(-np.pi, np.pi, (2, 12))
+    lines_Hz = 0.15 + 0.25 * np.arange(12)
+    excited_V = 0.05 * np.sin(2.0 * np.pi * lines_Hz[:, None, None] * t_s + phases.T[:, :, None]).sum(axis=0)
+    state, rows = np.array([0.0, 0.0, 0.3, 0.0, 0.0, 0.2]), []
+    for k in range(len(t_s)):
+        # Pitch and elevation are held near level by proportional and derivative gains.
+        both = -6.0 * state[0] - 4.0 * state[3]
+        apart = -3.0 * (state[1] + 0.4 * state[2] + 0.6 * state[5]) - 1.5 * state[4]
+        volts = hover_V + np.array([both + apart, both - apart]) + excited_V[:, k]
+        rows.append((*volts, *state[:3]))
+        pushed = 0.002 * rng.standard_normal(3)
+        state = state + 0.01 * np.asarray(rates(state, volts, values)).ravel()
+        state[3:] += pushed
+    return Flight(t_s, *np.ascontiguousarray(np.array(rows).T))
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("stiffness", [0.0, 0.5])
+def test_stepwise_regression_names_a_spring_if_there_is_one(stiffness: float) -> None:
+    flight = flown(stiffness)
+    case = BenchmarkCase("case", RIG, (flight,), (flight,), CAUSES)
+    answer = check_answer(stepwise.diagnose(case), CAUSES, "stepwise")
+    if stiffness:
+        assert answer.probabilities[SPRING] > 0.9
+        estimate = answer.parameters[STIFFNESS]
+        assert abs(estimate.value - stiffness) < 0.2 * stiffness
+    else:
+        assert answer.probabilities[SPRING] < 0.5
+        assert STIFFNESS not in answer.parameters
+
+
+def test_a_term_is_selected_only_if_it_explains_the_residuals() -> None:
+    rng = np.random.default_rng(1)
+    columns = rng.standard_normal((300, 3))
+    terms = [Term(name, (name,), columns[:, [i]]) for i, name in enumerate("abc")]
+    noise, nuisance = rng.standard_normal(300), rng.standard_normal((300, 2))
+    none = np.zeros((1, 3))
+    with_b = ResidualRegression(noise + 0.8 * columns[:, 1], nuisance, terms, none, none)
+    assert [term.cause for term in selected(with_b)[0]] == ["b"]
+    assert selected(ResidualRegression(noise, nuisance, terms, none, none))[0] == []
+
+
+def test_base_rates_are_the_answer_without_a_look_at_the_flights() -> None:
+    case = BenchmarkCase("case", RIG, (), (), CAUSES)
+    assert base_rates.diagnose(case)["probabilities"] == RATES
