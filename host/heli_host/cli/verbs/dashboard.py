@@ -159,7 +159,8 @@ def _fly(
 
         maker, lands = twin
         watch = open_watch(heli, maker, land if lands else None)
-        cockpit = Cockpit(heli, new_recorder, plans, text, outline, watch, laws)
+        name = simulated.rig_name(rig, simulated=address is not None)
+        cockpit = Cockpit(heli, new_recorder, plans, text, outline, watch, laws, rig_name=name)
         try:
             with serving(cockpit, host, http_port) as served:
                 _say(served)
