@@ -206,7 +206,9 @@ def test_who_watches_stops_from_every_tab_of_the_panel(served: Served, window: T
         until_state(second, "open loop")
         second.keyboard.press("Space")
         until_state(second, "idle")
-        expect(second.locator("#stopped")).to_have_text("STOPPED. The board confirms that both motors are off.")
+        expect(second.locator("#stopped")).to_have_text(
+            "STOPPED. The board confirms that both motors are off."
+        )
         expect(second.locator("#stopped")).to_be_visible()
 
 
@@ -293,7 +295,9 @@ def test_two_tabs_one_flies_and_hands_over_when_asked(served: Served, window: Ta
     first, second = window.open(served.address.page), window.open(served.address.page)
     expect(second.locator("#control")).to_contain_text("You watch; page 1 flies")
     expect(second.locator("#take-off")).to_be_disabled()
-    expect(second.locator("#why-fly")).to_have_text("Take off, Land, Hold here: only the pilot; ask for control.")
+    expect(second.locator("#why-fly")).to_have_text(
+        "Take off, Land, Hold here: only the pilot; ask for control."
+    )
     expect(first.locator("#why-setpoint")).to_have_text("Sliders: only in flight; take off first.")
     click(second, "text=Ask for control")
     click(first, "text=Hand over")
@@ -381,9 +385,7 @@ def test_a_tab_that_is_loaded_anew_keeps_its_seat(served: Served, window: Tabs) 
     expect(page.locator("#control")).to_contain_text("You fly")
 
 
-def test_a_twin_s_alarm_is_a_red_bar(
-    served: Served, window: Tabs, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_twin_s_alarm_is_a_red_bar(served: Served, window: Tabs, monkeypatch: pytest.MonkeyPatch) -> None:
     alarm = {"words": "Twin: alarm at 3.0 s.", "alarm": True, "ghost_rad": [0.1, 0.0, 0.0]}
     page = window.open(served.address.page)
     expect(page.locator("#twin-alarm")).to_be_hidden()
@@ -474,7 +476,9 @@ def test_everything_has_its_place_and_axe_finds_nothing_serious(
         assert bottoms[0] <= bottoms[1]
         expect(page.locator("#badge")).to_have_text("SIMULATION makki2024")
         # The whole height is used, and nothing is below it.
-        last = page.evaluate("Math.max(...['#rig', '#panel'].map((one) => document.querySelector(one).getBoundingClientRect().bottom))")
+        last = page.evaluate(
+            "Math.max(...['#rig', '#panel'].map((one) => document.querySelector(one).getBoundingClientRect().bottom))"
+        )
         assert size[1] - 12 <= last <= size[1]
         page.screenshot(path=tmp_path / "page.png")
         assert not opened.wrong
