@@ -43,6 +43,8 @@ class FlightOptions:
         Parameters to fly with.
     twin, on_alarm : str or None
         Twin that flies along, and what its alarm does.
+    foxglove : int or None
+        TCP port on this computer for live viewers.
     log, json, figure : Path or None
         Files to write.
     """
@@ -63,6 +65,7 @@ class FlightOptions:
     params: Path | None = None
     twin: str | None = None
     on_alarm: str | None = None
+    foxglove: int | None = None
     log: Path | None = None
     json: Path | None = None
     figure: Path | None = None
@@ -186,6 +189,7 @@ def fly_plans(
     from heli_host.cli.progress import LiveLine
     from heli_host.cli.report import summary_lines
     from heli_host.fly.runner import fly
+    from heli_host.foxglove_feed import foxglove_feed
     from heli_host.link.transport import transport_label, transport_note, transport_rig
     from heli_host.log.blind import Truth, truth_path
     from heli_host.log.disk import check_new
@@ -219,7 +223,12 @@ def fly_plans(
             )
         )
     maker = read_twin(options.twin)
-    with open_board(options.port, address) as heli:
+    with (
+        open_board(options.port, address) as heli,
+        foxglove_feed(heli, options.foxglove, hidden=options.blind) as feed,
+    ):
+        if feed is not None:
+            say_progress(f"viewers: {feed.address}")
         if options.clear_fault:
             clear_latched_fault(heli)
         load_gains(heli.params, options.gains)

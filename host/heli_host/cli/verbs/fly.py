@@ -9,7 +9,14 @@ import typer
 from heli_host.cli import simulated
 from heli_host.cli.flight_command import FlightOptions, fly_plans
 from heli_host.cli.gains import GainsOption, ParamsFileOption
-from heli_host.cli.options import ClearFaultOption, FigureOption, JsonOption, LogOption, PortOption
+from heli_host.cli.options import (
+    ClearFaultOption,
+    FigureOption,
+    FoxgloveOption,
+    JsonOption,
+    LogOption,
+    PortOption,
+)
 from heli_host.cli.twin_options import OnAlarmOption, TwinOption
 from heli_host.cli.verb import Verb
 
@@ -35,6 +42,7 @@ def fly(
     params: ParamsFileOption = None,
     twin: TwinOption = None,
     on_alarm: OnAlarmOption = None,
+    foxglove: FoxgloveOption = None,
     log: LogOption = None,
     json: JsonOption = None,
     figure: FigureOption = None,
@@ -68,6 +76,7 @@ def fly(
         params=params,
         twin=twin,
         on_alarm=on_alarm,
+        foxglove=foxglove,
         log=log,
         json=json,
         figure=figure,
