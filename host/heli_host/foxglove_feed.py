@@ -1,59 +1,44 @@
-"""Live samples for viewers over Foxglove's WebSocket protocol: Foxglove, PlotJuggler and others connect to it.
+"""Live samples over Foxglove's WebSocket protocol, for viewers such as Foxglove and PlotJuggler.
 
-The feed is read-only: it advertises no capability, so that a client can neither publish nor call or set
-anything. It listens on this computer only. Topics and layouts are those of the log.
+The feed is read-only and listens on this computer only. A process of its own serves the viewers; see
+`heli_host.foxglove_server`.
 """
 
 from __future__ import annotations
 
 import contextlib
+import importlib.util
+import json
 import queue
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from heli_host.errors import HeliError, PortError
+from heli_host.foxglove_server import EVENT, HEADER, HOST, SETTINGS, TICKS
 from heli_host.link.channels import rad_per_count
 from heli_host.link.events import BOARD_RESTARTED
 from heli_host.log.blind import hide
-from heli_host.log.clock import TickClock
-from heli_host.log.records import json_bytes
-from heli_host.log.schema import (
-    CDR_LITTLE_ENDIAN,
-    EVENT_SCHEMA,
-    EVENT_SCHEMA_NAME,
-    EVENT_TOPIC,
-    LEVEL_INFO,
-    TICK_LAYOUT,
-    TICK_SCHEMA,
-    TICK_SCHEMA_NAME,
-    TICK_TOPIC,
-    fill_ticks,
-)
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
     from heli_host.link.events import LinkEvent
     from heli_host.link.telemetry import Ticks
     from heli_host.vehicle import Vehicle
 
-HOST: Final = "127.0.0.1"
-BACKLOG: Final = 20_000
-"""Messages that wait for one slow client: 20 s of ticks, 4 MB. More: a client that hangs costs memory. Fewer: a
-client that pauses for a second, as browsers do, misses samples."""
-_WAITING_BATCHES: Final = 2_000
-"""Batches of ticks that wait for the feed's own thread: 40 s of ticks, at 20 ticks per batch."""
-_MESSAGE = np.dtype([("cdr", "<u4"), ("payload", TICK_LAYOUT.dtype)])
+_WAITING_PARTS: Final = 2_000
+"""Batches of ticks that wait for the server: 40 s of ticks, at 20 ticks per batch. More: a server that hangs
+costs memory. Fewer: a busy computer costs samples."""
+_END_S: Final = 5.0
 
 
 class FoxgloveFeed:
-    """Publishes every tick and event of a session to all connected viewers.
+    """Sends every tick and event of a session to a server for viewers.
 
-    A separate thread publishes, so that neither flight nor stop waits for a viewer. In lockstep the thread that
-    reads publishes.
+    The link's thread only appends to a queue: neither flight nor stop waits for a viewer.
 
     Parameters
     ----------
@@ -67,7 +52,7 @@ class FoxgloveFeed:
     Attributes
     ----------
     dropped : int
-        Ticks that the feed has left out because its thread was too slow.
+        Batches of ticks and events that the feed has left out because the server was too slow.
 
     Raises
     ------
@@ -78,116 +63,100 @@ class FoxgloveFeed:
     """
 
     def __init__(self, heli: Vehicle, port: int = 0, *, hidden: bool = False) -> None:
-        try:
-            import foxglove
-        except ImportError as error:
-            raise HeliError("--foxglove needs foxglove-sdk", "pip install 'heli-host[foxglove]'") from error
-        session = heli.session
+        if importlib.util.find_spec("foxglove") is None:
+            raise HeliError("--foxglove needs foxglove-sdk", "pip install 'heli-host[foxglove]'")
         self.dropped = 0
         self._hidden = hidden
-        self._session = session
-        self._start_wall_ns = session.transport.wall_ns()
-        self._last_wall_ns = self._start_wall_ns
-        self._clock = TickClock()
-        self._rad_per_count = rad_per_count(dict(heli.params))
-        # Without a reference of our own, the context would end, and its channels with it.
-        context = self._context = foxglove.Context()
-        self._ticks = foxglove.Channel(
-            TICK_TOPIC,
-            schema=foxglove.Schema(name=TICK_SCHEMA_NAME, encoding="ros2msg", data=TICK_SCHEMA.encode()),
-            message_encoding="cdr",
-            context=context,
+        self._transport = heli.session.transport
+        self._last_wall_ns = self._transport.wall_ns()
+        self._server = subprocess.Popen(
+            [sys.executable, "-m", "heli_host.foxglove_server"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            # Ctrl-C lands first: the viewers see the landing.
+            start_new_session=True,
         )
-        self._events = foxglove.Channel(
-            EVENT_TOPIC,
-            schema=foxglove.Schema(name=EVENT_SCHEMA_NAME, encoding="jsonschema", data=EVENT_SCHEMA.encode()),
-            message_encoding="json",
-            context=context,
-        )
-        try:
-            self._server = foxglove.start_server(
-                name="heli-lab",
-                host=HOST,
-                port=port,
-                capabilities=[],
-                context=context,
-                message_backlog_size=BACKLOG,
-            )
-        except RuntimeError as error:
+        settings = {
+            "port": port,
+            "start_wall_ns": self._last_wall_ns,
+            "rad_per_count": rad_per_count(dict(heli.params)).tolist(),
+        }
+        self._write(SETTINGS, json.dumps(settings).encode())
+        answer = self._answer()
+        if "port" not in answer:
+            self._end()
             raise PortError(
-                f"cannot serve Foxglove on {HOST}:{port}: {error}",
+                f"cannot serve Foxglove on {HOST}:{port}: {answer.get('error', 'the server ended')}",
                 "give --foxglove another port, or 0 for a free one",
-            ) from error
-        self._queue: queue.Queue[Ticks | LinkEvent | None] = queue.Queue(_WAITING_BATCHES)
-        self._thread: threading.Thread | None = None
-        if not session.lockstep:
-            self._thread = threading.Thread(target=self._run, name="foxglove", daemon=True)
-            self._thread.start()
-        self._unsubscribe = (session.subscribe_ticks(self._take), session.subscribe_events(self._take))
-
-    @property
-    def address(self) -> str:
+            )
+        self.address = f"ws://{HOST}:{answer['port']}"
         """URL for viewers."""
-        return f"ws://{HOST}:{self._server.port}"
+        self._queue: queue.Queue[tuple[int, bytes] | None] = queue.Queue(_WAITING_PARTS)
+        self._thread = threading.Thread(target=self._run, name="foxglove", daemon=True)
+        self._thread.start()
+        self._unsubscribe = (
+            heli.session.subscribe_ticks(self._take_ticks),
+            heli.session.subscribe_events(self._take_event),
+        )
 
     def close(self) -> None:
         """Publish what has arrived, then disconnect all viewers."""
         for unsubscribe in self._unsubscribe:
             unsubscribe()
-        if self._thread is not None:
-            self._queue.put(None)
-            self._thread.join(5.0)
-            self._thread = None
-        self._server.stop()
+        with contextlib.suppress(queue.Full):
+            self._queue.put(None, timeout=_END_S)
+        self._thread.join(_END_S)
+        self._end()
 
-    def _take(self, news: Ticks | LinkEvent) -> None:
-        if self._thread is None:
-            self._publish(news)
-            return
+    def _answer(self) -> dict[str, Any]:
+        assert self._server.stdout is not None
         try:
-            self._queue.put_nowait(news)
-        except queue.Full:
-            # The link's thread must not wait for a viewer.
-            self.dropped += 1 if not hasattr(news, "raw") else len(news)
+            answer = json.loads(self._server.stdout.readline())
+        except ValueError:
+            return {}
+        return answer if isinstance(answer, dict) else {}
+
+    def _write(self, kind: int, data: bytes) -> None:
+        assert self._server.stdin is not None
+        # A server that has ended must not end the flight.
+        with contextlib.suppress(OSError, ValueError):
+            self._server.stdin.write(HEADER.pack(kind, len(data)) + data)
+            self._server.stdin.flush()
+
+    def _end(self) -> None:
+        with contextlib.suppress(OSError):
+            if self._server.stdin is not None:
+                self._server.stdin.close()
+        try:
+            self._server.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self._server.kill()
+            self._server.wait()
+        if self._server.stdout is not None:
+            self._server.stdout.close()
 
     def _run(self) -> None:
-        while (news := self._queue.get()) is not None:
-            self._publish(news)
+        while (part := self._queue.get()) is not None:
+            self._write(*part)
 
-    def _publish(self, news: Ticks | LinkEvent) -> None:
-        from heli_host.link.events import LinkEvent
+    def _put(self, kind: int, data: bytes) -> None:
+        try:
+            self._queue.put_nowait((kind, data))
+        except queue.Full:
+            self.dropped += 1
 
-        if isinstance(news, LinkEvent):
-            self._publish_event(news)
-        elif len(news):
-            self._publish_ticks(news.tick, news.raw)
-
-    def _publish_ticks(self, tick: npt.NDArray[np.uint32], raw: npt.NDArray[np.int32]) -> None:
-        time_us, _ = self._clock.advance(tick)
-        self._last_wall_ns = self._session.transport.wall_ns()
-        if not self._ticks.has_sinks():
+    def _take_ticks(self, ticks: Ticks) -> None:
+        if not len(ticks):
             return
-        messages = np.zeros(tick.size, _MESSAGE)
-        messages["cdr"] = int.from_bytes(CDR_LITTLE_ENDIAN, "little")
-        fill_ticks(messages["payload"], time_us / 1e6, tick, raw, self._rad_per_count)
-        data, size, log = messages.tobytes(), _MESSAGE.itemsize, self._ticks.log
-        for number, time_ns in enumerate((self._start_wall_ns + time_us * 1000).tolist()):
-            log(data[number * size : (number + 1) * size], log_time=time_ns)
+        self._last_wall_ns = self._transport.wall_ns()
+        tick, raw = np.ascontiguousarray(ticks.tick, "<u4"), np.ascontiguousarray(ticks.raw, "<i4")
+        self._put(TICKS, tick.tobytes() + raw.tobytes())
 
-    def _publish_event(self, event: LinkEvent) -> None:
-        if event.kind == BOARD_RESTARTED:
-            self._clock.skip(max(0, event.wall_ns - self._last_wall_ns) / 1e9)
-        time_us = self._clock.time_us(event.tick & 0xFFFFFFFF)
-        wall_ns = max(0, self._start_wall_ns + time_us * 1000)
-        body = {
-            "timestamp": {"sec": wall_ns // 1_000_000_000, "nsec": wall_ns % 1_000_000_000},
-            "level": LEVEL_INFO,
-            "message": hide(event.text) if self._hidden else event.text,
-            "name": event.kind,
-            "t_s": time_us / 1e6,
-            "tick": event.tick & 0xFFFFFFFF,
-        }
-        self._events.log(json_bytes(body), log_time=wall_ns)
+    def _take_event(self, event: LinkEvent) -> None:
+        text = hide(event.text) if self._hidden else event.text
+        body = {"tick": event.tick & 0xFFFFFFFF, "name": event.kind, "message": text}
+        gap = {"gap_s": max(0, event.wall_ns - self._last_wall_ns) / 1e9}
+        self._put(EVENT, json.dumps(body | gap if event.kind == BOARD_RESTARTED else body).encode())
 
 
 @contextlib.contextmanager

@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import socket
 import struct
+import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import heli_host
@@ -38,6 +39,7 @@ class Viewer:
 
     def __init__(self, socket: Any) -> None:
         self.socket = socket
+        self.waiting: list[bytes] = []
         self.info = json.loads(self.socket.recv(PATIENCE_S))
         self.channels: dict[str, dict[str, Any]] = {}
         while set(self.channels) < {TICK_TOPIC, EVENT_TOPIC}:
@@ -54,11 +56,18 @@ class Viewer:
         one = {"id": 7, "channelId": self.channels[topic]["id"]}
         self.socket.send(json.dumps({"op": "subscribe", "subscriptions": [one]}))
 
+    def has_message(self) -> bool:
+        if not self.waiting:
+            with suppress(TimeoutError):
+                frame = self.socket.recv(0.05)
+                self.waiting += [frame] if isinstance(frame, bytes) else []
+        return bool(self.waiting)
+
     def messages(self, count: int) -> list[tuple[int, bytes]]:
         """Time [ns] and body of the next messages."""
         got = []
         while len(got) < count:
-            frame = self.socket.recv(PATIENCE_S)
+            frame = self.waiting.pop() if self.waiting else self.socket.recv(PATIENCE_S)
             if isinstance(frame, bytes):
                 opcode, subscription, time_ns = _DATA.unpack_from(frame)
                 assert (opcode, subscription) == (1, 7)
@@ -66,51 +75,59 @@ class Viewer:
         return got
 
 
-def until_watched(feed: feeds.FoxgloveFeed) -> None:
+def until_watched(heli: Heli, viewer: Viewer) -> None:
+    """Let the board run until the subscription holds, and a tick has come."""
     end_s = time.monotonic() + PATIENCE_S
-    while not feed._ticks.has_sinks():
-        assert time.monotonic() < end_s, "no viewer subscribed"
-        time.sleep(0.005)
+    while not viewer.has_message():
+        assert time.monotonic() < end_s, "no tick comes"
+        heli.wait(0.02)
 
 
 @contextmanager
-def feed_and_viewer(heli: Heli) -> Iterator[tuple[feeds.FoxgloveFeed, Viewer]]:
+def feed_and_viewer(heli: Heli) -> Iterator[Viewer]:
     with feeds.foxglove_feed(heli, 0) as feed:
         assert feed is not None
         with Viewer.of(feed.address) as viewer:
-            yield feed, viewer
+            yield viewer
 
 
 def test_a_viewer_gets_every_tick_as_the_board_sent_it(heli: Heli) -> None:
     sent: list[tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]] = []
-    with feed_and_viewer(heli) as (feed, viewer):
+    with feed_and_viewer(heli) as viewer:
         assert viewer.channels[TICK_TOPIC]["encoding"] == "cdr"
         viewer.subscribe(TICK_TOPIC)
-        until_watched(feed)
         heli.session.subscribe_ticks(lambda ticks: sent.append((ticks.tick.copy(), ticks.raw.copy())))
+        until_watched(heli, viewer)
         heli.wait(1.5)
-        tick = np.concatenate([one for one, _ in sent])
-        got = viewer.messages(tick.size)
+        tick, raw = (np.concatenate(parts) for parts in zip(*sent, strict=True))
+        got = viewer.messages(1)
+        first = int(
+            np.frombuffer(got[0][1][4:], parse_layout(viewer.channels[TICK_TOPIC]["schema"]).dtype)["tick"][0]
+        )
+        tick, raw = tick[tick >= first], raw[tick >= first]
+        got += viewer.messages(tick.size - 1)
     layout = parse_layout(viewer.channels[TICK_TOPIC]["schema"])
     records = np.frombuffer(b"".join(body[4:] for _, body in got), layout.dtype)
     np.testing.assert_array_equal(records["tick"], tick)
     assert np.diff(records["tick"]).tolist() == [1] * (tick.size - 1) and tick.size >= 1000
-    np.testing.assert_array_equal(raw_ticks(records), np.concatenate([raw for _, raw in sent]))
+    np.testing.assert_array_equal(raw_ticks(records), raw)
     assert np.diff([time_ns for time_ns, _ in got]).tolist() == [1_000_000] * (tick.size - 1)
     assert {spec.field for spec in CHANNELS} <= set(records.dtype.names or ())
 
 
 def test_a_viewer_gets_events_and_can_do_nothing_but_read(heli: Heli) -> None:
-    with feed_and_viewer(heli) as (feed, viewer):
+    with feed_and_viewer(heli) as viewer:
         assert viewer.info["op"] == "serverInfo" and viewer.info["capabilities"] == []
         viewer.subscribe(EVENT_TOPIC)
         viewer.socket.send(
             json.dumps({"op": "setParameters", "parameters": [{"name": "travel_kp", "value": 9}]})
         )
-        while not feed._events.has_sinks():
-            time.sleep(0.005)
-        heli.zero()
-        heli.wait(0.1)
+        end_s = time.monotonic() + PATIENCE_S
+        # The subscription holds once the server has read it.
+        while not viewer.has_message():
+            assert time.monotonic() < end_s, "no event comes"
+            heli.zero()
+            heli.wait(0.1)
         ((_, body),) = viewer.messages(1)
     assert json.loads(body)["name"] == "zeroed" and "zero taken" in json.loads(body)["message"]
 
@@ -126,13 +143,23 @@ def test_the_feed_listens_on_this_computer_only_and_names_a_busy_port(heli: Heli
             feeds.FoxgloveFeed(heli, port)
 
 
-def test_the_link_does_not_wait_for_a_feed_that_hangs(heli: Heli, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(feeds, "_WAITING_BATCHES", 3)
-    feed = feeds.FoxgloveFeed(heli, 0)
-    # A thread that never takes from the queue.
-    feed._thread = object()  # type: ignore[assignment]
-    before_s = heli.latest.t_s
-    heli.wait(0.5)
-    assert heli.latest.t_s >= before_s + 0.5 and feed.dropped >= 300
-    feed._thread = None
-    feed.close()
+def test_the_link_does_not_wait_for_a_server_that_hangs(heli: Heli, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(feeds, "_WAITING_PARTS", 3)
+    hangs = threading.Event()
+    with feeds.foxglove_feed(heli, 0) as feed:
+        assert feed is not None
+        monkeypatch.setattr(feed, "_write", lambda kind, data: hangs.wait(PATIENCE_S))
+        before_s = heli.latest.t_s
+        heli.wait(0.5)
+        assert heli.latest.t_s >= before_s + 0.5 and feed.dropped >= 10
+        hangs.set()
+
+
+def test_a_server_that_ends_does_not_end_the_session(heli: Heli) -> None:
+    with feeds.foxglove_feed(heli, 0) as feed:
+        assert feed is not None
+        feed._server.kill()
+        feed._server.wait()
+        before_s = heli.latest.t_s
+        heli.wait(0.2)
+        assert heli.latest.t_s >= before_s + 0.2
