@@ -477,7 +477,8 @@ def test_everything_has_its_place_and_axe_finds_nothing_serious(
         expect(page.locator("#badge")).to_have_text("SIMULATION makki2024")
         # The whole height is used, and nothing is below it.
         last = page.evaluate(
-            "Math.max(...['#rig', '#panel'].map((one) => document.querySelector(one).getBoundingClientRect().bottom))"
+            """Math.max(...['#rig', '#panel'].map((one) =>
+                 document.querySelector(one).getBoundingClientRect().bottom))"""
         )
         assert size[1] - 12 <= last <= size[1]
         page.screenshot(path=tmp_path / "page.png")

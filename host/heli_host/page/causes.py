@@ -46,7 +46,7 @@ def cause(text: str, absence: str = "") -> str:
     text : str
         Text of an event, such as ``"state hold, because of stale_hold"``.
     absence : str
-        Why the pilot's page sends no setpoints, if it sends none; it replaces the words for missing setpoints.
+        Why the pilot's page sends no setpoints, if it sends none; it replaces "no setpoint arrived".
     """
     names = _CAUSE.findall(text)
     return _words(names[0], absence) if names else ""

@@ -478,8 +478,8 @@ class Cockpit:
 
 
 def is_simulated(heli: Heli) -> bool:
-    """Return whether a board is simulated: its transport names a rig or an emulated board, or its firmware runs
-    on a computer.
+    """Return whether a board is simulated: its transport names a rig or an emulated board, or its firmware
+    runs on a computer.
 
     Parameters
     ----------

@@ -84,8 +84,9 @@ class Source(Protocol):
     actions: Mapping[str, Action]
 
     def describe(self) -> dict[str, Any]:
-        """Return the constant facts that each client gets once when it connects, as JSON: kind (``simulation``,
-        ``real`` or ``replay``), name of the rig, board, channels, states, faults, parameters, limits, plans, laws.
+        """Return the constant facts that each client gets once when it connects, as JSON: kind
+        (``simulation``, ``real`` or ``replay``), name of the rig, board, channels, states, faults, parameters,
+        limits, plans, laws.
         """
         ...
 

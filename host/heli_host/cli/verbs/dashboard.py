@@ -116,7 +116,16 @@ def dashboard(
         rig=rig, seed=seed, board=board, elf=elf, model=model, effect=effect, effect_files=effect_file
     )
     _fly(
-        port, address if sil else None, rig, offered, begun, tapes, (read_twin(twin), lands), host, http_port, foxglove
+        port,
+        address if sil else None,
+        rig,
+        offered,
+        begun,
+        tapes,
+        (read_twin(twin), lands),
+        host,
+        http_port,
+        foxglove,
     )
 
 
@@ -133,8 +142,8 @@ def _fly(
     foxglove: int | None,
 ) -> None:
     from heli_host.cli.board import board_text, check_board_rig, open_board
-    from heli_host.foxglove_feed import foxglove_feed
     from heli_host.fly.recorder import Recorder
+    from heli_host.foxglove_feed import foxglove_feed
     from heli_host.link.transport import transport_label, transport_note
     from heli_host.page.cockpit import Cockpit
     from heli_host.page.serve import serving

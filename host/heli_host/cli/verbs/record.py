@@ -45,8 +45,8 @@ def record(
     from heli_host.cli.board import open_board
     from heli_host.cli.progress import LiveLine
     from heli_host.cli.report import summary_lines
-    from heli_host.foxglove_feed import foxglove_feed
     from heli_host.fly.recorder import Recorder
+    from heli_host.foxglove_feed import foxglove_feed
     from heli_host.log.disk import check_new
     from heli_host.log.reader import read_log
     from heli_host.log.summary import summarise
