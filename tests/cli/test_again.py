@@ -31,8 +31,28 @@ kind = "hold"
 duration_s = 0.3
 """
 EFFECT_FILE = """
-from heli_sim.model.effects import catalogue  # noqa: F401
+import casadi as ca
+from heli_sim.model import Effect, Stage
+from heli_sim.model.effects import EffectSpec, Parameter
+from heli_sim.rig import Prior
+
 print("code has run")
+
+
+class Push(Effect):
+    def torque_Nm(self, at):
+        return ca.vertcat(0, 0, self.own(at, "Nm"))
+
+
+PUSH = EffectSpec(
+    id="push_of_test_again",
+    effect=Push,
+    sentence="a push with {Nm}",
+    equation="w",
+    acts_on="torque.travel",
+    stage=Stage.TORQUE,
+    numbers=(Parameter("Nm", "N m", "torque w", typical=0.03, prior=Prior(0.0, 0.1, -1, 1), size=True),),
+)
 """
 
 

@@ -85,8 +85,8 @@ class Source(Protocol):
 
     def describe(self) -> dict[str, Any]:
         """Return the constant facts that each client gets once when it connects, as JSON: kind
-        (``simulation``, ``real`` or ``replay``), name of the rig, board, channels, states, faults, parameters,
-        limits, plans, laws.
+        (``simulation``, ``real`` or ``replay``), name of the rig, board, channels, states, faults,
+        parameters, limits, plans, laws.
         """
         ...
 

@@ -12,7 +12,7 @@ _DIGITS = 7
 
 
 def rig_text(rig: Rig, comment: str = "", digits: int = _DIGITS) -> str:
-    """Spell a rig as TOML under a `comment`, numbers with that many `digits`; 17 keep every number exactly."""
+    """Spell a rig as TOML under a `comment`, numbers with so many `digits`; 17 keep every number exactly."""
     lines = [f"# {line}" for line in textwrap.wrap(comment, 108)]
     lines += [f"name = {_quoted(rig.name)}", f"description = {_quoted(rig.description)}"]
     if rig.model:

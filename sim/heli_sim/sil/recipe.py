@@ -17,8 +17,8 @@ _EXACT_DIGITS = 17
 def recipe_of(url: str, options: SilOptions, rig: Rig, choice: Choice) -> dict[str, str]:
     """Return what repeats a simulation: its address, the whole rig, and digests of files that run.
 
-    The host's `heli_host.cli.again` reads it from a log. Code is not in it: a log from another person must not
-    bring code that runs.
+    The host's `heli_host.cli.again` reads it from a log. Code is not in it: a log from another person must
+    not bring code that runs.
 
     Parameters
     ----------
