@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import heli_host
@@ -19,6 +20,11 @@ from heli_host.declaration import CHANNELS
 from heli_host.errors import PortError
 from heli_host.heli import Heli
 from heli_host.log.schema import EVENT_TOPIC, TICK_TOPIC, parse_layout, raw_ticks
+
+from tests.cli.terminal import Terminal, terminal
+from tests.page.page_server import SHORT_PLAN
+
+__all__ = ["terminal"]
 
 pytest.importorskip("foxglove", reason="skipped: no foxglove-sdk")
 client = pytest.importorskip("websockets.sync.client", reason="skipped: no websockets")
@@ -163,3 +169,13 @@ def test_a_server_that_ends_does_not_end_the_session(heli: Heli) -> None:
         before_s = heli.latest.t_s
         heli.wait(0.2)
         assert heli.latest.t_s >= before_s + 0.2
+
+
+def test_record_and_fly_name_the_address_for_viewers(terminal: Terminal) -> None:
+    Path("short.toml").write_text(SHORT_PLAN)
+    sil = ("--sil", "--speed", "max", "--foxglove", "0")
+    for words in (("record", "--duration", "0.5", "-o", "a.mcap"), ("fly", "short.toml", "--log", "b.mcap")):
+        ended = terminal(*words, *sil)
+        assert ended.code == 0 and "viewers: ws://127.0.0.1:" in ended.out + ended.err
+    refused = terminal("dashboard", "--replay", "a.mcap", "--foxglove", "0")
+    assert refused.code == 2 and "viewers open a.mcap as a file" in refused.err
