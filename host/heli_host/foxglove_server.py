@@ -90,7 +90,13 @@ class FoxgloveServer:
         self.port: int = self._server.port
 
     def publish_ticks(self, data: bytes) -> None:
-        """Publish a batch of ticks: tick numbers (u32), then the raw channels (i32), tick by tick."""
+        """Publish a batch of ticks.
+
+        Parameters
+        ----------
+        data : bytes
+            All tick numbers (u32), then the raw channels (i32) of each tick, little-endian.
+        """
         count = len(data) // _TICK_BYTES
         tick = np.frombuffer(data, "<u4", count)
         raw = np.frombuffer(data, "<i4", count * len(Channel), 4 * count).reshape(count, len(Channel))
@@ -105,7 +111,14 @@ class FoxgloveServer:
             log(packed[number * size : (number + 1) * size], log_time=time_ns)
 
     def publish_event(self, event: Mapping[str, Any]) -> None:
-        """Publish an event with ``tick``, ``name`` and ``message``; ``gap_s`` is the length of a restart."""
+        """Publish an event.
+
+        Parameters
+        ----------
+        event : Mapping of str to Any
+            ``tick``, ``name`` and ``message``. After a restart of the board also ``gap_s``, the time from the
+            last tick before it to the first tick after it [s].
+        """
         if "gap_s" in event:
             self._clock.skip(float(event["gap_s"]))
         tick = int(event["tick"])

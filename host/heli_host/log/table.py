@@ -108,7 +108,7 @@ def notes_path(table: Path) -> Path:
     Parameters
     ----------
     table : Path
-        Path of the table.
+        A ``.csv`` or ``.csv.gz`` file, which need not exist.
     """
     return table.with_name(table.name + ".notes.txt")
 
