@@ -71,7 +71,7 @@ class Viewer:
 
     def messages(self, count: int) -> list[tuple[int, bytes]]:
         """Time [ns] and body of the next messages."""
-        got = []
+        got: list[tuple[int, bytes]] = []
         while len(got) < count:
             frame = self.waiting.pop() if self.waiting else self.socket.recv(PATIENCE_S)
             if isinstance(frame, bytes):

@@ -109,7 +109,7 @@ def test_pandas_reads_a_table_without_arguments_and_notes_are_next_to_it(tmp_pat
     np.testing.assert_allclose(frame["travel_rad"], flight.travel_rad, atol=1e-9)
     assert "parameter.hover_V: " in notes_path(path).read_text()
     # Notes of an older table would describe another flight.
-    write_csv(Flight(*(flight.columns()[name] for name in REQUIRED_COLUMNS)), path)
+    write_csv(Flight(**{name: getattr(flight, name) for name in REQUIRED_COLUMNS}), path)
     assert not notes_path(path).exists() and read_flight(path).parameters == {}
 
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 DEFAULT_SEED: Final = 1
 VERB_NAME: Final = "heli-host fly"
-"""Stands in the log of a flight whose commands ``--again`` can repeat."""
+"""Value of ``flown_by`` in the log of a flight whose commands ``--again`` can repeat."""
 
 
 @dataclass(frozen=True)

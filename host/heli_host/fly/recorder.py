@@ -67,7 +67,7 @@ class Recorder:
         Seal of a flight whose cause is hidden, see `heli_host.log.blind`: the log has it in the place of
         address, rig, seed and boot id. Empty for any other flight.
     setup : Mapping of str to str
-        What was set on the board before, for `heli_host.cli.again`; empty if it is unknown.
+        Settings of the board before the flight, for `heli_host.cli.again`; empty if unknown.
 
     Raises
     ------

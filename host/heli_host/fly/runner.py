@@ -91,7 +91,7 @@ def fly(
         Seal of a flight whose cause is hidden, see `heli_host.log.blind`: the log holds it instead of
         address, rig, seed and boot id. Empty for any other flight.
     setup : Mapping of str to str
-        What was set on the board before, for the log; see `heli_host.cli.again`.
+        Settings of the board before the flight, for the log; see `heli_host.cli.again`.
 
     Returns
     -------

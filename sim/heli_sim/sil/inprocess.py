@@ -34,7 +34,7 @@ class InProcessTransport:
     note : str
         Reason why this board was chosen, in a sentence; may be empty.
     recipe : Mapping of str to str
-        What repeats the simulation; see `heli_sim.sil.recipe.recipe_of`.
+        Facts that repeat the simulation; see `heli_sim.sil.recipe.recipe_of`.
 
     Raises
     ------

@@ -37,7 +37,7 @@ class ProcessTransport(SerialTransport):
     rig_parameters : Mapping of str to float
         Parameters of the board that the rig determines.
     recipe : Mapping of str to str
-        What repeats the simulation; see `heli_sim.sil.recipe.recipe_of`.
+        Facts that repeat the simulation; see `heli_sim.sil.recipe.recipe_of`.
     """
 
     def __init__(
