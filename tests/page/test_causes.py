@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import heli_host
 import pytest
 from heli_host.declaration import Event, EventMessage, State, Trigger
+from heli_host.fly.recorder import Recorder
 from heli_host.link.events import event_text
+from heli_host.log.reader import read_log
 from heli_host.page.causes import CAUSE_WORDS, cause, in_words
+from heli_host.page.cockpit import Cockpit
 from heli_host.page.control_lease import PRESENT_S, ControlLease
 
 CLOSED = "the pilot's page was closed"
@@ -42,3 +48,27 @@ def test_a_closed_page_and_a_silent_page_are_different_causes() -> None:
     assert lease.absence(PRESENT_S + 0.1) == "the pilot's page does not answer"
     lease.leave("a")
     assert lease.absence(0.0) == CLOSED
+
+
+@pytest.mark.medium
+def test_a_closed_page_is_the_cause_on_the_page_and_in_the_log(tmp_path: Path) -> None:
+    absence = [""]
+    with heli_host.connect("sil://?speed=max") as heli:
+        cockpit = Cockpit(
+            heli, lambda *_: Recorder(heli, tmp_path / "a.mcap"), [], "board", {}, rig_name="mine"
+        )
+        cockpit.watch_pilot(lambda: not absence[0], lambda: absence[0])
+        cockpit.actions["record"].run({"on": True})
+        heli.take_off()
+        absence[0] = CLOSED
+        heli.wait(1.0)
+        assert heli.state is State.HOLD
+        assert cockpit.status()["cause"] == CLOSED
+        heli.wait(4.0)
+        described = cockpit.describe()
+        cockpit.close()
+    texts = [event["text"] for event in described["events"]]
+    assert f"state hold: {CLOSED}" in texts and f"state landing: {CLOSED}" in texts
+    assert (described["kind"], described["rig_name"]) == ("simulation", "mine")
+    notes = [event["message"] for event in read_log(tmp_path / "a.mcap").events if event["name"] == "pilot"]
+    assert notes == [CLOSED]
