@@ -1,4 +1,4 @@
-"""The badge says REAL unless the board is known to be simulated: a wrong REAL costs care, the opposite a hand."""
+"""The badge shows REAL unless something says that the board is simulated: the safe side of an error."""
 
 from __future__ import annotations
 

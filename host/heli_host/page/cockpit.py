@@ -112,6 +112,7 @@ class Cockpit:
         self._present: Callable[[], bool] = lambda: False
         self._absence: Callable[[], str] = lambda: ""
         self._cause = ""
+        self._last_absence = ""
         self._undo: list[tuple[str, float]] = []
         self._values = dict(heli.params)
         anybody, pilot, tuner = Role.OBSERVER, Role.PILOT, Role.TUNER
@@ -315,7 +316,7 @@ class Cockpit:
             self._flight = None
             if own:
                 self.close(flight.outcome)
-        return {"outcome": in_words(outcome, self._cause if is_without_setpoints(outcome) else "")}
+        return {"outcome": in_words(outcome, self._last_absence)}
 
     def _land(self, _: Mapping[str, Any]) -> Mapping[str, Any]:
         self._heli.land(wait=False)
@@ -449,9 +450,12 @@ class Cockpit:
 
     def _in_words(self, text: str) -> str:
         """Return the text of an event with its cause in words, and note an absent pilot in the log too."""
-        absence = self._absence() if is_without_setpoints(text) else ""
+        is_without = is_without_setpoints(text)
+        absence = self._absence() if is_without else ""
         if absence and absence != self._cause and (recorder := self._recorder) is not None:
             recorder.note("pilot", absence)
+        if is_without:
+            self._last_absence = absence
         self._cause = cause(text, absence) or self._cause
         return in_words(text, absence)
 
