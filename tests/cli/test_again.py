@@ -179,7 +179,13 @@ def test_a_line_names_what_the_log_lacks(
 
 
 def test_what_a_log_gives_is_refused_on_the_command_line(terminal: Terminal) -> None:
-    for words in (("hover",), ("--seed", "2"), ("--effect", "rotor_lag=0.1"), ("--gains", "paper")):
+    for words in (
+        ("hover",),
+        ("--port", "COM3"),
+        ("--seed", "2"),
+        ("--effect", "rotor_lag=0.1"),
+        ("--gains", "paper"),
+    ):
         ended = terminal("fly", "--again", "a.mcap", *words)
         assert ended.code == 2 and "takes this from the log" in ended.err
     assert "no plan is given" in terminal("fly", "--sil").err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -109,6 +110,7 @@ def _refuse_with_again(again: Path, options: FlightOptions, plans: Sequence[str]
     """Refuse options that a log gives: a typer.BadParameter that names the first."""
     given = {
         **{f"PLAN {plan}": True for plan in plans},
+        "--port": options.port is not None and options.port != os.environ.get("HELI_PORT"),
         "--sil": options.sil,
         "--board": options.board,
         "--elf": options.elf,
