@@ -17,6 +17,7 @@ import pytest
 from heli_host.log.blind import blind, hide
 from heli_host.log.flight_file import read_flight
 from heli_host.log.reader import read_log
+from heli_host.log.table import notes_path
 from heli_host.twins import EVENT
 from heli_sim.rig import load_rig, write_rig
 
@@ -46,6 +47,8 @@ def texts(path: Path) -> Iterator[bytes]:
     yield data
     if path.suffix == ".mcap":
         yield from mcap_records(path)
+    if path.suffix == ".csv":
+        yield notes_path(path).read_bytes()
     if path.suffix == ".mat":
         yield from mat_elements(data)
     for word in re.findall(rb"[A-Za-z0-9+/]{40,}={0,2}", data) if path.suffix == ".parquet" else ():

@@ -44,7 +44,7 @@ def test_matlab_gets_columns_parameters_and_plan(tmp_path: Path, flight: Flight)
 
 def test_a_table_gets_every_column(tmp_path: Path, flight: Flight) -> None:
     write_csv(flight, tmp_path / "a.csv")
-    header = next(line for line in (tmp_path / "a.csv").read_text().splitlines() if not line.startswith("#"))
+    header = (tmp_path / "a.csv").read_text().partition("\n")[0]
     assert header.split(",") == list(flight.columns())
 
 

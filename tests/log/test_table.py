@@ -14,7 +14,7 @@ import pytest
 from heli_host.errors import FlightDataError, HeliError, LogWriteError
 from heli_host.flight import REQUIRED_COLUMNS, Flight
 from heli_host.log.flight_file import read_flight
-from heli_host.log.table import write_csv
+from heli_host.log.table import notes_path, write_csv
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -94,6 +94,44 @@ def test_a_flight_written_as_table_is_read_back(tmp_path: Path) -> None:
         assert [event.text for event in again.events] == [event.text for event in flight.events]
     write_csv(flight, tmp_path / "b.csv.gz")
     assert (tmp_path / "a.csv.gz").read_bytes() == (tmp_path / "b.csv.gz").read_bytes()
+
+
+@pytest.mark.medium
+def test_pandas_reads_a_table_without_arguments_and_notes_are_next_to_it(tmp_path: Path) -> None:
+    pandas = pytest.importorskip("pandas")
+    write_made_log(tmp_path / "a.mcap", 300)
+    flight = read_flight(tmp_path / "a.mcap")
+    path = tmp_path / "a.csv"
+    write_csv(flight, path)
+    frame = pandas.read_csv(path)
+    assert list(frame.columns) == list(flight.columns())
+    assert all(kind.kind in "iuf" for kind in frame.dtypes)
+    np.testing.assert_allclose(frame["travel_rad"], flight.travel_rad, atol=1e-9)
+    assert "parameter.hover_V: " in notes_path(path).read_text()
+    # Notes of an older table would describe another flight.
+    write_csv(Flight(**{name: getattr(flight, name) for name in REQUIRED_COLUMNS}), path)
+    assert not notes_path(path).exists() and read_flight(path).parameters == {}
+
+
+@pytest.mark.medium
+def test_a_table_with_its_notes_inside_reads_as_before(tmp_path: Path) -> None:
+    write_made_log(tmp_path / "a.mcap", 300)
+    flight = read_flight(tmp_path / "a.mcap")
+    write_csv(flight, tmp_path / "a.csv", notes_inside=True)
+    again = read_flight(tmp_path / "a.csv")
+    assert not notes_path(tmp_path / "a.csv").exists()
+    assert (again.parameters, again.plan, again.meta) == (flight.parameters, flight.plan, flight.meta)
+    assert again.events == flight.events and (tmp_path / "a.csv").read_text().startswith("# ")
+
+
+def test_notes_that_are_no_notes_are_refused_or_read_as_words(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", HEADER, *rows())
+    notes_path(path).write_bytes(b"\xff\xfe free words\n\nrig: mine\n")
+    assert read_flight(path).meta["rig"] == "mine"
+    notes_path(path).unlink()
+    notes_path(path).mkdir()
+    with pytest.raises(FlightDataError, match=r"cannot read .*notes\.txt"):
+        read_flight(path)
 
 
 def test_a_table_into_a_missing_folder_is_one_line(tmp_path: Path) -> None:

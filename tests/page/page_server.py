@@ -60,7 +60,8 @@ def page_of_a_simulated_board(
             return Recorder(heli, path, rig_name=RIG, plans=plans, duration_s=duration_s)
 
         plans = [short, *(load_plan(name) for name in plan_names())]
-        cockpit = Cockpit(heli, new_recorder, plans, "simulated board", outline(RIG), laws=laws)
+        rig = outline(RIG)
+        cockpit = Cockpit(heli, new_recorder, plans, "simulated board", rig, laws=laws, rig_name=RIG)
         try:
             with serving(cockpit) as address:
                 yield Served(heli, address, folder)

@@ -13,9 +13,12 @@ import numpy as np
 import pytest
 from heli_host.declaration import Axes, State
 from heli_host.errors import CommandRefused, HeliError
+from heli_host.fly.plan import Plan
 from heli_host.log.reader import read_log
 from heli_host.page.cockpit import Cockpit
 from heli_host.page.control_lease import ControlLease
+from heli_host.page.replay import Replay
+from heli_host.page.serve import serving
 from heli_host.page.source import UNKNOWN
 
 from tests.page import browser as browsers
@@ -27,7 +30,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from tests.page.browser import PATIENCE_S, TABLET, WIDE, Tabs, click, tabs, until
 from tests.page.laws import steady, tired
-from tests.page.page_server import Served, page_of_a_simulated_board, patient_page
+from tests.page.page_server import SHORT_PLAN, Served, page_of_a_simulated_board, patient_page
 from tests.running.long import LONG, samples
 from tests.running.order import REAL_TIME
 
@@ -203,6 +206,10 @@ def test_who_watches_stops_from_every_tab_of_the_panel(served: Served, window: T
         until_state(second, "open loop")
         second.keyboard.press("Space")
         until_state(second, "idle")
+        expect(second.locator("#stopped")).to_have_text(
+            "STOPPED. The board confirms that both motors are off."
+        )
+        expect(second.locator("#stopped")).to_be_visible()
 
 
 def test_a_plan_is_flown_from_the_page_and_the_page_holds_what_the_log_holds(
@@ -288,6 +295,10 @@ def test_two_tabs_one_flies_and_hands_over_when_asked(served: Served, window: Ta
     first, second = window.open(served.address.page), window.open(served.address.page)
     expect(second.locator("#control")).to_contain_text("You watch; page 1 flies")
     expect(second.locator("#take-off")).to_be_disabled()
+    expect(second.locator("#why-fly")).to_have_text(
+        "Take off, Land, Hold here: only the pilot; ask for control."
+    )
+    expect(first.locator("#why-setpoint")).to_have_text("Sliders: only in flight; take off first.")
     click(second, "text=Ask for control")
     click(first, "text=Hand over")
     expect(second.locator("#control")).to_contain_text("You fly")
@@ -310,6 +321,8 @@ def test_the_pilot_s_tab_is_lost_and_the_board_lands(served: Served, chromium: B
             pilot.evaluate("setTimeout(() => { const t = Date.now(); while (Date.now() - t < 15000); })")
         until_state(watcher, "hold")
         until_state(watcher, "landing")
+        cause = "does not answer" if fate == "suspended" else "was closed"
+        expect(watcher.locator("#event-list")).to_contain_text(f"state landing: the pilot's page {cause}")
         until_state(watcher, "idle")
         assert served.heli.session.stops == 0
 
@@ -372,6 +385,31 @@ def test_a_tab_that_is_loaded_anew_keeps_its_seat(served: Served, window: Tabs) 
     expect(page.locator("#control")).to_contain_text("You fly")
 
 
+def test_a_twin_s_alarm_is_a_red_bar(served: Served, window: Tabs, monkeypatch: pytest.MonkeyPatch) -> None:
+    alarm = {"words": "Twin: alarm at 3.0 s.", "alarm": True, "ghost_rad": [0.1, 0.0, 0.0]}
+    page = window.open(served.address.page)
+    expect(page.locator("#twin-alarm")).to_be_hidden()
+    monkeypatch.setattr(Cockpit, "_twin_status", lambda _: alarm)
+    expect(page.locator("#twin-alarm")).to_have_text("TWIN ALARM: the rig has changed. Alarm at 3.0 s.")
+    expect(page.locator("#ghost-twin")).to_be_visible()
+    expect(page.locator("#ghost-setpoint")).to_be_hidden()
+
+
+def test_a_replay_does_not_look_like_a_flight(tmp_path: Path, chromium: Browser) -> None:
+    log = tmp_path / "flight.mcap"
+    with heli_host.connect("sil://?speed=max") as heli:
+        heli.fly(Plan.parse(SHORT_PLAN, "short"), log=log)
+    replay = Replay(read_log(log), {})
+    replay.actions["seek"].run({"t_s": 5.0})
+    with serving(replay) as address, tabs(chromium) as opened:
+        page = opened.open(address.page)
+        expect(page.locator("#kind")).to_have_text("REPLAY")
+        expect(page.locator("#state")).to_have_text("closed loop")
+        expect(page.locator("#words")).to_contain_text("The log shows")
+        assert not re.search("It flies|You fly|STOP", page.locator("body").inner_text())
+        assert not opened.wrong
+
+
 def test_a_server_that_is_gone_is_said_large(tmp_path: Path, chromium: Browser) -> None:
     with tabs(chromium) as opened:
         with page_of_a_simulated_board(tmp_path) as served:
@@ -384,6 +422,12 @@ def test_a_server_that_is_gone_is_said_large(tmp_path: Path, chromium: Browser) 
 def test_strips_pause_zoom_and_go_on(served: Served, window: Tabs) -> None:
     page = window.open(served.address.page)
     until(page, "heliPage.history.end > 2000")
+    legend = page.locator("#strips .u-legend").first
+    expect(legend).to_contain_text(re.compile(r"elevation-?\d+\.\d\d"))
+    ticks = page.evaluate("heliPage.strips.plots.map(({ u }) => u.axes[1]._splits.length)")
+    assert min(ticks) >= 2
+    labels = page.evaluate("heliPage.strips.plots.map(({ u }) => u.axes[0]._values.join(''))")
+    assert [bool(text) for text in labels] == [False] * (len(labels) - 1) + [True]
     box = page.locator("#strips .u-over").first.bounding_box()
     assert box is not None
     x, y = box["x"], box["y"] + box["height"] / 2
@@ -430,6 +474,13 @@ def test_everything_has_its_place_and_axe_finds_nothing_serious(
                  document.querySelector(one).getBoundingClientRect().bottom)"""
         )
         assert bottoms[0] <= bottoms[1]
+        expect(page.locator("#badge")).to_have_text("SIMULATION makki2024")
+        # The whole height is used, and nothing is below it.
+        last = page.evaluate(
+            """Math.max(...['#rig', '#panel'].map((one) =>
+                 document.querySelector(one).getBoundingClientRect().bottom))"""
+        )
+        assert size[1] - 12 <= last <= size[1]
         page.screenshot(path=tmp_path / "page.png")
         assert not opened.wrong
 

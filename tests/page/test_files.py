@@ -16,10 +16,10 @@ from tests.page.fetch_vendor import FOLDER, integrity, pinned, stored, unpacked
 
 STATIC = FOLDER.parent
 OWN = sorted(path for path in STATIC.glob("*") if path.suffix in (".js", ".html", ".css", ".svg"))
-MAX_LINES = 1000
+MAX_LINES = 1200
 
 
-def test_our_own_javascript_is_below_a_thousand_lines() -> None:
+def test_our_own_javascript_is_below_1200_lines() -> None:
     assert sum(len(path.read_text().splitlines()) for path in STATIC.glob("*.js")) < MAX_LINES
 
 

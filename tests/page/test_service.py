@@ -121,8 +121,9 @@ def test_a_pilot_whose_page_falls_silent_is_a_missing_setpoint_and_the_board_lan
         second.until_state("hold")
         second.until_state("landing")
         second.until_state("idle")
-        assert any("stale_hold" in text for text in second.events("state"))
-        assert any("stale_land" in text for text in second.events("state"))
+        texts = second.events("state")
+        assert "state hold: the pilot's page does not answer" in texts
+        assert "state landing: the pilot's page does not answer" in texts
         assert served.heli.session.stops == 0
 
 
@@ -144,7 +145,7 @@ def test_a_plan_whose_pilot_is_lost_is_ended_by_the_board(served: Served) -> Non
         second.until(lambda: (second.known["status"]["flight"] or {}).get("phase") == "hover")
         first.answers.clear()
         second.until_state("idle")
-        assert "stale_land" in first.answer(number)["outcome"]
+        assert "state landing: the pilot's page does not answer" in first.answer(number)["outcome"]
 
 
 def test_a_duplicated_tab_is_a_client_of_its_own(served: Served) -> None:

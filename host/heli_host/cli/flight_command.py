@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json as json_text
 import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from heli_host.log.summary import FlightSummary
 
 DEFAULT_SEED: Final = 1
+VERB_NAME: Final = "heli-host fly"
+"""Value of ``flown_by`` in the log of a flight whose commands ``--again`` can repeat."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,12 @@ class FlightOptions:
         Parameters to fly with.
     twin, on_alarm : str or None
         Twin that flies along, and what its alarm does.
+    foxglove : int or None
+        TCP port on this computer for live viewers.
+    parameters : Mapping of str to float or None
+        Parameters to fly with, instead of a file's.
+    simulation : str
+        Address of the simulated board, instead of one from the other options.
     log, json, figure : Path or None
         Files to write.
     """
@@ -63,6 +72,9 @@ class FlightOptions:
     params: Path | None = None
     twin: str | None = None
     on_alarm: str | None = None
+    foxglove: int | None = None
+    parameters: Mapping[str, float] | None = None
+    simulation: str = ""
     log: Path | None = None
     json: Path | None = None
     figure: Path | None = None
@@ -79,6 +91,8 @@ class FlightOptions:
         """
         from heli_host.cli.board import check_target
 
+        if self.simulation:
+            return self.simulation
         simulated.parse_speed(self.speed)
         if not self.sil:
             simulated.refuse_without_sil(
@@ -186,6 +200,7 @@ def fly_plans(
     from heli_host.cli.progress import LiveLine
     from heli_host.cli.report import summary_lines
     from heli_host.fly.runner import fly
+    from heli_host.foxglove_feed import foxglove_feed
     from heli_host.link.transport import transport_label, transport_note, transport_rig
     from heli_host.log.blind import Truth, truth_path
     from heli_host.log.disk import check_new
@@ -199,7 +214,9 @@ def fly_plans(
         options = replace(options, seed=secrets.randbelow(1 << 31) if options.blind else DEFAULT_SEED)
     address = options.address()
     check_gains(options.gains, options.sil)
-    parameters = chosen_parameters(options.params, options.gains)
+    parameters = (
+        chosen_parameters(options.params, options.gains) if options.parameters is None else options.parameters
+    )
     log, json, figure = options.log, options.json, options.figure
     check_result_places(json, figure=figure)
     data_on_stdout(json)
@@ -219,7 +236,12 @@ def fly_plans(
             )
         )
     maker = read_twin(options.twin)
-    with open_board(options.port, address) as heli:
+    with (
+        open_board(options.port, address) as heli,
+        foxglove_feed(heli, options.foxglove, hidden=options.blind) as feed,
+    ):
+        if feed is not None:
+            say_progress(f"viewers: {feed.address}")
         if options.clear_fault:
             clear_latched_fault(heli)
         load_gains(heli.params, options.gains)
@@ -261,6 +283,7 @@ def fly_plans(
                 twin=watch,
                 land_on_change=land_on_alarm,
                 sealed=truth.digest if truth is not None else "",
+                setup=_setup(options, parameters, plans) if on_taken_off is None else {},
                 on_taken_off=(lambda: on_taken_off(heli)) if on_taken_off is not None else None,
             )
         if on_flown is not None:
@@ -271,3 +294,17 @@ def fly_plans(
     if truth is not None:
         lines += [f"sealed: {truth.digest}", f"truth, not for those who search: {key}"]
     return FlownFlight(summary, log, tuple(lines), json, figure)
+
+
+def _setup(options: FlightOptions, parameters: Mapping[str, float], plans: Sequence[Plan]) -> dict[str, str]:
+    """Return what was set on the board before the flight, for `heli_host.cli.again`."""
+    from heli_host.fly.recorder import plan_texts
+
+    return {
+        "flown_by": VERB_NAME,
+        "plans": json_text.dumps(list(plan_texts(plans))),
+        "gains": options.gains or "",
+        "parameters": json_text.dumps(dict(parameters)),
+        "clear_fault": "1" if options.clear_fault else "0",
+        "lands_on_alarm": "1" if lands_on_alarm(options.twin, options.on_alarm) else "0",
+    }

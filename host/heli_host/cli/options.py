@@ -39,6 +39,17 @@ FigureOption = Annotated[
     Path | None,
     typer.Option("--figure", metavar="FILE", help="Draw a figure to this file: .png, .pdf or .svg."),
 ]
+FoxgloveOption = Annotated[
+    int | None,
+    typer.Option(
+        "--foxglove",
+        metavar="PORT",
+        min=0,
+        max=65535,
+        help="Serve live samples to viewers on this local port, 0 for a free one.",
+        show_default=False,
+    ),
+]
 ClearFaultOption = Annotated[bool, typer.Option("--clear-fault", help="Clear a latched fault first.")]
 
 

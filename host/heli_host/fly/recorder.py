@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import TYPE_CHECKING
 
 from heli_host.controllers import controller_name
@@ -16,6 +16,7 @@ from heli_host.errors import HeliError, LogError
 from heli_host.flight.flown import PHASE_EVENT
 from heli_host.link.channels import rad_per_count
 from heli_host.link.events import BOARD_RESTARTED, LAW_SIGNALS, LINK_LOST, LINK_SILENT, LinkEvent
+from heli_host.link.transport import transport_recipe
 from heli_host.log.blind import hide, said
 from heli_host.log.disk import check_free_space
 from heli_host.log.schema import LEVEL_ERROR, LEVEL_INFO, LEVEL_WARNING
@@ -36,6 +37,8 @@ _LEVELS = {
     "setpoint_stale": LEVEL_WARNING,
     "setpoint_rejected": LEVEL_WARNING,
 }
+SIMULATION = "simulation"
+"""Name of the log's record that repeats a simulated flight."""
 _URGENT = frozenset((LINK_LOST, LINK_SILENT, BOARD_RESTARTED, "fault"))
 
 
@@ -63,6 +66,8 @@ class Recorder:
     sealed : str
         Seal of a flight whose cause is hidden, see `heli_host.log.blind`: the log has it in the place of
         address, rig, seed and boot id. Empty for any other flight.
+    setup : Mapping of str to str
+        Settings of the board before the flight, for `heli_host.cli.again`; empty if unknown.
 
     Raises
     ------
@@ -81,6 +86,7 @@ class Recorder:
         duration_s: float = 0.0,
         overwrite: bool = False,
         sealed: str = "",
+        setup: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         self._sealed = sealed
         self.path = Path(path)
@@ -94,9 +100,10 @@ class Recorder:
             self.path,
             start_wall_ns=heli.session.transport.wall_ns(),
             metadata={
+                **({} if sealed else _simulation(heli, setup)),
                 "session": self._said(self._session(heli, rig_name, plans, board_name)),
                 "parameters": {name: repr(value) for name, value in parameters.items()},
-                "plan": _texts(plans),
+                "plan": plan_texts(plans),
             },
             rad_per_count=rad_per_count(parameters),
             background=not heli.session.lockstep,
@@ -282,14 +289,26 @@ class Recorder:
         }
 
 
+def _simulation(heli: Vehicle, setup: Mapping[str, str]) -> dict[str, dict[str, str]]:
+    """Return the record that repeats a simulated flight; none for hardware."""
+    recipe = transport_recipe(heli.session.transport)
+    return {SIMULATION: {**recipe, **setup}} if recipe else {}
+
+
 def _controller(heli: Vehicle) -> str:
     """Return the controller's name; for the default row, the board is not asked."""
     selected = heli.params["controller"]
     return controller_name(heli.session, selected) if selected in range(1, 8) else "default"
 
 
-def _texts(plans: Sequence[Plan]) -> dict[str, str]:
-    """Return the plans' texts by name; a plan flown twice is named twice."""
+def plan_texts(plans: Sequence[Plan]) -> dict[str, str]:
+    """Return the plans' texts by name; a plan flown twice is named twice.
+
+    Parameters
+    ----------
+    plans : sequence of Plan
+        In the order of the flight.
+    """
     texts: dict[str, str] = {}
     for plan in plans:
         name, number = plan.name, 2

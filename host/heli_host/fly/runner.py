@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -49,6 +50,7 @@ def fly(
     on_taken_off: Callable[[], object] | None = None,
     overwrite: bool = False,
     sealed: str = "",
+    setup: Mapping[str, str] = MappingProxyType({}),
 ) -> FlightSummary:
     """Take off, fly plans one after the other, land. Blocks until the motors are off and the log is complete.
 
@@ -88,6 +90,8 @@ def fly(
     sealed : str
         Seal of a flight whose cause is hidden, see `heli_host.log.blind`: the log holds it instead of
         address, rig, seed and boot id. Empty for any other flight.
+    setup : Mapping of str to str
+        Settings of the board before the flight, for the log; see `heli_host.cli.again`.
 
     Returns
     -------
@@ -117,6 +121,7 @@ def fly(
             duration_s=route.duration_s,
             overwrite=overwrite,
             sealed=sealed,
+            setup=setup,
         )
         tolerance = Tolerance.widest([plan.tolerance for plan in loaded])
         end_when = (lambda: twin.alarm) if twin is not None and land_on_change else None

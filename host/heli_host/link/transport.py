@@ -441,6 +441,18 @@ def transport_rig_parameters(transport: Transport) -> Mapping[str, float]:
     return stated
 
 
+def transport_recipe(transport: Transport) -> Mapping[str, str]:
+    """Return what repeats a simulation: address, whole rig, digests of files; empty for hardware.
+
+    Parameters
+    ----------
+    transport : Transport
+        Any transport; one may have it in an attribute ``recipe``.
+    """
+    recipe: Mapping[str, str] = getattr(transport, "recipe", {})
+    return recipe
+
+
 def transport_note(transport: Transport) -> str:
     """Return a note for the user on how the board was chosen.
 

@@ -1,4 +1,8 @@
-"""Flights as tables: .csv and .csv.gz, in and out."""
+"""Flights as tables: .csv and .csv.gz, in and out.
+
+The table has a header line and numbers only, so that every program reads it without options. Notes such as
+parameters, plan and events are in a text file next to it. Older tables hold them in lines that begin with #.
+"""
 
 from __future__ import annotations
 
@@ -38,6 +42,8 @@ _PLAN_MARK = "plan|"
 _ROWS_A_BLOCK = 20_000
 MAX_TABLE_BYTES = 1 << 28
 """Largest table, unpacked: half an hour at 1 kHz."""
+MAX_NOTES_BYTES = 1 << 24
+"""Largest file of notes: 4000 times the notes of a flight with ten events."""
 MAX_LINES = 4_000_000
 MAX_TABLE_COLUMNS = 1000
 
@@ -79,8 +85,8 @@ def read_csv(path: Path, *, allow_gaps: bool = False) -> Flight:
     Returns
     -------
     Flight
-        Notes of the form ``# name: value`` are in ``meta`` under their name, the others joined under
-        ``notes``.
+        Notes of the form ``name: value``, from `notes_path` or from lines ``# name: value`` of the table, are
+        in ``meta`` under their name, the others joined under ``notes``.
 
     Raises
     ------
@@ -91,18 +97,31 @@ def read_csv(path: Path, *, allow_gaps: bool = False) -> Flight:
     _check_names(lines.names, path)
     numbers, names = _read_numbers(lines, path)
     columns = dict(zip(names, numbers.T, strict=True))
-    flight = _build(columns, lines.notes)
+    flight = _build(columns, (*lines.notes, *_read_notes(notes_path(path))))
     check(flight, str(path), allow_gaps=allow_gaps, where=lines.where)
     return flight
 
 
-def write_csv(flight: Flight, path: str | Path) -> None:
-    """Write a flight as a table.
+def notes_path(table: Path) -> Path:
+    """Return the path of a table's notes, such as ``flight.csv.notes.txt``.
+
+    Parameters
+    ----------
+    table : Path
+        A ``.csv`` or ``.csv.gz`` file, which need not exist.
+    """
+    return table.with_name(table.name + ".notes.txt")
+
+
+def write_csv(flight: Flight, path: str | Path, *, notes_inside: bool = False) -> None:
+    """Write a flight as a table, and its notes next to it.
 
     Parameters
     ----------
     path : str or Path
         ``.csv`` or ``.csv.gz``; the same flight gives the same bytes.
+    notes_inside : bool
+        Write the notes into the table, as lines that begin with ``#``, if there can be no second file.
 
     Raises
     ------
@@ -112,30 +131,53 @@ def write_csv(flight: Flight, path: str | Path) -> None:
     path = Path(path)
     columns = flight.columns()
     row_format = ",".join(_FORMATS.get(name, _NUMBER_FORMAT) for name in columns) + "\n"
+    notes = _notes(flight)
+    inside = [f"# {line}" for line in notes] if notes_inside else []
     table = np.column_stack([column.astype(np.float64) for column in columns.values()])
     try:
         with path.open("wb") as file:
             if path.name.lower().endswith(".gz"):
                 # Without name and date in its header, the same flight compresses to the same bytes.
                 with gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=file, mtime=0) as packed:
-                    _write_rows(packed, flight, list(columns), row_format, table)
+                    _write_rows(packed, inside, list(columns), row_format, table)
             else:
-                _write_rows(file, flight, list(columns), row_format, table)
+                _write_rows(file, inside, list(columns), row_format, table)
+        beside = notes_path(path)
+        if notes and not notes_inside:
+            beside.write_text("".join(line + "\n" for line in notes), encoding="utf-8", newline="\n")
+        else:
+            # The notes of an older table would describe another flight.
+            beside.unlink(missing_ok=True)
     except OSError as error:
         raise LogWriteError(
             f"cannot write {path}: {error.strerror or error}", "choose another folder"
         ) from error
 
 
+def _notes(flight: Flight) -> list[str]:
+    notes = [f"{name}: {_one_line(value)}" for name, value in flight.meta.items()]
+    notes += [f"parameter.{name}: {value!r}" for name, value in flight.parameters.items()]
+    notes += [f"state.{number}: {name}" for number, name in flight.state_names.items()]
+    notes += [f"fault.{number}: {name}" for number, name in flight.fault_names.items()]
+    notes += [f"{_PLAN_MARK}{line}" for line in flight.plan.splitlines()]
+    return notes + [f"event.{event.name}: {event.t_s:.6f} {_one_line(event.text)}" for event in flight.events]
+
+
+def _read_notes(path: Path) -> list[str]:
+    """Return the lines of a table's notes; none without such a file."""
+    try:
+        data = read_file(path, MAX_NOTES_BYTES)
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise FlightDataError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
+    lines = data.decode("utf-8", errors="replace").splitlines()
+    return [line for line in lines if line.strip()]
+
+
 def _write_rows(
-    file: Any, flight: Flight, names: Sequence[str], row_format: str, table: NDArray[np.float64]
+    file: Any, notes: Sequence[str], names: Sequence[str], row_format: str, table: NDArray[np.float64]
 ) -> None:
-    notes = [f"# {name}: {_one_line(value)}" for name, value in flight.meta.items()]
-    notes += [f"# parameter.{name}: {value!r}" for name, value in flight.parameters.items()]
-    notes += [f"# state.{number}: {name}" for number, name in flight.state_names.items()]
-    notes += [f"# fault.{number}: {name}" for number, name in flight.fault_names.items()]
-    notes += [f"# {_PLAN_MARK}{line}" for line in flight.plan.splitlines()]
-    notes += [f"# event.{event.name}: {event.t_s:.6f} {_one_line(event.text)}" for event in flight.events]
     file.write("".join(line + "\n" for line in (*notes, ",".join(names))).encode())
     for start in range(0, len(table), _ROWS_A_BLOCK):
         block = table[start : start + _ROWS_A_BLOCK]

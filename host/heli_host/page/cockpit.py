@@ -13,6 +13,8 @@ from heli_host.errors import HeliError, LinkError, ParameterError, SetpointError
 from heli_host.fly.plan import Plan
 from heli_host.link.clock import TICK_S
 from heli_host.link.events import BOARD_RESTARTED, LAW_SIGNALS, LinkEvent
+from heli_host.link.transport import transport_label, transport_rig
+from heli_host.page.causes import cause, in_words, is_without_setpoints
 from heli_host.page.flying import PlanFlight
 from heli_host.page.law_choice import LawChoice
 from heli_host.page.source import (
@@ -70,6 +72,8 @@ class Cockpit:
         Twin that compares the flight with a model.
     laws : sequence of LawProgram
         Control laws that clients may choose instead of the board's own.
+    rig_name : str
+        Name of the rig, for the page's badge; empty if it is unknown.
 
     Attributes
     ----------
@@ -88,13 +92,14 @@ class Cockpit:
         rig: Mapping[str, float],
         twin: TwinWatch | None = None,
         laws: Sequence[LawProgram] = (),
+        rig_name: str = "",
     ) -> None:
         self.buffer = TelemetryBuffer(round(KEPT_S / TICK_S))
         self._heli = heli
         self._session = heli.session
         self._new_recorder = new_recorder
         self._plans = {plan.name: plan for plan in plans}
-        self._board, self._rig = board, dict(rig)
+        self._board, self._rig, self._rig_name = board, dict(rig), rig_name
         self._law = LawChoice(heli, laws)
         self._news: News | None = None
         self._events: list[dict[str, Any]] = []
@@ -105,6 +110,9 @@ class Cockpit:
         self._marks = 0
         self._heard_s = -math.inf
         self._present: Callable[[], bool] = lambda: False
+        self._absence: Callable[[], str] = lambda: ""
+        self._cause = ""
+        self._last_absence = ""
         self._undo: list[tuple[str, float]] = []
         self._values = dict(heli.params)
         anybody, pilot, tuner = Role.OBSERVER, Role.PILOT, Role.TUNER
@@ -136,6 +144,8 @@ class Cockpit:
         values = self._values
         return {
             "mode": "live",
+            "kind": "simulation" if is_simulated(self._heli) else "real",
+            "rig_name": self._rig_name,
             "board": self._board,
             "rig": self._rig,
             "tick_s": TICK_S,
@@ -161,6 +171,7 @@ class Cockpit:
         return {
             "state": state,
             "fault": fault,
+            "cause": self._cause,
             "connected": session.connected,
             "link": {
                 "frames": counters.frames_ok,
@@ -215,15 +226,17 @@ class Cockpit:
         """
         return self._session.release_stop(epoch)
 
-    def watch_pilot(self, present: Callable[[], bool]) -> None:
+    def watch_pilot(self, present: Callable[[], bool], absence: Callable[[], str] = lambda: "") -> None:
         """Send setpoints and voltages only while the pilot's page answers; see `Source.watch_pilot`.
 
         Parameters
         ----------
         present : callable returning bool
             True while the pilot's page answers; it must not block.
+        absence : callable returning str
+            Why the pilot's page is absent, in words; empty while it is present.
         """
-        self._present = present
+        self._present, self._absence = present, absence
         self._session.permit_streams(present)
 
     def fly_when_watched(self, names: Sequence[str], give_up: Callable[[], bool]) -> Mapping[str, Any]:
@@ -303,7 +316,7 @@ class Cockpit:
             self._flight = None
             if own:
                 self.close(flight.outcome)
-        return {"outcome": outcome}
+        return {"outcome": in_words(outcome, self._last_absence)}
 
     def _land(self, _: Mapping[str, Any]) -> Mapping[str, Any]:
         self._heli.land(wait=False)
@@ -430,10 +443,21 @@ class Cockpit:
         if event.kind == BOARD_RESTARTED:
             self.buffer.clear()
         self._law.take_event(event)
-        self._add_event(event.tick, event.kind, event.text)
+        self._add_event(event.tick, event.kind, self._in_words(event.text))
         if event.kind == LAW_SIGNALS:
             self._signals = {f"signal_{number}": name for number, name in enumerate(event.names, 1)}
             self._tell({"channels": channel_rows(self._values, self._signals)})
+
+    def _in_words(self, text: str) -> str:
+        """Return the text of an event with its cause in words, and note an absent pilot in the log too."""
+        is_without = is_without_setpoints(text)
+        absence = self._absence() if is_without else ""
+        if absence and absence != self._cause and (recorder := self._recorder) is not None:
+            recorder.note("pilot", absence)
+        if is_without:
+            self._last_absence = absence
+        self._cause = cause(text, absence) or self._cause
+        return in_words(text, absence)
 
     def _add_event(self, tick: int, kind: str, words: str) -> None:
         entry = {"t_s": round(tick * TICK_S, 3), "kind": kind, "text": words}
@@ -455,3 +479,16 @@ class Cockpit:
     def _tell(self, news: Mapping[str, Any]) -> None:
         if self._news is not None:
             self._news(news)
+
+
+def is_simulated(heli: Heli) -> bool:
+    """Return whether a board is simulated: its transport names a rig or an emulated board, or its firmware
+    runs on a computer.
+
+    Parameters
+    ----------
+    heli : Heli
+        Connected board.
+    """
+    transport = heli.session.transport
+    return bool(transport_rig(transport) or transport_label(transport)) or heli.info.board == "native"

@@ -127,6 +127,21 @@ class ControlLease:
         """
         return self.pilot_age_s(now_s) <= PRESENT_S
 
+    def absence(self, now_s: float) -> str:
+        """Return in words why the pilot's page sends no setpoints; empty while it is present.
+
+        Parameters
+        ----------
+        now_s : float
+            Monotonic time of the host [s].
+        """
+        age_s = self.pilot_age_s(now_s)
+        if age_s <= PRESENT_S:
+            return ""
+        if self.pilot is None:
+            return "no page has the control"
+        return "the pilot's page was closed" if age_s == float("inf") else "the pilot's page does not answer"
+
     def ask(self, client: str, now_s: float) -> bool:
         """Request control for a client.
 

@@ -12,8 +12,10 @@ import numpy as np
 from heli_host.declaration import Channel
 from heli_host.errors import TruncatedLog
 from heli_host.link.clock import TICK_S
+from heli_host.page.causes import in_words
 from heli_host.page.source import (
     KEPT_S,
+    REPLAY_WORDS,
     Action,
     CommandQueue,
     News,
@@ -78,11 +80,13 @@ class Replay:
         session = self._log.metadata.get("session", {})
         return {
             "mode": "replay",
+            "kind": "replay",
+            "rig_name": session.get("rig", ""),
             "board": f"{self._log.path.name}: {session.get('board', 'a board')}, {session.get('start', '')}",
             "rig": self._rig,
             "tick_s": TICK_S,
             "channels": channel_rows(self._log.parameters, self._log.law_signals),
-            "states": state_rows(),
+            "states": state_rows(REPLAY_WORDS),
             "faults": fault_rows(),
             "parameters": [],
             "values": self._log.parameters,
@@ -94,7 +98,7 @@ class Replay:
                 {
                     "t_s": round(float(event["t_s"]), 3),
                     "kind": str(event["name"]),
-                    "text": str(event["message"]),
+                    "text": in_words(str(event["message"])),
                 }
                 for event in self._log.events[-1000:]
             ],
@@ -150,12 +154,14 @@ class Replay:
         """
         return epoch == 0
 
-    def watch_pilot(self, present: Callable[[], bool]) -> None:
+    def watch_pilot(self, present: Callable[[], bool], absence: Callable[[], str] = lambda: "") -> None:
         """Ignore the pilot's presence: a replay sends no setpoints.
 
         Parameters
         ----------
         present : callable returning bool
+            Never called.
+        absence : callable returning str
             Never called.
         """
 

@@ -72,7 +72,9 @@ class Service:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._tasks: set[asyncio.Task[None]] = set()
         self._queues = {queue: ThreadPoolExecutor(1, f"page {queue.name.lower()}") for queue in CommandQueue}
-        source.watch_pilot(lambda: self.lease.present(time.monotonic()))
+        source.watch_pilot(
+            lambda: self.lease.present(time.monotonic()), lambda: self.lease.absence(time.monotonic())
+        )
         source.listen(self._hear)
 
     def application(self) -> Starlette:

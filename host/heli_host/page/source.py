@@ -84,8 +84,9 @@ class Source(Protocol):
     actions: Mapping[str, Action]
 
     def describe(self) -> dict[str, Any]:
-        """Return the constant facts that each client gets once when it connects, as JSON: board, channels,
-        states, faults, parameters, limits, plans, laws.
+        """Return the constant facts that each client gets once when it connects, as JSON: kind
+        (``simulation``, ``real`` or ``replay``), name of the rig, board, channels, states, faults,
+        parameters, limits, plans, laws.
         """
         ...
 
@@ -150,7 +151,7 @@ class Source(Protocol):
         """
         ...
 
-    def watch_pilot(self, present: Callable[[], bool]) -> None:
+    def watch_pilot(self, present: Callable[[], bool], absence: Callable[[], str] = lambda: "") -> None:
         """Send setpoints and voltages to the board only while the pilot's page answers.
 
         Without setpoints the board itself holds level after ``setpoint_hold_s`` and lands after
@@ -162,6 +163,8 @@ class Source(Protocol):
             True while the pilot's page has answered within `heli_host.page.control_lease.PRESENT_S` seconds.
             Called before each setpoint and each pair of voltages, with the link's lock held: it must not
             block.
+        absence : callable returning str
+            Why the pilot's page is absent, in words; empty while it is present.
         """
         ...
 
@@ -177,6 +180,19 @@ STATE_WORDS: dict[State, str] = {
     State.FAULT: "A fault switched the motors off. Remove its cause, then clear it.",
     State.EMERGENCY_LANDING: "It lands because of a fault; travel is not held.",
 }
+
+REPLAY_WORDS: dict[State, str] = {
+    State.IDLE: "The log shows the motors off.",
+    State.ARMED: "The log shows the drivers on, at zero voltage.",
+    State.CLOSED_LOOP: "The log shows a flight: the loops follow the setpoint.",
+    State.OPEN_LOOP: "The log shows fixed voltages; no loop is closed.",
+    State.STREAMED: "The log shows voltages that a program streams.",
+    State.HOLD: "The log shows a level hover, because no setpoint arrives.",
+    State.LANDING: "The log shows a descent to the table.",
+    State.FAULT: "The log shows a fault, which switched the motors off.",
+    State.EMERGENCY_LANDING: "The log shows a landing because of a fault; travel is not held.",
+}
+"""A log is the past: these sentences give no command, and do not claim that a rig flies now."""
 
 
 def number(arguments: Mapping[str, Any], name: str) -> float:
@@ -287,9 +303,15 @@ def _parameter_row(spec: ParamSpec) -> dict[str, Any]:
     }
 
 
-def state_rows() -> dict[int, dict[str, str]]:
-    """Return for each supervisor state, by number, its name and one sentence for the operator."""
-    return {int(state): {"name": state.name.lower(), "words": STATE_WORDS[state]} for state in State}
+def state_rows(words: Mapping[State, str] = STATE_WORDS) -> dict[int, dict[str, str]]:
+    """Return for each supervisor state, by number, its name and one sentence for the operator.
+
+    Parameters
+    ----------
+    words : Mapping of State to str
+        The sentences: `STATE_WORDS` of a board, `REPLAY_WORDS` of a log.
+    """
+    return {int(state): {"name": state.name.lower(), "words": words[state]} for state in State}
 
 
 def fault_rows() -> dict[int, dict[str, str]]:

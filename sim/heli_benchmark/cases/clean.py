@@ -128,7 +128,11 @@ class Case:
             flight_plan = plan(f"{self.seed}", duration_s, rng)
             # Renamed when complete, so that an interrupted run leaves no partial flight.
             unfinished = path.with_name("unfinished-" + path.name)
-            write_csv(flown(self.rig(), self.hidden(number), flight_plan, self.seed + number), unfinished)
+            write_csv(
+                flown(self.rig(), self.hidden(number), flight_plan, self.seed + number),
+                unfinished,
+                notes_inside=True,
+            )
             unfinished.rename(path)
         return paths
 

@@ -130,7 +130,7 @@ class DisturbedCase(Case):
                 continue
             path.parent.mkdir(parents=True, exist_ok=True)
             unfinished = path.with_name("unfinished-" + path.name)
-            write_csv(self.fly(number, durations_s[number])[0], unfinished)
+            write_csv(self.fly(number, durations_s[number])[0], unfinished, notes_inside=True)
             unfinished.rename(path)
         return paths
 

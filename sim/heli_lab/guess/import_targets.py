@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Final
 
 from heli_host.errors import FlightDataError
 from heli_host.flight import Flight
+from heli_host.log.table import notes_path
 
 _DIGEST: Final = "digest"
 _CHARACTERS: Final = 12
@@ -77,15 +80,17 @@ class Target:
 def _digest_in(path: Path) -> str | None:
     """Digest of the source of a flight at `path`; empty if it states none, None if there is no such file."""
     try:
+        # Tables of older versions hold their notes in their first lines.
         with path.open(encoding="utf-8", errors="replace") as file:
-            for line in file:
-                if not line.startswith("#"):
-                    return ""
-                key, _, value = line.lstrip("# ").partition(":")
-                if key.strip() == _DIGEST:
-                    return value.strip()
+            lines = list(takewhile(lambda line: line.startswith("#"), file))
+        with contextlib.suppress(FileNotFoundError):
+            lines += notes_path(path).read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         return None
+    for line in lines:
+        key, _, value = line.lstrip("# ").partition(":")
+        if key.strip() == _DIGEST:
+            return value.strip()
     return ""
 
 

@@ -11,27 +11,27 @@ from heli_sim.rig.rig import Number, Rig
 _DIGITS = 7
 
 
-def rig_text(rig: Rig, comment: str = "") -> str:
-    """Spell a rig as TOML, numbers with seven digits, under a `comment`."""
+def rig_text(rig: Rig, comment: str = "", digits: int = _DIGITS) -> str:
+    """Spell a rig as TOML under a `comment`, numbers with so many `digits`; 17 keep every number exactly."""
     lines = [f"# {line}" for line in textwrap.wrap(comment, 108)]
     lines += [f"name = {_quoted(rig.name)}", f"description = {_quoted(rig.description)}"]
     if rig.model:
         lines.append(f"model = {_quoted(rig.model)}")
     for name, number in rig.items():
-        lines += _table(name, number)
+        lines += _table(name, number, digits)
     for effect, numbers in rig.effects.items():
         for what, number in numbers.items():
-            lines += _table(f"effects.{_quoted(effect)}.{what}", number)
+            lines += _table(f"effects.{_quoted(effect)}.{what}", number, digits)
     return "\n".join(lines) + "\n"
 
 
-def _table(name: str, number: Number) -> list[str]:
+def _table(name: str, number: Number, digits: int) -> list[str]:
     return [
         "",
         f"[{name}]",
-        f"value = {number.value:.{_DIGITS}g}",
+        f"value = {number.value:.{digits}g}",
         f"unit = {_quoted(number.unit)}",
-        f"tolerance = {number.tolerance:.{_DIGITS}g}",
+        f"tolerance = {number.tolerance:.{digits}g}",
         f"source = {_quoted(number.source)}",
     ]
 

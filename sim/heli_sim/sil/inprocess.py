@@ -6,6 +6,8 @@ This file implements the protocol `heli_host.link.transport.Transport`.
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Final
 
 from heli_host.errors import LinkLost, PortError
@@ -31,6 +33,8 @@ class InProcessTransport:
         Description of the board for readers.
     note : str
         Reason why this board was chosen, in a sentence; may be empty.
+    recipe : Mapping of str to str
+        Facts that repeat the simulation; see `heli_sim.sil.recipe.recipe_of`.
 
     Raises
     ------
@@ -40,11 +44,19 @@ class InProcessTransport:
 
     lockstep: Final = True
 
-    def __init__(self, world: SilWorld, url: str = "sil://", label: str = "", note: str = "") -> None:
+    def __init__(
+        self,
+        world: SilWorld,
+        url: str = "sil://",
+        label: str = "",
+        note: str = "",
+        recipe: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
         self.url = url
         self.world = world
         self._written = bytearray()
         self.label = label
+        self.recipe = recipe
         self.rig = world.rig_source
         self.rig_parameters = world.rig_parameters
         self.note = note
@@ -106,7 +118,7 @@ class InProcessTransport:
         """Open the port of the same board again by another transport; this one stays closed. A PortError when
         the plan of faults has the cable out; 0.1 s of simulated time passes.
         """
-        return InProcessTransport(self.world, self.url, self.label, self.note)
+        return InProcessTransport(self.world, self.url, self.label, self.note, self.recipe)
 
     def _check(self) -> None:
         if self._closed:

@@ -17,6 +17,7 @@ from heli_sim.sil.boards import choose
 from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import parse_url
 from heli_sim.sil.process import SilProcess
+from heli_sim.sil.recipe import recipe_of
 from heli_sim.sil.world import SilWorld, set_from_rig
 
 
@@ -35,6 +36,8 @@ class ProcessTransport(SerialTransport):
         Name or file of the rig that it flies.
     rig_parameters : Mapping of str to float
         Parameters of the board that the rig determines.
+    recipe : Mapping of str to str
+        Facts that repeat the simulation; see `heli_sim.sil.recipe.recipe_of`.
     """
 
     def __init__(
@@ -44,8 +47,10 @@ class ProcessTransport(SerialTransport):
         note: str = "",
         rig: str = "",
         rig_parameters: Mapping[str, float] = MappingProxyType({}),
+        recipe: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         super().__init__(process.url)
+        self.recipe = recipe
         self.rig_parameters = rig_parameters
         self.label = label
         self.note = note
@@ -77,7 +82,9 @@ class ProcessTransport(SerialTransport):
 
     @override
     def reopen(self) -> ProcessTransport:
-        return ProcessTransport(self._process, self.label, self.note, self.rig, self.rig_parameters)
+        return ProcessTransport(
+            self._process, self.label, self.note, self.rig, self.rig_parameters, self.recipe
+        )
 
 
 def open_transport(url: str) -> InProcessTransport | ProcessTransport:
@@ -103,11 +110,17 @@ def open_transport(url: str) -> InProcessTransport | ProcessTransport:
         rig = load_rig(options.rig)
         note = _joined(no_due, set_from_rig_text(rig.name, set_from_rig(options, rig)))
         return ProcessTransport(
-            SilProcess(options=values), choice.text, note, options.rig, parameters_of(rig)
+            SilProcess(options=values),
+            choice.text,
+            note,
+            options.rig,
+            parameters_of(rig),
+            recipe_of(url, options, rig, choice),
         )
     world = SilWorld(replace(options, board=choice.name, elf=choice.elf))
     note = _joined(no_due, set_from_rig_text(world.rig.name, world.set_from_rig))
-    return InProcessTransport(world, url, choice.text, note)
+    recipe = recipe_of(url, options, world.rig, choice)
+    return InProcessTransport(world, url, choice.text, note, recipe)
 
 
 def _joined(*texts: str) -> str:

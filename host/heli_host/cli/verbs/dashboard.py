@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from heli_host.cli import simulated
-from heli_host.cli.options import PortOption, flight_folder
+from heli_host.cli.options import FoxgloveOption, PortOption, flight_folder
 from heli_host.cli.say import say
 from heli_host.cli.twin_options import OnAlarmOption, TwinOption, lands_on_alarm, open_watch, read_twin
 from heli_host.cli.verb import Verb
@@ -73,6 +73,7 @@ def dashboard(
             "--http-port", metavar="N", min=0, max=65535, help="Serve on this TCP port, 0 for a free one."
         ),
     ] = 0,
+    foxglove: FoxgloveOption = None,
 ) -> None:
     """Serve a live page of the flight in the browser, and fly from there.
 
@@ -98,6 +99,8 @@ def dashboard(
             raise typer.BadParameter(
                 f"--twin needs a board; compare a log with: heli-host twin {replay} --rig {twin}"
             )
+        if foxglove is not None:
+            raise typer.BadParameter(f"--foxglove needs a board; viewers open {replay} as a file")
         if flown or laws or plans:
             raise typer.BadParameter(
                 f"--replay {replay} shows a log and flies nothing; leave plans and laws out"
@@ -113,7 +116,16 @@ def dashboard(
         rig=rig, seed=seed, board=board, elf=elf, model=model, effect=effect, effect_files=effect_file
     )
     _fly(
-        port, address if sil else None, rig, offered, begun, tapes, (read_twin(twin), lands), host, http_port
+        port,
+        address if sil else None,
+        rig,
+        offered,
+        begun,
+        tapes,
+        (read_twin(twin), lands),
+        host,
+        http_port,
+        foxglove,
     )
 
 
@@ -127,18 +139,22 @@ def _fly(
     twin: tuple[TwinMaker | None, bool],
     host: str,
     http_port: int,
+    foxglove: int | None,
 ) -> None:
     from heli_host.cli.board import board_text, check_board_rig, open_board
     from heli_host.fly.recorder import Recorder
+    from heli_host.foxglove_feed import foxglove_feed
     from heli_host.link.transport import transport_label, transport_note
     from heli_host.page.cockpit import Cockpit
     from heli_host.page.serve import serving
 
     outline = _outline(rig, simulated_board=address is not None)
-    with open_board(port, address) as heli:
+    with open_board(port, address) as heli, foxglove_feed(heli, foxglove) as feed:
         transport = heli.session.transport
         if note := transport_note(transport):
             say(note)
+        if feed is not None:
+            say(f"viewers: {feed.address}")
         text = board_text(heli)
         say(text)
         check_board_rig(heli, rig)
@@ -159,7 +175,8 @@ def _fly(
 
         maker, lands = twin
         watch = open_watch(heli, maker, land if lands else None)
-        cockpit = Cockpit(heli, new_recorder, plans, text, outline, watch, laws)
+        name = simulated.rig_name(rig, simulated=address is not None)
+        cockpit = Cockpit(heli, new_recorder, plans, text, outline, watch, laws, rig_name=name)
         try:
             with serving(cockpit, host, http_port) as served:
                 _say(served)

@@ -43,7 +43,8 @@ def export(
     """Convert a log to CSV, MATLAB, Parquet or ROS 2.
 
     The log stays unchanged. Columns have the same names in each format, such as `elevation_rad` and
-    `front_V`. ROS 2 allows no capitals, so `front_V` becomes `front_volt`.
+    `front_V`. ROS 2 allows no capitals, so `front_V` becomes `front_volt`. Notes of a CSV
+    table, such as parameters and events, go to FILE.notes.txt, or into lines with # on standard output.
 
     --blind hides what flew, and seals it by a salted digest. The truth goes to LOG.truth.json next to the
     log. `heli-host info LOG --truth LOG.truth.json` compares the two.
@@ -55,6 +56,7 @@ def export(
             "export needs exactly one format; give one of --csv, --mat, --parquet and --ros2"
         )
     from heli_host.log.flight_file import read_flight
+    from heli_host.log.table import notes_path, write_csv
 
     write, suffix = _format(csv, mat, parquet)
     flight = read_flight(log, allow_gaps=True)
@@ -69,6 +71,8 @@ def export(
     write(flight, target)
     gaps = f", {len(flight.gaps)} gaps" if len(flight.gaps) else ""
     say(f"{len(flight)} rows{gaps} -> {target}")
+    if write is write_csv and notes_path(target).exists():
+        say(f"parameters, plan and events -> {notes_path(target)}")
 
 
 def _format(csv: bool, mat: bool, parquet: bool) -> tuple[Callable[[Flight, Path], None], str]:
@@ -102,9 +106,14 @@ def _to_stdout(flight: Flight, write: Callable[[Flight, Path], None], suffix: st
     import sys
     import tempfile
 
+    from heli_host.log.table import write_csv
+
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / f"flight{suffix}"
-        write(flight, target)
+        if write is write_csv:
+            write_csv(flight, target, notes_inside=True)
+        else:
+            write(flight, target)
         sys.stdout.flush()
         sys.stdout.buffer.write(target.read_bytes())
         sys.stdout.buffer.flush()

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from heli_host.cli.options import DurationOption, JsonOption, PortOption, flight_folder
-from heli_host.cli.say import data_on_stdout, say, write_result
+from heli_host.cli.options import DurationOption, FoxgloveOption, JsonOption, PortOption, flight_folder
+from heli_host.cli.say import data_on_stdout, say, say_progress, write_result
 from heli_host.cli.simulated import RigOption, SilOption, SpeedOption, rig_name, sil_address
 from heli_host.cli.verb import Verb
 
@@ -33,6 +33,7 @@ def record(
     sil: SilOption = False,
     rig: RigOption = None,
     speed: SpeedOption = "1",
+    foxglove: FoxgloveOption = None,
 ) -> None:
     """Record every tick of a board without sending commands.
 
@@ -45,6 +46,7 @@ def record(
     from heli_host.cli.progress import LiveLine
     from heli_host.cli.report import summary_lines
     from heli_host.fly.recorder import Recorder
+    from heli_host.foxglove_feed import foxglove_feed
     from heli_host.log.disk import check_new
     from heli_host.log.reader import read_log
     from heli_host.log.summary import summarise
@@ -52,7 +54,12 @@ def record(
     if output is not None:
         check_new(output)
     data_on_stdout(json)
-    with open_board(port, sil_address(rig=rig, speed=speed) if sil else None) as heli:
+    with (
+        open_board(port, sil_address(rig=rig, speed=speed) if sil else None) as heli,
+        foxglove_feed(heli, foxglove) as feed,
+    ):
+        if feed is not None:
+            say_progress(f"viewers: {feed.address}")
         path = output if output is not None else flight_folder() / "flight.mcap"
         recorder = Recorder(heli, path, rig_name=rig_name(rig, simulated=sil))
         try:

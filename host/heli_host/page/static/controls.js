@@ -12,6 +12,23 @@ function element(name, properties = {}, ...children) {
   return made;
 }
 
+// Give controls their reason to be disabled, empty to enable them; return it for the line below them.
+function block(controls, reason) {
+  for (const control of controls) {
+    control.disabled = Boolean(reason);
+    control.title = reason;
+  }
+  return reason;
+}
+
+// One line below a group of controls: which of them are disabled, and why.
+function explain(id, reasons) {
+  const named = new Map();
+  for (const [name, reason] of reasons) if (reason) named.set(reason, [...(named.get(reason) ?? []), name]);
+  const words = [...named].map(([reason, names]) => `${names.join(", ")}: ${reason}.`).join(" ");
+  if ($(id).textContent !== words) $(id).textContent = words;
+}
+
 export class Controls {
   constructor(link, say) {
     Object.assign(this, { link, say, hello: null, status: null, control: null, target: {}, setpointDeg: {}, movedMs: -Infinity, pending: null, sliders: {}, rows: new Map() });
@@ -80,7 +97,8 @@ export class Controls {
     const live = hello.mode === "live";
     for (const one of document.querySelectorAll(".live-only")) one.hidden = !live;
     for (const one of document.querySelectorAll(".replay-only")) one.hidden = live;
-    for (const id of ["tab-parameters", "tab-link"]) $(id).hidden = !live;
+    for (const id of ["tab-parameters", "tab-link", "stop"]) $(id).hidden = !live;
+    $("tab-fly").textContent = live ? "Fly" : "Replay";
     if (!live) Object.assign($("seek"), { min: hello.span_s[0], max: hello.span_s[1] });
     $("plans").replaceChildren(...hello.plans.map((plan) => element("div", { className: "plan-row" },
       element("button", { type: "button", className: "plan", onclick: () => this.ask("fly", { plans: [plan.name] }) }, `Fly ${plan.name}`),
@@ -105,7 +123,7 @@ export class Controls {
       const [low, high] = limits[axis];
       for (const input of this.sliders[axis]) Object.assign(input, { min: low, max: high });
     }
-    $("undo").disabled = !this.hello.undo;
+    if (this.status) this.show(this.status);
     this.refreshParameters();
   }
 
@@ -158,21 +176,26 @@ export class Controls {
     this.status = status;
     const off = ["idle", "fault", ""].includes(this.state), flies = this.flies, busy = Boolean(status.doing);
     const can = FLYING.has(this.state) && !status.flight;
-    $("take-off").disabled = !flies || busy || this.state !== "idle";
-    $("land").disabled = !flies || off;
-    $("hold").disabled = !flies || !can;
+    const watch = flies ? "" : "only the pilot; ask for control", waits = busy ? `the board is busy (${status.doing})` : "";
+    const start = watch || waits || (this.state === "idle" ? "" : "only while the motors are off");
+    const move = watch || (status.flight ? "the plan gives the setpoints" : can ? "" : "only in flight; take off first");
     $("clear-fault").hidden = this.state !== "fault";
-    $("clear-fault").disabled = !flies;
-    for (const inputs of Object.values(this.sliders)) for (const input of inputs) input.disabled = !flies || !can;
-    for (const button of document.querySelectorAll(".plan")) button.disabled = !flies || busy || this.state !== "idle";
-    $("record").disabled = !flies || Boolean(status.flight);
+    explain("why-fly", [
+      ["Take off", block([$("take-off")], start)], ["Land", block([$("land")], watch || (off ? "the motors are off" : ""))],
+      ["Hold here", block([$("hold")], move)], ["Clear fault", this.state === "fault" ? block([$("clear-fault")], watch) : ""]]);
+    explain("why-setpoint", [["Sliders", block(Object.values(this.sliders).flat(), move)]]);
+    $("hands").hidden = Boolean(move);
+    explain("why-plan", [["Plans", block(document.querySelectorAll(".plan"), start)]]);
+    explain("why-record", [["Record", block([$("record")], watch || (status.flight ? "a plan is always recorded" : ""))]]);
     $("record").setAttribute("aria-pressed", String(Boolean(status.recording)));
     $("record").textContent = status.recording ? "Stop recording" : "Record";
     $("recording").textContent = status.trouble || (status.recording ? `recording ${status.recording}` : this.recorded ?? "not recording");
     const flight = status.flight;
     $("progress").textContent = flight ? `${flight.phase}, ${flight.t_s} s${flight.left_s == null ? "" : `, ${flight.left_s} s left`}. Press Land to end it` : status.doing;
-    $("save").disabled = !this.mayTune || this.state !== "idle";
-    $("save").title = this.state === "idle" ? "Write all parameters to the board's flash" : "Saving works only while the board is idle";
+    this.why = !this.mayTune ? "only the pilot, unless the pilot lets others change parameters" : "";
+    explain("why-parameters", [
+      ["Undo", block([$("undo")], this.why || (this.hello.undo ? "" : "nothing was changed"))],
+      ["Save", block([$("save")], this.why || (this.state === "idle" ? "" : "only while the motors are off"))]]);
     this.showLaw(status.law);
     this.refreshParameters();
     if (this.hello.mode === "replay") this.showReplay(status);
@@ -180,6 +203,7 @@ export class Controls {
   }
 
   showReplay(status) {
+    block([$("play"), $("seek"), ...document.querySelectorAll("[data-speed]")], this.flies ? "" : "another page controls the replay; ask for control");
     $("play").textContent = status.playing ? "Pause" : "Play";
     for (const button of document.querySelectorAll("[data-speed]")) button.setAttribute("aria-pressed", String(Number(button.dataset.speed) === status.speed));
     $("at").textContent = `${status.at_s.toFixed(1)} s`;
@@ -188,8 +212,10 @@ export class Controls {
 
   showLaw(law) {
     if (!law) return;
+    const reason = !this.flies ? "only the pilot; ask for control" : ["idle", "closed_loop"].includes(this.state) ? "" : "only with the motors off, or in closed loop";
+    explain("why-law", [["Control law", reason]]);
     for (const button of this.laws) {
-      button.disabled = !this.flies || !["idle", "closed_loop"].includes(this.state);
+      button.disabled = Boolean(reason);
       button.setAttribute("aria-pressed", String(button.value === law.chosen));
     }
     if (this.lawShown !== law.chosen) {
@@ -220,13 +246,16 @@ export class Controls {
     if (before === JSON.stringify(control)) return;
     const box = $("control"), button = (words, name, more) => element("button", { type: "button", onclick: () => this.ask(name, more) }, words);
     const others = control.clients - 1, audience = others > 0 ? ` ${others} other${others > 1 ? "s" : ""} watch.` : "";
+    const replay = this.hello.mode === "replay", does = replay ? "controls the replay" : "flies";
     if (!this.flies) {
       const asked = control.asking === this.hello.you;
-      box.replaceChildren(`You watch; ${control.pilot_name || "no page"} flies${control.present ? "" : ", but does not answer"}. Stop works from here too.`,
+      box.replaceChildren(`You watch; ${control.pilot_name || "no page"} ${does}${control.present ? "" : ", but does not answer"}.${replay ? "" : " Stop works from here too."}`,
         element("div", { className: "row" }, asked ? "You have asked; the pilot answers." : button("Ask for control", "ask")));
     } else if (control.asking) {
       box.replaceChildren(element("strong", {}, `${control.asking_name} asks for control.`),
         element("div", { className: "row" }, button("Hand over", "grant"), button("Keep", "keep")));
+    } else if (replay) {
+      box.replaceChildren(`You control the replay.${audience}`);
     } else {
       const share = element("input", { type: "checkbox", checked: control.shared, onchange: () => this.ask("share", { on: share.checked }) });
       box.replaceChildren(`You fly.${audience}`, element("div", {}, element("label", {}, share, " others may change parameters")));

@@ -12,10 +12,15 @@ const AXES = ["elevation", "pitch", "travel"];
 const KINDS = { closed_loop: "fly", open_loop: "warn", streamed: "warn", armed: "warn", hold: "warn", landing: "warn", fault: "bad", emergency_landing: "bad" };
 const OFF = ["idle", "fault"];
 const WORDS_MS = 120;
+const TITLES = { simulation: "SIMULATION", real: "REAL", replay: "REPLAY" };
+const CONFIRM_MS = 1500; // a stop that the board does not confirm within this time is an alarm
+const CONFIRMED_MS = 60000; // as long a confirmed stop is shown
+const CAUSED = ["idle", "hold", "landing", "emergency_landing"]; // states whose cause the operator wants to know
 const STALE_MS = 600; // a status is due every 200 ms, a frame every 80 ms
 
 let hello = null, history = null, strips = null, scene = null, status = null, wordsMs = 0;
 let statusMs = 0, stale = true, lost = false; // when the status that is shown came, by the clock of the socket's thread
+let stopMs = null, confirmed = false; // when this page sent a stop, and whether the board has confirmed it
 let frameState = null, frameMs = -Infinity, beatMs = -Infinity; // the state that the newest frame carries, by number
 
 function say(words, bad = false) {
@@ -31,7 +36,11 @@ function alarm(words) {
   put("alarm", words);
 }
 
-const stop = new Stop((answer) => say(answer === "stopped" ? "stop: sent to the board, before everything else" : answer, answer !== "stopped"));
+const stop = new Stop((answer) => {
+  const good = answer === "stopped";
+  if (hello?.mode === "replay") return say(good ? "the replay is paused" : answer, !good);
+  say(good ? "stop: sent to the board, before everything else" : answer, !good);
+});
 const link = new Link({
   onOpen: (cameMs) => { statusMs = cameMs; },
   onClosed: () => {
@@ -42,6 +51,7 @@ const link = new Link({
     beatMs = performance.now();
     if (link.isOpen && nowMs - statusMs > STALE_MS) showStale();
     gamepad.poll(beatMs);
+    showStop(beatMs);
   },
   // With the rows, not with what is drawn: a stop must not wait for a slow or hidden picture.
   onRows: (frame) => {
@@ -74,7 +84,25 @@ function showStale() {
   if (status && name()) controls.show({ ...status, state: frameState });
 }
 
-function stopNow() { stop.now(); }
+function stopNow() {
+  stop.now();
+  if (hello?.mode === "replay") return;
+  [stopMs, confirmed] = [performance.now(), false];
+  showStop(stopMs);
+}
+
+// A stop is confirmed by the board's own telemetry, never by the sending alone. It is shown until the motors run again.
+function showStop(nowMs) {
+  if (stopMs === null) return;
+  const sinceMs = nowMs - stopMs, runs = !stale && name() !== "" && !OFF.includes(name());
+  if (!confirmed) confirmed = sinceMs > 100 && surelyOff();
+  else if (runs || sinceMs > CONFIRMED_MS) stopMs = null;
+  $("stopped").hidden = stopMs === null;
+  const kind = confirmed ? "good" : sinceMs > CONFIRM_MS ? "bad" : "sent";
+  $("stopped").dataset.kind = kind;
+  put("stopped", { good: "STOPPED. The board confirms that both motors are off.", sent: "Stop sent. Waiting for the board …",
+    bad: "The board does not confirm the stop. Use the rig's own stop switch." }[kind]);
+}
 
 function take(words, cameMs) {
   if (words.hello) greet(words.hello);
@@ -94,7 +122,10 @@ function take(words, cameMs) {
 
 function greet(news) {
   hello = news;
-  document.title = `heli-lab: ${news.mode === "live" ? "live" : "replay"}`;
+  document.title = `${TITLES[news.kind]} ${news.rig_name} – heli-lab`;
+  $("badge").dataset.kind = news.kind;
+  put("kind", TITLES[news.kind]);
+  put("rig-name", news.rig_name || "rig without a name");
   $("board").textContent = news.board;
   history = new History(news.channels);
   strips = new Strips($("strips"), history, news.tick_s);
@@ -113,9 +144,12 @@ function showStatus(news) {
   const state = hello.states[news.state], fault = hello.faults[news.fault];
   $("state").textContent = state ? state.name.replace("_", " ") : "–";
   $("state").dataset.kind = news.connected ? KINDS[state?.name] ?? "" : "bad";
-  const twin = news.twin ? ` ${news.twin.words}` : "";
-  const words = !news.connected ? "The board does not answer. It holds level, then lands by itself. Reconnecting …" : fault ? `${fault.meaning}: ${fault.remedy}.` : (state?.words ?? "") + twin;
-  if (news.twin?.alarm) $("state").dataset.alarm = "yes"; else delete $("state").dataset.alarm;
+  const replay = hello.mode === "replay", alarmed = Boolean(news.twin?.alarm);
+  const twin = news.twin && !alarmed ? ` ${news.twin.words}` : "", cause = news.cause && CAUSED.includes(state?.name) ? ` Cause: ${news.cause}.` : "";
+  const words = !news.connected ? "The board does not answer. It holds level, then lands by itself. Reconnecting …"
+    : fault ? (replay ? `The log shows a fault: ${fault.meaning}.` : `${fault.meaning}: ${fault.remedy}.`) : (state?.words ?? "") + cause + twin;
+  $("twin-alarm").hidden = !alarmed;
+  if (alarmed) put("twin-alarm", `TWIN ALARM: the rig has changed. ${news.twin.words.replace("Twin: alarm", "Alarm")}`);
   put("words", words);
   controls.show(news);
 }

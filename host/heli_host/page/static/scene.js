@@ -4,6 +4,7 @@ import * as THREE from "./vendor/three.js";
 
 const USUAL = { L_a: 0.64, L_b: 0.45, L_h: 0.275, L_phi: 0.03, L_theta: 0.03, M_f: 0.355, M_b: 0.355, M_w: 1.565, elevation_min: -25 };
 const DENSITY_KG_M3 = 7800;
+const UP = new THREE.Vector3(0, 1, 0);
 
 function edge(mass) { return Math.cbrt(Math.max(mass, 0.02) / DENSITY_KG_M3); }
 
@@ -36,6 +37,7 @@ export class Scene {
     this.ghost = this.arm(0.28, 0xb45f06);
     this.twin = this.arm(0.38, 0x1155cc);
     this.camera = new THREE.PerspectiveCamera(35, 1, 0.1, 20);
+    this.centre = 0; // travel around which the camera looks [rad]
     this.resize();
     new ResizeObserver(() => this.resize()).observe(holder);
   }
@@ -75,16 +77,43 @@ export class Scene {
     const width = this.holder.clientWidth || 1, height = this.holder.clientHeight || 1;
     this.renderer.setSize(width, height);
     this.camera.aspect = width / height;
-    const away = 2.3 * Math.max(1, 1.25 / this.camera.aspect);
-    this.camera.position.set(0.35 * away, 0.42 * away, 0.84 * away);
-    this.camera.lookAt(0, this.height * 0.8, 0);
-    this.camera.updateProjectionMatrix();
+    this.frame();
+    this.shown = "";
+  }
+
+  // Place the camera so that all that the rig reaches around the present travel fills the panel.
+  frame() {
+    const r = this.rig, camera = this.camera, points = [];
+    for (const turn of [-0.6, -0.3, 0, 0.3, 0.6])
+      for (const tilt of [r.elevation_min * Math.PI / 180, 0, 0.3])
+        for (const [x, z] of [[r.L_a + 0.1, r.L_h + 0.1], [r.L_a + 0.1, -r.L_h - 0.1], [-r.L_b - 0.05, 0]]) {
+          const at = new THREE.Vector3(x * Math.cos(tilt), x * Math.sin(tilt) + this.height, z);
+          points.push(at.applyAxisAngle(UP, this.centre + turn));
+        }
+    points.push(new THREE.Vector3(0, 0, 0));
+    const box = new THREE.Box3().setFromPoints(points), target = box.getCenter(new THREE.Vector3());
+    // A tall panel shows the rig from above, a wide panel from the side.
+    const rise = camera.aspect < 0.8 ? 0.85 : camera.aspect < 1.2 ? 0.6 : 0.4, side = 0.4;
+    const from = new THREE.Vector3(Math.sin(side) * Math.cos(rise), Math.sin(rise), Math.cos(side) * Math.cos(rise));
+    let far = 6;
+    for (let pass = 0; pass < 8; pass++) {
+      camera.position.copy(target).addScaledVector(from, far);
+      camera.lookAt(target);
+      camera.updateMatrixWorld();
+      camera.updateProjectionMatrix();
+      const seen = new THREE.Box3().setFromPoints(points.map((point) => point.clone().project(camera)));
+      const half = Math.tan((camera.fov * Math.PI) / 360) * far, shift = seen.getCenter(new THREE.Vector3());
+      const right = new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, 0), up = new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, 1);
+      target.addScaledVector(right, shift.x * half * camera.aspect).addScaledVector(up, shift.y * half);
+      far *= Math.max(seen.max.x - seen.min.x, seen.max.y - seen.min.y) / 2 / 0.97;
+    }
     this.shown = "";
   }
 
   // Angles [rad]: elevation, pitch, travel.
   draw(nowMs, intervalMs, measured, setpoint, flies, twin) {
     if (!this.renderer || nowMs - this.drawnMs < intervalMs || document.hidden) return;
+    if (Math.abs(measured[2] - this.centre) > 0.6) { this.centre = measured[2]; this.frame(); }
     const shown = [...measured, ...setpoint, ...(twin ?? []), flies].map((v) => (typeof v === "number" ? v.toFixed(4) : v)).join();
     if (shown === this.shown) return;
     this.shown = shown;
@@ -93,6 +122,8 @@ export class Scene {
     this.ghost.travel.visible = flies;
     if (flies) pose(this.ghost, setpoint);
     this.twin.travel.visible = twin !== null;
+    document.getElementById("ghost-setpoint").hidden = !flies;
+    document.getElementById("ghost-twin").hidden = twin === null;
     if (twin) pose(this.twin, twin);
     this.renderer.render(this.scene, this.camera);
   }

@@ -9,6 +9,7 @@ const STRIPS = [
   { title: "motors, V", series: [["front_V", "front", "#14602c"], ["back_V", "back", "#741b47"]] },
 ];
 const MAX_DRAWN = 1e12; // of a program's signal: far beyond, uPlot's axis fails, and the drawing of all else with it
+const TIME_AXIS = 34; // height of the time axis [px], below the lowest strip only
 const INTERVAL_MS = 60;
 const LONGEST_MS = 600; // between two drawings, where the browser draws slowly: it has more to do than strips
 
@@ -26,23 +27,18 @@ export class Strips {
     for (const plot of this.plots) plot.u.destroy();
     this.holder.replaceChildren();
     const known = new Map(this.history.channels.map((spec, index) => [spec.name, index]));
-    this.plots = STRIPS.map(({ title, series }) => {
-      const wanted = series.map(([name]) => {
-        const channel = known.get(name);
-        return { channel, factor: this.history.channels[channel].unit === "rad" ? DEG : 1 };
-      });
-      return { wanted, u: this.plot(title, series.map(([, label, stroke]) => ({ label, stroke }))) };
-    });
+    const strips = STRIPS.map(({ title, series }) => ({
+      title, series: series.map(([, label, stroke]) => ({ label, stroke })),
+      wanted: series.map(([name]) => ({ channel: known.get(name), factor: this.history.channels[known.get(name)].unit === "rad" ? DEG : 1 })),
+    }));
     const colours = ["#0b5394", "#b45f06", "#14602c", "#741b47", "#351c75"];
     this.named = JSON.stringify(this.signals());
-    if (this.signals().length) {
-      const wanted = this.signals().map((spec) => ({ channel: known.get(spec.name), factor: 1 }));
-      this.plots.push({ wanted, u: this.plot("law", this.signals().map((spec, i) => ({ label: spec.signal, stroke: colours[i] }))) });
-    }
-    if (this.own.size) {
-      const series = [...this.own.keys()].map((label, i) => ({ label, stroke: colours[i % colours.length] }));
-      this.plots.push({ wanted: null, u: this.plot("programs", series) });
-    }
+    if (this.signals().length)
+      strips.push({ title: "law", series: this.signals().map((spec, i) => ({ label: spec.signal, stroke: colours[i] })), wanted: this.signals().map((spec) => ({ channel: known.get(spec.name), factor: 1 })) });
+    if (this.own.size)
+      strips.push({ title: "programs", series: [...this.own.keys()].map((label, i) => ({ label, stroke: colours[i % colours.length] })), wanted: null });
+    this.plots = strips.map(({ title, series, wanted }, i) => ({ wanted, u: this.plot(title, series, i === strips.length - 1) }));
+    this.resize();
     this.changed = true;
   }
 
@@ -51,19 +47,22 @@ export class Strips {
 
   rename() { if (JSON.stringify(this.signals()) !== this.named) this.build(); }
 
-  size() {
-    const count = STRIPS.length + (this.signals().length ? 1 : 0) + (this.own.size ? 1 : 0);
-    return { width: this.holder.clientWidth, height: Math.max(70, Math.floor(this.holder.clientHeight / count) - 26) };
+  // Of one strip: its part of the height without its legend; the lowest strip has the time axis as well.
+  size(isLowest) {
+    const legends = this.plots.reduce((sum, { u }) => sum + (u?.root.querySelector(".u-legend").offsetHeight ?? 0), 0);
+    const each = Math.max(44, Math.floor((this.holder.clientHeight - legends - TIME_AXIS) / this.plots.length));
+    return { width: this.holder.clientWidth, height: each + (isLowest ? TIME_AXIS : 0) };
   }
 
-  plot(title, series) {
+  plot(title, series, isLowest) {
     const value = (_, v) => (v == null || Number.isNaN(v) ? "–" : v.toFixed(2));
     return new uPlot({
-      ...this.size(), pxAlign: 0,
+      width: this.holder.clientWidth, height: 100, pxAlign: 0,
       cursor: { sync: { key: "strips" }, drag: { x: true, y: false, setScale: false } },
       legend: { live: true },
       scales: { x: { time: false, auto: false }, y: { range: (_, low, high) => padded(low, high) } },
-      axes: [{ size: 24, values: (_, splits) => splits.map((s) => `${+s.toFixed(3)} s`) }, { size: 44, label: title, labelSize: 18, labelFont: "12px system-ui, 'DejaVu Sans', sans-serif" }],
+      padding: [6, 28, 0, 0],
+      axes: [{ size: isLowest ? TIME_AXIS : 4, ticks: { show: isLowest }, values: (_, splits) => splits.map((s) => (isLowest ? `${+s.toFixed(3)} s` : "")) }, { size: 52, splits: (u, _, low, high) => ticks(low, high, u.over.clientHeight), label: title, labelSize: 18, labelFont: "12px system-ui, 'DejaVu Sans', sans-serif" }],
       series: [{ label: "time", value: (_, v) => (v == null ? "–" : `${v.toFixed(3)} s`) }, ...series.map((one) => ({ ...one, width: 1.5, value, points: { show: false } }))],
       hooks: {
         setSelect: [(u) => {
@@ -116,7 +115,7 @@ export class Strips {
 
   pause() { this.show(...this.range()); }
 
-  resize() { for (const { u } of this.plots) u.setSize(this.size()); }
+  resize() { this.plots.forEach(({ u }, i) => u.setSize(this.size(i === this.plots.length - 1))); }
 
   // Between two drawings, of the rig too.
   get intervalMs() { return Math.min(Math.max(INTERVAL_MS, 3 * this.frameCostMs), LONGEST_MS); }
@@ -133,6 +132,8 @@ export class Strips {
       const data = wanted ? this.history.window(from / this.tickS, to / this.tickS, wanted, most, this.tickS) : joined([...this.own.values()]);
       u.setData(data, false);
       u.setScale("x", { min: from, max: to });
+      // Without a cursor the legend shows the newest values.
+      if (u.cursor.idx == null) u.setLegend({ idxs: data.map((all) => newest(all)) }, false);
     }
   }
 }
@@ -141,6 +142,22 @@ function padded(low, high) {
   if (low == null || !Number.isFinite(low)) return [-1, 1];
   const room = Math.max(0.08 * (high - low), 0.5);
   return [low - room, high + room];
+}
+
+// Ticks at round numbers: as few as fit, and never fewer than two.
+function ticks(low, high, height) {
+  const least = height < 90 ? 2 : 3;
+  for (let power = Math.ceil(Math.log10(high - low)); ; power--)
+    for (const part of [5, 2, 1]) {
+      const step = part * 10 ** power, first = Math.ceil(low / step), last = Math.floor(high / step);
+      if (last - first + 1 >= least) return Array.from({ length: last - first + 1 }, (_, i) => +((first + i) * step).toPrecision(12));
+    }
+}
+
+// Place of the last value in a series, null without any.
+function newest(values) {
+  for (let i = values.length - 1; i >= 0; i--) if (values[i] != null) return i;
+  return null;
 }
 
 // Series with times of their own on one axis, null where one has no value.

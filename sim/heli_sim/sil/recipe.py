@@ -1,0 +1,43 @@
+"""Everything that a simulated flight needs in order to be repeated, as text for the log."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+from heli_sim.rig import Rig
+from heli_sim.rig.write import rig_text
+from heli_sim.sil.boards import Choice
+from heli_sim.sil.options import SilOptions
+
+_EXACT_DIGITS = 17
+
+
+def recipe_of(url: str, options: SilOptions, rig: Rig, choice: Choice) -> dict[str, str]:
+    """Return what repeats a simulation: its address, the whole rig, and digests of files that run.
+
+    The host's `heli_host.cli.again` reads it from a log. Code is not in it: a log from another person must
+    not bring code that runs.
+
+    Parameters
+    ----------
+    url : str
+        Address of the board, with seed, effects and model.
+    options : SilOptions
+        Options of that address.
+    choice : Choice
+        The board that flies.
+    """
+    return {
+        "address": url,
+        "rig_name": rig.name,
+        "rig": rig_text(rig, digits=_EXACT_DIGITS),
+        "effect_files": json.dumps({file: _digest(file) for file in options.effect_files}),
+        "flash": options.flash_file,
+        "firmware": _digest(choice.elf) if choice.elf else "",
+    }
+
+
+def _digest(path: str) -> str:
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()

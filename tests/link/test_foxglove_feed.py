@@ -1,0 +1,181 @@
+"""A live viewer gets every tick of the board by Foxglove's protocol, and can do nothing but read."""
+
+from __future__ import annotations
+
+import json
+import socket
+import struct
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import heli_host
+import numpy as np
+import pytest
+from heli_host import foxglove_feed as feeds
+from heli_host.declaration import CHANNELS
+from heli_host.errors import PortError
+from heli_host.heli import Heli
+from heli_host.log.schema import EVENT_TOPIC, TICK_TOPIC, parse_layout, raw_ticks
+
+from tests.cli.terminal import Terminal, terminal
+from tests.page.page_server import SHORT_PLAN
+
+__all__ = ["terminal"]
+
+pytest.importorskip("foxglove", reason="skipped: no foxglove-sdk")
+client = pytest.importorskip("websockets.sync.client", reason="skipped: no websockets")
+
+pytestmark = pytest.mark.medium
+PATIENCE_S = 60.0
+_DATA = struct.Struct("<BIQ")
+
+
+@pytest.fixture
+def heli() -> Iterator[Heli]:
+    with heli_host.connect("sil://?speed=max") as board:
+        yield board
+
+
+class Viewer:
+    """A client of the protocol ``foxglove.sdk.v1``, as its specification describes it."""
+
+    def __init__(self, socket: Any) -> None:
+        self.socket = socket
+        self.waiting: list[bytes] = []
+        self.info = json.loads(self.socket.recv(PATIENCE_S))
+        self.channels: dict[str, dict[str, Any]] = {}
+        while set(self.channels) < {TICK_TOPIC, EVENT_TOPIC}:
+            for channel in json.loads(self.socket.recv(PATIENCE_S))["channels"]:
+                self.channels[channel["topic"]] = channel
+
+    @classmethod
+    @contextmanager
+    def of(cls, address: str) -> Iterator[Viewer]:
+        with client.connect(address, subprotocols=["foxglove.sdk.v1"]) as socket:
+            yield cls(socket)
+
+    def subscribe(self, topic: str) -> None:
+        one = {"id": 7, "channelId": self.channels[topic]["id"]}
+        self.socket.send(json.dumps({"op": "subscribe", "subscriptions": [one]}))
+
+    def has_message(self) -> bool:
+        if not self.waiting:
+            with suppress(TimeoutError):
+                frame = self.socket.recv(0.05)
+                self.waiting += [frame] if isinstance(frame, bytes) else []
+        return bool(self.waiting)
+
+    def messages(self, count: int) -> list[tuple[int, bytes]]:
+        """Time [ns] and body of the next messages."""
+        got: list[tuple[int, bytes]] = []
+        while len(got) < count:
+            frame = self.waiting.pop() if self.waiting else self.socket.recv(PATIENCE_S)
+            if isinstance(frame, bytes):
+                opcode, subscription, time_ns = _DATA.unpack_from(frame)
+                assert (opcode, subscription) == (1, 7)
+                got.append((time_ns, frame[_DATA.size :]))
+        return got
+
+
+def until_watched(heli: Heli, viewer: Viewer) -> None:
+    """Let the board run until the subscription holds, and a tick has come."""
+    end_s = time.monotonic() + PATIENCE_S
+    while not viewer.has_message():
+        assert time.monotonic() < end_s, "no tick comes"
+        heli.wait(0.02)
+
+
+@contextmanager
+def feed_and_viewer(heli: Heli) -> Iterator[Viewer]:
+    with feeds.foxglove_feed(heli, 0) as feed:
+        assert feed is not None
+        with Viewer.of(feed.address) as viewer:
+            yield viewer
+
+
+def test_a_viewer_gets_every_tick_as_the_board_sent_it(heli: Heli) -> None:
+    sent: list[tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]] = []
+    with feed_and_viewer(heli) as viewer:
+        assert viewer.channels[TICK_TOPIC]["encoding"] == "cdr"
+        viewer.subscribe(TICK_TOPIC)
+        heli.session.subscribe_ticks(lambda ticks: sent.append((ticks.tick.copy(), ticks.raw.copy())))
+        until_watched(heli, viewer)
+        heli.wait(1.5)
+        tick, raw = (np.concatenate(parts) for parts in zip(*sent, strict=True))
+        got = viewer.messages(1)
+        first = int(
+            np.frombuffer(got[0][1][4:], parse_layout(viewer.channels[TICK_TOPIC]["schema"]).dtype)["tick"][0]
+        )
+        tick, raw = tick[tick >= first], raw[tick >= first]
+        got += viewer.messages(tick.size - 1)
+    layout = parse_layout(viewer.channels[TICK_TOPIC]["schema"])
+    records = np.frombuffer(b"".join(body[4:] for _, body in got), layout.dtype)
+    np.testing.assert_array_equal(records["tick"], tick)
+    assert np.diff(records["tick"]).tolist() == [1] * (tick.size - 1) and tick.size >= 1000
+    np.testing.assert_array_equal(raw_ticks(records), raw)
+    assert np.diff([time_ns for time_ns, _ in got]).tolist() == [1_000_000] * (tick.size - 1)
+    assert {spec.field for spec in CHANNELS} <= set(records.dtype.names or ())
+
+
+def test_a_viewer_gets_events_and_can_do_nothing_but_read(heli: Heli) -> None:
+    with feed_and_viewer(heli) as viewer:
+        assert viewer.info["op"] == "serverInfo" and viewer.info["capabilities"] == []
+        viewer.subscribe(EVENT_TOPIC)
+        viewer.socket.send(
+            json.dumps({"op": "setParameters", "parameters": [{"name": "travel_kp", "value": 9}]})
+        )
+        end_s = time.monotonic() + PATIENCE_S
+        # The subscription holds once the server has read it.
+        while not viewer.has_message():
+            assert time.monotonic() < end_s, "no event comes"
+            heli.zero()
+            heli.wait(0.1)
+        ((_, body),) = viewer.messages(1)
+    assert json.loads(body)["name"] == "zeroed" and "zero taken" in json.loads(body)["message"]
+
+
+def test_the_feed_listens_on_this_computer_only_and_names_a_busy_port(heli: Heli) -> None:
+    with feeds.foxglove_feed(heli, 0) as feed:
+        assert feed is not None
+        port = int(feed.address.rpartition(":")[2])
+        # An address of the loopback network too, which a server for all interfaces would answer on.
+        with pytest.raises(OSError), socket.create_connection(("127.0.0.2", port), 5.0):
+            pass
+        with pytest.raises(PortError, match="give --foxglove another port"):
+            feeds.FoxgloveFeed(heli, port)
+
+
+def test_the_link_does_not_wait_for_a_server_that_hangs(heli: Heli, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(feeds, "_WAITING_PARTS", 3)
+    hangs = threading.Event()
+    with feeds.foxglove_feed(heli, 0) as feed:
+        assert feed is not None
+        monkeypatch.setattr(feed, "_write", lambda kind, data: hangs.wait(PATIENCE_S))
+        before_s = heli.latest.t_s
+        heli.wait(0.5)
+        assert heli.latest.t_s >= before_s + 0.5 and feed.dropped >= 10
+        hangs.set()
+
+
+def test_a_server_that_ends_does_not_end_the_session(heli: Heli) -> None:
+    with feeds.foxglove_feed(heli, 0) as feed:
+        assert feed is not None
+        feed._server.kill()
+        feed._server.wait()
+        before_s = heli.latest.t_s
+        heli.wait(0.2)
+        assert heli.latest.t_s >= before_s + 0.2
+
+
+def test_record_and_fly_name_the_address_for_viewers(terminal: Terminal) -> None:
+    Path("short.toml").write_text(SHORT_PLAN)
+    sil = ("--sil", "--speed", "max", "--foxglove", "0")
+    for words in (("record", "--duration", "0.5", "-o", "a.mcap"), ("fly", "short.toml", "--log", "b.mcap")):
+        ended = terminal(*words, *sil)
+        assert ended.code == 0 and "viewers: ws://127.0.0.1:" in ended.out + ended.err
+    refused = terminal("dashboard", "--replay", "a.mcap", "--foxglove", "0")
+    assert refused.code == 2 and "viewers open a.mcap as a file" in refused.err
