@@ -14,12 +14,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.declaration import Flags, State
+from heli_host.declaration import Axes, Flags, State
 from heli_host.errors import LogWriteError, PlanError
 from heli_host.fly.pilot import Pilot
 from heli_host.fly.plan import Plan, load_plan
 from heli_host.fly.recorder import Recorder
 from heli_host.fly.runner import Progress, fly
+from heli_host.fly.tracking import TrackingMonitor
 from heli_host.heli import Heli, connect
 from heli_host.link.telemetry import Ticks
 from heli_host.log.flight_file import read_flight
@@ -313,6 +314,36 @@ def test_after_a_long_unplug_the_board_has_landed_and_the_log_goes_on(tmp_path: 
     assert summary.outcome.startswith("aborted: the board went to state")
     assert "after the link was lost" in summary.outcome
     assert state is State.IDLE and log.ticks["t_s"][-1] > 16.0
+
+
+def test_a_host_suspended_while_it_closes_the_loops_reports_the_landing(tmp_path: Path) -> None:
+    def suspended(heli: Heli) -> None:
+        control = heli.control
+
+        def control_then_nothing(axes: Axes) -> None:
+            control(axes)
+            heli.session.permit_streams(lambda: False)
+            heli.session.wait_for(lambda: False, 4.0)
+            heli.session.permit_streams(lambda: True)
+
+        heli.control = control_then_nothing  # type: ignore[method-assign, assignment]
+
+    summary, _, _ = flown(tmp_path / "a.mcap", prepare=suspended)
+    assert "because of stale_land" in summary.outcome
+
+
+def test_a_host_suspended_behind_the_plans_end_reports_the_boards_landing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def suspended(monitor: TrackingMonitor) -> str:
+        heli.session.permit_streams(lambda: False)
+        heli.session.wait_for(lambda: False, 4.0)
+        return ""
+
+    monkeypatch.setattr(TrackingMonitor, "verdict", suspended)
+    with connect("sil://?rig=makki2024&seed=3&speed=max") as heli:
+        summary = fly(heli, short(), log_path=tmp_path / "a.mcap")
+    assert summary.outcome == "aborted: the board went to state idle (state landing, because of stale_land)"
 
 
 def test_a_link_that_stays_lost_is_the_outcome_and_the_log_is_closed(tmp_path: Path) -> None:

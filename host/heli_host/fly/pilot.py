@@ -23,7 +23,7 @@ from heli_host.fly.plan import TAKE_OFF
 from heli_host.fly.route import Piece, Route
 from heli_host.fly.tracking import Tolerance, TrackingMonitor
 from heli_host.link.channels import rad_per_count
-from heli_host.link.events import BOARD_RESTARTED, LinkEvent
+from heli_host.link.events import BOARD_RESTARTED, LinkEvent, state_text
 from heli_host.log.schema import LEVEL_WARNING
 
 if TYPE_CHECKING:
@@ -49,6 +49,7 @@ _BEFORE_TICKS = 500
 _AFTER_TICKS = 200
 _LONGEST_REST_S = 2.0
 _DOWN = (State.IDLE, State.FAULT)
+_DESCENDING = (State.LANDING, State.EMERGENCY_LANDING)
 _FLYING = (State.ARMED, State.CLOSED_LOOP, State.HOLD)
 
 
@@ -129,6 +130,7 @@ class Pilot:
         self._on_progress = on_progress
         self._lock = threading.Lock()
         self._streaming = False
+        self._in_flight = False
         self._start_tick = 0
         self._sent_tick = 0
         self._phases = _phases(route)
@@ -182,6 +184,8 @@ class Pilot:
         self._target_rad(self._tick())
         self._wait_ticks(_BEFORE_TICKS)
         self._recorder.check()
+        # Before the loops are closed: a process that is suspended meanwhile hears of the landing in one reading.
+        self._in_flight = True
         self._heli.arm()
         self._heli.control(self._axes)
         with self._lock:
@@ -227,7 +231,7 @@ class Pilot:
     def _take_event(self, event: LinkEvent) -> None:
         # The first event with a state that is not flying gives the cause; later ones are its consequences.
         message = event.message
-        if self._streaming and not self._ended_by and message is not None and message.kind == Event.STATE:
+        if self._in_flight and not self._ended_by and message is not None and message.kind == Event.STATE:
             self._ended_by = "" if message.detail in _FLYING else event.text
 
     def _bridge_a_stall(self) -> None:
@@ -282,21 +286,29 @@ class Pilot:
         self._recorder.check()
         if restarted := self._restarted():
             raise FlightAborted(restarted.removeprefix("aborted: "))
-        counters = self._session.counters
         slow = not self._was_closed and (self._tick() - self._start_tick) * TICK_S > _CLOSING_S
         if not self._trouble() and not slow:
             return
         if reason := self._end_when():
             raise FlightAborted(reason)
+        raise FlightAborted(self._why_down())
+
+    def _why_down(self) -> str:
+        """Reason for a state of the board that is not that of a flight."""
         state = self._session.state
         if state in (State.FAULT, State.EMERGENCY_LANDING):
-            raise FlightAborted(f"fault {fault_text(self._fault())}")
+            return f"fault {fault_text(self._fault())}"
         # Telemetry shows a state a moment before its events are handed over.
         self._session.wait_for(lambda: bool(self._ended_by), _LOOK_S)
-        why = self._ended_by
-        lost = ", after the link was lost" if counters.reconnects != self._reconnects else ""
+        lost = ", after the link was lost" if self._session.counters.reconnects != self._reconnects else ""
         name = state.name.lower() if state is not None else "unknown"
-        raise FlightAborted(f"the board went to state {name}{lost} ({why})" if why else f"state {name}{lost}")
+        return f"the board went to state {name}{lost} ({self._ended_by or self._newest_state()})"
+
+    def _newest_state(self) -> str:
+        newest = self._session.latest
+        if newest is None:
+            return "no sample arrived"
+        return state_text(int(newest[1][Channel.STATE]), int(newest[1][Channel.TRIGGER]))
 
     def _restarted(self) -> str:
         """Outcome of a flight whose board has restarted; empty if it has not."""
@@ -352,6 +364,8 @@ class Pilot:
         if not self._session.connected and not self._was_closed:
             return ""
         trouble = ""
+        # The plan was flown to its end, then the board waited for a host that the system had suspended.
+        by_itself = self.outcome == "completed" and self._session.state in (*_DOWN, *_DESCENDING)
         if self._restarted():
             # It is idle: there is nothing to land, and may be no sample yet that says so.
             pass
@@ -359,6 +373,8 @@ class Pilot:
             self._heli.stop()
         elif self._session.state not in _DOWN:
             trouble = self._descend()
+        if by_itself and not trouble:
+            trouble = self._why_down()
         self._wait_ticks(_AFTER_TICKS)
         return trouble
 
