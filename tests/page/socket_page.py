@@ -65,6 +65,15 @@ class SocketPage:
             assert time.monotonic() < end_s, f"waited in vain; last words: {self.words[-3:]}"
             time.sleep(0.01)
 
+    def until_or(self, so: Callable[[], bool], longest_s: float) -> bool:
+        """Wait for something, but not longer than that."""
+        end_s = time.monotonic() + longest_s
+        while not so():
+            if time.monotonic() >= end_s:
+                return False
+            time.sleep(0.02)
+        return True
+
     def until_state(self, *names: str) -> str:
         self.until(lambda: self.state in names)
         return self.state
@@ -101,8 +110,9 @@ class SocketPage:
                     if self.answers.is_set():
                         self.socket.send(rows.number.to_bytes(4, "little"))
                 else:
-                    words = json.loads(message)
-                    self.words.append(words)
-                    self.known.update(
-                        {name: words[name] for name in ("hello", "status", "control") if name in words}
-                    )
+                    self.take_words(json.loads(message))
+
+    def take_words(self, words: dict[str, Any]) -> None:
+        """Take a message that is no telemetry, in the reading thread."""
+        self.words.append(words)
+        self.known.update({name: words[name] for name in ("hello", "status", "control") if name in words})

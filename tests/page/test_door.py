@@ -25,6 +25,7 @@ pytest.importorskip("starlette", reason="the extra 'page' is not installed: make
 from heli_host.log.reader import read_log
 from heli_host.page.client import PageError
 
+from tests.page.hostile_requests import ARGUMENTS, FAR
 from tests.page.laws import steady
 from tests.page.log_lines import log_lines, traces
 from tests.page.page_server import SHORT_PLAN, Served, page_of_a_simulated_board
@@ -34,31 +35,9 @@ from tests.running.order import REAL_TIME
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group(REAL_TIME)]
 
-ARGUMENTS = {
-    "take_off": ("elevation_deg",),
-    "fly": ("plans",),
-    "land": (),
-    "clear_fault": (),
-    "zero": (),
-    "setpoint": ("elevation_deg", "travel_deg"),
-    "hold": (),
-    "set": ("name", "value"),
-    "undo": (),
-    "save": (),
-    "law": ("name",),
-    "set_law": ("name", "value"),
-    "record": ("on",),
-    "mark": ("text",),
-    "signal": ("name", "value"),
-    "ask": (),
-    "grant": (),
-    "keep": (),
-    "share": ("on",),
-}
 PILOT = "pilot"
 """Id of the page that flies: a pilot keeps the seat from one test to the next."""
 NOT_FINITE = ("NaN", "Infinity", "-Infinity", "1e999", "9" * 400, "-" + "9" * 400)
-FAR = (1e308, -1e308, 2**63, -(10**30), 5e-324)
 
 
 @pytest.fixture(scope="module")

@@ -42,6 +42,10 @@ class Truth:
 
     Attributes
     ----------
+    armed_tick : int
+        When the newest frame came before the loops were closed, from the request to arm on.
+    longest_silence_ticks : int
+        The longest time without a frame, from arming to closing the loops.
     closed_tick : int
         When the request to close the loops arrived.
     fresh_tick : int
@@ -56,6 +60,8 @@ class Truth:
         When a motor had a voltage last.
     """
 
+    armed_tick: int = -1
+    longest_silence_ticks: int = 0
     closed_tick: int = -1
     fresh_tick: int = -1
     longest_gap_ticks: int = 0
@@ -65,6 +71,10 @@ class Truth:
 
     def hear(self, message: int, tick: int) -> None:
         """Note a frame of the host that reached the board."""
+        if self.closed_tick < 0 and (message == MessageId.ARM or self.armed_tick >= 0):
+            if self.armed_tick >= 0:
+                self.longest_silence_ticks = max(self.longest_silence_ticks, tick - self.armed_tick)
+            self.armed_tick = tick
         if message in (MessageId.CONTROL, MessageId.SETPOINT) and self._follows:
             if message == MessageId.CONTROL and self.closed_tick < 0:
                 self.closed_tick = self.fresh_tick = tick
@@ -84,8 +94,13 @@ class Truth:
             self.longest_gap_ticks = max(self.longest_gap_ticks, tick - self.fresh_tick)
 
     @property
+    def longest_ticks(self) -> int:
+        """The longest time in which the board waited for its host."""
+        return max(self.longest_gap_ticks, self.longest_silence_ticks)
+
+    @property
     def _follows(self) -> bool:
-        return self.land_tick < 0 and self.longest_gap_ticks <= LAND_AFTER_TICKS
+        return self.land_tick < 0 and self.longest_ticks <= LAND_AFTER_TICKS
 
 
 class SerialBoard:

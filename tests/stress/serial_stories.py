@@ -240,7 +240,7 @@ def _summary(folder: Path) -> dict[str, Any]:
 
 
 def _landed_itself(truth: Truth) -> bool:
-    return truth.longest_gap_ticks > LAND_AFTER_TICKS
+    return truth.longest_ticks > LAND_AFTER_TICKS
 
 
 def _happened(board: SerialBoard) -> str:
@@ -248,7 +248,7 @@ def _happened(board: SerialBoard) -> str:
     fault = board.heard.fault()
     parts = [
         f"closed at {1e-3 * truth.closed_tick:.2f} s" if truth.closed_tick >= 0 else "never closed",
-        f"longest gap {1e-3 * truth.longest_gap_ticks:.2f} s",
+        f"longest gap {1e-3 * truth.longest_ticks:.2f} s",
         f"land at {1e-3 * truth.land_tick:.2f} s" if truth.land_tick >= 0 else "no request to land",
         f"off at {1e-3 * truth.last_on_tick:.2f} s" if truth.last_on_tick >= 0 else "never on",
         f"fault {fault.name.lower()}" if fault else "no fault",
@@ -264,15 +264,15 @@ def _untrue(which: Story, lived: Lived, board: SerialBoard) -> str:
     truth, outcome = board.truth, lived.outcome
     kinds = set(lived.kinds)
     fault = board.heard.fault()
-    itself, surely = _landed_itself(truth), truth.longest_gap_ticks > LAND_AFTER_TICKS + _UNSURE_TICKS
+    itself, surely = _landed_itself(truth), truth.longest_ticks > LAND_AFTER_TICKS + _UNSURE_TICKS
     if fault:
         return "" if f"fault {fault.name.lower()}" in outcome else f"true is fault {fault.name.lower()}"
     if "fault " in outcome:
         return "the board had no fault"
     if "restarted" in outcome:
         return "the board did not restart"
-    if "stale_land" in outcome and truth.closed_tick >= 0:
-        near = truth.longest_gap_ticks > LAND_AFTER_TICKS - _UNSURE_TICKS
+    if "stale_land" in outcome:
+        near = truth.longest_ticks > LAND_AFTER_TICKS - _UNSURE_TICKS
         return "" if near else "setpoints came all the time"
     if outcome == "completed":
         if truth.closed_tick < 0 or truth.land_tick < 0:

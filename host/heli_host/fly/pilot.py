@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from heli_host.declaration import AXES, TICK_US, Axes, Channel, Event, Fault, SetpointMessage, State
+from heli_host.declaration import AXES, TICK_US, Axes, Channel, Event, Fault, SetpointMessage, State, Trigger
 from heli_host.errors import FlightAborted, HeliError, LinkLost, fault_text
 from heli_host.flight.flown import LANDING
 from heli_host.fly.interrupts import Interrupts, name_of, was_interrupted
@@ -49,7 +49,7 @@ _BEFORE_TICKS = 500
 _AFTER_TICKS = 200
 _LONGEST_REST_S = 2.0
 _DOWN = (State.IDLE, State.FAULT)
-_DESCENDING = (State.LANDING, State.EMERGENCY_LANDING)
+_REQUESTED = (Trigger.LAND, Trigger.STOP)
 _FLYING = (State.ARMED, State.CLOSED_LOOP, State.HOLD)
 
 
@@ -140,6 +140,7 @@ class Pilot:
         self._excitations = [piece for piece in route.pieces if piece.excitation is not None]
         self._was_closed = False
         self._ended_by = ""
+        self._end_cause = 0
         self._report_error: Exception | None = None
         self._restarts = 0
         self._reconnects = 0
@@ -233,6 +234,7 @@ class Pilot:
         message = event.message
         if self._in_flight and not self._ended_by and message is not None and message.kind == Event.STATE:
             self._ended_by = "" if message.detail in _FLYING else event.text
+            self._end_cause = message.cause
 
     def _bridge_a_stall(self) -> None:
         """Send setpoints on the estimated device time while no samples arrive, so that a pause of telemetry
@@ -364,8 +366,6 @@ class Pilot:
         if not self._session.connected and not self._was_closed:
             return ""
         trouble = ""
-        # The plan was flown to its end, then the board waited for a host that the system had suspended.
-        by_itself = self.outcome == "completed" and self._session.state in (*_DOWN, *_DESCENDING)
         if self._restarted():
             # It is idle: there is nothing to land, and may be no sample yet that says so.
             pass
@@ -373,9 +373,10 @@ class Pilot:
             self._heli.stop()
         elif self._session.state not in _DOWN:
             trouble = self._descend()
-        if by_itself and not trouble:
-            trouble = self._why_down()
         self._wait_ticks(_AFTER_TICKS)
+        if self.outcome == "completed" and not trouble and self._ended_by and self._end_cause not in _REQUESTED:
+            # The plan was flown to its end, but the system suspended the host before it could land.
+            return self._why_down()
         return trouble
 
     def _descend(self) -> str:
