@@ -29,6 +29,7 @@ class SocketPage:
         self.rows: list[Rows] = []
         self.words: list[dict[str, Any]] = []
         self.known: dict[str, Any] = {}
+        self.statuses = self.refused_without_number = 0
         self.answers = threading.Event()
         self.answers.set()
         self.number = 0
@@ -115,4 +116,6 @@ class SocketPage:
     def take_words(self, words: dict[str, Any]) -> None:
         """Take a message that is no telemetry, in the reading thread."""
         self.words.append(words)
+        self.statuses += "status" in words
+        self.refused_without_number += "error" in words and words.get("answer") is None
         self.known.update({name: words[name] for name in ("hello", "status", "control") if name in words})

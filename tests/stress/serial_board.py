@@ -143,6 +143,7 @@ class SerialBoard:
         """Serve the port once, then wait until there is something to do."""
         wait_s = self._server.turn()
         self._look()
+        self.truth.age(self.world.tick)
         select.select([], [], [], wait_s)
 
     def alone(self, duration_s: float) -> None:

@@ -218,7 +218,7 @@ def _judge(
         complain(f"an error of the program: {errors[-300:]}")
     if untrue := _untrue(which, lived, board):
         complain(f"untrue: {lived.outcome!r}; {untrue}; {lived.happened}")
-    if late := _late(truth, board.world.tick):
+    if late := late_text(truth, board.world.tick):
         complain(late)
     lived.landed_s = 1e-3 * (truth.last_on_tick - truth.fresh_tick) if _landed_itself(truth) else 0.0
     if summary:
@@ -279,7 +279,9 @@ def _untrue(which: Story, lived: Lived, board: SerialBoard) -> str:
             return "nothing was flown to its end"
         return "the board landed by itself" if surely else ""
     if "while landing: the board did not answer" in outcome:
-        return "the board heard it" if truth.land_tick >= 0 else ""
+        # Whether the board answered is not seen here; its answers may have been taken away.
+        taken = kinds & {TAKES_BYTES, CHANGES_SETTINGS}
+        return "the board heard it" if truth.land_tick >= 0 and not taken else ""
     if truth.closed_tick >= 0 and itself and "link lost" not in outcome and "lost" not in outcome:
         return "the board landed by itself"
     if "lost" in outcome and "setpoint" not in outcome:
@@ -291,7 +293,7 @@ def _untrue(which: Story, lived: Lived, board: SerialBoard) -> str:
     return "" if re.search("no answer|did not answer|not answered|in use|state", outcome) else "no rule knows it"
 
 
-def _late(truth: Truth, tick: int) -> str:
+def late_text(truth: Truth, tick: int) -> str:
     """What is said of motors that ran too long; empty where they did not."""
     if truth.last_on_tick < 0:
         return ""
@@ -330,7 +332,7 @@ def _wrong_log(path: Path, board: SerialBoard, summary: dict[str, Any]) -> list[
     return wrong
 
 
-def _preload() -> None:
+def preload() -> None:
     """Import what flies, so that forked hosts need not."""
     import heli_host.fly.runner
     import heli_host.heli
@@ -363,7 +365,7 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--keep", type=Path, help="folder for the files of stories with complaints")
     parser.add_argument("--lines", type=Path, help="file for one line of JSON per story")
     options = parser.parse_args(words)
-    _preload()
+    preload()
     every = []
     for number in range(options.first, options.first + options.count):
         which = story(number)

@@ -34,7 +34,7 @@ from websockets.sync.client import connect
 
 from tests.page.hostile_requests import hostile_request
 from tests.page.page_server import page_process
-from tests.stress.page_ages import AgedPage, Lateness, vars_of
+from tests.stress.page_ages import STALE_S, AgedPage, Lateness, vars_of
 
 PLAN: Final = """
 title = "Short"
@@ -52,6 +52,7 @@ duration_s = 6
 """
 WARM_UP_S: Final = 600.0
 """The server's memory counts from then on: before, its buffers of the newest minutes fill."""
+MAX_GROWTH: Final = 0.02
 _WORKERS: Final = 3
 _LOOK_S: Final = 1.0
 _PAGE_KB: Final = os.sysconf("SC_PAGE_SIZE") // 1024 if hasattr(os, "sysconf") else 4
@@ -87,7 +88,13 @@ class Soak:
     resumed: int = 0
     late_s: float = 0.0
     memory_kB: list[tuple[float, int]] = field(default_factory=list)
+    twin: bool = False
     complaints: list[str] = field(default_factory=list)
+
+    @property
+    def good(self) -> bool:
+        """Whether nothing was lost, and memory and age stayed within what is promised."""
+        return not (self.lost_ticks or self.gaps) and self.growth() <= MAX_GROWTH and self.oldest_s <= STALE_S
 
     def growth(self) -> float:
         """Return by which share the memory has grown after the warm-up, or after half of a shorter soak.
@@ -275,7 +282,9 @@ def soak(minutes: float, seed: int, say: Callable[[str], None] = print) -> Soak:
         (folder / "short.toml").write_text(PLAN)
         words = ("--sil", "--board", "native", "--seed", str(seed), "--twin", "makki2024", "short.toml")
         with page_process(*words, folder=folder) as (process, url), _drained(process) as lines:
-            _keep_busy(result, _address_of(url), process.pid, minutes, say)
+            keep_busy(result, _address_of(url), process.pid, minutes, say)
+            if not result.twin:
+                result.complaints.append("the twin does not run")
             process.send_signal(signal.SIGINT)
             try:
                 process.wait(60.0)
@@ -293,13 +302,13 @@ def soak(minutes: float, seed: int, say: Callable[[str], None] = print) -> Soak:
     return result
 
 
-def _keep_busy(
+def keep_busy(
     result: Soak, address: Address, pid: int, minutes: float, say: Callable[[str], None]
 ) -> None:
+    """Let clients do what they do; see `soak`. The first client is the pilot."""
     lateness = Lateness()
     clients = Clients(address, lateness)
     over = threading.Event()
-    begin_s = time.monotonic()
     lock = threading.Lock()
 
     def misbehave(worker: int) -> None:
@@ -332,6 +341,7 @@ def _keep_busy(
     with AgedPage(address, lateness, "pilot") as pilot, AgedPage(address, lateness) as watcher:
         # The pilot is the first client.
         sleepers = Sleepers(address)
+        begin_s = time.monotonic()
         for thread in threads:
             thread.start()
         try:
@@ -341,9 +351,7 @@ def _keep_busy(
             for thread in threads:
                 thread.join()
         result.lost_ticks = int(pilot.known["status"]["link"]["lost_ticks"])
-        twin = pilot.known["status"]["twin"]
-        if not twin:
-            result.complaints.append("the twin does not run")
+        result.twin = bool(pilot.known["status"]["twin"])
         of_sleepers = sleepers.measured()
         sleepers.close()
         for ages in (vars_of(pilot.ages), vars_of(watcher.ages), *clients.ages):
