@@ -1,6 +1,6 @@
 # Two commands matter: `make fly` and `make test`. Everything they need is set up in .venv by .ci/setup.
 .DEFAULT_GOAL := help
-.PHONY: help setup fly docs quick test long check bench blind mutants fuzz firmware clean
+.PHONY: help setup fly docs quick test long check bench blind mutants fuzz soak attack firmware clean
 
 PLANS ?= hover sine
 SPEED ?= 1
@@ -13,6 +13,7 @@ FILES ?= firmware/core
 SEED ?= 1
 COUNT ?= 150
 PARTS ?=
+MINUTES ?= 60
 HELI := .venv/bin/heli-host
 
 help: ## this list
@@ -60,6 +61,14 @@ fuzz: ## fuzz the board, the host and its logs: make fuzz [FUZZ_S=60] [FRAMES=10
 	@.ci/fuzz $(FUZZ_S)
 	@.venv/bin/python -m tests.link.fuzz_host $(FRAMES)
 	@.venv/bin/python -m tests.log.fuzz_log $(LOGS)
+
+soak: ## keep a live page busy, see what is lost, how memory grows, how old a status gets: make soak [MINUTES=60] [SEED=1]
+	@.ci/setup test
+	@.venv/bin/python -m tests.stress soak --minutes $(MINUTES) --seed $(SEED)
+
+attack: ## faulty links, serial trouble, damaged logs, hostile clients and laws: make attack [SEED=1] [COUNT=150]
+	@.ci/setup test
+	@.venv/bin/python -m tests.stress attack --seed $(SEED) --count $(COUNT)
 
 firmware: ## build what is flashed to the Due: build/pio/due/firmware.{elf,bin}
 	@.ci/setup firmware
