@@ -15,9 +15,6 @@ from tests.page.socket_page import SocketPage
 
 STALE_S: Final = 0.6
 """Age of a status at which a page shows the red bar: `STALE_MS` of main.js."""
-SHOWN_S: Final = 0.05
-"""A status that the next one replaces sooner is not seen: a tab that is resumed reads all that waits at once."""
-_MEMORY: Final = 100
 _LOOK_S: Final = 0.05
 _KEPT: Final = 300
 
@@ -49,48 +46,50 @@ class Lateness:
 
     def during(self, begin_s: float, end_s: float) -> float:
         """Return how late wakings were between two moments, in all [s]."""
-        return sum(until - since - _LOOK_S for since, until in self.late if until > begin_s and since < end_s)
+        return sum(until - since - _LOOK_S for since, until in list(self.late) if until > begin_s and since < end_s)
 
 
 class StatusAges:
     """Ages of the statuses that one client has shown.
 
-    The status holds how many ticks the host has received. They come at 1 kHz, so the smallest difference from the
-    receiver's clock is a status that took no time; a larger one is an old status.
+    A status holds the server's monotonic time, which all processes of a computer share. As a page does, a client drops
+    a status that is older than `STALE_S` when it comes.
 
     Attributes
     ----------
     received : int
         Number of statuses.
+    dropped : int
+        How many of them were too old to be shown.
     oldest_s : float
         The greatest age that was shown without the red bar.
     bars : int
         How often the red bar came up.
+    bars_of_computer : int
+        How often the computer did not run this client meanwhile.
     """
 
     def __init__(self, lateness: Lateness) -> None:
-        self.received = self.bars = self.bars_of_computer = 0
+        self.received = self.dropped = self.bars = self.bars_of_computer = 0
         self.oldest_s = 0.0
-        self.oldest_arrival_s = 0.0
         self._lateness = lateness
-        self._offsets: deque[float] = deque(maxlen=_MEMORY)
-        self._arrived_s = self._age_s = 0.0
+        self._sent_s = 0.0
 
-    def take(self, status: dict[str, Any], now_s: float) -> None:
-        """Note a status that arrived now."""
-        self._offsets.append(now_s - 1e-3 * status["link"]["ticks"])
-        age_s = self._offsets[-1] - min(self._offsets)
-        if self.received:
-            gap_s = now_s - self._arrived_s
-            if gap_s > STALE_S:
-                own = self._lateness.during(self._arrived_s, now_s) > gap_s - STALE_S
-                self.bars += not own
-                self.bars_of_computer += own
-            elif gap_s >= SHOWN_S:
-                self.oldest_s = max(self.oldest_s, gap_s + self._age_s)
-        self.oldest_arrival_s = max(self.oldest_arrival_s, age_s)
+    def take(self, sent_s: float, now_s: float) -> None:
+        """Note a status of that time, which arrived now."""
         self.received += 1
-        self._arrived_s, self._age_s = now_s, age_s
+        if now_s - sent_s > STALE_S:
+            self.dropped += 1
+            return
+        if self._sent_s:
+            age_s = now_s - self._sent_s
+            if age_s <= STALE_S:
+                self.oldest_s = max(self.oldest_s, age_s)
+            elif self._lateness.during(self._sent_s, now_s) > age_s - STALE_S:
+                self.bars_of_computer += 1
+            else:
+                self.bars += 1
+        self._sent_s = sent_s
 
 
 class AgedPage(SocketPage):
@@ -103,7 +102,7 @@ class AgedPage(SocketPage):
     def take_words(self, words: dict[str, Any]) -> None:
         """Take a message; see `SocketPage`."""
         if "status" in words and "hello" not in words:
-            self.ages.take(words["status"], time.monotonic())
+            self.ages.take(words["sent_s"], time.monotonic())
         super().take_words(words)
         if len(self.words) > 2 * _KEPT:
             del self.words[:_KEPT], self.rows[:-2]

@@ -104,13 +104,13 @@ def test_the_table_counts_stories_with_complaints() -> None:
     assert "| suspended | 2 | 1 |" in table([bad, good]) and "| completed | 2 |" in table([bad, good])
 
 
-def test_the_age_of_a_status_is_its_delay_and_the_time_until_the_next() -> None:
+def test_a_status_is_shown_from_its_sending_to_the_next_and_an_old_one_not_at_all() -> None:
     ages = StatusAges(Lateness())
-    for now_s, ticks in ((10.0, 1000), (10.2, 1200), (10.4, 1150), (10.7, 1700), (12.0, 3000)):
-        ages.take({"link": {"ticks": ticks}}, now_s)
-    # The third is 0.25 s old when it comes, and shown for 0.3 s; then nothing comes for 1.3 s.
-    assert ages.oldest_s == pytest.approx(0.55)
-    assert ages.bars + ages.bars_of_computer == 1 and ages.received == 5
+    for sent_s, now_s in ((10.0, 10.1), (10.2, 10.5), (10.4, 11.2), (10.5, 11.2), (11.0, 11.2)):
+        ages.take(sent_s, now_s)
+    # The second was shown until 11.2 s, with the red bar from 10.8 s on; two were too old when they came.
+    assert ages.oldest_s == pytest.approx(0.5)
+    assert (ages.bars + ages.bars_of_computer, ages.dropped, ages.received) == (1, 2, 5)
 
 
 def test_memory_that_grows_after_the_warm_up_is_seen() -> None:
