@@ -27,6 +27,7 @@ from heli_host.log.flight_file import read_flight
 from heli_host.log.reader import Log, read_log
 from heli_host.log.summary import FlightSummary
 
+from tests.fly.fault_flights import world_of
 from tests.sil.patient import PATIENT, SOON_LANDING
 
 pytestmark = pytest.mark.medium
@@ -330,6 +331,32 @@ def test_a_host_suspended_while_it_closes_the_loops_reports_the_landing(tmp_path
 
     summary, _, _ = flown(tmp_path / "a.mcap", prepare=suspended)
     assert "because of stale_land" in summary.outcome
+
+
+def test_a_host_suspended_between_arming_and_control_reports_the_boards_reason(tmp_path: Path) -> None:
+    def suspended(heli: Heli) -> None:
+        arm = heli.arm
+
+        def arm_then_nothing() -> None:
+            arm()
+            world_of(heli).advance(4000)
+
+        heli.arm = arm_then_nothing  # type: ignore[method-assign]
+
+    summary, _, _ = flown(tmp_path / "a.mcap", prepare=suspended)
+    assert summary.outcome.startswith("aborted: the board went to state idle (state idle, because of stale_land")
+
+
+def test_a_landing_whose_event_is_lost_is_not_said_to_come_from_its_touchdown(tmp_path: Path) -> None:
+    def suspended(progress: Progress) -> None:
+        if progress.t_s > 5.0 and lost:
+            lost.pop().advance(7000)
+
+    with connect("sil://?rig=makki2024&seed=3&speed=max") as heli:
+        lost = [world_of(heli)]
+        heli.session.permit_streams(lambda: bool(lost))
+        summary = fly(heli, short(), log_path=tmp_path / "a.mcap", on_progress=suspended)
+    assert "because of stale_land" in summary.outcome and "touchdown" not in summary.outcome
 
 
 def test_a_host_suspended_behind_the_plans_end_reports_the_boards_landing(

@@ -269,6 +269,8 @@ def _untrue(which: Story, lived: Lived, board: SerialBoard) -> str:
         return "" if f"fault {fault.name.lower()}" in outcome else f"true is fault {fault.name.lower()}"
     if "fault " in outcome:
         return "the board had no fault"
+    if "because of touchdown" in outcome or "arm first" in outcome:
+        return "that follows from what ended the flight"
     if "restarted" in outcome:
         return "the board did not restart"
     if "stale_land" in outcome:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from heli_host.declaration import AXES, TICK_US, Axes, Channel, Event, Fault, SetpointMessage, State, Trigger
-from heli_host.errors import FlightAborted, HeliError, LinkLost, fault_text
+from heli_host.errors import CommandRefused, FlightAborted, HeliError, LinkLost, fault_text
 from heli_host.flight.flown import LANDING
 from heli_host.fly.interrupts import Interrupts, name_of, was_interrupted
 from heli_host.fly.plan import TAKE_OFF
@@ -140,7 +140,6 @@ class Pilot:
         self._excitations = [piece for piece in route.pieces if piece.excitation is not None]
         self._was_closed = False
         self._ended_by = ""
-        self._end_cause = 0
         self._report_error: Exception | None = None
         self._restarts = 0
         self._reconnects = 0
@@ -188,7 +187,12 @@ class Pilot:
         # Before the loops are closed: a process that is suspended meanwhile hears of the landing in one reading.
         self._in_flight = True
         self._heli.arm()
-        self._heli.control(self._axes)
+        try:
+            self._heli.control(self._axes)
+        except CommandRefused:
+            if self._session.state in _FLYING:
+                raise
+            raise FlightAborted(self._why_down()) from None
         with self._lock:
             self._start_tick = self._tick()
             self._sent_tick = self._start_tick - INTERVAL_TICKS
@@ -232,9 +236,11 @@ class Pilot:
     def _take_event(self, event: LinkEvent) -> None:
         # The first event with a state that is not flying gives the cause; later ones are its consequences.
         message = event.message
-        if self._in_flight and not self._ended_by and message is not None and message.kind == Event.STATE:
+        if not self._in_flight or self._ended_by or message is None or message.kind != Event.STATE:
+            return
+        # A touchdown follows from a landing, whose event was lost if this is the first.
+        if message.cause != Trigger.TOUCHDOWN:
             self._ended_by = "" if message.detail in _FLYING else event.text
-            self._end_cause = message.cause
 
     def _bridge_a_stall(self) -> None:
         """Send setpoints on the estimated device time while no samples arrive, so that a pause of telemetry
@@ -374,9 +380,11 @@ class Pilot:
         elif self._session.state not in _DOWN:
             trouble = self._descend()
         self._wait_ticks(_AFTER_TICKS)
-        if self.outcome == "completed" and not trouble and self._ended_by and self._end_cause not in _REQUESTED:
-            # The plan was flown to its end, but the system suspended the host before it could land.
-            return self._why_down()
+        newest = self._session.latest
+        if self.outcome == "completed" and not trouble and newest is not None:
+            # A plan may be flown to its end, and the host suspended before it can land.
+            by_itself = newest[1][Channel.TRIGGER] not in _REQUESTED
+            return self._why_down() if by_itself and newest[1][Channel.STATE] in _DOWN else ""
         return trouble
 
     def _descend(self) -> str:
