@@ -71,20 +71,45 @@ UPGRADE: Final = [
     ("Sec-WebSocket-Version", "13"),
     ("Sec-WebSocket-Key", "dGhlIHNhbXBsZSBub25jZQ=="),
 ]
-_PATHS: Final = ("", "stop", "ws", "main.js", "vendor/three.js", "../cockpit.py", "%00", "a" * 9000, "%2e%2e/%2e%2e/a")
-_HOSTS: Final = ("[", "]", "[::1", "[::1]:x", "127.0.0.1", "localhost:99999999999", "", "evil.example", "\xff", "a" * 300)
+_PATHS: Final = (
+    "",
+    "stop",
+    "ws",
+    "main.js",
+    "vendor/three.js",
+    "../cockpit.py",
+    "%00",
+    "a" * 9000,
+    "%2e%2e/%2e%2e/a",
+)
+_HOSTS: Final = (
+    "[",
+    "]",
+    "[::1",
+    "[::1]:x",
+    "127.0.0.1",
+    "localhost:99999999999",
+    "",
+    "evil.example",
+    "\xff",
+    "a" * 300,
+)
 
 
 def hostile_http(chance: random.Random, address: Address) -> str:
-    """Send a request of HTTP that no browser sends; return what is wrong with its answer, or an empty text."""
+    """Send a request that no browser sends; return what is wrong with its answer, or an empty text."""
     good = f"127.0.0.1:{address.port}"
-    token = chance.choice(("", "?token=", "?token=%ff", "?token=[", f"?token={address.token[:-1]}x", address.token))
+    token = chance.choice(
+        ("", "?token=", "?token=%ff", "?token=[", f"?token={address.token[:-1]}x", address.token)
+    )
     is_known = token == address.token
     token = f"?token={token}" if is_known else token
     path = chance.choice(_PATHS)
     headers = [("Host", chance.choice((good, *_HOSTS)))]
     if chance.random() < 0.6:
-        headers.append(("Origin", chance.choice(("null", "http://[", f"http://{good}", "http://evil.example"))))
+        headers.append(
+            ("Origin", chance.choice(("null", "http://[", f"http://{good}", "http://evil.example")))
+        )
     upgrade = chance.random() < 0.3
     method = "GET" if upgrade else chance.choice(("GET", "HEAD", "PUT", "OPTIONS", "DELETE", "POST"))
     if path == "stop" and is_known and headers == [("Host", good)]:

@@ -28,7 +28,7 @@ from tests.page.hostile_requests import ARGUMENTS, FAR, UPGRADE, asked
 from tests.page.laws import steady
 from tests.page.log_lines import log_lines, traces
 from tests.page.page_server import SHORT_PLAN, Served, page_of_a_simulated_board
-from tests.page.socket_page import PATIENCE_S, SocketPage
+from tests.page.socket_page import SocketPage
 from tests.running.long import samples
 from tests.running.order import REAL_TIME
 

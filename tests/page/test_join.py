@@ -30,7 +30,9 @@ NUMBERS = st.one_of(st.floats(), st.integers(), st.sampled_from([10**400, -(10**
 SHORT_S = st.sampled_from([0.0, -1.0, math.nan, -math.inf, 0.01])
 CALLS: dict[str, st.SearchStrategy[dict[str, Any]]] = {
     "set": st.fixed_dictionaries({"name": st.text(max_size=50) | st.just("travel_kp"), "value": NUMBERS}),
-    "setpoint": st.fixed_dictionaries({"elevation_deg": NUMBERS | st.none(), "travel_deg": NUMBERS | st.none()}),
+    "setpoint": st.fixed_dictionaries(
+        {"elevation_deg": NUMBERS | st.none(), "travel_deg": NUMBERS | st.none()}
+    ),
     "mark": st.fixed_dictionaries({"text": st.text(max_size=5000)}),
     "signal": st.fixed_dictionaries({"name": st.text(max_size=100), "value": NUMBERS}),
     "samples": st.fixed_dictionaries({"last_s": NUMBERS}),
@@ -96,9 +98,9 @@ def test_every_request_with_any_argument_is_answered(
     st.one_of(
         st.text(max_size=80),
         st.text(max_size=80).map("page://{}/?token=x".format),
-        st.sampled_from(["[", "[::1", "a:b", "a:99999999", "127.0.0.1:0", "\ud800", "a" * 70 + ".b", "\0", ""]).map(
-            "page://{}/?token=x".format
-        ),
+        st.sampled_from(
+            ["[", "[::1", "a:b", "a:99999999", "127.0.0.1:0", "\ud800", "a" * 70 + ".b", "\0", ""]
+        ).map("page://{}/?token=x".format),
     )
 )
 def test_an_address_that_is_none_is_an_error_of_one_line(address: str) -> None:
@@ -114,7 +116,7 @@ def test_a_request_that_json_cannot_hold_is_an_error_of_one_line(program: PageCl
 
 
 def test_a_request_that_the_server_would_not_read_is_not_waited_for(program: PageClient) -> None:
-    with pytest.raises(PageError, match="a request of .* characters is too long; send at most 4096"):
+    with pytest.raises(PageError, match=r"a request of \d+ characters is too long; send at most 4096"):
         program.mark("x" * 5000)
 
 

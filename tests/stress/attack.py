@@ -1,7 +1,7 @@
 """All random attacks behind one command: faulty links, damaged logs, hostile clients, hostile laws.
 
-``python -m tests.stress attack --seed 1 --count 50`` runs each of them with that seed and prints one table. A seed is
-always the same attack; those over a port or a socket also depend on the computer's timing.
+``python -m tests.stress attack --seed 1 --count 50`` runs each of them with that seed and prints one table. A
+seed is always the same attack; those over a port or a socket also depend on the computer's timing.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -73,11 +74,14 @@ def hostile_laws(seed: int, count: int) -> Iterator[str]:
 
 def hostile_clients(seed: int, count: int) -> Iterator[str]:
     """Send odd requests to a page's server; complain about traces, missing answers and statuses."""
-    with tempfile.TemporaryDirectory(prefix="heli-attack-") as folder:
-        with page_of_a_simulated_board(Path(folder)) as served, log_lines() as lines:
-            yield from attack_page(served.address, seed, count)
-            yield from traces(lines)
-            yield from (line for line in lines if " failed: " in line or "cannot be" in line)
+    with (
+        tempfile.TemporaryDirectory(prefix="heli-attack-") as folder,
+        page_of_a_simulated_board(Path(folder)) as served,
+        log_lines() as lines,
+    ):
+        yield from attack_page(served.address, seed, count)
+        yield from traces(lines)
+        yield from (line for line in lines if " failed: " in line or "cannot be" in line)
 
 
 def attack_page(address: Address, seed: int, count: int) -> Iterator[str]:
@@ -99,7 +103,7 @@ def attack_page(address: Address, seed: int, count: int) -> Iterator[str]:
             except WebSocketException as error:
                 yield f"{name} {request!r:.200}: the server has closed the socket: {error}"
                 return
-            if not page.until_or(lambda: _answered(page, number, unnumbered), 20.0):
+            if not page.until_or(partial(_answered, page, number, unnumbered), 20.0):
                 yield f"{name} {request!r:.200} is not answered"
                 return
         before = page.statuses

@@ -1,4 +1,4 @@
-"""How old the status is that a client of a page shows, and whether this computer gave the client time to look."""
+"""How old the status is that a client of a page shows, and whether this computer let the client look."""
 
 from __future__ import annotations
 
@@ -46,14 +46,16 @@ class Lateness:
 
     def during(self, begin_s: float, end_s: float) -> float:
         """Return how late wakings were between two moments, in all [s]."""
-        return sum(until - since - _LOOK_S for since, until in list(self.late) if until > begin_s and since < end_s)
+        return sum(
+            until - since - _LOOK_S for since, until in list(self.late) if until > begin_s and since < end_s
+        )
 
 
 class StatusAges:
     """Ages of the statuses that one client has shown.
 
-    A status holds the server's monotonic time, which all processes of a computer share. As a page does, a client drops
-    a status that is older than `STALE_S` when it comes.
+    A status holds the server's monotonic time, which all processes of a computer share. As a page does, a
+    client drops a status that is older than `STALE_S` when it comes.
 
     Attributes
     ----------
@@ -114,7 +116,9 @@ def main(host: str, port: str, token: str, tabs: str) -> None:
     pages = [AgedPage(Address(host, int(port), token), lateness) for _ in range(int(tabs))]
     print("ready", flush=True)
     for line in sys.stdin:
-        print(json.dumps({"pages": [vars_of(page.ages) for page in pages], "asked": line.strip()}), flush=True)
+        print(
+            json.dumps({"pages": [vars_of(page.ages) for page in pages], "asked": line.strip()}), flush=True
+        )
     for page in pages:
         page.close()
 

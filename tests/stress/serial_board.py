@@ -183,8 +183,8 @@ class SecondProgram:
     Parameters
     ----------
     kind : str
-        `TAKES_BYTES` from the host; `WRITES` a modem's commands; `CHANGES_SETTINGS` to those of a terminal with
-        echo; `COMPETES`: another ``heli-host``.
+        `TAKES_BYTES` from the host; `WRITES` a modem's commands; `CHANGES_SETTINGS` to those of a terminal
+        with echo; `COMPETES`: another ``heli-host``.
     """
 
     def __init__(self, kind: str, board: SerialBoard) -> None:

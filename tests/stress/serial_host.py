@@ -1,4 +1,4 @@
-"""``heli-host fly`` in a forked process whose port reads slowly, fails, or goes away in the middle of a write."""
+"""``heli-host fly`` in a forked process whose port reads slowly, fails, or goes away within a write."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Random stories of serial trouble: what happens to a flight over a pseudo-terminal, and what must be true then.
+"""Random stories of serial trouble: what happens to a flight over a port, and what must be true then.
 
 ``python -m tests.stress.serial_stories --first 0 --count 1000`` lives through so many and prints a table. A
 number is always the same story; the computer's own timing differs from run to run, and so may its course.
@@ -25,7 +25,6 @@ import numpy as np
 from heli_host.errors import HeliError
 from heli_host.log.reader import read_log
 
-from tests.sil.faulty_flights import rows_of
 from tests.stress.serial_board import (
     CHANGES_SETTINGS,
     COMPETES,
@@ -85,7 +84,9 @@ class Story:
     troubles: tuple[Trouble, ...]
 
     def __str__(self) -> str:
-        told = ", ".join(f"{one.kind} at {one.at_s:.2f} s for {one.duration_s:.2f} s" for one in self.troubles)
+        told = ", ".join(
+            f"{one.kind} at {one.at_s:.2f} s for {one.duration_s:.2f} s" for one in self.troubles
+        )
         return f"story {self.number} ({told})"
 
 
@@ -203,9 +204,7 @@ def _end(host: Host, code: int) -> None:
     os.close(host.answers)
 
 
-def _judge(
-    which: Story, lived: Lived, board: SerialBoard, second: list[SecondProgram], folder: Path
-) -> None:
+def _judge(which: Story, lived: Lived, board: SerialBoard, second: list[SecondProgram], folder: Path) -> None:
     complain = lived.complaints.append
     errors = (folder / "stderr").read_text(errors="replace").strip()
     summary = _summary(folder)
@@ -292,7 +291,9 @@ def _untrue(which: Story, lived: Lived, board: SerialBoard) -> str:
         return "" if kinds else "nothing happened"
     if outcome.startswith("error:") and truth.closed_tick < 0:
         return "" if kinds else "nothing happened"
-    return "" if re.search("no answer|did not answer|not answered|in use|state", outcome) else "no rule knows it"
+    return (
+        "" if re.search("no answer|did not answer|not answered|in use|state", outcome) else "no rule knows it"
+    )
 
 
 def late_text(truth: Truth, tick: int) -> str:
@@ -336,9 +337,6 @@ def _wrong_log(path: Path, board: SerialBoard, summary: dict[str, Any]) -> list[
 
 def preload() -> None:
     """Import what flies, so that forked hosts need not."""
-    import heli_host.fly.runner
-    import heli_host.heli
-    import heli_host.log.figure
     from heli_host.cli.entry import command_line
 
     command_line()
@@ -354,7 +352,10 @@ def table(every: list[Lived]) -> list[str]:
     said = Counter(re.sub(r"[-0-9.]+", "N", one.outcome)[:110] for one in every)
     lines += [f"| {outcome} | {count} |" for outcome, count in said.most_common(40)]
     worst_s = max((one.landed_s for one in every), default=0.0)
-    lines += ["", f"motors off at most {worst_s:.2f} s after the newest setpoint, where the board landed by itself"]
+    lines += [
+        "",
+        f"motors off at most {worst_s:.2f} s after the newest setpoint, where the board landed by itself",
+    ]
     return lines
 
 
@@ -363,7 +364,9 @@ def main(words: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.stress.serial_stories", description=__doc__)
     parser.add_argument("--first", type=int, default=0, help="number of the first story [default: 0]")
     parser.add_argument("--count", type=int, default=1000, help="how many [default: 1000]")
-    parser.add_argument("--speed", type=float, default=SPEED, help="simulated seconds per second [default: 4]")
+    parser.add_argument(
+        "--speed", type=float, default=SPEED, help="simulated seconds per second [default: 4]"
+    )
     parser.add_argument("--keep", type=Path, help="folder for the files of stories with complaints")
     parser.add_argument("--lines", type=Path, help="file for one line of JSON per story")
     options = parser.parse_args(words)

@@ -1,7 +1,7 @@
-"""A live page for a long time: clients that come, go, sleep and misbehave, while plans are flown and recorded.
+"""A live page for a long time: clients come, go, sleep and misbehave while plans are flown and recorded.
 
-``python -m tests.stress soak --minutes 60`` prints what was lost, how the server's memory grew, and how old the status
-was that any client showed. The seed decides what the clients do; the computer decides when.
+``python -m tests.stress soak --minutes 60`` prints what was lost, how the server's memory grew, and how old the
+status was that any client showed. The seed decides what the clients do; the computer decides when.
 """
 
 from __future__ import annotations
@@ -112,7 +112,9 @@ class Soak:
         """Return the results as lines of a table."""
         rows = {
             "minutes": f"{self.minutes:.1f}",
-            "flights that the pilot began": ", ".join(f"{n} {what}" for what, n in self.flights.most_common(8)),
+            "flights that the pilot began": ", ".join(
+                f"{n} {what}" for what, n in self.flights.most_common(8)
+            ),
             "what clients did": ", ".join(f"{n} {what}" for what, n in self.acts.most_common()),
             "samples that the host lost": f"{self.lost_ticks}",
             f"samples missing in {self.logs} logs": f"{self.gaps}",
@@ -302,9 +304,7 @@ def soak(minutes: float, seed: int, say: Callable[[str], None] = print) -> Soak:
     return result
 
 
-def keep_busy(
-    result: Soak, address: Address, pid: int, minutes: float, say: Callable[[str], None]
-) -> None:
+def keep_busy(result: Soak, address: Address, pid: int, minutes: float, say: Callable[[str], None]) -> None:
     """Let clients do what they do; see `soak`. The first client is the pilot."""
     lateness = Lateness()
     clients = Clients(address, lateness)
@@ -378,7 +378,7 @@ def _fly(
             lost = pilot.known["status"]["link"]["lost_ticks"]
             say(
                 f"{(now_s - begin_s) / 60.0:.0f} min: {result.memory_kB[-1][1] / 1024.0:.1f} MB,"
-                f" {lost} samples lost, {sum(result.flights.values())} flights, {sum(result.acts.values())} acts"
+                f" {lost} samples lost, {result.flights.total()} flights, {result.acts.total()} acts"
             )
         if pilot.state == "fault":
             pilot.send("clear_fault")
@@ -397,7 +397,7 @@ def _outcome(pilot: AgedPage, number: int) -> str:
 
 
 def memory_kB(pid: int) -> int:
-    """Return the resident memory of a process that this process may look at; 0 where the system has no /proc."""
+    """Return the resident memory of a process [kB]; 0 if the system has no /proc."""
     try:
         return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _PAGE_KB
     except (OSError, IndexError):

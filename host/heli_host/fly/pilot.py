@@ -184,7 +184,8 @@ class Pilot:
         self._target_rad(self._tick())
         self._wait_ticks(_BEFORE_TICKS)
         self._recorder.check()
-        # Before the loops are closed: a process that is suspended meanwhile hears of the landing in one reading.
+        # Before the loops are closed: a process that is suspended meanwhile reads of the landing together with
+        # the answers to its commands.
         self._in_flight = True
         self._heli.arm()
         try:

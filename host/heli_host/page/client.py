@@ -333,7 +333,9 @@ def _as_json(request: Mapping[str, Any]) -> str:
         raise PageError(f"JSON cannot hold the request: {error}", "give numbers, texts and lists") from None
     # The server cannot read the number of a longer one, and so cannot answer it.
     if len(words) > LONGEST_REQUEST:
-        raise PageError(f"a request of {len(words)} characters is too long", f"send at most {LONGEST_REQUEST}")
+        raise PageError(
+            f"a request of {len(words)} characters is too long", f"send at most {LONGEST_REQUEST}"
+        )
     return words
 
 
