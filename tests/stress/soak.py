@@ -1,7 +1,7 @@
 """A live page for a long time: clients come, go, sleep and misbehave while plans are flown and recorded.
 
-``python -m tests.stress soak --minutes 60`` prints what was lost, how the server's memory grew, and how old the
-status was that any client showed. The seed decides what the clients do; the computer decides when.
+``python -m tests.stress soak --minutes 60`` prints what was lost, how the server's memory grew, and how old
+the status was that any client showed. The seed decides what the clients do; the computer decides when.
 """
 
 from __future__ import annotations

@@ -184,8 +184,8 @@ class Pilot:
         self._target_rad(self._tick())
         self._wait_ticks(_BEFORE_TICKS)
         self._recorder.check()
-        # Before the loops are closed: a process that is suspended meanwhile reads of the landing together with
-        # the answers to its commands.
+        # Before the loops are closed: a process that is suspended meanwhile reads of the landing and the
+        # answers to its commands in one reading.
         self._in_flight = True
         self._heli.arm()
         try:
@@ -298,9 +298,7 @@ class Pilot:
         slow = not self._was_closed and (self._tick() - self._start_tick) * TICK_S > _CLOSING_S
         if not self._trouble() and not slow:
             return
-        if reason := self._end_when():
-            raise FlightAborted(reason)
-        raise FlightAborted(self._why_down())
+        raise FlightAborted(self._end_when() or self._why_down())
 
     def _why_down(self) -> str:
         """Reason for a state of the board that is not that of a flight."""
