@@ -34,7 +34,7 @@ ARGUMENTS: Final = {
 }
 """Arguments of the requests, by name."""
 FAR: Final = (1e308, -1e308, 2**63, -(10**30), 5e-324)
-ODD: Final = (
+ODD: Final[tuple[Any, ...]] = (
     *(*FAR, math.nan, math.inf, -math.inf, 10**400, -(10**309), "\ud800", "\0", "", "x" * 5000, None, True),
     *([], [[]], {}, {"a": {"b": math.nan}}, ["short"] * 400, "kp", "travel_kp", "up", -0.0, 1.5),
 )

@@ -7,7 +7,7 @@ import json
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Self
 
 from heli_host.page.serve import Address
 from heli_host.page.wire import Rows, unpack
@@ -37,7 +37,7 @@ class SocketPage:
         self._thread.start()
         self.until(lambda: "control" in self.known)
 
-    def __enter__(self) -> SocketPage:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
