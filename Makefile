@@ -1,6 +1,6 @@
 # Two commands matter: `make fly` and `make test`. Everything they need is set up in .venv by .ci/setup.
 .DEFAULT_GOAL := help
-.PHONY: help setup fly docs quick test long check bench blind mutants fuzz firmware release clean
+.PHONY: help setup fly docs quick test long check bench blind mutants fuzz soak attack firmware release clean
 
 PLANS ?= hover sine
 SPEED ?= 1
@@ -14,6 +14,7 @@ SEED ?= 1
 COUNT ?= 150
 PARTS ?=
 PINS ?=
+MINUTES ?= 60
 HELI := .venv/bin/heli-host
 
 help: ## this list
@@ -61,6 +62,14 @@ fuzz: ## fuzz the board, the host and its logs: make fuzz [FUZZ_S=60] [FRAMES=10
 	@.ci/fuzz $(FUZZ_S)
 	@.venv/bin/python -m tests.link.fuzz_host $(FRAMES)
 	@.venv/bin/python -m tests.log.fuzz_log $(LOGS)
+
+soak: ## keep a live page busy, see what is lost, how memory grows, how old a status gets: make soak [MINUTES=60] [SEED=1]
+	@.ci/setup test
+	@.venv/bin/python -m tests.stress soak --minutes $(MINUTES) --seed $(SEED)
+
+attack: ## faulty links, serial trouble, damaged logs, hostile clients and laws: make attack [SEED=1] [COUNT=150]
+	@.ci/setup test
+	@.venv/bin/python -m tests.stress attack --seed $(SEED) --count $(COUNT)
 
 firmware: ## build what is flashed to the Due: make firmware [PINS=my.toml, for another wiring]
 	@.ci/setup firmware

@@ -6,6 +6,7 @@ This file contains no model. A package with a model offers a function in the ent
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Final, Protocol
 
+from heli_host.declaration import TICK_US
 from heli_host.errors import HeliError
 
 if TYPE_CHECKING:
@@ -27,6 +29,9 @@ ALARM: Final = "alarm"
 """Kind of the news that the rig has changed."""
 EVENT: Final = "twin"
 """Kind of the events that a twin writes into the log."""
+_MAX_BEHIND_TICKS: Final = 10_000
+"""Greatest number of samples that wait for a twin: 10 s, 1 MB. More: an overloaded computer runs out of
+memory, and alarms come late. Fewer: a short overload costs the twin its state."""
 FALSE_ALARM_INTERVAL_h: Final = 10.0
 """Mean time of free flight between two false alarms, h."""
 
@@ -108,7 +113,8 @@ class TwinWatch:
     """Passes the ticks of a session to a twin, and the twin's messages to listeners.
 
     Over a port the twin runs in a separate thread. In lockstep it runs in the thread that reads, so that a
-    simulated flight is reproducible. A twin that fails is switched off; the flight goes on.
+    simulated flight is reproducible. A twin that fails is switched off; the flight goes on. A twin that is
+    too slow for this computer skips the samples that wait, and begins again at the present.
 
     Parameters
     ----------
@@ -125,11 +131,15 @@ class TwinWatch:
         Text of the first alarm; empty until then.
     trouble : str
         Error of a twin that failed; otherwise empty.
+    skipped_ticks : int
+        Number of samples that the twin skipped because it was too slow.
     """
 
     def __init__(self, session: Session, twin: LiveTwin, on_change: Callable[[], None] | None = None) -> None:
         self.alarm = ""
         self.trouble = ""
+        self.skipped_ticks = 0
+        self._put_ticks = self._fed_ticks = 0
         self._session, self._twin, self._on_change = session, twin, on_change
         self._listeners: list[Callable[[TwinNews], None]] = []
         self._queue: queue.SimpleQueue[tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]] | None] = (
@@ -157,7 +167,9 @@ class TwinWatch:
 
     def words(self) -> str:
         """Return the twin's status in one line."""
-        return self.trouble or self._twin.words()
+        skipped_s = self.skipped_ticks * TICK_US * 1e-6
+        slow = f"; {skipped_s:.0f} s of samples skipped, because this computer is slow" if skipped_s else ""
+        return self.trouble or self._twin.words() + slow
 
     def close(self) -> None:
         """Process the ticks that have arrived, then end the twin's thread."""
@@ -172,11 +184,22 @@ class TwinWatch:
         if self._thread is None:
             self._feed(tick, ticks.raw)
         else:
+            if self._put_ticks - self.skipped_ticks - self._fed_ticks > _MAX_BEHIND_TICKS:
+                self._skip()
+            self._put_ticks += len(tick)
             self._queue.put((tick, ticks.raw))
+
+    def _skip(self) -> None:
+        with contextlib.suppress(queue.Empty):
+            while (part := self._queue.get_nowait()) is not None:
+                self.skipped_ticks += len(part[0])
+            # The end of the thread, which `close` asks for.
+            self._queue.put(None)
 
     def _run(self) -> None:
         while (part := self._queue.get()) is not None:
             self._feed(*part)
+            self._fed_ticks += len(part[0])
 
     def _feed(self, tick: npt.NDArray[np.int64], raw: npt.NDArray[np.int32]) -> None:
         if self.trouble:

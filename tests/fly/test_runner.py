@@ -14,18 +14,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.declaration import Flags, State
+from heli_host.declaration import Axes, Flags, State
 from heli_host.errors import LogWriteError, PlanError
 from heli_host.fly.pilot import Pilot
 from heli_host.fly.plan import Plan, load_plan
 from heli_host.fly.recorder import Recorder
 from heli_host.fly.runner import Progress, fly
+from heli_host.fly.tracking import TrackingMonitor
 from heli_host.heli import Heli, connect
 from heli_host.link.telemetry import Ticks
 from heli_host.log.flight_file import read_flight
 from heli_host.log.reader import Log, read_log
 from heli_host.log.summary import FlightSummary
 
+from tests.fly.fault_flights import world_of
 from tests.sil.patient import PATIENT, SOON_LANDING
 
 pytestmark = pytest.mark.medium
@@ -313,6 +315,64 @@ def test_after_a_long_unplug_the_board_has_landed_and_the_log_goes_on(tmp_path: 
     assert summary.outcome.startswith("aborted: the board went to state")
     assert "after the link was lost" in summary.outcome
     assert state is State.IDLE and log.ticks["t_s"][-1] > 16.0
+
+
+def test_a_host_suspended_while_it_closes_the_loops_reports_the_landing(tmp_path: Path) -> None:
+    def suspended(heli: Heli) -> None:
+        control = heli.control
+
+        def control_then_nothing(axes: Axes) -> None:
+            control(axes)
+            heli.session.permit_streams(lambda: False)
+            heli.session.wait_for(lambda: False, 4.0)
+            heli.session.permit_streams(lambda: True)
+
+        heli.control = control_then_nothing  # type: ignore[method-assign, assignment]
+
+    summary, _, _ = flown(tmp_path / "a.mcap", prepare=suspended)
+    assert "because of stale_land" in summary.outcome
+
+
+def test_a_host_suspended_between_arming_and_control_reports_the_boards_reason(tmp_path: Path) -> None:
+    def suspended(heli: Heli) -> None:
+        arm = heli.arm
+
+        def arm_then_nothing() -> None:
+            arm()
+            world_of(heli).advance(4000)
+
+        heli.arm = arm_then_nothing  # type: ignore[method-assign]
+
+    summary, _, _ = flown(tmp_path / "a.mcap", prepare=suspended)
+    assert summary.outcome.startswith(
+        "aborted: the board went to state idle (state idle, because of stale_land"
+    )
+
+
+def test_a_landing_whose_event_is_lost_is_not_said_to_come_from_its_touchdown(tmp_path: Path) -> None:
+    def suspended(progress: Progress) -> None:
+        if progress.t_s > 5.0 and lost:
+            lost.pop().advance(7000)
+
+    with connect("sil://?rig=makki2024&seed=3&speed=max") as heli:
+        lost = [world_of(heli)]
+        heli.session.permit_streams(lambda: bool(lost))
+        summary = fly(heli, short(), log_path=tmp_path / "a.mcap", on_progress=suspended)
+    assert "because of stale_land" in summary.outcome and "touchdown" not in summary.outcome
+
+
+def test_a_host_suspended_behind_the_plans_end_reports_the_boards_landing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def suspended(monitor: TrackingMonitor) -> str:
+        heli.session.permit_streams(lambda: False)
+        heli.session.wait_for(lambda: False, 4.0)
+        return ""
+
+    monkeypatch.setattr(TrackingMonitor, "verdict", suspended)
+    with connect("sil://?rig=makki2024&seed=3&speed=max") as heli:
+        summary = fly(heli, short(), log_path=tmp_path / "a.mcap")
+    assert summary.outcome == "aborted: the board went to state idle (state landing, because of stale_land)"
 
 
 def test_a_link_that_stays_lost_is_the_outcome_and_the_log_is_closed(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import json
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Self
 
 from heli_host.page.serve import Address
 from heli_host.page.wire import Rows, unpack
@@ -29,6 +29,7 @@ class SocketPage:
         self.rows: list[Rows] = []
         self.words: list[dict[str, Any]] = []
         self.known: dict[str, Any] = {}
+        self.statuses = self.refused_without_number = 0
         self.answers = threading.Event()
         self.answers.set()
         self.number = 0
@@ -36,7 +37,7 @@ class SocketPage:
         self._thread.start()
         self.until(lambda: "control" in self.known)
 
-    def __enter__(self) -> SocketPage:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -64,6 +65,15 @@ class SocketPage:
         while not so():
             assert time.monotonic() < end_s, f"waited in vain; last words: {self.words[-3:]}"
             time.sleep(0.01)
+
+    def until_or(self, so: Callable[[], bool], longest_s: float) -> bool:
+        """Wait for something, but not longer than that."""
+        end_s = time.monotonic() + longest_s
+        while not so():
+            if time.monotonic() >= end_s:
+                return False
+            time.sleep(0.02)
+        return True
 
     def until_state(self, *names: str) -> str:
         self.until(lambda: self.state in names)
@@ -101,8 +111,11 @@ class SocketPage:
                     if self.answers.is_set():
                         self.socket.send(rows.number.to_bytes(4, "little"))
                 else:
-                    words = json.loads(message)
-                    self.words.append(words)
-                    self.known.update(
-                        {name: words[name] for name in ("hello", "status", "control") if name in words}
-                    )
+                    self.take_words(json.loads(message))
+
+    def take_words(self, words: dict[str, Any]) -> None:
+        """Take a message that is no telemetry, in the reading thread."""
+        self.words.append(words)
+        self.statuses += "status" in words
+        self.refused_without_number += "error" in words and words.get("answer") is None
+        self.known.update({name: words[name] for name in ("hello", "status", "control") if name in words})

@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import heli_host
 import numpy as np
@@ -15,6 +16,7 @@ from heli_host.declaration import Axes, State
 from heli_host.errors import CommandRefused, HeliError
 from heli_host.fly.plan import Plan
 from heli_host.log.reader import read_log
+from heli_host.page import service
 from heli_host.page.cockpit import Cockpit
 from heli_host.page.control_lease import ControlLease
 from heli_host.page.replay import Replay
@@ -183,6 +185,23 @@ def test_a_page_without_a_status_alarms_shows_the_frames_state_and_stops(
     until_stopped(served, page)
     until_state(page, "idle")
     monkeypatch.setattr(Cockpit, "status", status)
+    expect(page.locator("#alarm")).to_be_hidden()
+
+
+def test_a_status_that_waited_while_the_page_was_suspended_is_not_shown(
+    served: Served, window: Tabs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = window.open(served.address.page)
+    expect(page.locator("#state")).to_have_text("idle")
+    stamped = service._stamped
+
+    def old(status: Mapping[str, Any]) -> dict[str, Any]:
+        return {**stamped({**status, "state": int(State.CLOSED_LOOP)}), "sent_s": time.monotonic() - 5.0}
+
+    monkeypatch.setattr(service, "_stamped", old)
+    expect(page.locator("#alarm")).to_contain_text("no longer sends its status")
+    expect(page.locator("#state")).to_have_text("idle")
+    monkeypatch.setattr(service, "_stamped", stamped)
     expect(page.locator("#alarm")).to_be_hidden()
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import socket
 from collections.abc import Iterator
 from typing import Any
 
@@ -25,40 +24,19 @@ pytest.importorskip("starlette", reason="the extra 'page' is not installed: make
 from heli_host.log.reader import read_log
 from heli_host.page.client import PageError
 
+from tests.page.hostile_requests import ARGUMENTS, FAR, UPGRADE, asked
 from tests.page.laws import steady
 from tests.page.log_lines import log_lines, traces
 from tests.page.page_server import SHORT_PLAN, Served, page_of_a_simulated_board
-from tests.page.socket_page import PATIENCE_S, SocketPage
+from tests.page.socket_page import SocketPage
 from tests.running.long import samples
 from tests.running.order import REAL_TIME
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group(REAL_TIME)]
 
-ARGUMENTS = {
-    "take_off": ("elevation_deg",),
-    "fly": ("plans",),
-    "land": (),
-    "clear_fault": (),
-    "zero": (),
-    "setpoint": ("elevation_deg", "travel_deg"),
-    "hold": (),
-    "set": ("name", "value"),
-    "undo": (),
-    "save": (),
-    "law": ("name",),
-    "set_law": ("name", "value"),
-    "record": ("on",),
-    "mark": ("text",),
-    "signal": ("name", "value"),
-    "ask": (),
-    "grant": (),
-    "keep": (),
-    "share": ("on",),
-}
 PILOT = "pilot"
 """Id of the page that flies: a pilot keeps the seat from one test to the next."""
 NOT_FINITE = ("NaN", "Infinity", "-Infinity", "1e999", "9" * 400, "-" + "9" * 400)
-FAR = (1e308, -1e308, 2**63, -(10**30), 5e-324)
 
 
 @pytest.fixture(scope="module")
@@ -233,24 +211,6 @@ def test_a_message_is_a_request_or_is_refused_in_words(words: str) -> None:
         assert error.cause and error.remedy
     else:
         assert isinstance(request.name, str)
-
-
-def asked(address: Address, path: str, headers: list[tuple[str, str]], method: str = "GET") -> int:
-    """Status that the server answers with; 0 where it closes the connection without one."""
-    lines = [f"{method} {path} HTTP/1.1", *(f"{name}: {value}" for name, value in headers), "", ""]
-    with socket.create_connection((address.host, address.port), timeout=PATIENCE_S) as connection:
-        connection.sendall("\r\n".join(lines).encode("latin-1", "replace"))
-        connection.shutdown(socket.SHUT_WR)
-        heard = connection.recv(100)
-    return int(heard.split()[1]) if heard else 0
-
-
-UPGRADE = [
-    ("Connection", "Upgrade"),
-    ("Upgrade", "websocket"),
-    ("Sec-WebSocket-Version", "13"),
-    ("Sec-WebSocket-Key", "dGhlIHNhbXBsZSBub25jZQ=="),
-]
 
 
 def test_what_was_an_internal_error_is_refused_in_one_line(replayed: Address) -> None:

@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from heli_host.declaration import AXES, TICK_US, Axes, Channel, Event, Fault, SetpointMessage, State
-from heli_host.errors import FlightAborted, HeliError, LinkLost, fault_text
+from heli_host.declaration import AXES, TICK_US, Axes, Channel, Event, Fault, SetpointMessage, State, Trigger
+from heli_host.errors import CommandRefused, FlightAborted, HeliError, LinkLost, fault_text
 from heli_host.flight.flown import LANDING
 from heli_host.fly.interrupts import Interrupts, name_of, was_interrupted
 from heli_host.fly.plan import TAKE_OFF
 from heli_host.fly.route import Piece, Route
 from heli_host.fly.tracking import Tolerance, TrackingMonitor
 from heli_host.link.channels import rad_per_count
-from heli_host.link.events import BOARD_RESTARTED, LinkEvent
+from heli_host.link.events import BOARD_RESTARTED, LinkEvent, state_text
 from heli_host.log.schema import LEVEL_WARNING
 
 if TYPE_CHECKING:
@@ -49,6 +49,7 @@ _BEFORE_TICKS = 500
 _AFTER_TICKS = 200
 _LONGEST_REST_S = 2.0
 _DOWN = (State.IDLE, State.FAULT)
+_REQUESTED = (Trigger.LAND, Trigger.STOP)
 _FLYING = (State.ARMED, State.CLOSED_LOOP, State.HOLD)
 
 
@@ -129,6 +130,7 @@ class Pilot:
         self._on_progress = on_progress
         self._lock = threading.Lock()
         self._streaming = False
+        self._in_flight = False
         self._start_tick = 0
         self._sent_tick = 0
         self._phases = _phases(route)
@@ -182,8 +184,16 @@ class Pilot:
         self._target_rad(self._tick())
         self._wait_ticks(_BEFORE_TICKS)
         self._recorder.check()
+        # Before the loops are closed: a process that is suspended meanwhile reads of the landing and the
+        # answers to its commands in one reading.
+        self._in_flight = True
         self._heli.arm()
-        self._heli.control(self._axes)
+        try:
+            self._heli.control(self._axes)
+        except CommandRefused:
+            if self._session.state in _FLYING:
+                raise
+            raise FlightAborted(self._why_down()) from None
         with self._lock:
             self._start_tick = self._tick()
             self._sent_tick = self._start_tick - INTERVAL_TICKS
@@ -227,7 +237,10 @@ class Pilot:
     def _take_event(self, event: LinkEvent) -> None:
         # The first event with a state that is not flying gives the cause; later ones are its consequences.
         message = event.message
-        if self._streaming and not self._ended_by and message is not None and message.kind == Event.STATE:
+        if not self._in_flight or self._ended_by or message is None or message.kind != Event.STATE:
+            return
+        # A touchdown follows from a landing, whose event was lost if this is the first.
+        if message.cause != Trigger.TOUCHDOWN:
             self._ended_by = "" if message.detail in _FLYING else event.text
 
     def _bridge_a_stall(self) -> None:
@@ -282,21 +295,27 @@ class Pilot:
         self._recorder.check()
         if restarted := self._restarted():
             raise FlightAborted(restarted.removeprefix("aborted: "))
-        counters = self._session.counters
         slow = not self._was_closed and (self._tick() - self._start_tick) * TICK_S > _CLOSING_S
         if not self._trouble() and not slow:
             return
-        if reason := self._end_when():
-            raise FlightAborted(reason)
+        raise FlightAborted(self._end_when() or self._why_down())
+
+    def _why_down(self) -> str:
+        """Reason for a state of the board that is not that of a flight."""
         state = self._session.state
         if state in (State.FAULT, State.EMERGENCY_LANDING):
-            raise FlightAborted(f"fault {fault_text(self._fault())}")
+            return f"fault {fault_text(self._fault())}"
         # Telemetry shows a state a moment before its events are handed over.
         self._session.wait_for(lambda: bool(self._ended_by), _LOOK_S)
-        why = self._ended_by
-        lost = ", after the link was lost" if counters.reconnects != self._reconnects else ""
+        lost = ", after the link was lost" if self._session.counters.reconnects != self._reconnects else ""
         name = state.name.lower() if state is not None else "unknown"
-        raise FlightAborted(f"the board went to state {name}{lost} ({why})" if why else f"state {name}{lost}")
+        return f"the board went to state {name}{lost} ({self._ended_by or self._newest_state()})"
+
+    def _newest_state(self) -> str:
+        newest = self._session.latest
+        if newest is None:
+            return "no sample arrived"
+        return state_text(int(newest[1][Channel.STATE]), int(newest[1][Channel.TRIGGER]))
 
     def _restarted(self) -> str:
         """Outcome of a flight whose board has restarted; empty if it has not."""
@@ -360,6 +379,11 @@ class Pilot:
         elif self._session.state not in _DOWN:
             trouble = self._descend()
         self._wait_ticks(_AFTER_TICKS)
+        newest = self._session.latest
+        if self.outcome == "completed" and not trouble and newest is not None:
+            # A plan may be flown to its end, and the host suspended before it can land.
+            by_itself = newest[1][Channel.TRIGGER] not in _REQUESTED
+            return self._why_down() if by_itself and newest[1][Channel.STATE] in _DOWN else ""
         return trouble
 
     def _descend(self) -> str:

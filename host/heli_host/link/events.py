@@ -74,7 +74,7 @@ def event_text(message: EventMessage) -> str:
         case Event.BOOT:
             return f"board started ({_name(Reset, detail)}), boot id {value:.0f}"
         case Event.STATE:
-            return f"state {_name(State, detail)}, because of {_name(Trigger, message.cause)}"
+            return state_text(detail, message.cause)
         case Event.FAULT:
             seen = "" if math.isnan(value) else f"; seen: {value:.4g}"
             return f"fault {fault_text(detail)}{seen}"
@@ -115,6 +115,22 @@ def event_kind(message: EventMessage) -> str:
         Lower-case name, ``"event_<number>"`` for one that this host does not know.
     """
     return _name(Event, message.kind, "event_")
+
+
+def state_text(state: int, trigger: int) -> str:
+    """Describe a state of the board and what led to it.
+
+    Parameters
+    ----------
+    state, trigger : int
+        As in an event or a sample.
+
+    Returns
+    -------
+    str
+        For example ``"state landing, because of stale_land"``.
+    """
+    return f"state {_name(State, state)}, because of {_name(Trigger, trigger)}"
 
 
 def _name(

@@ -19,9 +19,10 @@ from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
 from heli_host.declaration import State
-from heli_host.errors import HeliError, LinkError, PortError
+from heli_host.errors import HeliError, LinkError, PortError, printable
 from heli_host.link.clock import TICK_S
-from heli_host.page.source import KEPT_S
+from heli_host.page.request import LONGEST_REQUEST
+from heli_host.page.source import KEPT_S, finite
 from heli_host.page.telemetry_buffer import TelemetryBuffer
 from heli_host.page.wire import RESET, unpack
 from heli_host.samples import Samples, Scales
@@ -30,6 +31,8 @@ SCHEME: Final = "page://"
 
 _ANSWER_S = 10.0
 _OPEN_S = 5.0
+# The system refuses to wait for infinity.
+_LOOK_S = 60.0
 
 
 class PageError(HeliError):
@@ -88,7 +91,10 @@ class PageClient:
     @property
     def state(self) -> State:
         """State of the board's supervisor, at most about 0.5 s old."""
-        return State(self._known["status"]["state"])
+        state = self._known["status"]["state"]
+        if state not in list(State):
+            raise LinkError("no sample has come from the board yet", "wait a moment, then try again")
+        return State(state)
 
     @property
     def status(self) -> Mapping[str, Any]:
@@ -108,7 +114,8 @@ class PageClient:
         last_s : float
             Length of the history in device time [s].
         """
-        cut = self._buffer.cut(max(self._buffer.end - round(last_s / TICK_S), 0), round(KEPT_S / TICK_S))
+        count = round(min(max(finite("last_s", last_s), 0.0), KEPT_S) / TICK_S)
+        cut = self._buffer.cut(max(self._buffer.end - count, 0), round(KEPT_S / TICK_S))
         return Scales(self._values).samples(cut.tick, cut.raw)
 
     def set(self, name: str, value: float) -> float:
@@ -183,7 +190,7 @@ class PageClient:
         PageError
             The value is not finite.
         """
-        self.ask("signal", name=name, value=float(value))
+        self.ask("signal", name=name, value=value)
 
     def stop(self) -> None:
         """Switch both motors off, ahead of all other commands. Every client may. An arm in the air falls.
@@ -233,7 +240,7 @@ class PageClient:
             self._number += 1
             number = self._number
         try:
-            self._socket.send(json.dumps({"do": name, "id": number, **arguments}))
+            self._socket.send(_as_json({**arguments, "do": name, "id": number}))
         except WebSocketException as error:
             raise LinkError("the dashboard has ended", "start it again") from error
         if not self._wait(lambda: number in self._answers, timeout_s):
@@ -259,7 +266,7 @@ class PageClient:
         LinkError
             The board was in none of these states in time.
         """
-        if not self._wait(lambda: self.state in states, timeout_s):
+        if not self._wait(lambda: self._known["status"]["state"] in states, timeout_s):
             names = " or ".join(str(state) for state in states)
             raise LinkError(
                 f"the board is {self.state}, not {names}, after {timeout_s:g} s",
@@ -281,9 +288,10 @@ class PageClient:
         with self._changed:
             while not so():
                 left_s = end_s - time.monotonic()
-                if left_s <= 0.0 or self._over:
+                # A limit that is not a number has passed already.
+                if not left_s > 0.0 or self._over:
                     return False
-                self._changed.wait(left_s)
+                self._changed.wait(min(left_s, _LOOK_S))
         return True
 
     def _read(self) -> None:
@@ -318,6 +326,19 @@ class PageClient:
                 self._values = values
 
 
+def _as_json(request: Mapping[str, Any]) -> str:
+    try:
+        words = json.dumps(request)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise PageError(f"JSON cannot hold the request: {error}", "give numbers, texts and lists") from None
+    # The server cannot read the number of a longer one, and so cannot answer it.
+    if len(words) > LONGEST_REQUEST:
+        raise PageError(
+            f"a request of {len(words)} characters is too long", f"send at most {LONGEST_REQUEST}"
+        )
+    return words
+
+
 def join(address: str) -> PageClient:
     """Connect this program to the server of a page, and thereby to its board.
 
@@ -344,11 +365,16 @@ def join(address: str) -> PageClient:
     ...     flight.set("travel_kp", 0.7)
     ...     flown = flight.samples(last_s=20.0)
     """
-    parts = urlsplit(address)
-    token = parse_qs(parts.query).get("token", [""])[0]
-    if not address.startswith((SCHEME, "http://")) or not token:
+    try:
+        parts = urlsplit(address)
+        token = parse_qs(parts.query).get("token", [""])[0]
+        is_address = address.startswith((SCHEME, "http://")) and parts.hostname and parts.port != 0 and token
+    # Of half a bracket, and of a port beyond 65535.
+    except ValueError:
+        is_address = False
+    if not is_address:
         raise PortError(
-            f"{address} is not the address of a dashboard",
+            f"{printable(address)} is not the address of a dashboard",
             "give the whole address that heli-host dashboard printed",
         )
     base = f"ws://{parts.netloc}"
@@ -358,7 +384,8 @@ def join(address: str) -> PageClient:
             socket = opened.enter_context(
                 connect(address, open_timeout=_OPEN_S, compression=None, proxy=None)
             )
-        except (OSError, TimeoutError, WebSocketException) as error:
+        # UnicodeError: a name that no computer has.
+        except (OSError, TimeoutError, WebSocketException, UnicodeError) as error:
             raise LinkError(
                 f"{parts.netloc} refuses the connection",
                 "check that heli-host dashboard runs, and give its whole address",

@@ -2,6 +2,9 @@
 // A page that hangs for longer does not: nobody can fly from it.
 const HUNG_MS = 3000;
 const SIGN_MS = 100;
+const STALE_MS = 600; // as in main.js
+const DRIFT = 1e-4; // between the clocks of two computers
+let offsetMs = Infinity, heardMs = 0; // from the server's clock to this one, by the status that was fastest
 let socket = null, shown = 0, shownMs = -Infinity, signedMs = -Infinity;
 
 function sign() {
@@ -10,12 +13,25 @@ function sign() {
   signedMs = performance.now();
 }
 
+// When a status would have come without a delay. One that waited in the socket while this computer suspended the page is
+// not shown: it would pass for the present.
+function take(text, nowMs) {
+  const words = JSON.parse(text);
+  if (words.sent_s === undefined) return { words, cameMs: nowMs };
+  offsetMs = Math.min(offsetMs + DRIFT * (nowMs - heardMs), nowMs - 1e3 * words.sent_s);
+  heardMs = nowMs;
+  const cameMs = 1e3 * words.sent_s + offsetMs;
+  if (!words.hello && nowMs - cameMs > STALE_MS) delete words.status;
+  return { words, cameMs };
+}
+
 function open(address) {
   socket = new WebSocket(address);
   socket.binaryType = "arraybuffer";
+  offsetMs = Infinity;
   socket.onopen = () => postMessage({ open: true, cameMs: performance.now() });
-  // With the time at which words came: how old a status is must not depend on how slowly the page draws.
-  socket.onmessage = ({ data }) => (typeof data === "string" ? postMessage({ words: JSON.parse(data), cameMs: performance.now() }) : postMessage({ rows: data }, [data]));
+  // With the time: how old a status is must not depend on how slowly the page draws.
+  socket.onmessage = ({ data }) => (typeof data === "string" ? postMessage(take(data, performance.now())) : postMessage({ rows: data }, [data]));
   socket.onclose = () => {
     [shown, shownMs] = [0, -Infinity]; // numbers of frames begin anew
     postMessage({ open: false });
