@@ -1,6 +1,6 @@
 # Two commands matter: `make fly` and `make test`. Everything they need is set up in .venv by .ci/setup.
 .DEFAULT_GOAL := help
-.PHONY: help setup fly docs quick test long check bench blind fuzz firmware clean
+.PHONY: help setup fly docs quick test long check bench blind fuzz prove firmware clean
 
 PLANS ?= hover sine
 SPEED ?= 1
@@ -9,6 +9,7 @@ FUZZ_S ?= 60
 FRAMES ?= 1000000
 LOGS ?= 4000
 CASES ?=
+CLAIMS ?=
 PARTS ?=
 HELI := .venv/bin/heli-host
 
@@ -53,6 +54,10 @@ fuzz: ## fuzz the board, the host and its logs: make fuzz [FUZZ_S=60] [FRAMES=10
 	@.ci/fuzz $(FUZZ_S)
 	@.venv/bin/python -m tests.link.fuzz_host $(FRAMES)
 	@.venv/bin/python -m tests.log.fuzz_log $(LOGS)
+
+prove: ## prove claims about the flight code for all inputs: make prove [CLAIMS="parser"]; Linux on x86-64
+	@.ci/setup test
+	@.venv/bin/python firmware/proofs/prove.py $(CLAIMS)
 
 firmware: ## build what is flashed to the Due: build/pio/due/firmware.{elf,bin}
 	@.ci/setup firmware
