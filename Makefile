@@ -1,6 +1,6 @@
 # Two commands matter: `make fly` and `make test`. Everything they need is set up in .venv by .ci/setup.
 .DEFAULT_GOAL := help
-.PHONY: help setup fly docs quick test long check bench blind fuzz prove firmware clean
+.PHONY: help setup fly docs quick test long check bench blind mutants fuzz prove firmware clean
 
 PLANS ?= hover sine
 SPEED ?= 1
@@ -10,6 +10,9 @@ FRAMES ?= 1000000
 LOGS ?= 4000
 CASES ?=
 CLAIMS ?=
+FILES ?= firmware/core
+SEED ?= 1
+COUNT ?= 150
 PARTS ?=
 HELI := .venv/bin/heli-host
 
@@ -47,7 +50,11 @@ bench: ## measure what the project promises: bench.json and a table; or some: ma
 
 blind: ## hide effects in flights, see whether diagnosis finds them: blind.json; goes on where it was stopped
 	@.ci/setup test
-	@.venv/bin/python -m tests.blind $(CASES)
+	@.venv/bin/python -m heli_benchmark $(CASES)
+
+mutants: ## small changes in the flight code that no test notices: make mutants [FILES=upload.cpp] [SEED=1] [COUNT=150]
+	@.ci/setup test
+	@.venv/bin/python -m tests.mutants --files $(FILES) --seed $(SEED) --count $(COUNT)
 
 fuzz: ## fuzz the board, the host and its logs: make fuzz [FUZZ_S=60] [FRAMES=1000000] [LOGS=4000]; needs clang
 	@.ci/setup test

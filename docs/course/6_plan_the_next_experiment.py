@@ -15,12 +15,12 @@ from heli_sim.model import MultibodyModel
 from heli_sim.model.linear import trim
 from heli_sim.plant import Plant
 from heli_sim.rig import load_rig
+from heli_sim.rig.encoders import count_rad
 
 rig = load_rig("makki2024")
 names = ("thrust_gain", "friction_pitch", "friction_travel")
 hover_V = trim(MultibodyModel(), rig).volts_V
-COUNT_RAD = 2.0 * np.pi / rig["encoder_counts"].value
-NOISE_RAD = COUNT_RAD / np.sqrt(12.0)
+NOISE_RAD = count_rad(rig).max() / np.sqrt(12.0)  # the three encoders of this rig are alike
 TICKS = 8_000
 t_s = np.arange(TICKS) * 1e-3
 # One compiled millisecond, eight thousand times; numbers of the rig are arguments.

@@ -5,12 +5,14 @@ import numpy as np
 from heli_lab.law import Command, control_law, motor_volts, saturated
 from heli_lab.tune.plants import linear_plant
 from heli_sim.rig import load_rig
+from heli_sim.rig.encoders import count_rad
 
 DT_s = 2e-3
-plant = linear_plant(load_rig("makki2024"), lag_s=0.05)
+rig = load_rig("makki2024")
+plant = linear_plant(rig, lag_s=0.05)
 
 
-def observer(A, B, measured, disturbed, Q, R):
+def observer(A, B, measured, counts_rad, disturbed, Q, R):
     """Discrete model and Kalman gain; a constant torque on the axis `disturbed` is a state of it."""
     size = len(A)
     wide = np.zeros((size + 1, size + 1))
@@ -19,16 +21,17 @@ def observer(A, B, measured, disturbed, Q, R):
     discrete = control.ss(wide, np.append(B, 0.0)[:, None], C, 0).sample(DT_s)
     noise = np.diag([*np.full(size, 1e-9), 1e-8])
     noise[disturbed, disturbed] = 1e-6
-    L = control.dlqe(discrete.A, np.eye(size + 1), C, noise, (6.28 / 4096) ** 2 / 12 * np.eye(len(measured)))[
-        0
-    ]
+    L = control.dlqe(discrete.A, np.eye(size + 1), C, noise, np.diag(np.square(counts_rad) / 12))[0]
     K = control.lqr(A, B[:, None], np.diag(Q), [[R]])[0][0]
     return discrete.A, discrete.B[:, 0], np.atleast_2d(L), K
 
 
 # Elevation, rate, thrust, torque; pitch, travel, their rates, thrust, torque.
-AE, BE, LE, KE = observer(plant.elevation_A, plant.elevation_B, [0], 1, [80.0, 8.0, 0.0], 1.0)
-AT, BT, LT, KT = observer(plant.tilt_A, plant.tilt_B, [0, 1], 3, [4.0, 12.0, 0.4, 12.0, 0.0], 4.0)
+COUNTS_rad = count_rad(rig)
+AE, BE, LE, KE = observer(plant.elevation_A, plant.elevation_B, [0], COUNTS_rad[:1], 1, [80.0, 8.0, 0.0], 1.0)
+AT, BT, LT, KT = observer(
+    plant.tilt_A, plant.tilt_B, [0, 1], COUNTS_rad[1:], 3, [4.0, 12.0, 0.4, 12.0, 0.0], 4.0
+)
 ELEVATION = ["e0", "e1", "e2", "e3"]
 TILT = ["t0", "t1", "t2", "t3", "t4", "t5"]
 

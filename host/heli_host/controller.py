@@ -185,7 +185,7 @@ def _loop(heli: Vehicle, law: ControlLaw, run: _Run) -> None:
             if run.takeovers > _MAX_TAKEOVERS or sample.state is not State.HOLD:
                 raise ControllerError(
                     f"the board took over ({sample.state.name.lower()}): voltages came too late",
-                    "make the law quicker, lower rate_Hz, or raise valid_s and voltage_valid_max_ms",
+                    "make the law faster, lower rate_Hz, or raise valid_s and voltage_valid_max_ms",
                 )
             heli.stream()
             continue
@@ -210,11 +210,13 @@ def _two_voltages(law: ControlLaw, sample: Sample) -> tuple[float, float]:
         front_V, back_V = (float(value) for value in law(sample))
     except Exception as error:
         raise ControllerError(
-            f"the control law failed: {type(error).__name__}: {error}", "it must return (front_V, back_V)"
+            f"the control law failed: {type(error).__name__}: {error}",
+            "return (front_V, back_V) for every sample",
         ) from error
     if not (math.isfinite(front_V) and math.isfinite(back_V)):
         raise ControllerError(
-            f"the control law returned {front_V:g} and {back_V:g} V", "it must return two finite voltages"
+            f"the control law returned {front_V:g} and {back_V:g} V",
+            "return two finite voltages, front and back",
         )
     return front_V, back_V
 

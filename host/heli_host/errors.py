@@ -42,7 +42,7 @@ from typing import ClassVar
 from heli_host.declaration import FAULTS, PARAMS, Fault, FaultSpec, LawError, MessageId, Param, Result, State
 
 MAX_CHARACTERS = 2000
-"""Longest cause and longest remedy: a file may hold a name of a megabyte."""
+"""Longest cause and longest instruction: a file may hold a name of a megabyte."""
 
 
 def listening_remedy(error: Exception, option: str) -> str:
@@ -387,16 +387,16 @@ def _law_text(code: int, value: float) -> tuple[str, str]:
         return f"law error {code}", "update heli_host: it does not know this error"
     error = LawError(code)
     remedies = {
-        LawError.NOT_LOADED: ("the board has no law", "bring it one: it forgets at every reset"),
-        LawError.FLYING: ("a law flies", "have the board's own take over first"),
+        LawError.NOT_LOADED: ("the board has no law", "send one first, because every reset erases it"),
+        LawError.FLYING: ("a control law flies", "let the board's own law take over first"),
         LawError.NOT_FLYING: (
             "the board does not hover under its own law",
             "take off first, with all loops closed",
         ),
-        LawError.TOO_COSTLY: (f"a call needs {value:.0f} ticks", "give it a lower rate"),
+        LawError.TOO_COSTLY: (f"a call needs {value:.0f} ticks", "lower its rate"),
         LawError.NO_SUCH_PARAMETER: (f"the law has {value:.0f} parameters", "send this law first"),
-        LawError.WRONG_HASH: ("the law was garbled on its way", "send it again"),
-        LawError.WRONG_PART: ("a part of the law came out of turn", "send it again"),
+        LawError.WRONG_HASH: ("the law was damaged during the upload", "send it again"),
+        LawError.WRONG_PART: ("a part of the law arrived in the wrong order", "send it again"),
         LawError.INCOMPLETE: ("parts of the law are missing", "send it again"),
     }
     plain = f"{error.name.lower()} ({value:.0f})", "compile the law again with this release"

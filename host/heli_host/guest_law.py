@@ -108,7 +108,7 @@ def set_parameter(session: Session, program: LawProgram, name: str, value: float
     names = [one for one, _ in program.parameters]
     if name not in names:
         known = ", ".join(names) or "none"
-        raise BadLaw(f"control law {program.name} has no parameter {name}", f"it has: {known}")
+        raise BadLaw(f"control law {program.name} has no parameter {name}", f"choose from: {known}")
     check_number(f"parameter {name}", value)
     return session.command(LawSetMessage(0, names.index(name), value)).value
 

@@ -20,7 +20,7 @@ SCHEMA = "schema"
 
 
 def parameters_text(values: Mapping[str, float], comment: str) -> str:
-    """Write parameters as TOML that `read_parameters` reads.
+    """Write parameters as TOML that `read_parameter_set` reads.
 
     Parameters
     ----------
@@ -96,22 +96,6 @@ def read_parameter_set(file: Path) -> ParameterSet:
         else:
             kept[name] = value
     return ParameterSet(kept, tuple(dropped), tuple(spec.name for spec in PARAMS if spec.name not in values))
-
-
-def read_parameters(file: Path) -> dict[str, float]:
-    """Read parameters from TOML, by name; values are not checked against the declaration.
-
-    Parameters
-    ----------
-    file : Path
-        A file as `parameters_text` writes it.
-
-    Raises
-    ------
-    ParameterError
-        The file cannot be read, or holds anything but numbers.
-    """
-    return _read(file)[0]
 
 
 def _read(file: Path) -> tuple[dict[str, float], dict[str, object]]:

@@ -7,8 +7,9 @@ the entry-point group ``heli_host.rig_parameters``, which returns the parameters
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
 from enum import Enum
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -19,7 +20,24 @@ from heli_host.parameters import spec_of
 
 ENTRY_POINT_GROUP: Final = "heli_host.rig_parameters"
 
-RigReader = Callable[[str], Mapping[str, float]]
+
+@dataclass(frozen=True)
+class RigParameters:
+    """Parameters of the board that a rig determines.
+
+    Parameters
+    ----------
+    values : Mapping of str to float
+        Values by parameter. Counts per turn are negative for an encoder that counts down.
+    directed : frozenset of str
+        Those counts per turn whose sign the rig states; for the others it depends on the wiring.
+    """
+
+    values: Mapping[str, float] = field(default_factory=dict)
+    directed: frozenset[str] = frozenset()
+
+
+RigReader = Callable[[str], RigParameters]
 
 _SAME: Final = 1e-6
 """Relative difference of two equal numbers, one of them in single precision: rounding is 6e-8. Larger: an
@@ -87,7 +105,7 @@ class RigDifference:
         return f"{self.parameter} is {self.board:g}{suffix}, but the rig has {self.rig:g}{suffix}"
 
 
-def rig_parameters(rig: str) -> dict[str, float]:
+def rig_parameters(rig: str) -> RigParameters:
     """Read the parameters that a rig determines; empty if no installed package reads rigs.
 
     Parameters
@@ -97,8 +115,8 @@ def rig_parameters(rig: str) -> dict[str, float]:
 
     Returns
     -------
-    dict of str to float
-        Values by parameter. Counts per turn are positive: a rig's file does not say how encoders are wired.
+    RigParameters
+        Their values, and which directions the rig states.
 
     Raises
     ------
@@ -107,8 +125,8 @@ def rig_parameters(rig: str) -> dict[str, float]:
     """
     for entry in entry_points(group=ENTRY_POINT_GROUP):
         reader: RigReader = entry.load()
-        return dict(reader(rig))
-    return {}
+        return reader(rig)
+    return RigParameters()
 
 
 def is_known_rig(rig: str) -> bool:
@@ -123,7 +141,11 @@ def is_known_rig(rig: str) -> bool:
 
 
 def rig_differences(
-    stated: Mapping[str, float], parameters: Mapping[str, float], *, simulated: bool
+    stated: Mapping[str, float],
+    parameters: Mapping[str, float],
+    *,
+    simulated: bool,
+    directed: Collection[str] = (),
 ) -> list[RigDifference]:
     """Compare a board with a rig.
 
@@ -134,8 +156,11 @@ def rig_differences(
     parameters : Mapping of str to float
         Parameters of the board by name.
     simulated : bool
-        Whether the board is simulated. Its encoders count up with their angles and its motors are not
-        swapped, so a reversed sign is a contradiction. On hardware a sign says how a part is wired.
+        Whether the board is simulated. Its encoders count as the rig states and its motors are not swapped,
+        so every other sign is a contradiction.
+    directed : collection of str
+        On hardware, those counts per turn whose sign the rig states. The sign of the others says how a part
+        is wired, and is not compared.
 
     Returns
     -------
@@ -150,7 +175,7 @@ def rig_differences(
         if part is Part.SCALE:
             if abs(abs(board) - abs(rig)) > _SAME * abs(rig):
                 differences.append(RigDifference(name, board, rig, part))
-            elif simulated and board * rig < 0.0:
+            elif (simulated or name in directed) and board * rig < 0.0:
                 differences.append(RigDifference(name, board, rig, Part.DIRECTION))
             continue
         apart = {Part.REST: abs(board - rig) > _REST_deg, Part.SUPPLY: abs(board - rig) > _SUPPLY_V}
@@ -166,13 +191,17 @@ def rig_differences(
 
 
 def check_rig(
-    stated: Mapping[str, float], parameters: Mapping[str, float], *, simulated: bool
+    stated: Mapping[str, float],
+    parameters: Mapping[str, float],
+    *,
+    simulated: bool,
+    directed: Collection[str] = (),
 ) -> list[RigDifference]:
     """Refuse a board whose scales or directions contradict a rig, and return the other differences.
 
     Parameters
     ----------
-    stated, parameters, simulated
+    stated, parameters, simulated, directed
         As `rig_differences` takes them.
 
     Returns
@@ -183,9 +212,9 @@ def check_rig(
     Raises
     ------
     RigMismatch
-        A number of counts per turn, or a direction in simulation, is wrong.
+        A number of counts per turn, or a direction that is known, is wrong.
     """
-    differences = rig_differences(stated, parameters, simulated=simulated)
+    differences = rig_differences(stated, parameters, simulated=simulated, directed=directed)
     refused = [difference for difference in differences if difference.is_refused]
     if not refused:
         return differences
@@ -194,10 +223,15 @@ def check_rig(
         names = ", ".join(difference.parameter for difference in refused)
         remedy = f"leave {names} out of the parameters, or correct the rig's file"
     else:
-        # The sign on the board says how the encoder is wired, and stays.
         sets = (
-            f"heli-host params set {row.parameter} {row.rig if row.board > 0 else -row.rig:g} --save"
-            for row in refused
+            f"heli-host params set {row.parameter} {_with_sign(row, directed):g} --save" for row in refused
         )
         remedy = f"{' && '.join(sets)}, or correct the rig's file"
     raise RigMismatch(f"board and rig disagree: {cause}", remedy)
+
+
+def _with_sign(difference: RigDifference, directed: Collection[str]) -> float:
+    """The rig's counts; where it states no direction, with the board's sign, which says how it is wired."""
+    if difference.parameter in directed:
+        return difference.rig
+    return math.copysign(difference.rig, difference.board)

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 
 RATE_WINDOW_S: Final = 0.1
-"""Length of the parabolas that a rate is read from [s]. An encoder of 4096 counts a revolution leaves 0.1
-deg/s of noise (rms) at 1 kHz, and a sine of 3 Hz loses 9 % of its rate; half of it would cost 2.8 times the
-noise.
+"""Length of the parabolas that a rate is read from [s]. An encoder of 4096 counts per revolution leaves 0.1
+deg/s of noise (rms) at 1 kHz, one of 1024 four times as much. A sine of 3 Hz loses 9 % of its rate. Half of
+the length would cost 2.8 times the noise.
 """
 
 _MIN_ROWS = 5

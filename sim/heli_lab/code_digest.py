@@ -12,7 +12,7 @@ from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Final
 
-PACKAGES: Final = ("heli_host", "heli_sim", "heli_lab")
+PACKAGES: Final = ("due_emulator", "heli_host", "heli_sim", "heli_lab")
 _ENDS: Final = (".py", ".toml", ".so", ".pyd", ".hpp", ".cpp", ".h")
 """Sources, rigs and plans, and what is compiled. Pages and documents compute nothing."""
 

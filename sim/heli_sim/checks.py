@@ -56,10 +56,10 @@ def check_cache() -> Finding:
         return Finding(
             Verdict.BAD,
             f"cache folder {folder} cannot be written: {error.strerror}",
-            "name another one in the environment: XDG_CACHE_HOME=...",
+            "choose another folder: set XDG_CACHE_HOME in the environment",
         )
     if place().exists() and (danger := open_to_others(place())):
-        return Finding(Verdict.BAD, danger, f"see who wrote there, then: rm -r {place()}")
+        return Finding(Verdict.BAD, danger, f"check who wrote there, then: rm -r {place()}")
     return Finding(Verdict.GOOD, f"cache folder {folder} can be written")
 
 
@@ -73,7 +73,7 @@ def check_pseudo_terminal() -> Finding:
         return Finding(
             Verdict.NOTE,
             "no pseudo-terminals on this system",
-            "nothing: boards are simulated in process, or over TCP on this machine",
+            "no action needed: boards are simulated in process, or over TCP on this machine",
         )
     import serial
 

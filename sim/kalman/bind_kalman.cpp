@@ -214,4 +214,5 @@ NB_MODULE(_kalman, module) {
       "disturbance_variance"_a, "scale"_a, "initial_variance"_a, "drive"_a, "measured"_a);
   def_of_states<heli_lab::track>(module, "track");
   def_of_states<heli_lab::smooth>(module, "smooth");
+  def_of_states<heli_lab::shock_scores>(module, "shock_scores");
 }

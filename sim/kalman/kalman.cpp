@@ -233,10 +233,14 @@ void track(const LinearSystem& system, double* predicted, double* filtered) {
   }
 }
 
+namespace {
+
 // Modified Bryson-Frazier: adjoint vector and matrix run backwards, nothing is inverted, so that
 // disturbances of variance 0 and exact states are no special case. Bierman, Automatica 9 (1973)
 // 503.
-void smooth(const LinearSystem& system, double* mean, double* variance) {
+// Calls `visit(step, kept, adjoint, matrix)` for each step, the last first.
+template <typename Visit>
+void backward(const LinearSystem& system, Visit visit) {
   const std::size_t states = system.states;
   const std::size_t order = states + system.disturbances;
   Filter filter(system);
@@ -331,6 +335,17 @@ void smooth(const LinearSystem& system, double* mean, double* variance) {
         }
       }
     }
+    visit(step, now, adjoint, matrix);
+  }
+}
+
+}  // namespace
+
+void smooth(const LinearSystem& system, double* mean, double* variance) {
+  const std::size_t order = system.states + system.disturbances;
+  std::vector<double> line(order);
+  backward(system, [&](std::size_t step, const Kept& now, const std::vector<double>& adjoint,
+                       const std::vector<double>& matrix) {
     for (std::size_t i = 0; i < order; ++i) {
       double sum = now.mean[i];
       for (std::size_t j = 0; j < order; ++j) {
@@ -348,7 +363,18 @@ void smooth(const LinearSystem& system, double* mean, double* variance) {
       mean[step * order + i] = sum;
       variance[step * order + i] = std::max(now.covariance[i * order + i] - reduction, 0.0);
     }
-  }
+  });
+}
+
+void shock_scores(const LinearSystem& system, double* score, double* information) {
+  const std::size_t order = system.states + system.disturbances;
+  backward(system, [&](std::size_t step, const Kept&, const std::vector<double>& adjoint,
+                       const std::vector<double>& matrix) {
+    for (std::size_t i = 0; i < order; ++i) {
+      score[step * order + i] = -adjoint[i];
+      information[step * order + i] = matrix[i * order + i];
+    }
+  });
 }
 
 }  // namespace heli_lab

@@ -86,6 +86,12 @@ void track(const LinearSystem& system, double* predicted, double* filtered);
 // [steps][states + disturbances].
 void smooth(const LinearSystem& system, double* mean, double* variance);
 
+// Score and Fisher information of an addition to each state and disturbance just before the
+// measurement of each step, [steps][states + disturbances]: the auxiliary residuals of de Jong and
+// Penzer, J. Am. Stat. Assoc. 93 (1998) 796. A disturbance with memory 1 and variance 0 is a level
+// that begins there, one with memory 0 and variance 0 an impulse.
+void shock_scores(const LinearSystem& system, double* score, double* information);
+
 // Rates that drive deviations, e' = transition e + input rates, row-major, one a step.
 struct Signals {
   std::size_t steps = 0;

@@ -1,4 +1,4 @@
-// Boards of the simulated world, as Python sees them. heli_sim.due._due adds the emulated Due.
+// Boards of the simulated world, as Python sees them. heli_sim.due._due_board adds the Due.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>

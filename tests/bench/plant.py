@@ -78,8 +78,7 @@ def our_step() -> Callable[[], float]:
 def mujocos_step() -> Callable[[], float]:
     """Nanoseconds for one mj_step of the same masses, RK4 at 1 ms as well."""
     import mujoco
-
-    from tests.mujoco_rig import mujoco_rig
+    from heli_benchmark.engine.bodies import mujoco_rig
 
     plant, _, volts = hovering()
     physics = mujoco_rig(plant.rig)

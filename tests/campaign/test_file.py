@@ -70,7 +70,7 @@ def test_a_case_is_another_when_a_setting_or_the_code_is(tmp_path: Path) -> None
         ("{ from = 3, to = 5 }", '"one"', "seed = 'one' is invalid; each value is a whole number"),
         ("{ from = 3, to = 5 }", "-1", "seed = -1 is too small"),
         ("share = 0.03", "share = 3", "share = 3 is invalid"),
-        ("share = 0.03", "part = 3", "needs one of share, factor, range"),
+        ("share = 0.03", "part = 3", "needs exactly one of share, factor, range"),
         ("cpu_s = 20", "cpu_s = 0", "cpu_s = 0 is invalid"),
         ("cpu_s = 20", "cpus = 2", r"\[limits\] has cpus"),
         ("[draw]", "[drew]", "the top has drew"),

@@ -29,21 +29,21 @@ pytestmark = pytest.mark.slow
 HERE = Path(__file__).parent
 CORE = "firmware/core/core.cpp"
 LAST_PUT = "      .put<Channel::flags>(flags)\n"
-ECHO, RATE = "tick_echo", "pitch_rate_rad_s"
+ECHO, RATE = "tick_echo", "tilt_rate_rad_s"
 
 
 def with_two_channels(root: Path, source: Path = ROOT) -> ChangedCopy:
     """Sources with an unsigned number of 32 bits in the middle and a scaled one of 16 bits at the end."""
     copy = ChangedCopy(root, source)
     copy.add_channel(channel("tick_echo", "u32"), before="front")
-    copy.add_channel(channel("pitch_rate", "i16", unit="rad/s", scale=0.001))
+    copy.add_channel(channel("tilt_rate", "i16", unit="rad/s", scale=0.001))
     copy.replace(
         CORE,
         LAST_PUT,
         LAST_PUT
         + "      .put<Channel::tick_echo>(static_cast<std::int32_t>(seen_.tick ^ 0x80000000U))\n"
-        + "      .put<Channel::pitch_rate>("
-        + "wire(seen_.rate_rad_s[kPitch], Wire::of(link::kPitchRatePerUnit)))\n",
+        + "      .put<Channel::tilt_rate>("
+        + "wire(seen_.rate_rad_s[kPitch], Wire::of(link::kTiltRatePerUnit)))\n",
     )
     copy.generate()
 
@@ -101,7 +101,7 @@ def test_new_channels_say_what_the_board_put_there(flown: Flown) -> None:
     ticks = np.load(flown.after / "ticks.npz")
     np.testing.assert_array_equal(ticks["tick_echo"], echo_of(ticks["board tick"]))
     flying = ticks["fault"] == Fault.NONE
-    turned_rad = np.cumsum(ticks["pitch_rate"][flying]) * 1e-3 * 1e-3
+    turned_rad = np.cumsum(ticks["tilt_rate"][flying]) * 1e-3 * 1e-3
     counted_rad = ticks["pitch_count"][flying] * 2.0 * np.pi / 4096.0
     assert np.ptp(counted_rad) > 0.05
     # The rate is filtered, and therefore late.
@@ -120,7 +120,7 @@ def test_a_log_and_its_tables_have_the_old_columns_and_the_new(flown: Flown) -> 
     for name in ("flight.mcap", "flight.csv"):
         extra = read_flight(flown.after / name).extra
         np.testing.assert_array_equal(extra[ECHO], ticks["tick_echo"])
-        np.testing.assert_allclose(extra[RATE], ticks["pitch_rate"] * 1e-3, atol=1e-12)
+        np.testing.assert_allclose(extra[RATE], ticks["tilt_rate"] * 1e-3, atol=1e-12)
 
 
 def test_matlab_and_parquet_have_them_too(flown: Flown) -> None:
@@ -187,7 +187,7 @@ with heli_host.connect("sil://?speed=max") as heli:
     heli.wait(0.5)
     sample, samples = heli.latest, heli.samples()
 print(json.dumps([
-    sample.tick, sample.tick_echo, sample.pitch_rate_rad_s, str(sample.state), str(sample.fault),
+    sample.tick, sample.tick_echo, sample.tilt_rate_rad_s, str(sample.state), str(sample.fault),
     sample.elevation_deg, samples.tick_echo.tolist(), samples.tick.tolist(),
 ]))
 """
@@ -209,7 +209,7 @@ from heli_host.errors import LogError
 from heli_host.log.flight_file import read_flight
 from heli_host.log.reader import read_log
 flight = read_flight(sys.argv[1])
-assert not {"tick_echo", "pitch_rate_rad_s"} & set(flight.extra)
+assert not {"tick_echo", "tilt_rate_rad_s"} & set(flight.extra)
 print(len(flight))
 try:
     read_log(sys.argv[1]).raw

@@ -157,7 +157,7 @@ def test_the_rate_that_erases_is_left_again_before_the_next_program_opens_the_po
 
 
 def test_the_touch_erases_an_emulated_board_once_and_leaves_its_loader_running() -> None:
-    pytest.importorskip("heli_sim.due._due")
+    pytest.importorskip("due_emulator._due")
     from tests.due.chip import Chip
 
     def touched(rate_afterwards: int) -> Chip:
@@ -206,7 +206,7 @@ def test_the_wait_covers_the_erasing() -> None:
     [
         ("no device", "ERASE button"),
         ("verify", "17 bytes differ"),
-        ("options", "does not take the options"),
+        ("options", "does not know the options"),
         ("io", "SAM-BA operation failed"),
         ("crash", "crashed"),
     ],
@@ -381,7 +381,7 @@ def test_options_of_platformio_are_not_those_of_the_new_uploader(image: Path) ->
     )  # fmt: skip
     assert "extra arguments" in done.stderr
     failed = uploading._failure(find_bossac(Path(path)), "nowhere", done.returncode, done.stderr)
-    assert "does not take the options" in str(failed)
+    assert "does not know the options" in str(failed)
 
 
 @pytest.mark.slow

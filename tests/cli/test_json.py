@@ -20,7 +20,7 @@ WITHOUT = {"export", "flash", "motors", "watch", "sil", "dashboard"}
 """Verbs whose result is a file, a served board, or only what is shown live."""
 WITHOUT_PARTS = {
     *("law export", "paper equations", "paper figures", "params dump", "params save"),
-    *("rig export", "rig new"),
+    *("rig export", "rig from-board", "rig new", "rig to-board"),
 }
 
 
@@ -56,6 +56,22 @@ def test_a_result_on_standard_output_is_json_alone(
     assert content["schema"] == 1
     assert key in content
     assert content.get("trial", {"taken_over": ""})["taken_over"] == ""
+
+
+def test_law_fly_writes_its_result_once(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[str] = []
+    write_text = Path.write_text
+
+    def noted(path: Path, *args: Any, **options: Any) -> int:
+        written.append(path.name)
+        return write_text(path, *args, **options)
+
+    monkeypatch.setattr(Path, "write_text", noted)
+    ended = terminal("law", "fly", LAW, *SIL, "--duration", "1", "--log", "c.mcap", "--json", "c.json")
+    assert ended.code == 0, ended.err
+    assert written.count("c.json") == 1
+    content = json.loads(Path("c.json").read_text())
+    assert content["outcome"] == "completed" and content["law"] == "lqr" and content["trial"]
 
 
 def test_a_result_in_a_file_leaves_the_text_where_it_was(terminal: Terminal) -> None:

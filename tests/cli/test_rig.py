@@ -135,7 +135,7 @@ def test_a_number_beyond_calculation_of_an_effect_is_refused_by_name(
 def test_numbers_that_no_table_bears_are_named(terminal: Terminal, tmp_path: Path) -> None:
     ended = terminal("rig", "check", spoiled(tmp_path, "value = 0.45", "value = 45.0"))
     assert "L_b = 45 m is outside 0.02 to 3 m, the range of a table-top rig" in ended.out
-    for stated in ("L_a=64", "M_w=1565", "M_f=0.0035", "thrust_gain=58", "encoder_counts=4"):
+    for stated in ("L_a=64", "M_w=1565", "M_f=0.0035", "thrust_gain=58", "encoder_counts_pitch=4"):
         words = ("rig", "new", "new.toml", "--set", stated)
         line = refusal(terminal(*words), code=ASKED)
         assert f"{stated.partition('=')[0]} = " in line and "the range of a table-top rig; " in line

@@ -28,7 +28,9 @@ duration_s = 1
 
 
 def write_mine(folder: Path, **values: float) -> None:
-    write_rig(load_rig("makki2024").replace(**{"encoder_travel_ratio": 0.5, **values}), folder / "mine.toml")
+    write_rig(
+        load_rig("makki2024").replace(**{"encoder_counts_travel": 2048.0, **values}), folder / "mine.toml"
+    )
     (folder / "short.toml").write_text(PLAN)
 
 
@@ -51,7 +53,7 @@ def test_fly_refuses_parameters_with_another_scale(terminal: Terminal, tmp_path:
 
 
 def test_fly_warns_of_another_supply_and_flies(terminal: Terminal, tmp_path: Path) -> None:
-    write_mine(tmp_path, encoder_travel_ratio=1.0)
+    write_mine(tmp_path, encoder_counts_travel=4096.0)
     (tmp_path / "p.toml").write_text("[parameters]\nsupply_V = 13\n")
     ended = terminal(*FLY, "--params", "p.toml")
     assert ended.code == 0, ended.err
@@ -96,6 +98,7 @@ def test_on_a_port_a_name_that_no_rig_has_is_a_label(terminal: Terminal, tmp_pat
     assert missing.code == 2 and "unknown rig 'lab-7.toml'" in missing.err
 
 
+@pytest.mark.slow
 def test_law_fly_flies_the_rig_that_is_named(terminal: Terminal, tmp_path: Path) -> None:
     write_mine(tmp_path)
     ended = terminal(*f"law fly {LAW} --sil --speed max --rig mine.toml --duration 3 --log a.mcap".split())

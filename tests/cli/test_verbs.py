@@ -10,8 +10,11 @@ from types import SimpleNamespace
 
 import pytest
 from heli_host.cli.finding import Verdict
+from heli_host.cli.flight_command import FlownFlight
 from heli_host.cli.verbs import doctor
+from heli_host.errors import FlightAborted
 from heli_host.log.flight_file import read_flight
+from heli_host.log.summary import FlightSummary
 from serial.tools import list_ports
 
 from tests.cli.terminal import Terminal, process
@@ -139,3 +142,17 @@ def test_a_folder_is_named_after_local_time(terminal: Terminal, tmp_path: Path) 
     assert terminal("record", "--duration", "0.5", *SIL).code == 0
     (folder,) = (tmp_path / "flights").iterdir()
     assert folder.name >= day
+
+
+@pytest.mark.parametrize(
+    ("outcome", "message"),
+    [
+        ("aborted: state idle", "aborted: state idle; look at its events: heli-host info f.mcap --events"),
+        ("fault pitch_limit: beyond its limit; tune", "fault pitch_limit: beyond its limit; tune"),
+    ],
+)
+def test_a_flight_that_ended_early_says_what_to_do(outcome: str, message: str) -> None:
+    summary = FlightSummary(outcome, 1.0, 1000, 0, {}, {}, {})
+    with pytest.raises(FlightAborted) as ended:
+        FlownFlight(summary, Path("f.mcap"), (), None, None).end()
+    assert str(ended.value) == message

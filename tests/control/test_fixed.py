@@ -32,6 +32,13 @@ def test_a_float_becomes_the_nearest_quantity(value: float) -> None:
     assert abs(found - max(-MAX, min(MAX, exact))) <= Fraction(1, 2)
 
 
+def test_a_float_of_any_exponent_becomes_the_nearest_quantity() -> None:
+    for exponent in range(-149, 7):
+        for value in (2.0**exponent, -1.5 * 2.0**exponent):
+            exact = Fraction(float(np.float32(value))) * 2**QUANTITY_BITS
+            assert abs(control.quantity(value) - exact) <= Fraction(1, 2), exponent
+
+
 @given(bits, bits)
 def test_sums_and_differences_saturate(a: int, b: int) -> None:
     assert control.quantity_sum(a, b) == saturated(a + b)

@@ -55,6 +55,10 @@ def test_a_cause_has_attributes_of_the_names_that_its_json_has() -> None:
     lag = cause.parameters["rotor_lag_s"]
     assert written["parameters"] == {"rotor_lag_s": {"value": lag.value, "std": lag.std, "unit": "s"}}
     assert abs(lag.value - 0.06) < 0.01
+    assert cause.family is not None
+    assert written["family"]["value"] == cause.family.value == lag.value
+    assert written["family"]["std"] == pytest.approx(lag.std, rel=1e-6)
+    assert set(written["family"]["members"]) == {"rotor_lag", "rotor_speed_lag", "rotor_lag_with_delay"}
 
 
 def test_seed_settles_the_intervals() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from heli_sim.due._due import Due
+from due_emulator import Due
 
 FLASH = 0x0008_0000
 RAM = 0x2007_0000

@@ -12,7 +12,7 @@ import pytest
 
 HERE = Path(__file__).resolve().parent
 collect_ignore_glob: list[str] = []
-if importlib.util.find_spec("heli_sim.due._due") is None:
+if importlib.util.find_spec("due_emulator._due") is None:
     collect_ignore_glob = ["test_*.py"]
 
 Build = Callable[..., Path]

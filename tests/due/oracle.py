@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from heli_sim.due._due import BareCore
+from due_emulator import BareCore
 from numpy.typing import NDArray
 
 FLASH, FLASH_SIZE = 0x0008_0000, 0x8_0000

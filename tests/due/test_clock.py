@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from heli_sim.due._due import Stop
+from due_emulator import Stop
 
 from tests.due.chip import FULL_HZ, Chip
 
@@ -115,3 +115,12 @@ def test_prescaler_and_source_of_the_master_clock_do_not_change_in_one_write() -
     chip = Chip()
     with pytest.raises(Stop, match="in one write"):
         chip["PMC.MCKR"] = 1
+
+
+def test_write_protection_is_kept() -> None:
+    chip = Chip()
+    chip["PMC.WPMR"] = 0x504D43 << 8 | 1
+    with pytest.raises(Stop, match="write while write protection is on"):
+        chip["PMC.PCER0"] = 1 << 8
+    chip["PMC.WPMR"] = 0x504D43 << 8
+    chip["PMC.PCER0"] = 1 << 8

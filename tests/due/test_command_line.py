@@ -1,4 +1,4 @@
-"""``python -m heli_sim.due``, the GDB server, and what can be measured."""
+"""``python -m due_emulator``, the GDB server, and what can be measured."""
 
 from __future__ import annotations
 
@@ -12,10 +12,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from heli_sim.due import ImageError, new_due, read_image, report_of
-from heli_sim.due._due import Due
-from heli_sim.due.gdb import GdbServer, packet
-from heli_sim.due.image import Image
+from due_emulator import Due, Image, ImageError, new_due, read_image, report_of
+from due_emulator.gdb import GdbServer, packet
 
 from tests.due.conftest import Build
 
@@ -44,7 +42,7 @@ def running(image: Image, us: float = 20_000) -> Due:
 
 def command(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "heli_sim.due", *arguments],
+        [sys.executable, "-m", "due_emulator", *arguments],
         capture_output=True,
         text=True,
         check=False,
@@ -209,7 +207,7 @@ def test_a_real_gdb_reaches_a_function(program: Path, tmp_path: Path) -> None:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     server = subprocess.Popen(
-        [sys.executable, "-m", "heli_sim.due", str(program), "--gdb", str(port)],
+        [sys.executable, "-m", "due_emulator", str(program), "--gdb", str(port)],
         stdout=subprocess.PIPE,
         text=True,
     )

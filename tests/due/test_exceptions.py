@@ -5,8 +5,7 @@ from __future__ import annotations
 import struct
 
 import pytest
-from heli_sim.due import new_due, read_image
-from heli_sim.due._due import Due, Stop
+from due_emulator import Due, Stop, new_due, read_image
 
 from tests.due.conftest import Build
 

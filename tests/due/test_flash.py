@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 
 import pytest
-from heli_sim.due._due import Stop
+from due_emulator import Stop
 
 from tests.due.chip import FLASH, Chip
 

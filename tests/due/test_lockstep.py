@@ -6,7 +6,7 @@ import random
 from pathlib import Path
 
 import pytest
-from heli_sim.due import read_image
+from due_emulator import read_image
 
 from tests.due.conftest import Build
 from tests.due.oracle import FLASH, FLASH_SIZE, RAM, RAM_SIZE, Oracle

@@ -7,9 +7,7 @@ import struct
 from itertools import pairwise
 
 import pytest
-from heli_sim.due import new_due, read_image
-from heli_sim.due._due import Due
-from heli_sim.due.image import Image
+from due_emulator import Due, Image, new_due, read_image
 
 from tests.due.conftest import HERE, Build
 from tests.due.test_registers import Described, described

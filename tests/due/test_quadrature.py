@@ -18,9 +18,16 @@ DIRCHG, QERR, DIR = 1 << 1, 1 << 2, 1 << 8
 XC0, SLOW = 5 | 1 << 8 | 1 << 10, 4
 
 
+def encoders(chip: Chip) -> Chip:
+    """The chip with encoder 0 at the decoder of TC0 and encoder 1 at that of TC2."""
+    chip.due.attach_encoder("PB25", "PB27")
+    chip.due.attach_encoder("PC25", "PC26")
+    return chip
+
+
 def decoder(mode: int, *, block: str = "TC0", maxfilt: int = 0) -> Chip:
     """A decoder at 0 that counts from its first step on: an edge of the slow clock takes the trigger."""
-    chip = Chip(block)
+    chip = encoders(Chip(block))
     chip[f"{block}.CMR0"] = SLOW
     chip[f"{block}.BMR"] = mode | maxfilt << 20
     chip[f"{block}.CCR0"] = 5
@@ -30,9 +37,9 @@ def decoder(mode: int, *, block: str = "TC0", maxfilt: int = 0) -> Chip:
     return chip
 
 
-def walk(chip: Chip, axis: int, steps: list[int], cycles: int = 200) -> None:
+def walk(chip: Chip, encoder: int, steps: list[int], cycles: int = 200) -> None:
     for step in steps:
-        chip.due.set_encoder(axis, chip.due.encoder(axis) + step)
+        chip.due.set_encoder(encoder, chip.due.encoder(encoder) + step)
         chip.run_cycles(cycles)
 
 
@@ -40,20 +47,20 @@ def signed(value: int) -> int:
     return value - (1 << 32) if value >> 31 else value
 
 
-@pytest.mark.parametrize(("block", "axis"), [("TC0", 0), ("TC2", 1)])
+@pytest.mark.parametrize(("block", "encoder"), [("TC0", 0), ("TC2", 1)])
 @pytest.mark.parametrize("mode", [X4, X4 | FILTER | 15 << 20])
-def test_count_is_the_sum_of_all_steps(block: str, axis: int, mode: int) -> None:
+def test_count_is_the_sum_of_all_steps(block: str, encoder: int, mode: int) -> None:
     chip = decoder(mode, block=block)
     rng = random.Random(3)
     steps = [direction for _ in range(60) for direction in [rng.choice([-1, 1])] * rng.randint(1, 30)]
-    walk(chip, axis, steps)
+    walk(chip, encoder, steps)
     assert signed(chip[f"{block}.CV0"]) == sum(steps)
     assert chip[f"{block}.QISR"] & QERR == 0
 
 
 @pytest.mark.parametrize("direction", [1, -1])
 def test_a_trigger_costs_the_first_step(direction: int) -> None:
-    chip = Chip("TC0")
+    chip = encoders(Chip("TC0"))
     chip["TC0.CMR0"] = XC0
     chip["TC0.BMR"] = X4
     chip["TC0.CCR0"] = 5

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from xml.etree import ElementTree
 
 import pytest
-from heli_sim.due._due import Due
+from due_emulator import Due
 
 from tests.due import fetch_svd
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from heli_sim.due._due import Stop
+from due_emulator import Due, Stop
 
 from tests.due.chip import RAM, Chip
 
@@ -114,10 +114,9 @@ def test_software_can_reset_the_chip() -> None:
 
 
 def test_an_erased_chip_stays_in_its_rom_with_inputs_only() -> None:
-    from heli_sim.due._due import Due
-
     due = Due()
+    due.set_pin("PB26", "pull-down")
     due.power_on()
     due.run_us(10_000)
     assert due.in_rom
-    assert not any(due.motor_enabled(motor) for motor in (0, 1))
+    assert not due.pin("PB26")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 
 import pytest
-from heli_sim.due._due import Due, Stop
+from due_emulator import Due, Stop
 
 from tests.due.chip import FLASH, Chip
 
@@ -45,6 +45,9 @@ def booted(data: bytes, *, strict: bool = True) -> Due:
     [
         (loading(0x400E_0640), r"unmodelled: read of PMC PMC_PCK0 \(0x400e0640\): not modelled"),
         (loading(0x4000_8010), r"unmodelled: read of 0x40008010 SPI0\+0x10: this peripheral is not modelled"),
+        (loading(0x400E_1A38), r"unmodelled: read of 0x400e1a38 RTT\+0x8: this peripheral is not modelled"),
+        (storing(0x400E_1A10), r"unmodelled: write of 0x400e1a10 SUPC\+0x0: this peripheral is not modelled"),
+        (loading(0x400E_070C), r"unmodelled: read of PMC PMC_PCR \(0x400e070c\): not modelled"),
         (
             loading(0x4009_400C),
             r"unclocked: read of PWM PWM_SR \(0x4009400c\) while peripheral clock 36 is off",

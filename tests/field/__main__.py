@@ -11,8 +11,9 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from tests.blind.choice import is_wanted
-from tests.blind.run import REFITS
+from heli_benchmark.cases.selection import is_wanted
+from heli_benchmark.runs.ask import REFITS
+
 from tests.field.cases import DATA, NO_DATA, Case, ask, cases, judged
 from tests.running.alone import one_thread_each
 

@@ -10,13 +10,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from heli_benchmark.reference.truth import PARTS, ParameterValues, of_parts, translated
+from heli_benchmark.runs.ask import timed_diagnosis
+from heli_benchmark.scoring.judge import RANDOM_TORQUE
 from heli_host.flight import Flight
 from heli_host.log.flight_file import read_flight
 from heli_sim.rig import load_rig
-
-from tests.blind.judge import CHANCE
-from tests.blind.run import asked
-from tests.blind.truth import PARTS, Numbers, of_parts, translated
 
 DATA: Final = Path(__file__).resolve().parents[3] / "shared" / "data"
 RIG: Final = "makki2024"
@@ -42,7 +41,7 @@ class Case:
     hidden : tuple of str
         Ids of what is hidden; `UNKNOWN` for a law that is on no list.
     sizes : Mapping[str, float]
-        Numbers of the truth file by id; ``at`` is when a step comes, s.
+        ParameterValues of the truth file by id; ``at`` is when a step comes, s.
     """
 
     folder: Path
@@ -71,9 +70,9 @@ class Case:
         first, second = (read_flight(self.folder / f"{one}.csv.gz") for one in "ab")
         return first, second
 
-    def numbers(self) -> Numbers:
-        """Numbers of the truth file, as the catalogue calls them; a rest angle is in none, nor are the
-        numbers of effects whose law it does not tell.
+    def numbers(self) -> ParameterValues:
+        """True parameters of the case file, by their names in the catalogue; without rest angles, and without
+        effects whose equation the file does not state.
         """
         found: dict[str, float] = {}
         for id_ in self.listed:
@@ -154,7 +153,7 @@ class Judged:
         return "\n".join(lines)
 
     def _names(self) -> tuple[str, ...]:
-        given = [name for name, _ in self.named if not name.startswith(CHANCE)]
+        given = [name for name, _ in self.named if not name.startswith(RANDOM_TORQUE)]
         return tuple(part for name in given for part in PARTS.get(name, (name,)))
 
 
@@ -184,7 +183,7 @@ def read(path: Path) -> Case:
 
 
 def ask(case: Case, refits: int) -> dict[str, Any]:
-    """Have a case diagnosed.
+    """Diagnose a case.
 
     Parameters
     ----------
@@ -193,7 +192,7 @@ def ask(case: Case, refits: int) -> dict[str, Any]:
     refits : int
         Most seconds for the search.
     """
-    return asked(load_rig(RIG), case.flights(), refits)
+    return timed_diagnosis(load_rig(RIG), case.flights(), refits)
 
 
 def judged(case: Case, answer: Mapping[str, Any]) -> Judged:
@@ -204,7 +203,7 @@ def judged(case: Case, answer: Mapping[str, Any]) -> Judged:
     case : Case
         The case.
     answer : Mapping[str, Any]
-        As `tests.blind.run.asked` gives it.
+        As `heli_benchmark.runs.case.asked` gives it.
     """
     result = answer["result"] or {"verdict": "died", "causes": []}
     found: dict[str, Any] = {}

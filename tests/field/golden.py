@@ -19,11 +19,11 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
 
+from heli_benchmark.runs.ask import REFITS
 from heli_lab.diagnose import diagnose, to_json
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 
-from tests.blind.run import REFITS
 from tests.field.cases import NO_DATA, ask, cases
 from tests.measured.pairs import MEASURED, PAIRS, RIG, flights
 from tests.running.alone import one_thread_each

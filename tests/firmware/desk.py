@@ -7,10 +7,10 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+from due_emulator import new_due, read_image
 from heli_host.heli import Heli
 from heli_host.link.session import Session
-from heli_sim.due.image import read_image
-from heli_sim.due.machine import new_due
+from heli_sim.due._due_board import motor_duty, motor_enabled, wire
 from heli_sim.model import PaperModel
 from heli_sim.plant import Plant
 from heli_sim.rig import load_rig
@@ -76,10 +76,7 @@ class Board:
         self.due = new_due(read_image(str(elf)))
         self.due.stop_at_hardfault(False)
         self.due.usb_line_coding(250000)
-        # A closed stop switch, and the pull-downs of the drivers.
-        self.release_stop()
-        for pin in ENABLE_PINS:
-            self.due.set_pin(pin, "pull-down")
+        wire(self.due)
         self.due.power_on()
         self._start_us = self.due.now_us
         self._moved = np.zeros(3, dtype=np.int64)
@@ -104,7 +101,7 @@ class Board:
 
     def duties(self) -> list[float]:
         """What acts on the motors, -1 to 1; a disabled bridge gives nothing."""
-        return [self.due.motor_duty(motor) * self.due.motor_enabled(motor) for motor in (0, 1)]
+        return [motor_duty(self.due, motor) * motor_enabled(self.due, motor) for motor in (0, 1)]
 
     def off(self) -> bool:
         """Whether both bridges are off: no enable pin is high."""

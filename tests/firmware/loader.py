@@ -17,7 +17,7 @@ import tty
 from typing import Any, Final
 
 import pytest
-from heli_sim.due._due import Due
+from due_emulator import Due
 
 VERSION: Final = b"v1.1 Dec 15 2010 19:25:04\n\r"
 RAM, RAM_SIZE = 0x2000_0000, 0x1_0000

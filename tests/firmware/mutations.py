@@ -231,6 +231,12 @@ MOTORS = (
     stop("kStopInput = bit(2)", "kStopInput = bit(1)"),
     Mutation(
         "motors.cpp",
+        "kStopInput * 0x01010101U",
+        "kStopInput * 0x00010101U",
+        safety.test_every_half_bridge_has_the_stop_enabled_in_its_own_channel_too,
+    ),
+    Mutation(
+        "motors.cpp",
         " | PWM_FMR_FMOD(kStopInput)",
         "",
         safety.test_hardware_stop_trips_and_must_be_released_and_cleared,
@@ -261,6 +267,12 @@ UART = (
     stream(
         "UART_RNPR.write(address_of(receive_ring + kReceiveHalf))",
         "UART_RNPR.write(address_of(receive_ring))",
+    ),
+    Mutation(
+        "uart.cpp",
+        " - in_flight(UART->UART_TCR, UART->UART_TNCR)",
+        "",
+        claims.test_answers_that_wait_for_the_line_overwrite_nothing_that_is_being_sent,
     ),
     stream("next_counter.write(count);", "next_counter.write(count - 1);"),
     stream("next_pointer.write(address_of(bytes));", "pointer.write(address_of(bytes));"),

@@ -10,12 +10,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from heli_host.declaration import (
+    LINK_HASH,
     Axes,
     Axis,
     Fault,
+    HelloMessage,
     MessageId,
     Param,
     ParamSetMessage,
+    ParamsReadMessage,
     ParamsSaveMessage,
     ParamsSource,
     PingMessage,
@@ -25,6 +28,7 @@ from heli_host.declaration import (
 from heli_host.heli import Heli
 from heli_host.link.frames import FrameParser, encode_frame
 from heli_host.link.session import Session
+from heli_sim.due._due_board import motor_duty
 
 from firmware.due.report import Image
 from tests.channels.groups import COUNTS
@@ -33,7 +37,7 @@ from tests.firmware.measures import boot_to_first_frame_ms, rx_lost_bytes, trave
 
 pytestmark = pytest.mark.emulated
 
-pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
+pytest.importorskip("due_emulator._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 
 EFC0_FMR, EFC1_FMR = 0x400E0A00, 0x400E0C00
@@ -184,8 +188,8 @@ def test_duties_are_the_voltages_within_one_step(board: Board, front_V: float, b
     open_loop(heli, front_V, back_V)
     assert board.on()
     supply_V = heli.session.read_params()[Param.SUPPLY_V]
-    assert board.due.motor_duty(0) == pytest.approx(front_V / supply_V, abs=1.01 / 2100)
-    assert board.due.motor_duty(1) == pytest.approx(back_V / supply_V, abs=1.01 / 2100)
+    assert motor_duty(board.due, 0) == pytest.approx(front_V / supply_V, abs=1.01 / 2100)
+    assert motor_duty(board.due, 1) == pytest.approx(back_V / supply_V, abs=1.01 / 2100)
     assert board.due.pwm_period_cycles(4) == 84_000_000 // 20_000
 
 
@@ -297,6 +301,23 @@ def test_no_byte_of_the_board_is_lost_or_wrong_wherever_its_ring_ends(board: Boa
     assert (counters.frames_bad, counters.frames_lost, counters.ticks_lost) == (0, 0, 0)
     # The ring of 2 KiB has come round often.
     assert counters.bytes_received > 5 * 2048
+
+
+def test_answers_that_wait_for_the_line_overwrite_nothing_that_is_being_sent(board: Board) -> None:
+    """Sixty questions with answers of 200 bytes: six times what the transmit ring holds.
+
+    A board that has no room drops an answer, and the host asks again; what the board does send is whole.
+    """
+    board.advance(20)
+    parser = FrameParser()
+    sent = [
+        encode_frame(MessageId.HELLO, 0, HelloMessage(1, LINK_HASH, 1).pack()),
+        *(encode_frame(MessageId.PARAMS_READ, 1 + k, ParamsReadMessage(2 + k, 0).pack()) for k in range(60)),
+    ]
+    board.write(b"".join(sent))
+    frames = parser.feed(board.advance(1200))
+    assert sum(frame.id == MessageId.PARAMS for frame in frames) > 10
+    assert (parser.frames_bad, parser.frames_lost) == (0, 0)
 
 
 def test_first_answer_comes_within_50_ms_of_power_up(board: Board) -> None:

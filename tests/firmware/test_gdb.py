@@ -13,15 +13,15 @@ import pytest
 
 pytestmark = pytest.mark.emulated
 
-due = pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
+due = pytest.importorskip("due_emulator._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 
 GDB = shutil.which("gdb-multiarch") or shutil.which("arm-none-eabi-gdb")
 
 
 def test_a_breakpoint_in_the_tick_is_reached_and_stepped_on_from(elf: Path) -> None:
-    from heli_sim.due import new_due, read_image
-    from heli_sim.due.gdb import GdbServer
+    from due_emulator import new_due, read_image
+    from due_emulator.gdb import GdbServer
 
     image = read_image(elf)
     board = new_due(image)
@@ -47,7 +47,7 @@ def test_a_real_gdb_stops_in_the_tick_and_names_its_lines(elf: Path) -> None:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     server = subprocess.Popen(
-        [sys.executable, "-m", "heli_sim.due", str(elf), "--gdb", str(port)],
+        [sys.executable, "-m", "due_emulator", str(elf), "--gdb", str(port)],
         stdout=subprocess.PIPE,
         text=True,
     )

@@ -27,7 +27,7 @@ pytestmark = pytest.mark.emulated
 ALL = (*MUTATIONS, *SUBTLE)
 SHARE = parallel_map(ALL, every=4, kind=lambda mutation: mutation.file)
 
-due = pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
+due = pytest.importorskip("due_emulator._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 
 

@@ -14,7 +14,7 @@ from tests.firmware.test_board import counted, open_loop
 
 pytestmark = pytest.mark.emulated
 
-pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
+pytest.importorskip("due_emulator._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 
 DECODER_PINS = (("PB25", "PB27"), ("PC25", "PC26"))

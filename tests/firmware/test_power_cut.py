@@ -24,7 +24,7 @@ from tests.running.long import samples
 
 pytestmark = pytest.mark.emulated
 
-pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
+pytest.importorskip("due_emulator._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 
 WRITE_PAGE = "_ZN4heli3due5flash10write_pageEjPKhj"

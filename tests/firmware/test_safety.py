@@ -15,10 +15,14 @@ from heli_host.link.events import BOARD_RESTARTED
 from firmware.due.report import Image
 from tests.firmware.desk import ENABLE_PINS, TICK_INTERRUPT, Board, flying
 from tests.firmware.hangs import HANGS, POLL, TICK, FASTEST_Hz, Hang, SLOWEST_Hz, off_after_ms
+from tests.firmware.test_board import open_loop
 
 pytestmark = pytest.mark.emulated
 
-pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
+PWM_FPE1, PWM_FPE2 = 0x4009406C, 0x40094070
+STOP_INPUT = 1 << 2
+
+pytest.importorskip("due_emulator._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 
 UNDEFINED = b"\x00\xde"
@@ -339,6 +343,26 @@ def test_hardware_stop_cuts_the_duty_with_the_processor_halted(
     board.due.run_us(10_000.0)
     assert board.pwm_low()
     assert board.due.instructions == instructions
+
+
+@pytest.mark.parametrize("volts_V", [6.0, -6.0])
+def test_hardware_stop_cuts_every_half_bridge_in_both_directions(board: Board, volts_V: float) -> None:
+    heli = board.connect()
+    open_loop(heli, volts_V, volts_V)
+    assert all(duty * volts_V > 0.05 for duty in board.duties())
+    board.due.hold_processor(True)
+    board.press_stop()
+    board.due.run_us(1.0)
+    assert board.pwm_low()
+    board.due.run_us(10_000.0)
+    assert board.pwm_low()
+
+
+def test_every_half_bridge_has_the_stop_enabled_in_its_own_channel_too(board: Board) -> None:
+    """Synchronous channels follow channel 0; one that leaves the group must not lose the stop with it."""
+    board.connect()
+    assert board.register(PWM_FPE1) == STOP_INPUT
+    assert board.register(PWM_FPE2) == STOP_INPUT * 0x01010101
 
 
 def test_hardware_stop_trips_and_must_be_released_and_cleared(elf: Path, image: Image) -> None:

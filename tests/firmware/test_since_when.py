@@ -13,7 +13,7 @@ from tests.flight.harness import TRACKING
 
 pytestmark = pytest.mark.emulated
 
-pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
+pytest.importorskip("due_emulator._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 
 

@@ -11,7 +11,7 @@ from tests.firmware.test_safety import MAX_MS, store
 
 pytestmark = pytest.mark.emulated
 
-pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
+pytest.importorskip("due_emulator._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 
 TICK_TIMER_CONTROL = 0x40084000

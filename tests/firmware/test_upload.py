@@ -7,12 +7,12 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from due_emulator import new_due
 from heli_host.declaration import FIRMWARE_VERSION
 from heli_host.errors import ImageError
 from heli_host.flash.bossac import find_bossac, write_image
 from heli_host.flash.image import read_image
 from heli_host.link.session import Session
-from heli_sim.due.machine import new_due
 
 from firmware.due.report import Image
 from tests.firmware.desk import Board

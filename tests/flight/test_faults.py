@@ -8,7 +8,7 @@ import pytest
 from heli_host import declaration as d
 from heli_host.declaration import Channel, Event, Fault, Result, State
 from heli_host.link.telemetry import TelemetryDecoder
-from heli_test_native.flight import ToldLaw
+from heli_test_native.flight import ToldLaw, fault_before_arming
 
 from tests.flight.harness import REST_DEG, Harness
 
@@ -147,3 +147,31 @@ def test_an_arm_must_lie_still_at_a_stretch_to_have_landed() -> None:
         harness.glide(0, REST_DEG + 3, 30)
         harness.tick(50)
     assert harness.state is State.LANDING
+
+
+@pytest.mark.parametrize(("above_deg", "landed"), [(1.3, True), (1.7, False)])
+def test_an_arm_has_landed_within_a_degree_and_a_half_of_its_rest(above_deg: float, landed: bool) -> None:
+    harness = Harness()
+    harness.fly()
+    harness.glide(0, REST_DEG + 8, 60)
+    harness.ask(d.LandMessage(0))
+    harness.glide(0, REST_DEG + above_deg, 30)
+    harness.tick(2000)
+    assert harness.state is (State.IDLE if landed else State.LANDING)
+
+
+def test_a_host_that_has_been_silent_for_half_a_second_cannot_arm() -> None:
+    hold_ticks = round(1e3 * {p.name: p.default for p in d.PARAMS}["setpoint_hold_s"])
+    assert fault_before_arming(hold_ticks) == (Fault.NONE, 0.0)
+    fault, age_s = fault_before_arming(hold_ticks + 1)
+    assert fault == Fault.LINK_NOT_ALIVE
+    assert age_s == pytest.approx(0.501)
+
+
+def test_the_status_counts_the_illegal_transitions_of_each_encoder() -> None:
+    harness = Harness()
+    for axis, transitions in enumerate((3, 5, 7)):
+        harness.break_encoder(axis, transitions)
+    harness.tick(300)
+    status = harness.ask(d.StatusReadMessage(0))
+    assert (status.illegal_elevation, status.illegal_pitch, status.illegal_travel) == (3, 5, 7)

@@ -54,6 +54,20 @@ def test_without_counts_at_take_off_the_motors_are_cut_half_a_second_after_they_
     assert tripped(harness) == (Fault.ELEVATION_MOTIONLESS, Trigger.TRIP)
 
 
+def test_an_arm_within_two_degrees_of_its_rest_may_lie_on_the_table() -> None:
+    """It lies 1.5 degrees above its rest, on a soft table; the motors push more, and still too little."""
+    harness = Harness(tracked=True)
+    harness.glide(ELEVATION, -23.5, 5.0)
+    harness.tick(300)
+    harness.ping()
+    assert harness.arm().result == Result.OK
+    assert harness.ask(d.StreamMessage(0)).result == Result.OK
+    for volts_V in (*[0.3] * 50, *[1.7] * 100):
+        harness.send(d.VoltagesMessage(volts_V, volts_V, 40))
+        harness.tick(20)
+    assert harness.state is State.STREAMED
+
+
 def test_an_arm_on_the_table_may_rest_while_the_motors_push_too_little() -> None:
     harness = Harness(tracked=True)
     harness.set("elevation_motion_V", 1.2)

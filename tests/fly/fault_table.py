@@ -10,10 +10,10 @@ import argparse
 from typing import Final
 
 import numpy as np
+from due_emulator import read_image
 from heli_host.declaration import MessageId, PingMessage
 from heli_host.link.frames import encode_frame
 from heli_sim import _native
-from heli_sim.due.image import read_image
 from heli_sim.sil.boards import EmulatedDue
 from heli_sim.sil.world import SilWorld
 

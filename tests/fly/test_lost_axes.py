@@ -15,6 +15,7 @@ from heli_host.heli import connect
 from heli_host.published_gains import load_gains
 from heli_sim.errors import SimError
 from heli_sim.rig import Rig, load_rig, write_rig
+from heli_sim.rig.schema import ENCODER_COUNTS
 
 from tests.running.long import samples
 
@@ -67,7 +68,7 @@ def test_an_emergency_landing_is_left_by_stop_only_and_nothing_is_flown_on(tmp_p
 def random_rig(name: str, chance: np.random.Generator) -> Rig | None:
     """A rig whose numbers lie within half of their tolerances, as most do; None where there can be none."""
     rig = load_rig(name)
-    fixed = ("g", "elevation_min", "elevation_max", "supply", "encoder_counts", "encoder_travel_ratio")
+    fixed = ("g", "elevation_min", "elevation_max", "supply", *ENCODER_COUNTS)
     values = {
         key: number.value * (1.0 + 0.5 * number.tolerance * chance.uniform(-1.0, 1.0))
         for key, number in rig.items()

@@ -9,4 +9,8 @@ flights, if the shared data is available. `--exports` writes the measured flight
 counts what must be corrected in each guessed profile, with the rig file of `--rig`. `distort.py` writes a
 file and keeps its truth, `students.py` writes logs of a course, `exports.py` those further forms,
 `judge.py` compares, `flights.py` flies the rigs.
+
+`python -m tests.guess.grade` writes raw files as the repositories of other courses hold them, from flights
+under other controllers, and counts the corrections and the doubts that name them; `--judge` takes other
+seeds. `pilots.py` flies, `foreign.py` writes.
 """

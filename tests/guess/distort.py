@@ -155,8 +155,7 @@ def write(flight: Flight, rig: Rig, how: Distortion, path: Path, seed: int = 0) 
         columns.append((name, how.voltage, np.round(scaled) if how.voltage == "pwm" else scaled))
     for name, axis, sign in zip(named[3:6], angles, how.signs, strict=True):
         angle = angles[axis] - (angles[axis][0] if how.at_rest and axis == "elevation" else 0.0)
-        counts = rig["encoder_counts"].value
-        counts *= rig["encoder_travel_ratio"].value if axis == "travel" else 1.0
+        counts = rig[f"encoder_counts_{axis}"].value
         per_rad = {"rad": 1.0, "deg": 180.0 / math.pi, "count": counts / (2.0 * math.pi)}[how.angle]
         scaled = sign * angle * per_rad
         columns.append((name, how.angle, np.round(scaled) if how.angle == "count" else scaled))

@@ -386,6 +386,8 @@ def _corrections(
     t_s = np.minimum(made.t_s - made.t_s[0] + start, truth.t_s[-1])
     rows = np.clip(np.searchsorted(truth.t_s - truth.t_s[0], t_s + 1e-9, side="right") - 1, 0, None)
     inside = made.t_s - made.t_s[0] + start <= truth.t_s[-1]
+    if not inside.any():
+        return (*more, "time.unit")
     wrong: list[str] = []
     for axis in _AXES:
         mine, true = getattr(made, f"{axis}_rad")[inside], getattr(truth, f"{axis}_rad")[rows][inside]

@@ -65,15 +65,16 @@ def test_columns_without_names_are_found_by_physics(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_flight_without_voltages_is_refused_or_unsure() -> None:
+def test_a_flight_without_voltages_is_refused() -> None:
     flight, rig = simulated(1)
     columns = {"t_s": Column(flight.t_s[::5])} | {
         name: Column(getattr(flight, name)[::5]) for name in ("elevation_rad", "pitch_rad", "travel_rad")
     }
-    with pytest.raises(FlightDataError, match="three angles and two voltages"):
+    with pytest.raises(FlightDataError, match="no column is a motor voltage"):
         guess(Table("memory", columns), rig)
     columns |= {"a": Column(flight.t_s[::5] % 3.0), "b": Column(flight.t_s[::5] % 7.0)}
-    assert not guess(Table("memory", columns), rig).sure
+    with pytest.raises(FlightDataError, match="no two columns act like motor voltages"):
+        guess(Table("memory", columns), rig)
 
 
 @pytest.mark.slow

@@ -20,11 +20,11 @@ OTHER = replace(PROFILE, mirrored=True)
 def patch_proposals(
     monkeypatch: pytest.MonkeyPatch, nats: dict[str, float], profiles: dict[str, Profile]
 ) -> None:
-    def propose(table: Table, rig: Rig, rate_Hz: float | None = None) -> tuple[Guess, Table]:
-        return Guess(profiles.get(rig.name, PROFILE), (), (), log_likelihood=nats[rig.name]), table
+    def propose(tables: list[Table], rig: Rig, *_: object) -> tuple[Guess, list[Table]]:
+        return Guess(profiles.get(rig.name, PROFILE), (), (), log_likelihood=nats[rig.name]), tables
 
     monkeypatch.setattr(rigs, "propose", propose)
-    monkeypatch.setattr(rigs, "check_by_simulation", lambda guessed, _table, _rig: guessed)
+    monkeypatch.setattr(rigs, "check_by_simulation", lambda guessed, tables, _rig: [guessed for _ in tables])
 
 
 TABLES = [Table("a.csv", {}), Table("b.csv", {})]
@@ -39,8 +39,7 @@ def test_without_a_rig_the_nearest_is_taken_and_named(monkeypatch: pytest.Monkey
     guess_result = guess_by_rigs(TABLES)
     assert guess_result.rig.name == "quanser-course"
     assert all(item.sure and item.profile == OTHER for item in guess_result.guesses)
-    # Two files of 50 nats each, and of 10.
-    assert "compared with quanser-course; makki2024 fits 80 nats worse" in guess_result.guesses[0].evidence[0]
+    assert "compared with quanser-course; makki2024 fits 40 nats worse" in guess_result.guesses[0].evidence[0]
 
 
 def test_two_rigs_that_fit_alike_are_a_doubt_only_if_they_say_other_things(

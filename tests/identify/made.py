@@ -103,11 +103,11 @@ def encoder_zeros_deg(rig: Rig, seed: int) -> dict[str, float]:
     The counters stand anywhere at power-up, count whole numbers below, and the board takes the arm to lie
     at its rest then: what is left are parts of a count, and the rig's own offsets.
     """
-    count_deg = 360.0 / rig["encoder_counts"].value
     stand = np.random.default_rng(seed).uniform(-50_000.0, 50_000.0, 3)
     zeros = {}
     rests_deg = {"offset_elevation": rig["elevation_min"].value, "offset_pitch": 0.0}
     for counter, (name, rest_deg) in zip(stand, rests_deg.items(), strict=False):
+        count_deg = 360.0 / rig[name.replace("offset", "encoder_counts")].value
         rest = rest_deg / count_deg
         passed = counter + rest - math.floor(counter + rest)
         zeros[name] = rig[name].value + count_deg * (round(rest) - rest + passed - 0.5)

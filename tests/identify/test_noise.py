@@ -23,7 +23,7 @@ ROWS, STEP_S = 6000, 0.002
 COUNT_RAD = 2.0 * np.pi / 4096
 HOLD = 'title = "hold"\n[[segment]]\nkind = "hold"\nduration_s = 12\n'
 STRONGEST = ("random_torque.elevation=0.02", "random_torque.pitch=0.006", "random_torque.travel=0.012")
-"""The strongest disturbances of tests/blind, N m."""
+"""The strongest disturbances of heli_benchmark, N m."""
 
 
 def smoothed(values: Floats, pole: float) -> Floats:
@@ -61,7 +61,7 @@ def noise(kind: str, seed: int, *, in_counts: bool = False) -> Flight:
 def test_noise_is_no_flight(kind: str, rig: str) -> None:
     for seed in (101, 102):
         made = noise(kind, seed, in_counts=seed == 102)
-        with pytest.raises(NotExcited, match="the voltages do not explain its motion"):
+        with pytest.raises(NotExcited, match="the voltages do not explain the motion"):
             identify(MultibodyModel(), load_rig(rig), [made], seconds=20.0)
 
 
@@ -70,7 +70,7 @@ def test_noise_is_refused_in_a_line_and_writes_no_rig(terminal: Terminal, tmp_pa
     write_csv(noise("white", 103), tmp_path / "imu.csv")
     words = ("identify", "imu.csv", "--save-rig", "new.toml", "--free", "thrust_gain")
     line = refusal(terminal(*words), code=2)
-    assert line.startswith("error: imu.csv: the voltages do not explain its motion: ")
+    assert line.startswith("error: imu.csv: the voltages do not explain the motion: ")
     assert not (tmp_path / "new.toml").exists()
     assert terminal(*words, "--skip-sign-check").code == 0 and (tmp_path / "new.toml").exists()
 

@@ -12,9 +12,8 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from due_emulator import BareCore, read_image
 from heli_host.declaration import LAW_CELLS, LAW_MAX_TERMS, LAW_TERM_COST, OPERATIONS
-from heli_sim.due._due import BareCore
-from heli_sim.due.image import read_image
 
 EXECUTE: Final = "_ZN4heli3law4Tape7executeEPKmS3_"
 # In RAM: the tape's object, then the program; a stack at the end; in flash behind all code: a loop to itself.

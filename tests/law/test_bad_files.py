@@ -34,11 +34,11 @@ def law(body: str, options: str = "", end: str = "LAW = law") -> str:
 
 
 BAD: Final[dict[str, tuple[str | bytes, str, str]]] = {
-    "an empty file": ("", "has no LAW", "@control_law"),
-    "a law by another name": (law("return Command(1.0, 1.0)", end=""), "has no LAW", "LAW = law"),
+    "an empty file": ("", "does not define LAW", "@control_law"),
+    "a law by another name": (law("return Command(1.0, 1.0)", end=""), "does not define LAW", "LAW = law"),
     "a function for a LAW": ("def law(now):\n    pass\nLAW = law\n", "is a function", "@control_law"),
     "no Python": ("LAW = (1,\n", "is not valid Python", "line 1"),
-    "no text": (b"\x00\xff\xfe\x80", "is not valid Python", "correct it"),
+    "no text": (b"\x00\xff\xfe\x80", "is not valid Python", "correct this line"),
     "an exception on the way": (START + "gain = 1 / 0\n", "ZeroDivisionError", "line 3"),
     "an exception in the law": (law("return Command(now.yaw_rad, 1.0)"), "yaw_rad", "line 5"),
     "a file that ends the program": ("raise SystemExit(0)\n", "SystemExit", "line 1"),
@@ -57,8 +57,8 @@ BAD: Final[dict[str, tuple[str | bytes, str, str]]] = {
         law("return Command(1.0, 1.0)", "parameters={f'k{k}': 0.0 for k in range(300)}"),
         "300 parameters", "give at most 255",
     ),
-    "an unknown function": (law("return Command(casadi.erf(now.pitch_rad), 1.0)"), "erf", "a board knows"),
-    "a function of math": (law("return Command(math.sin(now.pitch_rad), 1.0)"), "nan", "math take no symbols"),
+    "an unknown function": (law("return Command(casadi.erf(now.pitch_rad), 1.0)"), "erf", "use only"),
+    "a function of math": (law("return Command(math.sin(now.pitch_rad), 1.0)"), "nan", "of math do not accept symbols"),
     "an if": (law("if now.pitch_rad > 0:\n    return Command(1.0, 1.0)\nreturn Command(2.0, 1.0)"), "line 5", "if_else"),
     "333 Hz": (law("return Command(1.0, 1.0)", "rate_Hz=333"), "333 Hz", "give 250 or 500 Hz"),
     "0 Hz": (law("return Command(1.0, 1.0)", "rate_Hz=0"), "0 Hz", "give"),
@@ -123,7 +123,7 @@ def test_a_file_that_is_not_there_is_named_by_every_verb(verb: str, terminal: Te
     out = {"export": ("--output", "law.c"), "fly": ("--sil",), "compare": ("--sil",)}.get(verb, ())
     assert "nowhere.py" in refusal(terminal("law", verb, "nowhere.py", *out), code=ASKED)
     Path("folder.py").mkdir()
-    assert "no file folder.py" in refusal(terminal("law", verb, "folder.py", *out), code=ASKED)
+    assert "folder.py is not a file" in refusal(terminal("law", verb, "folder.py", *out), code=ASKED)
 
 
 @pytest.mark.usefixtures("nothing_sent")

@@ -42,7 +42,7 @@ BAD: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "333 Hz": (lambda: law(lambda n, s, p: Command(1.0, 1.0), rate_Hz=333), "give 250 or 500 Hz"),
     "math.sin": (lambda: law(lambda n, s, p: Command(math.sin(n.pitch_rad), 1.0)), "sin, cos, sqrt"),
-    "an unknown function": (lambda: law(lambda n, s, p: Command(ca.erf(n.pitch_rad), 1.0)), "a board knows"),
+    "an unknown function": (lambda: law(lambda n, s, p: Command(ca.erf(n.pitch_rad), 1.0)), "use only"),
     "a constant that is no number": (lambda: law(lambda n, s, p: Command(n.pitch_rad * np.inf, 1.0)), "finite"),
     "five signals": (
         lambda: law(lambda n, s, p: Command(1.0, 1.0, signals={f"s{k}": 0.0 for k in range(5)})), "at most 4",
@@ -51,7 +51,7 @@ BAD: dict[str, tuple[Callable[[], Any], str]] = {
     "a gain of the wrong shape": (lambda: from_gain(np.eye(3), hover_V=1.4), "give 2 x 6"),
     "a system of the wrong shape": (of_the_wrong_shape, "6 inputs"),
     "a function of the wrong shape": (
-        lambda: from_function(ca.Function("f", [ca.SX.sym("x", 3)], [ca.SX(2, 1)])), "let it take [17",
+        lambda: from_function(ca.Function("f", [ca.SX.sym("x", 3)], [ca.SX(2, 1)])), "write it with [17",
     ),
     "a law that takes too long": (
         lambda: law(lambda n, s, p: Command(sum(ca.sqrt(n.pitch_rad + k) for k in range(200)), 1.0)), "Hz it fits",

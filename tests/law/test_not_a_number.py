@@ -179,7 +179,7 @@ def test_no_number_passes_in_numpy_and_c_where_it_does_on_the_board(name: str, t
 
 @pytest.mark.emulated
 def test_operations_on_no_number_are_the_same_on_the_due() -> None:
-    pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
+    pytest.importorskip("due_emulator._due", reason="the emulated Due is not built: make setup")
     from tests.firmware.built import built_elf
     from tests.law.processor import SPECIAL, Processor
 

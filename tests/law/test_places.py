@@ -156,7 +156,7 @@ def test_a_law_compiles_to_what_is_needed_and_no_more() -> None:
 @pytest.mark.parametrize("board", ["native", "due"])
 def test_a_law_flies_where_no_compiler_is_on_the_path(board: str, tmp_path: Path) -> None:
     if board == "due":
-        pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
+        pytest.importorskip("due_emulator._due", reason="the emulated Due is not built: make setup")
     (tmp_path / "bin").mkdir()
     start = "from heli_host.cli.entry import main; main()"
     asked = [

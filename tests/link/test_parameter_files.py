@@ -5,9 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from heli_host.cli import run
+from heli_host.cli.gains import chosen_parameters
 from heli_host.declaration import PARAMS, PARAMS_HASH
 from heli_host.errors import ParameterError
 from heli_host.parameter_file import parameters_text, read_parameter_set
+from heli_lab.campaign import works
+from heli_lab.campaign.run import Campaign
 
 DEFAULTS = {spec.name: spec.default for spec in PARAMS}
 
@@ -51,6 +55,42 @@ def test_a_value_in_another_unit_is_dropped_and_named(tmp_path: Path) -> None:
     given = read_parameter_set(written(tmp_path, OTHER, ('hover_V = "V"', 'hover_V = "mV"')))
     assert "hover_V" not in given.values
     assert given.dropped == ("hover_V was in mV and is in V now",)
+
+
+def test_fly_takes_known_values_of_another_schema_and_lists_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = written(tmp_path, OTHER, ("hover_slope =", "hover_curve ="))
+    values = chosen_parameters(file, None)
+    assert values["hover_V"] == 1.75
+    assert "hover_curve" not in values
+    assert capsys.readouterr().out == "dropped: unknown parameter hover_curve\n"
+
+
+@pytest.mark.medium
+def test_a_campaign_takes_known_values_of_another_schema_and_lists_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = written(tmp_path, OTHER, ("hover_slope =", "hover_curve ="))
+    campaign = tmp_path / "study.toml"
+    campaign.write_text(f'work = "gains"\n[cases]\nparams = ["{file.name}", ""]\n')
+    taken = []
+
+    def tried(plant: object, parameters: dict[str, float], *rest: object) -> None:
+        taken.append(parameters)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("heli_lab.tune.flights.try_gains", tried)
+    monkeypatch.setattr("heli_lab.campaign.run.run_campaign", first_case)
+    assert run(["campaign", str(campaign), "-o", str(tmp_path / "out")]) == 2
+    assert f"{file}: dropped: unknown parameter hover_curve\n" in capsys.readouterr().out
+    assert taken[0]["hover_V"] == 1.75
+    assert "hover_curve" not in taken[0]
+
+
+def first_case(campaign: Campaign, *_: object, **__: object) -> None:
+    """Do the first case in this process."""
+    works.gains(campaign.cases[0].settings)
 
 
 def test_under_its_own_schema_a_wrong_value_refuses_the_file(tmp_path: Path) -> None:

@@ -338,7 +338,7 @@ def test_a_control_law_runs_on_device_time_and_hands_over_to_the_board_afterward
     ("law", "words"),
     [
         (lambda _: 1 / 0, "the control law failed: ZeroDivisionError"),
-        (lambda _: 1.0, "must return"),
+        (lambda _: 1.0, "for every sample"),
         (lambda _: (math.nan, 0.0), "returned nan and 0 V"),
     ],
 )

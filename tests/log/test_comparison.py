@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from heli_host.declaration import Flags
 from heli_host.flight import Flight
+from heli_host.flight.counts import count_rad
 from heli_host.flight.flown import of_its_law
 from heli_host.flight.response import effort_V, responses, steps
 from heli_host.log.table import write_csv
@@ -78,12 +79,48 @@ def test_effort_is_the_rms_of_what_control_adds_to_the_mean_voltage() -> None:
     assert all(math.isnan(one.rms_deg) for one in responses(flight))
 
 
+def counted(flight: Flight, counts: float, *, logged: bool) -> Flight:
+    """The flight as an encoder of travel shows it, with or without the board's parameter."""
+    count_rad = 2.0 * np.pi / counts
+    return replace(
+        flight,
+        travel_rad=np.round(flight.travel_rad / count_rad) * count_rad,
+        parameters={"travel_counts_per_rev": -counts} if logged else {},
+    )
+
+
+@pytest.mark.parametrize("logged", [True, False])
+@pytest.mark.parametrize("size", [1.0, 1.5])
+def test_a_coarse_encoder_settles_when_a_fine_one_does(size: float, logged: bool) -> None:
+    flight = second_order()
+    travel_rad = size * flight.travel_rad
+    flight = replace(
+        flight, travel_rad=travel_rad, travel_setpoint_rad=np.deg2rad(size * STEP_deg) * (flight.t_s >= AT_s)
+    )
+    true, fine, coarse = (
+        responses(each)[2]
+        for each in (flight, counted(flight, 4096.0, logged=logged), counted(flight, 1024.0, logged=logged))
+    )
+    # Two samples of 2 ms.
+    assert fine.settling_s == pytest.approx(true.settling_s, abs=0.0041)
+    assert coarse.settling_s == pytest.approx(fine.settling_s, abs=0.0041)
+
+
+def test_a_count_is_measured_per_axis_where_no_log_states_it() -> None:
+    flight = counted(second_order(), 1000.0, logged=False)
+    count_deg = np.rad2deg(count_rad(flight))
+    assert count_deg[2] == pytest.approx(0.36)
+    # Pitch does not move. Not in whole counts are the angles of a flight that no encoder shows.
+    assert np.isnan(count_deg[1]) and np.isnan(count_rad(second_order())[2])
+
+
 def test_a_small_step_settles_within_a_count_of_the_encoder() -> None:
     small = replace(
         second_order(),
         travel_rad=second_order().travel_rad / 15.0 + np.deg2rad(0.08),
         travel_setpoint_rad=np.deg2rad(STEP_deg / 15.0) * (second_order().t_s >= AT_s),
     )
+    small = counted(small, 4096.0, logged=True)
     (_, _, travel) = responses(small)
     assert travel.step_deg == pytest.approx(STEP_deg / 15.0)
     # 0.08 degrees stay: more than 5 % of the step, less than a count.

@@ -26,7 +26,7 @@ from heli_sim.rig import Number, Rig, load_rig, write_rig
 from heli_sim.sil.options import SilOptions, parse_url
 from heli_sim.sil.plant_factory import plant_of
 
-from tests.blind import test_cases
+from tests.benchmark import test_cases
 from tests.model.effect_list import COMMON, MEASURED
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -34,12 +34,12 @@ DOCUMENT = DOCS / "reference" / "effects.md"
 
 
 def example() -> str:
-    """The file that the document shows."""
+    """The file that the document shows, under an id that a reader who has added it does not have."""
     found = re.search(
         r"^```python\n(.*?)^```$", (DOCS / "how-to/extending.md").read_text(), re.MULTILINE | re.DOTALL
     )
     assert found is not None
-    return found[1]
+    return found[1].replace('id="draught"', 'id="window_draught"')
 
 
 def written(folder: Path, text: str) -> Path:
@@ -95,7 +95,7 @@ def test_the_documents_table_is_todays() -> None:
 @pytest.mark.medium
 def test_the_documents_own_effect_flies(tmp_path: Path) -> None:
     path = written(tmp_path, example())
-    options = SilOptions(effects=("draught=0.05",), effect_files=(str(path),), model="multibody")
+    options = SilOptions(effects=("window_draught=0.05",), effect_files=(str(path),), model="multibody")
     plant = plant_of(options)
     state = plant.rest_state()
     state[0] = 0.0
@@ -109,7 +109,7 @@ def test_the_documents_own_effect_flies(tmp_path: Path) -> None:
     [
         ("import casadi as ca", "import casadi as", "line 3: invalid syntax"),
         ("import casadi as ca", "import nosuchthing", "ModuleNotFoundError No module named 'nosuchthing'"),
-        ('id="draught"', 'id="rotor_lag"', "'rotor_lag' exists already; give it another id"),
+        ('id="window_draught"', 'id="rotor_lag"', "'rotor_lag' exists already; give it another id"),
         ("DRAUGHT = EffectSpec", "DRAUGHT = dict", "has no EffectSpec at its top level"),
         ("effect=Draught", "effect=int", "effect must be a class derived from Effect"),
         (", size=True", "", "has no number with size=True"),
@@ -119,7 +119,7 @@ def test_the_documents_own_effect_flies(tmp_path: Path) -> None:
             "ca.sqrt(angle - 9)",
             "the rate of a state or its derivative is not a finite number",
         ),
-        ("return ca.vertcat(0, 0,", "return ca.vertcat(0,", "'draught': "),
+        ("return ca.vertcat(0, 0,", "return ca.vertcat(0,", "'window_draught': "),
         ("{from_rad}", "{from}", "KeyError 'from'"),
     ],
 )
@@ -150,7 +150,7 @@ def test_the_documents_own_effect_passes_the_rules_for_docstrings(tmp_path: Path
 @contextlib.contextmanager
 def in_the_folder(folder: Path, text: str) -> Iterator[None]:
     """A file of this text counts as one of the package's effects in this block."""
-    (folder / "draught.py").write_text(text)
+    (folder / "window_draught.py").write_text(text)
     before = list(effects.__path__)
     try:
         effects.__path__ = [*before, str(folder)]
@@ -159,14 +159,14 @@ def in_the_folder(folder: Path, text: str) -> Iterator[None]:
     finally:
         effects.__path__ = before
         _built_in.cache_clear()
-        sys.modules.pop("heli_sim.model.effects.draught", None)
+        sys.modules.pop("heli_sim.model.effects.window_draught", None)
 
 
 def test_an_effect_file_in_the_folder_is_found_by_itself(tmp_path: Path) -> None:
     with in_the_folder(tmp_path, example()):
         ids = list(catalogue())
-    assert ids.index("gyroscopic_torque") < ids.index("draught") < ids.index("removed.dead_zone")
-    assert "draught" not in catalogue()
+    assert ids.index("gyroscopic_torque") < ids.index("window_draught") < ids.index("removed.dead_zone")
+    assert "window_draught" not in catalogue()
 
 
 CHANGE = """    stage=Stage.TORQUE,
@@ -183,20 +183,22 @@ def test_a_new_effect_is_one_file_and_the_generated_table(tmp_path: Path) -> Non
         "import EffectSpec,", "import ChangeSpec, EffectSpec,"
     )
     with in_the_folder(tmp_path, stated):
-        assert "| `draught` |" in with_table(DOCUMENT.read_text())
+        assert "| `window_draught` |" in with_table(DOCUMENT.read_text())
         test_every_effect_of_the_list_is_there_in_its_order()
         test_cases.test_every_effect_of_the_list_is_hidden_in_two_sizes_or_in_disturbances_or_gone()
-        (change,) = (change for change in changes.changes_of(MultibodyModel()) if change.id == "draught")
-        assert change.numbers == ("draught_Nm",) and not change.non_negative
+        (change,) = (
+            change for change in changes.changes_of(MultibodyModel()) if change.id == "window_draught"
+        )
+        assert change.numbers == ("window_draught_Nm",) and not change.non_negative
         assert change.words(0.03, 0.01) == "a draught of 30 ± 10 mN m came"
-        assert "draught" in {effect.name for effect in changes.extended(MultibodyModel()).effects}
-        assert segment_for(catalogue()["draught"]) == "travel"
-        assert not loop_effects_of(parse_effects(["draught=0.03"])).excluded
+        assert "window_draught" in {effect.name for effect in changes.extended(MultibodyModel()).effects}
+        assert segment_for(catalogue()["window_draught"]) == "travel"
+        assert not loop_effects_of(parse_effects(["window_draught=0.03"])).excluded
     with in_the_folder(tmp_path, plain):
-        assert loop_effects_of(parse_effects(["draught=0.03"])).excluded == ("draught",)
+        assert loop_effects_of(parse_effects(["window_draught=0.03"])).excluded == ("window_draught",)
     fades = plain.replace("    stage=Stage.TORQUE,\n", "    stage=Stage.TORQUE,\n    time_varying=True,\n")
     with in_the_folder(tmp_path, fades):
-        assert segment_for(catalogue()["draught"]) == "time"
+        assert segment_for(catalogue()["window_draught"]) == "time"
 
 
 def test_a_change_during_the_flight_is_in_no_linear_plant_and_is_reported() -> None:
@@ -233,8 +235,8 @@ def test_effects_are_read_from_the_command_line() -> None:
         ("rotor_lag=fast", "s = 'fast' is not a number; give a number"),
         ("rotor_lag=-1", "rotor_lag_s = -1 s is out of range; give 0 to 0.6"),
         ("rotor_lag=nan", "out of range"),
-        ("rotor_lag=0.1@3", "'rotor_lag' has no 'at_s'; it has: s"),
-        ("axis_tilt=z:1", "'axis_tilt' has no 'z'; it has: x_rad, y_rad"),
+        ("rotor_lag=0.1@3", "'rotor_lag' has no 'at_s'; choose from s"),
+        ("axis_tilt=z:1", "'axis_tilt' has no 'z'; choose from x_rad, y_rad"),
         ("", "unknown effect ''"),
     ],
 )
@@ -267,8 +269,10 @@ def test_a_rigs_file_holds_effects_and_flies_them(tmp_path: Path) -> None:
     plant = plant_of(SilOptions(rig=str(path)))
     assert isinstance(plant.model, MultibodyModel)
     assert [effect.values for effect in plant.model.effects] == [{"rotor_lag_s": 0.118}]
-    asked = plant_of(parse_url(f"sil://?rig={path}&effect=rotor_lag%3D0.05;cable_spring.travel%3D0.1"))
-    assert {e.name: next(iter(e.values.values())) for e in asked.model.effects} == {
+    timed_diagnosis = plant_of(
+        parse_url(f"sil://?rig={path}&effect=rotor_lag%3D0.05;cable_spring.travel%3D0.1")
+    )
+    assert {e.name: next(iter(e.values.values())) for e in timed_diagnosis.model.effects} == {
         "rotor_lag": 0.05,
         "cable_spring.travel": 0.1,
     }
@@ -278,7 +282,7 @@ def test_a_rigs_file_holds_effects_and_flies_them(tmp_path: Path) -> None:
     ("old", "new", "error", "message"),
     [
         ("rotor_lag", "rotor_lagg", EffectError, "did you mean rotor_lag?"),
-        ('"rotor_lag".s', '"rotor_lag".ms', EffectError, "effect 'rotor_lag' has no 'ms'; it has: s"),
+        ('"rotor_lag".s', '"rotor_lag".ms', EffectError, "effect 'rotor_lag' has no 'ms'; choose from s"),
         ('value = 0.118\nunit = "s"', 'value = 118\nunit = "ms"', EffectError, "is in 'ms'; give it in 's'"),
         ("value = 0.118", "value = -0.1", EffectError, "rotor_lag_s = -0.1 s is out of range"),
         ('"rotor_lag".s', '"rotor_lag"', RigError, 'write [effects."rotor_lag".NUMBER] for each number'),

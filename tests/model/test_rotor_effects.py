@@ -211,7 +211,7 @@ def test_nested_effects_and_two_delays_are_not_for_one_model() -> None:
     assert lag.compatible_with(delay) and delay.compatible_with(lag)
     for small in (lag, delay):
         assert not both.compatible_with(small) and not small.compatible_with(both)
-    assert both.compatible_with(KINDS["rotor_speed_lag"]) and not both.compatible_with(both)
+    assert delay.compatible_with(KINDS["rotor_speed_lag"]) and not both.compatible_with(both)
     with pytest.raises(PlantError, match="both delay the voltages"):
         MultibodyModel((both.make(), delay.make()))
 

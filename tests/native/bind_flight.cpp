@@ -18,6 +18,7 @@
 #include "bindings.hpp"
 #include "control/controller.hpp"
 #include "convert.hpp"
+#include "flight/limits.hpp"
 #include "flight/setpoints.hpp"
 #include "flight/state_table.hpp"
 #include "flight_code.hpp"
@@ -198,6 +199,19 @@ class CoreHarness {
 
 void bind_flight(nb::module_& module) {
   nb::module_ m = module.def_submodule("flight", "A whole core, and parts of its supervisor.");
+  // An arm at rest, all else as it should be: through a link the age is never more than a tick.
+  m.def(
+      "fault_before_arming",
+      [](std::uint32_t link_age_ticks) {
+        const heli::flight::Limits limits = heli::flight::limits_of(heli::params::Params{});
+        heli::flight::Observation seen{};
+        seen.angle_rad[heli::kElevation] = limits.rest_rad;
+        seen.params_usable = true;
+        seen.link_age_ticks = link_age_ticks;
+        const heli::flight::Verdict verdict = heli::flight::check_before_arming(seen, limits);
+        return std::tuple(static_cast<int>(verdict.fault), verdict.value);
+      },
+      "link_age_ticks"_a);
   m.def(
       "next_state",
       [](int state, int trigger) -> std::optional<int> {

@@ -173,7 +173,7 @@ def test_a_page_without_a_status_alarms_shows_the_frames_state_and_stops(
     page.fill("#mark-text", "two words")
     expect(page.locator("#alarm")).to_be_hidden()
     monkeypatch.setattr(Cockpit, "status", fails)
-    expect(page.locator("#alarm")).to_contain_text("sends no status any more")
+    expect(page.locator("#alarm")).to_contain_text("no longer sends its status")
     run_motors(served)
     until_state(page, "open loop")
     expect(page.locator("#land")).to_be_enabled()
@@ -376,7 +376,7 @@ def test_a_server_that_is_gone_is_said_large(tmp_path: Path, chromium: Browser) 
     with tabs(chromium) as opened:
         with page_of_a_simulated_board(tmp_path) as served:
             page = opened.open(served.address.page)
-        expect(page.locator("#alarm")).to_contain_text("Nobody answers")
+        expect(page.locator("#alarm")).to_contain_text("The server does not answer")
         page.keyboard.press("Space")
         expect(page.locator("#said")).to_contain_text("use the rig's own stop switch")
 

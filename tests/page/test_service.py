@@ -93,7 +93,7 @@ def test_the_first_page_flies_and_the_second_watches_but_can_stop(served: Served
         assert not second.flies
         for name in ("take_off", "land", "record", "setpoint", "set", "save"):
             refused = second.ask(name, name="hover_V", value=1.0, elevation_deg=0.0, on=True)
-            assert refused["error"] == "page 1 flies, you watch"
+            assert refused["error"] == "page 1 is the pilot, and you watch"
         assert not first.ask("take_off").get("error")
         assert first.state == "closed_loop"
         assert second.stop() == "stopped"
@@ -238,7 +238,7 @@ def test_the_pilot_chooses_a_law_and_a_plan_is_flown_under_it(tmp_path: Path) ->
             ("steady", ["wanted_pitch", "kp"]),
             ("tired", ["wanted_pitch", "kp"]),
         ]
-        assert second.ask("law", name="steady")["error"] == "page 1 flies, you watch"
+        assert second.ask("law", name="steady")["error"] == "page 1 is the pilot, and you watch"
         assert "unknown control law nosuch" in first.ask("law", name="nosuch")["error"]
         assert first.ask("law", name="steady")["law"] == "steady"
         plan = first.send("fly", plans=["short"])
@@ -314,7 +314,7 @@ def test_what_is_no_request_is_answered_in_words(served: Served) -> None:
         for message in ("", "[]", "{", '{"do": 3}', "x" * 5000):
             page.socket.send(message)
         page.until(lambda: sum("error" in words for words in page.words) == 5)
-        assert "nothing is called" in page.ask("explode")["error"]
+        assert "unknown request" in page.ask("explode")["error"]
         assert "unknown plan" in page.ask("fly", plans=["nowhere"])["error"]
         assert "is not a number" in page.ask("setpoint", travel_deg="far")["error"]
         assert "is not a number" in page.ask("take_off", elevation_deg=None)["error"]
@@ -324,7 +324,7 @@ def test_what_is_no_request_is_answered_in_words(served: Served) -> None:
 def test_a_second_program_joins_tunes_and_flies_once_it_is_let(served: Served) -> None:
     with SocketPage(served.address) as page, heli_host.join(served.address.program) as program:
         assert not program.flies
-        with pytest.raises(PageError, match="page 1 flies, you watch"):
+        with pytest.raises(PageError, match="page 1 is the pilot, and you watch"):
             program.set("travel_kp", 0.7)
         page.ask("share", on=True)
         assert program.set("travel_kp", 0.7) == 0.7

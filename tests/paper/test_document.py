@@ -75,8 +75,8 @@ def test_the_document_shows_every_command_that_prints_numbers() -> None:
 
 
 def test_a_number_that_has_changed_is_noticed() -> None:
-    assert same("P_3  -73  -96.272 +- 0.048 deg", "P_3  -73  -96.270 +- 0.049 deg")
-    assert not same("P_3  -73  -96.272 +- 0.048 deg", "P_3  -79  -96.272 +- 0.048 deg")
+    assert same("P_3  -73  -96.272 within 0.048 deg", "P_3  -73  -96.270 within 0.049 deg")
+    assert not same("P_3  -73  -96.272 within 0.048 deg", "P_3  -79  -96.272 within 0.048 deg")
     assert not same("stable, dies at 0.029 1/s", "unstable, grows at 0.029 1/s")
 
 

@@ -11,7 +11,8 @@ from heli_sim.rig import load_rig
 
 mujoco = pytest.importorskip("mujoco")
 
-from tests.mujoco_rig import JOINTS, mujoco_rig  # noqa: E402
+from heli_benchmark.engine.bodies import JOINTS, mujoco_rig  # noqa: E402
+
 from tests.plant.test_multibody import STEP_S, runge_kutta  # noqa: E402
 
 pytestmark = pytest.mark.medium

@@ -8,10 +8,10 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 import pytest
+from heli_benchmark.engine.bodies import JOINTS, mujoco_rig
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import Rig, load_rig
 
-from tests.mujoco_rig import JOINTS, mujoco_rig
 from tests.running.long import samples
 
 pytestmark = pytest.mark.medium

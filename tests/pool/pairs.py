@@ -22,6 +22,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from heli_benchmark.cases.disturbed_case import DisturbedCase
+from heli_benchmark.effects.disturbances import DisturbanceModel, MEMORIES_s, STRENGTHS_Nm
+from heli_benchmark.effects.listed import RotorLag
+from heli_benchmark.simulation.tracking import CONTROLLERS
 from heli_lab.diagnose.evaluate import FreeRun, free_runs, predict
 from heli_lab.diagnose.search import Hypothesis, ModelComparison
 from heli_lab.identify import Record, prepare
@@ -30,11 +34,6 @@ from heli_lab.pool.rig_diagnosis import ParameterEstimate, RigDiagnosis, without
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue, effect_numbers, effects_of, parse_effects
 from heli_sim.rig import Rig, load_rig
-
-from tests.blind.disturbances import DisturbanceModel, MEMORIES_s, STRENGTHS_Nm
-from tests.blind.disturbed_case import DisturbedCase
-from tests.blind.hidden import RotorLag
-from tests.blind.tracking import CONTROLLERS
 
 EXCITED_s, GENTLE_s, OTHER_s = 40.0, 15.0, 30.0
 """Durations of the excited rig's flight, of the gentle one's, and of the flights for evaluation [s]."""
@@ -170,7 +169,7 @@ def compare_pair(number: int) -> dict[str, Any]:
 
 
 def _record(case: DisturbedCase, flight: int, seconds: float, nominal: Rig) -> Record:
-    return prepare(case.flown(flight, seconds)[0], nominal, f"{case.name} {flight}")
+    return prepare(case.fly(flight, seconds)[0], nominal, f"{case.name} {flight}")
 
 
 def _diagnosis(label: str, hypothesis: Hypothesis) -> RigDiagnosis:

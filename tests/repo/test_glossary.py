@@ -9,11 +9,11 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "docs" / "reference" / "glossary.md").read_text()
-PACKAGES = {"heli_host": "host", "heli_sim": "sim", "heli_lab": "sim"}
+PACKAGES = {"heli_host": "host", "heli_sim": "sim", "heli_lab": "sim", "heli_benchmark": "sim"}
 CELLS = [
     [cell.strip() for cell in line.split("|")[1:-1]] for line in TEXT.splitlines() if line.startswith("| ")
 ]
-ROWS = {cells[0]: (cells[3], cells[4]) for cells in CELLS if cells[0] != "term"}
+ROWS = {cells[0]: (cells[3], cells[4]) for cells in CELLS if len(cells) == 5 and cells[0] != "term"}
 REFERENCES = set(re.findall(r"^- \[([^]]+)\]", TEXT, re.MULTILINE))
 
 

@@ -16,6 +16,7 @@ pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
 WITHOUT_TESTS = "HELI_WITHOUT_TESTS"
+TARGETS = ["_native", "_due", "_due_board", "_kalman", "_expression_vm"]
 
 
 def settings(state: Literal["wheel", "editable"]) -> ScikitBuildSettings:
@@ -29,7 +30,7 @@ def _nothing_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_wheel_has_nothing_for_tests() -> None:
     wheel = settings("wheel")
-    assert wheel.build.targets == ["_native", "_due", "_kalman", "_expression_vm"]
+    assert wheel.build.targets == TARGETS
     assert wheel.install.components == ["python"]
     assert wheel.wheel.packages is not None
     assert not [package for package in wheel.wheel.packages if "test" in package]
@@ -37,14 +38,14 @@ def test_a_wheel_has_nothing_for_tests() -> None:
 
 def test_who_edits_the_sources_has_the_tests_extension_too() -> None:
     editable = settings("editable")
-    assert editable.build.targets == ["_native", "_due", "_kalman", "_expression_vm", "heli_test_native"]
+    assert editable.build.targets == [*TARGETS, "heli_test_native"]
     assert editable.install.components == ["python", "tests"]
 
 
 def test_to_fly_needs_no_compiling_for_tests(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(WITHOUT_TESTS, "1")
     editable = settings("editable")
-    assert editable.build.targets == ["_native", "_due", "_kalman", "_expression_vm"]
+    assert editable.build.targets == TARGETS
     assert editable.install.components == ["python"]
     assert f"export {WITHOUT_TESTS}=1" in (ROOT / ".ci" / "setup").read_text()
 
@@ -88,6 +89,7 @@ def test_a_wheel_has_pages_rigs_and_plans_and_no_tests(tmp_path: Path) -> None:
     )
     files = {str(Path(target).relative_to(tmp_path)) for target in mapping.values()}
     for file in (
+        "due_emulator/py.typed",
         "heli_host/page/static/index.html",
         "heli_host/page/static/vendor/three.js.gz",
         "heli_host/fly/plans/hover.toml",

@@ -40,6 +40,26 @@ WRONG = {
         "def _wrong() -> None:\n    import heli_lab.page",
         "heli_host.setpoints -> heli_lab.page",
     ),
+    "the emulated Due": Wrong(
+        "sim/due/due_emulator/gdb.py",
+        "from heli_host import errors",
+        "due_emulator.gdb -> heli_host.errors",
+    ),
+    "emulated Due: ": Wrong(
+        "sim/due/due_emulator/image.py",
+        "from due_emulator import machine",
+        "due_emulator.image -> due_emulator.machine",
+    ),
+    "benchmark: commands": Wrong(
+        "sim/heli_benchmark/engine/bodies.py",
+        "from heli_benchmark.effects import listed",
+        "heli_benchmark.engine.bodies -> heli_benchmark.effects.listed",
+    ),
+    "benchmark: what flies": Wrong(
+        "sim/heli_benchmark/effects/disturbances.py",
+        "from heli_sim.model import parts",
+        "heli_benchmark.effects.disturbances -> heli_sim.model.parts",
+    ),
     "host": Wrong(
         "host/heli_host/link/frames.py",
         "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from heli_host.fly import plan",
@@ -131,7 +151,10 @@ def contracts() -> list[str]:
 def copy_to(folder: Path) -> None:
     """Copy what the linter reads."""
     ignore = shutil.ignore_patterns("__pycache__", "*.so", "*.elf", "firmware")
-    for package in (HOST, SIM, ROOT / "sim" / "heli_lab"):
+    for package in (
+        *(HOST, SIM, ROOT / "sim" / "heli_lab", ROOT / "sim" / "heli_benchmark"),
+        ROOT / "sim" / "due" / "due_emulator",
+    ):
         shutil.copytree(package, folder / package.relative_to(ROOT), ignore=ignore)
     shutil.copy(ROOT / "pyproject.toml", folder)
 
@@ -143,7 +166,7 @@ def lint(folder: Path) -> dict[str, str]:
     is found.
     """
     packages = dict.fromkeys((sysconfig.get_path("purelib"), sysconfig.get_path("platlib")))
-    path = [folder / "host", folder / "sim", *packages]
+    path = [folder / "host", folder / "sim", folder / "sim" / "due", *packages]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, path)), "COLUMNS": "200"}
     done = subprocess.run(
         [sys.executable, "-S", "-c", LINT],
@@ -208,3 +231,33 @@ def test_the_host_names_no_package_above_it() -> None:
         if re.search(r"heli_sim|heli_lab", line)
     ]
     assert not found, "a package above the host comes in by an entry point"
+
+
+@pytest.mark.parametrize(
+    ("included", "layer"), [("board.hpp", "board"), ("sim_board.hpp", "native"), ("wiring.hpp", "wired Due")]
+)
+def test_the_emulator_s_sources_include_nothing_of_the_project(
+    included: str, layer: str, tmp_path: Path
+) -> None:
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    for name in ("firmware/core/board.hpp", "sim/native/sim_board.hpp", "sim/due_board/wiring.hpp"):
+        (tmp_path / name).parent.mkdir(parents=True)
+        (tmp_path / name).touch()
+    (tmp_path / "sim" / "due" / "chip").mkdir(parents=True)
+    (tmp_path / "sim" / "due" / "chip" / "uart.cpp").write_text(f'#include "{included}"\n')
+    done = subprocess.run(
+        [sys.executable, ROOT / ".ci" / "includes", tmp_path], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert (
+        f"sim/due/chip/uart.cpp: layer emulated Due may not include {included} of layer {layer}"
+        in done.stdout
+    )
+
+
+def test_the_emulator_s_tests_import_nothing_of_the_project() -> None:
+    sources = sorted((ROOT / "tests" / "due").rglob("*.py"))
+    assert len(sources) > 20
+    assert not [
+        path.name for path in sources if re.search(r"^\s*(from|import) heli_", path.read_text(), re.M)
+    ]

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.repo.prose.__main__ import HERE, check, findings, long_share
-from tests.repo.prose.rules import Rules
+from tests.repo.prose.__main__ import GLOSSARY, HERE, check, findings, long_share, page_words
+from tests.repo.prose.rules import Rules, abbreviations
 
-RULES = Rules.read(HERE / "words.toml")
+RULES = Rules.read(HERE / "words.toml", GLOSSARY)
 BAD = {
     "word": "The program tells the user what happened.",
     "sentence": " ".join(["The board reads the encoder and"] * 7) + " stops.",
@@ -53,8 +53,9 @@ def test_a_good_sentence_breaks_no_rule(what: str, tmp_path: Path) -> None:
         'def fly() -> None:\n    """Fly.\n\n    The program tells it.\n    """\n',
         'def fly(x):\n    raise ValueError(f"the file {x} tells nothing")\n',
         'X = option(help="Tell it.")\n',
+        'LIMIT_s = 1.0\n"""The program tells it [s]."""\n',
     ],
-    ids=["module", "function", "message", "help"],
+    ids=["module", "function", "message", "help", "threshold"],
 )
 def test_text_inside_of_python_is_read(source: str, tmp_path: Path) -> None:
     assert rules_broken(tmp_path, "host/heli_host/module.py", source) == ["word"]
@@ -78,3 +79,57 @@ def test_long_sentences_are_counted_in_documents(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("Short. " + "Word" + " word" * 30 + "end.\n")
     assert long_share([page], RULES, tmp_path) == (1, 2)
+
+
+def test_words_of_a_page_are_counted_without_its_fences(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(
+        "# A title\n\nRun `fly hover now` again.\n\n```console\n$ a b c\n```\n\n| a | b c |\n|---|---|\n"
+    )
+    assert page_words(page, tmp_path) == (3, 5)
+
+
+ERRORS = """
+class HeliError(Exception):
+    def __init__(self, cause, remedy=""): ...
+
+
+class PlanError(HeliError): ...
+
+
+class Refused(HeliError):
+    def __init__(self, command): ...
+"""
+
+
+@pytest.mark.parametrize(
+    ("raised", "rules"),
+    [
+        ('raise PlanError("no plan is given")', ["remedy"]),
+        ('raise PlanError("no plan is given", "")', ["remedy"]),
+        ("raise PlanError(reason)", ["remedy"]),
+        ('raise typer.BadParameter("--speed is 0")', ["remedy"]),
+        ('x = PlanError("no plan is given")', ["remedy"]),
+        ('raise PlanError("no plan is given", "give at least one")', []),
+        ('raise PlanError("no plan is given", remedy=hint)', []),
+        ("raise PlanError(*problem(rate_Hz))", []),
+        ('raise PlanError(f"stopped: {fault_text(code)}")', []),
+        ('raise typer.BadParameter("--speed is 0; give a number above 0")', []),
+        ("raise Refused(command)", []),
+        ('raise ValueError("negative width")', []),
+    ],
+)
+def test_an_error_for_the_user_says_what_to_do(raised: str, rules: list[str], tmp_path: Path) -> None:
+    (tmp_path / "host/heli_host").mkdir(parents=True)
+    (tmp_path / "host/heli_host/errors.py").write_text(ERRORS)
+    assert rules_broken(tmp_path, "host/heli_host/module.py", raised + "\n") == rules
+
+
+def test_abbreviations_are_those_of_the_glossary() -> None:
+    row = "| AIC, BIC | A criterion, B criterion |\n"
+    table = f"# Words\n\n## Abbreviations\n\n| abbreviation | means |\n|---|---|\n{row}"
+    assert abbreviations(table + "\n## Flying\n\n| SIL | no |\n") == {
+        "AIC": "A criterion",
+        "BIC": "B criterion",
+    }
+    assert len(RULES.abbreviations) > 20

@@ -10,7 +10,13 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = {"heli_host": "host", "heli_sim": "sim", "heli_lab": "sim"}
+PACKAGES = {
+    "due_emulator": "sim/due",
+    "heli_host": "host",
+    "heli_sim": "sim",
+    "heli_lab": "sim",
+    "heli_benchmark": "sim",
+}
 INTERFACES = {
     "ENTRY_POINT_GROUP": "each file that looks up plug-ins states its group",
     "SPEC": "each file of effects states what it is",

@@ -1,4 +1,4 @@
-"""The site: its tree of contents reaches every page, and it builds without a warning."""
+"""The site: its contents reach every page, it builds without a warning, and its search answers questions."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.repo.site_search import answers
 from tests.running.long import LONG
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -44,13 +45,15 @@ def test_every_page_is_in_one_of_the_five_folders() -> None:
 
 
 @pytest.mark.documents
-def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
+def test_the_site_builds_without_a_warning_and_its_search_finds_answers(tmp_path: Path) -> None:
     # The reference of the Python API is most of the work.
     less = [] if LONG else ["--tag", "without_api"]
     options = ["--quiet", "--fail-on-warning", "--keep-going", *less]
     command = [sys.executable, "-m", "sphinx", *options, "--builder", "html", str(DOCS), str(tmp_path)]
     built = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stderr
+    missed = [answer for answer in answers(tmp_path) if not answer.is_found]
+    assert not missed, "the search does not find the answers"
     assert "<math" in (tmp_path / "reference/effects.html").read_text()
     assert 'class="gp">$ ' in (tmp_path / "how-to/flying.html").read_text()
 

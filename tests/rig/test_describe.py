@@ -29,6 +29,8 @@ pytestmark = pytest.mark.medium
         ("thrust_gain", "60 +- 3 g/V", 0.5886, 0.02943, "stated by its builder"),
         ("elevation_min", "-27 deg", -27.0, 2.7, "stated by its builder; tolerance assumed, 10 %"),
         ("encoder_counts", "4096", 4096.0, 0.0, "stated by its builder; exact"),
+        ("encoder_counts_pitch", "1000", 1000.0, 0.0, "stated by its builder; exact"),
+        ("encoder_direction_pitch", "-1", -1.0, 0.0, "stated by its builder; exact"),
         ("friction_pitch", "12 mN m s/rad", 0.012, 0.0012, "stated by its builder; tolerance assumed, 10 %"),
     ],
 )
@@ -71,7 +73,7 @@ def test_rig_of_options_has_what_was_stated_and_the_rest_wide(terminal: Terminal
     assert rig["M_h"].tolerance == pytest.approx(0.3 * like["M_h"].value)
     assert rig["M_h"].source == "not stated: as makki2024"
     assert rig["g"].tolerance == like["g"].tolerance
-    assert rig["encoder_counts"].tolerance == 0.0
+    assert rig["encoder_counts_pitch"].tolerance == 0.0
     assert "hovers at" in ended.out
 
 
@@ -88,7 +90,7 @@ def test_table_and_options_go_together_and_options_win(terminal: Terminal) -> No
 def test_answers_are_asked_again_until_they_can_be(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    answers = ["360 lb", "360 g", *([""] * 16)]
+    answers = ["360 lb", "360 g", *([""] * 18)]
     monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(answers) + "\n"))
     ended = terminal("rig", "new", "mine.toml")
     assert ended.code == 0, ended

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from heli_benchmark.engine.bodies import mujoco_rig
 from heli_sim.bench.table import TEMPLATE, bench_tests_from
 from heli_sim.bench.weigh import weigh
 from heli_sim.errors import RigError
 from heli_sim.rig import Rig, load_rig
 
 from tests.cli.terminal import Terminal, refusal, terminal
-from tests.mujoco_rig import mujoco_rig
 
 __all__ = ["terminal"]
 

@@ -23,7 +23,7 @@ from typing import Final, TypeVar
 from tests.running.clock import spent_s
 
 ROOT: Final = Path(__file__).resolve().parents[2]
-FLOWN: Final = ("firmware", "host", "sim/native", "sim/due", "sim/heli_sim")
+FLOWN: Final = ("firmware", "host", "sim/native", "sim/due", "sim/due_board", "sim/heli_sim")
 """What a flight is made by: flight code, host, simulation."""
 FITTED: Final = (*FLOWN, "sim/heli_lab")
 """What is made of flights besides."""

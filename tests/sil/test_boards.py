@@ -8,6 +8,7 @@ from pathlib import Path
 import heli_host
 import numpy as np
 import pytest
+from due_emulator import read_image
 from heli_host.declaration import (
     Param,
     ParamSetMessage,
@@ -26,8 +27,7 @@ from heli_host.log.reader import read_log
 from heli_host.log.summary import FlightSummary
 from heli_sim import _native
 from heli_sim.due import firmware
-from heli_sim.due.errors import BoardStopped, FirmwareError, ImageError
-from heli_sim.due.image import read_image
+from heli_sim.due.errors import BoardStopped, FirmwareError
 from heli_sim.errors import OptionError, SimError
 from heli_sim.rig import load_rig
 from heli_sim.sil.boards import EmulatedDue, choose
@@ -216,7 +216,7 @@ class TestWhichElf:
             choose("due", str(quiet))
 
     def test_a_missing_file_is_refused(self) -> None:
-        with pytest.raises(ImageError, match="nowhere"):
+        with pytest.raises(FirmwareError, match="nowhere"):
             choose("due", "nowhere.elf")
 
     def test_without_any_auto_is_native_and_due_says_how_to_get_one(

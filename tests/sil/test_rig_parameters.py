@@ -17,7 +17,11 @@ from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import parse_options
 
 BOARDS = ["native", pytest.param("due", marks=pytest.mark.emulated)]
-COARSE = {"encoder_counts": 2000.0, "encoder_travel_ratio": 1.5}
+COARSE = {
+    "encoder_counts_elevation": 2000.0,
+    "encoder_counts_pitch": 2000.0,
+    "encoder_counts_travel": 3000.0,
+}
 """An encoder of 500 lines on elevation and pitch, and one of 750 on travel."""
 
 
@@ -105,13 +109,13 @@ def test_parameters_in_a_flash_file_hold_and_are_compared(tmp_path: Path) -> Non
 
 
 def test_a_rig_that_no_board_can_be_set_to_is_refused(tmp_path: Path) -> None:
-    rig = rig_file(tmp_path, encoder_counts=70_000.0)
+    rig = rig_file(tmp_path, encoder_counts_elevation=70_000.0)
     with pytest.raises(RigError, match="needs elevation_counts_per_rev = 70000, and the board takes"):
         heli_host.connect(f"sil://?rig={rig}")
 
 
 def test_on_hardware_a_sign_is_wiring_and_each_part_is_named() -> None:
-    stated = rig_parameters("makki2024")
+    stated = rig_parameters("makki2024").values
     board = {
         **stated,
         "pitch_counts_per_rev": -4096.0,

@@ -199,3 +199,23 @@ def test_a_column_that_is_not_there_is_named() -> None:
     wrong = dataclasses.replace(PROFILE, time="tme")
     with pytest.raises(FlightDataError, match="did you mean 'time'"):
         flights_of(table(), wrong)
+
+
+def test_an_angle_that_jumps_begins_another_flight_and_says_why() -> None:
+    jumping = table()
+    jumping.columns["e"].values[150:] += 21.0
+    first, second = flights_of(jumping, dataclasses.replace(PROFILE, parts={}))
+    assert len(first) == 150
+    assert "cut" not in first.meta
+    assert second.meta["cut"].startswith("elevation jumps by 21.0 deg at ")
+
+
+def test_filled_gaps_are_counted_in_the_notes() -> None:
+    whole = table()
+    keep = np.ones(N, bool)
+    keep[100:103] = False
+    columns = {name: Column(column.values[keep], column.unit) for name, column in whole.columns.items()}
+    flights = flights_of(Table("x", columns), dataclasses.replace(PROFILE, parts={}))
+    assert len(flights) == 1
+    assert flights[0].meta["filled"].startswith("3 missing rows in 1 gaps, the longest ")
+    assert "filled" not in flights_of(whole, dataclasses.replace(PROFILE, parts={}))[0].meta

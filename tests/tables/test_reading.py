@@ -118,6 +118,9 @@ def test_utf16_as_spreadsheets_save_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "split"),
     [
+        ("y[1]", ("y[1]", "")),
+        ("u(1)", ("u(1)", "")),
+        ("u [1]", ("u", "duty")),
         ("pitch [deg]", ("pitch", "deg")),
         ("pitch (rad)", ("pitch", "rad")),
         ("travel / deg", ("travel", "deg")),
@@ -192,6 +195,53 @@ def test_parquet_and_excel(suffix: str, tmp_path: Path) -> None:
     else:
         frame.to_excel(path, index=False)
     same(read_table(path))
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize(
+    "above", [[], [["Measurement 7"], ["Sample time", 0.01], []]], ids=["plain", "titles"]
+)
+@pytest.mark.parametrize("sheets_before", [0, 1])
+def test_a_table_below_titles_or_on_the_second_sheet(
+    above: list[list[object]], sheets_before: int, tmp_path: Path
+) -> None:
+    import openpyxl
+
+    book = openpyxl.Workbook(write_only=True)
+    for _ in range(sheets_before):
+        book.create_sheet("Info").append(["Rig", 3, "Date", "2024-03-01"])
+    sheet = book.create_sheet("Data")
+    for row in [*above, ["t", "x", "y"], *np.column_stack((T_S, X, Y)).tolist()]:
+        sheet.append(row)
+    book.save(tmp_path / "a.xlsx")
+    table = read_table(tmp_path / "a.xlsx")
+    same(table)
+    assert list(table.columns) == ["t", "x", "y"]
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize(("units", "times"), [("seconds", T_S), ("milliseconds", T_S * 1e3)])
+def test_time_series_of_simulink_in_its_default_format(units: str, times: Any, tmp_path: Path) -> None:
+    from matio import save_to_mat
+    from matio.utils.matclass import MatlabOpaque
+
+    nothing = np.zeros((0, 0))
+    inner = {"Units": units, "Increment": nothing, "Time_": times[:, None]}
+
+    def series(values: Any) -> Any:
+        storage = MatlabOpaque({"Data": values[:, None]}, "timeseries.storage")
+        properties = {
+            "Data_": nothing,
+            "Time_": nothing,
+            "TimeInfo": MatlabOpaque(inner, "tsdata.timemetadata"),
+            "Storage_": storage,
+        }
+        return MatlabOpaque(properties, "timeseries")
+
+    save_to_mat(str(tmp_path / "a.mat"), {"x": series(X), "y": series(Y)})
+    table = read_table(tmp_path / "a.mat")
+    same(table)
+    assert table.columns["x"].t_s == pytest.approx(T_S)
 
 
 @pytest.mark.medium

@@ -21,6 +21,7 @@ from heli_host.link.frames import FrameParser, encode_frame
 from heli_host.link.telemetry import TelemetryDecoder
 from heli_sim.plant import Plant
 from heli_sim.rig import Rig
+from heli_sim.rig.encoders import counts_per_turn
 from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
 
@@ -145,8 +146,7 @@ def fly(
         received.append(world.advance(INTERVAL_TICKS, first + send(message)))
         first = b""
     received.append(world.advance(40))
-    counts = 4096.0 * np.array([1.0, 1.0, plant.rig["encoder_travel_ratio"].value])
-    return _decoded(b"".join(received), start_tick, path_deg, duration_s, counts)
+    return _decoded(b"".join(received), start_tick, path_deg, duration_s, counts_per_turn(plant.rig))
 
 
 def _param_set(index: int, value: float, request: int) -> d.ParamSetMessage:

@@ -110,9 +110,8 @@ def test_a_wider_bound_buys_a_smaller_error() -> None:
 def test_a_rig_of_another_make_is_designed_for_and_flown() -> None:
     rig = load_rig("quanser-course")
     design = find_gains(rig)
-    assert design.parameters["travel_counts_per_rev"] == 8192.0
-    # Their sign says how the encoders are wired, and is not a rig's business.
-    assert not {"elevation_counts_per_rev", "pitch_counts_per_rev"} & set(design.parameters)
+    # The rig file does not state how the encoders are wired, so the board's signs stay.
+    assert not [name for name in design.parameters if name.endswith("_counts_per_rev")]
     assert design.parameters["motor_min_V"] == -5.0
     plant = Plant(MultibodyModel((RotorLag(0.12),)), rig)
     end = fly(plant, demanding_path_deg, SINE_S, design.parameters)

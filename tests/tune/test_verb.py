@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from heli_host.cli.entry import run
-from heli_host.parameter_file import read_parameters
+from heli_host.parameter_file import read_parameter_set
 from heli_host.parameters import checked
 from heli_sim.rig import load_rig, write_rig
 
@@ -33,7 +33,7 @@ def test_gains_for_a_rig_fly_hover_and_sines_on_it_within_stated_errors(
     rig: str, travel_rms_deg: float, elevation_rms_deg: float, tmp_path: Path
 ) -> None:
     numbers = tuned(rig, tmp_path)
-    values = read_parameters(tmp_path / "save-params.toml")
+    values = read_parameter_set(tmp_path / "save-params.toml").values
     assert values == numbers["parameters"]
     for name, value in values.items():
         checked(name, value)

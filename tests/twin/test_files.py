@@ -69,7 +69,7 @@ def test_what_is_wrong_with_a_file_is_told(tmp_path: Path, old: str, new: str, t
         ("dashboard --replay nothere --twin makki2024", "heli-host twin nothere"),
         ("dashboard --replay nothere --fly hover", "flies nothing"),
         ("dashboard --replay nothere --law mine.py", "flies nothing"),
-        ("dashboard --sil --law mine.py", "there is no file mine.py"),
+        ("dashboard --sil --law mine.py", "mine.py is not a file"),
     ],
 )
 def test_words_that_cannot_be_are_refused_in_one_line(

@@ -134,12 +134,14 @@ def check_board_rig(heli: Heli, rig: str | None) -> None:
 
     stated = transport_rig_parameters(heli.session.transport)
     simulated = bool(stated)
+    directed: frozenset[str] = frozenset()
     if rig is not None and not simulated:
         if not is_known_rig(rig):
             say_progress(f"rig {rig} is a label, not a rig file: the board's parameters are not compared")
             return
-        stated = rig_parameters(rig)
-    for difference in check_rig(stated, heli.params, simulated=simulated):
+        read = rig_parameters(rig)
+        stated, directed = read.values, read.directed
+    for difference in check_rig(stated, heli.params, simulated=simulated, directed=directed):
         # A simulated board starts with its rig's numbers: there somebody has just set the parameter.
         fix = "" if simulated else f"; heli-host params set {difference.parameter} {difference.rig:g} --save"
         say(f"warning: {difference}{fix}")

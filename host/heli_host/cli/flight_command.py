@@ -13,7 +13,7 @@ import typer
 from heli_host.cli import simulated
 from heli_host.cli.gains import check_gains, chosen_parameters
 from heli_host.cli.options import flight_folder
-from heli_host.cli.say import STDOUT, data_on_stdout, say, say_files, say_progress
+from heli_host.cli.say import data_on_stdout, say, say_files, say_progress, write_result
 from heli_host.cli.twin_options import lands_on_alarm, open_watch, read_twin
 
 if TYPE_CHECKING:
@@ -116,19 +116,26 @@ class FlownFlight:
         The file with every tick.
     lines : tuple of str
         Lines about it for the user.
-    files : tuple of Path or None
-        Files that it left.
+    json : Path or None
+        The file for the summary, which `write` writes.
+    figure : Path or None
+        The picture of angles and voltages; None if the user wants none.
     """
 
     summary: FlightSummary
     log: Path
     lines: tuple[str, ...]
-    files: tuple[Path | None, ...]
+    json: Path | None
+    figure: Path | None
+
+    def write(self, **more: object) -> None:
+        """Write the summary as JSON, with `more` results in it."""
+        write_result(self.json, {**self.summary.as_dict(), **more})
 
     def report(self) -> None:
         """Print the lines and the names of the files."""
         say(*self.lines)
-        say_files(self.files)
+        say_files([self.log, self.json, self.figure])
 
     def end(self) -> None:
         """Raise KeyboardInterrupt after a flight that Ctrl-C ended, FlightAborted after any other flight that
@@ -140,7 +147,10 @@ class FlownFlight:
         if was_interrupted(self.summary.outcome):
             raise KeyboardInterrupt
         if not self.summary.completed:
-            raise FlightAborted(self.summary.outcome)
+            # A fault's text says what to do already.
+            explained = ";" in self.summary.outcome
+            events = f"look at its events: heli-host info {self.log} --events"
+            raise FlightAborted(self.summary.outcome, "" if explained else events)
 
 
 def fly_plans(
@@ -151,7 +161,7 @@ def fly_plans(
     on_taken_off: Callable[[Heli], object] | None = None,
     on_flown: Callable[[Heli], object] | None = None,
 ) -> FlownFlight:
-    """Fly plans on the board that the options name; write log, summary and figure.
+    """Fly plans on the board that the options name; write log and figure. The caller writes the summary.
 
     Parameters
     ----------
@@ -243,7 +253,6 @@ def fly_plans(
                 heli,
                 plans,
                 log_path=log,
-                json_path=json if str(json) != STDOUT else None,
                 figure_path=figure,
                 on_progress=show,
                 rig_name="" if options.blind else simulated.rig_name(options.rig, simulated=options.sil),
@@ -261,4 +270,4 @@ def fly_plans(
         lines.append(f"twin: {watch.words()}")
     if truth is not None:
         lines += [f"sealed: {truth.digest}", f"truth, not for those who search: {key}"]
-    return FlownFlight(summary, log, tuple(lines), (log, json, figure))
+    return FlownFlight(summary, log, tuple(lines), json, figure)

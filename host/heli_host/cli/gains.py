@@ -30,6 +30,8 @@ ParamsFileOption = Annotated[
 def chosen_parameters(file: Path | None, gains: str | None) -> Mapping[str, float]:
     """Read and check a file of parameters; values by name.
 
+    Known values of a file of another parameter schema are kept, and the others are listed.
+
     Parameters
     ----------
     file : Path or None
@@ -44,17 +46,16 @@ def chosen_parameters(file: Path | None, gains: str | None) -> Mapping[str, floa
     ParameterError
         If the file cannot be read, or the board would refuse a value.
     """
-    from heli_host.parameter_file import read_parameters
-    from heli_host.parameters import checked
+    from heli_host.cli.say import say_dropped
+    from heli_host.parameter_file import read_parameter_set
 
     if file is None:
         return {}
     if gains is not None:
         raise typer.BadParameter("--gains and --params both set the gains; leave one of them out")
-    values = read_parameters(file)
-    for name, value in values.items():
-        checked(name, value)
-    return values
+    given = read_parameter_set(file)
+    say_dropped(given.dropped)
+    return given.values
 
 
 def check_gains(gains: str | None, sil: bool) -> None:

@@ -81,6 +81,12 @@ def write_result(file: Path | None, content: Mapping[str, Any]) -> bool:
     return False
 
 
+def say_dropped(reasons: Iterable[str], file: Path | None = None) -> None:
+    """Print the `reasons` why values of a parameter `file` of another schema are not used, one line each."""
+    where = f"{file}: " if file is not None else ""
+    say(*(f"{where}dropped: {reason}" for reason in reasons))
+
+
 def say_data(text: str) -> None:
     """Write `text` to standard output as it is, for another program."""
     sys.stdout.write(text)

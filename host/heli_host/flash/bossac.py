@@ -119,7 +119,7 @@ def _ask(path: str) -> Bossac:
     text = done.stdout + done.stderr
     version = re.search(r"\(BOSSA\) Version (\S+)", text)
     if version is None:
-        raise UploaderError(f"{path} is not bossac: it prints no version", GET_BOSSAC)
+        raise UploaderError(f"{path} is not bossac, because it prints no version", GET_BOSSAC)
     usb_option: tuple[str, ...] = ()
     if "--usb-port" in text:
         usb_option = ("--usb-port=0",)
@@ -190,10 +190,12 @@ def _failure(bossac: Bossac, port: str, code: int, output: str) -> FlashError:
             "flash again over a short cable without a hub; if it stays, the flash is worn: use another board",
         )
     if "-h' or" in output or "extra arguments" in output or "Usage:" in output:
-        return FlashError(f"bossac {bossac.version} does not take the options given to it", GET_BOSSAC)
+        return FlashError(
+            f"bossac {bossac.version} does not know the options that heli-host gave it", GET_BOSSAC
+        )
     if code < 0:
         return FlashError(f"bossac {bossac.version} crashed (signal {-code})", GET_BOSSAC)
     return FlashError(
-        f"bossac {bossac.version} failed with code {code} and said: {said}",
+        f"bossac {bossac.version} failed with code {code}: {said}",
         "check cable and power, press RESET, then flash again",
     )

@@ -15,6 +15,7 @@ import numpy as np
 
 from heli_host.arrays import Floats
 from heli_host.declaration import AXES
+from heli_host.flight.counts import count_rad
 from heli_host.flight.flight import Flight
 from heli_host.flight.flown import Rows, flown_rows, led_rows
 
@@ -26,8 +27,6 @@ HELD_s: Final = 1.0
 and a sine stays nowhere. By judgement. Shorter: a sine's crests count. Longer: quick steps are missed."""
 SETTLED_SHARE: Final = 0.05
 """Share of the step within which a response counts as settled, as is usual; less is lost in draughts."""
-COUNT_DEG: Final = 360.0 / 4096.0
-"""A count of the encoders: nothing settles within less."""
 _HELD_DEG: Final = 0.01
 _SAME_DEG: Final = 1e-3
 """Rounding of a setpoint in a log."""
@@ -44,8 +43,8 @@ class StepMetrics:
     overshoot_percent : float
         Furthest beyond its end, as a share of the step [%].
     settling_s : float
-        From the step until the angle stays within 5 % of it, or within a count of the encoder where that is
-        more [s]; nan where it does not.
+        From the step until the angle stays within 5 % of it, as far as the encoder shows [s]; nan where it
+        does not. An encoder shows an angle where its count changes, and between two counts only that.
     """
 
     rise_s: float
@@ -131,15 +130,19 @@ def steps(flight: Flight, axis: str) -> tuple[Step, ...]:
     if setpoint_rad is None:
         return ()
     angle_deg, wanted_deg = np.rad2deg(getattr(flight, f"{axis}_rad")), np.rad2deg(setpoint_rad)
+    count_deg = float(np.rad2deg(count_rad(flight)[AXES.index(axis)]))
     found = []
     for first, stop in _moves(flight, wanted_deg, led_rows(flight, axis)):
         start_deg, end_deg, t_s = wanted_deg[first - 1], wanted_deg[stop - 1], flight.t_s[first:stop]
-        metrics = step_metrics(t_s - t_s[0], angle_deg[first:stop], float(start_deg), float(end_deg))
+        moved_deg = angle_deg[first:stop]
+        metrics = step_metrics(t_s - t_s[0], moved_deg, float(start_deg), float(end_deg), count_deg)
         found.append(Step(float(t_s[0]), float(end_deg - start_deg), metrics))
     return tuple(found)
 
 
-def step_metrics(t_s: Floats, angle_deg: Floats, start_deg: float, end_deg: float) -> StepMetrics:
+def step_metrics(
+    t_s: Floats, angle_deg: Floats, start_deg: float, end_deg: float, count_deg: float = math.nan
+) -> StepMetrics:
     """Measure a step response, as `control.step_info` does; that takes two seconds to import.
 
     Parameters
@@ -150,6 +153,8 @@ def step_metrics(t_s: Floats, angle_deg: Floats, start_deg: float, end_deg: floa
         Measured angle [deg].
     start_deg, end_deg : float
         Setpoints before and after the step [deg].
+    count_deg : float
+        Angle of a count of the encoder [deg]; nan if the angles are not in whole counts.
     """
     if not len(t_s):
         return StepMetrics(math.nan, math.nan, math.nan)
@@ -157,11 +162,44 @@ def step_metrics(t_s: Floats, angle_deg: Floats, start_deg: float, end_deg: floa
     share = (angle_deg - start_deg) / size_deg
     reached = [np.flatnonzero(share >= level) for level in (0.1, 0.9)]
     rise_s = float(t_s[reached[1][0]] - t_s[reached[0][0]]) if reached[1].size else math.nan
-    band_deg = max(SETTLED_SHARE * abs(size_deg), COUNT_DEG)
-    outside = np.flatnonzero(np.abs(angle_deg - end_deg) > band_deg)
+    seen_deg = angle_deg
+    if math.isfinite(count_deg):
+        seen_deg = _between_counts(t_s, angle_deg, end_deg, count_deg)
+    outside = np.flatnonzero(np.abs(seen_deg - end_deg) > SETTLED_SHARE * abs(size_deg))
     settled = not outside.size or outside[-1] < len(share) - 1
     settling_s = float(t_s[outside[-1] + 1] if outside.size else 0.0) if settled else math.nan
     return StepMetrics(rise_s, 100.0 * max(float(share.max()) - 1.0, 0.0), settling_s)
+
+
+def _between_counts(t_s: Floats, angle_deg: Floats, end_deg: float, count_deg: float) -> Floats:
+    """Angle that an encoder's counts show: exact where a count changes, and a cubic between two such edges.
+
+    An axis that turns back within a count, or is in it at the beginning or the end, may be anywhere in it. It
+    gets the place nearest to the end of the step, because the encoder does not show that it is elsewhere.
+    Without this a coarse encoder never settles next to a setpoint between two of its counts.
+    """
+    edges = np.flatnonzero(np.abs(np.diff(angle_deg)) > 0.5 * count_deg) + 1
+    low_deg, high_deg = angle_deg - 0.5 * count_deg, angle_deg + 0.5 * count_deg
+    nearest_deg: Floats = np.clip(end_deg, low_deg, high_deg)
+    if len(edges) < 3:
+        return nearest_deg
+    edge_s = 0.5 * (t_s[edges - 1] + t_s[edges])
+    edge_deg = 0.5 * (angle_deg[edges - 1] + angle_deg[edges])
+    # Cubic Hermite: the slope at an edge is that of the parabola through this edge and its neighbours.
+    lasting_s, secant = np.diff(edge_s), np.diff(edge_deg) / np.diff(edge_s)
+    inner = (secant[:-1] * lasting_s[1:] + secant[1:] * lasting_s[:-1]) / (lasting_s[:-1] + lasting_s[1:])
+    slope = np.concatenate((secant[:1], inner, secant[-1:]))
+    run = np.clip(np.searchsorted(edges, np.arange(len(t_s)), side="right") - 1, 0, len(edges) - 2)
+    x, h_s = (t_s - edge_s[run]) / lasting_s[run], lasting_s[run]
+    cubic_deg = (
+        (1.0 + 2.0 * x) * (1.0 - x) ** 2 * edge_deg[run]
+        + x * (1.0 - x) ** 2 * h_s * slope[run]
+        + x**2 * (3.0 - 2.0 * x) * edge_deg[run + 1]
+        - x**2 * (1.0 - x) * h_s * slope[run + 1]
+    )
+    is_passed = (x >= 0.0) & (x <= 1.0) & (np.sign(secant[run]) != 0.0)
+    seen_deg: Floats = np.where(is_passed, np.clip(cubic_deg, low_deg, high_deg), nearest_deg)
+    return seen_deg
 
 
 def rms(values: Floats) -> float:

@@ -113,7 +113,7 @@ class Request:
             The command was given up; the error gives the reason.
         """
         if self.reply is None:
-            raise self.error or CommandTimeout("the command was not answered", "try again")
+            raise self.error or CommandTimeout("the board did not answer the command", "try again")
         if self.reply.id == MessageId.ACK:
             ack = AckMessage.unpack(self.reply.payload)
             if ack.result != Result.OK:

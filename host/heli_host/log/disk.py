@@ -21,11 +21,14 @@ from pathlib import Path
 from typing import Protocol
 
 from heli_host.errors import LogWriteError
+from heli_host.log.schema import TICK_LAYOUT
 
-MAX_BYTES_PER_S = 125_000
+_OVERHEAD_BYTES = 21
+"""What the log adds to the values of a tick at most: 17 bytes were measured, of which 16 are the index."""
+MAX_BYTES_PER_S = 1000 * (TICK_LAYOUT.dtype.itemsize + _OVERHEAD_BYTES)
 """A second of ticks that do not compress at all, with their index; a usual one is 15 to 20 kB."""
 QUEUED_BYTES = 32 * 1024 * 1024
-"""What may wait for the disk: half an hour of a usual flight, 4 minutes of ticks that do not compress."""
+"""Most data that may wait for the disk: half an hour of a usual flight, 4 minutes of incompressible ticks."""
 RESERVED_BYTES = 4 * 1024 * 1024
 """Free space at which a flight ends: its landing, and summary and figure after it, still find room."""
 

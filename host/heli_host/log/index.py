@@ -18,7 +18,7 @@ from mcap.writer import MCAP0_MAGIC
 RECORD_HEADER = struct.Struct("<BQ")
 DATA_END_BYTES = RECORD_HEADER.size + 4
 PARSE_ERRORS = (McapError, ValueError, struct.error)
-"""What the mcap library raises over a record that is not what it should be."""
+"""Exceptions of the mcap library for a damaged record."""
 
 _FOOTER_BYTES = RECORD_HEADER.size + 20
 _MAGIC = bytes(MCAP0_MAGIC)

@@ -319,14 +319,14 @@ class Cockpit:
 
     def _setpoint(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
         if self._flight is not None:
-            raise SetpointError("a plan flies now, and controls the setpoints", "land to end it")
+            raise SetpointError("a plan flies now, and controls the setpoints", "end it with Land")
         axes = ("elevation_deg", "travel_deg")
         self._heli.setpoint(**{name: number(arguments, name) for name in axes if name in arguments})
         return {}
 
     def _hold(self, _: Mapping[str, Any]) -> Mapping[str, Any]:
         if self._flight is not None:
-            raise SetpointError("a plan flies now, and controls the setpoints", "land to end it")
+            raise SetpointError("a plan flies now, and controls the setpoints", "end it with Land")
         self._heli.hold()
         return {}
 

@@ -12,7 +12,7 @@ time. After it the board gets no setpoints: it holds level after ``setpoint_hold
 closes. Shorter: a busy browser interrupts the flight. Longer: a dead page keeps flying for longer."""
 ABSENT_S = 3.0
 """Absence of the pilot after which another client gets control without the pilot's answer [s]. Shorter: a
-page that is reloaded loses control. Longer: nobody can take over from a dead page."""
+page that is reloaded loses control. Longer: a dead page keeps control."""
 
 
 @dataclass

@@ -105,7 +105,9 @@ def serving(source: Source, host: str = "127.0.0.1", port: int = 0, token: str =
                 break
             started.wait(0.01)
         if not server.started:
-            raise PortError("the server of the dashboard did not start", "report this with what it printed")
+            raise PortError(
+                "the server of the dashboard did not start", "report this with the output of the server"
+            )
         yield Address(host, listening.getsockname()[1], guard.token)
     finally:
         server.should_exit = True

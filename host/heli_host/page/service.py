@@ -258,7 +258,7 @@ class Service:
                 client,
                 _refused(
                     message,
-                    f"nothing is called {name[:40]!r} here",
+                    f"unknown request {name[:40]!r}",
                     "see docs/reference/dashboard-protocol.md",
                 ),
             )
@@ -269,7 +269,7 @@ class Service:
         if name == "ask":
             granted = self.lease.ask(client.key, now_s)
         elif client.key != self.lease.pilot:
-            self._tell(client, _refused(message, "only who flies can answer that", "ask for control"))
+            self._tell(client, _refused(message, "only the pilot can answer this", "ask for control"))
             return
         elif name == "share":
             self.lease.shared = bool(message.get("on"))
@@ -281,8 +281,8 @@ class Service:
     async def _act(self, client: Outbox, name: str, action: Action, message: Mapping[str, Any]) -> None:
         source, epoch = self._source, self._source.stop_epoch()
         if not self._allowed(client, action):
-            pilot = self.lease.name(self.lease.pilot) or "nobody"
-            self._tell(client, _refused(message, f"{pilot} flies, you watch", "ask for control"))
+            pilot = self.lease.name(self.lease.pilot) or "no page"
+            self._tell(client, _refused(message, f"{pilot} is the pilot, and you watch", "ask for control"))
             return
 
         def run() -> Mapping[str, Any]:

@@ -61,7 +61,8 @@ def read_bag(path: Path) -> Table:
             raise
         except Exception as error:  # the reader raises whatever a damaged file makes it trip over
             raise FlightDataError(
-                f"{path}: not a bag that rosbags reads ({type(error).__name__}: {error})", "record it again"
+                f"{path}: not a bag that rosbags reads ({type(error).__name__}: {error})",
+                "record the flight again",
             ) from error
         return _table(path, series)
 

@@ -25,6 +25,12 @@ WORD = 65536.0
 """Counts after which an encoder's counter of 16 bits begins again."""
 MAX_MISSING = 5.0
 """Steps without a row beyond which a flight ends and another begins; fewer missing rows are filled in."""
+_JUMP_DEG = 8.0
+_JUMP_DEG_S = 600.0
+"""A step of an angle above both limits ends a flight: the encoder was set to zero, or two logs were
+joined. Set by
+judgement: no such arm turns by 600 deg/s, and 8 deg is above the noise of every encoder. Lower limits cut
+fast logs at a lost row; higher ones keep the jump, which no model explains."""
 
 
 def flights_of(table: Table, profile: Profile) -> list[Flight]:
@@ -73,15 +79,47 @@ def flights_of(table: Table, profile: Profile) -> list[Flight]:
     if table.notes:
         notes["notes of the file"] = " / ".join(table.notes.split("\n"))
     flights = []
-    for start, stop in _pieces(t_s, part, table.source):
+    jumps = _jumps(t_s, series)
+    for start, stop in _pieces(t_s, part, [*jumps], table.source):
         even_s, even, even_held = _even(
             t_s[start:stop],
             {name: one[start:stop] for name, one in series.items()},
             {name: one[start:stop] for name, one in held.items()},
         )
         named: dict[str, Any] = {**even_held, **even}
-        flights.append(Flight(t_s=even_s, meta=notes, **named))
+        why = {"cut": jumps[start]} if start in jumps else {}
+        flights.append(
+            Flight(t_s=even_s, meta={**notes, **why, **_filled(t_s[start:stop], len(even_s))}, **named)
+        )
     return flights
+
+
+def _jumps(t_s: Floats, series: dict[str, Floats]) -> dict[int, str]:
+    """Rows at which an angle jumps further than an arm can turn, with the reason in words."""
+    limit_deg = np.maximum(_JUMP_DEG, _JUMP_DEG_S * np.diff(t_s))
+    jumps: dict[int, str] = {}
+    for name, values in series.items():
+        if name.endswith("_setpoint_rad"):
+            continue
+        steps_deg = np.degrees(np.diff(values))
+        for row in np.flatnonzero(np.abs(steps_deg) > limit_deg):
+            axis = name.removesuffix("_rad")
+            jumps[int(row) + 1] = f"{axis} jumps by {steps_deg[row]:.1f} deg at {t_s[row + 1]:.3f} s"
+    return jumps
+
+
+def _filled(t_s: Floats, count: int) -> dict[str, str]:
+    """Note of the rows that were filled in, if there are any."""
+    steps_s = np.diff(t_s)
+    step_s = float(np.median(steps_s))
+    gaps = np.flatnonzero(steps_s >= 1.75 * step_s)
+    if not gaps.size or count == t_s.size:
+        return {}
+    widest = gaps[np.argmax(steps_s[gaps])]
+    return {
+        "filled": f"{count - t_s.size} missing rows in {gaps.size} gaps, the longest "
+        f"{steps_s[widest]:.3f} s at {t_s[widest]:.3f} s"
+    }
 
 
 def times_of(table: Table, profile: Profile) -> Floats:
@@ -172,13 +210,14 @@ def _even(
     )
 
 
-def _pieces(t_s: Floats, part: Part, source: str) -> list[tuple[int, int]]:
-    """Rows that are left: first and last plus one of each stretch."""
+def _pieces(t_s: Floats, part: Part, jumps: list[int], source: str) -> list[tuple[int, int]]:
+    """Rows that are left: first and last plus one of each stretch; no stretch contains one of `jumps`."""
     keep = np.ones(t_s.size, bool)
     for start_s, stop_s in part.leave_out_s:
         keep &= (t_s < start_s) | (t_s >= stop_s)
     steps_s = np.diff(t_s)
     breaks = np.flatnonzero((steps_s > MAX_MISSING * np.median(steps_s)) | (steps_s < 0.0)) + 1
+    breaks = np.union1d(breaks, jumps)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], keep.astype(int), [0]))))
     found = [
         (int(a), int(b))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+import statistics
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,8 +31,9 @@ def read_parquet(path: Path) -> Table:
 
 
 def read_excel(path: Path) -> Table:
-    """Read the first sheet of a spreadsheet at `path`, names in its first row; a FlightDataError where there
-    is none, or it unpacks to too much.
+    """Read the longest sheet of a spreadsheet at `path`, with names above its columns.
+
+    A FlightDataError states that there is none, or that it unpacks to too much.
     """
     return _read(path, _excel, "Excel")
 
@@ -85,26 +87,55 @@ def _excel(path: Path) -> pandas.DataFrame:
     import pandas
 
     check_workbook(path)
+    best: list[tuple[object, ...]] = []
+    cells = 0
     with contextlib.closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book:
-        sheet = book.worksheets[0]
-        # A sheet states its own size, and a row its number: both may be anything.
-        sheet.reset_dimensions()
-        rows: list[tuple[object, ...]] = []
-        cells = 0
-        for row in sheet.iter_rows(values_only=True):
-            cells += max(1, len(row))
-            if cells > MAX_CELLS:
-                raise too_large(path, f"{MAX_CELLS // 1_000_000} million cells")
-            rows.append(row)
-    filled = [row for row in rows if any(cell is not None for cell in row)]
-    if not filled:
+        for sheet in book.worksheets:
+            # A sheet states its own size, and a row its number: both may be anything.
+            sheet.reset_dimensions()
+            rows: list[tuple[object, ...]] = []
+            for row in sheet.iter_rows(values_only=True):
+                cells += max(1, len(row))
+                if cells > MAX_CELLS:
+                    raise too_large(path, f"{MAX_CELLS // 1_000_000} million cells")
+                if any(cell is not None for cell in row):
+                    rows.append(row)
+            # The flight is the longest table; other sheets hold notes and charts.
+            if len(rows) > len(best):
+                best = rows
+    if not best:
         return pandas.DataFrame()
-    width = max(map(len, filled))
+    width = max(map(len, best))
     check_columns(path, width)
-    check_numbers(path, width * len(filled))
-    names = _names(filled[0], width)
-    body = (row + (None,) * (width - len(row)) for row in filled[1:])
+    check_numbers(path, width * len(best))
+    names, start = _head(best, width)
+    body = (row + (None,) * (width - len(row)) for row in best[start:])
     return pandas.DataFrame(body, columns=pandas.Index(names)).infer_objects()
+
+
+def _head(rows: Sequence[tuple[object, ...]], width: int) -> tuple[list[str], int]:
+    """Names of a sheet's columns, and the first row below them; lines of titles above them are skipped.
+
+    The names are the first row that is as wide as the table, or the row above it, and contain no number.
+    Otherwise, the columns have no names.
+    """
+    filled = [sum(cell is not None for cell in row) for row in rows]
+    usual = statistics.mode(filled)
+    first = next(place for place, count in enumerate(filled) if count >= usual)
+    # A row of names may lack one or two of them.
+    for place in (first, first - 1):
+        words = sum(isinstance(cell, str) and not _is_number(cell) for cell in rows[place])
+        if place >= 0 and words == filled[place] >= max(2, usual - 2):
+            return _names(rows[place], width), place + 1
+    return _names((), width), first
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell.replace(",", "."))
+    except ValueError:
+        return False
+    return True
 
 
 def _names(head: tuple[object, ...], width: int) -> list[str]:

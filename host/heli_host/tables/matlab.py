@@ -13,6 +13,7 @@ from heli_host.errors import FlightDataError
 from heli_host.tables.limits import check_numbers, within_memory
 from heli_host.tables.sizes import check_mat
 from heli_host.tables.table import Column, Table
+from heli_host.tables.units import TIME_UNITS, unit_of
 
 _DEEPEST: Final = 8
 """Structures within structures that are looked into."""
@@ -20,7 +21,8 @@ _MAX_SIGNALS: Final = 64
 """A matrix with more rows and more columns than this is an image or a law, not a recording."""
 _MIN_ROWS: Final = 10
 _TIMES: Final = ("time", "Time", "t", "tout", "Time_", "RowTimes")
-_DATA: Final = ("signals", "Data", "Data_", "data", "values", "Values")
+_DATA: Final = ("signals", "Data", "Data_", "data", "values", "Values", "Storage_")
+"""Fields with the data. A time series of newer releases has an empty `Data_`, and the data in `Storage_`."""
 
 
 def read_mat(path: Path) -> Table:
@@ -115,10 +117,15 @@ def _structure(name: str, fields: Mapping[str, Any], depth: int) -> Iterator[tup
         return
     for key in _DATA:
         if key in fields:
-            for label, signal in _values(name, _unpacked(fields[key]), t_s.size):
-                if signal.size == t_s.size:
-                    yield label, Column(signal, "", t_s)
-            return
+            data = [
+                (label, signal)
+                for label, signal in _values(name, _unpacked(fields[key]), t_s.size)
+                if signal.size == t_s.size
+            ]
+            for label, signal in data:
+                yield label, Column(signal, "", t_s)
+            if data:
+                return
     for key, one in fields.items():
         if key not in _TIMES:
             for _, signal, _count in _matrix(_unpacked(one)):
@@ -144,7 +151,8 @@ def _values(name: str, value: Any, rows: int) -> Iterator[tuple[str, Floats]]:
     fields = _fields(value)
     if fields is not None:
         label = _word(fields.get("label")) or _word(fields.get("blockName")).rpartition("/")[2] or name
-        yield from _values(label, _unpacked(fields.get("values", fields.get("Data"))), rows)
+        within = next((fields[key] for key in ("values", "Data", "Data_") if key in fields), None)
+        yield from _values(label, _unpacked(within), rows)
         return
     for index, signal, count in _matrix(value, rows):
         yield (f"{name}[{index + 1}]" if count > 1 else name), signal
@@ -183,9 +191,10 @@ def _own_times(fields: Mapping[str, Any]) -> Floats | None:
     info = _fields(_unpacked(fields.get("TimeInfo", fields.get("TimeInfo_"))))
     if info is None:
         return None
+    unit_s = TIME_UNITS.get(unit_of(_word(info.get("Units"))), 1.0)
     own = _own_times(info)
     if own is not None:
-        return own
+        return own * unit_s
     try:
         start, step, count = (
             float(np.ravel(_unpacked(info[key]))[0]) for key in ("Start", "Increment", "Length")
@@ -193,7 +202,7 @@ def _own_times(fields: Mapping[str, Any]) -> Floats | None:
     except (KeyError, IndexError, TypeError, ValueError):
         return None
     usable = np.isfinite([start, step, count]).all() and step > 0 and count >= _MIN_ROWS
-    even: Floats = start + step * np.arange(int(count) if usable else 0, dtype=np.float64)
+    even: Floats = unit_s * (start + step * np.arange(int(count) if usable else 0, dtype=np.float64))
     return even if usable else None
 
 

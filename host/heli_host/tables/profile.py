@@ -31,7 +31,7 @@ class Angle:
     unit : str
         `rad`, `mrad`, `deg`, `turn` or `count`.
     counts : float
-        Counts of a turn, where the unit is a count.
+        Counts of a turn, which have to be stated if the unit is a count; otherwise 0.
     sign : float
         -1 where the column counts the other way: elevation is positive upwards, pitch when the front rotor is
         up, and travel accelerates positive at positive pitch.
@@ -43,7 +43,7 @@ class Angle:
 
     column: str
     unit: str = "rad"
-    counts: float = 4096.0
+    counts: float = 0.0
     sign: float = 1.0
     offset_deg: float = 0.0
     delay_s: float = 0.0
@@ -158,6 +158,11 @@ class Profile:
 
 def read_profile(path: Path) -> Profile:
     """Read the profile at `path`; a FlightDataError says which entry is wrong."""
+    return profile_of(read_entries(path), str(path))
+
+
+def read_entries(path: Path) -> Mapping[str, Any]:
+    """Read the entries of the profile at `path`, which need not be complete."""
     try:
         content = parse_toml(read_file(path, TOML_BYTES).decode("utf-8"))
     except OSError as error:
@@ -166,7 +171,14 @@ def read_profile(path: Path) -> Profile:
         raise FlightDataError(
             f"{path}: not a profile: {error}", "see docs/reference/file-formats.md"
         ) from error
-    reader = _Reader(str(path))
+    for name in (*AXES, *MOTORS, *SUMS, "voltages", "time"):
+        _Reader(str(path)).table(content, name)
+    return content
+
+
+def profile_of(content: Mapping[str, Any], source: str) -> Profile:
+    """Make a profile of its entries, `content`; a FlightDataError names the `source` and the wrong entry."""
+    reader = _Reader(source)
     known = {
         "about",
         "mirrored",
@@ -288,10 +300,13 @@ class _Reader:
             raise self.wrong(f"[{name}] is missing")
         one = self.table(content, name)
         self.no_others(one, {"column", "unit", "counts", "sign", "offset_deg", "delay_s"}, f"{name}.")
+        unit = self.one_of(one, "unit", "rad", (*ANGLE_UNITS, COUNT))
+        if unit == COUNT and "counts" not in one:
+            raise self.wrong(f"[{name}] is in counts without counts = the encoder's counts of a turn")
         return Angle(
             self.text(one, "column", None),
-            self.one_of(one, "unit", "rad", (*ANGLE_UNITS, COUNT)),
-            self.positive(one, "counts", 4096.0),
+            unit,
+            self.positive(one, "counts", 1.0) if "counts" in one else 0.0,
             self.sign(one),
             self.number(one, "offset_deg", 0.0),
             self.number(one, "delay_s", 0.0),

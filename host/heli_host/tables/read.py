@@ -10,7 +10,7 @@ from heli_host.tables.table import Table
 KINDS = (
     ".csv .txt .tsv .dat .lvm (.gz), .mat, .parquet, .mcap, .bag, .db3, .xlsx, or the folder of a ROS 2 bag"
 )
-"""What can be read, for messages."""
+"""Kinds of files that can be read, for messages."""
 
 
 def read_table(path: Path) -> Table:

@@ -13,7 +13,7 @@ TIME_UNITS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 VOLTAGE_UNITS: Final = {"V": 1.0, "mV": 1e-3}
 """Volts in one of each; shares of the supply are in `SHARES`."""
 SHARES: Final = {"duty": 1.0, "percent": 100.0, "pwm": 255.0}
-"""What full supply is written as; a profile may state another number for `pwm`."""
+"""Number that stands for full supply; a profile may state another number for `pwm`."""
 COUNT: Final = "count"
 
 _SPELLINGS: Final = {
@@ -64,7 +64,9 @@ def split_unit(name: str) -> tuple[str, str]:
     """
     for pattern in (_BRACKETS, _SLASH):
         match = pattern.match(name)
-        if match and unit_of(match.group(2)):
+        # In y[1] and u(1) the number is an index; only after a space it is the unit of a share.
+        index = match is not None and match.group(2) == "1" and name[len(match.group(1))] in "[({<"
+        if match and unit_of(match.group(2)) and not index:
             return match.group(1).strip(), unit_of(match.group(2))
     match = _TAIL.match(name)
     # V_s is a sum of voltages and pitch_v a speed: these two letters are units in one place each.

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <utility>
 
-namespace heli_due {
+namespace due_emulator {
 
 UsbBridge::UsbBridge(Chip& chip) : chip_(chip), id_(chip.system.scheduler.add(this)) {
   chip_.uart.set_peer(this);
@@ -107,4 +107,4 @@ void UsbBridge::event(std::uint64_t) {
   plan();
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -14,7 +14,7 @@
 #include "bus/scheduler.hpp"
 #include "chip/chip.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 class UsbBridge final : public EventSink, public SerialPeer {
  public:
@@ -71,4 +71,4 @@ class UsbBridge final : public EventSink, public SerialPeer {
   std::uint8_t byte_ = 0;
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

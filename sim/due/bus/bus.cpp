@@ -6,7 +6,7 @@
 
 #include "cpu/cpu.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -247,4 +247,4 @@ bool Bus::dma_write(std::uint32_t address, std::uint8_t value) {
   return true;
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -10,7 +10,7 @@
 #include "bus/memory.hpp"
 #include "bus/wait_loops.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 class Cpu;
 
@@ -117,4 +117,4 @@ class Bus {
   Rehearsal rehearsal_;
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -4,7 +4,7 @@
 
 #include <cstdint>
 
-namespace heli_due {
+namespace due_emulator {
 
 // Board time in 1/65536 of a cycle at 84 MHz; exact for 84, 12 and 4 MHz, 40 days in 48 bits.
 using BoardTime = std::uint64_t;
@@ -40,4 +40,4 @@ class Clock {
   std::uint32_t mck_Hz_ = 4000000;
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -7,7 +7,7 @@
 #include <cstdio>
 #include <cstdlib>
 
-namespace heli_due {
+namespace due_emulator {
 
 const char* trouble_name(Trouble kind) {
   static constexpr std::array<const char*, kTroubleCount> kNames = {
@@ -62,4 +62,4 @@ void Diagnostics::report(Trouble kind, std::uint32_t address, const std::string&
 
 std::vector<std::string> Diagnostics::take_warnings() { return std::exchange(warnings_, {}); }
 
-}  // namespace heli_due
+}  // namespace due_emulator

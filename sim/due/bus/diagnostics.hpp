@@ -12,7 +12,7 @@
 #include <utility>
 #include <vector>
 
-namespace heli_due {
+namespace due_emulator {
 
 enum class Trouble : std::uint8_t {
   kUnmapped,    // no memory and no peripheral there
@@ -90,4 +90,4 @@ class Diagnostics {
 // "0x400e0a04"
 std::string hex(std::uint32_t value);
 
-}  // namespace heli_due
+}  // namespace due_emulator

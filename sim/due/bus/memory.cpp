@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-namespace heli_due {
+namespace due_emulator {
 
 void CodeWindow::open(const Insn& blank, const Insn& past_end) {
   blank_ = blank;
@@ -63,4 +63,4 @@ CodeWindow* Memory::window_of(const Insn* insn) {
   return nullptr;
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

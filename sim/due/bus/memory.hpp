@@ -9,7 +9,7 @@
 
 #include "cpu/insn.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 inline constexpr std::uint32_t kFlashBase = 0x00080000;
 inline constexpr std::uint32_t kFlashSize = 512 * 1024;
@@ -79,4 +79,4 @@ class Memory {
   CodeWindow* window_of(const Insn* insn);
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

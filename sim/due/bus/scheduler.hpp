@@ -4,7 +4,7 @@
 #include <cstdint>
 #include <vector>
 
-namespace heli_due {
+namespace due_emulator {
 
 inline constexpr std::uint64_t kNever = ~std::uint64_t{0};
 
@@ -76,4 +76,4 @@ class Scheduler {
   std::uint64_t* deadline_ = nullptr;
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -4,7 +4,7 @@
 
 #include "cpu/cpu.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -38,4 +38,4 @@ void WaitLoops::write(const Cpu& cpu, std::uint32_t address) {
   if (address != kWatchdogRestart) at_level_of(cpu).pc = kNone;
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

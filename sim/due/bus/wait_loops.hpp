@@ -10,7 +10,7 @@
 
 #include "cpu/exceptions.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 class Cpu;
 
@@ -39,4 +39,4 @@ class WaitLoops {
   std::array<Loop, exc::kCount + 1> loops_{};
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -3,23 +3,22 @@
 #include <algorithm>
 #include <utility>
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
 using access::kBoth;
-using access::kProtected;
 using access::kRead;
 using access::kUnmodelled;
 using access::kWrite;
 
 constexpr Register kRegisters[] = {
     {0x00, "ADC_CR", kWrite},
-    {0x04, "ADC_MR", kBoth | kProtected},
-    {0x08, "ADC_SEQR1", kBoth | kProtected | kUnmodelled},
-    {0x0C, "ADC_SEQR2", kBoth | kProtected | kUnmodelled},
-    {0x10, "ADC_CHER", kWrite | kProtected},
-    {0x14, "ADC_CHDR", kWrite | kProtected},
+    {0x04, "ADC_MR", kBoth},
+    {0x08, "ADC_SEQR1", kBoth | kUnmodelled},
+    {0x0C, "ADC_SEQR2", kBoth | kUnmodelled},
+    {0x10, "ADC_CHER", kWrite},
+    {0x14, "ADC_CHDR", kWrite},
     {0x18, "ADC_CHSR", kRead},
     {0x20, "ADC_LCDR", kRead},
     {0x24, "ADC_IER", kWrite},
@@ -27,10 +26,10 @@ constexpr Register kRegisters[] = {
     {0x2C, "ADC_IMR", kRead},
     {0x30, "ADC_ISR", kRead},
     {0x3C, "ADC_OVER", kRead},
-    {0x40, "ADC_EMR", kBoth | kProtected},
-    {0x44, "ADC_CWR", kBoth | kProtected},
-    {0x48, "ADC_CGR", kBoth | kProtected},
-    {0x4C, "ADC_COR", kBoth | kProtected},
+    {0x40, "ADC_EMR", kBoth},
+    {0x44, "ADC_CWR", kBoth},
+    {0x48, "ADC_CGR", kBoth},
+    {0x4C, "ADC_COR", kBoth},
     {0x50, "ADC_CDR0", kRead},
     {0x54, "ADC_CDR1", kRead},
     {0x58, "ADC_CDR2", kRead},
@@ -47,8 +46,8 @@ constexpr Register kRegisters[] = {
     {0x84, "ADC_CDR13", kRead},
     {0x88, "ADC_CDR14", kRead},
     {0x8C, "ADC_CDR15", kRead},
-    {0x94, "ADC_ACR", kBoth | kProtected},
-    {0xE4, "ADC_WPMR", kBoth},
+    {0x94, "ADC_ACR", kBoth},
+    {0xE4, "ADC_WPMR", kBoth | kUnmodelled},
     {0xE8, "ADC_WPSR", kRead | kUnmodelled},
     {0x100, "ADC_RPR", kBoth},
     {0x104, "ADC_RCR", kBoth},
@@ -57,8 +56,6 @@ constexpr Register kRegisters[] = {
     {0x120, "ADC_PTCR", kWrite},
     {0x124, "ADC_PTSR", kRead},
 };
-
-constexpr std::uint32_t kProtectKey = 0x414443;  // "ADC"
 
 // ADC_MR
 constexpr std::uint32_t kTriggered = 1U << 0;
@@ -90,7 +87,6 @@ Adc::Adc(System& system)
 void Adc::reset() {
   data_ = {};
   mode_ = channels_ = complete_ = overruns_ = interrupts_ = extended_ = last_ = window_ = 0;
-  protect_ = 0;
   analog_ = kAcrReset;
   transfer_ = {};
   ready_ = overrun_ = awake_ = false;
@@ -190,8 +186,6 @@ std::uint32_t Adc::read(std::uint32_t offset) {
       return window_;
     case 0x94:
       return analog_;
-    case 0xE4:
-      return protect_;
     case 0x100:
       return transfer_.pointer;
     case 0x104:
@@ -256,10 +250,6 @@ void Adc::write(std::uint32_t offset, std::uint32_t value) {
     case 0x94:
       analog_ = value & 0x310U;
       return;
-    case 0xE4:
-      if (value >> 8 != kProtectKey) return misuse(offset, "write without the key 0x414443");
-      protect_ = value & 1U;
-      return;
     case 0x100:
       transfer_.pointer = value;
       return;
@@ -284,4 +274,4 @@ void Adc::write(std::uint32_t offset, std::uint32_t value) {
   update();
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

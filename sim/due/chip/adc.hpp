@@ -7,7 +7,7 @@
 
 #include "chip/peripheral.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 class Adc final : public Peripheral {
  public:
@@ -26,7 +26,6 @@ class Adc final : public Peripheral {
  protected:
   std::uint32_t read(std::uint32_t offset) override;
   void write(std::uint32_t offset, std::uint32_t value) override;
-  bool write_protected() const override { return (protect_ & 1U) != 0; }
   std::uint32_t from_outside(std::uint32_t offset) const override {
     return offset == 0x20 || (offset >= 0x50 && offset <= 0x8C) ? ~0U : 0;
   }
@@ -65,7 +64,6 @@ class Adc final : public Peripheral {
   std::uint32_t last_ = 0;        // LCDR
   std::uint32_t window_ = 0;      // CWR
   std::uint32_t analog_ = 0;      // ACR
-  std::uint32_t protect_ = 0;
   Transfer transfer_;
   bool ready_ = false;    // DRDY
   bool overrun_ = false;  // GOVRE
@@ -73,4 +71,4 @@ class Adc final : public Peripheral {
   int running_ = -1;      // channel under conversion
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

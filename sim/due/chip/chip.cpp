@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -18,7 +18,8 @@ constexpr Block kUnmodelled[] = {
     {0x4009C000, 0x4000, "USART1"}, {0x400A0000, 0x4000, "USART2"}, {0x400A4000, 0x4000, "USART3"},
     {0x400B0000, 0x4000, "EMAC"},   {0x400B4000, 0x4000, "CAN0"},   {0x400B8000, 0x4000, "CAN1"},
     {0x400C4000, 0x4000, "DMAC"},   {0x400E0000, 0x200, "SMC"},     {0x400E0200, 0x200, "SDRAMC"},
-    {0x400E0400, 0x200, "MATRIX"},  {0x400E1A60, 0x30, "RTC"},
+    {0x400E0400, 0x200, "MATRIX"},  {0x400E1A10, 0x20, "SUPC"},     {0x400E1A30, 0x10, "RTT"},
+    {0x400E1A60, 0x30, "RTC"},
 };
 
 // Pins of TIOA and TIOB (section 9.2); PB0 and PB1 of TC1 are not brought out on the Due.
@@ -50,8 +51,6 @@ Chip::Chip()
       efc1(system, flash, 1),
       wdt(system),
       rstc(system),
-      supc(system),
-      rtt(system),
       gpbr(system),
       chipid(system),
       pioa(system, pins, 0, "PIOA", 0x400E0E00),
@@ -187,4 +186,4 @@ void Chip::step() {
   carry_out_resets();
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -20,7 +20,7 @@
 #include "chip/uotghs.hpp"
 #include "cpu/scs.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 class Chip final : public EventSink {
  public:
@@ -54,8 +54,6 @@ class Chip final : public EventSink {
   FlashController efc1;
   Wdt wdt;
   Rstc rstc;
-  Supc supc;
-  Rtt rtt;
   Gpbr gpbr;
   ChipId chipid;
   Pio pioa;
@@ -85,4 +83,4 @@ class Chip final : public EventSink {
   ResetType last_reset_ = ResetType::kGeneral;
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

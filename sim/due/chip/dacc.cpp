@@ -1,28 +1,27 @@
 #include "chip/dacc.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
 using access::kBoth;
-using access::kProtected;
 using access::kRead;
 using access::kUnmodelled;
 using access::kWrite;
 
 constexpr Register kRegisters[] = {
     {0x00, "DACC_CR", kWrite},
-    {0x04, "DACC_MR", kBoth | kProtected},
-    {0x10, "DACC_CHER", kWrite | kProtected},
-    {0x14, "DACC_CHDR", kWrite | kProtected},
+    {0x04, "DACC_MR", kBoth},
+    {0x10, "DACC_CHER", kWrite},
+    {0x14, "DACC_CHDR", kWrite},
     {0x18, "DACC_CHSR", kRead},
     {0x20, "DACC_CDR", kWrite},
     {0x24, "DACC_IER", kWrite},
     {0x28, "DACC_IDR", kWrite},
     {0x2C, "DACC_IMR", kRead},
     {0x30, "DACC_ISR", kRead},
-    {0x94, "DACC_ACR", kBoth | kProtected},
-    {0xE4, "DACC_WPMR", kBoth},
+    {0x94, "DACC_ACR", kBoth},
+    {0xE4, "DACC_WPMR", kBoth | kUnmodelled},
     {0xE8, "DACC_WPSR", kRead | kUnmodelled},
     {0x108, "DACC_TPR", kBoth | kUnmodelled},
     {0x10C, "DACC_TCR", kBoth | kUnmodelled},
@@ -32,7 +31,6 @@ constexpr Register kRegisters[] = {
     {0x124, "DACC_PTSR", kRead | kUnmodelled},
 };
 
-constexpr std::uint32_t kProtectKey = 0x444143;  // "DAC"
 constexpr std::uint32_t kTriggered = 1U << 0;
 constexpr std::uint32_t kWord = 1U << 4;
 constexpr std::uint32_t kTag = 1U << 20;
@@ -53,7 +51,7 @@ Dacc::Dacc(System& system)
 void Dacc::reset() {
   waiting_.clear();
   code_ = {};
-  mode_ = channels_ = interrupts_ = analog_ = protect_ = 0;
+  mode_ = channels_ = interrupts_ = analog_ = 0;
   complete_ = false;
   system_.scheduler.set(id_, kNever);
   update();
@@ -105,8 +103,6 @@ std::uint32_t Dacc::read(std::uint32_t offset) {
     }
     case 0x94:
       return analog_;
-    case 0xE4:
-      return protect_;
     default:
       return 0;
   }
@@ -141,14 +137,10 @@ void Dacc::write(std::uint32_t offset, std::uint32_t value) {
     case 0x94:
       analog_ = value & 0x30FU;
       return;
-    case 0xE4:
-      if (value >> 8 != kProtectKey) return misuse(offset, "write without the key 0x444143");
-      protect_ = value & 1U;
-      return;
     default:
       return;
   }
   update();
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

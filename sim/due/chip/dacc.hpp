@@ -6,7 +6,7 @@
 
 #include "chip/peripheral.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 class Dacc final : public Peripheral {
  public:
@@ -22,7 +22,6 @@ class Dacc final : public Peripheral {
  protected:
   std::uint32_t read(std::uint32_t offset) override;
   void write(std::uint32_t offset, std::uint32_t value) override;
-  bool write_protected() const override { return (protect_ & 1U) != 0; }
 
  private:
   void queue(std::uint32_t half_word);
@@ -41,8 +40,7 @@ class Dacc final : public Peripheral {
   std::uint32_t channels_ = 0;
   std::uint32_t interrupts_ = 0;
   std::uint32_t analog_ = 0;
-  std::uint32_t protect_ = 0;
   bool complete_ = false;  // EOC
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cstring>
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -271,4 +271,4 @@ void FlashController::command(std::uint32_t value) {
   }
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

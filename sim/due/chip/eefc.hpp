@@ -8,7 +8,7 @@
 
 #include "chip/peripheral.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 class FlashController;
 
@@ -97,4 +97,4 @@ class FlashController final : public Peripheral {
   std::uint64_t stores_ = 0;
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

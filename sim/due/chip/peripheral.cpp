@@ -1,6 +1,6 @@
 #include "chip/peripheral.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -98,4 +98,4 @@ void Peripheral::write_register(std::uint32_t address, std::uint32_t value) {
   write(offset, value);
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -10,7 +10,7 @@
 #include "bus/scheduler.hpp"
 #include "chip/system.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 // How a register may be used.
 namespace access {
@@ -85,4 +85,4 @@ class Peripheral : public Device, public EventSink {
   std::vector<std::uint16_t> index_;  // by word offset; 0xFFFF: no register
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

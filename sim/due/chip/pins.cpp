@@ -2,7 +2,7 @@
 
 #include <string>
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -105,4 +105,4 @@ void Pins::set_setting(int pin, const PinSetting& setting, std::uint64_t now) {
   refresh(pin, now);
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -10,7 +10,7 @@
 
 #include "bus/diagnostics.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 inline constexpr int kPorts = 4;
 inline constexpr int kPins = kPorts * 32;
@@ -106,4 +106,4 @@ class Pins {
   std::array<std::uint32_t, kPorts> seen_{};
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -1,47 +1,64 @@
 #include "chip/pio.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
 using access::kBoth;
-using access::kProtected;
 using access::kRead;
 using access::kUnclocked;
 using access::kUnmodelled;
 using access::kWrite;
 
 constexpr std::uint8_t kSet = kWrite | kUnclocked;
-constexpr std::uint8_t kSetProtected = kWrite | kUnclocked | kProtected;
 constexpr std::uint8_t kGet = kRead | kUnclocked;
 
 // Only reading the pins and their edges needs the peripheral clock.
 constexpr Register kRegisters[] = {
-    {0x00, "PIO_PER", kSetProtected},  {0x04, "PIO_PDR", kSetProtected},
-    {0x08, "PIO_PSR", kGet},           {0x10, "PIO_OER", kSetProtected},
-    {0x14, "PIO_ODR", kSetProtected},  {0x18, "PIO_OSR", kGet},
-    {0x20, "PIO_IFER", kSetProtected}, {0x24, "PIO_IFDR", kSetProtected},
-    {0x28, "PIO_IFSR", kGet},          {0x30, "PIO_SODR", kSet},
-    {0x34, "PIO_CODR", kSet},          {0x38, "PIO_ODSR", kBoth | kUnclocked},
-    {0x3C, "PIO_PDSR", kRead},         {0x40, "PIO_IER", kWrite},
-    {0x44, "PIO_IDR", kSet},           {0x48, "PIO_IMR", kGet},
-    {0x4C, "PIO_ISR", kRead},          {0x50, "PIO_MDER", kSetProtected},
-    {0x54, "PIO_MDDR", kSetProtected}, {0x58, "PIO_MDSR", kGet},
-    {0x60, "PIO_PUDR", kSetProtected}, {0x64, "PIO_PUER", kSetProtected},
-    {0x68, "PIO_PUSR", kGet},          {0x70, "PIO_ABSR", kBoth | kUnclocked | kProtected},
-    {0x80, "PIO_SCIFSR", kSet},        {0x84, "PIO_DIFSR", kSet | kUnmodelled},
-    {0x88, "PIO_IFDGSR", kGet},        {0x8C, "PIO_SCDR", kBoth | kUnclocked},
-    {0xA0, "PIO_OWER", kSetProtected}, {0xA4, "PIO_OWDR", kSetProtected},
-    {0xA8, "PIO_OWSR", kGet},          {0xB0, "PIO_AIMER", kSet},
-    {0xB4, "PIO_AIMDR", kSet},         {0xB8, "PIO_AIMMR", kGet},
-    {0xC0, "PIO_ESR", kSet},           {0xC4, "PIO_LSR", kSet},
-    {0xC8, "PIO_ELSR", kGet},          {0xD0, "PIO_FELLSR", kSet},
-    {0xD4, "PIO_REHLSR", kSet},        {0xD8, "PIO_FRLHSR", kGet},
-    {0xE0, "PIO_LOCKSR", kGet},        {0xE4, "PIO_WPMR", kBoth | kUnclocked},
-    {0xE8, "PIO_WPSR", kGet},
+    {0x00, "PIO_PER", kSet},
+    {0x04, "PIO_PDR", kSet},
+    {0x08, "PIO_PSR", kGet},
+    {0x10, "PIO_OER", kSet},
+    {0x14, "PIO_ODR", kSet},
+    {0x18, "PIO_OSR", kGet},
+    {0x20, "PIO_IFER", kSet},
+    {0x24, "PIO_IFDR", kSet},
+    {0x28, "PIO_IFSR", kGet},
+    {0x30, "PIO_SODR", kSet},
+    {0x34, "PIO_CODR", kSet},
+    {0x38, "PIO_ODSR", kBoth | kUnclocked},
+    {0x3C, "PIO_PDSR", kRead},
+    {0x40, "PIO_IER", kWrite},
+    {0x44, "PIO_IDR", kSet},
+    {0x48, "PIO_IMR", kGet},
+    {0x4C, "PIO_ISR", kRead},
+    {0x50, "PIO_MDER", kSet},
+    {0x54, "PIO_MDDR", kSet},
+    {0x58, "PIO_MDSR", kGet},
+    {0x60, "PIO_PUDR", kSet},
+    {0x64, "PIO_PUER", kSet},
+    {0x68, "PIO_PUSR", kGet},
+    {0x70, "PIO_ABSR", kBoth | kUnclocked},
+    {0x80, "PIO_SCIFSR", kSet},
+    {0x84, "PIO_DIFSR", kSet | kUnmodelled},
+    {0x88, "PIO_IFDGSR", kGet},
+    {0x8C, "PIO_SCDR", kBoth | kUnclocked},
+    {0xA0, "PIO_OWER", kSet},
+    {0xA4, "PIO_OWDR", kSet},
+    {0xA8, "PIO_OWSR", kGet},
+    {0xB0, "PIO_AIMER", kSet},
+    {0xB4, "PIO_AIMDR", kSet},
+    {0xB8, "PIO_AIMMR", kGet},
+    {0xC0, "PIO_ESR", kSet},
+    {0xC4, "PIO_LSR", kSet},
+    {0xC8, "PIO_ELSR", kGet},
+    {0xD0, "PIO_FELLSR", kSet},
+    {0xD4, "PIO_REHLSR", kSet},
+    {0xD8, "PIO_FRLHSR", kGet},
+    {0xE0, "PIO_LOCKSR", kGet},
+    {0xE4, "PIO_WPMR", kBoth | kUnmodelled},
+    {0xE8, "PIO_WPSR", kGet | kUnmodelled},
 };
-
-constexpr std::uint32_t kProtectKey = 0x50494F;
 
 }  // namespace
 
@@ -55,7 +72,7 @@ Pio::Pio(System& system, Pins& pins, int port, const char* name, std::uint32_t b
 void Pio::reset() {
   pio_ = ~0U;
   output_ = filter_ = data_ = interrupts_ = status_ = open_drain_ = no_pull_up_ = 0;
-  select_b_ = direct_ = additional_ = on_level_ = rising_high_ = protect_ = 0;
+  select_b_ = direct_ = additional_ = on_level_ = rising_high_ = 0;
   apply(~0U);
   status_ = 0;
   update_irq();
@@ -140,8 +157,6 @@ std::uint32_t Pio::read(std::uint32_t offset) {
       return on_level_;
     case 0xD8:
       return rising_high_;
-    case 0xE4:
-      return protect_;
     default:
       return 0;
   }
@@ -226,13 +241,9 @@ void Pio::write(std::uint32_t offset, std::uint32_t value) {
     case 0xD4:
       rising_high_ |= value;
       return update_irq();
-    case 0xE4:
-      if ((value >> 8) != kProtectKey) return misuse(offset, "write without the key 0x50494F");
-      protect_ = value & 1U;
-      return;
     default:
       return;
   }
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -4,7 +4,7 @@
 #include "chip/peripheral.hpp"
 #include "chip/pins.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 class Pio final : public Peripheral, public PinListener {
  public:
@@ -16,7 +16,6 @@ class Pio final : public Peripheral, public PinListener {
  protected:
   std::uint32_t read(std::uint32_t offset) override;
   void write(std::uint32_t offset, std::uint32_t value) override;
-  bool write_protected() const override { return (protect_ & 1U) != 0; }
   std::uint32_t from_outside(std::uint32_t offset) const override {
     return offset == 0x3C || offset == 0x4C ? ~0U : 0;
   }
@@ -42,7 +41,6 @@ class Pio final : public Peripheral, public PinListener {
   std::uint32_t additional_ = 0;   // AIMMR: 1 uses the modes below, 0 both edges
   std::uint32_t on_level_ = 0;     // ELSR
   std::uint32_t rising_high_ = 0;  // FRLHSR
-  std::uint32_t protect_ = 0;
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

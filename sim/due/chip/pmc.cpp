@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -28,19 +28,19 @@ constexpr Register kRegisters[] = {
     {0x040, "PMC_PCK0", kBoth | kUnmodelled},
     {0x044, "PMC_PCK1", kBoth | kUnmodelled},
     {0x048, "PMC_PCK2", kBoth | kUnmodelled},
-    {0x060, "PMC_IER", kWrite},
-    {0x064, "PMC_IDR", kWrite},
+    {0x060, "PMC_IER", kWrite | kUnmodelled},
+    {0x064, "PMC_IDR", kWrite | kUnmodelled},
     {0x068, "PMC_SR", kRead},
-    {0x06C, "PMC_IMR", kRead},
-    {0x070, "PMC_FSMR", kBoth | kProtected},
-    {0x074, "PMC_FSPR", kBoth | kProtected},
-    {0x078, "PMC_FOCR", kWrite},
+    {0x06C, "PMC_IMR", kRead | kUnmodelled},
+    {0x070, "PMC_FSMR", kBoth | kUnmodelled},
+    {0x074, "PMC_FSPR", kBoth | kUnmodelled},
+    {0x078, "PMC_FOCR", kWrite | kUnmodelled},
     {0x0E4, "PMC_WPMR", kBoth},
     {0x0E8, "PMC_WPSR", kRead},
     {0x100, "PMC_PCER1", kWrite | kProtected},
     {0x104, "PMC_PCDR1", kWrite | kProtected},
     {0x108, "PMC_PCSR1", kRead},
-    {0x10C, "PMC_PCR", kBoth},
+    {0x10C, "PMC_PCR", kBoth | kUnmodelled},
 };
 
 constexpr std::uint32_t kMoscXtEn = 1U << 0;
@@ -91,13 +91,12 @@ void Pmc::reset() {
   system_clocks_ = 1;
   master_ = 1;
   status_ = kMckRdy | kMoscSelS | kMoscRcS;
-  interrupts_ = protect_ = pcr_ = fast_startup_ = fast_polarity_ = 0;
+  protect_ = 0;
   crystal_ready_ = plla_ready_ = upll_ready_ = master_ready_ = 0;
   system_.peripheral_clocks = 0;
   system_.upll_locked = false;
   apply_master_clock();
   plan();
-  update_irq();
 }
 
 std::uint32_t Pmc::main_Hz() const {
@@ -163,7 +162,6 @@ void Pmc::settle() {
   if (due(upll_ready_)) status_ |= kLockU;
   system_.upll_locked = (status_ & kLockU) != 0;
   if (due(master_ready_)) status_ |= kMckRdy;
-  update_irq();
 }
 
 void Pmc::plan() {
@@ -178,8 +176,6 @@ void Pmc::event(std::uint64_t) {
   settle();
   plan();
 }
-
-void Pmc::update_irq() { system_.set_irq(id::kPmc, (status_ & interrupts_) != 0); }
 
 std::uint32_t Pmc::read(std::uint32_t offset) {
   settle();
@@ -206,16 +202,8 @@ std::uint32_t Pmc::read(std::uint32_t offset) {
       return usb_;
     case 0x068:
       return status_;
-    case 0x06C:
-      return interrupts_;
-    case 0x070:
-      return fast_startup_;
-    case 0x074:
-      return fast_polarity_;
     case 0x0E4:
       return protect_;
-    case 0x10C:
-      return pcr_;
     default:
       return 0;
   }
@@ -340,17 +328,6 @@ void Pmc::write_peripheral(std::uint32_t offset, std::uint32_t value) {
   }
 }
 
-void Pmc::write_pcr(std::uint32_t value) {
-  pcr_ = value & 0x1003103FU;
-  if ((value & (1U << 12)) == 0) return;
-  if ((value & 0x30000U) != 0)
-    return not_modelled(0x10C, "divided peripheral clocks are not modelled");
-  const std::uint64_t bit = (std::uint64_t{1} << (value & 0x3FU)) & kSwitchable;
-  const bool on = (value & (1U << 28)) != 0;
-  system_.peripheral_clocks =
-      on ? system_.peripheral_clocks | bit : system_.peripheral_clocks & ~bit;
-}
-
 void Pmc::write(std::uint32_t offset, std::uint32_t value) {
   settle();
   switch (offset) {
@@ -373,27 +350,13 @@ void Pmc::write(std::uint32_t offset, std::uint32_t value) {
     case 0x038:
       usb_ = value & 0xF01U;
       return;
-    case 0x060:
-      interrupts_ |= value;
-      return update_irq();
-    case 0x064:
-      interrupts_ &= ~value;
-      return update_irq();
-    case 0x070:
-      fast_startup_ = value;
-      return;
-    case 0x074:
-      fast_polarity_ = value;
-      return;
     case 0x0E4:
       if ((value >> 8) != kProtectKey) return misuse(offset, "write without the key 0x504D43");
       protect_ = value & 1U;
       return;
-    case 0x10C:
-      return write_pcr(value);
     default:
       return;
   }
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

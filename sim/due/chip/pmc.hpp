@@ -3,7 +3,7 @@
 
 #include "chip/peripheral.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 class Pmc final : public Peripheral {
  public:
@@ -25,14 +25,12 @@ class Pmc final : public Peripheral {
   void write_system_clocks(std::uint32_t offset, std::uint32_t value);
   void write_master_clock(std::uint32_t value);
   void write_peripheral(std::uint32_t offset, std::uint32_t value);
-  void write_pcr(std::uint32_t value);
   std::uint32_t main_Hz() const;
   std::uint32_t plla_Hz() const;
   std::uint32_t master_Hz(std::uint32_t mckr) const;
   void apply_master_clock();
   void settle();
   void plan();
-  void update_irq();
 
   Scheduler::Id id_;
   std::uint32_t main_oscillator_ = 1;
@@ -42,11 +40,7 @@ class Pmc final : public Peripheral {
   std::uint32_t system_clocks_ = 1;  // SCSR
   std::uint32_t master_ = 1;
   std::uint32_t status_ = 0;
-  std::uint32_t interrupts_ = 0;
   std::uint32_t protect_ = 0;
-  std::uint32_t pcr_ = 0;
-  std::uint32_t fast_startup_ = 0;
-  std::uint32_t fast_polarity_ = 0;
   // Board times at which the crystal, the PLLs and the master clock are ready; 0: not on their way.
   BoardTime crystal_ready_ = 0;
   BoardTime plla_ready_ = 0;
@@ -58,4 +52,4 @@ class Pmc final : public Peripheral {
   BoardTime upll_steady_ = 0;
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

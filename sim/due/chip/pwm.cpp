@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -18,24 +18,24 @@ constexpr Register kRegisters[] = {
     {0x04, "PWM_ENA", kWrite},
     {0x08, "PWM_DIS", kWrite},
     {0x0C, "PWM_SR", kRead},
-    {0x10, "PWM_IER1", kWrite},
-    {0x14, "PWM_IDR1", kWrite},
-    {0x18, "PWM_IMR1", kRead},
-    {0x1C, "PWM_ISR1", kRead},
+    {0x10, "PWM_IER1", kWrite | kLater},
+    {0x14, "PWM_IDR1", kWrite | kLater},
+    {0x18, "PWM_IMR1", kRead | kLater},
+    {0x1C, "PWM_ISR1", kRead | kLater},
     {0x20, "PWM_SCM", kBoth},
     {0x28, "PWM_SCUC", kBoth},
-    {0x2C, "PWM_SCUP", kBoth},
-    {0x30, "PWM_SCUPUPD", kWrite},
-    {0x34, "PWM_IER2", kWrite},
-    {0x38, "PWM_IDR2", kWrite},
-    {0x3C, "PWM_IMR2", kRead},
-    {0x40, "PWM_ISR2", kRead},
+    {0x2C, "PWM_SCUP", kBoth | kLater},
+    {0x30, "PWM_SCUPUPD", kWrite | kLater},
+    {0x34, "PWM_IER2", kWrite | kLater},
+    {0x38, "PWM_IDR2", kWrite | kLater},
+    {0x3C, "PWM_IMR2", kRead | kLater},
+    {0x40, "PWM_ISR2", kRead | kLater},
     {0x44, "PWM_OOV", kBoth},
     {0x48, "PWM_OS", kBoth},
     {0x4C, "PWM_OSS", kWrite},
     {0x50, "PWM_OSC", kWrite},
-    {0x54, "PWM_OSSUPD", kWrite},
-    {0x58, "PWM_OSCUPD", kWrite},
+    {0x54, "PWM_OSSUPD", kWrite | kLater},
+    {0x58, "PWM_OSCUPD", kWrite | kLater},
     {0x5C, "PWM_FMR", kBoth},
     {0x60, "PWM_FSR", kRead},
     {0x64, "PWM_FCR", kWrite},
@@ -45,8 +45,8 @@ constexpr Register kRegisters[] = {
     {0x7C, "PWM_ELMR0", kBoth | kLater},
     {0x80, "PWM_ELMR1", kBoth | kLater},
     {0xB0, "PWM_SMMR", kBoth | kLater},
-    {0xE4, "PWM_WPCR", kWrite},
-    {0xE8, "PWM_WPSR", kRead},
+    {0xE4, "PWM_WPCR", kWrite | kLater},
+    {0xE8, "PWM_WPSR", kRead | kLater},
     {0x108, "PWM_TPR", kBoth | kLater},
     {0x10C, "PWM_TCR", kBoth | kLater},
     {0x118, "PWM_TNPR", kBoth | kLater},
@@ -86,8 +86,6 @@ constexpr Register kRegisters[] = {
 #undef CHANNEL
 };
 
-constexpr std::uint32_t kBothEnds = 1U << 10;  // CES
-
 struct PwmPin {
   int pin;
   int signal;
@@ -109,6 +107,13 @@ constexpr PwmPin kFaultPins[] = {{pin_of('A', 5), 0}, {pin_of('A', 3), 1}, {pin_
 
 }  // namespace
 
+int Pwm::signal_at(int pin) {
+  for (const PwmPin& output : kPwmPins) {
+    if (output.pin == pin) return output.signal;
+  }
+  return -1;
+}
+
 Pwm::Pwm(System& system, Pins& pins)
     : Peripheral(system, "PWM", 0x40094000, 0x4000, id::kPwm, kRegisters),
       pins_(pins),
@@ -124,21 +129,17 @@ void Pwm::reset() {
   for (Channel& channel : channels_) {
     const std::uint64_t high[2] = {channel.high[0], channel.high[1]};
     channel = {};
-    channel.counted = channel.origin = channel.events_seen = now;
+    channel.counted = channel.origin = now;
     channel.high[0] = high[0];
     channel.high[1] = high[1];
   }
-  clock_ = interrupts1_ = interrupts2_ = status1_ = sync_ = 0;
-  update_unlocked_ = override_waiting_ = write_ready_ = false;
-  update_period_ = update_count_ = 0;
-  override_value_ = override_ = override_next_ = 0;
+  clock_ = sync_ = override_value_ = override_ = 0;
+  update_unlocked_ = false;
   fault_mode_ = faults_ = fault_values_ = 0;
   fault_enable_.fill(0);
   faulted_.fill(false);
-  protect_software_ = protect_hardware_ = 0;
   update_faults();
   plan();
-  update_irq();
 }
 
 // -- enabling and updating --------------------------------------------------------------------
@@ -150,7 +151,6 @@ void Pwm::start(int channel) {
   const std::uint64_t now = system_.now();
   // A synchronous channel joins the counter of channel 0.
   if (!synchronous(channel) || channel == 0) own.origin = now;
-  own.events_seen = now;
   if (own.duty > counter_of(channel).period) {
     misuse(0x204U + 32U * static_cast<std::uint32_t>(channel), "CDTY is above CPRD");
   }
@@ -187,33 +187,17 @@ void Pwm::update_single(int channel, std::uint64_t now) {
   load_updates(channel);
 }
 
-// The group takes them together, once UPDULOCK is written (UPDM = 0) or every UPR + 1 periods.
+// The group takes them together, once UPDULOCK is written.
 void Pwm::update_group(std::uint64_t now) {
-  const bool manual = ((sync_ >> 16) & 3U) == 0;
   Channel& zero = channels_[0];
   const std::uint64_t begun = now - (now - zero.origin) % period_of(0);
-  const bool unlocked = update_unlocked_ && begun >= unlocked_since_;
-  const bool due = !manual && begun != zero.origin && ++update_count_ > (update_period_ & 0xFU);
   integrate_all(begun);
   zero.origin = begun;
+  if (!update_unlocked_ || begun < unlocked_since_) return;
   for (int channel = 0; channel < kPwmChannels; ++channel) {
-    if (!synchronous(channel)) continue;
-    Channel& own = channels_[index(channel)];
-    if (unlocked && manual) load_updates(channel);
-    if (unlocked && own.period_waiting) {
-      own.period = own.period_update;
-      own.period_waiting = false;
-    }
-    if (due && own.duty_waiting) {
-      own.duty = own.duty_update;
-      own.duty_waiting = false;
-    }
+    if (synchronous(channel)) load_updates(channel);
   }
-  if (unlocked) update_unlocked_ = false;
-  if (due) {
-    update_count_ = 0;
-    write_ready_ = true;
-  }
+  update_unlocked_ = false;
 }
 
 // Runs at period boundaries while something waits for one.
@@ -222,55 +206,20 @@ void Pwm::event(std::uint64_t now) {
     if (!synchronous(channel) && counts(channel)) update_single(channel, now);
   }
   if (synchronous(0) && counts(0)) update_group(now);
-  if (override_waiting_) {
-    integrate_all();
-    override_ = override_next_;
-    override_waiting_ = false;
-    outputs_changed();
-  }
   plan();
-  update_irq();
 }
 
 void Pwm::plan() {
   std::uint64_t when = kNever;
   const std::uint64_t now = system_.now();
-  const bool automatic = ((sync_ >> 16) & 3U) == 1;
   for (int channel = 0; channel < kPwmChannels; ++channel) {
     if (!counts(channel)) continue;
     const Channel& own = channels_[index(channel)];
-    const bool in_group = synchronous(channel);
-    const bool waits = in_group ? channel == 0 && (update_unlocked_ || automatic)
-                                : own.duty_waiting || own.period_waiting;
-    const bool interrupts = ((interrupts1_ >> channel) & 1U) != 0;
-    if (waits || interrupts || override_waiting_) when = std::min(when, next_period(channel, now));
+    const bool waits = synchronous(channel) ? channel == 0 && update_unlocked_
+                                            : own.duty_waiting || own.period_waiting;
+    if (waits) when = std::min(when, next_period(channel, now));
   }
   system_.scheduler.set(id_, when);
-}
-
-// CHIDx: a period ended since the last look; with CES also when a centre-aligned one was half over.
-std::uint32_t Pwm::take_period_events() {
-  const std::uint64_t now = system_.now();
-  for (int channel = 0; channel < kPwmChannels; ++channel) {
-    Channel& own = channels_[index(channel)];
-    if (!counts(channel)) continue;
-    const std::uint64_t whole = period_of(channel);
-    const bool half = center(channel) && (own.mode & kBothEnds) != 0;
-    const std::uint64_t interval = half ? whole / 2 : whole;
-    const std::uint64_t origin = counter_of(channel).origin;
-    const std::uint64_t seen = std::max(own.events_seen, origin);
-    const bool ended =
-        own.events_seen < origin || (now - origin) / interval != (seen - origin) / interval;
-    if (ended) status1_ |= 1U << channel;
-    own.events_seen = now;
-  }
-  return status1_;
-}
-
-void Pwm::update_irq() {
-  const std::uint32_t one = interrupts1_ != 0 ? take_period_events() & interrupts1_ : 0;
-  const bool two = write_ready_ && (interrupts2_ & 1U) != 0;
-  system_.set_irq(id::kPwm, one != 0 || two);
 }
 
 void Pwm::outputs_changed() {
@@ -319,10 +268,9 @@ void Pwm::update_faults() {
     if (!now_faulted) continue;
     // The protection resets the counter of the channel it strikes.
     channels_[index(channel)].origin = system_.now();
-    status1_ |= 1U << (16 + channel);
   }
   if (changed) outputs_changed();
   plan();
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

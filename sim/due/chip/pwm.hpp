@@ -10,7 +10,7 @@
 #include "chip/peripheral.hpp"
 #include "chip/pins.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 inline constexpr int kPwmChannels = 8;
 
@@ -18,6 +18,8 @@ class Pwm final : public Peripheral, public PinDriver, public PinListener {
  public:
   // Signals for PinDriver: channel, plus 8 for the low side. For PinListener: fault input.
   static constexpr int kLowSide = 8;
+  // Signal that a pin can give as peripheral B; -1 if it is no PWM output.
+  static int signal_at(int pin);
 
   Pwm(System& system, Pins& pins);
 
@@ -38,7 +40,7 @@ class Pwm final : public Peripheral, public PinDriver, public PinListener {
   std::uint32_t read(std::uint32_t offset) override;
   void write(std::uint32_t offset, std::uint32_t value) override;
   std::uint32_t from_outside(std::uint32_t offset) const override {
-    return offset == 0x1C || offset == 0x40 || offset == 0x60 ? ~0U : 0;  // ISR1, ISR2, FSR
+    return offset == 0x60 ? ~0U : 0;  // FSR
   }
 
  private:
@@ -54,7 +56,6 @@ class Pwm final : public Peripheral, public PinDriver, public PinListener {
     std::uint64_t origin = 0;        // cycle at which a period began
     std::uint64_t counted = 0;       // cycle up to which `high` is right
     std::uint64_t update_since = 0;  // when the waiting values were written
-    std::uint64_t events_seen = 0;   // cycle of the last look at CHIDx
     std::uint64_t high[2] = {0, 0};  // PWMH, PWML
   };
 
@@ -93,18 +94,13 @@ class Pwm final : public Peripheral, public PinDriver, public PinListener {
     Pwm& owner;
   };
   std::uint32_t faults_active(int channel) const;
-  std::uint32_t take_period_events();
-  bool group_protected(int group) const;
-  bool check_group(int group, std::uint32_t offset);
   void write_channel(int channel, std::uint32_t offset, std::uint32_t value);
   std::uint32_t read_channel(int channel, std::uint32_t offset) const;
   void write_update(int channel, std::uint32_t offset, std::uint32_t value);
-  void write_protection(std::uint32_t value);
   void write_sync_mode(std::uint32_t value);
   void unlock_update(std::uint32_t value);
   void write_fault(std::uint32_t offset, std::uint32_t value);
   void plan();
-  void update_irq();
   void outputs_changed();
 
   Pins& pins_;
@@ -113,19 +109,11 @@ class Pwm final : public Peripheral, public PinDriver, public PinListener {
   Scheduler::Id filter_id_;
   std::array<Channel, kPwmChannels> channels_{};
   std::uint32_t clock_ = 0;
-  std::uint32_t interrupts1_ = 0;
-  std::uint32_t interrupts2_ = 0;
-  std::uint32_t status1_ = 0;
   std::uint32_t sync_ = 0;        // SCM
   bool update_unlocked_ = false;  // SCUC.UPDULOCK
   std::uint64_t unlocked_since_ = 0;
-  std::uint32_t update_period_ = 0;
-  std::uint32_t update_count_ = 0;
-  bool write_ready_ = false;
   std::uint32_t override_value_ = 0;
   std::uint32_t override_ = 0;
-  std::uint32_t override_next_ = 0;
-  bool override_waiting_ = false;
   std::uint32_t fault_mode_ = 0;
   std::uint32_t fault_inputs_ = 0;  // behind the filters
   std::array<std::uint64_t, 3> fault_since_{};
@@ -133,8 +121,6 @@ class Pwm final : public Peripheral, public PinDriver, public PinListener {
   std::uint32_t fault_values_ = 0;
   std::array<std::uint8_t, kPwmChannels> fault_enable_{};
   std::array<bool, kPwmChannels> faulted_{};
-  std::uint32_t protect_software_ = 0;
-  std::uint32_t protect_hardware_ = 0;
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -1,11 +1,10 @@
 // Registers of the PWM controller and the checks on what is written to them.
 #include "chip/pwm.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
-constexpr std::uint32_t kProtectKey = 0x50574D;
 constexpr std::uint32_t kOverrideBits = 0x00FF00FFU;
 constexpr std::uint32_t kDeadTime = 1U << 16;
 
@@ -31,34 +30,6 @@ void Pwm::write_fault(std::uint32_t offset, std::uint32_t value) {
   update_faults();
 }
 
-bool Pwm::group_protected(int group) const {
-  return (((protect_software_ | protect_hardware_) >> group) & 1U) != 0;
-}
-
-bool Pwm::check_group(int group, std::uint32_t offset) {
-  if (!group_protected(group)) return true;
-  misuse(offset, "write while write protection of group " + std::to_string(group) + " is on");
-  return false;
-}
-
-void Pwm::write_protection(std::uint32_t value) {
-  if ((value >> 8) != kProtectKey) return misuse(0xE4, "write without the key 0x50574D");
-  const std::uint32_t groups = (value >> 2) & 0x3FU;
-  switch (value & 3U) {
-    case 0:
-      protect_software_ &= ~groups;
-      return;
-    case 1:
-      protect_software_ |= groups;
-      return;
-    case 2:
-      protect_hardware_ |= groups;
-      return;
-    default:
-      return;
-  }
-}
-
 void Pwm::write_sync_mode(std::uint32_t value) {
   const std::uint32_t joining = (value & ~sync_) & 0xFFU;
   for (int channel = 0; channel < kPwmChannels; ++channel) {
@@ -70,8 +41,8 @@ void Pwm::write_sync_mode(std::uint32_t value) {
   }
   if (joining != 0 && (value & 1U) == 0)
     misuse(0x20, "channel 0 must belong to the synchronous group");
-  if (((value >> 16) & 3U) == 2) not_modelled(0x20, "UPDM = 2, duty values by PDC");
-  sync_ = value & 0x00F300FFU;
+  if (((value >> 16) & 3U) != 0) not_modelled(0x20, "UPDM above 0, updates without UPDULOCK");
+  sync_ = value & 0x00F000FFU;
 }
 
 void Pwm::write_update(int channel, std::uint32_t offset, std::uint32_t value) {
@@ -85,9 +56,7 @@ void Pwm::write_update(int channel, std::uint32_t offset, std::uint32_t value) {
     own.duty_update = value & 0xFFFFFFU;
     own.duty_waiting = true;
     own.update_since = system_.now();
-    write_ready_ = false;
   } else {
-    if (!check_group(5, reg)) return;
     own.period_update = value & 0xFFFFFFU;
     own.period_waiting = true;
     own.update_since = system_.now();
@@ -106,7 +75,6 @@ void Pwm::write_channel(int channel, std::uint32_t offset, std::uint32_t value) 
   if (own.enabled) misuse(reg, "write while the channel is enabled; use the update register");
   switch (offset) {
     case 0x00:
-      if (!check_group(2, reg)) return;
       if ((value & kDeadTime) != 0) not_modelled(reg, "the dead-time generator is not modelled");
       own.mode = value & 0x00070F0FU;
       outputs_changed();
@@ -115,7 +83,6 @@ void Pwm::write_channel(int channel, std::uint32_t offset, std::uint32_t value) 
       own.duty = value & 0xFFFFFFU;
       return;
     case 0x0C:
-      if (!check_group(3, reg)) return;
       own.period = value & 0xFFFFFFU;
       return;
     default:
@@ -154,28 +121,10 @@ std::uint32_t Pwm::read(std::uint32_t offset) {
       for (int i = 0; i < kPwmChannels; ++i) value |= channels_[index(i)].enabled ? 1U << i : 0U;
       return value;
     }
-    case 0x18:
-      return interrupts1_;
-    case 0x1C: {
-      const std::uint32_t value = take_period_events();
-      status1_ = 0;
-      update_irq();
-      return value;
-    }
     case 0x20:
       return sync_;
     case 0x28:
       return update_unlocked_ ? 1U : 0U;
-    case 0x2C:
-      return update_period_ | (update_count_ << 4);
-    case 0x3C:
-      return interrupts2_;
-    case 0x40: {
-      const std::uint32_t value = write_ready_ ? 1U : 0U;
-      write_ready_ = false;
-      update_irq();
-      return value;
-    }
     case 0x44:
       return override_value_;
     case 0x48:
@@ -193,8 +142,6 @@ std::uint32_t Pwm::read(std::uint32_t offset) {
         value |= std::uint32_t{fault_enable_[(offset - 0x6C) + i]} << (8 * i);
       return value;
     }
-    case 0xE8:
-      return protect_software_ | (protect_hardware_ << 8);
     default:
       return 0;
   }
@@ -215,35 +162,16 @@ void Pwm::write(std::uint32_t offset, std::uint32_t value) {
   integrate_all();
   switch (offset) {
     case 0x00:
-      if (check_group(0, offset)) clock_ = value & 0x0FFF0FFFU;
+      clock_ = value & 0x0FFF0FFFU;
       break;
     case 0x04:
       enable(value);
       break;
     case 0x08:
-      if (check_group(1, offset)) disable(value);
-      break;
-    case 0x10:
-      interrupts1_ |= value;
-      take_period_events();
-      break;
-    case 0x14:
-      interrupts1_ &= ~value;
+      disable(value);
       break;
     case 0x20:
-      if (check_group(2, offset)) write_sync_mode(value);
-      break;
-    case 0x2C:
-      update_period_ = value & 0xFU;
-      break;
-    case 0x30:
-      update_period_ = value & 0xFU;
-      break;
-    case 0x34:
-      interrupts2_ |= value;
-      break;
-    case 0x38:
-      interrupts2_ &= ~value;
+      write_sync_mode(value);
       break;
     case 0x44:
       override_value_ = value & kOverrideBits;
@@ -257,32 +185,18 @@ void Pwm::write(std::uint32_t offset, std::uint32_t value) {
     case 0x50:
       override_ &= ~value;
       break;
-    case 0x54:
-      override_next_ = (override_waiting_ ? override_next_ : override_) | (value & kOverrideBits);
-      override_waiting_ = true;
-      break;
-    case 0x58:
-      override_next_ = (override_waiting_ ? override_next_ : override_) & ~value;
-      override_waiting_ = true;
-      break;
     case 0x5C:
+    case 0x64:
     case 0x68:
     case 0x6C:
     case 0x70:
-      if (check_group(5, offset)) write_fault(offset, value);
-      break;
-    case 0x64:
       write_fault(offset, value);
-      break;
-    case 0xE4:
-      write_protection(value);
       break;
     default:
       break;
   }
   outputs_changed();
   plan();
-  update_irq();
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -3,7 +3,7 @@
 
 #include "chip/pwm.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -142,4 +142,4 @@ std::uint64_t Pwm::next_period(int channel, std::uint64_t after) const {
   return origin + ((after - origin) / whole + 1) * whole;
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -5,7 +5,7 @@
 
 #include "chip/tc.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -99,4 +99,4 @@ void Quadrature::track_direction(bool is_a) {
 
 std::uint32_t Quadrature::take_flags() { return std::exchange(flags_, 0U); }
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -6,7 +6,7 @@
 
 #include <cstdint>
 
-namespace heli_due {
+namespace due_emulator {
 
 class Tc;
 
@@ -55,4 +55,4 @@ class Quadrature {
   bool have_last_ = false;
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -1,28 +1,17 @@
 #include "chip/supply.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
 using access::kBoth;
 using access::kRead;
-using access::kUnmodelled;
 using access::kWrite;
 
 constexpr Register kWdtRegisters[] = {
     {0x0, "WDT_CR", kWrite}, {0x4, "WDT_MR", kBoth}, {0x8, "WDT_SR", kRead}};
 constexpr Register kRstcRegisters[] = {
     {0x0, "RSTC_CR", kWrite}, {0x4, "RSTC_SR", kRead}, {0x8, "RSTC_MR", kBoth}};
-constexpr Register kSupcRegisters[] = {
-    {0x00, "SUPC_CR", kWrite},
-    {0x04, "SUPC_SMMR", kBoth},
-    {0x08, "SUPC_MR", kBoth},
-    {0x0C, "SUPC_WUMR", kBoth | kUnmodelled},
-    {0x10, "SUPC_WUIR", kBoth | kUnmodelled},
-    {0x14, "SUPC_SR", kRead},
-};
-constexpr Register kRttRegisters[] = {
-    {0x0, "RTT_MR", kBoth}, {0x4, "RTT_AR", kBoth}, {0x8, "RTT_VR", kRead}, {0xC, "RTT_SR", kRead}};
 constexpr Register kGpbrRegisters[] = {
     {0x00, "GPBR0", kBoth}, {0x04, "GPBR1", kBoth}, {0x08, "GPBR2", kBoth}, {0x0C, "GPBR3", kBoth},
     {0x10, "GPBR4", kBoth}, {0x14, "GPBR5", kBoth}, {0x18, "GPBR6", kBoth}, {0x1C, "GPBR7", kBoth}};
@@ -37,9 +26,6 @@ constexpr std::uint32_t kWdtDisable = 1U << 15;
 constexpr std::uint32_t kWdtIdleHalt = 1U << 29;
 constexpr std::uint32_t kWdtUnderflow = 1U << 0;
 constexpr std::uint32_t kWdtError = 1U << 1;
-
-// The board's 32768 Hz crystal.
-constexpr std::uint32_t kCrystal_Hz = 32768;
 
 }  // namespace
 
@@ -160,117 +146,6 @@ void Rstc::write(std::uint32_t offset, std::uint32_t value) {
   if ((value & 1U) != 0) system_.request_reset(ResetType::kSoftware, (value & 4U) == 0);
 }
 
-// -- SUPC -------------------------------------------------------------------------------------
-
-Supc::Supc(System& system)
-    : Peripheral(system, "SUPC", 0x400E1A10, 0x20, kAlwaysClocked, kSupcRegisters) {}
-
-std::uint32_t Supc::read(std::uint32_t offset) {
-  switch (offset) {
-    case 0x04:
-      return monitor_;
-    case 0x08:
-      return mode_;
-    default:
-      return 0x800U | (crystal_ ? 0x80U : 0U);
-  }
-}
-
-void Supc::write(std::uint32_t offset, std::uint32_t value) {
-  if (offset == 0x04) {
-    monitor_ = value;
-    if (value != 0) not_modelled(offset, "the supply monitor is not modelled");
-    return;
-  }
-  if ((value >> 24) != kSystemKey) return misuse(offset, "write without the key 0xA5");
-  if (offset == 0x08) {
-    mode_ = value & 0x00FFFFFFU;
-    return;
-  }
-  if ((value & 4U) != 0)
-    return not_modelled(offset, "switching the core supply off is not modelled");
-  if ((value & 8U) != 0) {
-    crystal_ = true;
-    system_.slow_Hz = kCrystal_Hz;
-    system_.scheduler.clock_changed();
-  }
-}
-
-// -- RTT --------------------------------------------------------------------------------------
-
-Rtt::Rtt(System& system)
-    : Peripheral(system, "RTT", 0x400E1A30, 0x10, kAlwaysClocked, kRttRegisters),
-      id_(system.scheduler.add(this)) {}
-
-// The counter itself goes on through a reset of the core; its interrupt line does not.
-void Rtt::reset() { plan(); }
-
-std::uint32_t Rtt::ticks() const {
-  const std::uint32_t prescaler = (mode_ & 0xFFFFU) == 0 ? 0x10000U : mode_ & 0xFFFFU;
-  return static_cast<std::uint32_t>((system_.board_now() - start_) /
-                                    system_.slow_periods(prescaler));
-}
-
-void Rtt::settle() {
-  const std::uint32_t now = ticks();
-  if (now == seen_) return;
-  status_ |= 2U;
-  // ALMS is set when the counter becomes the alarm value plus one.
-  if (alarm_ - seen_ < now - seen_) status_ |= 1U;
-  seen_ = now;
-  system_.set_irq(id::kRtt, ((mode_ >> 16) & status_ & 3U) != 0);
-}
-
-void Rtt::plan() {
-  if ((mode_ & 0x30000U) == 0) return system_.scheduler.set(id_, kNever);
-  const std::uint32_t prescaler = (mode_ & 0xFFFFU) == 0 ? 0x10000U : mode_ & 0xFFFFU;
-  const BoardTime next = start_ + system_.slow_periods((std::uint64_t{ticks()} + 1) * prescaler);
-  system_.scheduler.set(id_, system_.clock.cycle_at(next));
-}
-
-void Rtt::event(std::uint64_t) {
-  settle();
-  plan();
-}
-
-std::uint32_t Rtt::read(std::uint32_t offset) {
-  settle();
-  switch (offset) {
-    case 0x0:
-      return mode_;
-    case 0x4:
-      return alarm_;
-    case 0x8:
-      return ticks();
-    default: {
-      const std::uint32_t value = status_;
-      status_ = 0;
-      system_.set_irq(id::kRtt, false);
-      return value;
-    }
-  }
-}
-
-void Rtt::write(std::uint32_t offset, std::uint32_t value) {
-  settle();
-  if (offset == 4) {
-    alarm_ = value;
-    return;
-  }
-  const std::uint32_t before = ticks();
-  mode_ = value & 0x3FFFFU;
-  if ((value & 0x40000U) != 0) {
-    start_ = system_.board_now();
-    seen_ = 0;
-    status_ = 0;
-  } else {
-    const std::uint32_t prescaler = (mode_ & 0xFFFFU) == 0 ? 0x10000U : mode_ & 0xFFFFU;
-    start_ = system_.board_now() - system_.slow_periods(std::uint64_t{before} * prescaler);
-    seen_ = before;
-  }
-  plan();
-}
-
 // -- GPBR and CHIPID --------------------------------------------------------------------------
 
 Gpbr::Gpbr(System& system)
@@ -279,4 +154,4 @@ Gpbr::Gpbr(System& system)
 ChipId::ChipId(System& system)
     : Peripheral(system, "CHIPID", 0x400E0940, 0x10, kAlwaysClocked, kChipIdRegisters) {}
 
-}  // namespace heli_due
+}  // namespace due_emulator

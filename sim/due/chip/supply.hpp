@@ -1,12 +1,11 @@
-// The small blocks of the backup area and the system controller: WDT, RSTC, SUPC, RTT, GPBR,
-// CHIPID.
+// The small blocks of the backup area and the system controller: WDT, RSTC, GPBR, CHIPID.
 #pragma once
 
 #include <array>
 
 #include "chip/peripheral.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 // Watchdog (section 15): 12 bits downwards by the slow clock / 128, with a window.
 class Wdt final : public Peripheral {
@@ -60,50 +59,6 @@ class Rstc final : public Peripheral {
   bool nrst_low_ = false;
 };
 
-// Supply controller (section 16), as far as choosing the slow clock goes.
-class Supc final : public Peripheral {
- public:
-  explicit Supc(System& system);
-  void reset() override {}
-
- protected:
-  std::uint32_t read(std::uint32_t offset) override;
-  void write(std::uint32_t offset, std::uint32_t value) override;
-
- private:
-  std::uint32_t monitor_ = 0;
-  std::uint32_t mode_ = 0x5A00;
-  bool crystal_ = false;
-};
-
-// Real-time timer (section 13): 32 bits upwards by the slow clock / RTPRES.
-class Rtt final : public Peripheral {
- public:
-  explicit Rtt(System& system);
-  void reset() override;
-  void clock_changed() override { plan(); }
-  void event(std::uint64_t now) override;
-
- protected:
-  std::uint32_t read(std::uint32_t offset) override;
-  void write(std::uint32_t offset, std::uint32_t value) override;
-  std::uint32_t from_outside(std::uint32_t offset) const override {
-    return offset == 0x08 || offset == 0x0C ? ~0U : 0;  // VR, SR
-  }
-
- private:
-  std::uint32_t ticks() const;
-  void settle();
-  void plan();
-
-  Scheduler::Id id_;
-  std::uint32_t mode_ = 0x8000;
-  std::uint32_t alarm_ = ~0U;
-  std::uint32_t status_ = 0;
-  std::uint32_t seen_ = 0;
-  BoardTime start_ = 0;
-};
-
 // Eight words that survive every reset but not the loss of power (section 17).
 class Gpbr final : public Peripheral {
  public:
@@ -129,4 +84,4 @@ class ChipId final : public Peripheral {
   void write(std::uint32_t, std::uint32_t) override {}
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

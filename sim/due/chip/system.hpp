@@ -13,16 +13,13 @@
 #include "cpu/cpu.hpp"
 #include "cpu/exceptions.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 class Peripheral;
 
 // Peripheral identifiers, which are also the interrupt numbers (datasheet, section 9.1).
 namespace id {
-inline constexpr int kRstc = 1;
-inline constexpr int kRtt = 3;
 inline constexpr int kWdt = 4;
-inline constexpr int kPmc = 5;
 inline constexpr int kEfc0 = 6;
 inline constexpr int kEfc1 = 7;
 inline constexpr int kUart = 8;
@@ -95,4 +92,4 @@ struct System {
   }
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -1,61 +1,59 @@
 #include "chip/tc.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
 using access::kBoth;
-using access::kProtected;
 using access::kRead;
 using access::kUnmodelled;
 using access::kWrite;
 
 constexpr Register kRegisters[] = {
     {0x00, "TC_CCR0", kWrite},
-    {0x04, "TC_CMR0", kBoth | kProtected},
+    {0x04, "TC_CMR0", kBoth},
     {0x08, "TC_SMMR0", kBoth | kUnmodelled},
     {0x10, "TC_CV0", kRead},
-    {0x14, "TC_RA0", kBoth | kProtected},
-    {0x18, "TC_RB0", kBoth | kProtected},
-    {0x1C, "TC_RC0", kBoth | kProtected},
+    {0x14, "TC_RA0", kBoth},
+    {0x18, "TC_RB0", kBoth},
+    {0x1C, "TC_RC0", kBoth},
     {0x20, "TC_SR0", kRead},
     {0x24, "TC_IER0", kWrite},
     {0x28, "TC_IDR0", kWrite},
     {0x2C, "TC_IMR0", kRead},
     {0x40, "TC_CCR1", kWrite},
-    {0x44, "TC_CMR1", kBoth | kProtected},
+    {0x44, "TC_CMR1", kBoth},
     {0x48, "TC_SMMR1", kBoth | kUnmodelled},
     {0x50, "TC_CV1", kRead},
-    {0x54, "TC_RA1", kBoth | kProtected},
-    {0x58, "TC_RB1", kBoth | kProtected},
-    {0x5C, "TC_RC1", kBoth | kProtected},
+    {0x54, "TC_RA1", kBoth},
+    {0x58, "TC_RB1", kBoth},
+    {0x5C, "TC_RC1", kBoth},
     {0x60, "TC_SR1", kRead},
     {0x64, "TC_IER1", kWrite},
     {0x68, "TC_IDR1", kWrite},
     {0x6C, "TC_IMR1", kRead},
     {0x80, "TC_CCR2", kWrite},
-    {0x84, "TC_CMR2", kBoth | kProtected},
+    {0x84, "TC_CMR2", kBoth},
     {0x88, "TC_SMMR2", kBoth | kUnmodelled},
     {0x90, "TC_CV2", kRead},
-    {0x94, "TC_RA2", kBoth | kProtected},
-    {0x98, "TC_RB2", kBoth | kProtected},
-    {0x9C, "TC_RC2", kBoth | kProtected},
+    {0x94, "TC_RA2", kBoth},
+    {0x98, "TC_RB2", kBoth},
+    {0x9C, "TC_RC2", kBoth},
     {0xA0, "TC_SR2", kRead},
     {0xA4, "TC_IER2", kWrite},
     {0xA8, "TC_IDR2", kWrite},
     {0xAC, "TC_IMR2", kRead},
     {0xC0, "TC_BCR", kWrite},
-    {0xC4, "TC_BMR", kBoth | kProtected},
+    {0xC4, "TC_BMR", kBoth},
     {0xC8, "TC_QIER", kWrite},
     {0xCC, "TC_QIDR", kWrite},
     {0xD0, "TC_QIMR", kRead},
     {0xD4, "TC_QISR", kRead},
-    {0xD8, "TC_FMR", kBoth | kProtected | kUnmodelled},
-    {0xE4, "TC_WPMR", kBoth},
+    {0xD8, "TC_FMR", kBoth | kUnmodelled},
+    {0xE4, "TC_WPMR", kBoth | kUnmodelled},
 };
 
 constexpr const char* kNames[] = {"TC0", "TC1", "TC2"};
-constexpr std::uint32_t kProtectKey = 0x54494D;
 constexpr std::uint32_t kSpeed = 1U << 10;
 
 }  // namespace
@@ -81,7 +79,7 @@ Tc::Tc(System& system, Pins& pins, int index, const Wiring& wiring)
 }
 
 void Tc::reset() {
-  block_mode_ = quadrature_interrupts_ = protect_ = 0;
+  block_mode_ = quadrature_interrupts_ = 0;
   quadrature_.reset();
   for (TcChannel& channel : channels_) channel.reset();
 }
@@ -128,14 +126,9 @@ void Tc::quadrature_step(int direction) {
 void Tc::pin_changed(int signal, bool level, std::uint64_t now) {
   const int channel = signal / 2;
   const bool is_a = signal % 2 == 0;
-  if (channel == 0 && quadrature_.enabled()) {
-    if (!system_.clocked(clock_id_)) return;
-    quadrature_.input(is_a, level, now);
-    if (quadrature_interrupts_ != 0) channels_[0].update_irq();
-    return;
-  }
-  if (!system_.clocked(clock_id_ + channel)) return;
-  channels_[channel].input_changed(is_a, level);
+  if (channel != 0 || !quadrature_.enabled() || !system_.clocked(clock_id_)) return;
+  quadrature_.input(is_a, level, now);
+  if (quadrature_interrupts_ != 0) channels_[0].update_irq();
 }
 
 std::uint32_t Tc::from_outside(std::uint32_t offset) const {
@@ -157,8 +150,6 @@ std::uint32_t Tc::read(std::uint32_t offset) {
       channels_[0].update_irq();
       return value;
     }
-    case 0xE4:
-      return protect_;
     default:
       return 0;
   }
@@ -183,14 +174,10 @@ void Tc::write(std::uint32_t offset, std::uint32_t value) {
     case 0xCC:
       quadrature_interrupts_ &= ~value;
       break;
-    case 0xE4:
-      if ((value >> 8) != kProtectKey) return misuse(offset, "write without the key 0x54494D");
-      protect_ = value & 1U;
-      return;
     default:
       break;
   }
   channels_[0].update_irq();
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -7,7 +7,7 @@
 #include "chip/pins.hpp"
 #include "chip/quadrature.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 class Tc;
 
@@ -25,8 +25,6 @@ class TcChannel final : public EventSink {
   // A step of the quadrature decoder, when the channel counts those.
   void count(int direction);
   void software_trigger();
-  // An edge on TIOA or TIOB while the channel captures.
-  void input_changed(bool is_a, bool level);
   bool counts_external() const { return running_ && (mode_ & 7U) == 5; }
   bool output_a() const { return level_a_; }
   bool output_b() const { return level_b_; }
@@ -66,9 +64,8 @@ class TcChannel final : public EventSink {
   std::uint32_t rc_ = 0;
   std::uint32_t status_ = 0;
   std::uint32_t interrupts_ = 0;
-  bool enabled_ = false;  // CLKSTA
-  bool running_ = false;  // enabled and triggered
-  bool captured_a_ = false;
+  bool enabled_ = false;          // CLKSTA
+  bool running_ = false;          // enabled and triggered
   bool clears_ = false;           // the decoder's next step clears the counter
   std::uint32_t held_ = 0;        // the value while the clock stands, or counts edges
   std::uint64_t start_step_ = 0;  // clock steps at which the value was 0
@@ -106,7 +103,6 @@ class Tc final : public Peripheral, public PinListener, public PinDriver {
   std::uint32_t read(std::uint32_t offset) override;
   void write(std::uint32_t offset, std::uint32_t value) override;
   int clock_of(std::uint32_t offset) const override;
-  bool write_protected() const override { return (protect_ & 1U) != 0; }
   std::uint32_t from_outside(std::uint32_t offset) const override;
 
  private:
@@ -116,7 +112,6 @@ class Tc final : public Peripheral, public PinListener, public PinDriver {
   Quadrature quadrature_;
   std::uint32_t block_mode_ = 0;
   std::uint32_t quadrature_interrupts_ = 0;
-  std::uint32_t protect_ = 0;
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -3,18 +3,14 @@
 
 #include "chip/tc.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
 constexpr std::uint32_t kCovfs = 1U << 0;
-constexpr std::uint32_t kLovrs = 1U << 1;
 constexpr std::uint32_t kCpas = 1U << 2;
 constexpr std::uint32_t kCpbs = 1U << 3;
 constexpr std::uint32_t kCpcs = 1U << 4;
-constexpr std::uint32_t kLdras = 1U << 5;
-constexpr std::uint32_t kLdrbs = 1U << 6;
-constexpr std::uint32_t kEtrgs = 1U << 7;
 
 constexpr std::uint64_t kWhole = std::uint64_t{1} << 32;
 
@@ -41,7 +37,7 @@ TcChannel::TcChannel(System& system, Tc& block, int index, int identifier)
 
 void TcChannel::reset() {
   mode_ = ra_ = rb_ = rc_ = status_ = interrupts_ = held_ = 0;
-  enabled_ = running_ = clears_ = captured_a_ = level_a_ = level_b_ = false;
+  enabled_ = running_ = clears_ = level_a_ = level_b_ = false;
   plan();
   update_irq();
 }
@@ -239,41 +235,6 @@ void TcChannel::software_trigger() {
     effect(level_a_, mode_ >> 22, true);
     effect(level_b_, mode_ >> 30, false);
   }
-  captured_a_ = false;
-  plan();
-}
-
-void TcChannel::input_changed(bool is_a, bool level) {
-  if (is_wave() || !enabled_) return;
-  settle();
-  const auto edge = [level](std::uint32_t code) {
-    return code == 3 || (code == 1 && level) || (code == 2 && !level);
-  };
-  const bool trigger_is_a = (mode_ & (1U << 10)) != 0;
-  if (is_a && running_) {
-    if (captured_a_ && edge((mode_ >> 18) & 3U)) {
-      if ((status_ & kLdrbs) != 0) status_ |= kLovrs;
-      rb_ = value();
-      status_ |= kLdrbs;
-      captured_a_ = false;
-      if ((mode_ & 0x80U) != 0) {
-        stop();
-      } else if ((mode_ & 0x40U) != 0) {
-        held_ = value();
-        running_ = false;
-      }
-    } else if (!captured_a_ && edge((mode_ >> 16) & 3U)) {
-      if ((status_ & kLdras) != 0) status_ |= kLovrs;
-      ra_ = value();
-      status_ |= kLdras;
-      captured_a_ = ((mode_ >> 18) & 3U) != 0;
-    }
-  }
-  if (trigger_is_a == is_a && edge((mode_ >> 8) & 3U)) {
-    status_ |= kEtrgs;
-    if (enabled_) trigger();
-  }
-  update_irq();
   plan();
 }
 
@@ -327,6 +288,10 @@ void TcChannel::write_mode(std::uint32_t value) {
   if ((value & (1U << 15)) != 0 && (value & 0x300U) != 0) {
     block_.not_modelled_in(index_, kCmr, "external events in waveform mode are not modelled");
   }
+  // The decoder of channel 0 takes the pins; then ETRGEDG chooses the edge of an index pulse.
+  if ((value & (1U << 15)) == 0 && (value & (quadrature ? 0xF0000U : 0xF0300U)) != 0) {
+    block_.not_modelled_in(index_, kCmr, "captures and triggers by TIOA or TIOB are not modelled");
+  }
   const bool triggered = running_ && pending();
   mode_ = value;
   if (running_) restart(at);
@@ -371,4 +336,4 @@ void TcChannel::write(std::uint32_t offset, std::uint32_t value) {
   plan();
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

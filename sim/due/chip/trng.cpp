@@ -1,6 +1,6 @@
 #include "chip/trng.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -83,4 +83,4 @@ void Trng::write(std::uint32_t offset, std::uint32_t value) {
   update();
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

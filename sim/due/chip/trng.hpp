@@ -4,7 +4,7 @@
 
 #include "chip/peripheral.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 class Trng final : public Peripheral {
  public:
@@ -35,4 +35,4 @@ class Trng final : public Peripheral {
   std::uint32_t value_ = 0;
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -331,4 +331,4 @@ void Uart::write(std::uint32_t offset, std::uint32_t value) {
   update_irq();
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

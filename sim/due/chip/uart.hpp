@@ -4,7 +4,7 @@
 #include "chip/peripheral.hpp"
 #include "chip/pins.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 // UART_MR.PAR
 enum class Parity : std::uint8_t { kEven = 0, kOdd = 1, kSpace = 2, kMark = 3, kNone = 4 };
@@ -101,4 +101,4 @@ class Uart final : public Peripheral, public PinDriver {
   std::uint64_t overruns_ = 0;
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

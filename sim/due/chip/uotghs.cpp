@@ -1,6 +1,6 @@
 #include "chip/uotghs.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -14,7 +14,7 @@ constexpr std::uint8_t kWriteNot = kWrite | kUnmodelled;
 constexpr std::uint8_t kBothNot = kBoth | kUnmodelled;
 
 // One register for each of ten endpoints or pipes.
-#define HELI_TEN(offset, name, access)                                          \
+#define DUE_TEN(offset, name, access)                                           \
   {(offset) + 0x00, name "0", access}, {(offset) + 0x04, name "1", access},     \
       {(offset) + 0x08, name "2", access}, {(offset) + 0x0C, name "3", access}, \
       {(offset) + 0x10, name "4", access}, {(offset) + 0x14, name "5", access}, \
@@ -23,7 +23,7 @@ constexpr std::uint8_t kBothNot = kBoth | kUnmodelled;
     (offset) + 0x24, name "9", access                                           \
   }
 // The four registers of a DMA channel.
-#define HELI_DMA(offset, side, channel)                                  \
+#define DUE_DMA(offset, side, channel)                                   \
   {(offset) + 0x0, "UOTGHS_" side "DMANXTDSC" channel, kBothNot},        \
       {(offset) + 0x4, "UOTGHS_" side "DMAADDRESS" channel, kBothNot},   \
       {(offset) + 0x8, "UOTGHS_" side "DMACONTROL" channel, kBothNot}, { \
@@ -40,20 +40,20 @@ constexpr Register kRegisters[] = {
     {0x018, "UOTGHS_DEVIER", kWrite},
     {0x01C, "UOTGHS_DEVEPT", kBoth},
     {0x020, "UOTGHS_DEVFNUM", kRead},
-    HELI_TEN(0x100, "UOTGHS_DEVEPTCFG", kBothNot),
-    HELI_TEN(0x130, "UOTGHS_DEVEPTISR", kReadNot),
-    HELI_TEN(0x160, "UOTGHS_DEVEPTICR", kWriteNot),
-    HELI_TEN(0x190, "UOTGHS_DEVEPTIFR", kWriteNot),
-    HELI_TEN(0x1C0, "UOTGHS_DEVEPTIMR", kReadNot),
-    HELI_TEN(0x1F0, "UOTGHS_DEVEPTIER", kWriteNot),
-    HELI_TEN(0x220, "UOTGHS_DEVEPTIDR", kWriteNot),
-    HELI_DMA(0x310, "DEV", "1"),
-    HELI_DMA(0x320, "DEV", "2"),
-    HELI_DMA(0x330, "DEV", "3"),
-    HELI_DMA(0x340, "DEV", "4"),
-    HELI_DMA(0x350, "DEV", "5"),
-    HELI_DMA(0x360, "DEV", "6"),
-    HELI_DMA(0x370, "DEV", "7"),
+    DUE_TEN(0x100, "UOTGHS_DEVEPTCFG", kBothNot),
+    DUE_TEN(0x130, "UOTGHS_DEVEPTISR", kReadNot),
+    DUE_TEN(0x160, "UOTGHS_DEVEPTICR", kWriteNot),
+    DUE_TEN(0x190, "UOTGHS_DEVEPTIFR", kWriteNot),
+    DUE_TEN(0x1C0, "UOTGHS_DEVEPTIMR", kReadNot),
+    DUE_TEN(0x1F0, "UOTGHS_DEVEPTIER", kWriteNot),
+    DUE_TEN(0x220, "UOTGHS_DEVEPTIDR", kWriteNot),
+    DUE_DMA(0x310, "DEV", "1"),
+    DUE_DMA(0x320, "DEV", "2"),
+    DUE_DMA(0x330, "DEV", "3"),
+    DUE_DMA(0x340, "DEV", "4"),
+    DUE_DMA(0x350, "DEV", "5"),
+    DUE_DMA(0x360, "DEV", "6"),
+    DUE_DMA(0x370, "DEV", "7"),
     {0x400, "UOTGHS_HSTCTRL", kBothNot},
     {0x404, "UOTGHS_HSTISR", kReadNot},
     {0x408, "UOTGHS_HSTICR", kWriteNot},
@@ -66,30 +66,30 @@ constexpr Register kRegisters[] = {
     {0x424, "UOTGHS_HSTADDR1", kBothNot},
     {0x428, "UOTGHS_HSTADDR2", kBothNot},
     {0x42C, "UOTGHS_HSTADDR3", kBothNot},
-    HELI_TEN(0x500, "UOTGHS_HSTPIPCFG", kBothNot),
-    HELI_TEN(0x530, "UOTGHS_HSTPIPISR", kReadNot),
-    HELI_TEN(0x560, "UOTGHS_HSTPIPICR", kWriteNot),
-    HELI_TEN(0x590, "UOTGHS_HSTPIPIFR", kWriteNot),
-    HELI_TEN(0x5C0, "UOTGHS_HSTPIPIMR", kReadNot),
-    HELI_TEN(0x5F0, "UOTGHS_HSTPIPIER", kWriteNot),
-    HELI_TEN(0x620, "UOTGHS_HSTPIPIDR", kWriteNot),
-    HELI_TEN(0x650, "UOTGHS_HSTPIPINRQ", kBothNot),
-    HELI_TEN(0x680, "UOTGHS_HSTPIPERR", kBothNot),
-    HELI_DMA(0x710, "HST", "1"),
-    HELI_DMA(0x720, "HST", "2"),
-    HELI_DMA(0x730, "HST", "3"),
-    HELI_DMA(0x740, "HST", "4"),
-    HELI_DMA(0x750, "HST", "5"),
-    HELI_DMA(0x760, "HST", "6"),
-    HELI_DMA(0x770, "HST", "7"),
+    DUE_TEN(0x500, "UOTGHS_HSTPIPCFG", kBothNot),
+    DUE_TEN(0x530, "UOTGHS_HSTPIPISR", kReadNot),
+    DUE_TEN(0x560, "UOTGHS_HSTPIPICR", kWriteNot),
+    DUE_TEN(0x590, "UOTGHS_HSTPIPIFR", kWriteNot),
+    DUE_TEN(0x5C0, "UOTGHS_HSTPIPIMR", kReadNot),
+    DUE_TEN(0x5F0, "UOTGHS_HSTPIPIER", kWriteNot),
+    DUE_TEN(0x620, "UOTGHS_HSTPIPIDR", kWriteNot),
+    DUE_TEN(0x650, "UOTGHS_HSTPIPINRQ", kBothNot),
+    DUE_TEN(0x680, "UOTGHS_HSTPIPERR", kBothNot),
+    DUE_DMA(0x710, "HST", "1"),
+    DUE_DMA(0x720, "HST", "2"),
+    DUE_DMA(0x730, "HST", "3"),
+    DUE_DMA(0x740, "HST", "4"),
+    DUE_DMA(0x750, "HST", "5"),
+    DUE_DMA(0x760, "HST", "6"),
+    DUE_DMA(0x770, "HST", "7"),
     {0x800, "UOTGHS_CTRL", kBoth},
     {0x804, "UOTGHS_SR", kRead},
     {0x808, "UOTGHS_SCR", kWrite},
     {0x80C, "UOTGHS_SFR", kWriteNot},
     {0x82C, "UOTGHS_FSM", kRead},
 };
-#undef HELI_TEN
-#undef HELI_DMA
+#undef DUE_TEN
+#undef DUE_DMA
 
 constexpr std::uint32_t kControlReset = 0x03004000;  // device mode, UOTGID decides, clock frozen
 constexpr std::uint32_t kUsbe = 1U << 15;
@@ -150,4 +150,4 @@ void Uotghs::write(std::uint32_t offset, std::uint32_t value) {
   }
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -5,7 +5,7 @@
 
 #include "chip/peripheral.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 class Uotghs final : public Peripheral {
  public:
@@ -24,4 +24,4 @@ class Uotghs final : public Peripheral {
   std::uint32_t endpoints_ = 0;   // DEVEPT
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -4,7 +4,7 @@
 
 #include "cpu/decoder.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -318,4 +318,4 @@ bool Cpu::passes(unsigned condition) const {
   return result == ((condition & 1U) == 0);
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

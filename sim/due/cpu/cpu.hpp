@@ -19,7 +19,7 @@
 #include "cpu/exceptions.hpp"
 #include "cpu/insn.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 // How often an exception was taken and what its handler cost, time in nested handlers excluded.
 struct ExceptionStats {
@@ -301,4 +301,4 @@ class Cpu {
   std::array<std::uint64_t, exc::kCount + 2> nested_{};
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

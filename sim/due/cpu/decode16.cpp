@@ -1,7 +1,7 @@
 // 16-bit Thumb encodings (ARMv7-M A5.2).
 #include "cpu/decoder.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 using ops::Alu;
 using ops::Mode;
@@ -351,4 +351,4 @@ void Decoder::multiple16(std::uint32_t w) {
   put<&ops::store_multiple<false>>();
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -1,7 +1,7 @@
 // 32-bit Thumb encodings of data processing and multiplication (ARMv7-M A5.3).
 #include "cpu/decoder.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 using ops::Alu;
 using ops::Op2;
@@ -278,4 +278,4 @@ void Decoder::multiply_long32(std::uint32_t a, std::uint32_t b) {
   }
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -1,7 +1,7 @@
 // 32-bit Thumb encodings of loads, stores, branches and control (ARMv7-M A5.3).
 #include "cpu/decoder.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 using ops::Mode;
 
@@ -246,4 +246,4 @@ void Decoder::special_register(std::uint32_t a, std::uint32_t b) {
   put<&ops::move_to_special>();
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -1,7 +1,7 @@
 // What all encodings share: branches, literals, shifts, and their place in the cycle model.
 #include "cpu/decoder.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 using ops::Alu;
 using ops::Op2;
@@ -170,4 +170,4 @@ void Decoder::literal(std::uint32_t size, bool sign, std::uint32_t address) {
   put_rd<&ops::load_literal<std::uint32_t, false>>();
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

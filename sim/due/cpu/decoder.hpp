@@ -11,7 +11,7 @@
 #include "cpu/insn.hpp"
 #include "cpu/ops_branch.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 class Decoder {
  public:
@@ -149,4 +149,4 @@ void Decoder::put_load_store(std::uint32_t size, bool sign, bool is_load) {
   put_rd<&ops::load<u32, false, kMode>>();
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -6,7 +6,7 @@
 
 #include "cpu/cpu.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -314,4 +314,4 @@ void Cpu::write_special(unsigned sysm, std::uint32_t value, unsigned mask) {
   }
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

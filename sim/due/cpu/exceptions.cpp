@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -161,4 +161,4 @@ void Exceptions::set_basepri(std::uint8_t value) {
   refresh();
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

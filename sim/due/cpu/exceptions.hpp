@@ -6,7 +6,7 @@
 
 #include "cpu/insn.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 class Exceptions {
  public:
@@ -83,4 +83,4 @@ class Exceptions {
   std::uint64_t* deadline_ = nullptr;
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

@@ -4,7 +4,7 @@
 
 #include <cstdint>
 
-namespace heli_due {
+namespace due_emulator {
 
 class Cpu;
 struct Insn;
@@ -69,4 +69,4 @@ inline constexpr std::uint8_t kIrqCount = 45;
 inline constexpr std::uint8_t kCount = kIrq0 + kIrqCount;
 }  // namespace exc
 
-}  // namespace heli_due
+}  // namespace due_emulator

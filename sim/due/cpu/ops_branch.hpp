@@ -7,7 +7,7 @@
 #include "cpu/ops_data.hpp"
 #include "cpu/ops_memory.hpp"
 
-namespace heli_due::ops {
+namespace due_emulator::ops {
 
 // Wraps an instruction inside an IT block.
 template <Handler kInner>
@@ -122,4 +122,4 @@ inline const Insn* move_to_special(Cpu& c, const Insn* i) {
   return next(i);
 }
 
-}  // namespace heli_due::ops
+}  // namespace due_emulator::ops

@@ -5,7 +5,7 @@
 
 #include "cpu/cpu.hpp"
 
-namespace heli_due::ops {
+namespace due_emulator::ops {
 
 // The second operand of a data processing instruction.
 enum class Op2 : std::uint8_t { kImm, kImmCarry, kReg, kLsl, kLsr, kAsr, kRor, kRrx };
@@ -355,4 +355,4 @@ const Insn* into_sp(Cpu& c, const Insn* i) {
   return after;
 }
 
-}  // namespace heli_due::ops
+}  // namespace due_emulator::ops

@@ -7,7 +7,7 @@
 #include "cpu/cpu.hpp"
 #include "cpu/ops_data.hpp"
 
-namespace heli_due::ops {
+namespace due_emulator::ops {
 
 enum class Mode : std::uint8_t { kOffset, kPre, kPost, kRegister };
 
@@ -191,4 +191,4 @@ inline const Insn* clear_exclusive(Cpu& c, const Insn* i) {
   return next(i);
 }
 
-}  // namespace heli_due::ops
+}  // namespace due_emulator::ops

@@ -4,7 +4,7 @@
 
 #include "cpu/cpu.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 void Cpu::set_mark(std::uint32_t address, MarkKind kind) {
   Mark& mark = marks_[address & ~1U];
@@ -108,4 +108,4 @@ void Cpu::note_return() {
   stats.max_cycles = std::max(stats.max_cycles, cycles_ - open.cycles);
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

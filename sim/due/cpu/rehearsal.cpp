@@ -7,7 +7,7 @@
 
 #include "cpu/cpu.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -66,4 +66,4 @@ std::uint32_t Cpu::deciding_bits(std::uint32_t value) {
   return bits;
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

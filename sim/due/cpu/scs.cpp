@@ -1,6 +1,6 @@
 #include "cpu/scs.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -371,4 +371,4 @@ void SystemControl::write_shcsr(std::uint32_t value) {
   }
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

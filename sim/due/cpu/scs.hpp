@@ -8,7 +8,7 @@
 #include "cpu/cpu.hpp"
 #include "cpu/exceptions.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 class SystemControl final : public PrivateBus, public EventSink {
  public:
@@ -62,4 +62,4 @@ class SystemControl final : public PrivateBus, public EventSink {
   std::uint32_t cyccnt_held_ = 0;
 };
 
-}  // namespace heli_due
+}  // namespace due_emulator

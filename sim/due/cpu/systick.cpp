@@ -1,7 +1,7 @@
 // SysTick (ARMv7-M B3.3): 24 bits downwards, by MCK or MCK/8, exception when 1 becomes 0.
 #include "cpu/scs.hpp"
 
-namespace heli_due {
+namespace due_emulator {
 
 namespace {
 
@@ -53,4 +53,4 @@ void SystemControl::event(std::uint64_t) {
   plan_systick();
 }
 
-}  // namespace heli_due
+}  // namespace due_emulator

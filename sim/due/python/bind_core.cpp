@@ -13,7 +13,7 @@
 #include "python/bindings.hpp"
 
 namespace nb = nanobind;
-using namespace heli_due;
+using namespace due_emulator;
 
 namespace {
 

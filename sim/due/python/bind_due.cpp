@@ -1,4 +1,4 @@
-// The whole board for Python: running, the USB side, pins and encoders, debugging, measurements.
+// The board for Python: running, the USB side, pins and encoders, debugging, measurements.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
@@ -14,7 +14,7 @@
 #include "python/bindings.hpp"
 
 namespace nb = nanobind;
-using namespace heli_due;
+using namespace due_emulator;
 
 namespace {
 
@@ -195,15 +195,21 @@ void bind_outside(nb::class_<Due>& due) {
       .def_prop_ro("usb_lost", [](const Due& self) { return self.bridge.to_host_lost(); })
       .def_prop_ro("usb_waiting", [](const Due& self) { return self.bridge.to_board_waiting(); })
       .def_prop_ro("uart_overruns", [](const Due& self) { return self.chip.uart.overruns(); })
-      .def("set_encoder", &Due::set_encoder, nb::arg("axis"), nb::arg("count"))
-      .def("encoder", &Due::encoder, nb::arg("axis"))
-      .def("glitch_encoder", &Due::glitch_encoder, nb::arg("axis"))
+      .def(
+          "attach_encoder",
+          [](Due& self, const std::string& pin_a, const std::string& pin_b) {
+            return self.attach_encoder(pin_number(pin_a), pin_number(pin_b));
+          },
+          nb::arg("pin_a"), nb::arg("pin_b"))
+      .def("set_encoder", &Due::set_encoder, nb::arg("encoder"), nb::arg("count"))
+      .def("encoder", &Due::encoder, nb::arg("encoder"))
+      .def("glitch_encoder", &Due::glitch_encoder, nb::arg("encoder"))
       .def(
           "schedule_step",
-          [](Due& self, int axis, int direction, double when_us) {
-            self.schedule_step(axis, direction, from_us(when_us));
+          [](Due& self, int encoder, int direction, double when_us) {
+            self.schedule_step(encoder, direction, from_us(when_us));
           },
-          nb::arg("axis"), nb::arg("direction"), nb::arg("when_us"))
+          nb::arg("encoder"), nb::arg("direction"), nb::arg("when_us"))
       .def(
           "pin",
           [](const Due& self, const std::string& name) { return self.pin(pin_number(name)); },
@@ -237,8 +243,6 @@ void bind_outside(nb::class_<Due>& due) {
           "pin_duty",
           [](const Due& self, const std::string& name) { return self.pin_duty(pin_number(name)); },
           nb::arg("name"))
-      .def("motor_duty", &Due::motor_duty, nb::arg("motor"))
-      .def("motor_enabled", &Due::motor_enabled, nb::arg("motor"))
       .def(
           "pwm_high_cycles",
           [](Due& self, int channel, bool low_side) {
@@ -371,7 +375,7 @@ void bind_measuring(nb::class_<Due>& due) {
 }  // namespace
 
 void bind_due(nb::module_& module) {
-  nb::class_<Due> due(module, "Due", "The emulated Arduino Due with the helicopter's wiring.");
+  nb::class_<Due> due(module, "Due", "The emulated Arduino Due.");
   bind_running(due);
   bind_outside(due);
   bind_debugging(due);

@@ -5,4 +5,3 @@
 
 void bind_core(nanobind::module_& module);
 void bind_due(nanobind::module_& module);
-void bind_board(nanobind::module_& module);

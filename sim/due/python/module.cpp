@@ -4,11 +4,9 @@
 namespace nb = nanobind;
 
 NB_MODULE(_due, module) {
-  // Has the class that DueBoard is derived from.
-  nb::module_::import_("heli_sim._native");
   module.doc() = "The emulated Arduino Due.";
-  nb::exception<heli_due::Stop>(module, "Stop");
+  const nb::object errors = nb::module_::import_("due_emulator.errors");
+  nb::exception<due_emulator::Stop>(module, "Stop", errors.attr("EmulatorError"));
   bind_core(module);
   bind_due(module);
-  bind_board(module);
 }

@@ -77,7 +77,8 @@ def workers_of(scheduler: str | None, processes: int) -> Iterator[Client]:
                 client.wait_for_workers(1, timeout=FIRST_WORKER_s)
             except TimeoutError:
                 raise CampaignError(
-                    f"the scheduler at {scheduler} has no workers", f"start some: dask worker {scheduler}"
+                    f"the scheduler at {scheduler} has no workers",
+                    f"start at least one: dask worker {scheduler}",
                 ) from None
             yield client
         finally:

@@ -100,7 +100,10 @@ def check_form(name: str, how: object) -> None:
     CampaignError.
     """
     if not isinstance(how, Mapping) or len(how) != 1 or next(iter(how)) not in _FORMS:
-        raise CampaignError(f"[draw] {name}: it needs one of {', '.join(_FORMS)}", "as in { share = 0.2 }")
+        raise CampaignError(
+            f"[draw] {name}: it needs exactly one of {', '.join(_FORMS)}",
+            "write, for example, { share = 0.2 }",
+        )
     form, value = next(iter(how.items()))
     numbers = value if isinstance(value, list | tuple) else [value]
     plain = all(isinstance(number, int | float) and not isinstance(number, bool) for number in numbers)

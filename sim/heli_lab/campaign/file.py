@@ -69,7 +69,9 @@ def _campaign(path: Path, table: Mapping[str, Any]) -> Campaign:
     for each in values.values():
         count *= len(each)
     if count > MAX_CASES:
-        raise CampaignError(f"these lists make {count} cases, more than {MAX_CASES}", "shorten one")
+        raise CampaignError(
+            f"these lists make {count} cases, more than {MAX_CASES}", "shorten one of the lists"
+        )
     draw = _draw(table.get("draw", {}))
     fixed = {**(DEFAULTS if work in WORKS else {}), **({"draw": draw} if draw else {})}
     varied = [name for name, each in values.items() if len(each) > 1]
@@ -88,7 +90,7 @@ def _campaign(path: Path, table: Mapping[str, Any]) -> Campaign:
 def _known(table: Mapping[str, Any], names: Sequence[str], where: str) -> None:
     unknown = [name for name in table if name not in names]
     if unknown:
-        raise CampaignError(f"{where} has {', '.join(unknown)}", f"it may have {', '.join(names)}")
+        raise CampaignError(f"{where} has {', '.join(unknown)}", f"choose from {', '.join(names)}")
 
 
 def _values(name: str, given: Any, folder: Path) -> list[Any]:
@@ -104,7 +106,7 @@ def _values(name: str, given: Any, folder: Path) -> list[Any]:
     if name in _LISTS and not all(isinstance(entry, list) for entry in several):
         several = [several]
     if not several:
-        raise CampaignError(f"[cases] {name} has no value", "give it one at least")
+        raise CampaignError(f"[cases] {name} has no value", "give it at least one value")
     for entry in several:
         _check(name, entry)
     return [_placed(name, entry, folder) for entry in several]

@@ -62,7 +62,7 @@ class Campaign:
         seen: set[str] = set()
         for case in self.cases:
             if case.name in seen:
-                raise CampaignError(f"two cases have the name {case.name}", "let their settings differ")
+                raise CampaignError(f"two cases have the name {case.name}", "change a setting of one of them")
             seen.add(case.name)
 
     @property
@@ -251,7 +251,7 @@ def _attended(
         order = tasks.pop(future)
         if future.cancelled():
             raise CampaignError(
-                f"the scheduler has stopped; {ended} of {len(orders)} cases have ended in this run and "
+                f"the scheduler has stopped: {ended} of {len(orders)} cases have ended in this run and "
                 "are saved",
                 "run the same command again to continue with the others",
             )

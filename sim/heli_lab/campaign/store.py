@@ -28,7 +28,7 @@ STORED_PACKAGES: Final = ("distributed", "pyarrow")
 """Packages of the extra ``campaign`` that nothing else of the laboratory needs."""
 TABLE: Final = "cases.parquet"
 OWN: Final = ("failure", "cpu_s", "seconds", "where", "key")
-"""Columns that every case has, beside its name, its settings and what its work returned."""
+"""Columns that every case has in addition to its name, its settings and the results of its work."""
 
 
 class Store:

@@ -17,7 +17,7 @@ from heli_host.heli import Heli
 from heli_host.link.session import Session
 from heli_host.log.flight_file import read_flight
 from heli_host.log.summary import FlightSummary
-from heli_host.parameter_file import read_parameters
+from heli_host.parameter_file import read_parameter_set
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Model
 from heli_sim.model.effects import catalogue, effects_of, parse_effects
@@ -164,7 +164,7 @@ def gains(settings: Settings) -> Result:
     true, effects = draw.rig, draw.effects
     fitted_effects = parse_effects(effects, settings["effect_files"])
     model = model_named(settings["model"] or nominal.model or MultibodyModel.name, fitted_effects)
-    parameters = read_parameters(Path(settings["params"])) if settings["params"] else {}
+    parameters = read_parameter_set(Path(settings["params"])).values if settings["params"] else {}
     trial = try_gains(Plant(model, true, settings["seed"]), parameters, "campaign", settings["seed"])
     metrics = asdict(trial.metrics)
     finite = {name: v if not isinstance(v, float) or np.isfinite(v) else None for name, v in metrics.items()}
@@ -213,7 +213,7 @@ def _flown(settings: Settings, plan: str, more_seed: int) -> _Flown:
     session.connect()
     with Heli(session) as heli, tempfile.TemporaryDirectory() as folder:
         if settings["params"]:
-            heli.params.restore(read_parameters(Path(settings["params"])))
+            heli.params.restore(read_parameter_set(Path(settings["params"])).values)
         log = Path(folder) / "flight.mcap"
         summary = fly_plans(heli, plan, log_path=log)
         return _Flown(nominal, draw, read_flight(log), summary)

@@ -29,7 +29,7 @@ from heli_lab.diagnose.evaluate import (
 )
 from heli_lab.diagnose.experiment import propose_experiment
 from heli_lab.diagnose.result import Diagnosis, Effort, Proposal
-from heli_lab.diagnose.search import EstimateCache, ModelComparison, Search, fingerprint, search
+from heli_lab.diagnose.search import EstimateCache, ModelComparison, Search, fingerprint, may_join, search
 from heli_lab.errors import IdentifyError, NotExcited
 from heli_lab.identify import Record, prepare
 from heli_lab.threads import using_threads
@@ -130,7 +130,7 @@ def diagnose(
         kept = EstimateCache(resume, fingerprint(model, rig, [*train, *held_out])) if resume else None
         comparison = ModelComparison(model, rig, train, held_out, seed=seed, kept=kept)
         known = {effect.name for effect in model.effects}
-        tried = {id_: kind for id_, kind in every.items() if _is_candidate(kind, model, known)}
+        tried = {id_: kind for id_, kind in every.items() if _is_candidate(kind, model, known, every)}
         result, assessment = _search_and_assess(comparison, tried, every, report, refits)
         undetectable = undetectable_effects(result.rounds[-1].screened, every)
         evaluation = evaluate_held_out(comparison, result, assessment, calibrate_s)
@@ -206,11 +206,11 @@ def _propose(
     return Proposal(proposed_term(discovery), reduced)
 
 
-def _is_candidate(kind: EffectSpec, model: Model, known: set[str]) -> bool:
+def _is_candidate(kind: EffectSpec, model: Model, known: set[str], every: Mapping[str, EffectSpec]) -> bool:
     """Whether the search tries an effect. The fit itself shows the absence of a term with a free
     parameter.
     """
-    if not kind.suits(model) or kind.id in known or kind.noise_inputs:
+    if not kind.suits(model) or kind.noise_inputs or not may_join(kind.id, known, every):
         return False
     return not kind.baseline or (not kind.override and model.name != "multibody")
 

@@ -76,6 +76,16 @@ EVENT_EDGE_s: Final[Annotated[float, "s", JUDGEMENT]] = 1.0
 refused, because initial states or the last window imitate it: half a window. Lower: false steps at the
 edges. Higher: true steps there are lost."""
 
+CONCENTRATED_MIN_NATS: Final[Annotated[float, "nats", JUDGEMENT]] = 5.0
+"""Score of an effect with a moment from which on the disturbances are estimated again with it: three standard
+errors, as chance reaches at the best of 60 moments. Lower: time, 0.1 s per candidate. Higher: large events
+that hide themselves in the disturbances are missed."""
+
+EVENT_STD_ERRORS: Final[Annotated[float, "standard errors", MEASUREMENT]] = 5.0
+"""Level in a held-out flight, about any axis, from which on an effect with a moment is tried there. Slips of
+10 and 30 mm reach 10 to 14, the largest of other levels 3.0 (development seeds 5000 of `heli_benchmark`,
+2026-11). Lower: time. Higher: an event in a held-out flight contradicts its own cause."""
+
 NEW_DISTURBANCES_NATS: Final[Annotated[float, "nats", JUDGEMENT]] = 20.0
 """Gain of a refit above which the disturbances are estimated again from other start values: a cause of six
 standard deviations. Lower: time. Higher: disturbances keep the size that they had while they replaced the
@@ -169,16 +179,21 @@ DEPENDENCE_NATS: Final[Annotated[float, "nats", MEASUREMENT]] = 10.0
 DEPENDENCE_NATS_PER_COEFFICIENT: Final[Annotated[float, "nats", MEASUREMENT]] = 2.0
 """Log-likelihood ratio that a regressor of the innovations must gain, and more of it for each coefficient.
 In theory, the best of 130 tests on white innovations exceeds 6.3 nats with one coefficient and 14 with 8 in
-5 % of all cases; 6 more with one and 12 more with 8 are for disturbances that are not Gauss-Markov, and for
+5 % of all cases. 6 more with one and 12 more with 8 are for disturbances that are not Gauss-Markov, and for
 small errors of a named cause (19 nats with 6 coefficients in a field case, 2026-11). Lower: disturbances
 become `unexplained`. Higher: unmodelled dynamics are taken for disturbances; an unlisted term under strong
 disturbances of a field case has 18 nats."""
 
 NEAR_REST_NATS: Final[Annotated[float, "nats", MEASUREMENT]] = 20.0
 """Additional gain that a function of an axis' own rate near rest needs, as a regressor and as an equation's
-term: the encoder of a resting axis repeats its count, which the filter takes for a torque towards rest (22
+term. The encoder of a resting axis repeats its count, which the filter takes for a torque towards rest (22
 nats in two of ten field cases without friction, 2026-11). Lower: disturbances become `unexplained`. Higher:
 axes that stick are missed, unless the catalogue has their friction."""
+
+KICK_STD_ERRORS: Final[Annotated[float, "standard errors", JUDGEMENT]] = 6.0
+"""Impulse at one instant that is reported as a kick, in robust standard errors: by chance one of a hundred
+million instants. It decides a sentence, not the verdict. Lower: gusts are called kicks. Higher: kicks are
+called gusts."""
 
 RANDOM_TORQUE_MIN_SHARE: Final[Annotated[float, "1", JUDGEMENT]] = 0.1
 """Share of its typical size from which on a random torque about a single axis is named. Lower: integration
@@ -288,7 +303,7 @@ window or two. Lower: its constants are not known."""
 TIME_STD_FACTOR: Final[Annotated[float, "1", MEASUREMENT]] = 1.4
 """Factor on the standard error of times. A controller answers within a step to what the filter has not seen
 yet: lags come out short under fast disturbances, by 1.4 ms +- 1.1 ms on eleven simulated flights at 500 Hz
-(2026-11), by nothing with steps of 5 ms, which take twice the time. Lower: intervals of lags miss the truth.
+(2026-11). Steps of 5 ms would avoid it, but take twice the time. Lower: intervals of lags miss the truth.
 Higher: they are wider than the flights justify."""
 
 MIN_STD_SHARE: Final[Annotated[float, "1", MEASUREMENT]] = 0.007

@@ -1,5 +1,10 @@
 """Parameters, states and disturbances of a grey-box model, estimated from inputs and outputs."""
 
+from heli_lab.estimation.auxiliary_residuals import (
+    AuxiliaryResiduals,
+    ShockScores,
+    auxiliary_residuals,
+)
 from heli_lab.estimation.disturbances import DisturbanceModel
 from heli_lab.estimation.estimate import Estimate, estimate, estimate_disturbances
 from heli_lab.estimation.grey_box import ActingInputs, GreyBoxModel, Recording
@@ -27,6 +32,7 @@ __all__ = [
     "EFFECT_SUBSTEPS",
     "ActingInputs",
     "AlongTrajectory",
+    "AuxiliaryResiduals",
     "BLOCK_s",
     "Derivatives",
     "DisturbanceModel",
@@ -43,7 +49,9 @@ __all__ = [
     "ParameterVector",
     "Recording",
     "ReferenceTrajectory",
+    "ShockScores",
     "Trajectory",
+    "auxiliary_residuals",
     "estimate",
     "estimate_disturbances",
     "kinematic_filter",

@@ -14,7 +14,7 @@ import numpy as np
 from heli_host.arrays import Floats, Integers
 
 NO_BLOCKS: Final = np.zeros((0, 0), np.int64)
-"""Of a system without unknowns of one flight alone."""
+"""Blocks of a system without unknowns of one flight alone."""
 
 
 def per_flight_columns(columns: Sequence[Integers], size: int) -> Integers:

@@ -205,9 +205,7 @@ class InnovationsModel:
         drive: Floats,
         measured: Floats,
     ) -> tuple[Floats, Floats]:
-        value, log_variances = _kalman.filter(
-            *self._system(linearised, blocks, disturbances), drive, measured
-        )
+        value, log_variances = _kalman.filter(*self.system(linearised, blocks, disturbances), drive, measured)
         return value.reshape(-1, drive.shape[2]), np.array(log_variances)
 
     def perturbed_residual(self, move: Floats) -> list[list[tuple[Floats, Floats]]]:
@@ -249,7 +247,7 @@ class InnovationsModel:
             for blocks, (drive, measured) in zip(linearised.blocks, signals, strict=True):
                 nx = blocks.transition.shape[1]
                 mean, variance = _kalman.smooth(
-                    *self._system(linearised, blocks, disturbances), drive, measured
+                    *self.system(linearised, blocks, disturbances), drive, measured
                 )
                 times.append(linearised.nodes.t_s[blocks.rows])
                 values.append(mean[:, nx : nx + m] + mean[:, nx + m :])
@@ -257,9 +255,10 @@ class InnovationsModel:
             result.append((np.concatenate(times), np.concatenate(values), np.concatenate(errors)))
         return result
 
-    def _system(
+    def system(
         self, linearised: LinearisedFlight, blocks: Blocks, disturbances: DisturbanceModel
     ) -> tuple[Floats, ...]:
+        """Arguments of the functions of `_kalman` that come before the signals, for a window of a flight."""
         return (
             blocks.transition,
             blocks.part_input,

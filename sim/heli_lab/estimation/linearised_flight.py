@@ -35,8 +35,8 @@ from heli_lab.threads import default_thread_count, parallel_map
 
 BLOCK_s: Final = 0.04
 """Time from one measurement of the filter to the next. Encoders at rest repeat a count for tens of
-milliseconds: every 10 ms their errors are correlated (0.15 to 0.43 from one to the next on simulated flights,
-2026-11) and pass for a fast disturbance; every 40 ms they are white to 0.05. Longer: lags and delays blur."""
+milliseconds. Every 10 ms their errors are correlated (0.15 to 0.43 from one to the next on simulated flights,
+2026-11) and pass for a fast disturbance. Every 40 ms they are white to 0.05. Longer: lags and delays blur."""
 _CHUNK_STEPS: Final = 4096
 """Steps that are linearised together: derivatives by all parameters take 2 kB each. The result does not
 depend on it, memory does."""

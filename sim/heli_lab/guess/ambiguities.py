@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Final
 
 from heli_host.tables.units import SHARES
 from heli_sim.rig import Rig
@@ -13,6 +15,9 @@ from heli_lab.guess.axis_regression import RestElevation
 from heli_lab.guess.reference import Reference
 from heli_lab.guess.result import Ambiguity
 from heli_lab.guess.scales import AXES, MeasuredMotion, Scale
+
+_MAX_ALTERNATIVES: Final = 4
+"""Largest number of other units that a doubt lists."""
 
 
 @dataclass(frozen=True)
@@ -42,17 +47,20 @@ def assignment_ambiguities(ranked: list[ColumnAssignment]) -> tuple[list[Ambigui
         All candidate assignments, the most likely first.
     """
     best = ranked[0]
-    second = next((assignment for assignment in ranked if not assignment.same_as(best)), None)
+    others = [assignment for assignment in ranked if not assignment.same_as(best)]
+    margin = best.log_likelihood - (others[0].log_likelihood if others else 0.0)
+    close = [
+        other for other in others if best.log_likelihood - other.log_likelihood < thresholds.DECISIVE_NATS
+    ]
     by_physics = max(ranked, key=lambda assignment: assignment.physics_log_likelihood)
     ambiguities = []
-    if second is not None and best.log_likelihood - second.log_likelihood < thresholds.DECISIVE_NATS:
+    if close:
         ambiguities.append(
             Ambiguity(
                 "the columns",
                 _describe(best),
-                _describe(second),
-                f"they explain the flight within {best.log_likelihood - second.log_likelihood:.1f} nats "
-                "of each other",
+                _differences(best, close),
+                f"they explain the flight within {margin:.1f} nats of each other",
             )
         )
     elif (
@@ -67,14 +75,60 @@ def assignment_ambiguities(ranked: list[ColumnAssignment]) -> tuple[list[Ambigui
                 "which fits the motion; names and physics disagree",
             )
         )
-    margin = best.log_likelihood - second.log_likelihood if second is not None else best.log_likelihood
     return ambiguities, [f"columns: {_describe(best)}; {margin:.0f} nats ahead of every alternative"]
 
 
-def _describe(assignment: ColumnAssignment) -> str:
+def _differences(best: ColumnAssignment, others: list[ColumnAssignment]) -> str:
+    """Describe the columns of other assignments that differ from the best one, by role."""
+    chosen = _roles(best)
+    differing: dict[str, list[str]] = {}
+    for other in others:
+        for role, column in _roles(other).items():
+            if column != chosen.get(role) and column not in differing.setdefault(role, []):
+                differing[role].append(column)
+    return ", or ".join(f"{role} is {' or '.join(columns)}" for role, columns in differing.items() if columns)
+
+
+def _roles(assignment: ColumnAssignment) -> dict[str, str]:
     kind = ("sum", "difference") if assignment.summed else ("front", "back")
-    labels = dict(zip((*AXES, *kind), assignment.columns, strict=True))
-    return ", ".join(f"{role} is {column}" for role, column in labels.items())
+    return dict(zip((*AXES, *kind), assignment.columns, strict=True))
+
+
+def sum_ambiguities(
+    explained: dict[str, RegressionFit],
+    assignment: ColumnAssignment,
+    columns: list[str],
+    dropped: dict[str, str],
+) -> list[Ambiguity]:
+    """List the ambiguity of the voltages' columns if they hardly explain elevation.
+
+    Parameters
+    ----------
+    columns : list of str
+        Columns that may be an angle or a voltage.
+    dropped : dict of str
+        Columns that were left out, with the reason.
+    """
+    nats = explained["elevation"].log_likelihood_ratio
+    if nats >= thresholds.DECISIVE_NATS:
+        return []
+    others = [name for name in columns if name not in assignment.columns]
+    others += [f"{name} ({reason})" for name, reason in dropped.items() if reason != "constant"]
+    if not others:
+        return []
+    return [
+        Ambiguity(
+            "the sum's column" if assignment.summed else "the voltages' columns",
+            assignment.voltages[0] if assignment.summed else " and ".join(assignment.voltages),
+            " or ".join(others),
+            f"elevation agrees with the sum by only {nats:.1f} nats; under state feedback, the sum is "
+            "proportional to minus the rate of elevation; look up which column was logged",
+        )
+    ]
+
+
+def _describe(assignment: ColumnAssignment) -> str:
+    return ", ".join(f"{role} is {column}" for role, column in _roles(assignment).items())
 
 
 def unit_ambiguities(
@@ -88,15 +142,23 @@ def unit_ambiguities(
         All choices of units, the most likely first.
     """
     best, ambiguities = possible[0], []
-    second = next(scale for scale in possible if scale.units != best.units)
-    if best.log_likelihood - second.log_likelihood < thresholds.DECISIVE_NATS:
+    others: dict[tuple[str, ...], Scale] = {}
+    for scale in possible:
+        if scale.units != best.units:
+            others.setdefault(scale.units, scale)
+    close = [
+        scale
+        for scale in others.values()
+        if best.log_likelihood - scale.log_likelihood < thresholds.DECISIVE_NATS
+    ]
+    if close:
         ambiguities.append(
             Ambiguity(
                 "the units",
                 _describe_units(best),
-                _describe_units(second),
+                ", or ".join(_describe_units(scale) for scale in close[:_MAX_ALTERNATIVES]),
                 f"for rig {rig.name} they differ by only "
-                f"{best.log_likelihood - second.log_likelihood:.1f} nats; state the unit in the header or "
+                f"{best.log_likelihood - close[0].log_likelihood:.1f} nats; state the unit in the header or "
                 "the profile",
             )
         )
@@ -148,11 +210,20 @@ def unit_ambiguities(
                 Ambiguity(
                     "the voltages' unit",
                     f"{best.voltage}{full}, a share of {reference.supply_V:g} V",
-                    "a share of another supply",
+                    f"a share of another supply{_volts_of_another_gain(possible)}",
                     "the file does not state it; measure the supply and set supply_V",
                 )
             )
     return ambiguities
+
+
+def _volts_of_another_gain(possible: list[Scale]) -> str:
+    """Offer volts if they are not much less likely than a share of the supply."""
+    ahead = min(
+        (possible[0].log_likelihood - scale.log_likelihood for scale in possible if scale.voltage == "V"),
+        default=math.inf,
+    )
+    return ", or V" if ahead < 2.0 * thresholds.DECISIVE_NATS else ""
 
 
 def _describe_units(scale: Scale) -> str:
@@ -168,9 +239,23 @@ def _describe_units(scale: Scale) -> str:
 
 
 def sign_ambiguities(
-    explained: dict[str, RegressionFit], signs: SignChanges, assignment: ColumnAssignment
+    explained: dict[str, RegressionFit],
+    signs: SignChanges,
+    assignment: ColumnAssignment,
+    torque_nats: float,
+    mirrored: bool,
+    rig: Rig,
 ) -> list[Ambiguity]:
-    """List ambiguities of the signs: weakly excited axes, and which rotor is the front one."""
+    """List ambiguities of the signs: weakly excited axes, and which rotor is the front one.
+
+    Parameters
+    ----------
+    torque_nats : float
+        Log-likelihood of these signs less that of their mirror image, by the constant torque of travel
+        [nats].
+    mirrored : bool
+        Whether the profile states the mirror image.
+    """
     ambiguities = []
     for axis in AXES:
         if explained[axis].log_likelihood_ratio < thresholds.DECISIVE_NATS:
@@ -189,28 +274,33 @@ def sign_ambiguities(
     )
     motors = "the difference is back less front" if assignment.summed else "the motors' names are exchanged"
     if changed or not stated:
-        chosen = {
-            (False, 1.0, 1.0): "front and back as proposed",
-            (False, 1.0, -1.0): "travel has the opposite sign",
-            (False, -1.0, 1.0): "pitch has the opposite sign",
-            (True, 1.0, 1.0): motors,
-        }[signs.motors_swapped, signs.pitch, signs.travel]
-        mirrored = {
-            (False, 1.0, 1.0): f"{motors}, and pitch and travel have the opposite sign",
-            (False, 1.0, -1.0): f"{motors}, and pitch has the opposite sign",
-            (False, -1.0, 1.0): f"{motors}, and travel has the opposite sign",
-            (True, 1.0, 1.0): "pitch and travel have the opposite sign",
-        }[signs.motors_swapped, signs.pitch, signs.travel]
+        chosen = _changes(signs.motors_swapped, signs.pitch < 0.0, signs.travel < 0.0, motors)
+        image = _changes(not signs.motors_swapped, signs.pitch > 0.0, signs.travel > 0.0, motors)
+        for_choice = -torque_nats if mirrored else torque_nats
+        torque = (
+            f"; the constant travel torque of rig {rig.name} is {abs(for_choice):.1f} nats "
+            f"{'for' if for_choice >= 0.0 else 'against'} the choice"
+            if torque_nats
+            else ""
+        )
         ambiguities.append(
             Ambiguity(
                 "which rotor is the front one",
-                chosen,
-                mirrored,
-                "the two are mirror images and move alike; lift the front rotor by hand: if pitch does not "
-                "rise, set mirrored = true",
+                image if mirrored else chosen,
+                chosen if mirrored else image,
+                f"the two are mirror images and move alike{torque}; lift the front rotor by hand: if pitch "
+                f"does not rise, set mirrored = {str(not mirrored).lower()}",
             )
         )
     return ambiguities
+
+
+def _changes(swapped: bool, pitch: bool, travel: bool, motors: str) -> str:
+    """Describe the changes of sign of pitch, travel and the motors."""
+    axes = " and ".join(axis for axis, turned in (("pitch", pitch), ("travel", travel)) if turned)
+    have = "have" if pitch and travel else "has"
+    parts = [motors] * swapped + [f"{axes} {have} the opposite sign"] * bool(axes)
+    return ", and ".join(parts) or "front and back as proposed"
 
 
 def elevation_zero(rest: RestElevation, reference: Reference) -> tuple[float, list[Ambiguity]]:
@@ -245,19 +335,17 @@ def elevation_zero(rest: RestElevation, reference: Reference) -> tuple[float, li
 
 def lag_ambiguities(
     explained: dict[str, RegressionFit],
-) -> tuple[dict[str, float], list[Ambiguity], list[str]]:
-    """Return the delay of each column [s], the ambiguities of these delays, and a sentence of evidence."""
-    late_s = dict.fromkeys((*AXES, "voltages"), 0.0)
+) -> tuple[list[Ambiguity], list[str]]:
+    """List the ambiguities of delays, and a sentence of evidence. No delay is sure enough to be removed."""
     ambiguities = []
     lag = {axis: explained[axis].lag_s for axis in AXES}
     if abs(lag["travel"]) > thresholds.MAX_TRAVEL_LAG_S:
-        late_s["travel"] = lag["travel"]
         ambiguities.append(
             Ambiguity(
                 "travel's time",
-                f"{lag['travel']:.2f} s late; the profile removes this delay",
                 "not late",
-                "it follows pitch later than a rig can; check how it is logged",
+                f"{lag['travel']:.2f} s late",
+                "it follows pitch at another time than a rig can; check how it is logged, and set delay_s",
             )
         )
     apart = lag["elevation"] - lag["pitch"]
@@ -270,7 +358,7 @@ def lag_ambiguities(
                 "elevation's time",
                 "logged with pitch",
                 f"{apart:.2f} s later than pitch",
-                "the same rotors drive both; check how they are logged",
+                "the same rotors drive both; check how they are logged, and set delay_s",
             )
         )
     low, high = thresholds.PLAUSIBLE_LAGS_S
@@ -281,7 +369,7 @@ def lag_ambiguities(
                 "logged with the angles",
                 f"{'late' if lag['pitch'] < low else 'early'} by about "
                 f"{abs(lag['pitch'] - 0.1):.2f} s relative to the angles",
-                "no rotor responds with such a lag",
+                "no rotor responds with such a lag; check how they are logged, and set delay_s",
             )
         )
     sentence = (
@@ -289,4 +377,4 @@ def lag_ambiguities(
         "(rotor lag, transport and logging delay; a flight cannot separate them); travel follows pitch "
         f"after {lag['travel']:.2f} s"
     )
-    return late_s, ambiguities, [sentence]
+    return ambiguities, [sentence]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -12,17 +13,12 @@ from heli_host.arrays import Floats
 from numpy.typing import NDArray
 
 from heli_lab.guess import names, thresholds
+from heli_lab.guess.candidates import feedback_sign
 from heli_lab.guess.reference import Reference
 from heli_lab.guess.signals import Signal, Signals, delay
 
 _DECIMATION: Final = 10
 """The regressions use every tenth row: 10 Hz samples all that the low-pass filter leaves."""
-_MAX_COLUMNS: Final = 14
-_DUPLICATE_CORRELATION: Final = 0.99999
-_RATE_SCALES: Final = (
-    *(1.0, 180.0 / np.pi, np.pi / 180.0),
-    *(turn / counts for turn in (2.0 * np.pi, 360.0) for counts in (4096.0, 8192.0)),
-)
 
 
 @dataclass(frozen=True)
@@ -165,64 +161,6 @@ def free_rows(signals: Signals, name: str) -> NDArray[np.bool_]:
     return free
 
 
-def candidates(signals: Signals, encoders: Collection[str] = frozenset()) -> list[str]:
-    """List the columns that may be an angle or a voltage.
-
-    Constant columns, rates and duplicates are left out. If columns are duplicates, one in `encoders` is kept.
-    """
-    moving = [name for name, values in signals.raw.items() if np.ptp(values) > 0.0]
-    moving.sort(
-        key=lambda name: (name not in encoders, not names.role_of(name), names.is_derived_signal(name))
-    )
-    kept: list[str] = []
-    for name in moving:
-        if not any(
-            _abs_correlation(signals.raw[name], signals.raw[other]) > _DUPLICATE_CORRELATION for other in kept
-        ):
-            kept.append(name)
-    rates = _rates(signals, kept) - set(encoders)
-    return [name for name in kept if name not in rates][:_MAX_COLUMNS]
-
-
-def _rates(signals: Signals, columns: list[str]) -> set[str]:
-    """Find the columns that are the time derivative of a column that is not itself a derivative.
-
-    The derivative of the travel rate resembles pitch, which drives it, and that of the pitch rate a voltage.
-    """
-    pairs = {}
-    for name, other in itertools.permutations(columns, 2):
-        rate, value = signals.filtered[other].rate, signals.filtered[name].value
-        likeness = _abs_correlation(rate, value)
-        if not names.role_of(name) and likeness > thresholds.RATE_MATCH**0.5 and _unit_slope(rate, value):
-            pairs[name, other] = likeness
-    rates: set[str] = set()
-    settled: set[str] = set()
-    remaining = set(columns)
-    while remaining:
-        open_ = {name for name in remaining if all(of in settled for first, of in pairs if first == name)}
-        if not open_:  # a cycle, as sines form: drop the column with the lowest correlation
-            weakest = min((likeness, name) for (name, _), likeness in pairs.items() if name in remaining)[1]
-            open_ = {weakest}
-            pairs = {pair: similarity for pair, similarity in pairs.items() if pair[0] != weakest}
-        rates |= {name for name in open_ if any(first == name and of not in rates for first, of in pairs)}
-        settled |= open_
-        remaining -= open_
-    return rates
-
-
-def _unit_slope(rate: Floats, value: Floats) -> bool:
-    """Whether `value` is about `rate` times 1 or a factor between angle units, with either sign."""
-    variance = float(rate.var())
-    slope = float(np.mean((rate - rate.mean()) * (value - value.mean()))) / variance if variance else 0.0
-    return any(0.6 < abs(slope) / scale < 1.5 for scale in _RATE_SCALES)
-
-
-def _abs_correlation(first: Floats, second: Floats) -> float:
-    if np.ptp(first) == 0.0 or np.ptp(second) == 0.0:
-        return 0.0
-    return abs(float(np.corrcoef(first, second)[0, 1]))
-
-
 def polarity_of(values: Floats) -> float:
     """Return the sign, 1 or -1, that makes the mean of a voltage, `values`, positive; 1 if it is near 0."""
     mean = float(values.mean())
@@ -230,7 +168,11 @@ def polarity_of(values: Floats) -> float:
 
 
 def assignments(
-    signals: Signals, reference: Reference, encoders: Collection[str] = frozenset()
+    signals: Signals,
+    reference: Reference,
+    columns: list[str],
+    encoders: Collection[str] = frozenset(),
+    known: Mapping[str, str] = MappingProxyType({}),
 ) -> list[ColumnAssignment]:
     """Score assignments of columns to roles, and return them with the most likely first.
 
@@ -238,18 +180,21 @@ def assignments(
     ----------
     signals : Signals
         The columns.
+    columns : list of str
+        Names of the columns that may be an angle or a voltage.
     reference : Reference
         Prior of the stiffness of elevation and pitch.
     encoders : collection of str
         Columns quantised by an encoder: measured angles, not estimates or setpoints.
+    known : Mapping[str, str]
+        Roles that the user knows, by column.
     """
-    candidates_ = candidates(signals, encoders)
-    count = len(candidates_)
+    count = len(columns)
     if count < 5:
         return []
-    filtered = [signals.filtered[name] for name in candidates_]
-    rows = [free_rows(signals, name) for name in candidates_]
-    polarity = np.array([polarity_of(signals.raw[name]) for name in candidates_])
+    filtered = [signals.filtered[name] for name in columns]
+    rows = [free_rows(signals, name) for name in columns]
+    polarity = np.array([polarity_of(signals.raw[name]) for name in columns])
     level = [polarity[i] * filtered[i].value for i in range(count)]
     pairs = list(itertools.combinations(range(count), 2))
     sums: dict[tuple[int, ...], Floats] = {(i,): level[i] for i in range(count)}
@@ -257,6 +202,11 @@ def assignments(
     differences: dict[tuple[int, ...], Floats] = {(i,): filtered[i].value for i in range(count)}
     differences |= {(i, j): level[i] - level[j] for i, j in pairs}
     elevation_nats = _log_likelihood_table(sums, filtered, rows, reference.stiffness["elevation"])
+    for i in range(count):
+        feedback = np.array(
+            [abs(feedback_sign(level[i], signal, signals.counts_per_turn)) for signal in filtered]
+        )
+        elevation_nats[i,] += thresholds.FEEDBACK_NATS * feedback
     pitch_nats = _log_likelihood_table(
         differences, filtered, [signals.inner] * count, reference.stiffness["pitch"]
     )
@@ -266,19 +216,19 @@ def assignments(
         travel_nats[p, t] = explain(
             filtered[t].acceleration, axis_terms, filtered[p].value, (0.0, 0.1), signals.inner
         ).log_likelihood_ratio
-    measured = thresholds.ENCODER_NATS * np.array([name in encoders for name in candidates_], float)
+    measured = thresholds.ENCODER_NATS * np.array([name in encoders for name in columns], float)
     elevation_nats = {key: nats + measured for key, nats in elevation_nats.items()}
     pitch_nats = {key: nats + measured for key, nats in pitch_nats.items()}
     travel_nats += measured
-    stated = _name_scores(candidates_)
+    stated = _name_scores(columns, known)
     ranked = []
     for pair in pairs:
         ranked += _best(
-            candidates_, elevation_nats[pair], pitch_nats[pair], travel_nats, pair, False, polarity, stated
+            columns, elevation_nats[pair], pitch_nats[pair], travel_nats, pair, False, polarity, stated
         )
     for pair in itertools.permutations(range(count), 2):
         ranked += _best(
-            candidates_,
+            columns,
             elevation_nats[pair[:1]],
             pitch_nats[pair[1:]],
             travel_nats,
@@ -313,14 +263,16 @@ def _log_likelihood_table(
     return table
 
 
-def _name_scores(columns: list[str]) -> dict[str, Floats]:
+def _name_scores(columns: list[str], known: Mapping[str, str]) -> dict[str, Floats]:
     """Score of each column's name for each role [nats], shape (columns,) per role."""
     stated = {}
     for role in names.ROLES:
         scores = np.zeros(len(columns))
         for index, name in enumerate(columns):
             named_role = names.role_of(name)
-            if named_role == role:
+            if name in known or role in known.values():
+                scores[index] = thresholds.KNOWN_NATS * (1.0 if known.get(name) == role else -1.0)
+            elif named_role == role:
                 scores[index] = thresholds.NAME_NATS
             elif named_role:
                 scores[index] = -thresholds.NAME_NATS

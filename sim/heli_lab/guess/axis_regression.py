@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -21,6 +22,7 @@ def axis_regressions(
     reference: Reference,
     rad: Mapping[str, float] | None = None,
     bias: float = 0.0,
+    limit: float = math.inf,
 ) -> dict[str, RegressionFit]:
     """Regress each axis' acceleration on its cause, at the lag with the highest likelihood.
 
@@ -30,9 +32,10 @@ def axis_regressions(
         Radians per unit of each angle, if known: the causes then include the sines and cosines of pitch.
     bias : float
         Bias that the logged sum of the voltages lacks, in the unit of the sum.
+    limit : float
+        Largest voltage of a motor, in the unit of the columns; larger commands did not act.
     """
-    first, second = voltages(signals, assignment)
-    total, difference = (first + bias, second) if assignment.summed else (first + second, first - second)
+    total, difference = sum_and_difference(signals, assignment, bias, limit)
     pitch = signals.raw[assignment.pitch]
     causes = {"elevation": total, "pitch": difference, "travel": pitch}
     if rad is not None:
@@ -44,6 +47,27 @@ def axis_regressions(
     columns = {"elevation": assignment.elevation, "pitch": assignment.pitch, "travel": assignment.travel}
     low = {axis: filtered_signal(cause).value for axis, cause in causes.items()}
     return {axis: _best(signals, columns[axis], axis, low[axis], reference) for axis in AXES}
+
+
+def sum_and_difference(
+    signals: Signals, assignment: ColumnAssignment, bias: float = 0.0, limit: float = math.inf
+) -> tuple[Floats, Floats]:
+    """Return sum and difference of the motors' voltages.
+
+    Parameters
+    ----------
+    bias : float
+        Bias that the logged sum lacks, in the unit of the sum.
+    limit : float
+        Largest voltage of a motor, in the unit of the columns.
+    """
+    first, second = voltages(signals, assignment)
+    total, difference = (first + bias, second) if assignment.summed else (first + second, first - second)
+    if math.isinf(limit):
+        return total, difference
+    front = np.clip(0.5 * (total + difference), -limit, limit)
+    back = np.clip(0.5 * (total - difference), -limit, limit)
+    return front + back, front - back
 
 
 def voltages(signals: Signals, assignment: ColumnAssignment) -> tuple[Floats, Floats]:

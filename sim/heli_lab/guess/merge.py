@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
+from heli_host.arrays import Floats
 from heli_host.errors import FlightDataError
 from heli_host.tables import Column, Table
 from heli_host.tables.units import TIME_UNITS
@@ -12,36 +14,63 @@ from heli_lab.guess.times import clock_of
 
 
 def merge_tables(tables: Sequence[Table]) -> Table:
-    """Merge the columns of several files of one flight by their times.
+    """Merge the columns of several files of one flight, by their times or by their rows.
+
+    A file without times is merged row by row with a file that has times and as many rows. Without any
+    times, all files must have equally many rows.
 
     Parameters
     ----------
     tables : sequence of Table
-        The files. Each has a column of times, and all times start at the same moment.
+        The files. All times start at the same moment.
 
     Returns
     -------
     Table
         Has the name of the first file; each column's name starts with the position of its file, as in
-        ``1: time``.
+        ``1: time``. The notes state which files were merged row by row.
 
     Raises
     ------
     FlightDataError
-        When a file has no column of times.
+        When a file has neither times nor as many rows as another one.
     """
+    aligned = [table.aligned() for table in tables]
+    clocks = [clock_of(table) for table in aligned]
+    timed = [bool(clock.column and clock.unit) for clock in clocks]
+    times_s = [
+        table.columns[clock.column].values * TIME_UNITS[clock.unit] if known else None
+        for table, clock, known in zip(aligned, clocks, timed, strict=True)
+    ]
+    notes = [part.notes for part in tables]
     columns: dict[str, Column] = {}
-    for number, table in enumerate(tables, 1):
-        aligned = table.aligned()
-        clock = clock_of(aligned)
-        if not clock.column or not clock.unit:
-            raise FlightDataError(
-                f"{table.source}: no column is the time ({clock.alternative})",
-                "each file of one flight needs a column of times",
-            )
-        t_s = aligned.columns[clock.column].values * TIME_UNITS[clock.unit]
-        for name, column in aligned.columns.items():
-            if name != clock.column:
+    for number, table in enumerate(aligned):
+        t_s = times_s[number]
+        if t_s is None:
+            partner = _partner(number, aligned, times_s)
+            t_s = times_s[partner]
+            notes.append(f"{_name(tables[number])} was merged row by row with {_name(tables[partner])}")
+        for name, column in table.columns.items():
+            if not timed[number] or name != clocks[number].column:
                 # The position, not the file's name, so that the profile also fits the next flight.
-                columns[f"{number}: {name}"] = Column(column.values, column.unit, t_s)
-    return Table(tables[0].source, columns, " / ".join(filter(None, (part.notes for part in tables))))
+                columns[f"{number + 1}: {name}"] = Column(column.values, column.unit, t_s)
+    return Table(tables[0].source, columns, " / ".join(filter(None, notes)))
+
+
+def _partner(number: int, tables: Sequence[Table], times_s: Sequence[Floats | None]) -> int:
+    """Find the file with which one without times is merged row by row."""
+    rows = len(tables[number])
+    for other, table in enumerate(tables):
+        known = times_s[other] is not None or not any(t_s is not None for t_s in times_s)
+        if other != number and known and len(table) == rows:
+            return other
+    sizes = ", ".join(f"{_name(table)} with {len(table)}" for table in tables)
+    raise FlightDataError(
+        f"{_name(tables[number])}: it has no times, and no other file with times has its {rows} rows "
+        f"({sizes})",
+        "log the times with each file of one flight, or cut the files to equal lengths",
+    )
+
+
+def _name(table: Table) -> str:
+    return Path(table.source).name

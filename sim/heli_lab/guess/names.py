@@ -10,6 +10,7 @@ from typing import Final
 from heli_host.tables.units import split_unit
 
 ROLES: Final = ("elevation", "pitch", "travel", "front", "back", "sum", "difference")
+VOLTAGE_ROLES: Final = ROLES[3:]
 
 _WORDS: Final = {
     "elevation": (
@@ -50,6 +51,13 @@ _DERIVED_SIGNALS: Final = frozenset(
         *("fault", "flags", "count2", "temp", "temperature", "battery", "current", "amps"),
     }
 )
+_NO_VOLTAGES: Final = frozenset(
+    {
+        *("ref", "reference", "setpoint", "sp", "des", "desired", "rate", "dot", "vel", "velocity"),
+        *("gyro", "hat", "est", "estimate", "acc", "acceleration"),
+    }
+)
+"""Words of signals that are never a motor's voltage; commands are voltages before their limit."""
 _TIMES: Final = frozenset(
     {
         *("t", "time", "times", "timestamp", "stamp", "tid", "zeit", "temps", "tiempo", "tempo", "时间"),
@@ -112,6 +120,11 @@ def is_half(name: str) -> bool:
 def is_derived_signal(name: str) -> bool:
     """Whether a `name` means a signal other than a measured angle or a voltage, such as a setpoint."""
     return bool(_DERIVED_SIGNALS.intersection(words_of(name)))
+
+
+def is_no_voltage(name: str) -> bool:
+    """Whether a `name` means a setpoint, a rate or an estimate, which is never a motor's voltage."""
+    return bool(_NO_VOLTAGES.intersection(words_of(name)))
 
 
 def is_time(name: str) -> bool:

@@ -9,7 +9,9 @@ import numpy as np
 from heli_sim.errors import PlantError
 from heli_sim.model import MultibodyModel
 from heli_sim.model.linear import derivatives, trim
+from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
+from heli_sim.rig.encoders import counts_per_turn
 
 from heli_lab.errors import IdentifyError
 
@@ -33,6 +35,9 @@ class Reference:
         Encoder counts per turn, by axis.
     supply_V : float
         Largest voltage of a motor [V].
+    travel_rad_s2, travel_std_rad_s2 : float
+        Constant acceleration of travel at level pitch, and its standard deviation [rad/s^2]; both 0 if
+        the rig file states no torque.
     """
 
     stiffness: Mapping[str, tuple[float, float]]
@@ -42,6 +47,8 @@ class Reference:
     rest_tolerance_deg: float
     counts: Mapping[str, float]
     supply_V: float
+    travel_rad_s2: float = 0.0
+    travel_std_rad_s2: float = 0.0
 
 
 def reference_of(rig: Rig) -> Reference:
@@ -65,7 +72,12 @@ def reference_of(rig: Rig) -> Reference:
         axis: (float(linear.A[row, column]), float(max(1.0, 0.5 * abs(linear.A[row, column]))))
         for axis, row, column in (("elevation", 3, 0), ("pitch", 4, 1))
     }
-    counts = rig["encoder_counts"].value
+    torque, friction = rig["torque_travel"], rig["friction_travel"].value
+    # Friction over inertia is the damping of travel; twice the standard deviation is the tolerance.
+    per_torque = float(-linear.A[5, 5]) / friction if friction > 0.0 and torque.value else 0.0
+    # The whole tolerance of the pitch zero: programs set it wherever the short arm hangs.
+    lean_rad_s2 = float(linear.A[5, 1]) * np.radians(rig["offset_pitch"].tolerance)
+    std_rad_s2 = float(np.hypot(per_torque * 0.5 * torque.tolerance, lean_rad_s2)) if per_torque else 0.0
     return Reference(
         stiffness,
         {
@@ -76,10 +88,8 @@ def reference_of(rig: Rig) -> Reference:
         float(hover.volts_V.sum()),
         rig["elevation_min"].value,
         rig["elevation_min"].tolerance,
-        {
-            "elevation": counts,
-            "pitch": counts,
-            "travel": counts * rig["encoder_travel_ratio"].value,
-        },
+        dict(zip(AXES, counts_per_turn(rig).tolist(), strict=True)),
         rig["supply"].value,
+        per_torque * torque.value,
+        std_rad_s2,
     )

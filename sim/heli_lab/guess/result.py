@@ -2,9 +2,40 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Final
 
 from heli_host.tables import Profile
+
+_ENTRIES: Final = {
+    "the columns": "elevation.column",
+    "the sum's column": "sum.column",
+    "the voltages' columns": "front.column",
+    "the rig": "",
+    "the signs": "elevation.sign",
+    "elevation's sign": "elevation.sign",
+    "pitch's sign": "pitch.sign",
+    "travel's sign": "travel.sign",
+    "the units": "voltages.unit",
+    "elevation's unit": "elevation.unit",
+    "pitch's unit": "pitch.unit",
+    "travel's unit": "travel.unit",
+    "the voltages' unit": "voltages.unit",
+    "the scale of elevation": "elevation.unit",
+    "the scale of pitch": "pitch.unit",
+    "the scale of travel": "travel.unit",
+    "the scale of hover": "voltages.unit",
+    "the time": "time.column",
+    "which rotor is the front one": "mirrored",
+    "the elevation's zero": "elevation.offset_deg",
+    "the sum's bias": "sum.offset_V",
+    "the voltages' limit": "voltages.clip_V",
+    "the voltages' time": "voltages.delay_s",
+    "elevation's time": "elevation.delay_s",
+    "travel's time": "travel.delay_s",
+}
+"""Entry of the profile for each subject, the most dangerous first: a wrong column makes the flight
+useless, a wrong sign or unit fits a wrong rig, a mirror image and a delay still fit one that flies."""
 
 
 @dataclass(frozen=True)
@@ -25,6 +56,16 @@ class Ambiguity:
     chosen: str
     alternative: str
     reason: str
+
+    @property
+    def entry(self) -> str:
+        """Entry of the profile that is in doubt, such as ``pitch.sign``; empty if there is no single one."""
+        return _ENTRIES.get(self.subject, "")
+
+    @property
+    def danger(self) -> int:
+        """Rank among all subjects: 0 is the most dangerous one if the chosen value is wrong."""
+        return [*_ENTRIES, self.subject].index(self.subject)
 
     def sentence(self) -> str:
         """Describe the ambiguity in one line."""
@@ -71,6 +112,10 @@ class Guess:
     evidence: tuple[str, ...]
     sign_choices: tuple[SignChoice, ...] = ()
     log_likelihood: float = 0.0
+
+    def with_ambiguity(self, ambiguity: Ambiguity) -> Guess:
+        """Return the guess with one more ambiguity."""
+        return replace(self, ambiguities=(*self.ambiguities, ambiguity))
 
     @property
     def sure(self) -> bool:

@@ -10,6 +10,7 @@ from heli_host.tables import Table, profile_text
 from heli_sim.rig import Rig, load_rig, rig_names
 
 from heli_lab.guess import thresholds
+from heli_lab.guess.known import NOTHING_KNOWN, KnownEntries
 from heli_lab.guess.result import Ambiguity, Guess
 from heli_lab.guess.run import check_by_simulation, propose
 
@@ -23,7 +24,7 @@ class RigMatch:
     rig : Rig
         The rig file that units and zeros come from.
     guesses : tuple of Guess
-        One per file, in the order of the files.
+        One per file, in the order of the files; all have the same profile.
     """
 
     rig: Rig
@@ -34,6 +35,7 @@ def guess_by_rigs(
     tables: Sequence[Table],
     rig: Rig | None = None,
     rate_Hz: float | None = None,
+    known: KnownEntries = NOTHING_KNOWN,
     progress: Callable[[float], None] = lambda share: None,
 ) -> RigMatch:
     """Guess files of one rig type, with a given rig file or with the shipped one that fits best.
@@ -49,6 +51,8 @@ def guess_by_rigs(
         Rig file to use.
     rate_Hz : float, optional
         Sampling rate [Hz], for tables without times.
+    known : KnownEntries
+        Entries of the profile that the user knows.
     progress : callable
         Called with the completed share of the work, 0 to 1.
 
@@ -57,31 +61,32 @@ def guess_by_rigs(
     FlightDataError
         When a table cannot be interpreted with any rig.
     """
-    known = {name: load_rig(name) for name in rig_names() if rig is None or name != rig.name}
+    rigs = {name: load_rig(name) for name in rig_names() if rig is None or name != rig.name}
     if rig is not None:
-        known[rig.name] = rig
-    count = len(known) + 1
-    by_rig: dict[str, list[tuple[Guess, Table]]] = {}
+        rigs[rig.name] = rig
+    count = len(rigs) + 1
+    by_rig: dict[str, tuple[Guess, list[Table]]] = {}
     refusals: dict[str, HeliError] = {}
-    for number, (name, known_rig) in enumerate(known.items()):
+    for number, (name, known_rig) in enumerate(rigs.items()):
         progress(number / count)
         try:
-            by_rig[name] = [propose(table, known_rig, rate_Hz) for table in tables]
+            by_rig[name] = propose(tables, known_rig, rate_Hz, known)
         except HeliError as error:
             refusals[name] = error
     if not by_rig or (rig is not None and rig.name not in by_rig):
         raise refusals[rig.name if rig is not None else next(iter(refusals))]
-    nats = {name: sum(guess.log_likelihood for guess, _ in guesses) for name, guesses in by_rig.items()}
+    nats = {name: guess.log_likelihood for name, (guess, _) in by_rig.items()}
     best = max(nats, key=lambda name: nats[name])
     chosen = rig.name if rig is not None else best
     progress(1.0 - 1.0 / count)
-    guesses = [check_by_simulation(guessed, part, known[chosen]) for guessed, part in by_rig[chosen]]
+    guesses = check_by_simulation(*by_rig[chosen], rigs[chosen])
     others = [name for name in nats if name != chosen]
     # Rigs that give the same profile are not an ambiguity, but the better fit is reported.
-    differing = [name for name in others if _differs(by_rig[name], by_rig[chosen])]
+    profile = profile_text(by_rig[chosen][0].profile)
+    differing = [name for name in others if profile_text(by_rig[name][0].profile) != profile]
     second = max(differing or others, key=lambda name: nats[name], default=None)
     if second is None:
-        return RigMatch(known[chosen], tuple(guesses))
+        return RigMatch(rigs[chosen], tuple(guesses))
     ahead = nats[chosen] - nats[second]
     comparison = f"{abs(ahead):.0f} nats {'worse' if ahead >= 0.0 else 'better'}"
     sentence = f"rig: compared with {chosen}; {second} fits {comparison}"
@@ -96,9 +101,4 @@ def guess_by_rigs(
             f"it fits {comparison}, with other units or columns; if it is your rig, give --rig {second}",
         )
         guesses = [replace(guess, ambiguities=(ambiguity, *guess.ambiguities)) for guess in guesses]
-    return RigMatch(known[chosen], tuple(guesses))
-
-
-def _differs(first: Sequence[tuple[Guess, Table]], second: Sequence[tuple[Guess, Table]]) -> bool:
-    pairs = zip(first, second, strict=True)
-    return any(profile_text(guess.profile) != profile_text(other.profile) for (guess, _), (other, _) in pairs)
+    return RigMatch(rigs[chosen], tuple(guesses))

@@ -2,39 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
 from heli_host.errors import FlightDataError
 from heli_host.tables import Angle, Profile, Table, Voltage, flights_of
-from heli_host.tables.units import ANGLE_UNITS, COUNT, SHARES, VOLTAGE_UNITS, split_unit
 from heli_sim.rig import Rig
 
-from heli_lab.guess import names, thresholds
+from heli_lab.guess import thresholds
 from heli_lab.guess.ambiguities import (
     SignChanges,
     assignment_ambiguities,
     elevation_zero,
     lag_ambiguities,
     sign_ambiguities,
+    sum_ambiguities,
     unit_ambiguities,
 )
-from heli_lab.guess.assignment import ColumnAssignment, RegressionFit, assignments, free_rows
-from heli_lab.guess.axis_regression import axis_regressions, rest_elevation, voltages
+from heli_lab.guess.assignment import ColumnAssignment, RegressionFit
+from heli_lab.guess.axis_regression import axis_regressions, rest_elevation, sum_and_difference
+from heli_lab.guess.candidates import feedback_sign
+from heli_lab.guess.evidence import common_candidates, pooled_fits, pooled_scales, prepare_file, rank
+from heli_lab.guess.known import NOTHING_KNOWN, KnownEntries
+from heli_lab.guess.mirror import prefers_mirror, travel_torque_nats
 from heli_lab.guess.reference import Reference, reference_of
+from heli_lab.guess.refusals import check_voltages, names_state_voltages, too_few_columns
 from heli_lab.guess.result import Ambiguity, Guess
-from heli_lab.guess.scales import AXES, MeasuredMotion, Scale, is_encoder, rad_of, scales, step_of
+from heli_lab.guess.scales import AXES, Scale, rad_of
 from heli_lab.guess.sign_trials import try_sign_choices
-from heli_lab.guess.signals import Signals, column_signals
-from heli_lab.guess.times import Clock, clock_of, longest_run, times_in_s
-
-_ANGLE_UNITS: Final = frozenset({*ANGLE_UNITS, COUNT})
-_VOLTAGE_UNITS: Final = frozenset({*VOLTAGE_UNITS, *SHARES})
-_NO_RATE: Final = "give a column of times, or the sampling rate with --rate"
+from heli_lab.guess.signals import filtered_signal
+from heli_lab.guess.times import NO_RATE, Clock
 
 
 def guess(table: Table, rig: Rig, rate_Hz: float | None = None) -> Guess:
@@ -54,116 +54,135 @@ def guess(table: Table, rig: Rig, rate_Hz: float | None = None) -> Guess:
     FlightDataError
         When the table has no five columns that can be the angles and voltages, or no times and no rate.
     """
-    return check_by_simulation(*propose(table, rig, rate_Hz), rig)
+    guessed, parts = propose([table], rig, rate_Hz)
+    return check_by_simulation(guessed, parts, rig)[0]
 
 
-def propose(table: Table, rig: Rig, rate_Hz: float | None = None) -> tuple[Guess, Table]:
-    """Propose a profile without simulating it; the arguments are those of `guess`.
+def propose(
+    tables: Sequence[Table], rig: Rig, rate_Hz: float | None = None, known: KnownEntries = NOTHING_KNOWN
+) -> tuple[Guess, list[Table]]:
+    """Propose one profile for the files of one rig, without simulating it.
+
+    The evidence of all files is added up. Names and the rig's deviation from its rig file count once,
+    because all files share them.
 
     Parameters
     ----------
+    tables : sequence of Table
+        The files.
+    rig : Rig
+        Rig file, as in `guess`.
     rate_Hz : float, optional
-        Sampling rate [Hz], for a table without times.
+        Sampling rate [Hz], for tables without times.
+    known : KnownEntries
+        Entries of the profile that the user knows.
 
     Returns
     -------
-    tuple of (Guess, Table)
-        The guess, and the longest part of the table with rising times, to which the guess applies.
+    tuple of (Guess, list of Table)
+        The guess, and the longest part of each table with rising times, to which the guess applies.
     """
-    table = table.aligned()
     reference = reference_of(rig)
-    clock = Clock("", "s", True) if rate_Hz else clock_of(table)
-    if not rate_Hz and (not clock.column or not clock.unit):
-        raise FlightDataError(f"{table.source}: no column is the time ({clock.alternative})", _NO_RATE)
-    t_s = np.arange(len(table)) / rate_Hz if rate_Hz else times_in_s(table, clock)
-    table, t_s = longest_run(table, t_s)
-    others = [name for name in table.columns if name != clock.column and not names.is_time(name)]
-    signals = column_signals(table, t_s, others)
-    encoders = {name for name in others if is_encoder(table.columns[name].values, reference)}
-    ranked = assignments(signals, reference, encoders)
-    if not ranked:
-        raise FlightDataError(
-            f"{table.source}: fewer than five columns vary", "give a flight: three angles and two voltages"
-        )
-    ranked, motion = _rank_with_units(table, signals, ranked, reference)
+    files = [prepare_file(known.with_units(table.aligned()), reference, rate_Hz) for table in tables]
+    first = files[0]
+    clock = first.clock
+    for file in files[1:]:
+        if (file.clock.column, file.clock.unit) != (clock.column, clock.unit):
+            raise FlightDataError(
+                f"{file.table.source}: its times differ from those of {first.table.source} "
+                f"('{file.clock.column}' in {file.clock.unit}, '{clock.column}' in {clock.unit})",
+                "import files of different programs one by one",
+            )
+    columns, dropped = common_candidates(files, known.columns)
+    if len(columns) < len(AXES) + 2:
+        raise too_few_columns(first.table.source, columns, dropped)
+    ranked, motions = rank(files, columns, reference, known)
     assignment = ranked[0]
     ambiguities, evidence = assignment_ambiguities(ranked)
     if not clock.sure:
         ambiguities.append(
             Ambiguity(
-                "the time", f"{clock.column} in {clock.unit}", clock.alternative or "something else", _NO_RATE
+                "the time", f"{clock.column} in {clock.unit}", clock.alternative or "something else", NO_RATE
             )
         )
-    possible = scales(motion, reference)
+    possible = pooled_scales(motions, reference)
     scale = possible[0]
-    ambiguities += unit_ambiguities(possible, motion, reference, rig)
+    ambiguities += unit_ambiguities(possible, motions[0], reference, rig)
     rad = {axis: rad_of(scale.angles[axis], axis, reference) for axis in AXES}
     bias = reference.hover_V / scale.volts(reference) if scale.bias_removed else 0.0
-    explained = axis_regressions(signals, assignment, reference, rad, bias)
-    signs = _fewest_sign_changes(explained, assignment)
-    ambiguities += sign_ambiguities(explained, signs, assignment)
-    rest = rest_elevation(
-        signals, assignment.elevation, float(np.degrees(signs.elevation * rad["elevation"]))
+    limited = any(scale.voltage_scale in motion.limited for motion in motions)
+    limit = reference.supply_V / scale.volts(reference) if limited else math.inf
+    explained = pooled_fits(
+        [axis_regressions(file.signals, assignment, reference, rad, bias, limit) for file in files]
     )
+    if not names_state_voltages(assignment) and not known.voltages:
+        check_voltages(first.table.source, explained, assignment)
+        ambiguities += sum_ambiguities(explained, assignment, columns, dropped)
+    feedback = sum(
+        feedback_sign(
+            filtered_signal(sum_and_difference(file.signals, assignment, bias, limit)[0]).value,
+            file.signals.filtered[assignment.elevation],
+            file.signals.counts_per_turn,
+        )
+        for file in files
+    )
+    signs = fewest_sign_changes(explained, feedback, known)
+    torque_nats = float(
+        np.mean(
+            [travel_torque_nats(file.signals, assignment, reference, rad, signs.travel) for file in files]
+        )
+    )
+    mirrored = prefers_mirror(signs, torque_nats)
+    if known.mirrored is not None:
+        mirrored = known.mirrored
+    ambiguities += sign_ambiguities(explained, signs, assignment, torque_nats, mirrored, rig)
+    deg = float(np.degrees(signs.elevation * rad["elevation"]))
+    rests = [rest_elevation(file.signals, assignment.elevation, deg) for file in files]
+    rest = next((rest for rest in rests if rest.deg is not None and rest.lowest), rests[0])
     offset_deg, zero_ambiguities = elevation_zero(rest, reference)
     ambiguities += zero_ambiguities
-    late_s, timing_ambiguities, lag_notes = lag_ambiguities(explained)
+    timing_ambiguities, lag_notes = lag_ambiguities(explained)
     ambiguities += timing_ambiguities
-    profile = _profile(table, clock, rate_Hz, assignment, scale, signs, reference, offset_deg, late_s)
+    profile = _profile(first.table, clock, rate_Hz, assignment, scale, signs, reference, offset_deg)
+    profile = known.applied(replace(profile, mirrored=mirrored))
+    if dropped:
+        left_out = ", ".join(f"{name} ({reason})" for name, reason in dropped.items())
+        evidence.append(f"left out: {left_out}")
     evidence += [_regression_sentence(axis, explained[axis]) for axis in AXES] + lag_notes
     evidence.append(
-        f"hover: the voltages add up to {abs(motion.mean_sum) * scale.volts(reference):.2f} V, and to "
+        f"hover: the voltages add up to {abs(motions[0].mean_sum) * scale.volts(reference):.2f} V, and to "
         f"{reference.hover_V:.2f} V in the rig file"
     )
-    profile, clip_ambiguities = _limit_to_supply(table, profile, reference)
+    parts = [file.table for file in files]
+    if profile.clip_V is None:
+        profile, clip_ambiguities = _limit_to_supply(parts, profile, reference)
+        ambiguities += clip_ambiguities
+    ambiguities = [ambiguity for ambiguity in ambiguities if not known.states(ambiguity)]
     return Guess(
-        profile, (*ambiguities, *clip_ambiguities), tuple(evidence), log_likelihood=assignment.log_likelihood
-    ), table
+        profile, tuple(ambiguities), tuple(evidence), log_likelihood=assignment.log_likelihood
+    ), parts
 
 
-def _rank_with_units(
-    table: Table, signals: Signals, ranked: Sequence[ColumnAssignment], reference: Reference
-) -> tuple[list[ColumnAssignment], MeasuredMotion]:
-    """Rank the most likely assignments again, with the likelihood of their best units included.
-
-    Returns
-    -------
-    tuple of (list of ColumnAssignment, MeasuredMotion)
-        The assignments, the most likely first, and the motion of the axes for the first of them.
-    """
-    close = [
-        assignment
-        for assignment in ranked
-        if ranked[0].log_likelihood - assignment.log_likelihood < thresholds.CANDIDATE_MARGIN_NATS
-    ]
-    fits = []
-    for assignment in close[: thresholds.MAX_CANDIDATES]:
-        motion = _measured_motion(
-            table, signals, assignment, axis_regressions(signals, assignment, reference)
-        )
-        nats = scales(motion, reference)[0].log_likelihood
-        fits.append(
-            (
-                replace(
-                    assignment,
-                    log_likelihood=assignment.log_likelihood + nats,
-                    physics_log_likelihood=assignment.physics_log_likelihood + nats,
-                ),
-                motion,
-            )
-        )
-    fits.sort(key=lambda fit: -fit[0].log_likelihood)
-    return [assignment for assignment, _ in fits], fits[0][1]
-
-
-def _limit_to_supply(table: Table, profile: Profile, reference: Reference) -> tuple[Profile, list[Ambiguity]]:
+def _limit_to_supply(
+    tables: Sequence[Table], profile: Profile, reference: Reference
+) -> tuple[Profile, list[Ambiguity]]:
     """Clip the voltages to the supply if a few exceed it, as commands before saturation do."""
     limit = reference.supply_V
-    sizes_V = [np.abs(flight.voltages_V) for flight in flights_of(table, profile)]
+    sizes_V = [np.abs(flight.voltages_V) for table in tables for flight in flights_of(table, profile)]
     largest = max(float(size_V.max()) for size_V in sizes_V)
-    beyond = max(float(np.mean(size_V > limit)) for size_V in sizes_V)
-    if largest < thresholds.CLIP_SHARE * limit or beyond > thresholds.MAX_CLIPPED_SHARE:
+    beyond = float(np.mean(np.concatenate(sizes_V) > thresholds.CLIP_SHARE * limit))
+    if largest < thresholds.CLIP_SHARE * limit:
         return profile, []
+    if beyond > thresholds.MAX_CLIPPED_SHARE:
+        return profile, [
+            Ambiguity(
+                "the voltages' limit",
+                f"as logged, up to {largest:.1f} V",
+                f"clipped to {limit:g} V, the rig file's supply",
+                f"{100.0 * beyond:.0f} % of the rows exceed the supply; set clip_V, or give your rig with "
+                "--rig",
+            )
+        ]
     ambiguity = Ambiguity(
         "the voltages' limit",
         f"clipped to {limit:g} V, the rig file's supply",
@@ -173,101 +192,79 @@ def _limit_to_supply(table: Table, profile: Profile, reference: Reference) -> tu
     return replace(profile, clip_V=(-limit, limit)), [ambiguity]
 
 
-def check_by_simulation(guessed: Guess, table: Table, rig: Rig) -> Guess:
+def check_by_simulation(guessed: Guess, tables: Sequence[Table], rig: Rig) -> list[Guess]:
     """Check the signs of a guess by simulation of the baseline model of a `rig`.
 
     Parameters
     ----------
     guessed : Guess
         A guess from `propose`.
-    table : Table
-        The table to which it applies.
+    tables : sequence of Table
+        The tables to which it applies.
 
     Returns
     -------
-    Guess
-        With the simulated sign choices, their evidence, and an ambiguity if another choice fits as well.
+    list of Guess
+        One per table, with its simulated sign choices. All have an ambiguity if another choice fits
+        about as well in the mean of all tables.
     """
-    longest = max(flights_of(table, guessed.profile), key=len)
-    choices = try_sign_choices(longest, rig)
-    ambiguities = list(guessed.ambiguities)
-    if not choices:
-        ambiguities.append(
+    longest = [max(flights_of(table, guessed.profile), key=len) for table in tables]
+    choices = [try_sign_choices(flight, rig) for flight in longest]
+    simulated = [each for each in choices if each]
+    if not simulated:
+        ambiguity = Ambiguity(
+            "the signs",
+            "as proposed",
+            "any other signs",
+            "the flight is too short in the air to simulate the model",
+        )
+        return [guessed.with_ambiguity(ambiguity) for _ in tables]
+    log_ratios = np.mean([[math.log(choice.error_ratio) for choice in each] for each in simulated], axis=0)
+    second = int(np.argmin(log_ratios[1:])) + 1
+    name, ratio = simulated[0][second].name, math.exp(float(log_ratios[second]))
+    if ratio < thresholds.AMBIGUOUS_ERROR_RATIO:
+        guessed = guessed.with_ambiguity(
             Ambiguity(
                 "the signs",
                 "as proposed",
-                "any other signs",
-                "the flight is too short in the air to simulate the model",
+                f"{name} with the opposite sign",
+                f"the baseline model fits both about equally well, error ratio {ratio:.2f}",
             )
         )
-    else:
-        second = min(choices[1:], key=lambda choice: choice.error_ratio)
-        if second.error_ratio < thresholds.AMBIGUOUS_ERROR_RATIO:
-            ambiguities.append(
-                Ambiguity(
-                    "the signs",
-                    "as proposed",
-                    f"{second.name} with the opposite sign",
-                    f"the baseline model fits both about equally well, error ratio {second.error_ratio:.2f}",
-                )
-            )
-        evidence = (
-            f"simulation with the baseline model: the second best choice inverts {second.name}, with errors "
-            f"{second.error_ratio:.1f} times as large"
-        )
-        guessed = replace(guessed, evidence=(*guessed.evidence, evidence))
-    return replace(guessed, ambiguities=tuple(ambiguities), sign_choices=choices)
-
-
-def _measured_motion(
-    table: Table, signals: Signals, assignment: ColumnAssignment, first: dict[str, RegressionFit]
-) -> MeasuredMotion:
-    first_V, second_V = voltages(signals, assignment)
-    rows = free_rows(signals, assignment.elevation)
-    level = (
-        float(np.mean(first_V[rows] if assignment.summed else (first_V + second_V)[rows]))
-        if rows.any()
-        else 0.0
+    evidence = (
+        f"simulation with the baseline model: the second best choice inverts {name}, with errors "
+        f"{ratio:.1f} times as large"
     )
-    columns = dict(zip(AXES, (assignment.elevation, assignment.pitch, assignment.travel), strict=True))
-    values = {axis: table.columns[column].values for axis, column in columns.items()}
-    stated = {axis: _unit(table, column, _ANGLE_UNITS) for axis, column in columns.items()}
-    stated["voltage"] = next(
-        filter(None, (_unit(table, column, _VOLTAGE_UNITS) for column in assignment.voltages)), ""
-    )
-    return MeasuredMotion(
-        {axis: first[axis].gain for axis in AXES},
-        level,
-        _peak_voltage(first_V, second_V, assignment.summed),
-        {axis: step_of(values[axis]) for axis in AXES},
-        {axis: bool(np.all(np.mod(values[axis][np.isfinite(values[axis])], 1.0) == 0.0)) for axis in AXES},
-        stated,
-        assignment.summed,
-        any(names.is_half(column) for column in assignment.voltages),
-    )
+    guessed = replace(guessed, evidence=(*guessed.evidence, evidence))
+    return [replace(guessed, sign_choices=each) for each in choices]
 
 
-def _peak_voltage(first_V: Floats, second_V: Floats, summed: bool) -> float:
-    """Largest voltage of a motor; half the largest sum or difference, because the bias is unknown."""
-    peaks = [float(np.quantile(np.abs(values), 0.995)) for values in (first_V, second_V)]
-    return max(peaks) * (0.5 if summed else 1.0)
+def fewest_sign_changes(
+    explained: Mapping[str, RegressionFit], feedback: float, known: KnownEntries
+) -> SignChanges:
+    """Find the fewest changes of sign after which all axes follow their causes, and which agree with `known`.
 
-
-def _unit(table: Table, column: str, known: frozenset[str]) -> str:
-    unit = table.columns[column].unit or split_unit(column)[1]
-    return unit if unit in known else ""
-
-
-def _fewest_sign_changes(explained: dict[str, RegressionFit], assignment: ColumnAssignment) -> SignChanges:
-    """Find the fewest changes of sign after which all axes follow their causes."""
+    Parameters
+    ----------
+    feedback : float
+        Positive if the sum of the voltages grows with the rate of elevation, negative if it falls,
+        otherwise 0.
+    """
     elevation = 1.0 if explained["elevation"].gain >= 0.0 else -1.0
-    pitch_follows_difference = explained["pitch"].gain >= 0.0
-    travel_follows_pitch = explained["travel"].gain >= 0.0
-    if pitch_follows_difference:
-        return SignChanges(elevation, 1.0, 1.0 if travel_follows_pitch else -1.0, False)
-    if travel_follows_pitch:
-        return SignChanges(elevation, 1.0, 1.0, True)
-    return SignChanges(elevation, -1.0, 1.0, False)
+    if feedback and explained["elevation"].log_likelihood_ratio < thresholds.DECISIVE_NATS:
+        # A loop that flies is stable: the sum is minus a gain times the rate.
+        elevation = -float(np.sign(feedback))
+    with_difference = 1.0 if explained["pitch"].gain >= 0.0 else -1.0
+    with_pitch = 1.0 if explained["travel"].gain >= 0.0 else -1.0
+    # Pitch, travel and the motors have two choices of signs, which are mirror images.
+    pitch = with_difference if with_difference > 0.0 or with_pitch < 0.0 else 1.0
+    if known.sign("pitch"):
+        pitch = known.sign("pitch")
+    elif known.sign("travel"):
+        pitch = with_pitch * known.sign("travel")
+    elif known.motors:
+        pitch = with_difference
+    return SignChanges(elevation, pitch, with_pitch * pitch, with_difference * pitch < 0.0)
 
 
 def _regression_sentence(axis: str, explained: RegressionFit) -> str:
@@ -285,7 +282,6 @@ def _profile(
     signs: SignChanges,
     reference: Reference,
     offset_deg: float,
-    late_s: dict[str, float],
 ) -> Profile:
     columns = dict(zip(AXES, (assignment.elevation, assignment.pitch, assignment.travel), strict=True))
     sign = {"elevation": signs.elevation, "pitch": signs.pitch, "travel": signs.travel}
@@ -296,7 +292,6 @@ def _profile(
             reference.counts[axis],
             sign[axis],
             round(offset_deg, 3) if axis == "elevation" else 0.0,
-            round(late_s[axis], 3),
         )
         for axis in AXES
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -19,7 +19,7 @@ AXES: Final = ("elevation", "pitch", "travel")
 _ANGLE_UNITS: Final = ("rad", "deg", COUNT, "turn", "mrad")
 _VOLTAGE_UNITS: Final = ("V", "mV", "duty", "percent", "pwm")
 _FULL_SCALES: Final = (255.0, 1023.0, 4095.0)
-_RARE_UNIT_NATS: Final = {"turn": 3.0, "mrad": 3.0, "mV": 1.0, "percent": 1.0}
+_RARE_UNIT_NATS: Final = {"turn": 3.0, "mrad": 3.0, "mV": 1.0, "percent": 1.0, "duty": 1.0}
 """Penalty of a rare unit that the file does not state [nats]."""
 _MIXED_UNITS_NATS: Final = 3.0
 """Penalty of an angle whose unit differs from elevation's, unless it is stated [nats]."""
@@ -33,8 +33,45 @@ _PLAUSIBLE_PEAK_SHARES: Final = (0.16, 1.2)
 """Plausible peak voltages over the rig file's supply; the upper limit allows another supply."""
 _MAX_SHARE: Final = 1.02
 """Upper limit for units that are shares of the supply: a share above 1 is impossible."""
+_SATURATION_NATS: Final = 3.0
+"""Penalty of a unit in which some commands exceed the supply [nats]. Set by judgement: such logs are
+rarer than those of limited voltages."""
 _QUANTISATION_NATS: Final = 3.0
 """Reward of an angle quantised by the encoder; penalty of whole numbers that are not counts [nats]."""
+
+
+@dataclass(frozen=True)
+class VoltageScale:
+    """One choice of the voltages' unit: `unit`, `full_scale`, `factor` and `bias_removed` as in `Scale`."""
+
+    unit: str
+    full_scale: float
+    factor: float
+    bias_removed: bool
+
+    def volts(self, reference: Reference) -> float:
+        """Volts per unit of the voltage columns."""
+        return self.factor * volts_of(self.unit, self.full_scale, reference)
+
+
+@dataclass(frozen=True)
+class LimitedMotion:
+    """What `MeasuredMotion` has, with the commands limited to the supply.
+
+    Parameters
+    ----------
+    gain : Mapping[str, float]
+        Gain of each axis.
+    mean_sum : float
+        Mean of the sum of the voltages in flight.
+    log_likelihood_ratio : float
+        Log-likelihood of elevation and pitch with limited commands, less that with the commands as logged
+        [nats].
+    """
+
+    gain: Mapping[str, float]
+    mean_sum: float
+    log_likelihood_ratio: float
 
 
 @dataclass(frozen=True)
@@ -59,6 +96,8 @@ class MeasuredMotion:
         Whether the voltages are sum and difference instead of front and back.
     halved : bool
         Whether a name states that these are half sums or half differences.
+    limited : Mapping[VoltageScale, LimitedMotion]
+        The motion with limited commands, for each unit in which some commands exceed the supply.
     """
 
     gain: Mapping[str, float]
@@ -69,6 +108,7 @@ class MeasuredMotion:
     stated_units: Mapping[str, str]
     summed: bool
     halved: bool = False
+    limited: Mapping[VoltageScale, LimitedMotion] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -102,6 +142,11 @@ class Scale:
     deviation_std: Mapping[str, float]
 
     @property
+    def voltage_scale(self) -> VoltageScale:
+        """Unit, factor and bias of the voltages."""
+        return VoltageScale(self.voltage, self.full_scale, self.factor, self.bias_removed)
+
+    @property
     def units(self) -> tuple[str, ...]:
         """Units and factors as a profile states them."""
         return (*self.angles.values(), self.voltage, str(self.full_scale), str(self.factor))
@@ -114,16 +159,13 @@ class Scale:
 def scales(motion: MeasuredMotion, reference: Reference) -> list[Scale]:
     """List all choices of units, the most likely first."""
     ranked = []
-    pwm_scales = [("pwm", full) for full in _FULL_SCALES]
-    voltages = [(unit, 255.0) for unit in _VOLTAGE_UNITS if unit != "pwm"] + pwm_scales
-    kinds = list(itertools.product((1.0, 2.0), (False, True))) if motion.summed else [(1.0, False)]
-    for (unit, full), (factor, biased) in itertools.product(voltages, kinds):
-        volts = factor * volts_of(unit, full, reference)
-        hover = (
-            0.0
-            if biased
-            else _deviation_std(motion.mean_sum * volts, reference.hover_V, thresholds.HOVER_STD)
-        )
+    for choice in voltage_scales(motion.summed):
+        unit, full, factor, biased = choice.unit, choice.full_scale, choice.factor, choice.bias_removed
+        volts = choice.volts(reference)
+        limited = motion.limited.get(choice)
+        gain = motion.gain if limited is None else limited.gain
+        mean_sum = motion.mean_sum if limited is None else limited.mean_sum
+        hover = 0.0 if biased else _deviation_std(mean_sum * volts, reference.hover_V, thresholds.HOVER_STD)
         base = (
             -0.5 * hover**2
             - (_MISSING_BIAS_NATS if biased else 0.0)
@@ -132,9 +174,16 @@ def scales(motion: MeasuredMotion, reference: Reference) -> list[Scale]:
         if motion.summed and motion.halved != (factor != 1.0):
             base -= _HALVED_SUM_NATS
         highest = _PLAUSIBLE_PEAK_SHARES[1] if unit in VOLTAGE_UNITS else _MAX_SHARE
-        if not _PLAUSIBLE_PEAK_SHARES[0] < motion.peak * volts / reference.supply_V < highest:
+        # A sum without its bias lacks half the bias in each motor.
+        peak_V = motion.peak * volts + (0.5 * reference.hover_V if biased else 0.0)
+        peak = peak_V / reference.supply_V
+        if peak <= _PLAUSIBLE_PEAK_SHARES[0] or (peak >= highest and limited is None):
             base -= _IMPLAUSIBLE_PEAK_NATS
-        if biased and abs(motion.mean_sum * volts) > 0.5 * reference.hover_V:
+        if limited is not None:
+            # Any limit removes peaks of noise: a better fit outweighs the penalty, and proves no more.
+            base += min(limited.log_likelihood_ratio, _SATURATION_NATS)
+            base -= 0.0 if motion.stated_units.get("voltage", "") else _SATURATION_NATS
+        if biased and limited is None and abs(motion.mean_sum * volts) > 0.5 * reference.hover_V:
             continue
         for units in itertools.product(_ANGLE_UNITS, repeat=3):
             angles = dict(zip(AXES, units, strict=True))
@@ -142,12 +191,12 @@ def scales(motion: MeasuredMotion, reference: Reference) -> list[Scale]:
             off = {
                 "hover": hover,
                 "elevation": _deviation_std(
-                    motion.gain["elevation"] * rad["elevation"] / volts,
+                    gain["elevation"] * rad["elevation"] / volts,
                     reference.gain["elevation"],
                     thresholds.GAIN_STD["elevation"],
                 ),
                 "pitch": _deviation_std(
-                    motion.gain["pitch"] * rad["pitch"] / volts,
+                    gain["pitch"] * rad["pitch"] / volts,
                     reference.gain["pitch"],
                     thresholds.GAIN_STD["pitch"],
                 ),
@@ -167,6 +216,14 @@ def scales(motion: MeasuredMotion, reference: Reference) -> list[Scale]:
                     nats -= _MIXED_UNITS_NATS
             ranked.append(Scale(angles, unit, full, factor, biased, nats, off))
     return sorted(ranked, key=lambda scale: -scale.log_likelihood)
+
+
+def voltage_scales(summed: bool) -> list[VoltageScale]:
+    """List all choices of the voltages' unit; `summed` voltages are sum and difference."""
+    pwm_scales = [("pwm", full) for full in _FULL_SCALES]
+    units = [(unit, 255.0) for unit in _VOLTAGE_UNITS if unit != "pwm"] + pwm_scales
+    kinds = list(itertools.product((1.0, 2.0), (False, True))) if summed else [(1.0, False)]
+    return [VoltageScale(*unit, *kind) for unit, kind in itertools.product(units, kinds)]
 
 
 def volts_of(unit: str, full: float, reference: Reference) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Final
@@ -16,6 +16,8 @@ from heli_lab.guess.thresholds import EDGE_S, CUTOFF_Hz, SAMPLE_STEP_s
 
 _EXTENDED_ROWS: Final = 15
 """Number of rows of padding at each end, reflected about the end value."""
+_COUNTER: Final = 65536.0
+"""Number at which a counter of 16 bits overflows."""
 _SETTLED_ROWS: Final = round(16.0 / (CUTOFF_Hz * SAMPLE_STEP_s))
 """Number of rows after which the impulse response of the low-pass filter has decayed to 1e-16."""
 
@@ -46,16 +48,23 @@ class Signals:
         Low-passed values with their derivatives.
     inner : ndarray of bool (n,)
         False for rows near both ends, where the filter has transients.
+    counts_per_turn : tuple of float
+        Counts per turn of the encoders that a column may come from.
     """
 
     t_s: Floats
     raw: Mapping[str, Floats]
     filtered: Mapping[str, Signal]
     inner: NDArray[np.bool_]
+    counts_per_turn: tuple[float, ...] = ()
 
 
-def column_signals(table: Table, t_s: Floats, names: list[str]) -> Signals:
-    """Resample the columns `names` of a table with times `t_s` [s] to even times, and low-pass them."""
+def column_signals(
+    table: Table, t_s: Floats, names: list[str], counts_per_turn: Collection[float] = ()
+) -> Signals:
+    """Resample the columns `names` of a table with times `t_s` [s] to even times, and low-pass them; see
+    `unwrapped` for `counts_per_turn`.
+    """
     usable = np.isfinite(t_s)
     usable[usable] = np.concatenate(([True], np.diff(t_s[usable]) > 0.0))
     even_s = np.arange(t_s[usable][0], t_s[usable][-1], SAMPLE_STEP_s)
@@ -64,10 +73,10 @@ def column_signals(table: Table, t_s: Floats, names: list[str]) -> Signals:
         values = table.columns[name].values
         known = usable & np.isfinite(values)
         if known.sum() > 10:
-            raw[name] = np.interp(even_s, t_s[known], unwrapped(values[known]))
+            raw[name] = np.interp(even_s, t_s[known], unwrapped(values[known], counts_per_turn))
     filtered = {name: filtered_signal(samples) for name, samples in raw.items()}
     inner = (even_s > even_s[0] + EDGE_S) & (even_s < even_s[-1] - EDGE_S)
-    return Signals(even_s, raw, filtered, inner)
+    return Signals(even_s, raw, filtered, inner, tuple(counts_per_turn))
 
 
 def filtered_signal(values: Floats) -> Signal:
@@ -97,13 +106,21 @@ def _response(count: int) -> NDArray[np.complex128]:
     return response
 
 
-def unwrapped(values: Floats) -> Floats:
-    """Unwrap a column, `values`, that jumps by one turn in any unit; return other columns unchanged."""
+def unwrapped(values: Floats, counts_per_turn: Collection[float] = ()) -> Floats:
+    """Unwrap a column that jumps by one turn; return other columns unchanged.
+
+    Parameters
+    ----------
+    values : ndarray (n,)
+        The column, in any unit of an angle, or in counts of an encoder.
+    counts_per_turn : collection of float
+        Counts per turn of the encoders that it may come from.
+    """
     jumps = np.abs(np.diff(values))
     far = jumps[jumps > 0.5 * np.ptp(values)]
     if not far.size or np.ptp(values) == 0.0 or far.size > 0.02 * values.size:
         return values
-    for turn in (2.0 * np.pi, 360.0, 1.0, 4096.0, 8192.0, 65536.0):
+    for turn in (2.0 * np.pi, 360.0, 1.0, *sorted(set(counts_per_turn)), _COUNTER):
         if np.all(np.abs(far / turn - 1.0) < 0.2) and np.ptp(values) < 1.05 * turn:
             result: Floats = np.unwrap(values, period=turn)
             return result

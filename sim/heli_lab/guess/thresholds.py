@@ -35,12 +35,23 @@ MAX_CANDIDATES: Final = 12
 NAME_NATS: Final = 8.0
 """Log-likelihood of a column's name [nats]. Above `DECISIVE_NATS`: a name is sure if the motion does not
 contradict it, and an ambiguity if it does."""
+KNOWN_NATS: Final = 1000.0
+"""Log-likelihood of a column that the user's profile states [nats]: above that of every motion."""
 DERIVED_SIGNAL_NATS: Final = 12.0
 """Penalty of a column whose name means a setpoint, a rate or an estimate [nats]: a setpoint that is followed
 well obeys the same equations as the angle."""
+FEEDBACK_MATCH: Final = 0.8
+"""Share of a sum's variance that the rate of elevation explains, from which on the sum counts as state
+feedback. Encoder noise takes up to 15 % in weakly excited flights; other controllers give less than 60 %."""
+FEEDBACK_NATS: Final = 4.0
+"""Reward of a sum of the voltages that is proportional to the rate of elevation [nats]. State feedback
+gives such a sum, and its motion then shows no cause. Below `DECISIVE_NATS`: such a column stays in doubt."""
 ENCODER_NATS: Final = 10.0
 """Reward of an angle column that is quantised by an encoder of the rig [nats]. Estimates, setpoints and rates
 move like angles but are not quantised. Above `NAME_NATS`."""
+SIGN_CHANGE_NATS: Final = 1.0
+"""Log-likelihood of each further sign or exchange of motors that differs from the usual ones [nats]. Set by
+judgement: one sign in four is turned. Higher values ignore the travel torque, lower ones follow it alone."""
 UNIT_NATS: Final = 6.0
 """Log-likelihood of a stated unit [nats]. Accelerations that fit another unit much better overrule it."""
 GAIN_STD: Final = {"elevation": 0.5, "pitch": 0.7, "travel": 0.4}
@@ -63,8 +74,8 @@ RATE_MATCH: Final = 0.9
 """Share of a column's variance that another column's derivative explains, from which on it counts as a
 rate."""
 MAX_TRAVEL_LAG_S: Final = 0.08
-"""Lag from pitch to travel from which on the profile corrects a delay of travel [s]. Measured and simulated
-flights have -0.04 to 0.06 s by this estimate. Shorter delays are reported but not corrected."""
+"""Lag from pitch to travel from which on the guess doubts the times of travel [s]. Measured and simulated
+flights have -0.04 to 0.06 s by this estimate."""
 MAX_LAG_DIFFERENCE_S: Final = 0.16
 """Difference between the lags of elevation and pitch from which on one of the two columns counts as delayed
 [s]. Measured flights have up to 0.14 s."""
@@ -82,6 +93,9 @@ WRONG_SIGN_ERROR_RATIO: Final = 0.5
 0.8. The regressions must agree by `DECISIVE_NATS`. A higher value refuses rigs that are only unusual."""
 CLIP_SHARE: Final = 1.02
 """Share of the supply from which on a voltage is a command before saturation. Rounding stays below it."""
-MAX_CLIPPED_SHARE: Final = 0.2
+MIN_CLIPPED_SHARE: Final = 0.002
+"""Share of rows beyond the supply from which on the fits use limited commands. Fewer rows change no gain."""
+MAX_CLIPPED_SHARE: Final = 0.5
 """Share of rows beyond the supply from which on the supply differs from the rig file's, so that no limit is
-set. Set by judgement: a control loop that saturates for longer does not fly."""
+set. Set on simulated flights: control loops with commands beyond the supply for 40 % of the time still
+fly."""

@@ -12,11 +12,25 @@ from heli_host.tables import Column, Table
 from heli_host.tables.units import TIME_UNITS, split_unit
 
 from heli_lab.guess import names
+from heli_lab.guess.scales import step_of
+from heli_lab.guess.signals import unwrapped
 
+NO_RATE: Final = "give a column of times, or the sampling rate with --rate"
+"""Fix of a file without times."""
 _MIN_RISING_SHARE: Final = 0.995
 _MAX_STEP_S: Final = 0.15
 """Largest step of a log [s]: logs of such flights have at least 7 Hz."""
 _MIN_STEP_S: Final = 0.0002
+_JUMP_STEPS: Final = 15.0
+"""A step of an angle this many times above its usual largest one is a jump. Angles have up to 3; voltages
+have up to 15, when a setpoint moves. Lower values cut flights there, higher ones miss jumps of slow logs."""
+_JUMP_SHARE: Final = 0.03
+"""Smallest jump as a share of the column's range. Smaller ones are left to the conversion, in degrees."""
+_MIN_ROWS: Final = 100
+_MAX_JUMPS: Final = 3
+"""Columns with more jumps are not angles: voltages that a controller switches jump all the time."""
+_MIN_MOVING_SHARE: Final = 0.03
+"""Share of rows with a change; setpoints have less, encoders at 1 kHz more."""
 
 
 @dataclass(frozen=True)
@@ -94,12 +108,35 @@ def times_in_s(table: Table, clock: Clock) -> Floats:
 
 
 def longest_run(table: Table, t_s: Floats) -> tuple[Table, Floats]:
-    """Return the longest part of a table in which the times `t_s` [s] do not fall, and these times."""
+    """Return the longest part of a table in which times `t_s` [s] rise and no angle jumps, and its times."""
     known = np.flatnonzero(np.isfinite(t_s))
-    falls = known[1:][np.diff(t_s[known]) < 0.0]
-    edges = [0, *(int(row) for row in falls), len(t_s)]
+    breaks = set(known[1:][np.diff(t_s[known]) < 0.0].tolist())
+    for name, column in table.columns.items():
+        if names.role_of(name) not in names.VOLTAGE_ROLES:
+            breaks |= _jumps(column.values, t_s)
+    edges = [0, *sorted(breaks), len(t_s)]
     if len(edges) == 2:
         return table, t_s
     start, stop = max(itertools.pairwise(edges), key=lambda run: run[1] - run[0])
     columns = {name: Column(column.values[start:stop], column.unit) for name, column in table.columns.items()}
     return Table(table.source, columns, table.notes, table.named), t_s[start:stop]
+
+
+def _jumps(values: Floats, t_s: Floats) -> set[int]:
+    """Rows at which a column that otherwise moves like an encoder's angle jumps, in any unit."""
+    known = np.flatnonzero(np.isfinite(values) & np.isfinite(t_s))
+    # Voltages jump with their setpoints; only encoders are quantised.
+    if known.size < _MIN_ROWS or not step_of(values):
+        return set()
+    rows = np.maximum(np.diff(t_s[known]) / float(np.median(np.diff(t_s[known]))), 1.0)
+    steps = np.abs(np.diff(unwrapped(values[known])))
+    moving = steps[steps > 0.0]
+    # A setpoint stands still except for its jumps.
+    if moving.size < _MIN_MOVING_SHARE * steps.size:
+        return set()
+    usual = float(np.quantile(moving, 0.99))
+    far = (steps > _JUMP_STEPS * usual * rows) & (steps > _JUMP_SHARE * np.ptp(values[known]))
+    jumps = [int(row) for row in np.flatnonzero(far)]
+    around = [np.delete(steps[max(row - 5, 0) : row + 6], min(row, 5)) for row in jumps]
+    smooth = all(float(near.max(initial=0.0)) <= 3.0 * usual for near in around)
+    return {int(known[row + 1]) for row in jumps} if smooth and len(jumps) <= _MAX_JUMPS else set()

@@ -78,7 +78,7 @@ class Domain:
         for name, (low, high) in self.effects.items():
             if not low <= high:
                 raise LearningError(
-                    f"{name} from {low} to {high} is not a range", "give the lower value first"
+                    f"{name} from {low} to {high} is not a range", "give the smaller value first"
                 )
             parse_effects([f"{name}={low!r}"])
             parse_effects([f"{name}={high!r}"])
@@ -117,5 +117,5 @@ class Domain:
                 continue
         raise LearningError(
             f"no draw of rig '{rig.name}' within {self.tolerances:g} tolerances is valid",
-            "give fewer tolerances",
+            "lower tolerances",
         )

@@ -149,7 +149,7 @@ class HoverEnv(gymnasium.Env[Observation, Action]):
             When the episode has ended, or none has begun.
         """
         if self._has_ended:
-            raise LearningError("the episode has ended", "call reset")
+            raise LearningError("the episode has ended", "call reset() first")
         clipped_action = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
         volts_V = np.maximum(self.hover_V + AUTHORITY_V * clipped_action, 0.0)
         result = self._simulator.step(volts_V, round(ACTION_STEP_s * 1e3))

@@ -20,6 +20,7 @@ from heli_sim.model.multibody import MultibodyModel
 from heli_sim.model.named import model_named
 from heli_sim.plant import Plant
 from heli_sim.rig import write_rig
+from heli_sim.rig.encoders import count_rad
 from heli_sim.sil.inprocess import InProcessTransport
 from typing_extensions import override
 
@@ -117,8 +118,7 @@ class PlantAlone(Simulator):
         limits[4] = drawn.rig["table_damping"].value
         self._parameters = np.array([*model.parameter_values(drawn.rig), *limits])
         self._limits_rad = np.deg2rad(limits[:4])
-        counts = drawn.rig["encoder_counts"].value
-        self._rad = 2.0 * np.pi / np.array([counts, counts, counts * drawn.rig["encoder_travel_ratio"].value])
+        self._rad = count_rad(drawn.rig)
         self._state = (
             Plant(model, drawn.rig, seed).rest_state() if plant.extras.random else plant.rest_state()
         )
@@ -247,7 +247,7 @@ class BoardInLockstep(Simulator):
 
     def _connected(self) -> heli_host.Heli:
         if self._heli is None:
-            raise LearningError("no episode has begun", "call reset first")
+            raise LearningError("no episode has begun", "call reset() first")
         return self._heli
 
     def _clip_to_limits(self, volts_V: Floats) -> tuple[float, float]:

@@ -58,7 +58,7 @@ def refuse_unexplained(seen: Trace) -> None:
     best = int(np.argmin(np.where(moving, shares, np.inf)))
     if shares[best] > UNEXPLAINED:
         raise NotExcited(
-            f"{seen.label}: the voltages do not explain its motion: {shares[best]:.2f} is left of that of "
+            f"{seen.label}: the voltages do not explain the motion: {shares[best]:.2f} is left of that of "
             f"{AXES[best]}, the best axis; a flight leaves {UNEXPLAINED:g} at most",
             "check that angles and voltages are of one flight of this rig (or fit it --skip-sign-check)",
         )

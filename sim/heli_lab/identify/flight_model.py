@@ -13,6 +13,7 @@ from heli_host.arrays import Floats
 from heli_sim.model.base import Effect, Model
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Prior, Rig
+from typing_extensions import override
 
 from heli_lab import estimation
 from heli_lab.estimation import (
@@ -172,7 +173,12 @@ class RigParameters(ParameterVector):
         values: Floats = model.parameter_values(rig)
         for name, value in fixed.items():
             values[names.index(name)] = value
-        super().__init__(names, values, shared, per_flight, [record.label for record in records])
+        self.labels = tuple(record.label for record in records)
+        super().__init__(names, values, shared, per_flight, self.labels)
+
+    @override
+    def parameters(self, theta: Floats, index: int = 0) -> Floats:
+        return self.model.values_in(self.labels[index], super().parameters(theta, index))
 
 
 def _torque_prior(rig: Rig, name: str) -> Prior:

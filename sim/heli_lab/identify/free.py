@@ -9,15 +9,16 @@ from typing import Final
 import numpy as np
 from heli_sim.model.base import Model
 from heli_sim.rig import Prior, Rig
-from heli_sim.rig.schema import UNSTATED
+from heli_sim.rig.schema import ENCODER_COUNTS, UNSTATED
 
 from heli_lab.errors import IdentifyError
 from heli_lab.estimation.parameter_vector import FreeParameter
 from heli_lab.estimation.parameter_vector import Prior as AnyPrior
 from heli_lab.identify.thresholds import MIN_OF_PRIOR
 
-NOT_FREE: Final = frozenset({"g"})
-"""Numbers with a tolerance that are never estimated: gravity is known better than any of the masses."""
+NOT_FREE: Final = frozenset({"g", *ENCODER_COUNTS})
+"""Numbers that are never estimated, also with a tolerance: gravity is known better than any of the masses,
+and an encoder has a whole number of counts."""
 
 PER_FLIGHT: Final = ("offset_elevation", "offset_pitch")
 """Numbers that differ from flight to flight, because encoders are zeroed each time the board starts."""
@@ -131,7 +132,7 @@ def _unknown(model: Model, name: str) -> IdentifyError:
     close = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
     return IdentifyError(
-        f"the model '{model.name}' has no parameter '{name}'", f"{hint}names: {', '.join(known)}"
+        f"the model '{model.name}' has no parameter '{name}'", f"{hint}choose from {', '.join(known)}"
     )
 
 

@@ -107,14 +107,16 @@ class Problem:
         if not self.records:
             raise IdentifyError("there is no flight to identify from", "give at least one")
         if len({record.label for record in self.records}) < len(self.records):
-            raise IdentifyError("two flights have the same label", "give each its own")
+            raise IdentifyError("two flights have the same label", "give each flight a label of its own")
         shared = [parameter for parameter in wanted if parameter.quantity not in per_flight]
         local = [parameter for parameter in wanted if parameter.quantity in per_flight]
         names = [quantity.name for quantity in model.parameters]
         base: Floats = model.parameter_values(rig)
         for name, value in (values or {}).items():
             if name not in names:
-                raise IdentifyError(f"the model has no parameter '{name}'", f"names are: {', '.join(names)}")
+                raise IdentifyError(
+                    f"the model has no parameter '{name}'", f"choose from: {', '.join(names)}"
+                )
             base[names.index(name)] = value
         labels = [record.label for record in self.records]
         self.parameter_vector = ParameterVector(names, base, shared, local, labels)
@@ -192,7 +194,8 @@ class Problem:
         """Complete the free parameters `theta`, shape (f,), to all those of the model, shape (p,), for record
         `index`.
         """
-        return self.parameter_vector.parameters(theta, index)
+        values = self.parameter_vector.parameters(theta, index)
+        return self.model.values_in(self.records[index].label, values)
 
     def grid(self, index: int, fine: bool, theta: Floats) -> Grid:
         """Windows of a record, with their inputs; the coarse and the fine grid have the same windows.

@@ -11,8 +11,10 @@ import numpy as np
 import numpy.typing as npt
 from heli_host.arrays import Floats
 from heli_host.flight import Flight
+from heli_host.flight.counts import count_rad
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
+from heli_sim.rig.encoders import count_rad as rig_count_rad
 
 from heli_lab.errors import IdentifyError, NotExcited
 from heli_lab.identify import thresholds
@@ -127,8 +129,8 @@ def prepare(
     """
     angles, volts, t_s = flight.angles_rad, flight.voltages_V, flight.t_s
     step_s = _step_s(flight, label)
-    count_rad, notes = encoder_counts(angles, rig)
-    _refuse_dead_columns(flight, label, count_rad)
+    counts_rad, notes = encoder_counts(flight, rig)
+    _refuse_dead_columns(flight, label, counts_rad)
     _refuse_duties(flight, label, rig)
 
     reasons: list[tuple[npt.NDArray[np.bool_], str]] = []
@@ -151,7 +153,7 @@ def prepare(
     segments, cuts = _segments(reasons, gap, t_s, max(2, round(thresholds.MIN_SEGMENT_S / step_s)))
     _refuse_jumps(flight, label, segments)
     record = Record(
-        label, t_s, angles, volts, step_s, count_rad, segments, cuts, tuple(notes), tuple(map(int, gaps))
+        label, t_s, angles, volts, step_s, counts_rad, segments, cuts, tuple(notes), tuple(map(int, gaps))
     )
     if not segments:
         why = ", ".join(dict.fromkeys(cut.why for cut in cuts)) or "it is too short"
@@ -172,7 +174,7 @@ def _step_s(flight: Flight, label: str) -> float:
     worst = int(np.argmax(stray))
     if stray[worst] > thresholds.MAX_STRAY_STEPS:
         raise IdentifyError(
-            f"{label}: t_s strays by {stray[worst]:.0f} steps of {step_s:.4g} s from even steps by data row "
+            f"{label}: t_s differs by {stray[worst]:.0f} steps of {step_s:.4g} s from even steps at data row "
             f"{worst + 2}",
             "log with an even clock, or resample the flight",
         )
@@ -187,8 +189,8 @@ def _refuse_duties(flight: Flight, label: str, rig: Rig) -> None:
     row = int(np.argmax(column))
     if column[row] < least_V:
         raise IdentifyError(
-            f"{label}: {highest} reaches {column[row]:.3g} at most, in data row {row + 1}, and below the "
-            f"dead zone of {least_V:g} V no rotor pushes",
+            f"{label}: {highest} reaches {column[row]:.3g} at most, in data row {row + 1}, which is "
+            f"within the dead zone of {least_V:g} V, where no rotor gives thrust",
             "if the column is a duty cycle, multiply it by the supply voltage",
         )
 
@@ -205,27 +207,20 @@ def _refuse_jumps(flight: Flight, label: str, segments: tuple[tuple[int, int], .
                 )
 
 
-def encoder_counts(angles_rad: Floats, rig: Rig) -> tuple[Floats, list[str]]:
-    """Find one count of each encoder [rad], shape (3,), in `angles_rad`, shape (n, 3); the rig's where they
-    are not in whole counts, and a note of that.
+def encoder_counts(flight: Flight, rig: Rig) -> tuple[Floats, list[str]]:
+    """Return one count of each encoder of a flight [rad], shape (3,).
+
+    A log states its board's counts, and a table shows them in its angles. For angles that are not in whole
+    counts they are the rig's, and a note says so.
     """
-    counts, notes = [], []
+    counts, notes = count_rad(flight), []
     for index, axis in enumerate(AXES):
-        moves = np.abs(np.diff(angles_rad[:, index]))
-        moves = moves[moves > 1e-7]
-        count = float(moves.min()) if moves.size else 0.0
-        if count:
-            # Printed angles are rounded to decimals; the mean over single counts is better than the least.
-            count = float(moves[moves < 1.5 * count].mean())
-            multiples = moves[moves < 50 * count] / count
-            if np.mean(np.abs(multiples - np.round(multiples)) < 0.05) < 0.95:
-                count = 0.0
-                notes.append(f"{axis} is not in whole counts: {rig['encoder_counts'].value:g} a turn assumed")
-        if not count:
-            count = 2.0 * math.pi / rig["encoder_counts"].value
-        turn = 2.0 * math.pi / count
-        counts.append(2.0 * math.pi / round(turn) if abs(turn / round(turn) - 1.0) < 1e-3 else count)
-    return np.array(counts), notes
+        if math.isfinite(counts[index]):
+            continue
+        counts[index] = rig_count_rad(rig)[index]
+        if np.ptp(flight.angles_rad[:, index]) > 0.0:
+            notes.append(f"{axis} is not in whole counts: {2.0 * math.pi / counts[index]:g} a turn assumed")
+    return counts, notes
 
 
 def _refuse_dead_columns(flight: Flight, label: str, count_rad: Floats) -> None:

@@ -77,7 +77,7 @@ def identify(
     records = _prepared(flights, rig, labels, "flight", start_s, stop_s)
     others = _prepared(validation, rig, validation_labels, "validation", None, None)
     if any(record is other or record.label == other.label for record in records for other in others):
-        raise IdentifyError("a flight is both fitted and validated on", "give another to --validate")
+        raise IdentifyError("a flight is both fitted and validated on", "give another flight to --validate")
     say(FitProgress("compiling the model, once for each", 0.05, 0.0))
     names = estimated_names(model, rig, free, fixed)
     problem = Problem(model, rig, records, free=names, window_s=window_s, threads=threads)

@@ -27,7 +27,7 @@ TAKEN_BACK_FROM: Final = 0.85
 """Share of it from which on the descent before those moments is counted as part of the landing. Set by
 judgement: lower leaves the first of it in, higher cuts flight away."""
 LANDING_TAIL_S: Final = 0.3
-"""What these shares are means over, s: three times the rotors' lag."""
+"""Time over which these shares are means, s: three times the rotors' lag."""
 LANDING_DEG: Final = 5.0
 """How far below the usual elevation a flight must end to have landed in the air, deg. Set by judgement."""
 ROTOR_m: Final = 0.1
@@ -37,8 +37,8 @@ flight."""
 STOP_MARGIN_DEG: Final = 1.0
 """Angle before a mechanical stop that counts as contact, deg. Set by judgement, as `TABLE_MARGIN_DEG`."""
 MAX_UNSURE_DEG: Final = 3.0
-"""Of a table's or a stop's tolerance no more than this counts, deg. Set when the Quanser rig's tolerances
-were widened to what two courses disagree by: more cuts free flight near the stops away, less keeps
+"""Largest part of a table's or a stop's tolerance that counts, deg. Set when the Quanser rig's tolerances
+were widened to the difference between two courses: more cuts free flight near the stops away, less keeps
 contacts."""
 BEYOND_STOP_DEG: Final = 5.0
 """Beyond a stop by more than its tolerance and this, deg, the rig file's stop is disbelieved and noted.
@@ -78,7 +78,7 @@ twice a usual backlash, several usual torques. Much smaller ties a window to a w
 leaves it open."""
 STATE_STD_V: Final = 0.15
 """The same for a rotor's thrust, V. Left open, each window of a measured flight took the thrust that
-suited it, and a lag of 0.12 s came out as 0.13 to 0.35 s; at 0 the error of the run-in biases the lag."""
+suited it, and a lag of 0.12 s came out as 0.13 to 0.35 s. At 0 the error of the run-in biases the lag."""
 FAR_RAD: Final = 0.1
 """Rms error of the first prediction, rad, beyond which short windows are fitted first. Set on measured
 flights, with `SHORT_WINDOW_S`; larger lets long windows diverge, smaller only costs time."""
@@ -93,8 +93,8 @@ LONGEST_LAG_S: Final = 0.5
 estimates within two standard errors). Shorter, standard errors are too small where a model is wrong;
 longer, they scatter."""
 MIN_SHARE: Final = 0.5
-"""Of the largest unexplained variance of an axis, in rad^2, that every axis is given at least. At 0 pitch
-came out twice as far off on measured flights; 0.25 at first, raised when the tolerances of the Quanser
+"""Share of the largest unexplained variance of an axis, in rad^2, that every axis is given at least. At 0
+pitch had twice the error on measured flights; 0.25 at first, raised when the tolerances of the Quanser
 rig were widened; at 1 all axes weigh alike."""
 MIN_VARIANCE: Final = 0.05
 """Mean square over a block that quantisation alone leaves at least, in its variances; keeps an axis at
@@ -104,7 +104,7 @@ OUTLIER: Final = 3.0
 """A window whose rms residual is this many times the median window's loses weight. Set by judgement:
 lower discards honest windows of a wrong model, higher lets one disturbed window decide."""
 GROSS: Final = 10.0
-"""Beyond this many times the median, a window counts less the more it is off: somebody touched the arm.
+"""Beyond this many times the median, a window counts less the larger its error is: a person touched the arm.
 Set on a flight with a disturbed window, which must neither decide the fit nor widen its errors; with
 `OUTLIER` alone each such window counts as one at that limit."""
 WHITE_LAG_S: Final = 0.1
@@ -160,12 +160,12 @@ WORTHWHILE: Final = 0.99
 by judgement."""
 RESTART_OUTLIER: Final = 1.5
 """A window whose mean square is this many times the median window's starts again from other states. Set
-on backlash of travel and sticking axes, whose windows may lie in the wrong basin; lower restarts honest
-windows, higher leaves lost ones."""
+on backlash of travel and sticking axes, whose windows may converge to a wrong minimum; lower restarts
+sound windows, higher leaves wrong ones."""
 TOO_WRONG: Final = 9.0
 """Mean square of the median window, in variances of the quantisation, above which the model is to blame
-and no window restarts. Set by judgement: higher spends restarts on what they cannot mend, lower leaves
-windows lost in a model that is only somewhat wrong."""
+and no window restarts. Set by judgement: higher spends restarts that cannot help, lower leaves
+windows at a wrong minimum in a model that is only somewhat wrong."""
 RESTARTS: Final = 2
 """Turns of restarts: in the second, the window before may have left its own wrong basin."""
 WEIGHT_TURNS: Final = 3
@@ -201,8 +201,8 @@ STRONG_CORRELATION: Final = 0.9
 UNEXPLAINED: Final = 0.6
 """Share of the motion of the best axis (rms, no unit) above which the voltages do not explain a flight; see
 `explained.py`. Flights leave at most 0.22 (practice), 0.27 (measured machines), 0.45 (field), 0.18 (a hover
-of 12 s, one parameter free) and 0.47 (a hover in the strongest disturbances of tests/blind); 176 flights of
-noise, white to twice integrated, leave 0.67 and more. On other seeds hovers leave at most 0.41, and 80
+of 12 s, one parameter free) and 0.47 (a hover in the strongest disturbances of heli_benchmark). 176 flights
+of noise, white to twice integrated, leave 0.67 and more. On other seeds hovers leave at most 0.41, and 80
 flights of noise 0.72 and more. Lower refuses hovers in disturbances; higher accepts slow noise. One of three
 hovers in five times as strong disturbances leaves 0.61."""
 MIN_MOTION: Final = 1.7

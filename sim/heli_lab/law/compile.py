@@ -99,7 +99,10 @@ def _read(law: LawSource, function: ca.Function) -> tuple[Program, list[int]]:
         elif code == ca.OP_OUTPUT:
             outputs[into[1] + (count if into[0] == 1 else 0)] = work[read[0]]
         elif code == ca.OP_PARAMETER:
-            raise BadLaw(f"the law {law.name} holds a free symbol", "use inputs, states and parameters only")
+            raise BadLaw(
+                f"the law {law.name} contains a symbol that is not an input, a state or a parameter",
+                "use inputs, states and parameters only",
+            )
         else:
             work[into[0]] = program.casadi(code, work[read[0]], work[read[1]] if len(read) > 1 else 0)
     return program, outputs

@@ -42,7 +42,7 @@ def load_law(path: Path, limit_s: float = FILE_LIMIT_s) -> Law:
         The file is missing, fails, does not end in time, or holds no law.
     """
     if not path.is_file():
-        raise BadLaw(f"there is no file {path}", "give a Python file that ends with LAW = ...")
+        raise BadLaw(f"{path} is not a file", "give a Python file that ends with LAW = ...")
     answer = _run_apart(path, limit_s)
     law = answer["law"]
     if not isinstance(law, Law):
@@ -79,7 +79,7 @@ def _run_apart(path: Path, limit_s: float) -> dict[str, Any]:
         reply: dict[str, Any] = pickle.loads(answer)
         return reply
     how = f"exit status {status}" if status >= 0 else signal.Signals(-status).name
-    raise BadLaw(f"{path.name} ended Python ({how})", "correct it, and run the file with python for details")
+    raise BadLaw(f"{path.name} ended Python ({how})", "correct the file; python FILE shows details")
 
 
 def _pass_on(pipe: IO[bytes], answers: queue.SimpleQueue[bytes]) -> None:
@@ -118,7 +118,7 @@ def run_law(path: Path) -> Law:
         raise
     except SyntaxError as error:
         raise BadLaw(
-            f"{path.name} is not valid Python: {error.msg}{_at(error.lineno)}", "correct it"
+            f"{path.name} is not valid Python: {error.msg}{_at(error.lineno)}", "correct this line"
         ) from error
     # SystemExit: a file that ends the program would otherwise end with its own code, and no word.
     except (Exception, SystemExit) as error:
@@ -128,7 +128,7 @@ def run_law(path: Path) -> Law:
         ]
         raise BadLaw(
             f"{path.name} fails: {type(error).__name__}: {text}{_at(lines[-1] if lines else None)}",
-            "correct it, and run the file with python for details",
+            "correct the file; python FILE shows details",
         ) from error
     law = held.get("LAW")
     if isinstance(law, Law):
@@ -136,7 +136,7 @@ def run_law(path: Path) -> Law:
     variable = next((name for name, value in held.items() if isinstance(value, Law)), "")
     if law is not None:
         raise BadLaw(f"the LAW of {path.name} is a {type(law).__name__}", _remedy(variable))
-    raise BadLaw(f"{path.name} has no LAW", _remedy(variable))
+    raise BadLaw(f"{path.name} does not define LAW", _remedy(variable))
 
 
 def load_program(path: Path) -> LawProgram:

@@ -96,7 +96,7 @@ class Law:
             ):
                 raise BadLaw(
                     f"a signal cannot be named {signal[:_LONGEST_NAME]!r}",
-                    f"give letters, digits and _, at most {_LONGEST_NAME}, and no name of a channel",
+                    f"give letters, digits and _, at most {_LONGEST_NAME}, and not the name of a channel",
                 )
         for kind, values, remedy in (
             ("states", self.states, "reduce the order"),
@@ -160,7 +160,7 @@ class Law:
         unknown = sorted(set(values) - set(self.parameters))
         if unknown:
             known = ", ".join(self.parameters) or "none"
-            raise BadLaw(f"the law {self.name} has no parameter {unknown[0]}", f"it has: {known}")
+            raise BadLaw(f"the law {self.name} has no parameter {unknown[0]}", f"choose from: {known}")
         return Law(
             self.name, self.rate_Hz, self.function, self.states, {**self.parameters, **values}, self.signals
         )
@@ -294,7 +294,7 @@ def _symbol(value: Any, place: int, name: str) -> ca.SX:
     except (TypeError, RuntimeError) as error:
         raise BadLaw(
             f"output {place} of the law {name} is a {type(value).__name__}",
-            "give a number, or what comes of now, state and parameter",
+            "give a number, or an expression of now, state and parameter",
         ) from error
 
 
@@ -303,7 +303,8 @@ def _column(values: list[Any], name: str) -> ca.SX:
     wide = next((k for k, value in enumerate(column) if value.numel() != 1), None)
     if wide is not None:
         raise BadLaw(
-            f"output {wide} of the law {name} holds {column[wide].numel()} numbers", "give one number each"
+            f"output {wide} of the law {name} has {column[wide].numel()} numbers",
+            "give one number per output",
         )
     return ca.densify(ca.vertcat(*column)) if column else ca.SX(0, 1)
 
@@ -315,7 +316,7 @@ def _explained(error: Exception, name: str) -> BadLaw:
     source = linecache.getline(last.filename, last.lineno or 0).strip() if last is not None else ""
     if _TRUTH in str(error):
         return BadLaw(
-            f"{where} asks whether a symbol is true ({source})",
+            f"{where} uses a symbol as a condition ({source})",
             "write if_else(condition, a, b), fmin, fmax or saturated(x, least, most) of heli_lab.law",
         )
     text = str(error).split("\n")[0]
@@ -324,7 +325,7 @@ def _explained(error: Exception, name: str) -> BadLaw:
             f"{where} calls a function of math ({source})",
             "use sin, cos, sqrt, ... of heli_lab.law: they take symbols",
         )
-    return BadLaw(f"{where} failed: {type(error).__name__}: {text}", f"correct it: {source}")
+    return BadLaw(f"{where} failed: {type(error).__name__}: {text}", f"correct this line: {source}")
 
 
 def _kind(value: object) -> str:

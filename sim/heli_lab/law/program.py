@@ -94,13 +94,17 @@ class Program:
         """
         if not math.isfinite(number):
             raise BadLaw(
-                f"the law {self.name} holds the constant {number}",
-                "give finite numbers, and sin, cos, sqrt, ... of heli_lab.law: those of math take no symbols",
+                f"the law {self.name} contains the constant {number}",
+                "give finite numbers, and sin, cos, sqrt, ... of heli_lab.law: "
+                "those of math do not accept symbols",
             )
         try:
             single: float = struct.unpack("<f", struct.pack("<f", number))[0]
         except OverflowError:
-            raise BadLaw(f"the law {self.name} holds {number:g}", "single precision ends at 3.4e38") from None
+            raise BadLaw(
+                f"the law {self.name} holds {number:g}",
+                "give numbers below 3.4e38, the limit of single precision",
+            ) from None
         if single not in self.constants:
             self.constants.append(single)
         return self.put(Value("constant", self.constants.index(single)))
@@ -165,8 +169,8 @@ class Program:
             return self._power(a, b)
         known = ", ".join(sorted(set(_SAME.values())))
         raise BadLaw(
-            f"the law {self.name} uses {_NAMES.get(code, code)}, which no board computes",
-            f"a board knows {known}",
+            f"the law {self.name} uses {_NAMES.get(code, code)}, which the board cannot compute",
+            f"use only {known}",
         )
 
     def _power(self, a: int, b: int) -> int:
@@ -176,7 +180,7 @@ class Program:
             return self.do("square_root", a)
         if number != round(number) or not 0 < abs(number) <= _MAX_POWER:
             raise BadLaw(
-                f"the law {self.name} raises to a power that is no whole number up to {_MAX_POWER}",
+                f"the law {self.name} has a power that is not a whole number up to {_MAX_POWER}",
                 "use sqrt, exp or products",
             )
         power = a

@@ -60,7 +60,7 @@ def from_gain(
     if gains.shape != (2, len(ERRORS)) or not np.isfinite(gains).all():
         shape = " x ".join(str(size) for size in gains.shape)
         raise BadLaw(
-            f"the gain matrix is {shape}, or holds what is no number",
+            f"the gain matrix is {shape}, or contains an entry that is not a number",
             f"give 2 x {len(ERRORS)}: collective and differential on {', '.join(ERRORS)}",
         )
 
@@ -163,7 +163,8 @@ def from_function(
     if not takes or given not in ([2], [2, len(states)]) or (len(given) == 1 and len(states)):
         raise BadLaw(
             f"the function {function.name()} takes {sizes} and gives {given} numbers",
-            f"let it take {wanted} (inputs, states, parameters), give [2, {len(states)}]: voltages, states",
+            f"write it with {wanted} arguments (inputs, states, parameters) "
+            f"and results [2, {len(states)}] (voltages, states)",
         )
     names = [f"x{k}" for k in range(len(states))]
     first = dict(zip(names, states, strict=True))

@@ -14,6 +14,7 @@ from heli_host.flight import Flight
 from heli_sim.model import MultibodyModel
 from heli_sim.model.linear import trim
 from heli_sim.rig import Rig
+from heli_sim.rig.encoders import count_rad
 
 from heli_lab.errors import IdentifyError
 from heli_lab.identify.record import Record
@@ -113,15 +114,14 @@ def record_of(test: BenchTest, flight: Flight, rig: Rig) -> Record:
             "give makki2024 or a similar rig",
         )
     if flight.gaps.size:
-        raise IdentifyError(f"{test.name}: rows are missing", "run it again")
-    per_rev = rig["encoder_counts"].value * np.array([1.0, 1.0, rig["encoder_travel_ratio"].value])
+        raise IdentifyError(f"{test.name}: rows are missing", "run the command again")
     return Record(
         test.name,
         flight.t_s,
         flight.angles_rad,
         flight.voltages_V,
         flight.step_s,
-        2.0 * np.pi / per_rev,
+        count_rad(rig),
         ((0, len(flight)),),
         (),
     )

@@ -22,32 +22,34 @@ if TYPE_CHECKING:
 def table_lines(line: Line, by_rig: RigTable, tables: Sequence[Table]) -> list[str]:
     """Format Tables 2 to 5 for a terminal."""
     out = [
-        f"Fig. 15: F = {line.gain_N_per_V:.4f} +- {line.gain_half:.4f} N/V "
-        f"(V - {line.dead_zone_V:.3f} +- {line.dead_zone_half:.3f} V); printed: 0.5839 (V - 1)",
+        f"Fig. 15: F = {line.gain_N_per_V:.4f} within {line.gain_half:.4f} N/V "
+        f"(V - {line.dead_zone_V:.3f} within {line.dead_zone_half:.3f} V); printed: 0.5839 (V - 1)",
         "",
-        "Table 2 (95 % intervals; the multibody model is fitted to the bench tests)",
-        f"  {'':19} {'printed':>8} {'rig file':>18} {'bench tests':>23}",
+        "'within': the printed tolerance, or half of an estimate's 95 % interval",
+        "",
+        "Table 2 (the multibody model is fitted to the bench tests)",
+        f"  {'':19} {'printed':>8} {'rig file':>22} {'bench tests':>27}",
     ]
     for row in by_rig.rows:
         estimate = _interval(row.estimate, row.half) if row.estimate is not None else "-"
         printed = "-" if row.printed is None else f"{row.printed:g}"
-        was = f"{row.value:.4g} +- {row.tolerance:g}" if row.tolerance else f"{row.value:.4f}"
-        out.append(f"  {row.name:19} {printed:>8} {was:>18} {estimate:>23} {row.unit:9} {row.note}".rstrip())
+        was = f"{row.value:.4g} within {row.tolerance:g}" if row.tolerance else f"{row.value:.4f}"
+        out.append(f"  {row.name:19} {printed:>8} {was:>22} {estimate:>27} {row.unit:9} {row.note}".rstrip())
     for table in tables:
         error = by_rig.normalised[table.number]
         out += [
             "",
             f"Table {table.number} (by masses: the formulas below (30), drag and P_18 corrected; "
             "bench tests: by (30))",
-            f"  {'':22} {'printed':>18} {'by masses':>10} {'bench tests':>23}",
+            f"  {'':22} {'printed':>22} {'by masses':>10} {'bench tests':>27}",
         ]
         for row_ in table.rows:
-            tolerance = "" if row_.tolerance is None else f" +- {row_.tolerance:.3g}"
+            tolerance = "" if row_.tolerance is None else f" within {row_.tolerance:.3g}"
             printed = "-" if row_.printed is None else f"{row_.printed:.5g}{tolerance}"
             estimate = (
                 "-" if row_.estimate is None or row_.half is None else _interval(row_.estimate, row_.half)
             )
-            numbers = f"{printed:>18} {row_.analytic:>10.4g} {estimate:>23}"
+            numbers = f"{printed:>22} {row_.analytic:>10.4g} {estimate:>27}"
             out.append(f"  {row_.name:22} {numbers} {row_.unit:14} {row_.note}".rstrip())
         out.append(
             f"  error of a 4 s prediction over the encoder's quantisation: (30) {table.normalised:.2f}, "
@@ -118,4 +120,4 @@ def _interval(value: float | None, half: float | None) -> str:
     if value is None or half is None:
         return "-"
     digits = max(0, 1 - math.floor(math.log10(half))) if half > 0.0 else 4
-    return f"{value:.{digits}f} +- {half:.{digits}f}"
+    return f"{value:.{digits}f} within {half:.{digits}f}"

@@ -130,21 +130,23 @@ def pool(diagnoses: Sequence[RigDiagnosis]) -> RigPopulation:
         When there is no diagnosis, two have the same label or content, or their rig files or models differ.
     """
     if not diagnoses:
-        raise PoolError("there is no diagnosis to pool", "give one per rig")
+        raise PoolError("there is no diagnosis to pool", "give one diagnosis per rig")
     labels = [diagnosis.label for diagnosis in diagnoses]
     twice = sorted({label for label in labels if labels.count(label) > 1})
     if twice:
         raise PoolError(f"two diagnoses have the name {', '.join(twice)}", "rename their files")
     for first, other in itertools.combinations(diagnoses, 2):
         if replace(first, label=other.label) == other:
-            raise PoolError(f"{first.label} and {other.label} are the same diagnosis", "give one per rig")
+            raise PoolError(
+                f"{first.label} and {other.label} are the same diagnosis", "give one diagnosis per rig"
+            )
     known = {(diagnosis.rig, diagnosis.model) for diagnosis in diagnoses}
     if len(known) > 1:
         list_ = "; ".join(
             f"{diagnosis.label}: rig {diagnosis.rig}, model {diagnosis.model}" for diagnosis in diagnoses
         )
         raise PoolError(
-            f"the rigs are not of one type: {list_}", "diagnose all with the same --rig and --model"
+            f"the rigs are not of one type: {list_}", "diagnose all rigs with the same --rig and --model"
         )
     names = dict.fromkeys(name for diagnosis in diagnoses for name in diagnosis.parameters)
     parameters = {}

@@ -21,6 +21,8 @@ from heli_sim.errors import PlantError
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Model
 from heli_sim.rig import Rig
+from heli_sim.rig.board import encoder_parameters
+from heli_sim.rig.encoders import direction_is_known
 from heli_sim.rig.inertia import inertias_kg_m2
 
 from heli_lab.tune import loops
@@ -135,18 +137,13 @@ def _ignore_progress(_: str) -> None:
 def _rig_parameters(rig: Rig) -> dict[str, float]:
     """Parameters of the board that follow from the rig alone.
 
-    Counts per revolution are included only if they differ from the declared defaults. Their sign depends on
-    the wiring of an encoder, which a rig file does not contain, so a file of gains must not change it.
+    Counts per revolution are included for encoders whose direction the rig states. The sign of the others
+    depends on their wiring, which the board knows, so a file of gains must not change it.
     """
-    counts = rig["encoder_counts"].value
-    counts_per_rev = {
-        "elevation_counts_per_rev": counts,
-        "pitch_counts_per_rev": counts,
-        "travel_counts_per_rev": counts * rig["encoder_travel_ratio"].value,
-    }
-    defaults = {spec.name: spec.default for spec in PARAMS}
+    known = zip(encoder_parameters(rig).items(), direction_is_known(rig), strict=True)
+    counts_per_rev = {name: value for (name, value), is_known in known if is_known}
     supply_V = rig["supply"].value
-    return {name: value for name, value in counts_per_rev.items() if value != defaults[name]} | {
+    return counts_per_rev | {
         "elevation_rest_deg": rig["elevation_min"].value,
         "supply_V": supply_V,
         "motor_min_V": -supply_V if rig["reverse_thrust"].value > 0.0 else 0.0,

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from heli_host.arrays import Floats
 from heli_host.flight import Flight
+from heli_host.flight.counts import count_rad
 from heli_host.flight.response import StepMetrics, rms, step_metrics
 
 from heli_lab.tune.design import TRAVEL_STEP_DEG
@@ -82,9 +83,14 @@ def flight_metrics(
     back, sine = _between(t_s, phases.back_s, phases.sine_s), _between(t_s, phases.sine_s, phases.end_s)
     error_deg = angles_deg[sine] - path_deg(t_s[sine])
     steps = ((step, phases.step_s, 0.0, TRAVEL_STEP_DEG), (back, phases.back_s, TRAVEL_STEP_DEG, 0.0))
-    measured = [step_metrics(t_s[rows] - at_s, travel[rows], *ends) for rows, at_s, *ends in steps]
+    elevation_count_deg, _, travel_count_deg = np.rad2deg(count_rad(flight)).tolist()
+    measured = [
+        step_metrics(t_s[rows] - at_s, travel[rows], start, end, travel_count_deg)
+        for rows, at_s, start, end in steps
+    ]
     start_deg = float(elevation[rise][0]) if rise.any() else 0.0
-    take_off = step_metrics(t_s[rise] - phases.take_off_s, elevation[rise], start_deg, 0.0)
+    rise_s = t_s[rise] - phases.take_off_s
+    take_off = step_metrics(rise_s, elevation[rise], start_deg, 0.0, elevation_count_deg)
     return FlightMetrics(
         outcome=outcome,
         take_off_s=_settling_s(take_off),

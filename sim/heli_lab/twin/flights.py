@@ -63,7 +63,7 @@ def samples_of_log(log: Log) -> tuple[Samples, float]:
     """
     count_rad = rad_per_count(log.parameters)
     if not len(log.ticks) or not np.all(np.isfinite(count_rad)):
-        raise TwinError(f"{log.path} holds no ticks, or no counts of the encoders", "record it again")
+        raise TwinError(f"{log.path} holds no ticks, or no counts of the encoders", "record the flight again")
     first = int(log.ticks["tick"][0])
     # The time of a log goes on over restarts of the board and over 2^32 ticks.
     number = first + np.rint(log.ticks["t_s"] / TICK_S).astype(np.int64)
@@ -94,7 +94,4 @@ def count_rad_of(flight: Flight, rig: Rig) -> Floats:
     """Return the angle of one count of each encoder [rad], (3,): from the board's parameters if the flight
     has them, otherwise from the steps of the angles.
     """
-    known = rad_per_count(flight.parameters)
-    if np.all(np.isfinite(known)):
-        return known
-    return encoder_counts(flight.angles_rad, rig)[0]
+    return encoder_counts(flight, rig)[0]

@@ -163,5 +163,5 @@ def fly_simulated(
         summary = fly(heli, plans, log_path=path)
         flight = read_flight(path)
     if not np.any(flight.voltages_V):
-        raise FlightAborted(summary.outcome)
+        raise FlightAborted(summary.outcome, "check the rig: heli-host rig check FILE")
     return flight

@@ -78,7 +78,10 @@ def open_twin(name: str) -> Callable[[Mapping[str, float], float], TickTwin]:
 def _make_twin(chosen: TwinRig, parameters: Mapping[str, float], false_alarm_interval_h: float) -> TickTwin:
     count_rad = rad_per_count(parameters)
     if not np.all(np.isfinite(count_rad)):
-        raise TwinError("the board does not say how many counts its encoders have", "set *_counts_per_rev")
+        raise TwinError(
+            "the board does not report the counts per turn of its encoders",
+            "set elevation_counts_per_rev, pitch_counts_per_rev and travel_counts_per_rev on the board",
+        )
     model = TwinModel(chosen.model, chosen.rig)
     twin = Twin(model, chosen.calibration, count_rad, TICK_S, false_alarm_interval_h, with_ghost=True)
     return TickTwin(twin, count_rad)

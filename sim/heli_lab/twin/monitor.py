@@ -66,7 +66,8 @@ class TwinReport:
         if not self.free_s:
             return ["no free flight to compare"]
         if not self.alarms:
-            return [f"no change of the rig ({self.free_s:.0f} s, at most {self.max_evidence_nats:.1f} nats)"]
+            evidence = f"evidence: {self.max_evidence_nats:.1f} nats at most"
+            return [f"no change of the rig in {self.free_s:.0f} s ({evidence})"]
         return [event.text for event in self.alarms]
 
 
@@ -153,7 +154,9 @@ def _monitor(
     t_s = samples.number * sample_s - zero_s
     rows = (t_s >= low) & (t_s < high)
     if not np.any(rows):
-        raise TwinError(f"{label} has no row from {low:g} to {high:g} s", "give a part of the flight")
+        raise TwinError(
+            f"{label} has no row between {low:g} and {high:g} s", "give --from and --to within the flight"
+        )
     part = samples.select(rows)
     model = TwinModel(chosen.model, chosen.rig)
     twin = Twin(model, chosen.calibration, count_rad, sample_s, false_alarm_interval_h, zero_s=zero_s)

@@ -180,14 +180,14 @@ class Twin:
         # In a landing the motors run at the border of their dead zone, where evidence is unreliable. An alarm
         # that was raised before the landing still gets its final ranking.
         if not free or (step.landing and (self._alarm_block is None or self._diagnosed)):
-            yield from self._wait(step.index, "landing, on the ground, at a stop, or motors off")
+            yield from self._wait(step.index, "landing, on the table, at a stop, or motors off")
             return
         kalman = self._kalman
         if kalman is None:
             if step.measured_rad is None:
                 return
             kalman = self._begin(step.index)
-            yield TwinEvent("free", t_s, "the twin compares the flight with its model")
+            yield TwinEvent("free", t_s, "the comparison with the model begins")
         elif (step.index - self._began) % self._block == 0:
             yield from self._end_block(kalman, step, since_s, acting_V)
         if self._ghost is not None:
@@ -258,7 +258,7 @@ class Twin:
         self._kalman = None
         self.free = False
         self.evidence_nats = -math.inf
-        yield TwinEvent("waits", index * self.step_s - self._zero_s, f"the twin waits: {why}")
+        yield TwinEvent("waits", index * self.step_s - self._zero_s, f"the comparison stops: {why}")
 
     def _diagnose(self, index: int) -> Iterator[TwinEvent]:
         if self._alarm_block is not None and not self._diagnosed:
@@ -279,7 +279,7 @@ def format_ranking(ranking: Sequence[ChangeCandidate], onset_s: float) -> str:
     odds = math.exp(min(first.log_evidence - second.log_evidence, 50.0))
     times = f"{odds:.0f} times" if odds < _MAX_REPORTED_ODDS else f"over {_MAX_REPORTED_ODDS:.0f} times"
     if odds < 1.5:
-        rest = f"or as likely {second.change.words(second.size, second.std)}"
+        rest = f"equally likely: {second.change.words(second.size, second.std)}"
     else:
-        rest = f"{times} more likely than the next ({second.change.id})"
+        rest = f"{times} more likely than the next change ({second.change.id})"
     return f"{first.change.words(first.size, first.std)} since {onset_s:.1f} s; {rest}"

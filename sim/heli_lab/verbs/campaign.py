@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from heli_host.cli.options import JsonOption
-from heli_host.cli.say import data_on_stdout, say, say_files, write_result
+from heli_host.cli.say import data_on_stdout, say, say_dropped, say_files, write_result
 from heli_host.cli.verb import Verb
 
 if TYPE_CHECKING:
-    from heli_lab.campaign.run import State
+    from heli_lab.campaign.run import Campaign, State
     from heli_lab.campaign.summary import Summary
 
 
@@ -69,6 +69,7 @@ def campaign(
     from heli_host.cli.outputs import check_result_places
     from heli_host.cli.progress_bar import WorkBar
     from heli_host.errors import FlightAborted
+    from heli_host.parameter_file import read_parameter_set
 
     from heli_lab.campaign.file import load_campaign
     from heli_lab.campaign.page import write_summary
@@ -83,6 +84,8 @@ def campaign(
     folder = output or Path(file.stem)
     check_result_places(json, report=folder)
     data_on_stdout(json)
+    for params in _parameter_files(loaded):
+        say_dropped(read_parameter_set(params).dropped, params)
     store = Store(folder)
     ended = 0
     with WorkBar() as bar:
@@ -108,7 +111,7 @@ def campaign(
             )
         except KeyboardInterrupt:
             raise CampaignError(
-                f"stopped; {ended} of {len(loaded.cases)} cases have ended and are saved",
+                f"stopped: {ended} of {len(loaded.cases)} cases have ended and are saved",
                 "run the same command again to continue with the others",
             ) from None
     summary = summarise(loaded, rows)
@@ -120,6 +123,15 @@ def campaign(
         raise typer.Exit(1)
     if summary.not_completed:
         raise typer.Exit(FlightAborted.exit_code)
+
+
+def _parameter_files(campaign: Campaign) -> list[Path]:
+    """Return the files of board parameters that its cases fly with, apart from those on workers only."""
+    from heli_lab.campaign.works import WORKS
+
+    cases = [case for case in campaign.cases if case.work in WORKS.values()]
+    names = {str(case.settings["params"]) for case in cases if case.settings["params"]}
+    return [Path(name) for name in sorted(names) if Path(name).is_file()]
 
 
 def _cores() -> int:

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from heli_host.tables import Profile, Table
     from heli_sim.rig import Rig
 
-    from heli_lab.guess import Guess
+    from heli_lab.guess import Ambiguity, Guess
+    from heli_lab.guess.import_targets import Target
 
 
 def import_(
@@ -26,7 +27,12 @@ def import_(
         ),
     ],
     profile: Annotated[
-        Path | None, typer.Option("--profile", metavar="FILE", help="Assign the columns by this TOML file.")
+        Path | None,
+        typer.Option(
+            "--profile",
+            metavar="FILE",
+            help="Assign the columns by this TOML file, or keep its entries with --guess.",
+        ),
     ] = None,
     guess: Annotated[
         bool, typer.Option("--guess", help="Propose the profile from names, ranges and physics.")
@@ -64,42 +70,52 @@ def import_(
     """Convert logs of other programs into flights by a given or guessed profile.
 
     A sure guess writes the flights, the profile and a figure. An unsure guess lists its ambiguities, and
-    writes only profile and figure. Correct the profile, and give it with --profile.
+    writes only profile and figure. Correct the profile, and give it with --profile. With --guess and
+    --profile, the entries of the profile stay, and the rest is guessed.
 
     Example: `heli-host import lab1.mat lab2.mat --guess --rig quanser-course -o flights/lab`
     """
     from heli_host.tables import read_profile, read_table
     from heli_sim.rig import load_rig
 
-    if (profile is None) == (not guess):
-        raise typer.BadParameter("import needs exactly one of --profile and --guess; give one")
+    from heli_lab.guess.import_targets import Target, digest, output_names
+
+    if profile is None and not guess:
+        raise typer.BadParameter("import needs --profile or --guess; give one of them")
     data_on_stdout(json)
     known = load_rig(rig) if rig is not None else None
     tables = [read_table(path) for path in files]
+    names = output_names(files)
+    digests = [digest([path]) for path in files]
     if one_flight:
         from heli_lab.guess import merge_tables
 
-        tables, files = [merge_tables(tables)], files[:1]
+        digests, names = [digest(files)], names[:1]
+        merged = merge_tables(tables)
+        tables, files = [merged], files[:1]
+        if merged.notes:
+            say(merged.notes)
     output.mkdir(parents=True, exist_ok=True)
-    if profile is not None:
-        write_result(json, {"flights": _write_flights(tables, read_profile(profile), output)})
+    targets = [Target(output, name, sha) for name, sha in zip(names, digests, strict=True)]
+    for target in targets:
+        target.refuse_to_replace_another()
+    if not guess and profile is not None:
+        write_result(json, {"flights": _write_flights(tables, read_profile(profile), targets)})
         return
-    guesses = _guesses(tables, known, rate)
-    best = min(guesses, key=lambda candidate: len(candidate.ambiguities))
-    ambiguities = {
-        ambiguity.subject: ambiguity.sentence()
-        for candidate in guesses
-        for ambiguity in candidate.ambiguities
-    }
-    ambiguities |= _differing(guesses, best, files)
-    written = _write_profile(best, list(ambiguities.values()), output)
-    for path, file_guess, table in zip(files, guesses, tables, strict=True):
-        written.append(_draw(file_guess, table, output / f"{_stem(path)}.png"))
+    guesses = _guesses(tables, known, rate, profile)
+    best = guesses[0]
+    ranked = sorted(best.ambiguities, key=lambda ambiguity: ambiguity.danger)
+    ambiguities = {ambiguity.subject: ambiguity.sentence() for ambiguity in ranked}
+    written, lines = _write_profile(best, ranked, output)
+    for path, file_guess, table, target in zip(files, guesses, tables, targets, strict=True):
+        written.append(_draw(file_guess, table, output / f"{target.name}.png"))
         say(f"{path.name}: {'sure' if file_guess.sure else 'unsure'}")
-        for sentence in file_guess.evidence:
-            say(f"  {sentence}")
-    for sentence in ambiguities.values():
-        say(sentence)
+    for sentence in best.evidence:
+        say(f"  {sentence}")
+    for ambiguity in ranked:
+        say(ambiguity.sentence())
+        if line := lines.get(ambiguity.entry):
+            say(f"  {written[0]}:{line}: {ambiguity.entry}")
     say_files(written)
     content = {
         "sure": not ambiguities,
@@ -115,41 +131,36 @@ def import_(
             f"unsure of {', '.join(ambiguities)}: no flight was written",
             f"correct {output / 'profile.toml'} and import with --profile, or use it unchanged with --force",
         )
-    write_result(json, {**content, "flights": _write_flights(tables, best.profile, output)})
+    write_result(json, {**content, "flights": _write_flights(tables, best.profile, targets)})
 
 
-def _guesses(tables: Sequence[Table], rig: Rig | None, rate_Hz: float | None) -> Sequence[Guess]:
+def _guesses(
+    tables: Sequence[Table], rig: Rig | None, rate_Hz: float | None, profile: Path | None
+) -> Sequence[Guess]:
     from heli_host.cli.progress_bar import WorkBar
 
     from heli_lab.guess import guess_by_rigs
+    from heli_lab.guess.known import NOTHING_KNOWN, read_known
 
+    known = read_known(profile) if profile is not None else NOTHING_KNOWN
     with WorkBar() as bar:
-        return guess_by_rigs(tables, rig, rate_Hz, lambda share: bar.show("guessing", share)).guesses
+        return guess_by_rigs(tables, rig, rate_Hz, known, lambda share: bar.show("guessing", share)).guesses
 
 
-def _differing(guesses: Sequence[Guess], best: Guess, files: Sequence[Path]) -> dict[str, str]:
-    """Report the files whose guessed profile differs from the best one."""
-    from dataclasses import replace
-
-    differing = {}
-    for guess, path in zip(guesses, files, strict=True):
-        if replace(guess.profile, about="") != replace(best.profile, about=""):
-            differing[f"one profile for all: {path.name}"] = (
-                f"unsure of one profile for all: the profile guessed from {path.name} alone differs; "
-                "import it alone to see the difference"
-            )
-    return differing
-
-
-def _write_profile(best: Guess, ambiguities: Sequence[str], out: Path) -> list[Path]:
+def _write_profile(
+    best: Guess, ambiguities: Sequence[Ambiguity], out: Path
+) -> tuple[list[Path], dict[str, int]]:
+    """Write the profile; return its path, and the line of each entry."""
     from heli_host.tables import profile_text
 
+    from heli_lab.guess.import_targets import entry_lines
+
     target = out / "profile.toml"
-    lines = [
-        f"# {line}\n" for line in (*(f"UNSURE: {ambiguity}" for ambiguity in ambiguities), *best.evidence)
-    ]
-    target.write_text("".join(lines) + "\n" + profile_text(best.profile), encoding="utf-8")
-    return [target]
+    doubts = [f"UNSURE: {ambiguity.sentence()}" for ambiguity in ambiguities]
+    comments = [f"# {line}" for line in (*doubts, *best.evidence)]
+    text = "\n".join([*comments, "", profile_text(best.profile)])
+    target.write_text(text, encoding="utf-8")
+    return [target], entry_lines(text)
 
 
 def _draw(guess: Guess, table: Table, path: Path) -> Path:
@@ -160,26 +171,26 @@ def _draw(guess: Guess, table: Table, path: Path) -> Path:
     return draw(guess, max(flights_of(table, guess.profile), key=len), path)
 
 
-def _write_flights(tables: Sequence[Table], profile: Profile, out: Path) -> list[dict[str, Any]]:
+def _write_flights(
+    tables: Sequence[Table], profile: Profile, targets: Sequence[Target]
+) -> list[dict[str, Any]]:
     from heli_host.flight import check
     from heli_host.log.table import write_csv
     from heli_host.tables import flights_of
 
     written: list[dict[str, Any]] = []
-    for table in tables:
+    for table, goal in zip(tables, targets, strict=True):
         flights = flights_of(table, profile)
         for number, flight in enumerate(flights, 1):
             check(flight, table.source)
-            stem = _stem(Path(table.source))
-            target = out / (f"{stem}.csv" if len(flights) == 1 else f"{stem}-{number}.csv")
-            write_csv(flight, target)
+            target = goal.path(number if len(flights) > 1 else None)
+            write_csv(goal.signed(flight), target)
             say(f"{len(flight)} rows, {flight.duration_s:.1f} s at {1.0 / flight.step_s:.0f} Hz -> {target}")
+            for note in ("cut", "filled"):
+                if note in flight.meta:
+                    say(f"  {note}: {flight.meta[note]}")
             written.append({"file": str(target), "rows": len(flight), "duration_s": flight.duration_s})
     return written
-
-
-def _stem(path: Path) -> str:
-    return path.name.removesuffix(".gz").rpartition(".")[0] or path.name
 
 
 VERB = Verb(import_, "Logs", variadic=False)

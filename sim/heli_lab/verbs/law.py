@@ -203,7 +203,7 @@ def fly(
     flown, trial = _fly(loaded, options, flown_plan, plan or "")
     flown.report()
     say(f"law {loaded.name}: {trial}")
-    write_result(json, {**flown.summary.as_dict(), "law": loaded.name, "trial": trial.as_dict()})
+    flown.write(law=loaded.name, trial=trial.as_dict())
 
 
 @app.command()
@@ -326,6 +326,7 @@ def _fly(law: Law | None, options: FlightOptions, plan: Plan, typed: str) -> tup
     )
     if not flown.summary.completed:
         flown.report()
+        flown.write()
         flown.end()
     return flown, LawTrial.of_log(flown.log, ", ".join(reasons))
 

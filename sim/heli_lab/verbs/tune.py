@@ -151,8 +151,11 @@ def tune(
 
 
 def rounded_parameters(parameters: Mapping[str, float]) -> dict[str, float]:
-    """Round `parameters` to four significant digits."""
-    return {name: float(f"{value:.{_DIGITS}g}") for name, value in parameters.items()}
+    """Round `parameters` to four significant digits, apart from counts per turn, which are exact."""
+    return {
+        name: value if name.endswith("_counts_per_rev") else float(f"{value:.{_DIGITS}g}")
+        for name, value in parameters.items()
+    }
 
 
 def _label(loop_effects: LoopEffects) -> str:
@@ -160,12 +163,21 @@ def _label(loop_effects: LoopEffects) -> str:
 
 
 def _head(rig: Rig, model: str, design: Design, loop_effects: LoopEffects) -> list[str]:
+    from heli_host.declaration import AXES
+    from heli_sim.rig.encoders import direction_is_known
+
     lags_ms = [1e3 * plant.lag_s for plant in design.plants]
     late = f", delay {1e3 * loop_effects.delay_s:.0f} ms" if loop_effects.delay_s else ""
     lines = [
         f"rig {rig.name}, model {model}: {len(design.plants)} plants, lag {min(lags_ms):.0f} to "
         f"{max(lags_ms):.0f} ms{late}"
     ]
+    undirected = [axis for axis, known in zip(AXES, direction_is_known(rig), strict=True) if not known]
+    if undirected:
+        lines.append(
+            f"the rig file states no encoder direction of {', '.join(undirected)}: the gains leave these "
+            "counts per turn as the board has them"
+        )
     if loop_effects.excluded:
         lines.append(f"in the test flights, but not in the design: {', '.join(loop_effects.excluded)}")
     return lines

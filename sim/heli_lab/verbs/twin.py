@@ -125,7 +125,8 @@ def twin(
             )
     if others and has_few_disturbances(chosen.calibration.disturbances):
         say(
-            "the nominal flights have almost no disturbances, so any gust will be an alarm; give more flights"
+            "the nominal flights have almost no disturbances, so every later gust raises an alarm; "
+            "give more flights"
         )
     threshold_nats = chosen.calibration.threshold_nats(false_alarm_interval_h)
     say(f"alarm threshold: {threshold_nats:.1f} nats, {_rate(false_alarm_interval_h)}; {_source(chosen)}")

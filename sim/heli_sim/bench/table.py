@@ -12,7 +12,7 @@ from heli_sim.bench.weigh import Balance, Swing, Thrust
 from heli_sim.errors import RigError
 
 BLANK: Final = "?"
-"""A reading of the template that nobody has filled in yet."""
+"""A reading of the template that is not filled in yet."""
 TEMPLATE: Final = """\
 # Bench tests of a rig, for: heli-host rig weigh RIG THIS.toml --save-rig NEW.toml
 # Write a number for each "?". Remove a table whose test was not done.

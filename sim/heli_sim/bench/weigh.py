@@ -237,7 +237,7 @@ class _Axes:
             value, slope, _ = self._at(p, 0, angles)
             if slope >= 0.0:
                 raise RigError(
-                    f"the arm of this rig does not balance near {near_deg:g} degrees: it falls from there",
+                    f"the arm of this rig does not balance near {near_deg:g} degrees: it falls there",
                     "look at L_theta and the masses, or leave [balance] out",
                 )
             angles[0] -= value / slope

@@ -5,10 +5,8 @@
     HeliError                   cause, remedy and exit code
     └── SimError                what goes wrong in the simulation
         └── DueError            anything that goes wrong with the emulated board
-            ├── ImageError      the program cannot be read, or is none for the Due
-            ├── FirmwareError   the flight code's ELF is missing, or speaks another version of the link
-            ├── BoardStopped    the emulator found something that the chip does not promise to take
-            └── GdbError        the debugger's port cannot be opened
+            ├── FirmwareError   the flight code's ELF is missing, unreadable, or for another link
+            └── BoardStopped    the emulator stopped the firmware: it does what the chip does not promise
 """
 
 from __future__ import annotations
@@ -20,17 +18,9 @@ class DueError(SimError):
     """Anything that goes wrong with the emulated board."""
 
 
-class ImageError(DueError):
-    """The program cannot be read, or is none for the Due."""
-
-
 class FirmwareError(DueError):
-    """The flight code's ELF is missing, or speaks another version of the link."""
+    """The flight code's ELF is missing, unreadable, or for another version of the link."""
 
 
 class BoardStopped(DueError):
-    """The emulator found something that the chip does not promise to take."""
-
-
-class GdbError(DueError):
-    """The debugger's port cannot be opened."""
+    """The emulator stopped the firmware: it does what the chip does not promise."""

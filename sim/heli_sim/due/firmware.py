@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from heli_sim.due.errors import FirmwareError
-from heli_sim.due.image import Image, read_image
-from heli_sim.due.machine import load_image
 
 if TYPE_CHECKING:
-    from heli_sim.due._due import DueBoard
+    from due_emulator import Image
+
+    from heli_sim.due._due_board import DueBoard
 
 # The control tick is the interrupt of timer channel TC3, number 30 after the 16 exceptions.
 TICK_HANDLER: Final = 16 + 30
@@ -36,7 +36,9 @@ def new_board(image: Image) -> DueBoard:
     """An emulated Due for the simulated world, powered off. Its flash holds a program that ticks like our
     firmware.
     """
-    from heli_sim.due._due import DueBoard
+    from due_emulator import load_image
+
+    from heli_sim.due._due_board import DueBoard
 
     board = DueBoard()
     load_image(board.due, image)
@@ -46,15 +48,26 @@ def new_board(image: Image) -> DueBoard:
     return board
 
 
-def check_firmware(path: Path) -> Image:
-    """Read an ELF at `path` that speaks this host's link; it is asked on an emulated board of its own. An
-    ImageError when it is none for the Due, a FirmwareError, with both versions, when it does not answer or
-    speaks another version of the link.
-    """
-    from heli_sim import _native
-    from heli_sim.due._due import Stop
+def read_firmware(path: Path | str) -> Image:
+    """Read an ELF at `path`; a FirmwareError if it is missing or not a program for the Due."""
+    from due_emulator import ImageError, read_image
 
-    image = read_image(path)
+    try:
+        return read_image(path)
+    except ImageError as error:
+        raise FirmwareError(error.cause, error.remedy) from error
+
+
+def check_firmware(path: Path) -> Image:
+    """Read an ELF at `path` that speaks this host's link; it is asked on an emulated board of its own. A
+    FirmwareError when it is none for the Due, and, with both versions, when it does not answer or speaks
+    another version of the link.
+    """
+    from due_emulator import Stop
+
+    from heli_sim import _native
+
+    image = read_firmware(path)
     try:
         board = _native.greet(new_board(image))
     except Stop as stop:

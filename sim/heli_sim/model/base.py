@@ -21,6 +21,7 @@ from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.parts import AXES, friction_torque_Nm, thrust_N
 from heli_sim.rig import RIG_QUANTITIES, Rig
 from heli_sim.rig.quantity import Quantity
+from heli_sim.rig.schema import ENCODER_COUNTS
 
 STATES: Final[tuple[Quantity, ...]] = (
     Quantity("elevation_rad", "rad", "long arm above level, up positive"),
@@ -40,6 +41,8 @@ _SHARED: Final = (
     *("thrust_gain", "dead_zone", "reverse_thrust"),
     *(f"{kind}_{axis}" for kind in ("friction", "torque") for axis in AXES),
     *("offset_elevation", "offset_pitch"),
+    # What a measured angle shows of a rate depends on the size of a count.
+    *ENCODER_COUNTS,
 )
 _RIG: Final = {quantity.name: quantity for quantity in RIG_QUANTITIES}
 
@@ -62,7 +65,7 @@ class Model(ABC):
     name: str
     """Short name of the model."""
     rig_parameters: tuple[str, ...]
-    """Names of the rig's numbers that the model itself uses."""
+    """Names of the rig parameters that the model itself uses."""
 
     def __init__(self, effects: tuple[Effect, ...] = ()) -> None:
         self.effects = effects = tuple(sorted(effects, key=lambda effect: effect.stage))
@@ -76,12 +79,32 @@ class Model(ABC):
         every = [s.name for s in self.states] + own
         twice = sorted({name for name in every if every.count(name) > 1 or (name in own and name in _RIG)})
         if twice:
-            raise PlantError(f"effects of '{self.name}' share the names {', '.join(twice)}", "rename them")
+            raise PlantError(
+                f"effects of '{self.name}' share the names {', '.join(twice)}", "give each another name"
+            )
         delays = [effect.delay for effect in effects if effect.delay]
         if len(delays) > 1:
-            raise PlantError(f"{' and '.join(delays)} both delay the voltages of '{self.name}'", "keep one")
+            raise PlantError(
+                f"{' and '.join(delays)} both delay the voltages of '{self.name}'", "leave one of them out"
+            )
         self.delay: str = delays[0] if delays else ""
         """Name of the parameter by which the voltages act late, or empty."""
+
+    def values_in(self, label: str, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Values of all parameters as they are in the flight `label`: moments belong to one flight.
+
+        Parameters
+        ----------
+        values : ndarray (p,)
+            Values of all parameters, in the order of `parameters`.
+        """
+        result = values.copy()
+        names = [quantity.name for quantity in self.parameters]
+        for effect in self.effects:
+            if effect.flight and effect.moment:
+                place = names.index(effect.moment)
+                result[place] = effect.values_in(label, {effect.moment: values[place]})[effect.moment]
+        return result
 
     def dead_zone_V(self, parameters: npt.NDArray[np.float64], free: Collection[str] = ()) -> float | None:
         """Voltage below which no rotor gives thrust.

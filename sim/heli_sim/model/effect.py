@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import Final
 
 import casadi as ca
 
@@ -38,6 +39,10 @@ class Operands:
     time_s: ca.SX = field(default_factory=lambda: ca.SX(0))
     locked: ca.SX = field(default_factory=lambda: ca.SX.zeros(3))
     thrust_N: ca.SX = field(default_factory=lambda: ca.SX.zeros(2))
+
+
+NEVER_s: Final = 1e6
+"""Moment of what does not happen in a flight: eleven days. The step function is exactly 0 before."""
 
 
 class Stage(IntEnum):
@@ -99,6 +104,10 @@ class Effect:
         near their values, and holds them while other parameters are still far off.
     linearisable : bool
         True if a linear model at hover contains the effect.
+    flight : str
+        Label of the flight in which it happens at the moment ``at_s``; empty if it happens in every flight.
+    other_moments_s : Mapping[str, float]
+        With `flight`: moments in further flights, by label. In flights without one it never happens.
     """
 
     name: str
@@ -113,6 +122,8 @@ class Effect:
     direction_of: Mapping[str, str] = field(default_factory=dict)
     multimodal: tuple[str, ...] = ()
     linearisable: bool = False
+    flight: str = ""
+    other_moments_s: Mapping[str, float] = field(default_factory=dict)
 
     # Equal effects have equal hashes, so that what is made for a set of effects can be cached.
     def __hash__(self) -> int:
@@ -127,6 +138,19 @@ class Effect:
     def place(self) -> str:
         """Axis or rotor: what its name has after the last dot."""
         return self.name.rpartition(".")[2]
+
+    @property
+    def moment(self) -> str:
+        """Name of the parameter at which it happens; empty if it has none."""
+        name = f"{self.prefix}_at_s"
+        return name if any(quantity.name == name for quantity in self.parameters) else ""
+
+    def values_in(self, label: str, values: Mapping[str, float]) -> dict[str, float]:
+        """Parameter `values` as they are in the flight `label`: a moment belongs to one flight."""
+        result = {**values}
+        if self.flight and label != self.flight and self.moment:
+            result[self.moment] = self.other_moments_s.get(label, NEVER_s)
+        return result
 
     def own(self, at: Operands, what: str) -> ca.SX:
         """Look up a parameter or a state of the effect, in its own unit; `what` is its name after the prefix,

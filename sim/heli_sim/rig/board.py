@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final
 
-from heli_host.declaration import PARAMS
+from heli_host.declaration import AXES, PARAMS
+from heli_host.rig_check import RigParameters
 
 from heli_sim.errors import RigError
-from heli_sim.rig.rig import Rig, load_rig
+from heli_sim.rig.encoders import counts_per_turn, direction_is_known, directions
+from heli_sim.rig.rig import Number, Rig, load_rig
+from heli_sim.rig.schema import ENCODER_COUNTS, ENCODER_DIRECTIONS, UNSTATED
 
 _SPECS: Final = {spec.name: spec for spec in PARAMS}
 _INSIDE_STOP_deg: Final = {"elevation_max": 1.0, "pitch_max": 5.0, "travel_max": 5.0}
@@ -16,22 +21,25 @@ _INSIDE_STOP_deg: Final = {"elevation_max": 1.0, "pitch_max": 5.0, "travel_max":
 the paper's rig. Less: the arm hits the stop before the motors are off. More: it cannot fly where it could."""
 _SETPOINT_INSIDE_deg: Final = 10.0
 """The same for the setpoint of pitch, which has to be below its limit or the board does not arm."""
+_UPPER: Final = frozenset(
+    {"motor_max_V", "pitch_setpoint_max_deg", *(f"{name}_deg" for name in _INSIDE_STOP_deg)}
+)
+"""Upper limits: a rig's are the most that a board should have."""
+_OF_BOARD: Final = {"elevation_rest_deg": "elevation_min", "supply_V": "supply", "dead_zone_V": "dead_zone"}
+"""Numbers of a rig that a board knows besides its encoders, by the board's parameter."""
 
 
 def parameters_of(rig: Rig) -> dict[str, float]:
-    """Return the parameters that a rig determines: counts per turn, rest angle, supply, and upper limits.
+    """Return the parameters that a rig determines: counts per turn with their direction, rest angle, supply,
+    and upper limits. An encoder whose direction is not known counts up.
 
     Raises
     ------
     RigError
         The board cannot be set to one of them.
     """
-    counts = rig["encoder_counts"].value
     supply_V = rig["supply"].value
-    exact = {
-        "elevation_counts_per_rev": counts,
-        "pitch_counts_per_rev": counts,
-        "travel_counts_per_rev": counts * rig["encoder_travel_ratio"].value,
+    exact = encoder_parameters(rig) | {
         "elevation_rest_deg": rig["elevation_min"].value,
         "supply_V": supply_V,
     }
@@ -48,6 +56,12 @@ def parameters_of(rig: Rig) -> dict[str, float]:
     return exact | {name: min(max(value, _SPECS[name].min), _SPECS[name].max) for name, value in most.items()}
 
 
+def encoder_parameters(rig: Rig) -> dict[str, float]:
+    """Return counts per turn by the board's parameter, negative for an encoder that counts down."""
+    signed = directions(rig) * counts_per_turn(rig)
+    return {f"{axis}_counts_per_rev": float(count) for axis, count in zip(AXES, signed, strict=True)}
+
+
 def in_simulation(rig: Rig) -> dict[str, float]:
     """Return the parameters of a simulated board that differ from the declared defaults: counts, rest angle
     and supply are the rig's, and limits beyond its stops are brought inside.
@@ -58,14 +72,79 @@ def in_simulation(rig: Rig) -> dict[str, float]:
         The board cannot be set to one of them.
     """
     stated = parameters_of(rig)
-    upper = {"elevation_max_deg", "pitch_max_deg", "travel_max_deg", "motor_max_V", "pitch_setpoint_max_deg"}
     wanted = {
-        name: min(value, _SPECS[name].default) if name in upper else value for name, value in stated.items()
+        name: min(value, _SPECS[name].default) if name in _UPPER else value for name, value in stated.items()
     }
     return {name: value for name, value in wanted.items() if value != _SPECS[name].default}
 
 
-def rig_parameters(name_or_path: str) -> dict[str, float]:
+def board_settings(rig: Rig, board: Mapping[str, float] | None = None) -> dict[str, float]:
+    """Return the parameters that fit a board to a rig, for `rig to-board`.
+
+    Counts per turn of an encoder whose direction the rig does not state get the sign that the board has; they
+    are left out without a board. Limits that are beyond the rig's are brought within, others stay.
+
+    Parameters
+    ----------
+    board : Mapping of str to float, optional
+        The board's parameters; None for the declared defaults.
+
+    Raises
+    ------
+    RigError
+        The board cannot be set to one of them.
+    """
+    stated = parameters_of(rig) | {"dead_zone_V": rig["dead_zone"].value}
+    now = {name: spec.default for name, spec in _SPECS.items()} | dict(board or {})
+    for (name, count), is_known in zip(encoder_parameters(rig).items(), direction_is_known(rig), strict=True):
+        if not is_known:
+            del stated[name]
+            if board is not None:
+                stated[name] = math.copysign(count, now[name])
+    return {name: min(value, now[name]) if name in _UPPER else value for name, value in stated.items()}
+
+
+def rig_of_board(board: Mapping[str, float], like: Rig, name: str) -> Rig:
+    """Return a rig with the encoders, rest angle, supply and dead zone of a board, for `rig from-board`.
+
+    Parameters
+    ----------
+    board : Mapping of str to float
+        The board's parameters; some may be missing.
+    like : Rig
+        Rig with all other numbers; also the tolerances, apart from those of the encoders.
+    name : str
+        Name of the new rig.
+
+    Raises
+    ------
+    RigError
+        The board's parameters are none of these, or no rig can have them.
+    """
+    quantities = zip(ENCODER_COUNTS, ENCODER_DIRECTIONS, strict=True)
+    encoders = dict(zip(encoder_parameters(like), quantities, strict=True))
+    if not {*encoders, *_OF_BOARD} & set(board):
+        raise RigError(
+            f"the board's parameters have none of {', '.join((*encoders, *_OF_BOARD))}",
+            "give a file that params dump wrote",
+        )
+    source = "parameters of the board"
+    numbers = dict(like)
+    for parameter, (counts, direction) in encoders.items():
+        # The direction of another rig's encoder says nothing about this one.
+        numbers[direction] = Number(0.0, "1", 0.0, UNSTATED[direction].source)
+        if parameter in board:
+            numbers[counts] = Number(abs(board[parameter]), "count", 0.0, source)
+            numbers[direction] = Number(math.copysign(1.0, board[parameter]), "1", 0.0, source)
+    for parameter, quantity in _OF_BOARD.items():
+        if parameter in board:
+            numbers[quantity] = replace(like[quantity], value=board[parameter], source=source)
+    return replace(
+        like, name=name, description=f"parameters of a board, the rest as {like.name}", numbers=numbers
+    )
+
+
+def rig_parameters(name_or_path: str) -> RigParameters:
     """Return the parameters that a rig determines, by its name or file; see `parameters_of`.
 
     Parameters
@@ -78,7 +157,9 @@ def rig_parameters(name_or_path: str) -> dict[str, float]:
     RigError
         There is no such rig, its file is not a complete and valid one, or no board can be set to it.
     """
-    return parameters_of(load_rig(name_or_path))
+    rig = load_rig(name_or_path)
+    known = zip(encoder_parameters(rig), direction_is_known(rig), strict=True)
+    return RigParameters(parameters_of(rig), frozenset(name for name, is_known in known if is_known))
 
 
 def set_from_rig_text(rig: str, values: Mapping[str, float]) -> str:

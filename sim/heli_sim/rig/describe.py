@@ -13,21 +13,28 @@ from typing import Final
 from heli_sim.errors import RigError
 from heli_sim.rig.plausible import check_size
 from heli_sim.rig.quantity import Quantity
-from heli_sim.rig.rig import Number, Rig
-from heli_sim.rig.schema import RIG_QUANTITIES
+from heli_sim.rig.rig import Number, Rig, counts_by_encoder
+from heli_sim.rig.schema import (
+    COMMON_COUNTS,
+    ENCODER_COUNTS,
+    ENCODER_DIRECTIONS,
+    RIG_QUANTITIES,
+    UNSTATED,
+)
 
 ASKED: Final = (
     *("M_f", "M_b", "M_w", "M_h", "M_l"),
     *("L_a", "L_b", "L_h", "L_phi", "L_theta", "L_x"),
-    *("thrust_gain", "dead_zone", "supply", "elevation_min", "elevation_max", "encoder_counts"),
+    *("thrust_gain", "dead_zone", "supply", "elevation_min", "elevation_max"),
+    *ENCODER_COUNTS,
 )
 """Numbers that a builder can state: what a scale, a ruler and data sheets give, in the order of asking."""
 COLUMNS: Final = ("name", "value", "unit", "tolerance", "source")
 
 UNSTATED_SHARE: Final = 0.3
 """Tolerance of a number that was not stated, as a share of the other rig's, at least. By judgement: rigs
-of this make differ by a third. Smaller: a fit trusts another rig's numbers. Larger: short flights do not tell
-what is left open."""
+of this type differ by a third. Smaller: a fit trusts the parameters of another rig. Larger: short flights
+cannot determine what is left open."""
 _ALIKE: Final = ("g", "air_density", "table_damping", "driver_dead_band")
 """Numbers that are no machine's own."""
 _SCALE_SHARE, _RULER_m, _OTHER_SHARE = 0.01, 0.005, 0.1
@@ -65,9 +72,14 @@ def described(name: str, description: str, like: Rig, given: Mapping[str, Number
         When the numbers cannot be.
     """
     numbers = {}
+    given = counts_by_encoder(name, given)
     for quantity, known in like.items():
         if quantity in given:
             numbers[quantity] = given[quantity]
+            continue
+        if quantity in ENCODER_DIRECTIONS:
+            # Wiring is no property that rigs of one type share.
+            numbers[quantity] = Number(0.0, known.unit, 0.0, UNSTATED[quantity].source)
             continue
         own = bool(known.tolerance) and quantity not in _ALIKE
         wide = max(known.tolerance, UNSTATED_SHARE * abs(known.value)) if own else known.tolerance
@@ -153,10 +165,12 @@ def numbers_from_words(words: Iterable[str]) -> dict[str, Number]:
 
 
 def _quantity(name: str) -> Quantity:
-    for quantity in RIG_QUANTITIES:
+    for quantity in (*RIG_QUANTITIES, COMMON_COUNTS):
         if quantity.name == name:
             return quantity
-    raise RigError(f"unknown rig parameter '{name}'", f"it has: {', '.join(q.name for q in RIG_QUANTITIES)}")
+    raise RigError(
+        f"unknown rig parameter '{name}'", f"choose from: {', '.join(q.name for q in RIG_QUANTITIES)}"
+    )
 
 
 def _number(quantity: Quantity, value: str, tolerance: str | None, unit: str, source: str) -> Number:
@@ -179,7 +193,7 @@ def _number(quantity: Quantity, value: str, tolerance: str | None, unit: str, so
 
 
 def _usual(quantity: Quantity, value: float) -> float:
-    if quantity.unit == "count":
+    if quantity.unit == "count" or quantity.name in ENCODER_DIRECTIONS:
         return 0.0
     if quantity.unit == "m":
         return _RULER_m
@@ -187,5 +201,7 @@ def _usual(quantity: Quantity, value: float) -> float:
 
 
 def _why(quantity: Quantity) -> str:
+    if quantity.name in ENCODER_DIRECTIONS:
+        return "exact"
     said = {"m": "a ruler's tolerance", "kg": "a kitchen scale's tolerance", "count": "exact"}
     return said.get(quantity.unit, "tolerance assumed, 10 %")

@@ -12,7 +12,7 @@ STATED_INERTIAS: Final[tuple[Quantity, ...]] = (
     Quantity("J_phi", "kg m2", "moment of inertia about the pitch axis"),
     Quantity("J_psi", "kg m2", "moment of inertia about the travel axis, arm level"),
 )
-"""May stand in a rig file beside its masses and lengths. No model uses them: they are only compared."""
+"""A rig file may state these too. No model uses them: they are compared with the masses and lengths."""
 
 
 def inertias_kg_m2(values: Mapping[str, float]) -> dict[str, float]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from heli_sim.errors import RigError
-from heli_sim.rig.schema import RIG_QUANTITIES
+from heli_sim.rig.schema import ENCODER_COUNTS, RIG_QUANTITIES
 
 LARGEST: Final[Mapping[str, float]] = {
     "kg": 1e4,
@@ -26,7 +26,7 @@ LARGEST: Final[Mapping[str, float]] = {
     "1": 1e4,
 }
 """Largest value and tolerance that a rig file may state, by unit: a thousand times a laboratory's and more.
-Above, products of a rig's numbers overflow; a smaller limit would refuse experiments on purpose."""
+Above, products of rig parameters overflow; a smaller limit would refuse experiments on purpose."""
 LARGEST_OF_OTHER_UNITS: Final = 1e9
 SMALLEST: Final = 1e-9
 """Smallest size of a number that is not 0, in its unit: below, quotients overflow."""
@@ -54,7 +54,7 @@ TABLE_TOP: Final[Mapping[str, tuple[float, float]]] = {
     "thrust_gain": (0.005, 10.0),
     "dead_zone": (0.0, 6.0),
     "supply": (2.0, 60.0),
-    "encoder_counts": (50.0, 100_000.0),
+    **dict.fromkeys(ENCODER_COUNTS, (50.0, 100_000.0)),
 }
 """Range of a rig that stands on a table, in the unit of rig files. Outside, a unit or a decimal point is most
 often wrong: 64 for 64 cm. A wider range misses that; a narrower one refuses real rigs."""

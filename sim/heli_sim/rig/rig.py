@@ -14,7 +14,14 @@ from heli_host.files import TOML_BYTES, parse_toml, read_file
 from heli_sim.errors import RigError
 from heli_sim.rig.inertia import STATED_INERTIAS, inertia_range_kg_m2
 from heli_sim.rig.plausible import check_size
-from heli_sim.rig.schema import RIG_QUANTITIES, UNSTATED
+from heli_sim.rig.schema import (
+    COMMON_COUNTS,
+    ENCODER_COUNTS,
+    ENCODER_DIRECTIONS,
+    RIG_QUANTITIES,
+    TRAVEL_RATIO,
+    UNSTATED,
+)
 
 _FOLDER: Final = Path(__file__).parent
 _FIELDS: Final = ("value", "unit", "tolerance", "source")
@@ -34,12 +41,13 @@ _MAY_BE_ZERO: Final = frozenset(
         "drag_area_body",
         "table_damping",
         "driver_dead_band",
+        *ENCODER_DIRECTIONS,
     }
 )
 _MAY_BE_NEGATIVE: Final = frozenset(
     {
         *("elevation_min", "L_x", "L_phi", "L_theta", "torque_elevation", "torque_pitch", "torque_travel"),
-        *("offset_elevation", "offset_pitch"),
+        *("offset_elevation", "offset_pitch", *ENCODER_DIRECTIONS),
     }
 )
 
@@ -77,7 +85,8 @@ class Rig(Mapping[str, Number]):
     description : str
         One line.
     numbers : Mapping[str, Number]
-        One entry for each quantity of `RIG_QUANTITIES`; those of `UNSTATED` may be left out.
+        One entry for each quantity of `RIG_QUANTITIES`; those of `UNSTATED` may be left out. `encoder_counts`
+        holds for each encoder whose counts have no entry.
     effects : Mapping[str, Mapping[str, Number]]
         Effects beyond the model, by their ids (`heli_sim.model.effects`), each with its own numbers.
     model : str
@@ -96,7 +105,7 @@ class Rig(Mapping[str, Number]):
     model: str = ""
 
     def __post_init__(self) -> None:
-        numbers = dict(self.numbers)
+        numbers = counts_by_encoder(self.name, self.numbers)
         for name, unstated in UNSTATED.items():
             unit = next(quantity.unit for quantity in RIG_QUANTITIES if quantity.name == name)
             numbers.setdefault(name, Number(unstated.value, unit, unstated.tolerance, unstated.source))
@@ -146,6 +155,40 @@ class Rig(Mapping[str, Number]):
                 raise _unknown(self.name, name)
             numbers[name] = replace(numbers[name], value=float(value))
         return replace(self, numbers=numbers)
+
+
+def counts_by_encoder(rig: str, numbers: Mapping[str, Number]) -> dict[str, Number]:
+    """Write the short form `encoder_counts`, and the ratio of older files, as one entry per encoder.
+
+    Parameters
+    ----------
+    rig : str
+        Name of the rig, for errors.
+    numbers : Mapping[str, Number]
+        Numbers by name; an encoder's own entry is kept.
+
+    Raises
+    ------
+    RigError
+        The ratio of the travel's encoder is in another unit.
+    """
+    numbers = dict(numbers)
+    if COMMON_COUNTS.name not in numbers:
+        return numbers
+    common, ratio = numbers.pop(COMMON_COUNTS.name), numbers.pop(TRAVEL_RATIO.name, None)
+    for name in ENCODER_COUNTS:
+        numbers.setdefault(name, common)
+    if ratio is not None:
+        if ratio.unit != TRAVEL_RATIO.unit:
+            raise RigError(
+                f"rig '{rig}': {TRAVEL_RATIO.name} is in '{ratio.unit}'", f"give it in '{TRAVEL_RATIO.unit}'"
+            )
+        travel = ENCODER_COUNTS[-1]
+        if numbers[travel] is common:
+            numbers[travel] = replace(
+                common, value=common.value * ratio.value, source=f"{common.source}; {ratio.source}"
+            )
+    return numbers
 
 
 def rig_names() -> list[str]:
@@ -231,7 +274,7 @@ def _number(path: Path, name: str, entry: object) -> Number:
         )
     for key in ("value", "tolerance"):
         if isinstance(entry[key], bool) or not isinstance(entry[key], int | float):
-            raise RigError(f"{where}: {key} must be a number, not {entry[key]!r}", "correct it")
+            raise RigError(f"{where}: {key} must be a number, not {entry[key]!r}", "write it without quotes")
     for key in ("unit", "source"):
         if not isinstance(entry[key], str) or not entry[key]:
             raise RigError(f"{where}: {key} must be a text, not {entry[key]!r}", "put it in quotes")
@@ -244,7 +287,7 @@ def _number(path: Path, name: str, entry: object) -> Number:
 
 def _unknown(rig: str, name: str) -> RigError:
     known = ", ".join(quantity.name for quantity in RIG_QUANTITIES)
-    return RigError(f"rig '{rig}' knows no '{name}'", f"names are: {known}")
+    return RigError(f"rig '{rig}' has no parameter '{name}'", f"choose from: {known}")
 
 
 def _check_inertias(rig: Rig, stated: Mapping[str, Number]) -> None:
@@ -257,13 +300,15 @@ def _check_inertias(rig: Rig, stated: Mapping[str, Number]) -> None:
         if number.unit != units[name]:
             raise RigError(f"{where} is in '{number.unit}'", f"give it in '{units[name]}'")
         if not (math.isfinite(number.value) and math.isfinite(number.tolerance) and number.tolerance >= 0.0):
-            raise RigError(f"{where} = {number.value} +- {number.tolerance} must be finite", "correct it")
+            raise RigError(
+                f"{where} = {number.value} +- {number.tolerance} must be finite", "give finite numbers"
+            )
         least, most = possible[name]
         if not least - number.tolerance <= number.value <= most + number.tolerance:
             raise RigError(
-                f"{where} = {number.value:g} kg m2 cannot be: however its masses lie within the tolerances, "
+                f"{where} = {number.value:g} kg m2 is impossible: with all masses within their tolerances, "
                 f"they give {least:.4g} to {most:.4g}",
-                "correct it, a mass or a length",
+                "correct this inertia, a mass or a length",
             )
 
 
@@ -280,16 +325,23 @@ def _check(rig: str, numbers: Mapping[str, Number]) -> None:
         if number.unit != wanted[name].unit:
             raise RigError(f"{where} is in '{number.unit}'", f"give it in '{wanted[name].unit}'")
         if not math.isfinite(number.value):
-            raise RigError(f"{where} = {number.value} is not finite", "correct it")
+            raise RigError(f"{where} = {number.value} is not finite", "give a finite number")
         if not (math.isfinite(number.tolerance) and number.tolerance >= 0.0):
             raise RigError(
-                f"{where}: tolerance {number.tolerance} must be finite and not negative", "correct it"
+                f"{where}: tolerance {number.tolerance} must be finite and not negative", "give 0 or more"
             )
         if number.value < 0.0 and name not in _MAY_BE_NEGATIVE:
-            raise RigError(f"{where} = {number.value} must not be negative", "correct it")
+            raise RigError(f"{where} = {number.value} must not be negative", "give 0 or more")
         if number.value == 0.0 and name not in _MAY_BE_ZERO | _MAY_BE_NEGATIVE:
-            raise RigError(f"{where} must not be 0", "correct it")
+            raise RigError(f"{where} must not be 0", "give another number")
+        if name in ENCODER_DIRECTIONS and number.value not in (1.0, -1.0, 0.0):
+            raise RigError(f"{where} = {number.value:g} is not a direction", "give 1, -1, or 0 for unknown")
+        if name in ENCODER_DIRECTIONS and number.tolerance:
+            raise RigError(f"{where} has the tolerance {number.tolerance:g}", "a direction is exact; give 0")
     if numbers["elevation_min"].value >= numbers["elevation_max"].value:
         raise RigError(f"rig '{rig}': elevation_min must be below elevation_max", "correct one of them")
     if numbers["driver_dead_band"].value >= 0.5:
-        raise RigError(f"rig '{rig}': driver_dead_band must be below 0.5, or no duty passes", "correct it")
+        raise RigError(
+            f"rig '{rig}': driver_dead_band is not below 0.5, so that no duty has an effect",
+            "give 0 or more, and less than 0.5",
+        )

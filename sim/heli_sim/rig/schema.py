@@ -42,8 +42,27 @@ RIG_QUANTITIES: Final[tuple[Quantity, ...]] = (
     Quantity("table_damping", "1/s", "rate at which pitch and travel motion dies while resting on the table"),
     Quantity("supply", "V", "supply of the motor drivers"),
     Quantity("driver_dead_band", "1", "part of the duty that the drivers swallow near 0 and near full"),
-    Quantity("encoder_counts", "count", "counts of each encoder for one revolution, x4"),
-    Quantity("encoder_travel_ratio", "1", "counts of the travel's encoder for each of the other two"),
+    Quantity("encoder_counts_elevation", "count", "counts of the elevation's encoder for one revolution, x4"),
+    Quantity("encoder_counts_pitch", "count", "counts of the pitch's encoder for one revolution, x4"),
+    Quantity("encoder_counts_travel", "count", "counts of the travel's encoder for one revolution, x4"),
+    Quantity(
+        "encoder_direction_elevation", "1", "1: this encoder counts up with elevation, -1: down, 0: not known"
+    ),
+    Quantity("encoder_direction_pitch", "1", "1: this encoder counts up with pitch, -1: down, 0: not known"),
+    Quantity(
+        "encoder_direction_travel", "1", "1: this encoder counts up with travel, -1: down, 0: not known"
+    ),
+)
+ENCODER_COUNTS: Final = ("encoder_counts_elevation", "encoder_counts_pitch", "encoder_counts_travel")
+ENCODER_DIRECTIONS: Final = (
+    *("encoder_direction_elevation", "encoder_direction_pitch", "encoder_direction_travel"),
+)
+COMMON_COUNTS: Final = Quantity(
+    "encoder_counts", "count", "counts of each encoder that has no entry of its own, for one revolution, x4"
+)
+"""Short form of `ENCODER_COUNTS`, which older rig files use too: `load_rig` writes it out per encoder."""
+TRAVEL_RATIO: Final = Quantity(
+    "encoder_travel_ratio", "1", "older rig files only: counts of the travel's encoder over encoder_counts"
 )
 
 
@@ -73,5 +92,5 @@ UNSTATED: Final[Mapping[str, Unstated]] = {
     "torque_travel": Unstated(0.0, 0.1, "not stated: cables pull by no more than 10 g at 1 m"),
     "offset_elevation": Unstated(0.0, 0.1, "not stated: encoders are zeroed to a count of 0.09 deg"),
     "offset_pitch": Unstated(0.0, 0.1, "not stated: encoders are zeroed to a count of 0.09 deg"),
-    "encoder_travel_ratio": Unstated(1.0, 0.0, "not stated: three encoders alike"),
+    **dict.fromkeys(ENCODER_DIRECTIONS, Unstated(0.0, 0.0, "not stated: it depends on the wiring")),
 }

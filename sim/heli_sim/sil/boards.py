@@ -11,7 +11,7 @@ from heli_sim.errors import SimError
 from heli_sim.sil.options import AUTO, DUE, NATIVE, SilOptions
 
 if TYPE_CHECKING:
-    from heli_sim.due._due import DueBoard
+    from heli_sim.due._due_board import DueBoard
 
 # The two pages of the parameters, as in firmware/due/flash.hpp. A flash file has them first, and is as long
 # as the native board's flash, so that the two boards can take each other's.
@@ -88,7 +88,7 @@ class NativeBoard:
     """
 
     stops: tuple[type[Exception], ...] = ()
-    """What the board may raise while time passes."""
+    """Exceptions that the board may raise while time passes."""
 
     def __init__(self, flash_file: str, boot_seed: int = 1) -> None:
         self.sim = _native.NativeBoard(flash_file, boot_seed=boot_seed)
@@ -127,13 +127,13 @@ class EmulatedDue:
     """
 
     def __init__(self, elf: str, flash_file: str, boot_seed: int = 1) -> None:
-        from heli_sim.due._due import Stop
-        from heli_sim.due.firmware import new_board
-        from heli_sim.due.image import read_image
+        from due_emulator import Stop
+
+        from heli_sim.due.firmware import new_board, read_firmware
 
         self.stops: tuple[type[Exception], ...] = (Stop,)
         """What the board may raise while time passes."""
-        self.sim: DueBoard = new_board(read_image(elf))
+        self.sim: DueBoard = new_board(read_firmware(elf))
         self.sim.due.seed_random(boot_seed)
         self._file = Path(flash_file) if flash_file else None
         if self._file is not None and self._file.exists():
@@ -141,7 +141,7 @@ class EmulatedDue:
             if len(kept) != _FILE_BYTES:
                 raise SimError(
                     f"the flash file {self._file} is not {_FILE_BYTES} bytes long",
-                    "delete it, it is made again",
+                    "delete it; the simulated board creates it again",
                 )
             self.sim.due.load(_PAGES_AT, kept[:_PAGES_BYTES])
         self._writes = self.sim.due.flash_writes

@@ -48,7 +48,7 @@ class Interval:
         return after > first
 
     def _refused(self, remedy: str) -> OptionError:
-        return OptionError(f"'{self.start_s}:{self.duration_s}' is no stretch of time", remedy)
+        return OptionError(f"'{self.start_s}:{self.duration_s}' is not an interval of time", remedy)
 
     def edges(self) -> tuple[int, int]:
         """First tick of the stretch, and first tick after it, ms since the simulation started."""

@@ -85,9 +85,9 @@ class SilOptions:
 
     def __post_init__(self) -> None:
         if self.board not in BOARDS:
-            raise OptionError(f"unknown board={self.board}", f"boards are: {', '.join(BOARDS)}")
+            raise OptionError(f"unknown board={self.board}", f"choose from {', '.join(BOARDS)}")
         if self.elf and self.board == NATIVE:
-            raise OptionError("an ELF runs on board=due only", "give that, or leave elf out")
+            raise OptionError("an ELF runs on board=due only", "add board=due, or leave elf out")
         if self.seed < 0:
             raise OptionError(f"seed={self.seed} must not be negative", "give 0 or more")
         if self.speed is not None and not (math.isfinite(self.speed) and self.speed > 0.0):
@@ -136,7 +136,7 @@ def parse_options(values: dict[str, str]) -> SilOptions:
     """
     unknown = sorted(set(values) - set(_KEYS))
     if unknown:
-        raise OptionError(f"unknown option {', '.join(unknown)}", f"options are: {', '.join(_KEYS)}")
+        raise OptionError(f"unknown option {', '.join(unknown)}", f"choose from {', '.join(_KEYS)}")
     speed = values.get("speed", "max")
     return SilOptions(
         rig=values.get("rig", "makki2024"),

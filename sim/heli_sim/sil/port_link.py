@@ -127,5 +127,5 @@ class PortLink:
 
     def _not_made(self, error: OSError) -> EndpointError:
         return EndpointError(
-            f"cannot make the port {self.path}: {error.strerror}", "choose a folder that can be written"
+            f"cannot make the port {self.path}: {error.strerror}", "choose a folder that you can write"
         )

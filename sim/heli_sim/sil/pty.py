@@ -120,7 +120,8 @@ class PtyEndpoint(Endpoint):
             self._master, slave = os.openpty()
         except OSError as error:
             raise EndpointError(
-                f"cannot create a pseudo-terminal: {error.strerror}", "close other programs"
+                f"cannot create a pseudo-terminal: {error.strerror}",
+                "close programs that use pseudo-terminals",
             ) from None
         self.terminal = os.ttyname(slave)
         """Name of the terminal itself, such as ``/dev/pts/3``."""

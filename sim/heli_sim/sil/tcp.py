@@ -23,7 +23,7 @@ _SEND_BUFFER: Final = 16384
 SILENT_S: Final = 3.0
 """A host that has sent nothing for so long gives way to one that waits; a session sends every 0.2 s."""
 PATIENCE_S: Final = 1.0
-"""How long the next host waits before it is told who holds the board."""
+"""How long the next host waits before it is informed who holds the board."""
 
 
 class TcpEndpoint(Endpoint):
@@ -48,7 +48,7 @@ class TcpEndpoint(Endpoint):
     """
 
     scheme = "socket"
-    """Of the addresses that pyserial knows."""
+    """Scheme of the addresses, as pyserial knows it."""
 
     def __init__(
         self, host: str = "127.0.0.1", port: int = 0, now_s: Callable[[], float] = time.monotonic

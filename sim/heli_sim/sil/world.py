@@ -14,6 +14,7 @@ from heli_sim.due.errors import BoardStopped
 from heli_sim.plant import Plant
 from heli_sim.rig import Rig
 from heli_sim.rig.board import in_simulation, parameters_of
+from heli_sim.rig.encoders import count_rad, directions
 from heli_sim.sil.arm_support import support_arm
 from heli_sim.sil.boards import make_board, resolved
 from heli_sim.sil.faults import FaultyStream
@@ -67,13 +68,8 @@ class SilWorld:
         self.plant = plant if plant is not None else plant_of(options)
         self.rig: Rig = self.plant.rig
         random = np.random.default_rng(options.seed)
-        per_rad = self.rig["encoder_counts"].value / (2.0 * np.pi)
-        scales = options.rig_faults.encoder_scales
-        counts_per_rad = [
-            per_rad * scales[0],
-            per_rad * scales[1],
-            per_rad * scales[2] * self.rig["encoder_travel_ratio"].value,
-        ]
+        scales = np.array(options.rig_faults.encoder_scales)
+        counts_per_rad = directions(self.rig) * scales / count_rad(self.rig)
         self.board = make_board(options, options.seed if boot_seed is None else boot_seed)
         """The board; its ``sim`` is what the world drives."""
         self.rig_source = options.rig if plant is None else self.rig.name
@@ -90,7 +86,7 @@ class SilWorld:
             self.plant.parameters.tolist(),
             supply_V=self.rig["supply"].value,
             dead_band=self.rig["driver_dead_band"].value,
-            counts_per_rad=counts_per_rad,
+            counts_per_rad=counts_per_rad.tolist(),
             offset_count=random.uniform(-_OFFSET_COUNTS, _OFFSET_COUNTS, 3).tolist(),
             board=self.board.sim,
         )
@@ -204,6 +200,8 @@ class SilWorld:
         try:
             passed = self.native.advance(ticks, write, until_output, least)
         except self.board.stops as error:
-            raise BoardStopped(f"the emulated Due stopped: {error}", "correct the firmware") from error
+            raise BoardStopped(
+                f"the emulated Due stopped: {error}", "correct the firmware; see docs/how-to/gdb.md"
+            ) from error
         self.board.keep_flash()
         return passed

@@ -14,6 +14,9 @@ from heli_host.cli.verb import Verb
 from heli_sim.formatting import found_of, half_width, plain, signed, with_tolerance
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from heli_host.rig_check import RigDifference
     from rich.console import Console
 
     from heli_sim.rig import Number, Rig
@@ -30,6 +33,12 @@ app = typer.Typer(
 )
 
 RigArgument = Annotated[str, typer.Argument(metavar="NAME|FILE", help="Use this rig: a name or a TOML file.")]
+
+
+BoardParametersOption = Annotated[
+    Path | None,
+    typer.Option("--params", metavar="FILE", help="Read a board's parameters from this file of params dump."),
+]
 
 
 @app.command("list")
@@ -110,12 +119,15 @@ def check(
     rigs: Annotated[
         list[str], typer.Argument(metavar="NAME|FILE...", help="Check these rigs: names or TOML files.")
     ],
+    params: BoardParametersOption = None,
     json: JsonOption = None,
 ) -> None:
     """Check that rig files are complete and plausible, and that each rig can fly.
 
-    Prints inertias and the hover voltage, and warns of implausible parameters. The exit code is 1 if a rig
-    cannot fly on its supply. It is 2 if a rig file is wrong.
+    Prints inertias and the hover voltage, and warns of implausible parameters. With --params it
+    compares counts and direction of each encoder, rest angle, supply and limits with a board. The exit code
+    is 1 if a rig cannot fly on its supply, or the board contradicts its encoders. It is 2 if a rig file is
+    wrong.
 
     Example: `heli-host rig check my-rig.toml`
     """
@@ -124,9 +136,10 @@ def check(
     from heli_sim.rig import load_rig
 
     data_on_stdout(json)
+    board = _board_parameters(params)
     refused: list[RigError | EffectError] = []
     told: list[dict[str, Any]] = []
-    grounded = 0
+    grounded = contradicted = 0
     for name in rigs:
         try:
             rig = load_rig(name)
@@ -139,15 +152,111 @@ def check(
             continue
         found = found_of(rig)
         grounded += not found.can_fly
-        told.append({"rig": name, "can_be": True, "can_fly": found.can_fly, "found": list(found.words)})
+        entry = {"rig": name, "can_be": True, "can_fly": found.can_fly, "found": list(found.words)}
         say(f"{name}: {'; '.join(found.words)}")
+        if board is not None:
+            differences, undirected = _compared_with_board(name, board)
+            contradicted += any(difference.is_refused for difference in differences)
+            entry["board"] = [asdict(one) | {"part": one.part.value} for one in differences]
+            texts = [str(difference) for difference in differences] or ["the board's parameters fit"]
+            say(*(f"{name}: {text}" for text in texts))
+            if undirected:
+                say(f"{name}: states no encoder direction of {', '.join(undirected)}: signs not compared")
+        told.append(entry)
     write_result(json, {"rigs": told})
     if len(rigs) > 1 and refused:
         raise RigError(f"{len(refused)} of {len(rigs)} rig files are wrong, see above", "correct them")
     if refused:
         raise refused[0]
-    if grounded:
+    if grounded or contradicted:
         raise typer.Exit(1)
+
+
+def _board_parameters(params: Path | None) -> dict[str, float] | None:
+    """Parameters of a board in a file; None without a file."""
+    from heli_host.parameter_file import read_parameter_set
+
+    return None if params is None else read_parameter_set(params).values
+
+
+def _compared_with_board(rig: str, board: Mapping[str, float]) -> tuple[list[RigDifference], list[str]]:
+    """Differences of a board from a rig, and axes whose encoder's direction the rig does not state."""
+    from heli_host.declaration import AXES
+    from heli_host.rig_check import rig_differences, rig_parameters
+
+    stated = rig_parameters(rig)
+    differences = rig_differences(stated.values, board, simulated=False, directed=stated.directed)
+    return differences, [axis for axis in AXES if f"{axis}_counts_per_rev" not in stated.directed]
+
+
+@app.command("from-board")
+def from_board(
+    params: Annotated[
+        Path,
+        typer.Argument(metavar="PARAMS", help="Read a board's parameters from this file of params dump."),
+    ],
+    out: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Write the rig to this TOML file, which names the rig.")
+    ],
+    like: Annotated[
+        str, typer.Option("--like", metavar="NAME|FILE", help="Copy every other parameter from this rig.")
+    ] = "makki2024",
+) -> None:
+    """Convert a board's parameters into a rig file.
+
+    Takes counts and direction of each encoder, rest angle, supply and dead zone from the board, and all other
+    parameters from another rig. It never replaces a rig file.
+
+    Example: `heli-host rig from-board board.toml mine.toml`
+    """
+    from heli_host.cli.outputs import check_place
+    from heli_host.parameter_file import read_parameter_set
+
+    from heli_sim.errors import RigError
+    from heli_sim.rig import load_rig, write_rig
+    from heli_sim.rig.board import rig_of_board
+
+    base = load_rig(like)
+    check_place(out)
+    if out.exists():
+        raise RigError(f"{out} exists already", "give another name, because no rig is overwritten")
+    rig = rig_of_board(read_parameter_set(params).values, base, out.stem)
+    write_rig(rig, out, f"Written by heli-host rig from-board from {params.name}: the rest as {base.name}.")
+    changed = [name for name in rig if rig[name].value != base[name].value]
+    say(f"differs from {base.name} in: {', '.join(changed) or 'nothing'}")
+    say_files([out])
+
+
+@app.command("to-board")
+def to_board(
+    rig: RigArgument,
+    out: Annotated[Path, typer.Argument(metavar="FILE", help="Write the parameters to this TOML file.")],
+    params: BoardParametersOption = None,
+) -> None:
+    """Convert a rig file into parameters for a board.
+
+    These are counts per turn, rest angle, supply, dead zone and limits. An encoder whose direction the rig
+    file does not state keeps the sign that it has in --params, and is left out without --params. Limits are
+    only lowered. An existing file is replaced.
+
+    Example: `heli-host rig to-board mine.toml board.toml`
+    """
+    from heli_host.cli.outputs import check_place
+    from heli_host.parameter_file import parameters_text
+
+    from heli_sim.rig import load_rig
+    from heli_sim.rig.board import board_settings
+
+    loaded = load_rig(rig)
+    board = _board_parameters(params)
+    check_place(out)
+    settings = board_settings(loaded, board)
+    out.write_text(
+        parameters_text(settings, f"heli-host rig to-board: parameters of rig {loaded.name}"),
+        encoding="utf-8",
+    )
+    say(f"{len(settings)} parameters; to set them on a board: heli-host params restore {out} --port PORT")
+    say_files([out])
 
 
 @app.command("diff")
@@ -249,7 +358,7 @@ def new(
     text = description or f"described by its builder, what is not stated as {base.name}"
     rig = described(out.stem, text, base, given)
     if not force and (beyond := beyond_a_table({name: rig[name].value for name in rig})):
-        raise RigError(beyond[0], "correct it, or write it with --force")
+        raise RigError(beyond[0], "correct the number, or write it with --force")
     write_rig(
         rig, out, f"Written by heli-host rig new: {len(given)} numbers stated, the rest as {base.name}."
     )

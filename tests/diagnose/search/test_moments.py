@@ -81,7 +81,7 @@ def test_effects_come_back_if_held_out_flights_contradict_a_spline() -> None:
         Round(bases[2], (), (), refits, spline.id),
     ]
     comparison = cast(ModelComparison, SimpleNamespace(refit=refit))
-    acceptance = cast(Acceptance, SimpleNamespace(accepts=lambda candidate: candidate is listed))
+    acceptance = cast(Acceptance, SimpleNamespace(accepts=lambda candidate: candidate is listed, kinds=KINDS))
     backward = BackwardElimination(comparison, acceptance, cast(Progress, None), bases[0], rounds)
     final, less = hypothesis([first, spline]), hypothesis([first])
     found = backward.restore_displaced(final, spline.id, less)

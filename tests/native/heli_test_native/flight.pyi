@@ -1,5 +1,6 @@
 from collections.abc import Callable, Sequence
 
+def fault_before_arming(link_age_ticks: int) -> tuple[int, float]: ...
 def next_state(state: int, trigger: int) -> int | None: ...
 
 class Shaper:

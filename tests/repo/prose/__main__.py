@@ -2,6 +2,7 @@
 
     python -m tests.repo.prose               all findings; exits with 1 if there is one
     python -m tests.repo.prose --count       findings per file and rule, and the share of long sentences
+    python -m tests.repo.prose --words       words per page of docs/, in sentences and in tables and headings
     python -m tests.repo.prose FILE...       findings of these files, exceptions included
 
 The rules are in words.toml, the exceptions with their reasons in exceptions.toml.
@@ -16,11 +17,15 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from tests.repo.prose.rules import Finding, Rules, is_long, unexplained
+from tests.repo.prose.rules import Finding, Rules, is_long, unexplained, words_in
 from tests.repo.prose.texts import sentences_of, sources, texts_of
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[2]
+GLOSSARY = ROOT / "docs/reference/glossary.md"
+WRITTEN_BY_PROGRAMS = ("docs/reference/link.md", "docs/reference/faults.md", "docs/reference/parameters.md")
+# READMEs of folders, which the site leaves out.
+NOT_PAGES = ("docs/figures/README.md", "docs/laws/README.md", "docs/matlab/README.md")
 
 
 def allowances() -> Counter[tuple[str, str]]:
@@ -46,7 +51,7 @@ def findings(files: Sequence[Path], rules: Rules, root: Path = ROOT) -> Iterator
         texts = list(texts_of(file, root))
         for text in texts:
             yield from rules.findings(text)
-        if file.suffix == ".md" and file.is_relative_to(root / "docs"):
+        if file.suffix == ".md" and file.is_relative_to(root / "docs") and file != GLOSSARY:
             yield from unexplained(texts, rules.abbreviations)
 
 
@@ -60,6 +65,35 @@ def long_share(files: Sequence[Path], rules: Rules, root: Path = ROOT) -> tuple[
                     total += 1
                     long += is_long(sentence, rules.long_sentence_words)
     return long, total
+
+
+def page_words(page: Path, root: Path = ROOT) -> tuple[int, int]:
+    """Count words in sentences, and in headings and tables; code in backticks is one, a fence none."""
+    in_sentences = elsewhere = 0
+    for text in texts_of(page, root):
+        if text.is_prose:
+            in_sentences += words_in(text.content)
+        else:
+            elsewhere += words_in(text.content)
+    return in_sentences, elsewhere
+
+
+def report_words(root: Path = ROOT) -> None:
+    """Print the words of each page that no program writes, and the sums outside and inside of reference/."""
+    reference, others = "docs/reference/", "docs/, without reference/"
+    totals = {others: [0, 0], reference: [0, 0]}
+    print("sentences  tables  page")
+    for page in sorted((root / "docs").rglob("*.md")):
+        name = page.relative_to(root).as_posix()
+        if name in WRITTEN_BY_PROGRAMS or name in NOT_PAGES:
+            continue
+        in_sentences, elsewhere = page_words(page, root)
+        print(f"{in_sentences:9}  {elsewhere:6}  {name}")
+        total = totals[reference if name.startswith(reference) else others]
+        total[0] += in_sentences
+        total[1] += elsewhere
+    for what, (in_sentences, elsewhere) in totals.items():
+        print(f"{in_sentences:9}  {elsewhere:6}  all of {what}")
 
 
 def report_counts(found: Sequence[Finding]) -> None:
@@ -90,8 +124,12 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("files", nargs="*", type=Path)
     parser.add_argument("--count", action="store_true")
+    parser.add_argument("--words", action="store_true")
     chosen = parser.parse_args(arguments)
-    rules = Rules.read(HERE / "words.toml")
+    if chosen.words:
+        report_words()
+        return 0
+    rules = Rules.read(HERE / "words.toml", GLOSSARY)
     files = [file.resolve() for file in chosen.files] or sources(ROOT)
     found = list(findings(files, rules))
     if chosen.count:

@@ -53,7 +53,7 @@ def _shortened(text: str) -> str:
 
 @dataclass(frozen=True)
 class Rules:
-    """What is looked for; `read` takes it from words.toml."""
+    """What is looked for; `read` takes it from words.toml and the glossary."""
 
     words: tuple[tuple[re.Pattern[str], str, frozenset[str]], ...]
     abbreviations: dict[str, str]
@@ -64,8 +64,8 @@ class Rules:
     numbers: int
 
     @classmethod
-    def read(cls, path: Path) -> Rules:
-        """Read the vocabulary and the limits."""
+    def read(cls, path: Path, glossary: Path) -> Rules:
+        """Read the vocabulary and the limits, and the abbreviations of the glossary."""
         table = tomllib.loads(path.read_text())
         kinds = ["document", "docstring", "message", "help"]
         words = tuple(
@@ -76,11 +76,14 @@ class Rules:
             )
             for row in table["words"]
         )
-        return cls(words, table["abbreviations"], **table["limits"])
+        return cls(words, abbreviations(glossary.read_text()), **table["limits"])
 
     def findings(self, text: Text) -> Iterator[Finding]:
         """Yield all findings of one paragraph, heading, cell or message."""
         yield from self._words(text)
+        if not text.has_remedy:
+            message = f"say what is wrong; and what to do: {_shortened(text.content)}"
+            yield Finding(text.file, text.line, "remedy", message)
         sentences = sentences_of(text)
         for sentence in sentences:
             yield from self._sentence(text, sentence)
@@ -104,20 +107,29 @@ class Rules:
             yield Finding(text.file, text.line, "numbers", f"{numbers_in(sentence)} numbers: {short}")
 
 
-def unexplained(texts: list[Text], abbreviations: dict[str, str]) -> Iterator[Finding]:
+def abbreviations(glossary: str) -> dict[str, str]:
+    """Return the meaning of each abbreviation in the glossary's table of them."""
+    table = glossary.partition("\n## Abbreviations\n")[2].partition("\n## ")[0]
+    meanings: dict[str, str] = {}
+    for row in re.findall(r"^\| ([A-Z][\w, ]+) \| (.+) \|$", table, re.MULTILINE):
+        meanings.update(zip(row[0].split(", "), row[1].split(", "), strict=True))
+    return meanings
+
+
+def unexplained(texts: list[Text], meanings: dict[str, str]) -> Iterator[Finding]:
     """Yield the abbreviations that a page uses before it has expanded them.
 
     Parameters
     ----------
     texts : list of Text
         Of one page, in its order.
-    abbreviations : dict of str
-        What each stands for; a part of it in the page's text, before or next to the first use, expands it.
+    meanings : dict of str
+        What each stands for; this in the page's text, before or next to the first use, expands it.
     """
-    for short, meaning in abbreviations.items():
+    for short, meaning in meanings.items():
         for position, text in enumerate(texts):
             if re.search(rf"\b{short}s?\b", text.content):
-                so_far = " ".join(earlier.content for earlier in texts[: position + 1]).lower()
+                so_far = " ".join(earlier.content for earlier in texts[: position + 2]).lower()
                 if meaning.lower() not in so_far:
                     yield Finding(text.file, text.line, "abbreviation", f"{short} is not expanded: {meaning}")
                 break

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import ast
+import inspect
 import itertools
 import re
 import subprocess
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from markdown_it import MarkdownIt
@@ -17,7 +19,15 @@ from markdown_it.token import Token
 MARKDOWN = MarkdownIt("commonmark").enable("table")
 CODE = "`x`"
 """Stands for code in backticks: one word of a sentence, and no word to look at."""
-SOURCES = ("host/heli_host/*.py", "sim/heli_sim/*.py", "sim/heli_lab/*.py")
+SOURCES = (
+    "sim/due/due_emulator/*.py",
+    "host/heli_host/*.py",
+    "sim/heli_sim/*.py",
+    "sim/heli_lab/*.py",
+    "sim/heli_benchmark/*.py",
+)
+WITH_REMEDY = "fault_text("
+"""Call of the function that writes a fault with its remedy."""
 GENERATED = ("host/heli_host/declaration.py",)
 FIELD = re.compile(r"^\w[\w ]*\n-{3,}\n", re.MULTILINE)
 END = re.compile(
@@ -41,6 +51,8 @@ class Text:
         False for a heading, a cell of a table or a message: these have words, and no sentences to count.
     content : str
         Without markup; code is replaced by `CODE`.
+    has_remedy : bool
+        False for the message of an error for the user that does not say what to do.
     """
 
     file: str
@@ -48,6 +60,7 @@ class Text:
     kind: str
     is_prose: bool
     content: str
+    has_remedy: bool = True
 
 
 def sources(root: Path) -> list[Path]:
@@ -88,7 +101,7 @@ def texts_of(path: Path, root: Path) -> Iterator[Text]:
     elif name.startswith("docs/course/"):
         yield from _notebook(source, name)
     else:
-        yield from _python(source, name)
+        yield from _python(source, name, user_errors(root))
 
 
 def _plain(inline: Token) -> str:
@@ -148,23 +161,85 @@ def _is_public(name: str) -> bool:
     return not name.startswith("_")
 
 
-def _python(source: str, name: str) -> Iterator[Text]:
+@cache
+def user_errors(root: Path) -> frozenset[str]:
+    """Names of the errors whose arguments are what is wrong and what to do: the tree below `HeliError`.
+
+    A class that writes its message itself, and takes no remedy, is left out with all below it.
+    """
+    bases: dict[str, list[str]] = {}
+    fixed = set()
+    for pattern in ("host/heli_host/**/*.py", "sim/heli_*/**/*.py"):
+        for path in root.glob(pattern):
+            source = path.read_text()
+            for node in ast.walk(ast.parse(source)) if re.search(r"^class \w+\(", source, re.M) else ():
+                if isinstance(node, ast.ClassDef):
+                    bases[node.name] = [ast.unparse(base).rpartition(".")[2] for base in node.bases]
+                    if _takes_no_remedy(node):
+                        fixed.add(node.name)
+    tree = {"HeliError"}
+    while more := {name for name, of in bases.items() if tree & set(of)} - tree - fixed:
+        tree |= more
+    return frozenset(tree)
+
+
+def _takes_no_remedy(kind: ast.ClassDef) -> bool:
+    starts = [node for node in kind.body if isinstance(node, ast.FunctionDef) and node.name == "__init__"]
+    return any("remedy" not in {arg.arg for arg in start.args.args} for start in starts)
+
+
+def _error_text(call: ast.Call, errors: frozenset[str], name: str) -> Iterator[Text]:
+    """Message of an error for the user, and whether it says what to do."""
+    kind = ast.unparse(call.func).rpartition(".")[2]
+    if kind not in errors | {"BadParameter"}:
+        return
+    strings = list(_strings(call))
+    if kind == "BadParameter" and not strings:
+        return
+    cause, *others = [*call.args, *(keyword.value for keyword in call.keywords)] or [ast.Constant("")]
+    if isinstance(cause, ast.Starred) or (others and kind != "BadParameter"):
+        has_remedy = not (others and isinstance(others[0], ast.Constant) and not others[0].value)
+    else:
+        has_remedy = any(";" in text for text in strings) or WITH_REMEDY in ast.unparse(cause)
+    for text in strings or [CODE]:
+        yield Text(name, call.lineno, "message", False, text, has_remedy)
+        has_remedy = True
+
+
+def _python(source: str, name: str, errors: frozenset[str]) -> Iterator[Text]:
     tree = ast.parse(source)
     is_verb = "/verbs/" in name
     documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
     for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef):
+            for line, constant_doc in _attribute_docstrings(node):
+                yield from _docstring(constant_doc, name, line, "docstring")
         if isinstance(node, documented):
             public = isinstance(node, ast.Module) or _is_public(node.name)
             doc = ast.get_docstring(node) if public else None
             if doc:
                 line = 1 if isinstance(node, ast.Module) else node.lineno
                 yield from _docstring(doc, name, line, "help" if is_verb else "docstring")
+        elif isinstance(node, ast.Call) and (texts := list(_error_text(node, errors, name))):
+            yield from texts
         elif isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
+            if list(_error_text(node.exc, errors, name)):
+                continue
             for text in _strings(node.exc):
                 yield Text(name, node.lineno, "message", False, text)
         elif isinstance(node, ast.keyword) and node.arg == "help":
             for text in _strings(node.value):
                 yield Text(name, node.value.lineno, "help", False, text)
+
+
+def _attribute_docstrings(node: ast.Module | ast.ClassDef) -> Iterator[tuple[int, str]]:
+    """Strings below the public constants of a module, such as thresholds, and attributes of a class."""
+    for named, said in itertools.pairwise(node.body):
+        target = named.targets[0] if isinstance(named, ast.Assign) else getattr(named, "target", None)
+        if not (isinstance(target, ast.Name) and _is_public(target.id)):
+            continue
+        if isinstance(said, ast.Expr) and isinstance(said.value, ast.Constant):
+            yield said.lineno, inspect.cleandoc(str(said.value.value))
 
 
 def _docstring(doc: str, name: str, line: int, kind: str) -> Iterator[Text]:

@@ -55,7 +55,7 @@ def doctor(json: JsonOption = None) -> None:
             console.print(f"    {escape(printable(finding.remedy))}")
         bad_count += finding.verdict is Verdict.BAD
     if bad_count:
-        console.print(f"{bad_count} thing{'s' if bad_count > 1 else ''} to mend, see ✗ above")
+        console.print(f"{bad_count} problem{'s' if bad_count > 1 else ''} to fix, see ✗ above")
         raise typer.Exit(1)
     console.print("ready to fly")
 
@@ -114,7 +114,7 @@ def check_boards(ports: list[PortInfo]) -> Iterator[Finding]:
         if is_due_native(port):
             yield Finding(
                 Verdict.BAD,
-                f"board: a Due on {port.device}, but by its native port",
+                f"board: the Due on {port.device} is plugged in by its native port",
                 "move the cable to the programming port, next to the power jack",
             )
     if not boards:
@@ -131,7 +131,7 @@ def check_permissions(ports: list[PortInfo]) -> Iterator[Finding]:
         group = _group_of(port.device)
         yield Finding(
             Verdict.BAD if is_due(port) else Verdict.NOTE,
-            f"no permission for {port.device}",
+            f"you have no permission to open {port.device}",
             f"run: sudo usermod -aG {group} $USER, then log out and in again",
         )
 

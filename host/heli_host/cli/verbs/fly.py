@@ -10,7 +10,6 @@ from heli_host.cli import simulated
 from heli_host.cli.flight_command import FlightOptions, fly_plans
 from heli_host.cli.gains import GainsOption, ParamsFileOption
 from heli_host.cli.options import ClearFaultOption, FigureOption, JsonOption, LogOption, PortOption
-from heli_host.cli.say import STDOUT, write_result
 from heli_host.cli.twin_options import OnAlarmOption, TwinOption
 from heli_host.cli.verb import Verb
 
@@ -75,8 +74,7 @@ def fly(
     )
     flown = fly_plans(options, [load_plan(plan) for plan in plans], plan_names=plans)
     flown.report()
-    if str(json) == STDOUT:
-        write_result(json, flown.summary.as_dict())
+    flown.write()
     flown.end()
 
 

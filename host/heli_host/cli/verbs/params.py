@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from heli_host.cli.options import JsonOption, PortOption
-from heli_host.cli.say import data_on_stdout, say, write_result
+from heli_host.cli.say import data_on_stdout, say, say_dropped, write_result
 from heli_host.cli.simulated import MAX_SPEED, SilOption, sil_address
 from heli_host.cli.verb import Verb
 
@@ -217,8 +217,7 @@ def restore(
     given = read_parameter_set(file)
     values = given.values
     data_on_stdout(json)
-    for reason in given.dropped:
-        say(f"dropped: {reason}")
+    say_dropped(given.dropped)
     with _board(port, sil) as heli:
         for name in given.new:
             say(f"not in {file}: {name} stays {heli.params[name]:g}")

@@ -64,7 +64,9 @@ def setpoint(
     given = {"elevation": elevation_deg, "pitch": pitch_deg, "travel": travel_deg}
     targets_deg = {axis: value for axis, value in given.items() if value is not None}
     if not targets_deg:
-        raise typer.BadParameter("give at least one of --elevation-deg, --travel-deg and --pitch-deg")
+        raise typer.BadParameter(
+            "no setpoint is given; give at least one of --elevation-deg, --travel-deg and --pitch-deg"
+        )
     if "pitch" in targets_deg and "travel" in targets_deg:
         raise typer.BadParameter(
             "--travel-deg and --pitch-deg exclude each other, because pitch controls travel; give one of them"

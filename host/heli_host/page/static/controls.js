@@ -222,7 +222,7 @@ export class Controls {
     const others = control.clients - 1, audience = others > 0 ? ` ${others} other${others > 1 ? "s" : ""} watch.` : "";
     if (!this.flies) {
       const asked = control.asking === this.hello.you;
-      box.replaceChildren(`You watch; ${control.pilot_name || "nobody"} flies${control.present ? "" : ", but does not answer"}. Stop works from here too.`,
+      box.replaceChildren(`You watch; ${control.pilot_name || "no page"} flies${control.present ? "" : ", but does not answer"}. Stop works from here too.`,
         element("div", { className: "row" }, asked ? "You have asked; the pilot answers." : button("Ask for control", "ask")));
     } else if (control.asking) {
       box.replaceChildren(element("strong", {}, `${control.asking_name} asks for control.`),

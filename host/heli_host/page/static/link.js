@@ -96,6 +96,6 @@ export class Stop {
     if (this.socket.readyState === WebSocket.OPEN) return this.socket.send("stop");
     fetch(`/stop?${new URLSearchParams({ token })}`, { method: "POST", keepalive: true })
       .then(async (answer) => this.onAnswer((await answer.text()).trim()))
-      .catch(() => this.onAnswer("error: nobody answers; use the rig's own stop switch"));
+      .catch(() => this.onAnswer("error: the server does not answer; use the rig's own stop switch"));
   }
 }

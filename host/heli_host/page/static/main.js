@@ -35,7 +35,7 @@ const stop = new Stop((answer) => say(answer === "stopped" ? "stop: sent to the 
 const link = new Link({
   onOpen: (cameMs) => { statusMs = cameMs; },
   onClosed: () => {
-    if (!lost) alarm(KINDS[name()] ? "Nobody answers: the board gets no setpoints from this page, and lands by itself. Trying again …" : "Nobody answers. Trying again …");
+    if (!lost) alarm(KINDS[name()] ? "The server does not answer. The board gets no setpoints from this page, and lands by itself. Reconnecting …" : "The server does not answer. Reconnecting …");
     [lost, stale, frameState] = [true, true, null];
   },
   onBeat: (nowMs) => {
@@ -67,10 +67,10 @@ function surelyOff() {
 
 function showStale() {
   stale = true;
-  alarm("The server sends no status any more. Space and Esc stop the motors, even in a text field.");
+  alarm("The server no longer sends its status. Space and Esc stop the motors, even in a text field.");
   put("state", name().replace("_", " ") || "unknown");
   $("state").dataset.kind = "bad";
-  put("words", name() ? "This is the state in the newest samples." : "No samples come either.");
+  put("words", name() ? "The state shown is that of the newest samples." : "No samples arrive either.");
   if (status && name()) controls.show({ ...status, state: frameState });
 }
 

@@ -10,7 +10,14 @@ from functools import cached_property
 from heli_sim.model.effects import EffectSpec
 
 from heli_lab.diagnose.discover.equation import Equation
-from heli_lab.diagnose.search import Candidate, Hypothesis, ModelComparison, Screening, typical_candidate
+from heli_lab.diagnose.search import (
+    Candidate,
+    Hypothesis,
+    ModelComparison,
+    Screening,
+    may_join,
+    typical_candidate,
+)
 from heli_lab.diagnose.thresholds import (
     AMBIGUOUS,
     CANDIDATES_TRIED,
@@ -64,11 +71,7 @@ class ListedEffects:
         margin = warm_start.log_likelihood - penalty + self.held_out(warm_start)
         enough = margin - max(AMBIGUOUS, SPLINE_MARGIN * (margin - self.base.log_likelihood))
         screening = Screening(replace(self.base.estimate, disturbances=warm_start.estimate.disturbances))
-        remaining = [
-            kind
-            for kind in self.kinds.values()
-            if kind.id not in self.base.ids and not kind.baseline and not kind.noise_inputs
-        ]
+        remaining = self.remaining
 
         def is_equivalent(listed: Candidate, start: Mapping[str, float]) -> tuple[bool, float]:
             made = self.refit(listed, start, warm_start)
@@ -97,6 +100,15 @@ class ListedEffects:
             gain = value + complexity_penalty - self.base.log_likelihood
             kept += gain >= EQUATION_MIN_REFIT_SHARE * scored.log_likelihood_gain
         return None
+
+    @property
+    def remaining(self) -> list[EffectSpec]:
+        """Effects that may be added to the base."""
+        return [
+            kind
+            for kind in self.kinds.values()
+            if not kind.baseline and not kind.noise_inputs and may_join(kind.id, self.base.ids, self.kinds)
+        ]
 
     def refit(self, listed: Candidate, start: Mapping[str, float], warm_start: Hypothesis) -> Hypothesis:
         """Estimate the base with one more effect, `listed`, from the values `start` and the disturbances of

@@ -13,6 +13,7 @@ from heli_lab.diagnose.evaluate.held_out import (
     evaluate_held_out,
     evaluate_hypothesis,
 )
+from heli_lab.diagnose.evaluate.kicks import Kicks
 from heli_lab.diagnose.evaluate.prediction import predict
 from heli_lab.diagnose.evaluate.prior_conflict import PriorConflict, prior_conflicts, tried_without
 from heli_lab.diagnose.evaluate.regions import FailingRegions, RegionTest, failing_regions
@@ -30,6 +31,7 @@ __all__ = [
     "FreeRun",
     "HeldOutEvaluation",
     "HypothesisEvaluation",
+    "Kicks",
     "NamedCause",
     "PriorConflict",
     "RegionTest",

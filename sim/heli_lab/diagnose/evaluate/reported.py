@@ -6,7 +6,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
 from heli_sim.model.effects import EffectSpec
+from heli_sim.model.effects.spec import format_estimate
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.thresholds import MIN_STD_COUNTS, MIN_STD_SHARE, TIME_STD_FACTOR
@@ -47,6 +49,70 @@ def cause_parameters(fit: Fit, kind: EffectSpec, start: Mapping[str, float]) -> 
         q.name: CauseParameter(fit.values.get(q.name, start[q.name]), std.get(q.name, 0.0), q.unit)
         for q in kind.parameters
     }
+
+
+@dataclass(frozen=True)
+class FamilyNumber:
+    """The number that a cause shares with the effects that may replace it, such as the lag of the rotors.
+
+    Parameters
+    ----------
+    name : str
+        Name of the family.
+    value, std : float
+        Estimate and standard error, in `unit`.
+    unit : str
+        SI unit.
+    sentence : str
+        The number in words.
+    unclear : str
+        Statement that flights do not distinguish its members.
+    members : tuple of str
+        Ids of the family's effects.
+    """
+
+    name: str
+    value: float
+    std: float
+    unit: str
+    sentence: str
+    unclear: str
+    members: tuple[str, ...]
+
+
+def family_number(
+    fit: Fit, kind: EffectSpec, kinds: Mapping[str, EffectSpec], parameters: Mapping[str, CauseParameter]
+) -> FamilyNumber | None:
+    """Compute the number of an effect's family, with the covariance of its parts; None without a family.
+
+    Parameters
+    ----------
+    fit : Fit
+        The model with the effect.
+    kind : EffectSpec
+        The effect's entry in the catalogue `kinds`.
+    parameters : Mapping[str, CauseParameter]
+        What `cause_parameters` returns.
+    """
+    family = kind.family
+    if family is None:
+        return None
+    names = [kind.full(name) for name in kind.family_numbers]
+    places = [fit.problem.names.index(name) for name in names if name in fit.problem.names]
+    # Reported errors are at least as large as those of the fit; a time and a delay compensate each other.
+    variance = float(fit.covariance[np.ix_(places, places)].sum())
+    floor = sum(parameters[name].std ** 2 - fit.std.get(name, 0.0) ** 2 for name in names)
+    value, unit = sum(parameters[name].value for name in names), parameters[names[0]].unit
+    std = math.sqrt(max(variance + floor, 0.0))
+    return FamilyNumber(
+        family.name,
+        value,
+        std,
+        unit,
+        family.sentence.format(format_estimate(value, std, unit)),
+        family.unclear,
+        tuple(other.id for other in kinds.values() if other.family == family),
+    )
 
 
 def reported_std(fit: Fit, kind: EffectSpec) -> dict[str, float]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -18,6 +18,7 @@ from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose import thresholds
+from heli_lab.diagnose.evaluate.kicks import Kicks, kicks
 from heli_lab.diagnose.search import (
     Scored,
     Screening,
@@ -98,6 +99,8 @@ class ResidualAnalysis:
         Number of innovations of all axes.
     dependences : tuple of Dependence
         Significant regressors of the innovations, the strongest first; empty if the innovations are white.
+    kicks : Mapping[str, Kicks]
+        Kicks by axis; empty if there are none.
     """
 
     disturbances: DisturbanceModel
@@ -107,6 +110,7 @@ class ResidualAnalysis:
     bound: float
     measurements: int
     dependences: tuple[Dependence, ...]
+    kicks: Mapping[str, Kicks] = field(default_factory=dict)
 
     @property
     def predictable_share(self) -> float:
@@ -137,6 +141,7 @@ def residual_analysis(screenings: Sequence[Screening]) -> ResidualAnalysis:
     ]
     autocorrelation, bound = _autocorrelation(first)
     gains = disturbance_gains(first)
+    short = kicks(first.filtered, first.estimate.disturbances)
     for screening in screenings:
         screening.release()
     return ResidualAnalysis(
@@ -147,6 +152,7 @@ def residual_analysis(screenings: Sequence[Screening]) -> ResidualAnalysis:
         bound,
         sum(screening.measurements for screening in screenings),
         tuple(significant[:_MAX_CORRELATES]),
+        short,
     )
 
 

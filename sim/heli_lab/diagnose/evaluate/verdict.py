@@ -7,12 +7,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from heli_sim.model.effect import Effect
 from heli_sim.model.effects import EffectSpec
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.evaluate.prediction import Prediction
-from heli_lab.diagnose.evaluate.reported import CauseParameter, cause_parameters
+from heli_lab.diagnose.evaluate.reported import (
+    CauseParameter,
+    FamilyNumber,
+    cause_parameters,
+    family_number,
+)
 from heli_lab.diagnose.evaluate.residual_analysis import ResidualAnalysis
 from heli_lab.diagnose.search import Cause, Search
 from heli_lab.identify import Fit
@@ -34,12 +40,15 @@ class NamedCause(Cause):
         The cause with its parameters in a sentence, without its full stop.
     equation : str
         The term that the effect adds to the model, in LaTeX.
+    family : FamilyNumber or None
+        The number that it shares with effects that may replace it.
     """
 
     parameters: Mapping[str, CauseParameter]
     confidence: float
     sentence: str
     equation: str
+    family: FamilyNumber | None = None
 
 
 @dataclass(frozen=True)
@@ -90,7 +99,7 @@ def judge(
     visible = max(after.train.total, after.held_out.total) > thresholds.NOISE_FLOOR
     random = visible and not unlisted and not residual.dependences and has_random_torque(residual, kinds)
     unexplained = visible and bool(unlisted or residual.dependences)
-    causes = tuple(_named(cause, kinds[cause.effect], after.fit, unexplained) for cause in effects)
+    causes = tuple(_named(cause, kinds, after.fit, unexplained) for cause in effects)
     if unexplained:
         return Verdict("unexplained", causes, unlisted, False)
     if causes:
@@ -99,7 +108,8 @@ def judge(
     return Verdict("cause_found" if random or absent else "explained", (), (), random)
 
 
-def _named(cause: Cause, kind: EffectSpec, fit: Fit, unexplained: bool) -> NamedCause:
+def _named(cause: Cause, kinds: Mapping[str, EffectSpec], fit: Fit, unexplained: bool) -> NamedCause:
+    kind = kinds[cause.effect]
     parameters = cause_parameters(fit, kind, cause.candidate.effect.values)
     return NamedCause(
         cause.candidate,
@@ -112,9 +122,19 @@ def _named(cause: Cause, kind: EffectSpec, fit: Fit, unexplained: bool) -> Named
         kind.describe(
             {name: number.value for name, number in parameters.items()},
             {name: number.std for name, number in parameters.items()},
-        ),
+        )
+        + _flights_in_words(cause.candidate.effect),
         kind.equation,
+        family_number(fit, kind, kinds, parameters),
     )
+
+
+def _flights_in_words(effect: Effect) -> str:
+    """The flight in which an effect with a moment happens, and its moments in others."""
+    if not effect.flight:
+        return ""
+    others = (f", and at {at_s:.2f} s in {label}" for label, at_s in effect.other_moments_s.items())
+    return f" in {effect.flight}{''.join(others)}"
 
 
 def has_random_torque(residual: ResidualAnalysis, kinds: Mapping[str, EffectSpec]) -> bool:

@@ -6,11 +6,14 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
+from heli_sim.model.effect import NEVER_s
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.evaluate import (
     CauseParameter,
     ErrorReduction,
+    Kicks,
+    NamedCause,
     ResidualAnalysis,
     correlates,
 )
@@ -40,9 +43,45 @@ def _effects(result: Diagnosis) -> list[dict[str, Any]]:
                 "alternatives": {other.id: other.log_likelihood_ratio for other in cause.alternatives},
             },
             "ambiguous_with": list(cause.ambiguous_with),
+            **_moments(cause, result),
+            **_family(cause),
         }
         for cause in result.verdict.causes
     ]
+
+
+def _family(cause: NamedCause) -> dict[str, dict[str, Any]]:
+    """The number of a cause's family, and whether these flights do not distinguish its members."""
+    family = cause.family
+    if family is None:
+        return {}
+    unclear = bool({*cause.ambiguous_with} & {*family.members})
+    text = f"{family.sentence}; {family.unclear}" if unclear else family.sentence
+    return {
+        "family": {
+            "name": family.name,
+            "value": family.value,
+            "std": family.std,
+            "unit": family.unit,
+            "members": list(family.members),
+            "sentence": text,
+        }
+    }
+
+
+def _moments(cause: NamedCause, result: Diagnosis) -> dict[str, dict[str, float | None]]:
+    """When a cause with a moment happens in each flight, by label; None in a flight where it does not."""
+    effect = cause.candidate.effect
+    if not effect.flight:
+        return {}
+    after = result.assessment.after
+    records = [
+        *after.fit.problem.records,
+        *(after.held_out_fit.problem.records if after.held_out_fit else ()),
+    ]
+    values = {name: number.value for name, number in cause.parameters.items()}
+    moments_s = {record.label: effect.values_in(record.label, values)[effect.moment] for record in records}
+    return {"moments_s": {label: None if at_s == NEVER_s else at_s for label, at_s in moments_s.items()}}
 
 
 def _random_torque(result: Diagnosis) -> list[dict[str, Any]]:
@@ -124,15 +163,17 @@ def unexplained(result: Diagnosis) -> dict[str, Any] | None:
 
 def disturbances(analysis: ResidualAnalysis) -> dict[str, dict[str, float]]:
     """Write the disturbances about each axis: size and correlation time of the fast part, size of the slow
-    part, and log-likelihood ratio.
+    part, log-likelihood ratio, and kicks.
     """
-    estimated = analysis.disturbances
+    estimated, none = analysis.disturbances, Kicks(0, 0.0)
     return {
         axis: {
             "fast_std_Nm": float(estimated.fast_std[i]),
             "correlation_time_s": float(estimated.correlation_time_s[i]),
             "slow_std_Nm": float(estimated.slow_std[i]),
             "log_likelihood_ratio": float(analysis.gains[i]),
+            "kicks": analysis.kicks.get(axis, none).count,
+            "largest_kick_Nms": analysis.kicks.get(axis, none).largest_Nms,
         }
         for i, axis in enumerate(AXES)
     }

@@ -14,7 +14,7 @@ from heli_lab.diagnose.thresholds import CONFIDENCE_NATS, REPORT_DISTURBANCE_NAT
 from heli_lab.diagnose.wording import dependence_in_words, evidence_in_words
 
 METRIC: Final = "2 s free-run rms on the validation flights, deg"
-"""What the error reductions measure if flights are held out."""
+"""Quantity that the error reductions compare if flights are held out."""
 
 
 def title(result: Diagnosis) -> str:
@@ -53,6 +53,10 @@ def _verdict(result: Diagnosis) -> str:
         text = "; ".join(cause["sentence"] for cause in causes)
         others = sorted({other for cause in causes for other in cause["ambiguous_with"]})
         unclear = f" These flights do not distinguish it from {', '.join(others)}." if others else ""
+        for cause in causes:
+            family = cause.get("family")
+            if family and {*cause["ambiguous_with"]} & {*family["members"]}:
+                unclear += f" {family['sentence'][:1].upper()}{family['sentence'][1:]}."
         return f"{text[:1].upper()}{text[1:]}.{unclear}{remaining}"
     missing = findings.unexplained(result) or {}
     text = (
@@ -67,12 +71,16 @@ def _verdict(result: Diagnosis) -> str:
 
 
 def disturbances_in_words(result: Diagnosis) -> str:
-    """List the significant fast disturbances with their size and correlation time."""
+    """List the significant fast disturbances with their size and correlation time, and the kicks."""
     parts = [
         f"{1e3 * values['fast_std_Nm']:.2g} mN m about {axis} "
         f"with a correlation time of {values['correlation_time_s']:.1g} s"
         for axis, values in findings.disturbances(result.assessment.residual_analysis).items()
         if values["log_likelihood_ratio"] > REPORT_DISTURBANCE_NATS
+    ]
+    parts += [
+        f"{kick.count} kick{'s' * (kick.count > 1)} of up to {1e3 * kick.largest_Nms:.2g} mN m s about {axis}"
+        for axis, kick in result.assessment.residual_analysis.kicks.items()
     ]
     return ", ".join(parts) or "none that is significant"
 

@@ -1,6 +1,6 @@
 """Search for the causes of what a model lacks: candidates, score tests, refits, stepwise selection."""
 
-from heli_lab.diagnose.search.candidate import Candidate, Scored, typical_candidate
+from heli_lab.diagnose.search.candidate import Candidate, Scored, may_join, typical_candidate
 from heli_lab.diagnose.search.estimate_cache import EstimateCache, fingerprint
 from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, Refit, Round
 from heli_lab.diagnose.search.model_comparison import ModelComparison
@@ -37,6 +37,7 @@ __all__ = [
     "coefficient_std",
     "fingerprint",
     "knot_span",
+    "may_join",
     "quantity_values",
     "score_of",
     "search",

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.search.acceptance import Acceptance
-from heli_lab.diagnose.search.candidate import Candidate, compatible
+from heli_lab.diagnose.search.candidate import Candidate, may_join
 from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, Refit, Round
 from heli_lab.diagnose.search.model_comparison import ModelComparison
+from heli_lab.diagnose.search.moments import with_held_out_moments
 from heli_lab.diagnose.search.progress import Progress
 from heli_lab.threads import parallel_map
 
@@ -36,7 +37,7 @@ class BackwardElimination:
         """Return the model `final` with the causes alone that are needed and that held-out flights do not
         contradict, and the evidence of each cause, the strongest first.
         """
-        final, without = self._needed(final)
+        final, without = self._needed(with_held_out_moments(self.comparison, final))
         held_out = self._held_out(final, without)
         against = min(held_out, key=lambda id_: held_out[id_], default=None)
         if against is not None and held_out[against] < thresholds.HELD_OUT_AGAINST:
@@ -75,9 +76,16 @@ class BackwardElimination:
             return less
         displaced = list(round_.base.candidates)
         displaced += [refit.candidate for refit in round_.refits if self.acceptance.accepts(refit)][:1]
-        back = [
-            candidate for candidate in displaced if not candidate.is_spline and candidate.id not in less.ids
-        ]
+        present, back = list(less.ids), list[Candidate]()
+        for candidate in displaced:
+            # A cause that was accepted after the spline may exclude an effect from before.
+            if (
+                not candidate.is_spline
+                and candidate.id not in present
+                and may_join(candidate.id, present, self.acceptance.kinds)
+            ):
+                back.append(candidate)
+                present.append(candidate.id)
         if not back:
             return less
         start = {**round_.base.values, **less.values}
@@ -150,11 +158,7 @@ class BackwardElimination:
         def possible(refit: Refit) -> bool:
             if refit.score < thresholds.ALTERNATIVE_SHARE * best:
                 return False
-            # A removed term of the baseline is in no catalogue and excludes nothing.
-            kind = kinds.get(refit.candidate.id)
-            return kind is None or all(
-                compatible(kind, kinds[other.id]) for other in rest if other.id in kinds
-            )
+            return may_join(refit.candidate.id, [other.id for other in rest], kinds)
 
         return [
             refit

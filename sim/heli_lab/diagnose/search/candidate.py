@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from heli_host.arrays import Floats
 from heli_sim.model.base import Effect
-from heli_sim.model.effect import Stage
 from heli_sim.model.effects.spec import EffectSpec
 
 
@@ -106,6 +105,17 @@ def effect_candidates(kind: EffectSpec, seconds: float) -> list[Candidate]:
     return candidates
 
 
-def compatible(kind: EffectSpec, other: EffectSpec) -> bool:
-    """Whether one model may have both effects `kind` and `other`: never two equations for the rotors' lag."""
-    return kind.compatible_with(other) and not (kind.stage == other.stage == Stage.LAG)
+def may_join(id_: str, present: Iterable[str], kinds: Mapping[str, EffectSpec]) -> bool:
+    """Whether a model with the effects `present` may have the effect `id_` too.
+
+    Parameters
+    ----------
+    id_ : str
+        Id of a candidate.
+    present : iterable of str
+        Ids of the effects and candidates of the model.
+    kinds : Mapping[str, EffectSpec]
+        The catalogue. Spline terms, equations and removed terms are not in it, and exclude nothing.
+    """
+    kind = kinds.get(id_)
+    return kind is None or all(kind.compatible_with(kinds[other]) for other in present if other in kinds)

@@ -13,7 +13,7 @@ from heli_sim.model.effects.spec import EffectSpec
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.search.candidate import Candidate, effect_candidates
-from heli_lab.estimation import DisturbanceModel, InnovationsModel
+from heli_lab.estimation import DisturbanceModel, InnovationsModel, auxiliary_residuals
 
 _JUMP_s: Final = 1.0
 """Time before and after a moment over which torques are averaged to find a jump: longer than a step response
@@ -60,8 +60,14 @@ class EffectGrids:
                 for number in kind.numbers
             )
             candidates = effect_candidates(replace(kind, numbers=numbers), self.seconds)
+        elif kind.full("at_s") in kind.grid:
+            candidates = [
+                replace(candidate, effect=replace(candidate.effect, flight=label))
+                for label, seconds, jumps in zip(*self._moments, strict=True)
+                for candidate in effect_candidates(_thinned(kind, seconds, jumps), seconds)
+            ]
         else:
-            candidates = effect_candidates(_thinned(kind, self.seconds, self._jumps), self.seconds)
+            candidates = effect_candidates(_thinned(kind, self.seconds, ()), self.seconds)
         if kind.states or kind.delay:
             candidates = [
                 Candidate(candidate.id, kind.make(_scaled(kind, candidate, share)), (), candidate.grid)
@@ -71,37 +77,29 @@ class EffectGrids:
         return candidates
 
     @cached_property
-    def _smoothed(self) -> tuple[Floats, Floats]:
-        """Times in the first flight, (m,), and smoothed disturbance torques there, (m, 3)."""
-        t_s, torque_Nm, _ = self.filtered.smoothed_disturbances(
-            self.disturbances, np.zeros(self.filtered.size)
-        )[0]
-        return t_s, torque_Nm
+    def _smoothed(self) -> list[tuple[Floats, Floats]]:
+        """For each flight, times, (m,), and smoothed disturbance torques there, (m, 3)."""
+        smoothed = self.filtered.smoothed_disturbances(self.disturbances, np.zeros(self.filtered.size))
+        return [(t_s, torque_Nm) for t_s, torque_Nm, _ in smoothed]
 
     @cached_property
-    def _jumps(self) -> tuple[float, ...]:
-        """Moments at which the mean of these torques changes most, over all axes. A disturbance with a
-        correlation time of seconds hides a step from a score at a moment one second away.
+    def _moments(self) -> tuple[list[str], list[float], list[tuple[float, ...]]]:
+        """For each flight its label, its length (s), and the moments at which something may have happened:
+        jumps of the smoothed torques, and the instant of the largest auxiliary residual of a level.
         """
-        t_s, torque_Nm = self._smoothed
-        width = max(1, round(_JUMP_s / float(np.median(np.diff(t_s)))))
-        if len(t_s) < 4 * width:
-            return ()
-        sums = np.vstack((np.zeros(3), np.cumsum(torque_Nm, axis=0)))
-        means = (sums[width:] - sums[:-width]) / width
-        jump = np.abs(means[width:] - means[:-width])
-        height = (jump / (jump.std(axis=0) + 1e-12)).max(axis=1)
+        flights = self.filtered.linearised_flights
+        residuals = auxiliary_residuals(self.filtered, self.disturbances)
         jumps = []
-        for _ in range(_JUMPS):
-            top = int(np.argmax(height))
-            jumps.append(float(t_s[top + width]))
-            height[max(0, top - 2 * width) : top + 2 * width] = -1.0
-        return tuple(jumps)
+        for smoothed, residual in zip(self._smoothed, residuals, strict=True):
+            level_s = residual.largest_level()[0]
+            jumps.append((*(jump for jump in _jumps(*smoothed) if abs(jump - level_s) > _JUMP_s), level_s))
+        labels = [flight.reference.record.label for flight in flights]
+        return labels, [float(flight.trajectory.t_s[-1]) for flight in flights], jumps
 
     def _peaks(self, axis: str) -> tuple[float, ...]:
-        """Frequencies of the highest peaks in the spectrum of these torques about an axis."""
+        """Frequencies of the highest peaks in the first flight's spectrum of the torques about an axis."""
         index = AXES.index(axis)
-        t_s, torque_Nm = self._smoothed
+        t_s, torque_Nm = self._smoothed[0]
         value = torque_Nm[:, index]
         step_s = float(np.median(np.diff(t_s)))
         frequency_Hz = np.fft.rfftfreq(4 * len(value), step_s)
@@ -112,6 +110,25 @@ class EffectGrids:
         top = [i for i in range(1, len(power) - 1) if power[i] >= power[i - 1] and power[i] > power[i + 1]]
         top.sort(key=lambda i: -power[i])
         return tuple(float(frequency_Hz[i]) for i in top[:_PEAKS]) or (0.5,)
+
+
+def _jumps(t_s: Floats, torque_Nm: Floats) -> tuple[float, ...]:
+    """Moments at which the mean of smoothed torques changes most, over all axes. A disturbance with a
+    correlation time of seconds hides a step from a score at a moment one second away.
+    """
+    width = max(1, round(_JUMP_s / float(np.median(np.diff(t_s)))))
+    if len(t_s) < 4 * width:
+        return ()
+    sums = np.vstack((np.zeros(3), np.cumsum(torque_Nm, axis=0)))
+    means = (sums[width:] - sums[:-width]) / width
+    jump = np.abs(means[width:] - means[:-width])
+    height = (jump / (jump.std(axis=0) + 1e-12)).max(axis=1)
+    jumps = []
+    for _ in range(_JUMPS):
+        top = int(np.argmax(height))
+        jumps.append(float(t_s[top + width]))
+        height[max(0, top - 2 * width) : top + 2 * width] = -1.0
+    return tuple(jumps)
 
 
 def _thinned(kind: EffectSpec, seconds: float, jumps: tuple[float, ...]) -> EffectSpec:

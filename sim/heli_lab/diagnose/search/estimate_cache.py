@@ -156,7 +156,8 @@ def cache_key(
     digest = hashlib.sha256(what.encode())
     for candidate in candidates:
         known = candidate.id, sorted(candidate.effect.values.items()), sorted(candidate.effect.priors.items())
-        digest.update(repr((*known, _equations(candidate.effect))).encode())
+        moments = candidate.effect.flight, sorted(candidate.effect.other_moments_s.items())
+        digest.update(repr((*known, *moments, _equations(candidate.effect))).encode())
     digest.update(repr(sorted((name, float(value)) for name, value in start.items())).encode())
     if warm_start is not None:
         digest.update(repr((warm_start.parameter_vector.names, warm_start.log_likelihood)).encode())

@@ -6,7 +6,7 @@ import numpy as np
 
 from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.search.acceptance import Acceptance, is_significant
-from heli_lab.diagnose.search.candidate import Candidate, compatible
+from heli_lab.diagnose.search.candidate import Candidate, may_join
 from heli_lab.diagnose.search.hypothesis import Hypothesis
 from heli_lab.diagnose.search.model_comparison import ModelComparison
 from heli_lab.diagnose.search.progress import Progress
@@ -28,7 +28,7 @@ def exchange(
             if candidate.id not in kind.contains or kind.id in final.ids or not progress.refits_left():
                 continue
             rest = [other for other in final.candidates if other is not candidate]
-            if not all(compatible(kind, kinds[other.id]) for other in rest if other.id in kinds):
+            if not may_join(kind.id, [other.id for other in rest], kinds):
                 continue
             wider = Candidate(kind.id, kind.make(kind.from_contained(final.values)), (), {})
             refit = comparison.refit([*rest, wider], wider.start_values(np.zeros(0)), final)

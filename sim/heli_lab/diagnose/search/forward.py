@@ -14,7 +14,8 @@ from heli_sim.model.parts import AXES
 from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.search.acceptance import Acceptance
 from heli_lab.diagnose.search.baseline_terms import RemovedTerm, tightly_specified_terms
-from heli_lab.diagnose.search.candidate import Candidate, Scored, compatible, typical_candidate
+from heli_lab.diagnose.search.candidate import Candidate, Scored, may_join, typical_candidate
+from heli_lab.diagnose.search.concentrated_score import with_concentrated_scores
 from heli_lab.diagnose.search.hypothesis import Hypothesis, Refit, Round
 from heli_lab.diagnose.search.model_comparison import ModelComparison
 from heli_lab.diagnose.search.progress import Progress
@@ -60,11 +61,10 @@ class ForwardSelection:
             number = len(self.rounds)
             self.progress.round(number)
             screening = Screening(hypothesis.estimate)
-            known = [self.kinds[id_] for id_ in hypothesis.ids if id_ in self.kinds]
             remaining = [
-                kind for kind in self.kinds.values() if all(compatible(kind, present) for present in known)
+                kind for kind in self.kinds.values() if may_join(kind.id, hypothesis.ids, self.kinds)
             ]
-            screened = screening.effects(remaining)
+            screened = with_concentrated_scores(screening, self.acceptance, screening.effects(remaining))
             splines = screening.splines(number)
             full = len(hypothesis.candidates) >= thresholds.MAX_CAUSES or not self.progress.refits_left()
             refits: list[Refit] = []

@@ -135,15 +135,19 @@ class ModelComparison:
         return best
 
     def in_flight(self, hypothesis: Hypothesis) -> bool:
-        """Whether the moments at which effects of a `hypothesis` change are within the free flight; at its
-        edges, a step is a constant.
+        """Whether the moments at which effects of a `hypothesis` change are within the free flight that they
+        belong to; at its edges, a step is a constant.
         """
-        spans = [
-            (float(record.t_s[record.segments[0][0]] - record.t_s[0]), record.segments[-1][1] * record.step_s)
-            for record in self.train
-        ]
-        moments = [value for name, value in hypothesis.values.items() if name.endswith("_at_s")]
-        return all(any(a + EVENT_EDGE_s < moment < b - EVENT_EDGE_s for a, b in spans) for moment in moments)
+        values = hypothesis.values
+        return all(
+            any(
+                event_is_inside(record, values[candidate.effect.moment])
+                for record in self.train
+                if candidate.effect.flight in ("", record.label)
+            )
+            for candidate in hypothesis.candidates
+            if candidate.effect.moment in values
+        )
 
     def _remembered(self, candidates: Sequence[Candidate]) -> Hypothesis | None:
         """The most likely earlier hypothesis whose candidates are among these."""
@@ -170,6 +174,14 @@ class ModelComparison:
             lambda: _estimated(parameter_vector, self.references, functions, theta, warm_start),
         )
 
+    def with_effects(self, hypothesis: Hypothesis, candidates: Sequence[Candidate]) -> Hypothesis:
+        """Return a `hypothesis` with other `candidates` that act alike in the fitted flights: the estimate is
+        the same.
+        """
+        model = type(self.model)((*self.model.effects, *(candidate.effect for candidate in candidates)))
+        vector = RigParameters(model, self.rig, self.train)
+        return Hypothesis(tuple(candidates), replace(hypothesis.estimate, parameter_vector=vector))
+
     def held_out_estimate(self, hypothesis: Hypothesis) -> Estimate:
         """Estimate the held-out flights: parameters that all flights share are those of the `hypothesis`;
         constants of each flight and the disturbances are estimated.
@@ -194,6 +206,13 @@ class ModelComparison:
                 parameter_vector, self.held_out_references, functions, parameter_vector.start, disturbances
             ),
         )
+
+
+def event_is_inside(record: Record, moment_s: float) -> bool:
+    """Whether a moment is within the free flight of a `record`, not at its edges."""
+    begin_s = float(record.t_s[record.segments[0][0]] - record.t_s[0])
+    end_s = record.segments[-1][1] * record.step_s
+    return begin_s + EVENT_EDGE_s < moment_s < end_s - EVENT_EDGE_s
 
 
 def reference_trajectories(
@@ -233,11 +252,13 @@ def _estimated(
     return estimate_
 
 
-def _grids(candidates: Sequence[Candidate]) -> list[tuple[str, tuple[tuple[str, float], ...]]]:
-    """Fixed values of candidates, which distinguish two sets of the same ids."""
+def _grids(candidates: Sequence[Candidate]) -> list[tuple[object, ...]]:
+    """Fixed values and flights of candidates, which distinguish two sets of the same ids."""
     return sorted(
         (
             candidate.id,
+            candidate.effect.flight,
+            tuple(sorted(candidate.effect.other_moments_s.items())),
             tuple(
                 sorted((n, v) for n, v in candidate.effect.values.items() if n not in candidate.effect.priors)
             ),

@@ -129,11 +129,12 @@ class Regressors:
         if candidate.effect.delay:
             return self._delayed(candidate), None
         function = self._functions.of(candidate.id, candidate.effect, candidate.linear_parameters)
-        rates, measured = function.run(trajectory, candidate.effect.values, self._directions)
+        values = candidate.effect.values_in(self.linear.reference.record.label, candidate.effect.values)
+        rates, measured = function.run(trajectory, values, self._directions)
         if not np.any(measured):
             return rates, None
         # Encoders are read at the beginning of a step.
-        return rates, function.run(self.linear.nodes, candidate.effect.values, self._directions)[1]
+        return rates, function.run(self.linear.nodes, values, self._directions)[1]
 
     def _delayed(self, candidate: Candidate) -> Floats:
         """Changes of the rates by delayed voltages; the model itself is unchanged."""

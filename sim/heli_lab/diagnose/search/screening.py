@@ -291,7 +291,8 @@ def _best_on_grid(
 def _refined(screening: Screening, kind: EffectSpec, candidates: Sequence[Candidate], best: Scored) -> Scored:
     """Halve the grid's distance about its best point, in parameters with three values and more."""
     for name in best.candidate.grid:
-        values = sorted({tried.grid[name] for tried in candidates})
+        flight = best.candidate.effect.flight
+        values = sorted({tried.grid[name] for tried in candidates if tried.effect.flight == flight})
         prior = kind.priors.get(name)
         if len(values) < 3 or prior is None:
             continue
@@ -306,7 +307,7 @@ def _refined(screening: Screening, kind: EffectSpec, candidates: Sequence[Candid
             neighbours = [
                 Candidate(
                     candidate.id,
-                    kind.make({**candidate.effect.values, name: value}),
+                    replace(candidate.effect, values={**candidate.effect.values, name: value}),
                     candidate.linear_parameters,
                     {**candidate.grid, name: value},
                 )

@@ -6,10 +6,11 @@ from heli_sim.model.effects.catalogue import catalogue
 from heli_sim.model.effects.parse import effect_numbers, effects_of, parse_effects
 from heli_sim.model.effects.rotor_lag import RotorLag
 from heli_sim.model.effects.rotor_speed_lag import RotorSpeedLag
-from heli_sim.model.effects.spec import ChangeSpec, EffectSpec, Parameter
+from heli_sim.model.effects.spec import ChangeSpec, EffectFamily, EffectSpec, Parameter
 
 __all__ = [
     "ChangeSpec",
+    "EffectFamily",
     "EffectSpec",
     "Parameter",
     "RotorLag",

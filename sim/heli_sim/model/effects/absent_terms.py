@@ -58,7 +58,7 @@ TERMS: Final[Mapping[str, tuple[str, tuple[str, ...], str]]] = {
         r"C_D A \to (1 - s) C_D A",
     ),
 }
-"""What each term is in words, the numbers of the rig that make it, and the equation."""
+"""Each term in words, the rig parameters that cause it, and its equation."""
 
 _SHARE: Final = Parameter(
     "share", "1", "share s of the term that is not there", 1.0, Prior(0.0, 1.0, 0.0, 1.0), size=True

@@ -78,9 +78,11 @@ def _module(path: Path) -> ModuleType:
     try:
         spec.loader.exec_module(module)
     except SyntaxError as error:
-        raise EffectError(f"effect file {path}, line {error.lineno}: {error.msg}", "correct it") from None
+        raise EffectError(
+            f"effect file {path}, line {error.lineno}: {error.msg}", "correct this line"
+        ) from None
     except Exception as error:  # noqa: BLE001 - a user's file may raise anything
-        raise EffectError(f"effect file {path}: {_line(path, error)}", "correct it") from None
+        raise EffectError(f"effect file {path}: {_line(path, error)}", "correct this line") from None
     return module
 
 
@@ -116,11 +118,13 @@ def _try(path: Path, kind: EffectSpec) -> None:
         for values in (kind.neutral, kind.typical):
             bad = _not_finite(models[0]((kind.make(values),)))
             if bad:
-                raise EffectError(f"{where}: {bad} is not a finite number at {values}", "correct it")
+                raise EffectError(
+                    f"{where}: {bad} is not a finite number at {values}", "make it finite there"
+                )
     except EffectError:
         raise
     except Exception as error:  # noqa: BLE001 - a user's file may raise anything
-        raise EffectError(f"{where}: {_line(path, error)}", "correct it") from None
+        raise EffectError(f"{where}: {_line(path, error)}", "correct this line") from None
 
 
 def _not_finite(model: Model) -> str:

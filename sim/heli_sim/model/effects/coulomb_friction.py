@@ -13,11 +13,12 @@ from heli_sim.model.effects.spec import ChangeSpec, EffectSpec, Parameter
 from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior
 
-_RATE_STD_rad_s: Final = 0.0045
-"""How closely a flight shows the rate of an axis that moves: three counts a second of an encoder of 4096. Set
-on nineteen simulated flights with dry friction (2026-11), most likely with 0.004 without weather and with
-0.004 to 0.012 in gusts. Half as much: in gusts friction comes out up to an eighth too small, and what is left
-of it passes for gusts of no memory. Twice as much: without weather it comes out a tenth too large."""
+_RATE_STD_COUNTS_PER_s: Final = 2.9335
+"""How closely a flight shows the rate of an axis that moves, in counts of its encoder per second: 0.0045
+rad/s with 4096 counts. Set on nineteen simulated flights with dry friction (2026-11), most likely with 0.004
+rad/s without disturbances and with 0.004 to 0.012 in gusts. Half as much: in gusts friction comes out up to
+an eighth too small, and the rest of it passes for gusts of no memory. Twice as much: without disturbances it
+comes out a tenth too large."""
 
 
 class CoulombFriction(Effect):
@@ -60,7 +61,8 @@ class CoulombFrictionOfMeasuredRate(CoulombFriction):
 
     @override
     def friction_Nm(self, at: Operands, acceleration_rad_s2: ca.SX, inertia_kg_m2: ca.SX) -> ca.SX:
-        open_rad_s2 = _RATE_STD_rad_s / self.own(at, "hold_s")
+        count_rad = 2.0 * math.pi / at.parameter[f"encoder_counts_{self.place}"]
+        open_rad_s2 = _RATE_STD_COUNTS_PER_s * count_rad / self.own(at, "hold_s")
         slowing_rad_s2 = self._slowing_rad_s2(at, acceleration_rad_s2)
         moving_Nm = self.own(at, "Nm") * ca.erf(slowing_rad_s2 / (math.sqrt(2.0) * open_rad_s2))
         at_rest_Nm = super().friction_Nm(at, acceleration_rad_s2, inertia_kg_m2)

@@ -57,7 +57,9 @@ def effects_of(rig: Rig, extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]
         units = {one.name: one.unit for one in kind.numbers}
         for what, number in numbers.items():
             if what not in units:
-                raise EffectError(f"{where}: effect '{name}' has no '{what}'", f"it has: {', '.join(units)}")
+                raise EffectError(
+                    f"{where}: effect '{name}' has no '{what}'", f"choose from {', '.join(units)}"
+                )
             if number.unit != units[what]:
                 raise EffectError(
                     f"{where}: {what} of '{name}' is in '{number.unit}'", f"give it in '{units[what]}'"
@@ -152,7 +154,9 @@ def _values(kind: EffectSpec, rest: str, text: str) -> dict[str, float]:
     for spelled, value in given.items():
         what = spelled.removeprefix(f"{kind.prefix}_")
         if what not in names:
-            raise EffectError(f"--effect {text}: '{kind.id}' has no '{what}'", f"it has: {', '.join(names)}")
+            raise EffectError(
+                f"--effect {text}: '{kind.id}' has no '{what}'", f"choose from {', '.join(names)}"
+            )
         try:
             values[kind.full(what)] = float(value)
         except ValueError:

@@ -9,7 +9,7 @@ from typing_extensions import override
 
 from heli_sim.errors import PlantError
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.spec import EffectSpec, Parameter
+from heli_sim.model.effects.spec import EffectFamily, EffectSpec, Parameter
 from heli_sim.rig.quantity import Prior, Quantity
 
 MIN_LAG_s: Final = 0.004
@@ -68,6 +68,13 @@ class RotorLag(Effect):
         return ca.vertcat(self.own(at, "front_N"), self.own(at, "back_N"))
 
 
+LAGS: Final = EffectFamily(
+    name="lag of the rotors",
+    sentence="the rotors lag their voltage by {} in all",
+    unclear="these flights do not show whether thrust or rotor speed lags, or whether a part is dead time",
+)
+"""All members delay the response of the thrust about a hover by the sum of their times."""
+
 SPEC: Final = EffectSpec(
     id="rotor_lag",
     effect=RotorLag,
@@ -80,6 +87,8 @@ SPEC: Final = EffectSpec(
         Quantity("front_N", "N", "thrust that the front rotor has reached"),
         Quantity("back_N", "N", "thrust that the back rotor has reached"),
     ),
+    family=LAGS,
+    family_numbers=("s",),
     linearisable=True,
     rank=10,
     source="first-order model of a motor with a propeller about an operating point",

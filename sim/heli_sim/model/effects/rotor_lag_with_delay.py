@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import ClassVar, Final
 
 from heli_sim.model.effect import Stage
+from heli_sim.model.effects.rotor_lag import LAGS, RotorLag
 from heli_sim.model.effects.rotor_lag import SPEC as LAG
-from heli_sim.model.effects.rotor_lag import RotorLag
 from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.rig.quantity import Prior
 
@@ -31,6 +31,8 @@ SPEC: Final = EffectSpec(
     states=LAG.states,
     delay="delay_s",
     contains={"rotor_lag": {"s": "lag_s"}, "input_delay": {"s": "delay_s"}},
+    family=LAGS,
+    family_numbers=("lag_s", "delay_s"),
     linearisable=True,
     rank=14,
     source="first-order lag with dead time, the usual model of an actuator behind a bus",

@@ -9,7 +9,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.rotor_lag import MIN_LAG_s
+from heli_sim.model.effects.rotor_lag import LAGS, MIN_LAG_s
 from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.rig.quantity import Prior, Quantity
 
@@ -86,6 +86,10 @@ SPEC: Final = EffectSpec(
         Quantity("front_V", "V", "speed of the front rotor, as the voltage that holds it"),
         Quantity("back_V", "V", "speed of the back rotor, as the voltage that holds it"),
     ),
+    # A second lag next to this one would be a second name for the same motor.
+    excludes=("rotor_lag", "rotor_lag_with_delay"),
+    family=LAGS,
+    family_numbers=("s",),
     linearisable=True,
     rank=12,
     source="propeller theory: thrust is the square of the speed; a motor's speed lags its voltage",

@@ -97,6 +97,25 @@ class ChangeSpec:
 
 
 @dataclass(frozen=True)
+class EffectFamily:
+    """Effects that replace each other after small changes of the flights, with one number that all have.
+
+    Parameters
+    ----------
+    name : str
+        Name of the family.
+    sentence : str
+        The number in words, with ``{}`` in its place.
+    unclear : str
+        Statement that flights do not distinguish its members.
+    """
+
+    name: str
+    sentence: str
+    unclear: str
+
+
+@dataclass(frozen=True)
 class EffectSpec:
     """An effect of the catalogue.
 
@@ -135,6 +154,12 @@ class EffectSpec:
     contains : Mapping[str, Mapping[str, str]]
         Effects that this one is with the rest of its parameters at their neutral values (nested models): by
         id, for each of their parameters that of this one; both named without the effects' names.
+    excludes : tuple of str
+        Ids of further effects that no model may have together with this one; naming one side is enough.
+    family : EffectFamily or None
+        Family that it belongs to.
+    family_numbers : tuple of str
+        Parameters whose sum is the family's number, named without the effect's name.
     linearisable : bool
         True if a linear model at hover contains the effect. False for what is not smooth there or biases a
         measurement only. The design of gains reports effects that its linear plants do not contain.
@@ -164,6 +189,9 @@ class EffectSpec:
     baseline: bool = False
     override: Mapping[str, float] = field(default_factory=dict)
     contains: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    excludes: tuple[str, ...] = ()
+    family: EffectFamily | None = None
+    family_numbers: tuple[str, ...] = ()
     linearisable: bool = False
     time_varying: bool = False
     change: ChangeSpec | None = None
@@ -223,11 +251,15 @@ class EffectSpec:
         return {*self.needs, *self.override} <= {quantity.name for quantity in model.parameters}
 
     def compatible_with(self, other: EffectSpec) -> bool:
-        """Whether one model may have this and the `other` effect: not both where one of them contains the
-        other, or where both delay the voltages.
+        """Whether one model may have this and the `other` effect.
+
+        It may not if one of them contains or excludes the other, if both delay the voltages, or if both are
+        equations of the thrust's lag (`Stage.LAG`).
         """
         nested = other.id in self.contains or self.id in other.contains
-        return other.id != self.id and not nested and not (self.delay and other.delay)
+        excluded = other.id in self.excludes or self.id in other.excludes
+        same_role = bool(self.delay and other.delay) or self.stage == other.stage == Stage.LAG
+        return other.id != self.id and not (nested or excluded or same_role)
 
     def from_contained(self, values: Mapping[str, float]) -> dict[str, float]:
         """Values by full name at which this effect is the effects that it contains.
@@ -315,7 +347,7 @@ class EffectSpec:
     def _check(self, name: str, value: float) -> None:
         ranges = {q.name: self.priors.get(q.name) for q in self.parameters}
         if name not in ranges:
-            raise EffectError(f"'{self.id}' has no '{name}'", f"it has: {', '.join(ranges)}")
+            raise EffectError(f"'{self.id}' has no '{name}'", f"choose from {', '.join(ranges)}")
         prior = ranges[name]
         low, high = (prior.low, prior.high) if prior is not None else (-math.inf, math.inf)
         if not (math.isfinite(value) and low <= value <= high):

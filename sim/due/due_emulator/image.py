@@ -1,0 +1,121 @@
+"""Programs for the Due: ELF files with their symbols, and plain images of the flash."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from due_emulator.errors import ImageError
+
+FLASH_BASE = 0x0008_0000
+FLASH_SIZE = 512 * 1024
+
+
+@dataclass(frozen=True)
+class Symbol:
+    """A function or an object of a program.
+
+    Parameters
+    ----------
+    name
+        As in the ELF, mangled.
+    address
+        Without the Thumb bit.
+    size
+        Bytes; 0 when the ELF does not say.
+    is_function
+        False for data.
+    """
+
+    name: str
+    address: int
+    size: int
+    is_function: bool
+
+
+@dataclass(frozen=True)
+class Image:
+    """Content of the flash, with the symbols of the program.
+
+    Parameters
+    ----------
+    path
+        File that it was read from.
+    segments
+        Address and bytes of each piece.
+    symbols
+        Functions and objects, in no particular order.
+    """
+
+    path: Path
+    segments: tuple[tuple[int, bytes], ...]
+    symbols: tuple[Symbol, ...]
+
+    def address(self, name: str) -> int:
+        """Address of a symbol by its `name` in the ELF, mangled; an ImageError when there is none."""
+        for symbol in self.symbols:
+            if symbol.name == name:
+                return symbol.address
+        raise ImageError(f"{self.path.name} has no symbol {name}", "build it without stripping")
+
+
+def _in_flash(address: int, size: int) -> bool:
+    return address >= FLASH_BASE and address + size <= FLASH_BASE + FLASH_SIZE
+
+
+def _symbol(name: str, value: int, size: int, is_function: bool) -> Symbol:
+    return Symbol(name, value & ~1 if is_function else value, size, is_function)
+
+
+def _read_elf(path: Path) -> Image:
+    # Imported late: only programs with symbols need the library, which has no types.
+    from elftools.common.exceptions import ELFError  # type: ignore[import-not-found,unused-ignore]
+    from elftools.elf.elffile import ELFFile  # type: ignore[import-not-found,unused-ignore]
+
+    try:
+        return _read_segments(path, ELFFile)
+    except ELFError as error:
+        raise ImageError(f"{path} is not a readable ELF file ({error})", "build it again") from error
+
+
+def _read_segments(path: Path, elf_file: Any) -> Image:
+    with path.open("rb") as file:
+        elf = elf_file(file)
+        if elf["e_machine"] != "EM_ARM":
+            raise ImageError(f"{path} is for {elf['e_machine']}, not for ARM", "give the firmware's ELF")
+        segments = tuple(
+            (int(segment["p_paddr"]), bytes(segment.data()))
+            for segment in elf.iter_segments()
+            if segment["p_type"] == "PT_LOAD" and segment["p_filesz"]
+        )
+        table = elf.get_section_by_name(".symtab")
+        entries = list(table.iter_symbols()) if table is not None else []
+    symbols = tuple(
+        _symbol(entry.name, entry["st_value"], entry["st_size"], entry["st_info"]["type"] == "STT_FUNC")
+        for entry in entries
+        if entry["st_info"]["type"] in ("STT_FUNC", "STT_OBJECT")
+    )
+    return Image(path, segments, symbols)
+
+
+def read_image(path: Path | str) -> Image:
+    """Read a program at `path`: an ELF, or the bytes of the flash from 0x80000 on (``.bin``). An ImageError
+    when the file is missing, is not an ELF for ARM, or has addresses outside the Due's flash.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            is_elf = file.read(4) == b"\x7fELF"
+        image = _read_elf(path) if is_elf else Image(path, ((FLASH_BASE, path.read_bytes()),), ())
+    except OSError as error:
+        raise ImageError(f"{path}: {error.strerror}", "give the path of an ELF or .bin") from error
+    for address, data in image.segments:
+        if not _in_flash(address, len(data)):
+            raise ImageError(
+                f"{path.name} has {len(data)} bytes at {address:#x}, outside of the Due's flash",
+                "link it for the SAM3X8E, from 0x80000 on",
+            )
+    if not any(data for _, data in image.segments):
+        raise ImageError(f"{path} contains nothing to load", "link it for the SAM3X8E")
+    return image

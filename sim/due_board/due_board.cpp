@@ -1,0 +1,207 @@
+#include "due_board.hpp"
+
+#include <algorithm>
+#include <cstdlib>
+#include <vector>
+
+namespace heli_sim {
+
+namespace {
+
+using due_emulator::Due;
+using due_emulator::Exceptions;
+using due_emulator::Halt;
+using due_emulator::kFull_Hz;
+using due_emulator::kNever;
+using due_emulator::kOneCycle;
+using due_emulator::kOneMs;
+using due_emulator::kOneUs;
+using due_emulator::Stop;
+
+// One bit of the line between the 16U2 and the chip, and a byte with its start and stop bits.
+constexpr BoardTime kBit = BoardTime{1000000} * kOneUs / heli::link::kBaud;
+constexpr BoardTime kByte = 10 * kBit;
+
+// The last byte of a millisecond comes so long after the next tick has begun: while that runs, the
+// idle loop does not, so whole frames are seen once a tick, as on a board without registers.
+constexpr BoardTime kLastByte = 15 * kOneUs;
+// Edges end so long before the next tick: their filters and interrupts are done by then.
+constexpr BoardTime kQuiet = 5 * kOneUs;
+// When to look whether the handler has returned, and how often after that.
+constexpr BoardTime kFirstLook = 100 * kOneUs;
+constexpr BoardTime kLook = 25 * kOneUs;
+constexpr BoardTime kPwmPeriod = 50 * kOneUs;
+// A program has this many PWM periods, 0.1 s, to begin its first tick.
+constexpr int kMaxBoot = 2000;
+// A jump of the arm (a test puts it somewhere else) is told at 200,000 steps a second at most.
+constexpr std::int32_t kMaxJump = 150;
+
+}  // namespace
+
+DueBoard::DueBoard() : due_(std::make_unique<Due>()), id_(due_->chip.system.scheduler.add(this)) {
+  wire(*due_);
+  due_->chip.uart.set_peer(this);
+}
+
+void DueBoard::align(std::uint8_t handler) {
+  handler_ = handler;
+  aligned_ = false;
+}
+
+void DueBoard::run_until(BoardTime until) {
+  if (until > due_->now()) due_->run_until(until);
+  if (due_->chip.system.cpu.halt() == Halt::kLockup) throw Stop("the processor is locked up");
+}
+
+// Whether the handler has begun anew; the millisecond then begins with it.
+bool DueBoard::ticked() {
+  const std::uint64_t entry = due_->chip.system.cpu.stats(handler_).last_entry;
+  if (handler_ == 0 || entry == entry_seen_) return false;
+  entry_seen_ = entry;
+  if (aligned_) return true;
+  tick_at_ = due_->chip.system.clock.time_at(entry);
+  aligned_ = true;
+  return true;
+}
+
+void DueBoard::start() {
+  due_->power_on();
+  tick_at_ = due_->now();
+  if (handler_ == 0 || in_reset()) return;
+  for (int look = 0; look < kMaxBoot && !ticked(); ++look) run_until(due_->now() + kPwmPeriod);
+  if (!aligned_) tick_at_ = due_->now();
+}
+
+void DueBoard::wait_for_command() {
+  run_until(tick_at_ + kFirstLook);
+  if (!ticked()) {
+    // In reset, starting, or hung: the next handler that begins is followed again.
+    aligned_ = false;
+    return;
+  }
+  const Exceptions& exceptions = due_->chip.system.exceptions;
+  const BoardTime latest = tick_at_ + kOneMs - kPwmPeriod - kQuiet;
+  while (exceptions.active(handler_) && due_->now() < latest) run_until(due_->now() + kLook);
+  run_until(due_->now() + kPwmPeriod);
+}
+
+void DueBoard::tick(const std::int32_t* count) {
+  for (int axis = 0; axis < kEncoders; ++axis) {
+    if (!due_->chip.powered()) due_->set_encoder(axis, count[axis]);
+    jump_[static_cast<std::size_t>(axis)] = count[axis] - due_->encoder(axis);
+  }
+  leaving_ = from_uart_.size() + due_->chip.uart.unsent();
+  const bool first = !due_->chip.powered();
+  if (first) start();
+  plan_bytes();
+  if (handler_ == 0) return;
+  if (first) entry_seen_ = 0;
+  wait_for_command();
+}
+
+void DueBoard::rest(const Edge* edges, std::size_t edge_count) {
+  const BoardTime from = due_->now();
+  const BoardTime end = tick_at_ + kOneMs;
+  const BoardTime until = std::max(from, end - kQuiet);
+  const double per_us = static_cast<double>(until - from) / 1000.0;
+  std::vector<Edge> steps(edges, edges + edge_count);
+  for (std::uint8_t axis = 0; axis < kEncoders; ++axis) {
+    const std::int32_t jump = std::clamp(jump_[axis], -kMaxJump, kMaxJump);
+    for (std::int32_t k = 0; k < std::abs(jump); ++k) {
+      const double time_us = 1000.0 * (k + 0.5) / std::abs(jump);
+      steps.push_back({time_us, axis, static_cast<std::int8_t>(jump > 0 ? 1 : -1)});
+    }
+  }
+  std::stable_sort(steps.begin(), steps.end(),
+                   [](const auto& a, const auto& b) { return a.time_us < b.time_us; });
+  for (const Edge& step : steps) {
+    due_->schedule_step(step.axis, step.direction,
+                        from + static_cast<BoardTime>(step.time_us * per_us));
+  }
+  run_until(until);
+  if (handler_ == 0) run_until(end);
+  tick_at_ = end;
+  if (handler_ != 0 && !aligned_ && ticked()) tick_at_ += kOneMs;
+}
+
+MotorOutput DueBoard::motors() const {
+  const bool front = motor_enabled(*due_, 0);
+  const bool back = motor_enabled(*due_, 1);
+  return {front ? motor_duty(*due_, 0) : 0.0, back ? motor_duty(*due_, 1) : 0.0, front || back};
+}
+
+void DueBoard::reset(heli::link::Reset cause) {
+  to_uart_.clear();
+  from_uart_.clear();
+  leaving_ = 0;
+  aligned_ = false;
+  if (cause == heli::link::Reset::power_up) {
+    due_->power_off();
+    due_->power_on();
+    return;
+  }
+  due_->chip.set_nrst(true);
+  reset_end_ = due_->now() + kResetTime;
+  plan();
+}
+
+void DueBoard::erase() {
+  reset(heli::link::Reset::user);
+  // The processor must be in reset before its program goes.
+  run_until(due_->now() + kOneUs);
+  due_->chip.efc0.erase_all();
+  due_->chip.efc1.erase_all();
+  due_->chip.flash.gpnvm = 0;
+}
+
+bool DueBoard::uart_transmit(std::uint8_t& byte) {
+  if (leaving_ == 0 || from_uart_.empty()) return false;
+  --leaving_;
+  byte = from_uart_.front();
+  from_uart_.pop_front();
+  return true;
+}
+
+void DueBoard::byte_from_uart(std::uint8_t byte, std::uint32_t, std::uint64_t) {
+  from_uart_.push_back(byte);
+}
+
+// The new bytes follow each other without a gap, up to the end of the millisecond.
+void DueBoard::plan_bytes() {
+  const auto is_new = [](const Arrival& arrival) { return arrival.when == 0; };
+  const auto count =
+      static_cast<BoardTime>(std::count_if(to_uart_.begin(), to_uart_.end(), is_new));
+  const BoardTime last = tick_at_ + kOneMs + kLastByte;
+  BoardTime when = std::max({due_->now(), wire_free_, last + kByte - count * kByte});
+  for (Arrival& arrival : to_uart_) {
+    if (!is_new(arrival)) continue;
+    arrival.when = when;
+    when += kByte;
+    wire_free_ = when;
+  }
+  plan();
+}
+
+void DueBoard::plan() {
+  BoardTime first = ~BoardTime{0};
+  if (!to_uart_.empty() && to_uart_.front().when != 0) first = to_uart_.front().when;
+  if (reset_end_ != 0) first = std::min(first, reset_end_);
+  const bool any = first != ~BoardTime{0};
+  due_->chip.system.scheduler.set(id_, any ? due_->chip.system.clock.cycle_at(first) : kNever);
+}
+
+void DueBoard::event(std::uint64_t) {
+  const BoardTime now = due_->now();
+  if (!to_uart_.empty() && to_uart_.front().when != 0 && to_uart_.front().when <= now) {
+    const BoardTime cycle = BoardTime{kFull_Hz} * kOneCycle / due_->chip.system.clock.mck_Hz();
+    due_->chip.uart.receive(to_uart_.front().byte, kBit / cycle);
+    to_uart_.pop_front();
+  }
+  if (reset_end_ != 0 && reset_end_ <= now) {
+    reset_end_ = 0;
+    due_->chip.set_nrst(false);
+  }
+  plan();
+}
+
+}  // namespace heli_sim

@@ -1,0 +1,1 @@
+"""The cases: a rig, what is hidden in it, and its flights; each follows from a seed."""

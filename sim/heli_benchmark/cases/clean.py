@@ -1,0 +1,179 @@
+"""Cases without disturbances, flown by the flight code; their flights are made once and kept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from heli_host.log.table import write_csv
+from heli_sim.rig import Rig, load_rig
+
+from heli_benchmark.effects.listed import LISTED, MORE_LISTED, OTHER_FORMS, Maker
+from heli_benchmark.effects.unlisted import MORE_OFF_LIST, OFF_LIST
+from heli_benchmark.engine.plant import HiddenEffect
+from heli_benchmark.simulation.flight_code import flown, plan
+
+TRAIN_S, VALIDATE_S = 60.0, 40.0
+_NOTHING = 12
+# Two or three effects together.
+_SEVERAL = (
+    ("rotor_lag", "coulomb_friction.elevation"),
+    ("rotor_lag", "cable_spring.travel"),
+    ("thrust_asymmetry", "travel_drag_quadratic"),
+    ("thrust_fade", "coulomb_friction.travel"),
+    ("input_delay", "ground_effect"),
+    ("rotor_lag", "axis_tilt", "coulomb_friction.travel"),
+    ("rotor_lag", "thrust_step.front", "cable_spring.elevation"),
+    ("thrust_quadratic", "periodic_torque.travel"),
+)
+
+
+_OFF_FACTOR = {2: 1.0, 1: 0.6}
+"""Factors of the size for large and small cases."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A rig with something hidden, and two flights of it.
+
+    Parameters
+    ----------
+    name : str
+        Name for files and tables.
+    effects : tuple of (str, float)
+        Listed effects and their sizes, in the unit of the effect.
+    unlisted : tuple of (str, float)
+        Effects that the catalogue does not list, and their sizes.
+    seed : int
+        Seed of rig, flights and effects.
+    makers : tuple of Maker
+        Factory of each effect, listed ones first.
+    """
+
+    name: str
+    effects: tuple[tuple[str, float], ...]
+    unlisted: tuple[tuple[str, float], ...]
+    seed: int
+    makers: tuple[Maker, ...] = field(repr=False)
+
+    @property
+    def kind(self) -> str:
+        """Kind of the case: nothing, one, several or off_list."""
+        if self.unlisted:
+            return "off_list"
+        return ("nothing", "one", "several")[min(2, len(self.effects))]
+
+    def rig(self) -> Rig:
+        """Draw the true rig: thrust within 20 %, friction half to double, masses and lengths within 1 %."""
+        rng = np.random.default_rng([self.seed, 1])
+        rig = load_rig("makki2024")
+        numbers = {"thrust_gain": rng.uniform(0.8, 1.2)}
+        for axis in ("elevation", "pitch", "travel"):
+            numbers[f"friction_{axis}"] = 2.0 ** rng.uniform(-1.0, 1.0)
+        for name in ("M_f", "M_b", "M_w", "M_h", "M_l", "L_a", "L_b", "L_h", "L_phi", "L_theta", "L_x"):
+            numbers[name] = rng.uniform(0.99, 1.01)
+        if any(name == "removed.dead_zone" for name, _ in self.effects):
+            # Without a dead zone the arm hovers at voltages below the dead band of the usual drivers.
+            numbers["driver_dead_band"] = 0.0
+        return rig.replace(**{name: factor * rig[name].value for name, factor in numbers.items()})
+
+    def hidden(self, flight: int = 0) -> list[HiddenEffect]:
+        """Create the hidden effects, with the same moments, angles and frequencies in both flights.
+
+        Parameters
+        ----------
+        flight : int
+            Number of the flight, for random torques.
+        """
+        made: list[HiddenEffect] = []
+        for number, ((_, size), maker) in enumerate(
+            zip((*self.effects, *self.unlisted), self.makers, strict=True)
+        ):
+            # 2 for listed effects, 3 for others; the second number restarts there.
+            place = [2, number] if number < len(self.effects) else [3, number - len(self.effects)]
+            one = maker(size, np.random.default_rng([self.seed, *place]))
+            one.flight_rng = np.random.default_rng([self.seed, 5, flight, number])
+            made.append(one)
+        return made
+
+    def truth(self) -> dict[str, dict[str, float]]:
+        """Return the true parameters of the listed effects."""
+        return {name: one.truth for (name, _), one in zip(self.effects, self.hidden(), strict=False)}
+
+    def flights(
+        self, folder: Path, durations_s: tuple[float, float] = (TRAIN_S, VALIDATE_S)
+    ) -> tuple[Path, Path]:
+        """Fly both flights, unless their files exist.
+
+        Parameters
+        ----------
+        folder : Path
+            Folder of the files.
+        durations_s : tuple of float
+            Approximate time of each from take-off to landing.
+
+        Returns
+        -------
+        tuple of Path
+            The training flight and the validation flight, as CSV.
+        """
+        paths = (folder / self.name / "a.csv.gz", folder / self.name / "b.csv.gz")
+        for number, (path, duration_s) in enumerate(zip(paths, durations_s, strict=True)):
+            if path.exists():
+                continue
+            path.parent.mkdir(parents=True, exist_ok=True)
+            rng = np.random.default_rng([self.seed, 4, number])
+            flight_plan = plan(f"{self.seed}", duration_s, rng)
+            # Renamed when complete, so that an interrupted run leaves no partial flight.
+            unfinished = path.with_name("unfinished-" + path.name)
+            write_csv(flown(self.rig(), self.hidden(number), flight_plan, self.seed + number), unfinished)
+            unfinished.rename(path)
+        return paths
+
+
+def clean_cases() -> list[Case]:
+    """Return all clean cases, in an order in which the first are a fair sample of all."""
+    cases = list(_in_order())
+    return [cases[i] for i in np.random.default_rng(0).permutation(len(cases))]
+
+
+def _in_order() -> Iterator[Case]:
+    seed = 1000
+    for size in (2, 1):
+        word = ("", "small", "large")[size]
+        for name, (maker, small, large) in LISTED.items():
+            seed += 1
+            value = (large if size == 2 else small) * _factor(seed)
+            yield Case(f"{name}-{word}", ((name, value),), (), seed, (maker,))
+        for number in range(_NOTHING // 2):
+            seed += 1
+            yield Case(f"nothing-{number + (2 - size) * _NOTHING // 2}", (), (), seed, ())
+        for name, (maker, off_size) in OFF_LIST.items():
+            seed += 1
+            value = off_size * _OFF_FACTOR[size]
+            yield Case(f"off-{name}-{word}", (), ((name, value),), seed, (maker,))
+        for names in _SEVERAL:
+            seed += 1
+            effects = tuple((name, float(np.mean(LISTED[name][1:]))) for name in names)
+            yield Case("+".join(names) + f"-{size}", effects, (), seed, tuple(LISTED[n][0] for n in names))
+    seed = 1500
+    for name, (effect, maker, value) in OTHER_FORMS.items():
+        seed += 1
+        yield Case(name, ((effect, value),), (), seed, (maker,))
+    for size in (2, 1):
+        for name, (maker, off_size) in MORE_OFF_LIST.items():
+            seed += 1
+            value = off_size * _OFF_FACTOR[size]
+            yield Case(f"off-{name}-{('', 'small', 'large')[size]}", (), ((name, value),), seed, (maker,))
+    seed = 1600
+    for size in (2, 1):
+        for name, (maker, small, large) in MORE_LISTED.items():
+            seed += 1
+            value = (large if size == 2 else small) * _factor(seed)
+            yield Case(f"{name}-{('', 'small', 'large')[size]}", ((name, value),), (), seed, (maker,))
+
+
+def _factor(seed: int) -> float:
+    return float(np.random.default_rng([seed, 0]).uniform(0.8, 1.3))

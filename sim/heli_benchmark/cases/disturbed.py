@@ -1,0 +1,169 @@
+"""Cases with disturbances: two types of rig, three controllers, up to four causes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from heli_benchmark.cases.disturbed_case import QUANSER_RIG, DisturbedCase
+from heli_benchmark.effects.disturbances import DisturbanceModel, MEMORIES_s, STRENGTHS_Nm
+from heli_benchmark.effects.listed import LISTED, MORE_LISTED, Maker
+from heli_benchmark.effects.measured import MEASURED_EFFECTS
+from heli_benchmark.effects.unlisted import DISTURBED
+from heli_benchmark.simulation.tracking import CONTROLLERS
+
+PAPER_RIG = "makki2024"
+RATES_Hz = (100, 250, 500)
+LAG, SPEED_LAG = "rotor_lag", "rotor_speed_lag"
+_NOTHING = 42
+_GENTLE, _ON_QUANSER, _DRIFTING = 0.25, 0.3, 0.35
+"""Shares of the cases with weak excitation, on the other rig, and with a slow drift."""
+_LARGER = (0.7, 1.0, 1.6)
+"""Factors of the sizes by strength of the disturbances, so that most causes are visible in any."""
+_GENTLE_LARGER = 1.6
+"""Factor of the sizes in flights with weak excitation."""
+_PAPER_ONLY = (
+    *("ground_effect", "edgewise_flow"),
+    *("zero_offset", "cable_spring.elevation", "rotor_reaction_torque"),
+)
+"""Effects that need the dimensions of the paper's rig, or that the tolerances of the other rig include."""
+_LIVELY = (
+    *("travel_drag_quadratic", "pitch_drag_quadratic", "gyroscopic_torque", "flywheel", "inflow_damping"),
+    *("edgewise_flow", "encoder_eccentricity", "rotor_reaction_torque", "cable_spring.elevation"),
+    *(law for law in DISTURBED if law not in ("bumpy_pitch", "hysteretic_thrust")),
+)
+"""Effects that weak excitation shows at no realistic size."""
+
+SIZES: dict[str, float] = {
+    **{name: large for name, (_, _, large) in (LISTED | MORE_LISTED).items()},
+    **{name: typical for name, (_, typical) in MEASURED_EFFECTS.items()},
+    "rotor_lag": 0.11,
+    "input_delay": 0.045,
+    "thrust_asymmetry": 0.12,
+    "supply_sag": 0.12,
+    "inflow_damping": 0.5,
+    "ground_effect": 1.0,
+    "rotor_reaction_torque": 0.06,
+    "coulomb_friction.elevation": 0.06,
+    "travel_drag_quadratic": 0.5,
+    "cable_spring.elevation": 0.7,
+    "axis_tilt": 4.0,
+    "backlash.elevation": 0.3,
+    "backlash.pitch": 0.3,
+    "backlash.travel": 0.3,
+    "encoder_eccentricity.travel": 4.0,
+    "edgewise_flow": 0.25,
+    "gyroscopic_torque": 0.06,
+}
+"""Sizes under moderate disturbances, in the unit of the effect."""
+_UNSEEN = ("random_torque", "encoder_eccentricity.elevation", "encoder_eccentricity.pitch")
+"""Random torques are disturbances; over a few degrees an eccentricity of second order is a scale."""
+_MAKERS: dict[str, Maker] = {
+    **{name: maker for name, (maker, _, _) in (LISTED | MORE_LISTED).items()},
+    **{name: maker for name, (maker, _) in MEASURED_EFFECTS.items()},
+    **{name: maker for name, (maker, _) in DISTURBED.items()},
+}
+_ALONE = (
+    *(
+        "input_delay",
+        "thrust_asymmetry",
+        "inflow_damping",
+        "coulomb_friction.elevation",
+        "cable_spring.travel",
+    ),
+    *("rotor_reaction_torque", "backlash.pitch", "travel_drag_quadratic", "thrust_step.back", "axis_tilt"),
+)
+"""Effects that also appear without a lag."""
+_SEVERAL = (
+    (LAG, "coulomb_friction.elevation", "cable_spring.travel"),
+    (LAG, "thrust_asymmetry", "coulomb_friction.travel"),
+    (LAG, "gyroscopic_torque", "travel_drag_quadratic"),
+    (LAG, "inflow_damping", "coulomb_friction.pitch"),
+    (LAG, "rotor_reaction_torque", "cable_spring.elevation"),
+    (LAG, "axis_tilt", "thrust_fade"),
+    ("thrust_asymmetry", "cable_spring.elevation"),
+    ("coulomb_friction.travel", "rotor_reaction_torque"),
+    (LAG, "thrust_asymmetry", "coulomb_friction.pitch", "cable_spring.travel"),
+    (LAG, "gyroscopic_torque", "coulomb_friction.elevation", "travel_drag_quadratic"),
+    (LAG, "edgewise_flow", "coulomb_friction.travel", "thrust_step.front"),
+    (LAG, "inflow_damping", "axis_tilt", "backlash.elevation"),
+    (SPEED_LAG,),
+    (SPEED_LAG, "coulomb_friction.travel"),
+    (SPEED_LAG, "cable_spring.elevation"),
+    (SPEED_LAG, "flywheel", "coulomb_friction.pitch"),
+)
+
+
+def disturbed_cases() -> list[DisturbedCase]:
+    """Return all cases, in an order in which the first are a fair sample of all."""
+    cases = list(_in_order())
+    return [cases[i] for i in np.random.default_rng(2).permutation(len(cases))]
+
+
+def _in_order() -> Iterator[DisturbedCase]:
+    seed = 3000
+    for number in range(_NOTHING):
+        seed += 1
+        yield _case(f"w-nothing-{number}", seed, (), ())
+    for number in range(4):
+        seed += 1
+        yield _case(f"w-lag-{number}", seed, (LAG,), ())
+    for name in SIZES:
+        if name not in (LAG, SPEED_LAG) and not name.startswith(_UNSEEN):
+            seed += 1
+            yield _case(f"w-lag+{name}", seed, (LAG, name), ())
+    for name in _ALONE:
+        seed += 1
+        yield _case(f"w-{name}", seed, (name,), ())
+    for names in _SEVERAL:
+        seed += 1
+        yield _case("w-" + "+".join(names).replace(LAG, "lag"), seed, names, ())
+    for law in DISTURBED:
+        for beside in ((LAG,), ()):
+            seed += 1
+            yield _case("w-" + "lag+" * len(beside) + f"off-{law}", seed, beside, (law,))
+
+
+def _case(name: str, seed: int, effects: Sequence[str], equations: Sequence[str]) -> DisturbedCase:
+    """Draw rig, flight and disturbances of a case, and the sizes that suit them."""
+    rng = np.random.default_rng([seed, 6])
+    strength = int(rng.integers(3))
+    gusts_Nm, correlation_time_s = STRENGTHS_Nm[strength], MEMORIES_s[int(rng.integers(3))]
+    drifts, on_quanser = rng.random() < _DRIFTING, rng.random() < _ON_QUANSER
+    drift = [float(share * gust) for share, gust in zip(rng.uniform(0.5, 1.0, 3), gusts_Nm, strict=True)]
+    disturbances = DisturbanceModel(
+        gusts_Nm,
+        correlation_time_s,
+        (drift[0], drift[1], drift[2]) if drifts else (0.0, 0.0, 0.0),
+        float(rng.uniform(20.0, 40.0)),
+    )
+    gentle = bool(rng.random() < _GENTLE)
+    rate_Hz = RATES_Hz[int(rng.integers(3))]
+    controller = CONTROLLERS[int(rng.integers(3))]
+    if any(one.startswith(_PAPER_ONLY) for one in effects):
+        on_quanser = False
+    if any(one.startswith(_LIVELY) for one in (*effects, *equations)):
+        gentle = False
+    larger = _LARGER[strength] * (_GENTLE_LARGER if gentle else 1.0)
+    sized = [(one, _size(one, SIZES[one], larger, rng)) for one in effects]
+    off = [(law, _size(law, DISTURBED[law][1], larger, rng)) for law in equations]
+    return DisturbedCase(
+        name,
+        tuple(sized),
+        tuple(off),
+        seed,
+        tuple(_MAKERS[one] for one in (*effects, *equations)),
+        QUANSER_RIG if on_quanser else PAPER_RIG,
+        rate_Hz,
+        gentle,
+        controller,
+        disturbances,
+    )
+
+
+def _size(name: str, typical: float, larger: float, rng: np.random.Generator) -> float:
+    # A lag depends on the rotors, not on the disturbances.
+    if name in (LAG, SPEED_LAG, "input_delay"):
+        larger = 1.0
+    return typical * larger * float(rng.uniform(0.75, 1.3))

@@ -1,0 +1,43 @@
+"""Cases of unlisted equations: each of `equations.py` in two sizes, disturbed, half with a rotor lag."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from heli_benchmark.cases.disturbed_case import DisturbedCase
+from heli_benchmark.effects.disturbances import DisturbanceModel, MEMORIES_s, STRENGTHS_Nm
+from heli_benchmark.effects.equations import EQUATIONS, MakeUnlisted
+from heli_benchmark.effects.listed import LISTED, Maker
+from heli_benchmark.simulation.tracking import CONTROLLERS
+
+_SIZES = {"large": 1.6, "small": 1.0}
+_LARGER = (0.7, 1.0, 1.6)
+"""Factors of the sizes by strength of the disturbances, as in `disturbed.py`."""
+_LAG_s = 0.1
+_RATES_Hz = (100, 250)
+
+
+def equation_cases() -> list[DisturbedCase]:
+    """Return all cases, in an order in which the first are a fair sample of all."""
+    cases = []
+    for number, (size, law) in enumerate((size, law) for size in _SIZES for law in EQUATIONS):
+        rng = np.random.default_rng([5000 + number, 6])
+        strength = int(rng.integers(3))
+        disturbances = DisturbanceModel(STRENGTHS_Nm[strength], MEMORIES_s[int(rng.integers(3))])
+        lag = bool(number % 2)
+        makers: tuple[Maker, ...] = (MakeUnlisted(law),)
+        cases.append(
+            DisturbedCase(
+                f"law-{law}-{size}",
+                (("rotor_lag", _LAG_s),) if lag else (),
+                ((law, EQUATIONS[law].size * _SIZES[size] * _LARGER[strength]),),
+                5000 + number,
+                (LISTED["rotor_lag"][0], *makers) if lag else makers,
+                "makki2024",
+                int(rng.choice(_RATES_Hz)),
+                False,
+                CONTROLLERS[int(rng.integers(3))],
+                disturbances,
+            )
+        )
+    return [cases[i] for i in np.random.default_rng(4).permutation(len(cases))]

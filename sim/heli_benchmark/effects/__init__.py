@@ -1,0 +1,1 @@
+"""Effects that can be hidden in a rig, listed or not, and disturbances."""

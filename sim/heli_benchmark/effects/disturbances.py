@@ -1,0 +1,70 @@
+"""Disturbances: random torques about all three axes, as each real rig has them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from heli_host.arrays import Floats
+
+from heli_benchmark.engine.plant import STEP_S, HiddenEffect, Moment
+
+STRENGTHS_Nm = ((0.006, 0.002, 0.004), (0.012, 0.004, 0.008), (0.02, 0.006, 0.012))
+"""Standard deviations about elevation, pitch and travel: weak, moderate, strong."""
+MEMORIES_s = (0.3, 0.6, 1.2)
+"""Correlation times of the gusts; on measured flights they are 0.1 to 1.2 s."""
+_LONGEST_s = 130.0
+
+
+@dataclass(frozen=True)
+class DisturbanceModel:
+    """Size and correlation of random torques.
+
+    Parameters
+    ----------
+    gusts_Nm : tuple of float
+        Standard deviations of the gusts about elevation, pitch and travel.
+    correlation_time_s : float
+        Correlation time of the gusts.
+    slow_std_Nm : tuple of float
+        Standard deviations of an additional slow drift; zeros without one.
+    drift_s : float
+        Correlation time of the drift.
+    """
+
+    gusts_Nm: tuple[float, float, float]
+    correlation_time_s: float
+    slow_std_Nm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    drift_s: float = 30.0
+
+
+class DisturbanceTorques(HiddenEffect):
+    """Independent Ornstein-Uhlenbeck torques about the three axes; they are no cause to be named.
+
+    Parameters
+    ----------
+    disturbances : DisturbanceModel
+        Sizes and correlation times.
+    chance : numpy.random.Generator
+        Generator of this flight; no two flights share it.
+    """
+
+    def __init__(self, disturbances: DisturbanceModel, chance: np.random.Generator) -> None:
+        super().__init__(1.0, chance)
+        steps = round(_LONGEST_s / STEP_S)
+        gusts = _wander(disturbances.correlation_time_s, steps, chance) * disturbances.gusts_Nm
+        drift = _wander(disturbances.drift_s, steps, chance) * disturbances.slow_std_Nm
+        self._torque_Nm = gusts + drift
+
+    def torque(self, at: Moment) -> None:
+        at.torque_Nm += self._torque_Nm[round(at.flight_s / STEP_S)]
+
+
+def _wander(correlation_time_s: float, steps: int, chance: np.random.Generator) -> Floats:
+    """Three stationary Ornstein-Uhlenbeck processes of unit variance, (steps, 3)."""
+    from scipy.signal import lfilter
+
+    keep = np.exp(-STEP_S / correlation_time_s)
+    kicks = np.sqrt(1.0 - keep**2) * chance.standard_normal((steps, 3))
+    kicks[0] = chance.standard_normal(3)
+    return np.asarray(lfilter([1.0], [1.0, -keep], kicks, axis=0))

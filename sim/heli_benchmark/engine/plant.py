@@ -1,0 +1,287 @@
+"""A rig in MuJoCo that the flight code flies, with effects hidden in it.
+
+This package does not use the equations of the project or its effects. Masses are bodies and axes are joints.
+A hidden effect changes forces, masses or gravity of MuJoCo, or the numbers that enter and leave it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import mujoco
+import numpy as np
+from heli_host.arrays import Floats
+from heli_sim import _native
+from heli_sim.rig import Rig
+
+from heli_benchmark.engine.bodies import JOINTS, mujoco_rig
+
+STEP_S = 0.0005
+
+
+@dataclass
+class Moment:
+    """State of the rig within a step, which a hidden effect may read and change.
+
+    Parameters
+    ----------
+    time_s : float
+        Time since the rig was switched on.
+    flight_s : float
+        Time since the motors first ran.
+    volts_V : ndarray (2,)
+        Voltages at the motors, front and back.
+    above_V : ndarray (2,)
+        Voltages beyond the dead zone, with their sign; set together with the thrust.
+    gain_N_per_V : float
+        Thrust per volt beyond the dead zone; set together with the thrust.
+    thrust_N : ndarray (2,)
+        Thrusts, front and back.
+    angles_rad, rates_rad_s : ndarray (3,)
+        Elevation, pitch and travel.
+    torque_Nm : ndarray (3,)
+        Additional torques about the three axes.
+    up : ndarray (3,)
+        Direction of the rotors' axes in the room.
+    climb_m_s : ndarray (2,)
+        Speed of each rotor along its own axis.
+    """
+
+    time_s: float
+    flight_s: float
+    volts_V: Floats
+    thrust_N: Floats
+    angles_rad: Floats
+    rates_rad_s: Floats
+    above_V: Floats = field(default_factory=lambda: np.zeros(2))
+    gain_N_per_V: float = 0.0
+    torque_Nm: Floats = field(default_factory=lambda: np.zeros(3))
+    up: Floats = field(default_factory=lambda: np.zeros(3))
+    climb_m_s: Floats = field(default_factory=lambda: np.zeros(2))
+
+
+class HiddenEffect:
+    """An effect that the rig has and the model lacks. A subclass overrides the methods for what it changes.
+
+    Parameters
+    ----------
+    size : float
+        Strength, in the unit that the subclass states.
+    rng : numpy.random.Generator
+        Draws its other numbers.
+    """
+
+    late: bool = False
+    """Whether `thrust` acts after all other effects that change the thrust."""
+
+    flight_rng: np.random.Generator
+    """Draws what differs between flights. Set before a flight."""
+
+    def __init__(self, size: float, rng: np.random.Generator) -> None:
+        self.size = size
+        self.truth: dict[str, float] = {"size": size}
+
+    def hung(self, rig: Rig) -> str:
+        """Return bodies that hang on the long arm of a `rig`, as XML of MuJoCo."""
+        return ""
+
+    def configure(self, model: Any) -> None:
+        """Change the `model` of MuJoCo before the flight."""
+
+    def rest(self, state: Floats) -> None:
+        """Change the `state` at power-up, shape (6,), in place."""
+
+    def volts(self, at: Moment) -> None:
+        """Change `at.volts_V`."""
+
+    def thrust(self, at: Moment) -> None:
+        """Change `at.thrust_N`."""
+
+    def torque(self, at: Moment) -> None:
+        """Add to `at.torque_Nm`."""
+
+    def during(self, at: Moment, model: Any) -> None:
+        """Change the `model` of MuJoCo in flight."""
+
+    def measured(self, angles_rad: Floats) -> Floats:
+        """Return the angles that the encoders see when the true ones are `angles_rad`, shape (3,)."""
+        return angles_rad
+
+
+class MujocoPlant:
+    """The rig in MuJoCo, with the members of `heli_sim.plant.Plant` that `SilWorld` uses.
+
+    Parameters
+    ----------
+    rig : Rig
+        True parameters.
+    hidden : sequence of HiddenEffect
+        Effects hidden in it.
+    """
+
+    def __init__(self, rig: Rig, hidden: Sequence[HiddenEffect]) -> None:
+        self.rig = rig
+        self.hidden = sorted(hidden, key=lambda one: one.late)
+        self.physics = mujoco_rig(rig, step_s=STEP_S, hung="".join(one.hung(rig) for one in self.hidden))
+        for one in self.hidden:
+            one.configure(self.physics)
+        self.data = mujoco.MjData(self.physics)
+        self._q = np.array([self.physics.joint(name).qposadr[0] for name in JOINTS])
+        self._v = np.array([self.physics.joint(name).dofadr[0] for name in JOINTS])
+        self._sites = [self.physics.site(name).id for name in ("front", "back")]
+        self._body = self.physics.body("body").id
+        self.parameters: Floats = np.zeros(1)
+        self._rest = np.array([np.deg2rad(rig["elevation_min"].value), 0.0, 0.0, 0.0, 0.0, 0.0])
+        for one in self.hidden:
+            one.rest(self._rest)
+        self._lowest_rad = float(self._rest[0])
+        self._time_s = self._flight_s = 0.0
+        self._let_go = False
+        self._gain, self._dead_zone_V = rig["thrust_gain"].value, rig["dead_zone"].value
+        self._reverse = rig["reverse_thrust"].value
+        self._steady_Nm = np.array([rig[f"torque_{axis}"].value for axis in JOINTS])
+        zeros_deg = (rig["offset_elevation"].value, rig["offset_pitch"].value, 0.0)
+        self._zeros_rad = np.deg2rad(zeros_deg)
+
+    def rest_state(self) -> Floats:
+        """Return the state at rest on the table, shape (6,)."""
+        return self._rest.copy()
+
+    def step(self, state: Floats, volts_V: Sequence[float]) -> tuple[Floats, Floats]:
+        """Return the `state` unchanged, because the arm is held; `volts_V` are 0 when the world asks."""
+        return state, state[:3]
+
+    def holding_torque_Nm(self) -> Floats:
+        """Return the torques that hold the level arm still with its motors off, shape (3,)."""
+        self.data.qpos[:], self.data.qvel[:] = 0.0, 0.0
+        mujoco.mj_forward(self.physics, self.data)
+        return np.asarray(self.data.qfrc_bias[self._v])
+
+    def native_step(self) -> _native.PlantStep:
+        """Return `millisecond` as a step that the world calls."""
+        return _native.CallbackStep(self._step, 6, 1)
+
+    def millisecond(
+        self, state: Sequence[float], volts_V: Sequence[float]
+    ) -> tuple[list[float], list[float]]:
+        """Simulate one millisecond.
+
+        Parameters
+        ----------
+        state : sequence of float
+            Elevation, pitch and travel in rad, then their rates in rad/s.
+        volts_V : sequence of float
+            Voltages of the front and the back motor.
+
+        Returns
+        -------
+        tuple of list of float
+            The state afterwards, and the angles that the encoders see, rad.
+        """
+        data, volts = self.data, np.array(volts_V)
+        data.qpos[self._q], data.qvel[self._v] = state[:3], state[3:]
+        # The masses of Table 2 balance above the table: the arm is held down until the motors run.
+        self._let_go = self._let_go or bool(volts.any())
+        if self._let_go:
+            for _ in range(2):
+                self._half(volts)
+        self._time_s += 0.001
+        angles, rates = data.qpos[self._q].copy(), data.qvel[self._v].copy()
+        if angles[0] <= self._lowest_rad:
+            angles[0], rates = self._lowest_rad, rates * np.array([0.0, 0.99, 0.99])
+        return [*angles, *rates], self.seen(angles).tolist()
+
+    def act(self, at: Moment) -> None:
+        """Compute thrusts and torques of a moment from its voltages, hidden effects included."""
+        for one in self.hidden:
+            one.volts(at)
+        forward_V = np.maximum(at.volts_V - self._dead_zone_V, 0.0)
+        backward_V = np.maximum(-at.volts_V - self._dead_zone_V, 0.0)
+        at.above_V = forward_V - backward_V
+        at.gain_N_per_V = self._gain
+        at.thrust_N = self._gain * (forward_V - self._reverse * backward_V)
+        at.torque_Nm += self._steady_Nm
+        for one in self.hidden:
+            one.thrust(at)
+        for one in self.hidden:
+            one.torque(at)
+
+    def acceleration(
+        self, angles_rad: Floats, rates_rad_s: Floats, thrust_N: Floats, torque_Nm: Floats
+    ) -> Floats:
+        """Return the accelerations of the three axes in a given state, rad/s2, shape (3,).
+
+        Parameters
+        ----------
+        angles_rad, rates_rad_s : ndarray (3,)
+            State of the three axes.
+        thrust_N : ndarray (2,)
+            Thrusts of the rotors.
+        torque_Nm : ndarray (3,)
+            Additional torques about the axes.
+        """
+        data = self.data
+        data.qpos[self._q], data.qvel[self._v] = angles_rad, rates_rad_s
+        data.ctrl[:] = thrust_N
+        data.qfrc_applied[self._v] = torque_Nm
+        mujoco.mj_forward(self.physics, data)
+        return np.asarray(data.qacc[self._v])
+
+    def seen(self, angles_rad: Floats) -> Floats:
+        """Return the angles that the encoders see for true `angles_rad`, shape (3,).
+
+        Call it once per millisecond, because play has a memory.
+        """
+        seen = angles_rad + self._zeros_rad
+        for one in self.hidden:
+            seen = one.measured(seen)
+        return seen
+
+    def _step(
+        self, state: list[float], volts_V: list[float], locked: list[float], parameters: list[float]
+    ) -> tuple[list[float], list[float]]:
+        return self.millisecond(state, volts_V)
+
+    def _half(self, volts_V: Floats) -> None:
+        data = self.data
+        mujoco.mj_kinematics(self.physics, data)
+        mujoco.mj_comPos(self.physics, data)
+        mujoco.mj_comVel(self.physics, data)
+        up = data.xmat[self._body].reshape(3, 3)[:, 2].copy()
+        velocity = np.zeros(6)
+        climb = np.empty(2)
+        for i, site in enumerate(self._sites):
+            mujoco.mj_objectVelocity(self.physics, data, mujoco.mjtObj.mjOBJ_SITE, site, velocity, 0)
+            climb[i] = velocity[3:] @ up
+        at = Moment(
+            self._time_s,
+            self._flight_s,
+            volts_V.copy(),
+            np.zeros(2),
+            data.qpos[self._q].copy(),
+            data.qvel[self._v].copy(),
+            up=up,
+            climb_m_s=climb,
+        )
+        self.act(at)
+        for one in self.hidden:
+            one.during(at, self.physics)
+        data.ctrl[:] = at.thrust_N
+        data.qfrc_applied[self._v] = at.torque_Nm
+        mujoco.mj_step(self.physics, data)
+        self._flight_s += STEP_S
+
+
+class Delay:
+    """A delay of `delay_s`, rounded to whole steps; `first` is the output before anything arrives."""
+
+    def __init__(self, delay_s: float, first: Floats) -> None:
+        self._queue = deque([first.copy()] * max(1, round(delay_s / STEP_S)))
+        self.delay_s = len(self._queue) * STEP_S
+
+    def __call__(self, value: Floats) -> Floats:
+        self._queue.append(value.copy())
+        return self._queue.popleft()

@@ -1,0 +1,147 @@
+"""Contribution of each cause along a recorded trajectory: torques about the axes and errors of the encoders.
+
+Each cause is removed in turn, and the rig is put into each recorded state. The difference of the
+accelerations times the inertia is the torque of the cause. The method needs no equation of a cause, only
+MuJoCo with and without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from heli_host.arrays import Floats
+from heli_sim.rig import Rig
+
+from heli_benchmark.engine.plant import STEP_S, HiddenEffect, MujocoPlant
+from heli_benchmark.engine.true_trajectory import TrueTrajectory
+
+GRID_S = 0.02
+"""Step of the analysis. Disturbances last 0.3 s and more, and rotors lag by 0.1 s."""
+_HALVES = round(GRID_S / STEP_S)
+FINE = 4
+"""Parts of a step at which MuJoCo is evaluated: dry friction may reverse within a step."""
+
+
+def steps(trajectory: TrueTrajectory) -> int:
+    """Return the number of whole steps of the grid in a trajectory."""
+    return len(trajectory.time_s) // _HALVES
+
+
+@dataclass(frozen=True)
+class Forces:
+    """Thrusts and torques in each part of a step, and the angles at the encoders.
+
+    Parameters
+    ----------
+    thrust_N : ndarray (parts, 2)
+        Thrusts, mean of each part.
+    torque_Nm : ndarray (parts, 3)
+        Torques in addition to those of MuJoCo, mean of each part.
+    seen_rad : ndarray (steps, 3)
+        Angles at the encoders, before quantisation.
+    """
+
+    thrust_N: Floats
+    torque_Nm: Floats
+    seen_rad: Floats
+
+
+@dataclass
+class ReplayedRig:
+    """A rig with some of the hidden effects, which is put into recorded states instead of flying.
+
+    Parameters
+    ----------
+    rig : Rig
+        Its parameters.
+    hidden : sequence of HiddenEffect
+        Effects in it, newly created because some have a memory.
+    """
+
+    rig: Rig
+    hidden: Sequence[HiddenEffect]
+    _plant: MujocoPlant = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._plant = MujocoPlant(self.rig, self.hidden)
+
+    def forces(self, trajectory: TrueTrajectory) -> Forces:
+        """Return thrusts and torques along a trajectory."""
+        plant, parts = self._plant, steps(trajectory) * FINE
+        halves = _HALVES // FINE
+        thrust, torque = np.zeros((parts, 2)), np.zeros((parts, 3))
+        seen = np.empty((steps(trajectory), 3))
+        # The board takes the angles at power-up for level.
+        start = np.zeros(6)
+        for one in self.hidden:
+            one.rest(start)
+        for k in range(steps(trajectory) * _HALVES):
+            at = trajectory.moment(k)
+            plant.act(at)
+            thrust[k // halves] += at.thrust_N
+            torque[k // halves] += at.torque_Nm
+            if k % 2 == 0:
+                shown = plant.seen(at.angles_rad)
+                if k % _HALVES == 0:
+                    seen[k // _HALVES] = shown - start[:3]
+        return Forces(thrust / halves, torque / halves, seen)
+
+    def accelerations(self, trajectory: TrueTrajectory, forces: Forces, every: int = 1) -> Floats:
+        """Return accelerations along a trajectory under given forces, rad/s2, shape (parts / every, 3).
+
+        Parameters
+        ----------
+        trajectory : TrueTrajectory
+            States of the rig.
+        forces : Forces
+            Thrusts and torques.
+        every : int
+            Evaluate each `every`-th part only.
+        """
+        plant, halves = self._plant, _HALVES // FINE
+        found = np.empty((len(forces.thrust_N) // every, 3))
+        for i in range(len(found)):
+            part = i * every
+            k = part * halves + halves * every // 2
+            for one in plant.hidden:
+                one.during(trajectory.moment(k), plant.physics)
+            found[i] = plant.acceleration(
+                trajectory.angles_rad[k],
+                trajectory.rates_rad_s[k],
+                forces.thrust_N[part],
+                forces.torque_Nm[part],
+            )
+        return found
+
+
+def inertia_kg_m2(rig: Rig, angles_rad: Floats) -> Floats:
+    """Return the inertia matrices at given angles.
+
+    Parameters
+    ----------
+    rig : Rig
+        Masses and lengths.
+    angles_rad : ndarray (n, 3)
+        Elevation, pitch and travel.
+
+    Returns
+    -------
+    ndarray (n, 3, 3)
+        Inertia in kg m2.
+    """
+    plant = MujocoPlant(rig, ())
+    found = np.empty((len(angles_rad), 3, 3))
+    still, none = np.zeros(3), np.zeros(2)
+    for i, angles in enumerate(angles_rad):
+        rest = plant.acceleration(angles, still, none, still)
+        answers = [plant.acceleration(angles, still, none, torque) - rest for torque in np.eye(3)]
+        found[i] = np.linalg.inv(np.array(answers).T)
+    return found
+
+
+def acts_by_itself(effect: HiddenEffect) -> bool:
+    """Return whether an `effect` acts outside of the model of MuJoCo."""
+    hooks = ("rest", "volts", "thrust", "torque", "measured")
+    return any(getattr(type(effect), hook) is not getattr(HiddenEffect, hook) for hook in hooks)

@@ -1,0 +1,236 @@
+"""Visibility of each cause: standard deviations above disturbances and parameter tolerances.
+
+An effect acts along the true trajectory as torques and as errors of the encoders (`replay.py`). A small
+change obeys the equations of the rig linearised about the trajectory. A Kalman filter that knows the
+disturbances (strength, correlation, drift) and the quantisation whitens the effect, and also the change that
+each parameter of the rig can cause. Parameters can imitate a part of the effect within their tolerances, and
+other causes can imitate a part at any size. The norm of the remaining innovations is the visibility.
+
+It is the square root of twice the log-likelihood ratio of a test on the training flight that knows everything
+but the sizes. The quantisation errors are assumed white; if an axis moves slowly over its counts, they last
+longer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from heli_host.arrays import Floats
+from heli_sim.rig import Rig
+from heli_sim.rig.encoders import count_rad
+
+from heli_benchmark.cases.clean import TRAIN_S
+from heli_benchmark.cases.disturbed_case import DisturbedCase
+from heli_benchmark.effects.disturbances import DisturbanceModel
+from heli_benchmark.engine.true_trajectory import TrueTrajectory
+from heli_benchmark.reference.replay import (
+    FINE,
+    GRID_S,
+    Forces,
+    ReplayedRig,
+    acts_by_itself,
+    inertia_kg_m2,
+    steps,
+)
+
+_SMALL = 1e-4
+_START_RAD, _START_RAD_S = 0.02, 0.2
+_OTHER_CAUSE = 10.0
+"""Prior of the size of another cause, in multiples of its true size: it may have any size."""
+_MECHANICAL = ("M_f", "M_b", "M_w", "M_h", "M_l", "L_a", "L_b", "L_h", "L_phi", "L_theta", "L_x")
+_FRICTIONS = ("friction_elevation", "friction_pitch", "friction_travel")
+
+
+@dataclass(frozen=True)
+class CauseContribution:
+    """Contribution of a cause along a trajectory.
+
+    Parameters
+    ----------
+    torque_Nm : ndarray (n, 3)
+        Torques about the axes.
+    seen_rad : ndarray (n, 3)
+        Errors of the measured angles.
+    """
+
+    torque_Nm: Floats
+    seen_rad: Floats
+
+
+def visibility(case: DisturbedCase, duration_s: float = TRAIN_S) -> dict[str, float]:
+    """Return the standard deviations by which each cause exceeds the disturbances of the training flight.
+
+    Parameters
+    ----------
+    duration_s : float
+        Length of the training flight.
+
+    Returns
+    -------
+    dict of float
+        By name, listed effects first; an unlisted effect begins with ``off-``.
+    """
+    names = [*(name for name, _ in case.effects), *(f"off-{name}" for name, _ in case.unlisted)]
+    if not names:
+        return {}
+    trajectory = case.fly(0, duration_s)[1]
+    rig = case.rig()
+    line = LinearisedRig(trajectory, rig, case.disturbances)
+    acting = ReplayedRig(rig, case.hidden(0))
+    forces = acting.forces(trajectory)
+    acceleration = acting.accelerations(trajectory, forces)
+    causes = []
+    for i in range(len(names)):
+        every = case.hidden(0)
+        rest = ReplayedRig(rig, [*every[:i], *every[i + 1 :]])
+        left = rest.forces(trajectory) if acts_by_itself(every[i]) else forces
+        lost = acceleration - rest.accelerations(trajectory, left)
+        causes.append(CauseContribution(line.torque(lost, FINE), forces.seen_rad - left.seen_rad))
+    others = imitators(rig, trajectory, forces, line)
+    white = line.innovations([*causes, *others])
+    return {name: line.remaining(white, i, len(causes)) for i, name in enumerate(names)}
+
+
+def imitators(
+    rig: Rig, trajectory: TrueTrajectory, forces: Forces, line: LinearisedRig
+) -> list[CauseContribution]:
+    """Return the contribution of an error of each parameter by one standard deviation of its prior.
+
+    Parameters
+    ----------
+    rig : Rig
+        The true rig; a tolerance is two standard deviations.
+    trajectory : TrueTrajectory
+        States along the flight.
+    forces : Forces
+        Thrusts and torques along the flight.
+    line : LinearisedRig
+        The rig linearised about the trajectory.
+    """
+    nothing = np.zeros((steps(trajectory), 3))
+    base = ReplayedRig(rig, ()).accelerations(trajectory, forces, FINE)
+    found = []
+
+    def off(name: str) -> float:
+        return 0.5 * rig[name].tolerance
+
+    for name in (*_MECHANICAL, *_FRICTIONS):
+        if off(name):
+            other = ReplayedRig(rig.replace(**{name: rig[name].value + off(name)}), ())
+            change = other.accelerations(trajectory, forces, FINE) - base
+            found.append(CauseContribution(line.torque(change, 1), nothing))
+    gain = rig["thrust_gain"].value
+    on = np.abs(forces.thrust_N) > 0.0
+    for thrust in (
+        forces.thrust_N * off("thrust_gain") / gain,
+        -gain * off("dead_zone") * np.sign(forces.thrust_N) * on,
+    ):
+        pushed = Forces(forces.thrust_N + thrust, forces.torque_Nm, forces.seen_rad)
+        change = ReplayedRig(rig, ()).accelerations(trajectory, pushed, FINE) - base
+        found.append(CauseContribution(line.torque(change, 1), nothing))
+    for i, axis in enumerate(("elevation", "pitch", "travel")):
+        steady = np.zeros((steps(trajectory), 3))
+        steady[:, i] = 1.0
+        found.append(CauseContribution(steady * off(f"torque_{axis}"), nothing))
+        if i < 2:
+            found.append(CauseContribution(nothing, steady * math.radians(off(f"offset_{axis}"))))
+    return found
+
+
+class LinearisedRig:
+    """A rig linearised about a trajectory, and the Kalman filter for its disturbances that whitens."""
+
+    def __init__(self, trajectory: TrueTrajectory, rig: Rig, disturbances: DisturbanceModel) -> None:
+        halves = len(trajectory.time_s) // steps(trajectory)
+        middle = slice(halves // 2, steps(trajectory) * halves, halves)
+        self._inertia = inertia_kg_m2(rig, trajectory.angles_rad[middle])
+        self._push = np.linalg.inv(self._inertia)
+        forces = ReplayedRig(rig, ()).forces(trajectory)
+        self._by_state = _jacobians(rig, trajectory, forces)
+        self._disturbances = disturbances
+        self._noise = np.diag(count_rad(rig) ** 2 / 12.0)
+
+    def torque(self, acceleration: Floats, parts: int) -> Floats:
+        """Return the torques of an `acceleration`, rad/s2, given in `parts` of a step, as means of the steps,
+        shape (n, 3).
+        """
+        mean = acceleration.reshape(-1, parts, 3).mean(axis=1)
+        return np.asarray(np.einsum("nij,nj->ni", self._inertia, mean))
+
+    def innovations(self, contributions: Sequence[CauseContribution]) -> Floats:
+        """Return the normalised innovations of `contributions`, shape (3 n, their number).
+
+        The error of the filter obeys a stable equation, so the unstable rig is not simulated.
+        """
+        torques = np.stack([one.torque_Nm for one in contributions], axis=2)
+        seen = np.stack([one.seen_rad for one in contributions], axis=2)
+        h, see = GRID_S, np.eye(3, 12)
+        gusts = np.array(self._disturbances.gusts_Nm), math.exp(-h / self._disturbances.correlation_time_s)
+        drift = np.array(self._disturbances.slow_std_Nm), math.exp(-h / self._disturbances.drift_s)
+        kicks = np.zeros((12, 12))
+        for start, (size, keep) in ((6, gusts), (9, drift)):
+            kicks[start : start + 3, start : start + 3] = np.diag(size**2 * (1.0 - keep**2))
+        covariance = np.diag([_START_RAD**2] * 3 + [_START_RAD_S**2] * 3 + [*gusts[0] ** 2, *drift[0] ** 2])
+        error = np.zeros((12, len(contributions)))
+        white = np.empty((len(torques), 3, len(contributions)))
+        for k in range(len(torques)):
+            spread = see @ covariance @ see.T + self._noise
+            surprise = see @ error + seen[k]
+            white[k] = np.linalg.solve(np.linalg.cholesky(spread), surprise)
+            gain = np.linalg.solve(spread, see @ covariance).T
+            error = error - gain @ surprise
+            covariance = covariance - gain @ see @ covariance
+            step, pushed = self._step(k, gusts[1], drift[1])
+            error = step @ error + pushed @ torques[k]
+            covariance = step @ covariance @ step.T + kicks
+            covariance = 0.5 * (covariance + covariance.T)
+        return white.reshape(-1, len(contributions))
+
+    def remaining(self, white: Floats, which: int, causes: int) -> float:
+        """Return the norm of a column of innovations after its projection on the others, under their priors.
+
+        Parameters
+        ----------
+        white : ndarray (rows, columns)
+            Columns of the causes, then of the parameters.
+        which : int
+            Column of the cause.
+        causes : int
+            Number of columns of causes.
+        """
+        column = white[:, which]
+        others = np.delete(white, which, axis=1)
+        others[:, : causes - 1] *= _OTHER_CAUSE
+        bent = others.T @ others + np.eye(others.shape[1])
+        toward = others.T @ column
+        left = column @ column - toward @ np.linalg.solve(bent, toward)
+        return math.sqrt(max(float(left), 0.0))
+
+    def _step(self, k: int, gust_keeps: float, drift_keeps: float) -> tuple[Floats, Floats]:
+        """Return the transition matrix of a step, (12, 12), and the input matrix of a torque, (12, 3)."""
+        h = GRID_S
+        a = np.zeros((6, 6))
+        a[:3, 3:] = np.eye(3)
+        a[3:] = self._by_state[k]
+        b = np.vstack([np.zeros((3, 3)), self._push[k]])
+        # exp(a h) to third order: the time constants of the rig are tenths of a second.
+        moved = np.eye(6) + h * a + h**2 / 2.0 * a @ a + h**3 / 6.0 * a @ a @ a
+        pushed = (h * np.eye(6) + h**2 / 2.0 * a + h**3 / 6.0 * a @ a) @ b
+        step = np.zeros((12, 12))
+        step[:6, :6], step[:6, 6:9], step[:6, 9:] = moved, pushed, pushed
+        step[6:9, 6:9], step[9:, 9:] = gust_keeps * np.eye(3), drift_keeps * np.eye(3)
+        return step, np.vstack([pushed, np.zeros((6, 3))])
+
+
+def _jacobians(rig: Rig, trajectory: TrueTrajectory, forces: Forces) -> Floats:
+    """Return the derivatives of the accelerations by angles and rates at each step, shape (n, 3, 6)."""
+    plain = ReplayedRig(rig, ())
+    base = plain.accelerations(trajectory, forces, FINE)
+    found = np.empty((steps(trajectory), 3, 6))
+    for i in range(6):
+        moved = trajectory.moved(i, _SMALL)
+        found[:, :, i] = (plain.accelerations(moved, forces, FINE) - base) / _SMALL
+    return found

@@ -1,0 +1,84 @@
+"""Run the diagnosis of the laboratory on two flights."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Collection
+from typing import Any, Final
+
+from heli_host.flight import Flight
+from heli_lab.diagnose import Diagnosis, diagnose, to_json
+from heli_sim.errors import SimError
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import catalogue
+from heli_sim.rig import Rig
+
+REFITS: Final = 80
+"""Refits of a search, the default of the command line."""
+
+
+def run_diagnosis(
+    rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS, unlisted: Collection[str] = ()
+) -> Diagnosis:
+    """Diagnose two flights; the diagnosis gets the nominal rig and no truth.
+
+    Parameters
+    ----------
+    rig : Rig
+        Nominal parameters.
+    flights : tuple of Flight
+        Training and validation flight.
+    refits : int
+        Maximum number of refits in the search.
+    unlisted : collection of str
+        Effects to remove from its catalogue.
+    """
+    kinds = {id_: kind for id_, kind in catalogue().items() if id_ not in unlisted}
+    return diagnose(
+        MultibodyModel(), rig, flights[:1], flights[1:], kinds=kinds, labels=["a", "b"], refits=refits
+    )
+
+
+def diagnosis_json(rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS) -> dict[str, Any]:
+    """Return the result of `run_diagnosis`, with at most `refits` refits, as JSON."""
+    return to_json(run_diagnosis(rig, flights, refits))
+
+
+def timed_diagnosis(rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS) -> dict[str, Any]:
+    """Diagnose two flights, and measure the time.
+
+    Parameters
+    ----------
+    rig : Rig
+        Nominal parameters.
+    flights : tuple of Flight
+        Training and validation flight.
+    refits : int
+        Maximum number of refits in the search.
+
+    Returns
+    -------
+    dict
+        ``result`` (JSON or None), ``failure`` (the error that ended it, or empty), ``seconds`` and
+        ``cpu_seconds``.
+    """
+    started_s, worked_s = time.perf_counter(), _cpu_s()
+    result, failure = None, ""
+    try:
+        result = diagnosis_json(rig, flights, refits)
+    except (SimError, ArithmeticError, LookupError, TypeError, ValueError) as error:
+        # An error in one case must not end the run; it counts as a miss and is reported.
+        failure = f"{type(error).__name__}: {error}"
+    return {
+        "result": result,
+        "failure": failure,
+        "seconds": time.perf_counter() - started_s,
+        "cpu_seconds": _cpu_s() - worked_s,
+    }
+
+
+def _cpu_s() -> float:
+    """CPU time of this process and of the children that it has waited for."""
+    used = os.times()
+    return used.user + used.system + used.children_user + used.children_system

@@ -1,0 +1,220 @@
+"""One case from its flights to its row, with files that let an interrupted run continue."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import heli_lab
+import heli_sim
+from heli_host.flight import Flight
+from heli_host.log.flight_file import read_flight
+from heli_sim.rig import Rig, load_rig
+
+from heli_benchmark.cases.clean import Case, clean_cases
+from heli_benchmark.cases.disturbed import disturbed_cases
+from heli_benchmark.cases.disturbed_case import DisturbedCase
+from heli_benchmark.reference.informed_fit import InformedFit, fit_informed
+from heli_benchmark.reference.truth import hidden_in
+from heli_benchmark.reference.visibility import visibility
+from heli_benchmark.runs.ask import REFITS, timed_diagnosis
+from heli_benchmark.scoring.judge import Row, judge
+
+WORK = f"{__name__}:run_named_case"
+_HERE = Path(__file__).parents[1]
+_SIM, _LAB = Path(heli_sim.__file__).parent, Path(heli_lab.__file__).parent
+_FLIGHT_CODE_FILES = tuple(
+    _HERE / name
+    for name in (
+        *("engine/bodies.py", "engine/plant.py", "effects/listed.py", "effects/unlisted.py"),
+        *("cases/clean.py", "simulation/flight_code.py"),
+    )
+)
+_DISTURBED_FILES = tuple(
+    _HERE / name
+    for name in (
+        *("engine/bodies.py", "engine/plant.py", "effects/listed.py", "effects/unlisted.py"),
+        *("effects/measured.py", "effects/disturbances.py", "simulation/tracking.py"),
+        *("cases/clean.py", "cases/disturbed_case.py"),
+    )
+)
+_REFERENCE_FILES = (_HERE / "reference/informed_fit.py", _HERE / "reference/truth.py")
+_VISIBILITY_FILES = tuple(
+    _HERE / name for name in ("engine/true_trajectory.py", "reference/replay.py", "reference/visibility.py")
+)
+_PAGE_FILES = ("figures.py", "result_figures.py", "page.py", "sentences.py", "equation_figures.py")
+_DIAGNOSIS_FILES = tuple(
+    path
+    for room in (
+        *(_LAB / name for name in ("diagnose", "estimation", "identify")),
+        *(_SIM / name for name in ("model", "compiled", "rig")),
+        *(_SIM.with_name(name) for name in ("kalman", "expression_vm")),
+    )
+    for path in sorted(room.rglob("*"))
+    if path.suffix in (".py", ".toml", ".hpp", ".cpp") and path.name not in _PAGE_FILES
+)
+"""Files that an answer depends on: all but those of the page."""
+_PAPER = "makki2024"
+
+
+@dataclass(frozen=True)
+class PreparedCase:
+    """Flights of a case, and how visible its causes are.
+
+    Parameters
+    ----------
+    flights : tuple of Flight
+        Training and validation flight.
+    rig : Rig
+        The nominal rig.
+    reference : InformedFit or dict of float
+        The fit with the true causes; with disturbances, the visibility of each cause in standard deviations.
+    """
+
+    flights: tuple[Flight, Flight]
+    rig: Rig
+    reference: InformedFit | dict[str, float]
+
+
+def run(case: Case, folder: Path, *, keep: bool = False, refits: int = REFITS) -> Row:
+    """Fly a case, diagnose its flights, and judge the answer.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of flights and results.
+    keep : bool
+        Use flights and results that exist, whatever code made them.
+    refits : int
+        Maximum number of refits in the search.
+
+    Returns
+    -------
+    Row
+        The judgement.
+    """
+    ready = prepare(case, folder, keep=keep)
+    code = _digest("", _DIAGNOSIS_FILES)
+    place = folder / case.name / "diagnosis.json"
+    answer = _kept(place, code, keep, lambda: timed_diagnosis(ready.rig, ready.flights, refits))
+    return judge(
+        case,
+        hidden_in(case, _motors_on_s(ready.flights[0], ready.rig)),
+        ready.reference,
+        answer["result"],
+        answer["seconds"],
+        answer["failure"],
+        cpu_seconds=answer["cpu_seconds"],
+        disturbances=_conditions(case) if isinstance(case, DisturbedCase) else {},
+    )
+
+
+def run_named_case(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Run a case of a campaign by its name in `settings`; return its summary and its row."""
+    every = (*clean_cases(), *disturbed_cases())
+    case = next(one for one in every if one.name == settings["case"])
+    row = run(case, Path(settings["folder"]), keep=settings["keep"], refits=settings["refits"])
+    said = {
+        "verdict": row.verdict,
+        "right": row.right,
+        "failure": row.failure,
+        "causes": ", ".join(row.named),
+    }
+    return said, asdict(row)
+
+
+def code_of_rows() -> str:
+    """Return the digest of all files that a row depends on: flights, diagnosis and scoring."""
+    return _digest("", (*sorted(_HERE.rglob("*.py")), *_DIAGNOSIS_FILES))
+
+
+def prepare(case: Case, folder: Path, *, keep: bool = False) -> PreparedCase:
+    """Fly a case, and compute how visible its causes are.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of both.
+    keep : bool
+        Use what exists, whatever code made it.
+    """
+    place = folder / case.name
+    place.mkdir(parents=True, exist_ok=True)
+    made_by = _digest(repr(case), _DISTURBED_FILES if isinstance(case, DisturbedCase) else _FLIGHT_CODE_FILES)
+    mark = place / "made_by.txt"
+    current = mark.exists() and mark.read_text() == made_by
+    if not current and not (keep and any(place.iterdir())):
+        for old in place.iterdir():
+            old.unlink()
+        # Written before the flights: each is complete or absent, so an interrupted run keeps the first.
+        mark.write_text(made_by)
+    paths = case.flights(folder)
+    flights = read_flight(paths[0]), read_flight(paths[1])
+    rig = load_rig(case.rig_name if isinstance(case, DisturbedCase) else _PAPER)
+    if isinstance(case, DisturbedCase):
+        code = _digest(made_by, _VISIBILITY_FILES)
+        visible = _kept(place / "visibility.json", code, keep, lambda: dict(visibility(case)))
+        return PreparedCase(flights, rig, visible)
+    # The truth does not depend on the laboratory: an edit there does not require 127 new fits.
+    hidden = hidden_in(case, _motors_on_s(flights[0], rig))
+    code = _digest(made_by, _REFERENCE_FILES)
+    informed = _kept(place / "informed.json", code, keep, lambda: asdict(fit_informed(rig, flights, hidden)))
+    return PreparedCase(flights, rig, InformedFit(**informed))
+
+
+def cause_visibility(case: Case, folder: Path, keep: bool) -> dict[str, float | None]:
+    """Return the standard deviations by which each cause of a case is visible; None if it has no size.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of flights.
+    keep : bool
+        Use what exists, whatever code made it.
+    """
+    reference = prepare(case, folder, keep=keep).reference
+    return reference.significance if isinstance(reference, InformedFit) else dict(reference)
+
+
+def _conditions(case: DisturbedCase) -> dict[str, Any]:
+    of = case.disturbances
+    return {
+        "rig": case.rig_name,
+        "rate_Hz": case.rate_Hz,
+        "gentle": case.gentle,
+        "controller": case.controller,
+        "gusts_Nm": list(of.gusts_Nm),
+        "correlation_time_s": of.correlation_time_s,
+        "slow_std_Nm": list(of.slow_std_Nm),
+    }
+
+
+def _motors_on_s(flight: Flight, rig: Rig) -> float:
+    # Drivers pass no voltage below their dead band.
+    least_V = rig["driver_dead_band"].value * rig["supply"].value
+    on = (flight.voltages_V > least_V).any(axis=1)
+    return float(flight.t_s[on][0] - flight.t_s[0])
+
+
+def _kept(path: Path, made_by: str, keep: bool, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Read the result of an earlier run with the same code, or compute and write it."""
+    if path.exists():
+        found: dict[str, Any] = json.loads(path.read_text())
+        if keep or found["made_by"] == made_by:
+            return dict(found["what"])
+    what = make()
+    unfinished = path.with_suffix(".unfinished")
+    unfinished.write_text(json.dumps({"made_by": made_by, "what": what}, indent=1, default=float))
+    unfinished.rename(path)
+    return what
+
+
+def _digest(text: str, files: Iterable[Path]) -> str:
+    digest = hashlib.sha256(text.encode())
+    for path in files:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,199 @@
+"""Quality of a proposed equation: against the true torque, and against a fit with the true equation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from heli_host.arrays import Floats
+from heli_host.flight import Flight
+from heli_lab.diagnose import Diagnosis
+from heli_lab.diagnose.discover import NAME, accelerations
+from heli_lab.diagnose.evaluate import compare_free_runs, free_runs, predict
+from heli_lab.diagnose.search import Candidate, Hypothesis, ModelComparison, typical_candidate
+from heli_lab.identify import prepare
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effect import Effect, Operands, Stage
+from heli_sim.model.effects import catalogue
+from heli_sim.rig import Prior, Quantity, load_rig
+
+from heli_benchmark.cases.clean import VALIDATE_S
+from heli_benchmark.cases.disturbed_case import DisturbedCase
+from heli_benchmark.effects.equations import EQUATIONS, EquationInputs, TrueEquation, Unlisted
+from heli_benchmark.reference.replay import FINE, GRID_S, ReplayedRig, inertia_kg_m2, steps
+from heli_benchmark.runs.ask import REFITS, run_diagnosis
+
+_AXES = ("elevation", "pitch", "travel")
+
+
+@dataclass(frozen=True)
+class TrueEquationEffect(Effect):
+    """The true `equation` as an effect of a model: its size is free, its other `numbers` are the true ones.
+
+    The other fields are those of `Effect`.
+    """
+
+    equation: TrueEquation = field(default_factory=lambda: EQUATIONS["pitch_by_elevation"])
+    numbers: Mapping[str, float] = field(default_factory=dict)
+
+    def __hash__(self) -> int:
+        return hash((self.name, tuple(self.values.items())))
+
+    def _seen(self, at: Operands) -> EquationInputs:
+        q = [at.state[f"{axis}_rad"] for axis in _AXES]
+        w = [at.state[f"{axis}_rate_rad_s"] for axis in _AXES]
+        late = self.own(at, "late") if self.states else 0.0
+        return EquationInputs(q, w, [at.thrust_N[0], at.thrust_N[1]], late)
+
+    def _value(self, at: Operands) -> ca.SX:
+        value: ca.SX = self.own(at, "size") * self.equation.value(ca, self._seen(at), self.numbers)
+        return value
+
+    def torque_Nm(self, at: Operands) -> ca.SX:
+        kind, _, where = self.equation.channel.partition(".")
+        on = kind == "torque"
+        return ca.vertcat(*(self._value(at) if on and where == axis else ca.SX(0) for axis in _AXES))
+
+    def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
+        kind, _, where = self.equation.channel.partition(".")
+        if kind != "thrust":
+            return thrust_N
+        on = {"both": (1.0, 1.0), "front": (1.0, 0.0), "back": (0.0, 1.0)}[where]
+        return thrust_N * (1.0 + self._value(at) * ca.DM(on))
+
+    def state_rates(self, at: Operands) -> ca.SX:
+        if not self.states:
+            return ca.SX.zeros(0)
+        assert self.equation.remembers is not None
+        seen = self._seen(at)
+        return ca.SX((self.equation.remembers(seen) - seen.late) / self.numbers["lag_s"])
+
+
+def true_equation_effect(hidden: Unlisted) -> TrueEquationEffect:
+    """Create the effect of a hidden equation."""
+    states = (Quantity("true_equation_late", "1", "output of its lag"),) if hidden.equation.remembers else ()
+    stage = Stage.TORQUE if hidden.equation.channel.startswith("torque") else Stage.INFLOW
+    return TrueEquationEffect(
+        "true_equation",
+        parameters=(Quantity("true_equation_size", "1", "size of the equation"),),
+        values={"true_equation_size": hidden.size},
+        priors={"true_equation_size": Prior(0.0, 3.0 * abs(hidden.size))},
+        states=states,
+        stage=stage,
+        equation=hidden.equation,
+        numbers=hidden.numbers,
+    )
+
+
+def true_torque_Nm(case: DisturbedCase) -> tuple[Floats, Floats]:
+    """Return times and torques of the hidden equation along the validation flight, shapes (n,) and (n, 3).
+
+    The torque is the difference of MuJoCo with and without the equation.
+    """
+    trajectory = case.fly(1, VALIDATE_S)[1]
+    rig = case.rig()
+    every = case.hidden(1)
+    acting, rest = ReplayedRig(rig, every), ReplayedRig(rig, _without_equation(case.hidden(1)))
+    with_it = acting.accelerations(trajectory, acting.forces(trajectory), FINE)
+    without = rest.accelerations(trajectory, rest.forces(trajectory), FINE)
+    halves = len(trajectory.time_s) // steps(trajectory)
+    middle = slice(halves // 2, steps(trajectory) * halves, halves)
+    inertia = inertia_kg_m2(rig, trajectory.angles_rad[middle])
+    torque = np.einsum("nij,nj->ni", inertia, with_it - without)
+    return np.asarray(GRID_S * (np.arange(len(torque)) + 0.5), float), np.asarray(torque, float)
+
+
+def _without_equation(hidden: list[Any]) -> list[Any]:
+    return [one for one in hidden if not isinstance(one, Unlisted)]
+
+
+def judge_equation(
+    case: DisturbedCase, flights: tuple[Flight, Flight], refits: int = REFITS
+) -> dict[str, Any]:
+    """Diagnose a case, and compare the proposed equation with the truth.
+
+    Parameters
+    ----------
+    flights : tuple of Flight
+        Training and validation flight.
+    refits : int
+        Maximum number of refits in the search.
+
+    Returns
+    -------
+    dict
+        ``verdict``, ``causes``, ``channel`` and ``expression`` of the equation (None if none is proposed).
+        ``correlation`` is that of its torques with the true ones along the validation flight. ``error_ratio``
+        is its free-run error there divided by that of the fit with the true equation. Both are about the axis
+        on which the equation acts most.
+    """
+    rig = load_rig(case.rig_name)
+    found = run_diagnosis(rig, flights, refits)
+    proposed = found.proposed_term
+    answer: dict[str, Any] = {
+        "verdict": found.label,
+        "causes": [one.candidate.id for one in found.verdict.causes],
+        "channel": None,
+        "expression": None,
+        "seconds": found.effort.seconds,
+    }
+    unlisted = [one for one in case.hidden(0) if isinstance(one, Unlisted)]
+    if proposed is not None:
+        answer |= {
+            "channel": proposed.equation.channels[0],
+            "expression": proposed.sentence,
+            "confidence": proposed.confidence,
+            "nats": [proposed.discovery.train, proposed.discovery.held_out],
+        }
+    if proposed is None or not unlisted:
+        return answer
+    records = [prepare(flight, rig, label) for flight, label in zip(flights, "ab", strict=True)]
+    comparison = ModelComparison(MultibodyModel(), rig, records[:1], records[1:])
+    time_s, truth = true_torque_Nm(case)
+    seen_s, law = equation_torque_Nm(comparison, proposed.discovery.hypothesis, case)
+    there = (time_s >= seen_s[0]) & (time_s <= seen_s[-1])
+    at = np.column_stack([np.interp(time_s[there], seen_s, law[:, i]) for i in range(3)])
+    axis = int(np.argmax(truth[there].std(axis=0)))
+    answer["axis"] = _AXES[axis]
+    answer["correlation"] = float(np.corrcoef(truth[there][:, axis], at[:, axis])[0, 1])
+    answer["error_ratio"] = _error_ratio(comparison, found, case, unlisted[0], axis)
+    return answer
+
+
+def equation_torque_Nm(
+    comparison: ModelComparison, hypothesis: Hypothesis, case: DisturbedCase
+) -> tuple[Floats, Floats]:
+    """Return times and torques of a proposed equation along the validation flight, shapes (n,) and (n, 3)."""
+    estimate = comparison.held_out_estimate(hypothesis)
+    seen_s, change = accelerations(estimate, NAME)
+    (linear,) = estimate.filtered().linearised_flights
+    inertia = inertia_kg_m2(case.rig(), linear.trajectory.state[:, :3])
+    return seen_s, np.asarray(np.einsum("nij,nj->ni", inertia, change), float)
+
+
+def _error_ratio(
+    comparison: ModelComparison, found: Diagnosis, case: DisturbedCase, hidden: Unlisted, axis: int
+) -> float:
+    """Error over 2 s of the validation flight, divided by that of the fit with the true equation."""
+    assert found.proposal is not None
+    truth = Candidate("true_equation", true_equation_effect(hidden), ("true_equation_size",))
+    reached = informed_errors_deg(comparison, [*listed_candidates(name for name, _ in case.effects), truth])
+    return found.proposal.evaluation.reductions[_AXES[axis]].after_deg / reached[_AXES[axis]]
+
+
+def listed_candidates(names: Iterable[str]) -> list[Candidate]:
+    """Return effects of the catalogue by `names`, with their typical sizes as start values."""
+    kinds = catalogue()
+    return [typical_candidate(kinds[name]) for name in names]
+
+
+def informed_errors_deg(comparison: ModelComparison, candidates: Sequence[Candidate]) -> dict[str, float]:
+    """Return errors over 2 s of the validation flight by axis, of a fit with the true causes, degrees."""
+    start = {name: value for one in candidates for name, value in one.effect.values.items()}
+    hypothesis = comparison.refit(candidates, start, comparison.refit([]))
+    fit = predict(hypothesis.estimate, comparison.train, comparison.held_out).fit
+    runs = free_runs(fit, comparison.held_out)
+    return {axis: one.after_deg for axis, one in compare_free_runs(runs, runs, 0).horizons["2"].items()}

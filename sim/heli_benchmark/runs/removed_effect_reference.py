@@ -1,0 +1,74 @@
+"""Equations in the place of a removed effect: the share of its error that they explain, and a flight."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from heli_host.flight import Flight
+from heli_lab.campaign.works import DEFAULTS, fly
+from heli_lab.diagnose.search import ModelComparison
+from heli_lab.identify import prepare
+from heli_sim.model import MultibodyModel
+from heli_sim.rig import load_rig
+
+from heli_benchmark.cases.disturbed_case import DisturbedCase
+from heli_benchmark.cases.removed_effects import REMOVED
+from heli_benchmark.runs.ask import REFITS, run_diagnosis
+from heli_benchmark.runs.equation_reference import informed_errors_deg, listed_candidates
+
+
+def judge_replacement(
+    case: DisturbedCase, flights: tuple[Flight, Flight], folder: Path, refits: int = REFITS
+) -> dict[str, Any]:
+    """Diagnose a case with its last effect removed from the catalogue, and compare the equation in its place.
+
+    Parameters
+    ----------
+    flights : tuple of Flight
+        Training and validation flight.
+    folder : Path
+        Folder of the effect file of the equation.
+    refits : int
+        Maximum number of refits in the search.
+
+    Returns
+    -------
+    dict
+        ``verdict``, ``causes`` and ``expression`` of the equation (None if none is proposed). ``axis`` is the
+        axis whose error the effect reduces most. Errors there over 2 s of the validation flight, in degrees:
+        ``without_deg`` of a fit without the effect, ``informed_deg`` with it, ``found_deg`` of the diagnosis.
+        ``share`` is the share of the reduction that the diagnosis reaches. ``flies`` is the outcome of a
+        flight with the equation.
+    """
+    rig = load_rig(case.rig_name)
+    name = case.effects[-1][0]
+    found = run_diagnosis(rig, flights, refits, (name, *REMOVED[name]))
+    proposed = found.proposed_term
+    records = [prepare(flight, rig, label) for flight, label in zip(flights, "ab", strict=True)]
+    comparison = ModelComparison(MultibodyModel(), rig, records[:1], records[1:])
+    rest = listed_candidates(one for one, _ in case.effects[:-1])
+    without, informed = (
+        informed_errors_deg(comparison, [*rest, *more]) for more in ([], listed_candidates([name]))
+    )
+    axis = max(informed, key=lambda name: without[name] / informed[name])
+    proposal = found.proposal
+    gains = found.error_reductions if proposal is None else proposal.evaluation.reductions
+    answer: dict[str, Any] = {
+        "verdict": found.label,
+        "causes": [one.candidate.id for one in found.verdict.causes],
+        "expression": None if proposed is None else proposed.sentence,
+        "axis": axis,
+        "without_deg": without[axis],
+        "informed_deg": informed[axis],
+        "found_deg": gains[axis].after_deg,
+        "share": (without[axis] - gains[axis].after_deg) / (without[axis] - informed[axis]),
+        "seconds": found.effort.seconds,
+    }
+    if proposed is not None:
+        path = folder / case.name / "proposed.py"
+        path.write_text(proposed.effect_file("Proposed."))
+        effect = proposed.discovery.effect.name
+        flown, _ = fly({**DEFAULTS, "plan": "hover", "effect_files": [str(path)], "effects": [effect]})
+        answer["flies"] = flown["outcome"]
+    return answer

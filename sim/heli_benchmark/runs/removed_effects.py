@@ -1,0 +1,70 @@
+"""`python -m heli_benchmark.runs.removed_effects`: effects removed from the catalogue."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from heli_benchmark.cases.selection import chosen
+from heli_benchmark.runs.equations import EquationRow, add_rows, judge_rows
+
+SHARE = 0.8
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the cases and count.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Arguments instead of those of the command line.
+
+    Returns
+    -------
+    int
+        Exit status: 0 when every case ran.
+    """
+    parser = argparse.ArgumentParser(
+        prog="python -m heli_benchmark.runs.removed_effects", description=__doc__
+    )
+    add_rows(parser, Path("removed_effects.json"))
+    given = parser.parse_args(arguments)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from heli_benchmark.cases.removed_effects import removed_effect_cases
+    from heli_benchmark.runs.removed_effect_reference import judge_replacement
+
+    cases = chosen(removed_effect_cases(), given)
+    rows = judge_rows(cases, lambda one, two: judge_replacement(one, two, given.folder), _said, given)
+    print(removed_effect_summary(rows))
+    return 0 if all("failure" not in row for row in rows.values()) else 1
+
+
+def _said(row: EquationRow) -> str:
+    if "failure" in row:
+        return str(row["failure"])
+    seen = list(row["visibility"].values())[-1]
+    return (
+        f"[{seen:.0f}] {row['verdict']}, {', '.join(row['causes']) or 'no cause'}: "
+        f"{row['expression'] or 'no equation'}; {row['axis']} off by {row['without_deg']:.3g} deg without, "
+        f"{row['found_deg']:.3g} with it, {row['informed_deg']:.3g} with the effect: share {row['share']:.2f}"
+        f"{'; flown: ' + row['flies'] if 'flies' in row else ''}"
+    )
+
+
+def removed_effect_summary(rows: Mapping[str, EquationRow]) -> str:
+    """Count equations that fly and explain `SHARE` of the error; `rows` are by case, as in the file."""
+    ended = [row for row in rows.values() if "failure" not in row]
+    proposed = [row for row in ended if row["expression"]]
+    flying = [row for row in proposed if row["flies"] == "completed"]
+    good = [row for row in flying if row["share"] >= SHARE]
+    return (
+        f"effects removed: {len(ended)}, equations proposed {len(proposed)}, flown {len(flying)}, "
+        f"explain {SHARE:.0%} of the error of the effect {len(good)}"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

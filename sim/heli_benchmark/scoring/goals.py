@@ -1,0 +1,158 @@
+"""Goals: one table with a count, a total and a required share in each line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from heli_benchmark.scoring.judge import RANDOM_TORQUE, Row
+from heli_benchmark.scoring.reliability import holds, reliability
+
+SURE = 0.7
+"""Confidence from which a false name counts as confident."""
+NEAR = 1.10
+"""Largest ratio of held-out errors, diagnosis to fit with the true causes, on clean flights."""
+
+
+def goals(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
+    """Count the results for each goal.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+        Judged cases.
+
+    Returns
+    -------
+    dict
+        For each goal ``count``, ``of``, ``share``, the share ``wanted``, and whether it is ``reached`` (None
+        without a requirement or without cases). ``borderline`` has the counts of cases that only a very
+        good test would detect.
+    """
+    clean, disturbed = _split(rows)
+    with_causes = [row for row in disturbed if row.kind in ("one", "several")]
+    unlisted = [row for row in disturbed if row.kind == "off_list"]
+    false_confidences = [sure for row in disturbed for _, right, sure in row.answers if not right]
+    alarms = [not row.right for row in clean if row.kind == "nothing"]
+    false_names = [bool(row.false_names) for row in disturbed]
+    bins = [holds(one) for one in reliability(rows) if one["causes"]]
+    return {
+        "clean: named first": _least(_right(clean, "one", "several"), 0.97),
+        "clean: false alarms on nothing hidden": _most(alarms, 0.0),
+        "disturbed: every cause named": _least(_right(with_causes), 0.95, _borderline(with_causes)),
+        "disturbed: false names with confidence 0.7 or more": _most(
+            [s >= SURE for s in false_confidences], 0.0
+        ),
+        "disturbed: cases with any false name": _most(false_names, 0.03),
+        "disturbed: nothing hidden is explained": _least(_right(disturbed, "nothing"), 0.95),
+        "disturbed: unlisted is unexplained": _least(_right(unlisted), 0.95, _borderline(unlisted)),
+        "numbers within 2 standard errors": _least(_within(rows), 0.93),
+        "confidence: bins within their binomial bounds": _least(bins, 1.0),
+    }
+
+
+def further_counts(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
+    """Count further results, without a requirement.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+        Judged cases.
+
+    Returns
+    -------
+    dict
+        As `goals` returns it.
+    """
+    clean, disturbed = _split(rows)
+    fair = [row for row in clean if row.kind in ("one", "several") and row.counts]
+    visible_disturbed = [row for row in disturbed if row.kind in ("one", "several") and row.counts]
+    causes = [
+        name in row.named_correctly
+        for row in disturbed
+        for name in row.visible
+        if not name.startswith("off-")
+    ]
+    near = [
+        row.errors["found"] <= NEAR * row.errors["informed"]
+        for row in fair
+        if not any(name.startswith(RANDOM_TORQUE) for name in row.hidden)
+    ]
+    found = [row.verdict == "cause_found" for row in visible_disturbed]
+    return {
+        "clean: unlisted called unexplained": _least(_right(clean, "off_list")),
+        "clean: every visible cause named": _least([not row.missed for row in fair]),
+        "clean: nothing named that is not there": _least([not row.false_names for row in fair]),
+        "clean: held-out error within 10 % of the fit with the true causes": _least(near),
+        "clean: numbers within 2 standard errors": _least(_within(clean)),
+        "disturbed: numbers within 2 standard errors": _least(_within(disturbed)),
+        "disturbed: visible causes named, one by one": _least(causes),
+        "disturbed: cause_found where causes are hidden": _least(found),
+        "diagnosis failed": _most([bool(row.failure) for row in rows], 0.0),
+    }
+
+
+def table(found: dict[str, dict[str, Any]]) -> list[str]:
+    """Format goals as lines.
+
+    Parameters
+    ----------
+    found : dict
+        Result of `goals`.
+
+    Returns
+    -------
+    list of str
+        One line per goal.
+    """
+    lines = []
+    for name, one in found.items():
+        share = f"{one['share']:.1%}" if one["of"] else "-"
+        wanted, mark = "", ""
+        if one["wanted"] is not None:
+            wanted = f"{'<=' if one['at_most'] else '>='} {one['wanted']:.0%}"
+            mark = {True: "reached", False: "MISSED", None: "nothing counted"}[one["reached"]]
+        beside = one.get("borderline")
+        apart = f"; borderline {beside['count']} of {beside['of']}" if beside and beside["of"] else ""
+        counts = f"{one['count']:4d} of {one['of']:4d}  {share:>6s}"
+        lines.append(f"  {name:61s} {counts}  {wanted:8s} {mark}{apart}".rstrip())
+    return lines
+
+
+def _split(rows: Iterable[Row]) -> tuple[list[Row], list[Row]]:
+    """Split rows into clean and disturbed cases."""
+    found: tuple[list[Row], list[Row]] = ([], [])
+    for row in rows:
+        found[bool(row.disturbances)].append(row)
+    return found
+
+
+def _right(rows: Iterable[Row], *kinds: str) -> list[bool]:
+    return [row.right for row in rows if row.counts and (not kinds or row.kind in kinds)]
+
+
+def _borderline(rows: Iterable[Row]) -> list[bool]:
+    return [row.right for row in rows if row.is_borderline]
+
+
+def _within(rows: Iterable[Row]) -> list[bool]:
+    return [ok for row in rows for ok in row.within.values()]
+
+
+def _least(flags: Sequence[bool], wanted: float | None = None, apart: Sequence[bool] = ()) -> dict[str, Any]:
+    share = sum(flags) / max(len(flags), 1)
+    reached = None if wanted is None or not flags else share >= wanted
+    beside = {"borderline": {"count": sum(apart), "of": len(apart)}} if apart else {}
+    return _line(flags, share, wanted, False, reached) | beside
+
+
+def _most(flags: Sequence[bool], wanted: float) -> dict[str, Any]:
+    share = sum(flags) / max(len(flags), 1)
+    return _line(flags, share, wanted, True, share <= wanted)
+
+
+def _line(
+    flags: Sequence[bool], share: float, wanted: float | None, at_most: bool, reached: bool | None
+) -> dict[str, Any]:
+    counts = {"count": sum(flags), "of": len(flags), "share": share}
+    return counts | {"wanted": wanted, "at_most": at_most, "reached": reached}

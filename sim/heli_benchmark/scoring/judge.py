@@ -1,0 +1,282 @@
+"""Comparison of a diagnosis with the truth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from heli_benchmark.cases.clean import Case
+from heli_benchmark.reference.informed_fit import InformedFit
+from heli_benchmark.reference.truth import PARTS, TrueEffect, of_parts
+
+MIN_SIGNIFICANCE = 3.0
+"""Size in standard errors, in the fit with the true causes, from which an effect must be named."""
+MIN_NOTICEABLE_ERROR = 1.05
+"""Normalised error of the refitted baseline from which an unlisted effect must be noticed."""
+MIN_VISIBILITY_STD = 15.0
+"""Visibility in standard deviations from which a cause counts under disturbances.
+
+Below it, a method that must choose among thirty causes and estimate the disturbances may miss a cause for
+good reasons. With a higher limit only obvious cases would count.
+"""
+MIN_BORDERLINE_STD = 8.0
+"""Visibility from which a case counts as borderline; below it, even the best test would need luck."""
+MAX_STD = 2.0
+"""Standard errors within which an estimate counts as right: 95 % of them, if the errors are right."""
+_MIN_STD_SHARE = 1e-3
+"""Tolerance of an estimate as a share of the truth: two simulation engines agree no better."""
+RANDOM_TORQUE = "random_torque"
+"""Effect that describes disturbances: never a false name in a disturbed case."""
+LISTED_SINCE = {"off-pitch_drag_quadratic": "pitch_drag_quadratic"}
+"""Effects that were unlisted when their cases were drawn, and their present name."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """Result of one case.
+
+    Parameters
+    ----------
+    case, kind : str
+        Name and kind of the case.
+    hidden : tuple of str
+        Ids of the hidden effects; unlisted ones begin with ``off-``.
+    significance : Mapping[str, float | None]
+        Their sizes in standard errors of the fit with the true causes; under disturbances their visibility.
+    verdict : str
+        Verdict of the diagnosis.
+    named : tuple of str
+        Causes in the order of the diagnosis.
+    confidence : tuple of float
+        Confidence of each cause.
+    alternatives : tuple of tuple of str
+        Effects that each cause is ambiguous with.
+    parameters : Mapping[str, tuple]
+        Value, standard error and truth of each parameter that the generator defines as the catalogue does.
+    errors : Mapping[str, float]
+        Normalised errors on the validation flight: ``found`` of the diagnosis and, on clean flights,
+        ``baseline`` and ``informed`` of the reference fits; the same on the training flight with ``_train``.
+    seconds, cpu_seconds : float
+        Elapsed time and CPU time of the diagnosis.
+    failure : str
+        Error that ended the diagnosis; empty when there was none.
+    disturbances : Mapping[str, Any]
+        Rig, rate, controller and disturbances; empty on clean flights.
+    """
+
+    case: str
+    kind: str
+    seed: int
+    hidden: tuple[str, ...]
+    significance: Mapping[str, float | None]
+    verdict: str
+    named: tuple[str, ...]
+    confidence: tuple[float, ...]
+    alternatives: tuple[tuple[str, ...], ...]
+    parameters: Mapping[str, tuple[float, float, float]]
+    errors: Mapping[str, float]
+    seconds: float
+    cpu_seconds: float = 0.0
+    failure: str = ""
+    disturbances: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def read(cls, kept: Mapping[str, Any]) -> Row:
+        """Create a row from its JSON form, `kept`."""
+        given = {name: kept[name] for name in cls.__dataclass_fields__}
+        for name in ("hidden", "named", "confidence"):
+            given[name] = tuple(given[name])
+        given["alternatives"] = tuple(tuple(one) for one in given["alternatives"])
+        given["parameters"] = {name: tuple(of) for name, of in given["parameters"].items()}
+        return cls(**given)
+
+    @property
+    def visible(self) -> tuple[str, ...]:
+        """Hidden effects that are large enough to be named; with unlisted ones under disturbances."""
+        least = MIN_VISIBILITY_STD if self.disturbances else MIN_SIGNIFICANCE
+        z = self.significance
+        return tuple(name for name in self.hidden if name in z and _at_least(z[name], least))
+
+    @property
+    def least_visibility_std(self) -> float:
+        """Smallest visibility of the effects that must be named; infinite without any."""
+        needed = [name for name in self.hidden if name.startswith("off-") or self.kind != "off_list"]
+        values = [z for name, z in self.significance.items() if name in needed and z is not None]
+        return min(values, default=math.inf)
+
+    @property
+    def counts(self) -> bool:
+        """Whether the case counts: its effects are visible, or nothing is hidden."""
+        if self.disturbances:
+            return self.least_visibility_std >= MIN_VISIBILITY_STD
+        if self.kind == "off_list":
+            return max(self.errors["baseline"], self.errors["baseline_train"]) >= MIN_NOTICEABLE_ERROR
+        return self.kind == "nothing" or bool(self.visible)
+
+    @property
+    def is_borderline(self) -> bool:
+        """Whether only a very good test would detect its effects under the disturbances."""
+        return (
+            bool(self.disturbances) and MIN_BORDERLINE_STD <= self.least_visibility_std < MIN_VISIBILITY_STD
+        )
+
+    @property
+    def named_correctly(self) -> tuple[str, ...]:
+        """Hidden effects that are named, or are one of two that the diagnosis does not distinguish."""
+        return tuple(
+            name for name in self.hidden if any(self._means(i, name) for i in range(len(self.named)))
+        )
+
+    @property
+    def first_right(self) -> bool:
+        """Whether the first cause is hidden, or is one of two of which one is hidden."""
+        return bool(self.named) and any(self._means(0, name) for name in self.hidden)
+
+    @property
+    def right(self) -> bool:
+        """Whether the answer is the right one."""
+        if self.kind == "nothing":
+            return self.verdict == "explained" and not self.false_names
+        if self.kind == "off_list":
+            return self.verdict == "unexplained" or (self.first_right and self.named[0] in self._since)
+        if self.disturbances:
+            return set(self.named_correctly) == set(self.hidden)
+        return self.first_right
+
+    @property
+    def false_names(self) -> tuple[str, ...]:
+        """Named causes that are not hidden, without disturbances."""
+        return tuple(name for name, right, _ in self.answers if not right)
+
+    @property
+    def answers(self) -> tuple[tuple[str, bool, float], ...]:
+        """Each named cause, whether it is hidden, and its confidence; without disturbances."""
+        return tuple(
+            (name, any(self._means(i, one) for one in self.hidden), sure)
+            for i, (name, sure) in enumerate(zip(self.named, self.confidence, strict=True))
+            if not (self.disturbances and name.startswith(RANDOM_TORQUE))
+        )
+
+    @property
+    def missed(self) -> tuple[str, ...]:
+        """Visible causes that were not named."""
+        return tuple(
+            name for name in self.visible if not name.startswith("off-") and name not in self.named_correctly
+        )
+
+    @property
+    def within(self) -> dict[str, bool]:
+        """Whether each estimate agrees with the truth within its error."""
+        return {
+            name: abs(value - truth) <= MAX_STD * max(std, _MIN_STD_SHARE * abs(truth) / MAX_STD)
+            for name, (value, std, truth) in self.parameters.items()
+        }
+
+    @property
+    def answer(self) -> str:
+        """First cause named, or the verdict if there is none."""
+        return self.named[0] if self.named and self.verdict != "unexplained" else self.verdict
+
+    @property
+    def _since(self) -> set[str]:
+        return {LISTED_SINCE[name] for name in self.hidden if name in LISTED_SINCE}
+
+    def _means(self, i: int, hidden: str) -> bool:
+        """Whether the `i`-th cause is a hidden effect, or one of two of which one is hidden."""
+        among = {self.named[i], *self.alternatives[i]}
+        hidden = LISTED_SINCE.get(hidden, hidden)
+        if hidden == self.named[i]:
+            return True
+        if hidden in PARTS.get(self.named[i], ()):
+            return all(part in self.hidden for part in PARTS[self.named[i]])
+        return len(among) <= 2 and hidden in among
+
+
+def judge(
+    case: Case,
+    hidden: Sequence[TrueEffect],
+    reference: InformedFit | Mapping[str, float],
+    result: Mapping[str, Any] | None,
+    seconds: float,
+    failure: str = "",
+    *,
+    cpu_seconds: float = 0.0,
+    disturbances: Mapping[str, Any] | None = None,
+) -> Row:
+    """Judge a diagnosis.
+
+    Parameters
+    ----------
+    hidden : sequence of TrueEffect
+        True effects in the parameters of the catalogue.
+    reference : InformedFit or Mapping[str, float]
+        The fit with the true causes, or under disturbances the visibility of each cause.
+    result : Mapping[str, Any] or None
+        JSON of the diagnosis; None if it failed.
+    seconds, cpu_seconds : float
+        Elapsed time and CPU time.
+    failure : str
+        Error that ended the diagnosis.
+    disturbances : Mapping[str, Any], optional
+        Rig and disturbances, for tables.
+
+    Returns
+    -------
+    Row
+        The judgement.
+    """
+    if result is None:
+        result = {"verdict": "failed", "causes": [], "residual": {"normalised": {}}}
+    given = [of_parts(cause["effect"], cause["parameters"]) for cause in reversed(result["causes"])]
+    causes = {effect: numbers for one in given for effect, numbers in one.items()}
+    parameters: dict[str, tuple[float, float, float]] = {}
+    for one in hidden:
+        found = causes.get(one.id, {})
+        for name, truth in one.scalars.items():
+            if name in found and found[name]["std"] > 0.0:
+                parameters[name] = (found[name]["value"], found[name]["std"], truth)
+        for pair, truth in one.amplitudes.items():
+            if all(name in found for name in pair):
+                parameters[f"{pair[0]}, {pair[1]}"] = (*_length([found[name] for name in pair]), truth)
+    # The numbers are null if nothing was excited.
+    normalised = result["residual"].get("normalised") or {}
+    errors = {"found": _number(normalised, "held_out_after"), "found_train": _number(normalised, "after")}
+    if isinstance(reference, InformedFit):
+        errors |= {"baseline": reference.nothing_held_out, "baseline_train": reference.nothing_train}
+        errors |= {"informed": reference.held_out, "informed_train": reference.train}
+    return Row(
+        case.name,
+        case.kind,
+        case.seed,
+        (*(one.id for one in hidden), *(f"off-{name}" for name, _ in case.unlisted)),
+        reference.significance if isinstance(reference, InformedFit) else reference,
+        result["verdict"],
+        tuple(cause["effect"] for cause in result["causes"]),
+        tuple(cause["confidence"] for cause in result["causes"]),
+        tuple(tuple(cause["ambiguous_with"]) for cause in result["causes"]),
+        parameters,
+        errors,
+        seconds,
+        cpu_seconds,
+        failure,
+        disturbances or {},
+    )
+
+
+def _at_least(significance: float | None, least: float) -> bool:
+    return significance is None or significance >= least
+
+
+def _number(of: Mapping[str, float | None], name: str) -> float:
+    value = of.get(name)
+    return math.inf if value is None else value
+
+
+def _length(pair: Sequence[Mapping[str, float]]) -> tuple[float, float]:
+    values, stds = (np.array([one[key] for one in pair], float) for key in ("value", "std"))
+    length = float(np.hypot(*values))
+    return length, float(np.hypot(*(values * stds))) / max(length, 1e-12)

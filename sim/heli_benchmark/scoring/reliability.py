@@ -1,0 +1,91 @@
+"""Calibration: whether the confidence of a cause is the frequency with which it is right."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from scipy.special import bdtr
+
+from heli_benchmark.scoring.judge import Row
+
+BINS = (0.0, 0.5, 0.7, 0.85, 0.95, 1.0)
+"""Bounds of the five bins."""
+_OUTSIDE = 0.05
+"""Probability that a bin of a calibrated diagnosis is outside of its bounds, both sides together."""
+
+
+def reliability(rows: Sequence[Row]) -> list[dict[str, float]]:
+    """Compare confidence with the share of right causes.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+        Judged cases of all kinds.
+
+    Returns
+    -------
+    list of dict
+        For each bin its bounds, number of ``causes``, ``mean_confidence``, number and share that is
+        ``right``, and the ``least`` and ``most`` that a binomial distribution of that mean allows.
+    """
+    given = [(sure, right) for row in rows for _, right, sure in row.answers]
+    curve = []
+    for low, high in pairwise(BINS):
+        inside = [(sure, ok) for sure, ok in given if low <= sure < high or sure == high == 1.0]
+        count, right = len(inside), sum(ok for _, ok in inside)
+        mean = sum(sure for sure, _ in inside) / count if count else 0.5 * (low + high)
+        curve.append(
+            {
+                "from": low,
+                "to": high,
+                "causes": count,
+                "mean_confidence": mean,
+                "right": right,
+                "share_right": right / count if count else mean,
+                "least": _quantile(_OUTSIDE / 2.0, count, mean),
+                "most": _quantile(1.0 - _OUTSIDE / 2.0, count, mean),
+            }
+        )
+    return curve
+
+
+def _quantile(share: float, count: int, mean: float) -> int:
+    """Quantile of a binomial distribution."""
+    # scipy.stats has it, too, but its import takes a second of CPU.
+    return int(np.searchsorted(bdtr(np.arange(count + 1), count, mean), share))
+
+
+def holds(bin_: dict[str, float]) -> bool:
+    """Return whether a bin of `reliability` is within its bounds; an empty `bin_` is."""
+    return bin_["least"] <= bin_["right"] <= bin_["most"]
+
+
+def draw(curve: Sequence[dict[str, float]], path: Path) -> None:
+    """Draw the reliability diagram.
+
+    Parameters
+    ----------
+    curve : sequence of dict
+        Result of `reliability`.
+    path : Path
+        File of the picture.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(4.2, 4.0), layout="constrained")
+    axes = figure.subplots()
+    axes.plot([0, 1], [0, 1], color="0.7", lw=1)
+    for one in curve:
+        if not one["causes"]:
+            continue
+        count, mean = one["causes"], one["mean_confidence"]
+        low, high = one["least"] / count, one["most"] / count
+        axes.plot([mean, mean], [low, high], color="0.6", lw=6, solid_capstyle="butt")
+        axes.plot(mean, one["share_right"], "o", color="C0" if holds(one) else "C3")
+        axes.annotate(f"{count:.0f}", (mean, one["share_right"]), (5, -10), textcoords="offset points")
+    axes.set(xlabel="confidence given", ylabel="share that is right", xlim=(-0.03, 1.03), ylim=(-0.03, 1.03))
+    axes.set_title("grey: range of 95 % of calibrated bins; numbers: causes", fontsize=8)
+    figure.savefig(path, dpi=110)

@@ -1,0 +1,112 @@
+"""Results of all cases as text: confusion table, misses, calibration, goals."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+from heli_benchmark.scoring.goals import further_counts, goals, table
+from heli_benchmark.scoring.judge import MIN_VISIBILITY_STD, Row
+from heli_benchmark.scoring.reliability import holds, reliability
+
+
+def confusion(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
+    """Count the first answers by what was hidden.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+        Judged cases.
+
+    Returns
+    -------
+    dict of dict of int
+        Counts by what was hidden, then by answer.
+    """
+    table: dict[str, Counter[str]] = {}
+    for row in rows:
+        counts = table.setdefault(" + ".join(row.hidden) or "nothing", Counter())
+        answer = "failed" if row.failure else row.answer
+        if not row.failure and row.right and row.kind in ("one", "several"):
+            answer = "right, ambiguous" if row.verdict == "ambiguous" else "right"
+            if row.verdict == "unexplained":
+                answer = "right, but unexplained"
+        elif not row.failure and row.right:
+            answer = "right"
+        elif not row.counts:
+            answer = f"{answer} ({_not_counted(row)})"
+        counts[answer] += 1
+    return {hidden: dict(counts) for hidden, counts in sorted(table.items())}
+
+
+def text(rows: Sequence[Row]) -> str:
+    """Format all results as text.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+        Judged cases.
+
+    Returns
+    -------
+    str
+        Confusion table, misses, calibration and goals.
+    """
+    lines = ["", "hidden: first answers and their number"]
+    for hidden, counts in confusion(rows).items():
+        said = ", ".join(f"{answer} {n}" for answer, n in sorted(counts.items(), key=lambda one: -one[1]))
+        lines.append(f"  {hidden:44s} {said}")
+    lines += ["", "misses"]
+    for row in rows:
+        line = _miss(row)
+        if line:
+            lines.append(f"  {row.case} (seed {row.seed}): {line}")
+    lines += ["", "confidence   causes   mean   right   within binomial bounds"]
+    for one in reliability(rows):
+        said = (
+            f"{one['least']:.0f} to {one['most']:.0f}: {'yes' if holds(one) else 'NO'}"
+            if one["causes"]
+            else "-"
+        )
+        lines.append(
+            f"  {one['from']:.2f}-{one['to']:.2f}  {one['causes']:6.0f}   {one['mean_confidence']:.2f}   "
+            f"{one['right']:5.0f}   {said}"
+        )
+    lines += ["", "further results", *table(further_counts(rows))]
+    lines += ["", f"goals, {len(rows)} cases, {_minutes(rows)}", *table(goals(rows))]
+    return "\n".join(lines)
+
+
+def _minutes(rows: Sequence[Row]) -> str:
+    return f"{sum(row.cpu_seconds for row in rows) / 60.0:.0f} minutes of CPU in the diagnosis"
+
+
+def _not_counted(row: Row) -> str:
+    return (
+        f"borderline, below {MIN_VISIBILITY_STD:g} standard deviations"
+        if row.is_borderline
+        else "too small to be visible"
+    )
+
+
+def _miss(row: Row) -> str:
+    if row.failure:
+        return f"failed: {row.failure}"
+    said = f"{row.verdict}: {', '.join(row.named) or 'no cause'}"
+    if not row.right:
+        note = "" if row.counts else f" ({_not_counted(row)})"
+        return f"{said}{note}"
+    parts = []
+    if row.kind in ("one", "several"):
+        if row.verdict == "explained":
+            parts.append("but the verdict is explained")
+        if row.false_names:
+            parts.append(f"false names {', '.join(row.false_names)}")
+        if row.missed:
+            parts.append(f"missed {', '.join(row.missed)}")
+    parts += [
+        f"{name} = {value:.4g} ± {std:.2g}, truth {truth:.4g}"
+        for name, (value, std, truth) in row.parameters.items()
+        if not row.within[name]
+    ]
+    return "; ".join(parts)

@@ -1,0 +1,128 @@
+"""Flights of the flight code on the MuJoCo rig, as logs."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from heli_host.declaration import Fault
+from heli_host.errors import FlightAborted
+from heli_host.flight import Flight
+from heli_host.fly.plan import Plan
+from heli_host.fly.runner import fly
+from heli_host.heli import Heli
+from heli_host.link.session import Session
+from heli_host.log.flight_file import read_flight
+from heli_sim.rig import Rig
+from heli_sim.sil.inprocess import InProcessTransport
+from heli_sim.sil.options import SilOptions
+from heli_sim.sil.world import SilWorld
+
+from heli_benchmark.engine.plant import HiddenEffect, MujocoPlant
+
+_TEXT = """
+title = "Blind {name}"
+[start]
+elevation_deg = 0
+rate_deg_s = 8
+settle_s = 3
+[[segment]]
+kind = "sine"
+travel_amplitude_deg = {travel}
+travel_period_s = {travel_s}
+elevation_amplitude_deg = {elevation}
+elevation_period_s = {elevation_s}
+duration_s = {sines_s}
+excite = {{ signal = "multisine", front_V = 0.25, back_V = 0.25, start_Hz = 0.1, stop_Hz = 4 }}
+[[segment]]
+kind = "waypoints"
+path = "straight"
+points = [
+  {{ at_s = 6, elevation_deg = 10, travel_deg = {corner} }},
+  {{ at_s = 11, elevation_deg = -10, travel_deg = 0 }},
+  {{ at_s = 16, elevation_deg = 4, travel_deg = -{corner} }},
+  {{ at_s = 20, elevation_deg = -4, travel_deg = -20 }},
+]
+duration_s = {corners_s}
+excite = {{ signal = "prbs", front_V = 0.25, back_V = 0.25, stop_Hz = 8, seed = {seed} }}
+[[segment]]
+kind = "hold"
+duration_s = 1
+"""
+
+
+# Seconds for each degree of amplitude that keep the sine below the board's 20 degrees a second.
+_SLOW_ENOUGH_s = 0.605
+_FASTEST_deg_s = 19.9
+
+
+def plan(name: str, duration_s: float, rng: np.random.Generator) -> Plan:
+    """Write a plan that excites each axis, different in each case.
+
+    Parameters
+    ----------
+    name : str
+        Title of the plan.
+    duration_s : float
+        Approximate time from take-off to landing.
+    rng : numpy.random.Generator
+        Draws amplitudes and periods.
+    """
+    corners_s = 22.0
+    sines_s = duration_s - corners_s - 6.0
+    travel_deg = rng.uniform(25, 45)
+    travel_s = max(round(rng.uniform(0.6, 0.75) * travel_deg, 1), _SLOW_ENOUGH_s * round(travel_deg))
+    # A sine that is shorter than its period fades in within half the segment, which adds to its rate.
+    fade_s = 0.5 * sines_s
+    most_deg = (_FASTEST_deg_s - 2.0 * np.pi * round(travel_deg) / travel_s) * fade_s / 1.5
+    if fade_s >= 0.5 * travel_s:
+        most_deg = np.inf
+    return Plan.parse(
+        _TEXT.format(
+            name=name,
+            travel=min(round(travel_deg), most_deg),
+            travel_s=travel_s,
+            elevation=round(rng.uniform(6, 10), 1),
+            elevation_s=round(rng.uniform(7, 12), 1),
+            sines_s=sines_s,
+            corner=round(rng.uniform(25, 45)),
+            corners_s=corners_s,
+            seed=int(rng.integers(1, 1000)),
+        ),
+        f"{name}.toml",
+    )
+
+
+def flown(rig: Rig, hidden: Sequence[HiddenEffect], course: Plan, seed: int) -> Flight:
+    """Fly a plan with the flight code behind the simulated line.
+
+    Parameters
+    ----------
+    rig : Rig
+        True numbers.
+    hidden : sequence of HiddenEffect
+        What is hidden.
+    course : Plan
+        Segments to fly.
+    seed : int
+        Draws the start values of the encoders.
+
+    Raises
+    ------
+    FlightAborted
+        When the flight did not complete.
+    """
+    # MujocoPlant has the members of a Plant that SilWorld uses, no others.
+    world = SilWorld(SilOptions(seed=seed), MujocoPlant(rig, hidden))  # type: ignore[arg-type]
+    session = Session(InProcessTransport(world), session_number=1)
+    session.connect()
+    with tempfile.TemporaryDirectory() as folder, Heli(session) as heli:
+        log = Path(folder) / "flight.mcap"
+        summary = fly(heli, course, log_path=log)
+        flight = read_flight(log)
+    # The masses of Table 2 balance at -22 degrees and never touch the table: the flight is complete.
+    if summary.outcome != "completed" and Fault.LANDING_TIMEOUT.name.lower() not in summary.outcome:
+        raise FlightAborted(f"{course.title}: {summary.outcome}", "draw another seed")
+    return flight

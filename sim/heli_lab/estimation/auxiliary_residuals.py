@@ -1,0 +1,118 @@
+"""Auxiliary residuals: score tests of a shock at every instant, by one backward pass of the smoother.
+
+For each output, two shocks of its disturbance are tested in every measurement interval: a level, which begins
+there and stays, and an impulse of one step. After Harvey and Koopman, J. Bus. Econ. Stat. 10 (1992) 377, and
+de Jong and Penzer, J. Am. Stat. Assoc. 93 (1998) 796. A constant state without variance is a level: the
+smoother's adjoint of that state is its score at every instant, the diagonal of its matrix the information.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from heli_host.arrays import Floats
+
+from heli_lab.estimation import _kalman
+from heli_lab.estimation.disturbances import DisturbanceModel
+from heli_lab.estimation.innovations_model import InnovationsModel
+
+_LEVEL, _IMPULSE = 1.0, 0.0
+"""Autocorrelation of the two shocks from a step to the next."""
+
+
+@dataclass(frozen=True)
+class ShockScores:
+    """Score tests of one kind of shock in one flight, with all parameters and disturbance scales held.
+
+    Parameters
+    ----------
+    score : ndarray (k, m)
+        Derivative of the log-likelihood to a shock of each output's disturbance at each instant.
+    information : ndarray (k, m)
+        Its Fisher information; 0 where nothing is measured afterwards.
+    """
+
+    score: Floats
+    information: Floats
+
+    @property
+    def t_statistic(self) -> Floats:
+        """Standard normal if there is no shock, shape (k, m)."""
+        safe = np.maximum(self.information, np.finfo(float).tiny)
+        result: Floats = np.where(self.information > 0.0, self.score / np.sqrt(safe), 0.0)
+        return result
+
+    @property
+    def size(self) -> Floats:
+        """Most likely size of the shock, in the unit of the disturbed parameter, shape (k, m)."""
+        safe = np.maximum(self.information, np.finfo(float).tiny)
+        result: Floats = np.where(self.information > 0.0, self.score / safe, 0.0)
+        return result
+
+
+@dataclass(frozen=True)
+class AuxiliaryResiduals:
+    """Score tests of shocks at every instant of one flight.
+
+    Parameters
+    ----------
+    t_s : ndarray (k,)
+        Instants since the flight's first sample: the beginnings of the measurement intervals.
+    level, impulse : ShockScores
+        A torque that begins at an instant and stays, and one during the step that begins there.
+    """
+
+    t_s: Floats
+    level: ShockScores
+    impulse: ShockScores
+
+    def largest_level(self) -> tuple[float, float]:
+        """Instant (s) of the most significant level of any output, and the absolute t statistic there."""
+        statistic = np.abs(self.level.t_statistic).max(axis=1)
+        place = int(statistic.argmax())
+        return float(self.t_s[place]), float(statistic[place])
+
+
+def auxiliary_residuals(
+    filtered: InnovationsModel,
+    disturbances: DisturbanceModel,
+    error: Sequence[Sequence[tuple[Floats, Floats]]] | None = None,
+) -> list[AuxiliaryResiduals]:
+    """Test a shock of each output's disturbance at every instant of each flight.
+
+    Parameters
+    ----------
+    filtered : InnovationsModel
+        The model along the flights.
+    disturbances : DisturbanceModel
+        Disturbances and quantisation.
+    error : sequence, optional
+        Errors of states and outputs as `InnovationsModel.perturbed_residual` gives them; those of the model
+        by default.
+    """
+    if error is None:
+        error = filtered.perturbed_residual(np.zeros(filtered.size))
+    outputs = len(filtered.model.outputs)
+    results = []
+    for linearised, signals in zip(filtered.linearised_flights, error, strict=True):
+        times, scores, information = [], [], []
+        for blocks, (drive, measured) in zip(linearised.blocks, signals, strict=True):
+            system = list(filtered.system(linearised, blocks, disturbances))
+            system[4] = np.concatenate((system[4], np.repeat((_LEVEL, _IMPULSE), outputs)))
+            system[5] = np.concatenate((system[5], np.zeros(2 * outputs)))
+            found = _kalman.shock_scores(*system, drive, measured)
+            times.append(linearised.nodes.t_s[blocks.rows])
+            scores.append(found[0][:, -2 * outputs :])
+            information.append(found[1][:, -2 * outputs :])
+        score, weight = np.concatenate(scores), np.concatenate(information)
+        level, impulse = slice(0, outputs), slice(outputs, 2 * outputs)
+        results.append(
+            AuxiliaryResiduals(
+                np.concatenate(times),
+                ShockScores(score[:, level], weight[:, level]),
+                ShockScores(score[:, impulse], weight[:, impulse]),
+            )
+        )
+    return results

@@ -1,0 +1,104 @@
+"""Files that ``heli-host import`` writes: their names, their origin, and the lines of a profile."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from heli_host.errors import FlightDataError
+from heli_host.flight import Flight
+
+_DIGEST: Final = "digest"
+_CHARACTERS: Final = 12
+
+
+def digest(paths: Sequence[Path]) -> str:
+    """Digest the content of the files of one flight, `paths`; a folder counts with all its files."""
+    total = hashlib.sha256()
+    for path in paths:
+        for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+            if file.is_file():
+                with file.open("rb") as opened:
+                    total.update(hashlib.file_digest(opened, "sha256").digest())
+    return total.hexdigest()[:_CHARACTERS]
+
+
+def output_names(paths: Sequence[Path]) -> list[str]:
+    """Name the flights of the files `paths`: by the file, and by its folder too if names are equal."""
+    stems = [_stem(path) for path in paths]
+    counts = Counter(stems)
+    return [
+        f"{path.resolve().parent.name}-{stem}" if counts[stem] > 1 else stem
+        for path, stem in zip(paths, stems, strict=True)
+    ]
+
+
+def _stem(path: Path) -> str:
+    return path.name.removesuffix(".gz").rpartition(".")[0] or path.name
+
+
+@dataclass(frozen=True)
+class Target:
+    """Flights of one source: `name` in the `folder`; `sha` is the digest of the source."""
+
+    folder: Path
+    name: str
+    sha: str
+
+    def path(self, number: int | None) -> Path:
+        """Path of the flight, or of its part with this `number`."""
+        return self.folder / (f"{self.name}.csv" if number is None else f"{self.name}-{number}.csv")
+
+    def signed(self, flight: Flight) -> Flight:
+        """Return the flight with the digest of its source in its notes."""
+        return replace(flight, meta={**flight.meta, _DIGEST: self.sha})
+
+    def refuse_to_replace_another(self) -> None:
+        """Refuse to overwrite flights that were imported from another source.
+
+        Raises
+        ------
+        FlightDataError
+            When such a flight has the same name.
+        """
+        for target in (self.path(None), self.path(1)):
+            known = _digest_in(target)
+            if known is not None and known != self.sha:
+                raise FlightDataError(
+                    f"{target} was imported from another file",
+                    "give another folder with --output, or move that file",
+                )
+
+
+def _digest_in(path: Path) -> str | None:
+    """Digest of the source of a flight at `path`; empty if it states none, None if there is no such file."""
+    try:
+        with path.open(encoding="utf-8", errors="replace") as file:
+            for line in file:
+                if not line.startswith("#"):
+                    return ""
+                key, _, value = line.lstrip("# ").partition(":")
+                if key.strip() == _DIGEST:
+                    return value.strip()
+    except OSError:
+        return None
+    return ""
+
+
+def entry_lines(text: str) -> dict[str, int]:
+    """Find the line of each entry in the `text` of a profile; missing entries have that of their section."""
+    lines: dict[str, int] = {}
+    section = ""
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.startswith("["):
+            section = line.strip("[] ") + "."
+            # Entries with default values are not written; they belong below this line.
+            defaults = ("sign", "unit", "column", "offset_deg", "offset_V", "delay_s", "clip_V")
+            lines |= {f"{section}{name}": number for name in defaults}
+        elif "=" in line and not line.startswith("#"):
+            lines[section + line.partition("=")[0].strip()] = number
+    return lines

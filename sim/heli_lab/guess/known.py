@@ -1,0 +1,99 @@
+"""Entries of a profile that the user knows; the rest is guessed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from heli_host.files import parse_toml
+from heli_host.tables import Column, Profile, Table, profile_of, profile_text, read_entries
+
+from heli_lab.guess.names import VOLTAGE_ROLES
+from heli_lab.guess.result import Ambiguity
+
+_ROLES: Final = ("elevation", "pitch", "travel", *VOLTAGE_ROLES)
+
+
+@dataclass(frozen=True)
+class KnownEntries:
+    """Entries of a profile file that need not be complete.
+
+    Parameters
+    ----------
+    entries : Mapping
+        The file's content.
+    source : str
+        The file, for messages.
+    """
+
+    entries: Mapping[str, Any] = field(default_factory=dict)
+    source: str = ""
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """Roles by column."""
+        return {
+            str(self.entries[role]["column"]): role
+            for role in _ROLES
+            if "column" in self.entries.get(role, {})
+        }
+
+    @property
+    def voltages(self) -> bool:
+        """Whether both voltage columns are known."""
+        return sum(role in VOLTAGE_ROLES for role in self.columns.values()) > 1
+
+    @property
+    def motors(self) -> bool:
+        """Whether the columns or signs that decide the front motor are known."""
+        return bool({"front", "back"}.intersection(self.columns.values())) or bool(self.sign("difference"))
+
+    @property
+    def mirrored(self) -> bool | None:
+        """The entry `mirrored`; None if it is unknown."""
+        return self.entries.get("mirrored")
+
+    def sign(self, role: str) -> float:
+        """Sign of a `role`; 0 if it is unknown."""
+        return float(self.entries.get(role, {}).get("sign", 0.0))
+
+    def with_units(self, table: Table) -> Table:
+        """Return a table whose columns state the known units."""
+        units = {
+            column: self.entries[role].get("unit") or self.entries.get("voltages", {}).get("unit", "")
+            if role in VOLTAGE_ROLES
+            else self.entries[role].get("unit", "")
+            for column, role in self.columns.items()
+        }
+        columns = {
+            name: Column(column.values, units.get(name) or column.unit, column.t_s)
+            for name, column in table.columns.items()
+        }
+        return Table(table.source, columns, table.notes, table.named) if units else table
+
+    def applied(self, profile: Profile) -> Profile:
+        """Return a guessed profile with the known entries in the place of the guessed ones."""
+        if not self.entries:
+            return profile
+        content = {key: value for key, value in parse_toml(profile_text(profile)).items() if key != "about"}
+        for key, value in self.entries.items():
+            both = isinstance(value, Mapping) and isinstance(content.get(key), Mapping)
+            content[key] = {**content[key], **value} if both else value
+        return profile_of({"about": profile.about, **content}, self.source)
+
+    def states(self, ambiguity: Ambiguity) -> bool:
+        """Whether the entry of an ambiguity is known."""
+        section, _, key = ambiguity.entry.rpartition(".")
+        if not section:
+            return key in self.entries and key != ""
+        return key in self.entries.get(section, {})
+
+
+NOTHING_KNOWN: Final = KnownEntries()
+
+
+def read_known(path: Path) -> KnownEntries:
+    """Read the profile at `path`, which need not be complete; a FlightDataError states a wrong entry."""
+    return KnownEntries(read_entries(path), str(path))

@@ -1,0 +1,47 @@
+"""Kicks are counted with their size, and gusts of constant strength contain none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from heli_lab.diagnose.evaluate.kicks import kicks, with_impulse
+from heli_lab.diagnose.search import ModelComparison
+from heli_lab.estimation import InnovationsModel
+from heli_lab.estimation.disturbances import DisturbanceModel
+from heli_sim.model import MultibodyModel
+
+from tests.estimation.made import RIG, windy
+
+pytestmark = [pytest.mark.diagnosis, pytest.mark.slow]
+
+KICKS_Nms = {5.0: 30e-3, 11.0: -40e-3, 17.5: 25e-3, 24.0: -25e-3}
+
+
+@pytest.fixture(scope="module")
+def model() -> tuple[InnovationsModel, DisturbanceModel]:
+    """A flight in gusts about all axes, with its estimate."""
+    estimate = ModelComparison(MultibodyModel(), RIG, [windy()], []).refit([]).estimate
+    return estimate.filtered(), estimate.disturbances
+
+
+def test_gusts_of_constant_strength_contain_no_kicks(
+    model: tuple[InnovationsModel, DisturbanceModel],
+) -> None:
+    assert kicks(*model) == {}
+
+
+def test_kicks_about_one_axis_are_counted_with_their_size(
+    model: tuple[InnovationsModel, DisturbanceModel],
+) -> None:
+    filtered, disturbances = model
+    (linearised,) = filtered.linearised_flights
+    t_s = np.concatenate([linearised.nodes.t_s[blocks.rows] for blocks in linearised.blocks])
+    error = filtered.perturbed_residual(np.zeros(filtered.size))
+    for at_s, size_Nms in KICKS_Nms.items():
+        place = int(np.argmin(np.abs(t_s - at_s)))
+        # A torque that the model lacks.
+        error = with_impulse(filtered, error, 0, place, 2, -size_Nms / linearised.reference.step_s)
+    found = kicks(filtered, disturbances, error)
+    assert found.keys() == {"travel"}
+    assert found["travel"].count == len(KICKS_Nms)
+    assert found["travel"].largest_Nms == pytest.approx(40e-3, rel=0.3)

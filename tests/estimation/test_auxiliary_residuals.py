@@ -1,0 +1,46 @@
+"""Auxiliary residuals against brute force: a regressor of its own for a shock at each instant."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from heli_lab.estimation import DisturbanceModel, InnovationsModel, auxiliary_residuals
+from heli_sim.model import MultibodyModel
+
+from tests.estimation.made import RIG, windy
+
+DISTURBANCES = DisturbanceModel.start((0.012, 0.004, 0.008), (2e-3, 1e-3, 1e-3))
+
+
+@pytest.fixture(scope="module")
+def filtered() -> InnovationsModel:
+    """A flight in disturbances, filtered at the nominal parameters."""
+    from heli_lab.estimation.estimate import _linearised
+    from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
+
+    model = MultibodyModel()
+    parameters = RigParameters(model, RIG, [windy()])
+    functions = model_functions(model, parameters.quantities)
+    return _linearised(parameters, [filter_record(windy())], functions, parameters.start)
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("output", range(3))
+def test_scores_at_every_instant_are_those_of_single_regressors(
+    filtered: InnovationsModel, output: int
+) -> None:
+    (found,) = auxiliary_residuals(filtered, DISTURBANCES)
+    (linearised,) = filtered.linearised_flights
+    rows = np.concatenate([blocks.rows for blocks in linearised.blocks])
+    innovations = filtered.innovations_by_flight(DISTURBANCES).flights[0][:, 0]
+    places = np.arange(3, len(rows), 97)
+    steps = np.arange(linearised.rows)[:, None]
+    for shock, added in (
+        (found.level, steps >= rows[places]),
+        (found.impulse, steps == rows[places]),
+    ):
+        (regressors,) = filtered.disturbance_regressors(DISTURBANCES, output, [added.astype(float)])
+        score, information = regressors.T @ innovations, np.square(regressors).sum(axis=0)
+        assert np.allclose(shock.information[places, output], information, rtol=1e-7)
+        assert np.allclose(shock.score[places, output], score, rtol=1e-6, atol=1e-7 * np.abs(score).max())
+        assert np.allclose(shock.t_statistic[places, output], score / np.sqrt(information), atol=1e-6)

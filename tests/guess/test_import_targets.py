@@ -1,0 +1,36 @@
+"""Imported flights get names of their own, and replace only flights of the same source."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from heli_host.errors import FlightDataError
+from heli_host.flight import Flight
+from heli_host.log.table import write_csv
+from heli_lab.guess.import_targets import Target, digest, entry_lines, output_names
+
+FLIGHT = Flight(np.arange(20.0, dtype=np.float64) * 0.01, *np.zeros((5, 20)))
+
+
+def test_files_of_one_name_are_named_by_their_folders_too() -> None:
+    paths = [Path("a/x.mat"), Path("b/x.mat"), Path("b/u.csv.gz")]
+    assert output_names(paths) == ["a-x", "b-x", "u"]
+
+
+def test_a_flight_of_another_source_is_not_replaced(tmp_path: Path) -> None:
+    for name, content in (("a", "1"), ("b", "2")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "x.mat").write_text(content)
+    mine, other = (Target(tmp_path, "x", digest([tmp_path / name / "x.mat"])) for name in ("a", "b"))
+    mine.refuse_to_replace_another()
+    write_csv(mine.signed(FLIGHT), mine.path(None))
+    mine.refuse_to_replace_another()
+    with pytest.raises(FlightDataError, match=r"x.csv was imported from another file"):
+        other.refuse_to_replace_another()
+
+
+def test_each_entry_has_its_line_or_that_of_its_section() -> None:
+    lines = entry_lines('# sign = 7\nmirrored = false\n\n[pitch]\ncolumn = "p"\nsign = 1\n')
+    assert (lines["mirrored"], lines["pitch.sign"], lines["pitch.delay_s"]) == (2, 6, 4)

@@ -1,0 +1,93 @@
+"""``python -m tests.mutants``: change the firmware a little and report which changes no test notices."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from tests.mutants import bench_core, bench_due, rotation, session
+from tests.mutants.declared import DeclarationError, read_declarations
+from tests.mutants.generate import ROOT, Mutant, mutants_of, sample, sources
+from tests.mutants.results import SURVIVED, Result, Results, table
+from tests.mutants.run import Runner
+from tests.mutants.tree import BUILD, BuildError, digest
+
+
+def main(words: list[str] | None = None) -> int:
+    """Run the command; 1 if a mutant survived, 2 if nothing could be run."""
+    options = _parser().parse_args(words)
+    try:
+        if options.rotating is not None:
+            return rotation.run(options.rotating, options.seed)
+        files = sources(only=options.files)
+        if not files:
+            print(
+                f"error: no source of the firmware has {options.files!r} in its path; give part of one",
+                file=sys.stderr,
+            )
+            return 2
+        every = [m for file in files for m in mutants_of(file, (ROOT / file).read_text(encoding="utf-8"))]
+        chosen = sample(every, options.seed, options.count)
+        if options.only:
+            chosen = [mutant for mutant in every if mutant.identity in options.only]
+        if options.list:
+            print("\n".join(f"{mutant.identity} {mutant.kind:<10} {mutant}" for mutant in chosen))
+            return 0
+        results = _run(chosen)
+    except (DeclarationError, BuildError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    print(table(results))
+    if options.record:
+        rotation.record(chosen, results)
+    return int(any(result.outcome in SURVIVED for result in results))
+
+
+def _run(chosen: list[Mutant]) -> list[Result]:
+    session.preload()
+    found: list[Result] = []
+    core = [mutant for mutant in chosen if mutant.file.startswith(bench_core.FOLDER)]
+    if core:
+        sources_digest, tests_digest = digest(*bench_core.SOURCES), digest(*bench_core.test_files())
+        found += _run_on(bench_core.CoreBench(BUILD / "work" / "core"), core, sources_digest, tests_digest)
+    due = [mutant for mutant in chosen if mutant.file.startswith(bench_due.FOLDER)]
+    if due:
+        sources_digest, tests_digest = digest(*bench_due.SOURCES), digest(*bench_due.ROOMS)
+        found += _run_on(bench_due.DueBench(BUILD / "work" / "due"), due, sources_digest, tests_digest)
+    return found
+
+
+def _run_on(
+    bench: bench_core.CoreBench | bench_due.DueBench,
+    mutants: list[Mutant],
+    sources_digest: str,
+    tests_digest: str,
+) -> list[Result]:
+    print("looking which test reaches which line; after a change of sources this takes minutes", flush=True)
+    results = Results(BUILD / "results.jsonl")
+    runner = Runner(bench, bench.reach(), read_declarations(), results, sources_digest, tests_digest)
+    found = []
+    for number, result in enumerate(runner.run(mutants), 1):
+        print(f"{number}/{len(mutants)} {result.outcome} {result.text}  ({result.by[-70:]})", flush=True)
+        found.append(result)
+    return found
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__)
+    parser.add_argument(
+        "--files", default=bench_core.FOLDER, help="part of the path of the files [default: %(default)s]"
+    )
+    parser.add_argument("--seed", default="1", help="which mutants [default: 1]")
+    parser.add_argument("--count", type=int, default=150, help="how many [default: 150]")
+    parser.add_argument("--only", nargs="*", default=[], help="identities of single mutants")
+    parser.add_argument("--list", action="store_true", help="print the mutants and run nothing")
+    parser.add_argument(
+        "--record", action="store_true", help="let the suite repeat the killed ones, in killed.json"
+    )
+    parser.add_argument("--rotating", type=int, help="so many of killed.json, each against its test only")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,167 @@
+"""Mutants of ``firmware/due``, against the tests that run the firmware on the emulated Due."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import shlex
+import subprocess
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+from tests.mutants import session
+from tests.mutants.generate import ROOT, Mutant
+from tests.mutants.reach import Reach, Watch, reach_of
+from tests.mutants.tree import BUILD, BuildError, Tree, digest
+
+FOLDER: Final = "firmware/due"
+ROOMS: Final = ("tests/firmware",)
+SOURCES: Final = ("firmware/core", "firmware/due", "sim/due")
+_LEFT_OUT: Final = ("test_mutations.py", "test_pio.py", "test_upload.py", "test_gdb.py", "test_support.py")
+"""Tests that build firmware of their own, or look at files and not at the firmware that is given to them."""
+_LIMIT_s: Final = 60.0
+_REAL_s: Final = 900.0
+"""CPU time of one test, and real time of all, on the firmware without a mutant: they take 15 s together."""
+_CROSS: Final = "arm-none-eabi-"
+_FUNCTION: Final = re.compile(r"^([0-9a-f]{8}) <(.+)>:$")
+_PLACE: Final = re.compile(r"^(/\S+):(\d+)")
+
+
+class DueBench:
+    """Builds the Due's firmware with mutants and lets the tests of the emulated board run on it.
+
+    Parameters
+    ----------
+    work : Path
+        A folder of this process.
+    """
+
+    def __init__(self, work: Path) -> None:
+        work.mkdir(parents=True, exist_ok=True)
+        self._work = work
+        self._tree = Tree(work / "tree")
+        flags = (ROOT / FOLDER / "compile.flags").read_text(encoding="utf-8").split()
+        self._flags = [flag for flag in flags if flag != "-g" and not flag.startswith("-W")] + ["-w"]
+        self._sources = [source for source in self._tree.includes if source.endswith(".cpp")]
+        self._original = self._compile(self._sources, "original", self._flags)
+        self._code = self._link(self._original, "original.elf").read_bytes()
+
+    def build(self, mutant: Mutant) -> Callable[[], None]:
+        """Compile a mutant; what to call in a fork before its tests."""
+        with self._tree.holding(mutant):
+            objects = self._compile(self._tree.dependents(mutant.file), "mutant", self._flags)
+        elf = self._link(self._original | objects, "mutant.elf")
+        return lambda: session.use_elf(elf)
+
+    def is_same_code(self, mutant: Mutant) -> bool:
+        """Whether the linked program is the same; the mutant was built last."""
+        return (self._work / "mutant.elf").read_bytes() == self._code
+
+    def reach(self) -> Reach:
+        """Which test enters which function; a test reaches all lines of a function that it enters."""
+        kept = BUILD / f"reach-due-{digest(*SOURCES, *ROOMS)}.json"
+        if not kept.exists():
+            # Nothing of the drivers is inlined, so that each function is seen when it is entered.
+            flags = [*self._flags, "-g", "-gdwarf-4"]
+            drivers = [source for source in self._sources if source.startswith(FOLDER)]
+            objects = self._compile(drivers, "covered", [*flags, "-fno-inline"])
+            elf = self._link(self._original | objects, "covered.elf")
+            functions = _functions_of(elf, self._tree.folder)
+            found = reach_of(session.call_in_fork(lambda: _look(elf, sorted(functions))), functions)
+            # A probe counts when its function returns: start-up, fault handlers and the main loop never do.
+            every = frozenset(found.costs_s)
+            lines = {f: {line: tests or every for line, tests in of.items()} for f, of in found.lines.items()}
+            reach = Reach(found.costs_s, lines)
+            self._check_original(reach)
+            reach.save(kept)
+        return Reach.load([kept])
+
+    def _check_original(self, reach: Reach) -> None:
+        """A test that fails without a mutant would kill them all."""
+        elf = self._work / "original.elf"
+        outcome = session.run_tests(
+            lambda: session.use_elf(elf), dict.fromkeys(reach.costs_s, _LIMIT_s), _REAL_s
+        )
+        if outcome.killed_by:
+            raise BuildError(
+                f"{outcome.killed_by} fails without a mutant ({outcome.reason}); make it pass first"
+            )
+
+    def _compile(self, sources: list[str], name: str, flags: list[str]) -> dict[str, Path]:
+        objects = {}
+        for source in sources:
+            to = self._work / name / (source.replace("/", "+").removesuffix(".cpp") + ".o")
+            to.parent.mkdir(exist_ok=True)
+            include = [f"-I{self._tree.folder}/firmware/core", f"-I{self._tree.folder}/firmware/due"]
+            _run([f"{_CROSS}g++", *flags, *include, "-c", str(self._tree.path(source)), "-o", str(to)])
+            objects[source] = to
+        return objects
+
+    def _link(self, objects: dict[str, Path], name: str) -> Path:
+        elf = self._work / name
+        flags = shlex.split((ROOT / FOLDER / "link.flags").read_text(encoding="utf-8"))
+        script = f"-T{ROOT / FOLDER / 'due.ld'}"
+        files = [str(objects[source]) for source in self._sources]
+        _run([f"{_CROSS}gcc", *flags, script, *files, "-lm", "-o", str(elf)])
+        return elf
+
+
+def test_files() -> list[str]:
+    """Files of the tests that run the firmware on the emulated Due."""
+    paths = (path for room in ROOMS for path in sorted((ROOT / room).glob("test_*.py")))
+    return [path.relative_to(ROOT).as_posix() for path in paths if path.name not in _LEFT_OUT]
+
+
+def _functions_of(elf: Path, folder: Path) -> dict[int, set[tuple[str, int]]]:
+    """By the address of each function of the drivers: files and lines of its code."""
+    command = [f"{_CROSS}objdump", "-d", "-l", "--no-show-raw-insn", str(elf)]
+    listing = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    found: dict[int, set[tuple[str, int]]] = defaultdict(set)
+    address = 0
+    for row in listing.splitlines():
+        if function := _FUNCTION.match(row):
+            address = int(function[1], 16)
+        elif (place := _PLACE.match(row)) and place[1].startswith(f"{folder}/{FOLDER}/"):
+            found[address].add((place[1].removeprefix(f"{folder}/"), int(place[2])))
+    return dict(found)
+
+
+class _Probes:
+    """Counts how often the functions of all emulated boards of a test are entered."""
+
+    def __init__(self, addresses: list[int]) -> None:
+        self._addresses = addresses
+        self._boards: list[Any] = []
+
+    def watch(self, board: Any) -> None:
+        for address in self._addresses:
+            board.add_probe(address)
+        self._boards.append(board)
+
+    def take(self) -> set[int]:
+        boards, self._boards = self._boards, []
+        return {address for board in boards for address in self._addresses if board.probe(address)[0] > 0}
+
+
+def _look(elf: Path, addresses: list[int]) -> dict[str, Any]:
+    machine: Any = importlib.import_module("due_emulator.machine")
+    probes = _Probes(addresses)
+    load = machine.load_image
+
+    def load_and_watch(board: Any, image: Any) -> None:
+        load(board, image)
+        probes.watch(board)
+
+    machine.load_image = load_and_watch
+    session.use_elf(elf)
+    watch = Watch(probes.take)
+    session.run_pytest(test_files(), [watch], "--maxfail=100000")
+    return watch.result()
+
+
+def _run(command: list[str]) -> None:
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise BuildError(done.stderr.strip() or done.stdout.strip())

@@ -1,0 +1,387 @@
+"""Mutants of C++ sources: one small change each, found in the text and not in a syntax tree.
+
+The sources are formatted by clang-format, which this relies on: a relation has spaces around it, the bracket
+of a template has none.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Final
+
+from tests.mutants.tokens import Lines, Token, partners, tokens_of
+
+ROOT: Final = Path(__file__).resolve().parents[2]
+FOLDERS: Final = ("firmware/core", "firmware/due")
+GENERATED: Final = ("firmware/core/link/declaration.hpp",)
+"""Written by firmware/generate.py from the declaration; a slip there is a slip of the generator."""
+
+_BINARY: Final[dict[str, tuple[str, ...]]] = {
+    "<": ("<=", ">="), "<=": ("<", ">"), ">": (">=", "<="), ">=": (">", "<"), "==": ("!=",), "!=": ("==",),
+    "+": ("-",), "-": ("+",), "*": ("/",), "/": ("*",), "%": ("*",),
+    "&&": ("||",), "||": ("&&",), "&": ("|",), "|": ("&",), "^": ("&",), "<<": (">>",), ">>": ("<<",),
+    "+=": ("-=",), "-=": ("+=",), "*=": ("/=",), "|=": ("&=",), "&=": ("|=",), "^=": ("|=",),
+    "<<=": (">>=",), ">>=": ("<<=",),
+}  # fmt: skip
+_RELATIONS: Final = {"<", "<=", ">", ">=", "==", "!="}
+_LOGICAL: Final = {"&&", "||"}
+_NUMBER: Final = re.compile(
+    r"(?P<digits>0[xX][0-9a-fA-F]+|0[bB][01]+|[\d.]+(?:[eE][+-]?\d+)?)(?P<suffix>[uUlLfF]*)"
+)
+_FLOAT: Final = re.compile(r"\d*\.\d*|\d+[eE]")
+_EXPRESSION: Final = re.compile(
+    r"^(?:\+\+|--|\*|\()|^[\w:]+(?:\(|\[|\.|->|\+\+|--|\s*[-+*/%&|^]?=[^=]|\s*(?:<<|>>)=)"
+)
+_NO_EXPRESSION: Final = {
+    "return", "if", "for", "while", "do", "switch", "case", "default", "else", "using", "const",
+    "constexpr",
+    "auto", "static", "static_assert", "typedef", "struct", "class", "enum", "template", "namespace",
+    "public", "private",
+    "extern", "asm", "__asm__", "inline", "volatile", "goto", "friend", "explicit", "virtual", "operator",
+}  # fmt: skip
+_JUMPS: Final = {"return;", "break;", "continue;"}
+_ENDS_RIGHT: Final = {",", ";", "?", ":", ")", "]", "}", "||"}
+_ENDS_TERM: Final = {",", ";", "?", ":", ")", "]", "}", "="}
+_ENDS_LEFT: Final = {",", ";", "?", ":", "(", "[", "{", "=", "return", "||"}
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """One small change of a source.
+
+    Parameters
+    ----------
+    file : str
+        Relative to the repository.
+    line, last_line : int
+        First and last line of the statement that it changes.
+    source_line : str
+        The line of the change without white space around it.
+    occurrence : int
+        How many equal lines come before it in the file.
+    column : int
+        Of the change, in that line.
+    kind : str
+        ``relation``, ``arithmetic``, ``logic``, ``operand``, ``condition``, ``constant`` or ``statement``.
+    before, after : str
+        The text that is replaced, and its replacement.
+    start : int
+        Offset of the change in the file.
+    """
+
+    file: str
+    line: int
+    last_line: int
+    source_line: str
+    occurrence: int
+    column: int
+    kind: str
+    before: str
+    after: str
+    start: int
+
+    @cached_property
+    def identity(self) -> str:
+        """The same as long as line, place and change are the same, wherever in the file the line is."""
+        parts = (
+            self.file,
+            self.source_line,
+            self.occurrence,
+            self.column,
+            self.kind,
+            self.before,
+            self.after,
+        )
+        return hashlib.sha256("\0".join(map(str, parts)).encode()).hexdigest()[:12]
+
+    def apply(self, text: str) -> str:
+        """The file with the change."""
+        end = self.start + len(self.before)
+        assert text[self.start : end] == self.before, f"{self.file} has changed since its mutants were listed"
+        return text[: self.start] + self.after + text[end:]
+
+    def __str__(self) -> str:
+        before, after = (" ".join(part.split()) or "nothing" for part in (self.before, self.after))
+        return f"{self.file}:{self.line}: {before} -> {after}    in: {self.source_line}"
+
+
+def sources(root: Path = ROOT, only: str = "") -> list[str]:
+    """Files that are mutated, whose path contains the given text."""
+    paths = (path for folder in FOLDERS for path in sorted((root / folder).rglob("*.[ch]pp")))
+    names = (path.relative_to(root).as_posix() for path in paths)
+    return [name for name in names if only in name and name not in GENERATED]
+
+
+def mutants_of(file: str, text: str) -> list[Mutant]:
+    """Every mutant of a file, in the order of its text."""
+    return _Source(file, text).mutants()
+
+
+def sample(mutants: list[Mutant], seed: str, count: int | None) -> list[Mutant]:
+    """So many mutants, by a seed: at most one of each place, because a number has five and a call has one.
+
+    An edit elsewhere in the sources hardly changes which.
+    """
+
+    def rank(mutant: Mutant) -> str:
+        return hashlib.sha256(f"{seed} {mutant.identity}".encode()).hexdigest()
+
+    first: dict[tuple[str, int, str], Mutant] = {}
+    for mutant in sorted(mutants, key=rank):
+        first.setdefault((mutant.file, mutant.start, mutant.kind), mutant)
+    # By a hash of the place, not of its first mutant: the first of five is early.
+    places = sorted(
+        first.values(),
+        key=lambda m: hashlib.sha256(
+            f"{seed} {m.file} {m.source_line} {m.column} {m.occurrence} {m.kind}".encode()
+        ).hexdigest(),
+    )
+    return places[:count]
+
+
+class _Source:
+    def __init__(self, file: str, text: str) -> None:
+        self._file, self._text = file, text
+        self._tokens = tokens_of(text)
+        self._partner = partners(self._tokens)
+        self._lines = Lines(text)
+        self._skipped = self._skipped_tokens()
+        self._bodies = self._function_bodies()
+        self._begin, self._end = self._statement_bounds()
+
+    def mutants(self) -> list[Mutant]:
+        changes = sorted({change for index in range(len(self._tokens)) for change in self._changes(index)})
+        seen: Counter[str] = Counter()
+        occurrence: dict[int, int] = {}
+        for line in range(1, self._text.count("\n") + 2):
+            stripped = self._lines.text(line).strip()
+            occurrence[line] = seen[stripped]
+            seen[stripped] += 1
+        return [self._mutant(change, occurrence) for change in changes]
+
+    def _mutant(self, change: tuple[int, int, str, str], occurrence: dict[int, int]) -> Mutant:
+        start, end, kind, after = change
+        line, column = self._lines.at(start)
+        index = next(i for i, token in enumerate(self._tokens) if token.end > start)
+        whole = self._lines.text(line)
+        return Mutant(
+            file=self._file,
+            line=line,
+            last_line=max(line, self._lines.at(self._tokens[self._end[index]].start)[0]),
+            source_line=whole.strip(),
+            occurrence=occurrence[line],
+            column=column - (len(whole) - len(whole.lstrip())),
+            kind=kind,
+            before=self._text[start:end],
+            after=after,
+            start=start,
+        )
+
+    def _changes(self, index: int) -> Iterator[tuple[int, int, str, str]]:
+        """Start, end, kind and replacement of what can be changed at a token."""
+        if index in self._skipped:
+            return
+        token = self._tokens[index]
+        if token.kind == "number" and not self._is_array_bound(index):
+            yield from ((token.start, token.end, "constant", other) for other in _other_numbers(token.text))
+        elif token.text in ("true", "false"):
+            yield token.start, token.end, "constant", "false" if token.text == "true" else "true"
+        elif token.text in _BINARY and (token.spaced or self._ends_line(token)) and index > 0:
+            kind = (
+                "relation"
+                if token.text in _RELATIONS
+                else "logic"
+                if token.text in _LOGICAL
+                else "arithmetic"
+            )
+            yield from ((token.start, token.end, kind, other) for other in _BINARY[token.text])
+            if token.text in _LOGICAL:
+                yield from self._dropped_operands(index)
+            elif token.text in ("+", "-", "|"):
+                yield from self._dropped_term(index)
+        elif token.text in ("++", "--"):
+            yield token.start, token.end, "arithmetic", "--" if token.text == "++" else "++"
+        elif token.text in ("!", "-", "~") and not token.spaced and self._is_unary(index):
+            yield token.start, token.end, "logic" if token.text == "!" else "arithmetic", ""
+        elif token.text in ("if", "while") and index in self._bodies:
+            yield from self._conditions(index)
+        if index in self._bodies and self._begin[index] == index:
+            yield from self._deleted(index)
+
+    def _conditions(self, index: int) -> Iterator[tuple[int, int, str, str]]:
+        opening = index + 1
+        if self._tokens[opening].text != "(":  # if constexpr
+            return
+        closing = self._partner[opening]
+        if any(t.text == ";" for t in self._tokens[opening:closing]):
+            return
+        start, end = self._tokens[opening].end, self._tokens[closing].start
+        condition = self._text[start:end]
+        declares = re.match(r"(?:const\s+)?[\w:]+[*&]*\s[*&]*\w+\s=[^=]", condition) is not None
+        if not declares:
+            if not _is_comparison(self._tokens[opening + 1 : closing]):
+                yield start, end, "condition", f"!({condition})"
+            yield start, end, "condition", "false"
+            if self._tokens[index].text == "if":
+                yield start, end, "condition", "true"
+
+    def _dropped_operands(self, index: int) -> Iterator[tuple[int, int, str, str]]:
+        token = self._tokens[index]
+        right = index + 1
+        while self._tokens[right].text not in _ENDS_RIGHT | {token.text}:
+            right = self._partner.get(right, right) + 1
+        yield token.start, self._tokens[right - 1].end, "operand", ""
+        left = index - 1
+        while left >= 0 and self._tokens[left].text not in _ENDS_LEFT | {token.text}:
+            left = min(self._partner.get(left, left), left) - 1
+        yield self._tokens[left + 1].start, self._tokens[index + 1].start, "operand", ""
+
+    def _dropped_term(self, index: int) -> Iterator[tuple[int, int, str, str]]:
+        """Without the term on the right of a sum."""
+        right = index + 1
+        while not (
+            self._tokens[right].text in _ENDS_TERM
+            or (
+                self._tokens[right].text in _BINARY
+                and self._tokens[right].spaced
+                and self._tokens[right].text not in ("*", "/", "%")
+            )
+        ):
+            right = self._partner.get(right, right) + 1
+        yield self._tokens[index].start, self._tokens[right - 1].end, "operand", ""
+
+    def _deleted(self, index: int) -> Iterator[tuple[int, int, str, str]]:
+        start, end = self._tokens[index].start, self._tokens[self._end[index]].end
+        statement = self._text[start:end]
+        if not statement.endswith(";"):
+            return
+        if statement in _JUMPS or (
+            self._tokens[index].text not in _NO_EXPRESSION and _EXPRESSION.match(statement)
+        ):
+            yield start, end, "statement", ";"
+
+    def _is_unary(self, index: int) -> bool:
+        before = self._tokens[index - 1]
+        return (before.kind == "punctuation" and before.text not in (")", "]")) or before.text == "return"
+
+    def _ends_line(self, token: Token) -> bool:
+        """An operator at the end of a line has a space before it; the token knows only both sides."""
+        return self._text[token.start - 1].isspace() and self._text[token.end : token.end + 1] in ("\n", " ")
+
+    def _is_array_bound(self, index: int) -> bool:
+        """Whether a number is the whole bound of an array that is declared: room to spare changes nothing."""
+        if self._tokens[index - 1].text != "[" or self._tokens[index + 1].text != "]":
+            return False
+        return (
+            self._tokens[index - 2].kind == "name"
+            and self._tokens[index - 3].kind == "name"
+            and self._tokens[index + 2].text in ("=", ";", "{")
+        )
+
+    def _skipped_tokens(self) -> set[int]:
+        """What the compiler proves, attributes, and what only names or aligns."""
+        skipped: set[int] = set()
+        for index, token in enumerate(self._tokens):
+            if token.text in ("static_assert", "alignas", "asm", "__asm__", "__attribute__"):
+                opening = index + 1
+                while self._tokens[opening].text != "(":
+                    opening += 1
+                skipped |= set(range(index, self._partner[opening] + 1))
+            elif token.text == "[" and self._tokens[index + 1].text == "[":
+                skipped |= set(range(index, self._partner[index] + 1))
+            elif (
+                token.text == "="
+                and [t.text for t in self._tokens[index + 1 : index + 3]] == ["0", ";"]
+                and self._tokens[index - 1].text in (")", "const", "override", "noexcept")
+            ):
+                # A function without a body; a number has a name and a type before it, not a bracket.
+                skipped.add(index + 1)
+        return skipped
+
+    def _function_bodies(self) -> set[int]:
+        """Indices of tokens that are within the body of a function."""
+        inside: set[int] = set()
+        depth: list[bool] = [False]
+        for index, token in enumerate(self._tokens):
+            if token.text == "{" and token.kind == "punctuation":
+                depth.append(depth[-1] or self._opens_body(index))
+            elif token.text == "}" and token.kind == "punctuation" and len(depth) > 1:
+                depth.pop()
+            elif depth[-1]:
+                inside.add(index)
+        return inside
+
+    def _opens_body(self, index: int) -> bool:
+        before = index - 1
+        while before >= 0 and self._tokens[before].text not in (";", "}", "{"):
+            if self._tokens[before].text in ("namespace", "class", "struct", "enum", "union", "="):
+                return False
+            before -= 1
+        return any(token.text == ")" for token in self._tokens[before + 1 : index])
+
+    def _statement_bounds(self) -> tuple[list[int], list[int]]:
+        """First and last token of the statement around each token; what a header of a loop holds is one."""
+        count = len(self._tokens)
+        begin, end = [0] * count, [count - 1] * count
+        first, depth = 0, 0
+        for index, token in enumerate(self._tokens):
+            begin[index] = first
+            depth += {"(": 1, "[": 1, ")": -1, "]": -1}.get(token.text, 0)
+            is_label = token.text == ":" and self._tokens[first].text in (
+                "case",
+                "default",
+                "public",
+                "private",
+            )
+            ends = token.text in (";", "{", "}") or is_label
+            is_header = token.text == ")" and self._heads(index) and depth == 0
+            if (depth == 0 and (ends or is_header or token.text == "else")) or token.text in ("{", "}"):
+                for k in range(first, index + 1):
+                    end[k] = index
+                first = index + 1
+        return begin, end
+
+    def _heads(self, closing: int) -> bool:
+        opening = self._partner.get(closing)
+        return (
+            opening is not None
+            and opening > 0
+            and self._tokens[opening - 1].text in ("if", "for", "while", "switch")
+        )
+
+
+def _is_comparison(condition: list[Token]) -> bool:
+    """Whether a condition is one relation, whose negation is a mutant of its own already."""
+    depth, operators = 0, []
+    for token in condition:
+        depth += {"(": 1, "[": 1, ")": -1, "]": -1}.get(token.text, 0)
+        if depth == 0 and token.text in _RELATIONS | _LOGICAL and token.spaced:
+            operators.append(token.text)
+    return len(operators) == 1 and operators[0] in _RELATIONS
+
+
+def _other_numbers(text: str) -> list[str]:
+    """Zero, one more, twice, half and ten times a number, as far as these differ from it and each other."""
+    match = _NUMBER.fullmatch(text.replace("'", ""))
+    if match is None:
+        return []
+    digits, suffix = match["digits"], match["suffix"]
+    if digits[:2].lower() not in ("0x", "0b") and (_FLOAT.match(digits) or suffix.lower() == "f"):
+        value = float(digits)
+        changed = [0.0, value + 1.0, 2.0 * value, 0.5 * value, 10.0 * value]
+        others = [repr(number) + suffix for number in dict.fromkeys(changed) if number != value]
+        return [other if "." in other or "e" in other else other + ".0" for other in others]
+    whole = (
+        int(digits, 0) if digits[:1] != "0" or len(digits) < 2 or digits[1:2] in "xXbB" else int(digits, 8)
+    )
+    written = hex if digits[:2].lower() == "0x" else str
+    changed_to = dict.fromkeys([0, whole + 1, 2 * whole, (whole + 1) // 2, 10 * whole])
+    return [
+        written(number) + suffix.replace("f", "").replace("F", "") for number in changed_to if number != whole
+    ]

@@ -1,0 +1,237 @@
+"""Runs tests in a process of their own, against another build of the flight code.
+
+The process is a fork of one that has imported what does not depend on that build, which takes a second.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import importlib
+import importlib.machinery
+import importlib.util
+import json
+import os
+import resource
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+
+from tests.mutants.generate import ROOT
+
+_PRELOADED: Final = (
+    "numpy", "scipy.signal", "casadi", "hypothesis", "hypothesis.strategies", "serial", "cobs", "mcap.reader",
+    "control", "matplotlib.pyplot", "typer", "ssl", "asyncio", "unittest.mock", "elftools.elf.elffile",
+    "heli_host.heli", "heli_host.link.session", "heli_host.fly.runner", "tests.running.cost",
+    "tests.running.order", "tests.running.quick",
+)  # fmt: skip
+EXTENSIONS: Final = ("heli_sim._native", "heli_test_native")
+_ARGUMENTS: Final = (
+    "-q", "-x", "--tb=no", "-p", "no:cacheprovider", "-p", "no:xdist", "-o", "unmarked_cpu_s=1e9",
+    "-o", "medium_cpu_s=1e9", "--import-mode=importlib", "-o", "addopts=",
+)  # fmt: skip
+_DIE_WITH_PARENT: Final = 1  # PR_SET_PDEATHSIG
+_MEMORY_BYTES: Final = 8 << 30
+"""A mutant that allocates without end stops here; a healthy run reserves below 3 GB."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the tests made of a build.
+
+    Parameters
+    ----------
+    killed_by : str
+        The test that failed, or ran into its limit; empty if none.
+    reason : str
+        ``failed``, ``timeout``, ``crashed``, or empty.
+    spent_s : float
+        CPU time.
+    """
+
+    killed_by: str
+    reason: str
+    spent_s: float
+
+
+class Selection:
+    """A plugin that runs some tests in a given order, each with a limit of CPU time.
+
+    Parameters
+    ----------
+    limits_s : dict
+        By name of the test, in the order to run them; a test that needs more ends the process.
+    report : int
+        A file descriptor that gets one line for each test that starts, and for each that fails.
+    """
+
+    def __init__(self, limits_s: dict[str, float], report: int) -> None:
+        self._limits_s = limits_s
+        self._report = report
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        place = {name: index for index, name in enumerate(self._limits_s)}
+        items[:] = sorted((i for i in items if i.nodeid in place), key=lambda i: place[i.nodeid])
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        signal.setitimer(signal.ITIMER_PROF, self._limits_s[nodeid])
+        self._write("starts", nodeid)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.failed:
+            self._write("fails", report.nodeid)
+
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        if report.failed:
+            self._write("fails", report.nodeid)
+
+    def _write(self, what: str, name: str) -> None:
+        os.write(self._report, f"{what} {name}\n".encode())
+
+
+def preload() -> None:
+    """Import what every run needs and no build of the flight code changes."""
+    for name in _PRELOADED:
+        with contextlib.suppress(ImportError):
+            importlib.import_module(name)
+    loaded = [name for name in sys.modules if name in EXTENSIONS]
+    assert not loaded, f"{loaded} must be loaded by each run itself"
+
+
+def load_extensions(library: Path) -> None:
+    """Let both extensions come from one library instead of from the installed package."""
+    for name in EXTENSIONS:
+        loader = importlib.machinery.ExtensionFileLoader(name, str(library))
+        spec = importlib.util.spec_from_loader(name, loader)
+        assert spec is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[name] = module
+        loader.exec_module(module)
+        package, _, attribute = name.rpartition(".")
+        if package:
+            setattr(importlib.import_module(package), attribute, module)
+
+
+def use_elf(elf: Path) -> None:
+    """Let the tests of the Due's firmware take another ELF than that of the sources as they are."""
+    built: Any = importlib.import_module("tests.firmware.built")
+    built.built_elf = lambda: elf
+
+
+def run_tests(prepare: Callable[[], None], limits_s: dict[str, float], most_s: float) -> Outcome:
+    """Run tests in a fork until one fails.
+
+    Parameters
+    ----------
+    prepare : callable
+        Called in the fork before any test is imported.
+    limits_s : dict
+        Limit of CPU time of each test, by its name, in the order to run them.
+    most_s : float
+        Limit of the real time of all, for tests that wait for what never comes.
+    """
+    if not limits_s:
+        return Outcome("", "", 0.0)
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(reading)
+        _in_child(lambda: _run_selection(prepare, limits_s, writing))
+    os.close(writing)
+    said, ended = _read_until_end(reading, most_s)
+    if not ended:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(child, signal.SIGKILL)
+    _, status, usage = os.wait4(child, 0)
+    with contextlib.suppress(ProcessLookupError, PermissionError):
+        os.killpg(child, signal.SIGKILL)
+    spent_s = usage.ru_utime + usage.ru_stime
+    lines = [line.partition(" ") for line in said.decode(errors="replace").splitlines()]
+    failed = next((name for what, _, name in lines if what == "fails"), None)
+    if failed is not None:
+        return Outcome(failed, "failed", spent_s)
+    last = next((name for what, _, name in reversed(lines) if what == "starts"), "before the first test")
+    if not ended or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGPROF):
+        return Outcome(last, "timeout", spent_s)
+    if not os.WIFEXITED(status) or os.WEXITSTATUS(status) not in (0, pytest.ExitCode.NO_TESTS_COLLECTED):
+        return Outcome(last, "crashed", spent_s)
+    return Outcome("", "", spent_s)
+
+
+def _run_selection(prepare: Callable[[], None], limits_s: dict[str, float], report: int) -> int:
+    signal.signal(signal.SIGPROF, signal.SIG_DFL)
+    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
+    prepare()
+    return run_pytest(files_of(limits_s), [Selection(limits_s, report)])
+
+
+def run_pytest(files: Sequence[str], plugins: Iterable[object], *options: str) -> int:
+    """Run pytest in this process, with nothing of its own kept; its exit code."""
+    from tests.running.kept import KEPT
+
+    # What a mutant flew must not be taken for what the flight code flew.
+    KEPT.folder = Path(tempfile.gettempdir()) / "kept"
+    return int(pytest.main([*_ARGUMENTS, *options, *files], plugins=list(plugins)))
+
+
+def files_of(names: Iterable[str]) -> list[str]:
+    """Files of tests, each once."""
+    return list(dict.fromkeys(name.partition("::")[0] for name in names))
+
+
+def _in_child(run: Callable[[], int]) -> None:
+    status = 70
+    try:
+        os.setpgid(0, 0)
+        # A run that is stopped leaves no test behind (Linux only; elsewhere the tests end by themselves).
+        if sys.platform == "linux":
+            ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
+        os.chdir(ROOT)
+        nowhere = os.open(os.devnull, os.O_RDWR)
+        for descriptor in (0, 1, 2):
+            os.dup2(nowhere, descriptor)
+        with tempfile.TemporaryDirectory(prefix="heli-mutant-") as folder:
+            tempfile.tempdir = folder
+            os.environ["TMPDIR"] = folder
+            os.environ["PYTEST_DEBUG_TEMPROOT"] = folder
+            status = run()
+    finally:
+        os._exit(status)
+
+
+def _read_until_end(reading: int, most_s: float) -> tuple[bytes, bool]:
+    """What a child wrote, and whether it closed its end in time."""
+    import select
+
+    said, deadline_s = b"", time.monotonic() + most_s
+    with os.fdopen(reading, "rb", buffering=0) as pipe:
+        while (rest_s := deadline_s - time.monotonic()) > 0:
+            ready, _, _ = select.select([pipe], [], [], rest_s)
+            if not ready:
+                break
+            part = pipe.read(65536)
+            if not part:
+                return said, True
+            said += part
+    return said, False
+
+
+def call_in_fork(run: Callable[[], object]) -> Any:
+    """The result of a function, as JSON, from a fork of this process."""
+    with tempfile.NamedTemporaryFile(suffix=".json") as file:
+        child = os.fork()
+        if child == 0:
+            _in_child(lambda: Path(file.name).write_text(json.dumps(run()), encoding="utf-8") * 0)
+        _, status = os.waitpid(child, 0)
+        if status != 0:
+            raise RuntimeError(f"the process that looks where tests go ended with {status}")
+        return json.loads(Path(file.name).read_text(encoding="utf-8"))

@@ -1,0 +1,168 @@
+"""Mutants are made where they mean something, keep their identity, and die."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.mutants import rotation
+from tests.mutants.declared import DeclarationError, read_declarations
+from tests.mutants.generate import ROOT, Mutant, mutants_of, sample, sources
+from tests.mutants.reach import Reach
+from tests.mutants.results import Result, Results, table
+from tests.mutants.tree import digest
+
+SOURCE = """\
+#include <cstdint>
+// if (a < b) return;
+constexpr float kLimit_rad = 1.5F;
+static_assert(kLimit_rad > 0.0F, "a < b");
+std::array<std::int32_t, 4> values;
+bool Guard::check(int a, int b) {
+  if (a < b && enabled_) {
+    stop();
+    return true;
+  }
+  const char* text = "a + b";
+  sum_ += a + b;
+  return !enabled_;
+}
+"""
+ROTATING = 20
+"""Mutants that the suite repeats: half a second of CPU each."""
+
+
+def changes(kind: str) -> set[tuple[int, str, str]]:
+    return {(m.line, m.before, m.after) for m in mutants_of("x.cpp", SOURCE) if m.kind == kind}
+
+
+def test_relations_conditions_operands_and_statements_are_changed_and_nothing_else_is() -> None:
+    assert changes("relation") == {(7, "<", "<="), (7, "<", ">=")}
+    assert changes("logic") == {(7, "&&", "||"), (13, "!", "")}
+    assert changes("operand") == {(7, "&& enabled_", ""), (7, "a < b && ", ""), (12, "+ b", "")}
+    assert changes("arithmetic") == {(12, "+=", "-="), (12, "+", "-")}
+    condition = "a < b && enabled_"
+    assert changes("condition") == {(7, condition, after) for after in (f"!({condition})", "true", "false")}
+    assert changes("statement") == {(8, "stop();", ";"), (12, "sum_ += a + b;", ";")}
+    constants = changes("constant")
+    assert {after for line, _, after in constants if line == 3} == {"0.0F", "2.5F", "3.0F", "0.75F", "15.0F"}
+    assert {line for line, _, _ in constants} == {3, 5, 9}
+
+
+def test_a_mutant_keeps_its_identity_when_lines_move() -> None:
+    before = {m.identity for m in mutants_of("x.cpp", SOURCE)}
+    moved = SOURCE.replace("#include <cstdint>\n", "#include <cstdint>\n\n// more\n")
+    assert before == {m.identity for m in mutants_of("x.cpp", moved)}
+    assert len(before) == len(mutants_of("x.cpp", SOURCE))
+
+
+def test_each_mutant_of_the_firmware_changes_its_file_in_one_place() -> None:
+    file = "firmware/core/law/guard.cpp"
+    text = (ROOT / file).read_text(encoding="utf-8")
+    for mutant in mutants_of(file, text):
+        changed = mutant.apply(text)
+        assert changed != text
+        assert changed[: mutant.start] == text[: mutant.start]
+        assert changed.endswith(text[mutant.start + len(mutant.before) :])
+
+
+def test_a_seed_chooses_the_same_mutants_each_time_and_another_seed_others() -> None:
+    every = mutants_of("x.cpp", SOURCE)
+    first, again, other = (sample(every, seed, 5) for seed in ("1", "1", "2"))
+    assert first == again != other
+    places = [(m.start, m.kind) for m in sample(every, "1", None)]
+    assert len(places) == len(set(places))
+
+
+def test_generated_sources_have_no_mutants() -> None:
+    assert "firmware/core/link/declaration.hpp" not in sources()
+    assert {"firmware/core/core.cpp", "firmware/due/uart.cpp"} <= set(sources())
+
+
+def test_every_declaration_of_an_equivalent_mutant_names_a_mutant_and_a_reason() -> None:
+    read_declarations()
+
+
+@pytest.mark.parametrize(
+    ("line", "reason", "problem"),
+    [
+        ("return front_V + 1;", "The sum is bounded by the limits before.", "no mutant changes"),
+        ("const float share = params.get(Param::law_envelope);", "", "the reason is missing"),
+    ],
+)
+def test_a_declaration_that_does_not_hold_is_an_error(
+    tmp_path: Path, line: str, reason: str, problem: str
+) -> None:
+    path = tmp_path / "declared.toml"
+    path.write_text(
+        f'[[equivalent]]\nfile = "firmware/core/law/guard.cpp"\nline = "{line}"\nbefore = "+"\n'
+        'after = ["-"]\n'
+        f'reason = "{reason}"\n'
+    )
+    with pytest.raises(DeclarationError, match=problem):
+        read_declarations(path)
+
+
+def a_mutant(file: str, line: int) -> Mutant:
+    return Mutant(file, line, line, "", 0, 0, "constant", "1.5F", "15.0F", 0)
+
+
+def test_a_constant_is_reached_by_the_tests_of_what_uses_it() -> None:
+    file = "firmware/core/flight/supervisor.cpp"
+    lines = (ROOT / file).read_text(encoding="utf-8").splitlines()
+    declared = next(
+        k for k, line in enumerate(lines, 1) if line.startswith("constexpr Quantity kTouchdown_rad ")
+    )
+    used = next(k for k, line in enumerate(lines, 1) if "rest_rad < kTouchdown_rad" in line)
+    reach = Reach({"slow": 0.3, "quick": 0.01, "other": 0.01}, {file: {used: frozenset({"slow", "quick"})}})
+    assert reach.tests_for(a_mutant(file, declared)) == ["quick", "slow"]
+
+
+def a_result(outcome: str, sources_digest: str = "s", tests_digest: str = "t") -> Result:
+    return Result("id", "a.cpp", "a.cpp:1: < -> <=", outcome, "test_a", 0.1, sources_digest, tests_digest)
+
+
+def test_a_killed_mutant_stays_killed_when_tests_are_added_and_a_survivor_is_tried_again(
+    tmp_path: Path,
+) -> None:
+    for outcome, with_other_tests in (("failed", True), ("survived", False)):
+        path = tmp_path / f"{outcome}.jsonl"
+        Results(path).add(a_result(outcome))
+        again = Results(path)
+        assert again.known("id", "s", "t") == a_result(outcome)
+        assert (again.known("id", "s", "more") is not None) is with_other_tests
+        assert again.known("id", "changed", "t") is None
+
+
+def test_the_table_lists_survivors_and_leaves_out_what_is_no_other_program() -> None:
+    text = table([a_result("failed"), a_result("survived"), a_result("same code")])
+    assert "killed or declared: 50.0 % of 2" in text
+    assert "survived: a.cpp:1: < -> <=" in text
+    assert "not counted: 1" in text
+
+
+@pytest.mark.slow
+def test_some_mutants_that_were_killed_once_are_killed_again() -> None:
+    """Other ones after each change of the flight code."""
+    if len(rotation.rotating(ROTATING, "any")) < ROTATING:
+        pytest.fail(
+            "killed.json names few mutants that the sources still have; run make mutants with --record"
+        )
+    command = [
+        sys.executable,
+        "-m",
+        "tests.mutants",
+        "--rotating",
+        str(ROTATING),
+        "--seed",
+        digest("firmware/core"),
+    ]
+    done = subprocess.run(
+        command, cwd=ROOT, capture_output=True, text=True, check=False, env={**os.environ, "HELI_LONG": ""}
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert len(done.stdout.splitlines()) == ROTATING
