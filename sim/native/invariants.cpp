@@ -13,6 +13,7 @@ T value_of(const std::atomic<T>& shared) {
 }  // namespace heli::proofs
 
 #include "duty/invariant.hpp"
+#include "interpreter/invariant.hpp"
 #include "parser/invariant.hpp"
 #include "supervisor/invariant.hpp"
 #include "upload/invariant.hpp"
@@ -25,6 +26,7 @@ const char* broken_invariant(const heli::FlightCode& code, std::int32_t duty_ful
   if (!holds(core.link_.parser_)) return "parser";
   if (!holds(core.supervisor_)) return "supervisor";
   if (!holds(core.uploaded_.tape_)) return "upload";
+  if (!heli::proofs::holds_verified(core.uploaded_.tape_)) return "interpreter";
   const auto bank = core.active_.load(std::memory_order_relaxed);
   const heli::Conversion& conversion = core.derived_[bank].conversion;
   const bool within = holds(conversion.front, duty_full) && holds(conversion.back, duty_full);

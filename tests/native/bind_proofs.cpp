@@ -29,6 +29,9 @@ std::string broken_by(const std::string& member) {
     core.supervisor_.exciter_.kind_ = heli::link::Excitation::chirp;
   } else if (member == "flying") {
     core.uploaded_.tape_.flying_ = true;
+  } else if (member == "parameters") {
+    core.uploaded_.tape_.stored_ = heli::law::LawState::ready;
+    core.uploaded_.tape_.shape_.parameters = heli::law::Tape::kCells;
   } else if (member == "max_duty") {
     core.derived_[core.active_].conversion.back.max_duty = board.kDutyFull + 1;
   }

@@ -14,6 +14,7 @@ from heli_test_native import proofs
         ("fault", "supervisor"),
         ("exciter", "supervisor"),
         ("flying", "upload"),
+        ("parameters", "interpreter"),
         ("max_duty", "duty"),
     ],
 )
