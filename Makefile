@@ -1,6 +1,6 @@
 # Two commands matter: `make fly` and `make test`. Everything they need is set up in .venv by .ci/setup.
 .DEFAULT_GOAL := help
-.PHONY: help setup fly docs quick test long check bench blind mutants fuzz soak attack firmware release clean
+.PHONY: help setup fly docs quick test long check bench blind mutants fuzz soak attack prove firmware release clean
 
 PLANS ?= hover sine
 SPEED ?= 1
@@ -9,6 +9,7 @@ FUZZ_S ?= 60
 FRAMES ?= 1000000
 LOGS ?= 4000
 CASES ?=
+CLAIMS ?=
 FILES ?= firmware/core
 SEED ?= 1
 COUNT ?= 150
@@ -70,6 +71,10 @@ soak: ## keep a live page busy, see what is lost, how memory grows, how old a st
 attack: ## faulty links, serial trouble, damaged logs, hostile clients and laws: make attack [SEED=1] [COUNT=150]
 	@.ci/setup test
 	@.venv/bin/python -m tests.stress attack --seed $(SEED) --count $(COUNT)
+
+prove: ## prove claims about the flight code for all inputs: make prove [CLAIMS="parser"]; Linux on x86-64
+	@.ci/setup test
+	@.venv/bin/python firmware/proofs/prove.py $(CLAIMS)
 
 firmware: ## build what is flashed to the Due: make firmware [PINS=my.toml, for another wiring]
 	@.ci/setup firmware

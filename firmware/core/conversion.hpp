@@ -6,6 +6,7 @@
 
 #include "board.hpp"
 #include "control/fixed.hpp"
+#include "control/math.hpp"
 #include "params/params.hpp"
 
 namespace heli {
@@ -32,5 +33,18 @@ struct Conversion {
 float smoothing_of(float cutoff_Hz);
 
 Conversion conversion_of(const params::Params& params, std::int16_t duty_full);
+
+inline std::int16_t duty_of(control::Quantity voltage_V, const MotorConversion& motor) {
+  const std::int32_t duty = control::product<0>(voltage_V, motor.duty_per_V).raw();
+  return static_cast<std::int16_t>(control::clamp(duty, motor.min_duty, motor.max_duty));
+}
+
+inline MotorCommand motor_command(bool enable, control::Quantity front_V, control::Quantity back_V,
+                                  const Conversion& conversion) {
+  if (!enable) {
+    return {};
+  }
+  return {duty_of(front_V, conversion.front), duty_of(back_V, conversion.back), true};
+}
 
 }  // namespace heli

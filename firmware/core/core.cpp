@@ -21,11 +21,6 @@ namespace {
 
 constexpr std::uint8_t kAllAxes = link::axes::elevation | link::axes::pitch | link::axes::travel;
 
-std::int16_t duty_of(Quantity voltage_V, const MotorConversion& motor) {
-  const std::int32_t duty = product<0>(voltage_V, motor.duty_per_V).raw();
-  return static_cast<std::int16_t>(control::clamp(duty, motor.min_duty, motor.max_duty));
-}
-
 // Units on the wire per unit.
 using Wire = Fixed<14>;
 constexpr Wire kElevationSetpointWire = Wire::of(link::kElevationSetpointPerUnit);
@@ -210,12 +205,8 @@ ControlOutput Core::drive(Bank bank) {
 }
 
 void Core::actuate(const ControlOutput& out, const Conversion& c) {
-  MotorCommand command{};
-  command.enable = supervisor_.motors_enabled();
-  if (command.enable) {
-    command.front_duty = duty_of(out.front_V, c.front);
-    command.back_duty = duty_of(out.back_V, c.back);
-  }
+  const MotorCommand command =
+      motor_command(supervisor_.motors_enabled(), out.front_V, out.back_V, c);
   board_.write_motors(command);
   seen_.acted = {product<24>(Whole::from_raw(command.front_duty), c.front.V_per_duty),
                  product<24>(Whole::from_raw(command.back_duty), c.back.V_per_duty)};

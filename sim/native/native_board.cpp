@@ -3,6 +3,9 @@
 #include <algorithm>
 #include <fstream>
 #include <stdexcept>
+#include <string>
+
+#include "invariants.hpp"
 
 namespace heli_sim {
 
@@ -84,6 +87,11 @@ void NativeBoard::tick(const std::int32_t* count) {
   if (!code_) boot(cause_);
   code_->core.tick();
   code_->core.poll();
+  if (const char* claim = broken_invariant(*code_, MemoryBoard::kDutyFull)) {
+    throw std::logic_error(
+        std::string("error: the flight code breaks the invariant of the proof '") + claim +
+        "'; report this flight, see docs/validation/proofs.md");
+  }
 }
 
 void NativeBoard::rest(const Edge* edges, std::size_t edge_count) {

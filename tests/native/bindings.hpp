@@ -8,3 +8,4 @@ void bind_flight(nanobind::module_& module);
 void bind_law(nanobind::module_& module);
 void bind_link(nanobind::module_& module);
 void bind_plant(nanobind::module_& module);
+void bind_proofs(nanobind::module_& module);

@@ -7,4 +7,5 @@ NB_MODULE(heli_test_native, module) {
   bind_law(module);
   bind_link(module);
   bind_plant(module);
+  bind_proofs(module);
 }

@@ -64,6 +64,8 @@ Overhead overhead_of(const Shape& shape, std::uint32_t inputs_read) {
 UploadCheck Tape::begin(const link::LawBeginMessage& message) {
   const LawState before = stored();
   store(LawState::none);
+  // A release store alone lets the compiler read `flying` before it.
+  std::atomic_signal_fence(std::memory_order_seq_cst);
   if (flying()) {
     store(before);
     return {LawError::flying, 0U};

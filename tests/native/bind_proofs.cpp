@@ -1,0 +1,47 @@
+// The invariants of firmware/proofs on flight code that breaks one. Compiled without access
+// control.
+#include <nanobind/stl/string.h>
+
+#include <memory>
+#include <string>
+
+#include "bindings.hpp"
+#include "flight_code.hpp"
+#include "invariants.hpp"
+#include "native_board.hpp"
+
+namespace nb = nanobind;
+
+namespace {
+
+// What the check says of a started board, after one member was made wrong; empty if all is well.
+std::string broken_by(const std::string& member) {
+  heli_sim::MemoryBoard board;
+  const auto code = std::make_unique<heli::FlightCode>(board);
+  heli::Core& core = code->core;
+  core.start();
+  core.tick();
+  if (member == "decoded_count") {
+    core.link_.parser_.decoded_count_ = heli::link::Parser::kMaxBytes + 1U;
+  } else if (member == "fault") {
+    core.supervisor_.fault_ = heli::link::Fault::hardware_stop;
+  } else if (member == "exciter") {
+    core.supervisor_.exciter_.kind_ = heli::link::Excitation::chirp;
+  } else if (member == "flying") {
+    core.uploaded_.tape_.flying_ = true;
+  } else if (member == "parameters") {
+    core.uploaded_.tape_.stored_ = heli::law::LawState::ready;
+    core.uploaded_.tape_.shape_.parameters = heli::law::Tape::kCells;
+  } else if (member == "max_duty") {
+    core.derived_[core.active_].conversion.back.max_duty = board.kDutyFull + 1;
+  }
+  const char* claim = heli_sim::broken_invariant(*code, board.kDutyFull);
+  return claim == nullptr ? "" : claim;
+}
+
+}  // namespace
+
+void bind_proofs(nb::module_& module) {
+  auto proofs = module.def_submodule("proofs");
+  proofs.def("broken_by", &broken_by, nb::arg("member"));
+}

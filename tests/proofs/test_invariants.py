@@ -1,0 +1,22 @@
+"""Simulated flights assert what the proofs of the flight code assume."""
+
+from __future__ import annotations
+
+import pytest
+from heli_test_native import proofs
+
+
+@pytest.mark.parametrize(
+    ("member", "claim"),
+    [
+        ("none", ""),
+        ("decoded_count", "parser"),
+        ("fault", "supervisor"),
+        ("exciter", "supervisor"),
+        ("flying", "upload"),
+        ("parameters", "interpreter"),
+        ("max_duty", "duty"),
+    ],
+)
+def test_a_broken_invariant_is_noticed(member: str, claim: str) -> None:
+    assert proofs.broken_by(member) == claim

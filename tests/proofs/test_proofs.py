@@ -1,0 +1,93 @@
+"""Every claim of firmware/proofs is proved, and its mutants are refuted."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def loaded() -> ModuleType:
+    """The runner, which is a program and no package."""
+    path = ROOT / "firmware" / "proofs" / "prove.py"
+    spec = importlib.util.spec_from_file_location("prove", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["prove"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+prove = loaded()
+CLAIMS = {claim.name: claim for claim in prove.claims()}
+CHEAP = [name for name, claim in CLAIMS.items() if not claim.dear]
+
+
+@pytest.fixture(scope="module")
+def prover() -> str:
+    path = prove.find_prover()
+    if path is None:
+        pytest.skip("the prover is not installed: Linux on x86-64, extra `prove`")
+    return str(path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CHEAP)
+def test_a_claim_is_proved_and_its_mutants_are_refuted(prover: str, name: str) -> None:
+    wrong, properties, _ = prove.judge(prover, CLAIMS[name])
+    assert wrong == []
+    assert properties > 0
+
+
+def test_the_document_lists_the_claims_of_today() -> None:
+    text = prove.DOCUMENT.read_text(encoding="utf-8")
+    assert prove.documented(text) == text, "run: python firmware/proofs/prove.py --document"
+
+
+@pytest.mark.parametrize("name", CLAIMS)
+def test_each_change_of_a_claim_fits_one_place(name: str, tmp_path: Path) -> None:
+    for number, mutant in enumerate(CLAIMS[name].mutants):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        changed = prove.mutated(mutant, folder) / mutant.file
+        original = (prove.CORE / mutant.file).read_text(encoding="utf-8")
+        assert changed.read_text(encoding="utf-8") != original
+
+
+@pytest.mark.parametrize("name", CLAIMS)
+def test_each_step_of_a_claim_has_a_mutant(name: str) -> None:
+    claim = CLAIMS[name]
+    assert {mutant.step for mutant in claim.mutants} == set(claim.steps)
+
+
+def test_a_function_without_a_body_is_no_proof() -> None:
+    proved = "** 0 of 3 properties failed, 3 passed\nVERIFICATION SUCCESSFUL\n"
+    said = f"WARNING: no body for function crc32\n{proved}"
+    assert prove.verdict_of(proved, 0.0).failed == ()
+    with pytest.raises(prove.ProofError, match="crc32"):
+        prove.verdict_of(said, 0.0)
+
+
+@pytest.mark.parametrize(
+    "said", ["", "VERIFICATION SUCCESSFUL", "** 0 of 3 properties failed\nERROR: memory"]
+)
+def test_a_prover_that_gives_up_is_no_proof(said: str) -> None:
+    with pytest.raises(prove.ProofError, match="no result"):
+        prove.verdict_of(said, 0.0)
+
+
+def test_a_property_that_was_not_checked_is_no_proof() -> None:
+    said = "** 0 of 3 properties failed, 2 passed, 1 not checked\nVERIFICATION SUCCESSFUL\n"
+    with pytest.raises(prove.ProofError, match="check everything"):
+        prove.verdict_of(said, 0.0)
+
+
+def test_a_loop_that_is_cut_short_refutes_no_mutant() -> None:
+    assert not prove.about_the_code("[f.assertion.1] line 3 unwinding assertion loop 2")
+    assert prove.about_the_code("[f.assertion.1] line 3 the payload fits")
