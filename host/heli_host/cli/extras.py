@@ -13,6 +13,7 @@ USERS_EXTRAS: Final[Mapping[str, str]] = {
     "page": "the dashboard",
     "import": "spreadsheets, Parquet files and ROS bags",
     "export": "logs as Parquet",
+    "foxglove": "live samples for Foxglove and PlotJuggler",
     "gym": "the Gymnasium environment",
     "campaign": "campaigns on several computers",
     "benchmark": "the benchmark of hidden causes, with other methods",
