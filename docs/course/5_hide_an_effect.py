@@ -113,7 +113,7 @@ assert handed_over.splitlines()[0] == "t_s,front_V,back_V,elevation_rad,pitch_ra
 #
 # | task | points | full points for |
 # |---|---|---|
-# | 1 | 2 | a salt that nobody can guess; the digest covers effect and salt |
+# | 1 | 2 | a random salt; the digest covers effect and salt |
 # | 2 | 2 | six columns; no metadata |
 # | 3 | 2 | the axis and the kind of error before the diagnosis; an answer with its confidence before the seal is opened |
 # | 4 | 1 | the function compares digests |

@@ -48,7 +48,7 @@ class FlightScore:
     Parameters
     ----------
     settling_s, overshoot_percent : float
-        Of the largest step of elevation or travel; nan without a step, infinite if it did not settle.
+        Metrics of the largest step of elevation or travel; nan without a step, infinite if it did not settle.
     elevation_rms_deg, travel_rms_deg : float
         Following errors; nan for an axis without setpoints.
     effort_V : float

@@ -13,7 +13,7 @@ FULL: Final = 10.0
 WEIGHTS: Final = {"rms_deg": 4.0, "settling_s": 2.0, "overshoot_percent": 2.0, "effort_V": 2.0}
 """Points of each number; they add up to `FULL`."""
 FLOORS: Final = {"rms_deg": 0.2, "settling_s": 1.0, "overshoot_percent": 5.0, "effort_V": 0.02}
-"""Below these values nobody is better: two steps of the encoder, and what a flight with another seed changes.
+"""Smaller values earn no more points: two steps of the encoder, and what a flight with another seed changes.
 With less, noise decides the mark; with more, a better law gets no better mark."""
 _CHEAP: Final = ("overshoot_percent", "effort_V")
 NO_POINTS: Final = 10.0
