@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from heli_host.arrays import Floats
 from heli_lab.estimation import FreeParameter, NormalPrior, ParameterVector
-from heli_lab.estimation.levenberg_marquardt import Step, minimise
+from heli_lab.estimation.levenberg_marquardt import DampedStep, minimise
 from heli_lab.estimation.posterior_step import posterior_step
 
 
@@ -33,7 +33,7 @@ class Rosenbrock:
         prior = float(np.sum(((theta - 1.0) / 10.0) ** 2))
         return Guess(theta, float((10.0 * (y - x**2)) ** 2 + (1.0 - x) ** 2) + prior)
 
-    def step(self, iterate: Guess, damping: float) -> Step[Guess]:
+    def step(self, iterate: Guess, damping: float) -> DampedStep[Guess]:
         x, y = iterate.theta
         residual = np.array([10.0 * (y - x**2), 1.0 - x])
         jacobian = np.array([[20.0 * x, -10.0], [1.0, 0.0]])
@@ -45,7 +45,7 @@ class Rosenbrock:
             self.rejected += after.cost > iterate.cost
             return after
 
-        return Step(step.move, step.std, 2.0 * step.promised_nats, make)
+        return DampedStep(step.move, step.std, 2.0 * step.promised_nats, make)
 
     def with_states_refined(self, iterate: Guess) -> Guess | None:
         return None

@@ -29,7 +29,7 @@ _CONVERGED_GAIN: Final = 1e-6
 """A lightly damped step that reduces the cost by less than this share ends the search."""
 
 
-class Iterate(Protocol):
+class HasCost(Protocol):
     """Values of all unknowns."""
 
     @property
@@ -37,11 +37,11 @@ class Iterate(Protocol):
         """Weighted sum of squares, priors included: minus twice the log-posterior up to a constant."""
 
 
-IterateT = TypeVar("IterateT", bound=Iterate)
+IterateT = TypeVar("IterateT", bound=HasCost)
 
 
 @dataclass(frozen=True)
-class Step(Generic[IterateT]):
+class DampedStep(Generic[IterateT]):
     """A damped step.
 
     Parameters
@@ -65,7 +65,7 @@ class Step(Generic[IterateT]):
 class LeastSquares(Protocol[IterateT]):
     """A nonlinear least-squares problem."""
 
-    def step(self, iterate: IterateT, damping: float) -> Step[IterateT]:
+    def step(self, iterate: IterateT, damping: float) -> DampedStep[IterateT]:
         """Linearise at an `iterate` and solve for a step with this `damping`."""
 
     def with_states_refined(self, iterate: IterateT) -> IterateT | None:
@@ -81,7 +81,7 @@ class Minimum(Generic[IterateT]):
 
     Parameters
     ----------
-    iterate : Iterate
+    iterate : HasCost
         The iterate of the lowest cost.
     converged : bool
         False if the budget ran out first.
@@ -128,7 +128,7 @@ def minimise(
     ----------
     problem : LeastSquares
         Solves for the steps and evaluates them.
-    start : Iterate
+    start : HasCost
         The first iterate.
     damping : float
         Damping of the first step; 0 for a Gauss-Newton step.

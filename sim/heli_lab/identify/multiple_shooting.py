@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from heli_host.arrays import Floats
 
-from heli_lab.estimation.levenberg_marquardt import Step, minimise
+from heli_lab.estimation.levenberg_marquardt import DampedStep, minimise
 from heli_lab.estimation.posterior_step import posterior_step
 from heli_lab.identify import thresholds
 from heli_lab.identify.fit import Budget, FitProgress
@@ -70,7 +70,7 @@ class MultipleShooting:
         of_records = iterate.evaluations, iterate.states, cost.state_prior, cost.variance, cost.weights
         return eliminate_states(cost.problem, *of_records, damping=damping)
 
-    def step(self, iterate: Iterate, damping: float) -> Step[Iterate]:
+    def step(self, iterate: Iterate, damping: float) -> DampedStep[Iterate]:
         """Linearise at an `iterate` and solve for a step with this `damping`."""
         cost, problem = self.cost, self.cost.problem
         information, score, follow, gain = self.normal_equations(iterate, thresholds.STATE_DAMPING * damping)
@@ -95,7 +95,7 @@ class MultipleShooting:
             return after
 
         # The cost is twice the negative log-posterior.
-        return Step(step.move, step.std, gain + 2.0 * step.promised_nats, make)
+        return DampedStep(step.move, step.std, gain + 2.0 * step.promised_nats, make)
 
     def with_states_refined(self, iterate: Iterate) -> Iterate | None:
         """Optimise the initial states of an `iterate` alone; None if they have converged."""
