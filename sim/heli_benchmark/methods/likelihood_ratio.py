@@ -6,11 +6,12 @@ import math
 from typing import Any, Final
 
 from heli_lab.identify.run import identify
-from heli_lab.twin.calibration import Calibration, Tail
+from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.flights import count_rad_of, samples_of
 from heli_lab.twin.kalman_filter import TwinModel
-from heli_lab.twin.learn import learn_disturbances_of_flights
+from heli_lab.twin.learn import learn_rig
 from heli_lab.twin.likelihood_ratio import ChangeCandidate
+from heli_lab.twin.tail import Tail
 from heli_lab.twin.twin import Twin
 from heli_sim.model import MultibodyModel
 
@@ -27,8 +28,9 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
     """Identify the rig from the training flights, and look for changes in all flights."""
     labels = [f"training {i}" for i in range(len(case.training))]
     rig = identify(MultibodyModel(), case.rig, case.training, labels=labels, threads=1).rig("identified")
-    disturbances = learn_disturbances_of_flights(MultibodyModel(), rig, case.training, labels)
-    calibration = Calibration(disturbances, Tail(_ALARM_NATS, 1e-9, 1.0, 1000))
+    disturbances, uncertainty = learn_rig(MultibodyModel(), rig, case.training, labels)
+    tail = Tail(_ALARM_NATS, 1e-9, 1.0, 1000)
+    calibration = Calibration(disturbances, tail, uncertainty=uncertainty)
     best: ChangeCandidate | None = None
     for flight in (*case.training, *case.validation):
         samples, sample_s = samples_of(flight)

@@ -24,7 +24,7 @@ from heli_sim.rig import Rig
 
 from heli_lab.errors import TwinError
 from heli_lab.estimation import BLOCK_s, DisturbanceModel, InnovationsModel, LinearisedFlight, estimate
-from heli_lab.estimation.estimate import gauss_newton_step
+from heli_lab.estimation.posterior_step import posterior_step
 from heli_lab.identify import prepare
 from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
 from heli_lab.twin.calibration import DEFAULT_DISTURBANCES, Calibration
@@ -135,9 +135,11 @@ def learn_rig(
         for index, reference in enumerate(references)
     ]
     filtered = InnovationsModel(linearised, every.columns, len(theta))
-    innovations = filtered.innovations_by_flight(disturbances)
-    _, covariance, _ = gauss_newton_step(every, theta, innovations)
-    own = covariance[: len(shared), : len(shared)]
+    innovations = filtered.innovations(disturbances)
+    step = posterior_step(
+        every, theta, innovations.information(), innovations.score(), per_flight=innovations.per_flight
+    )
+    own = step.covariance[: len(shared), : len(shared)]
     free_V = np.vstack(
         [record.voltages_V[start:stop] for record in records for start, stop in record.segments]
     )

@@ -12,8 +12,8 @@ from heli_lab.diagnose import Diagnosis, to_json
 from heli_lab.diagnose.evaluate import Replication, extrapolations, replicate, replication
 from heli_lab.diagnose.evaluate.error_reduction import ErrorReduction
 from heli_lab.diagnose.report import lines
+from heli_lab.diagnose.search import Direction
 from heli_lab.diagnose.search.folds import split, two_folds
-from heli_lab.diagnose.search.replication import Direction
 
 from tests.diagnose.test_causes import diagnosed
 

@@ -23,8 +23,7 @@ from heli_lab.diagnose.evaluate.error_reduction import ErrorReduction, error_red
 from heli_lab.diagnose.evaluate.free_run import FreeRun, estimated_free_runs
 from heli_lab.diagnose.evaluate.held_out import HeldOutEvaluation, evaluate_extension
 from heli_lab.diagnose.evaluate.prediction import Prediction, predict
-from heli_lab.diagnose.search import Hypothesis, ModelComparison, Search
-from heli_lab.diagnose.search.replication import Direction, direction
+from heli_lab.diagnose.search import Direction, Hypothesis, ModelComparison, Search, direction
 
 WORSE_HORIZON: Final = "1"
 """Horizon of the open-loop errors that decide, a key of `HORIZONS`: long enough to show a lag, and

@@ -5,6 +5,7 @@ from heli_lab.diagnose.search.estimate_cache import EstimateCache, fingerprint
 from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, Refit, Round
 from heli_lab.diagnose.search.model_comparison import ModelComparison
 from heli_lab.diagnose.search.regressors import ExtendedModel, spline_candidates
+from heli_lab.diagnose.search.replication import Direction, direction
 from heli_lab.diagnose.search.screening import Screening, coefficient_std, score_of
 from heli_lab.diagnose.search.splines import (
     KNOTS,
@@ -23,6 +24,7 @@ __all__ = [
     "Alternative",
     "Candidate",
     "Cause",
+    "Direction",
     "EstimateCache",
     "ExtendedModel",
     "Hypothesis",
@@ -35,6 +37,7 @@ __all__ = [
     "SplineTerm",
     "bspline_basis",
     "coefficient_std",
+    "direction",
     "fingerprint",
     "knot_span",
     "may_join",
