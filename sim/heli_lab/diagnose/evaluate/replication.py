@@ -60,6 +60,8 @@ class WorseAxis:
 
     Parameters
     ----------
+    axis : str
+        Elevation, pitch or travel.
     fitted, judged : str
         Labels of the flights that estimated the parameters, and of those that judge.
     reduction : ErrorReduction
