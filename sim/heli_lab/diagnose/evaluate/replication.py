@@ -1,8 +1,8 @@
 """Confirmation of causes: a cause must hold in both directions, fitted on one side and judged on the other.
 
 Where flights are held out, the two sides are the fitted and the held-out flights; otherwise they are two
-folds of the fitted flights. A cause is confirmed if two conditions hold in both directions. Its log-likelihood
-ratio is positive on the judging flights. With it, no axis' open-loop error at 1 s grows by more than its
+folds of the fitted flights. A cause is confirmed if two conditions hold in both directions. Its
+log-likelihood ratio is positive on the judging flights. With it, no axis' open-loop error at 1 s grows by more than its
 bootstrap interval, compared with the baseline.
 
 Only confirmed causes enter the extended rig, unless all are asked for.
@@ -21,8 +21,7 @@ from heli_lab.diagnose.evaluate.error_reduction import ErrorReduction, error_red
 from heli_lab.diagnose.evaluate.free_run import FreeRun, estimated_free_runs
 from heli_lab.diagnose.evaluate.held_out import HeldOutEvaluation, evaluate_extension
 from heli_lab.diagnose.evaluate.prediction import Prediction, predict
-from heli_lab.diagnose.search import Hypothesis, ModelComparison, Search
-from heli_lab.diagnose.search.replication import Direction, direction
+from heli_lab.diagnose.search import Direction, Hypothesis, ModelComparison, Search, direction
 
 WORSE_HORIZON: Final = "1"
 """Horizon of the open-loop errors that decide, a key of `HORIZONS`: long enough to show a lag, and

@@ -2,9 +2,11 @@
 
 from heli_lab.diagnose.search.candidate import Candidate, Scored, may_join, typical_candidate
 from heli_lab.diagnose.search.estimate_cache import EstimateCache, fingerprint
+from heli_lab.diagnose.search.folds import split
 from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, Refit, Round
 from heli_lab.diagnose.search.model_comparison import ModelComparison
 from heli_lab.diagnose.search.regressors import ExtendedModel, spline_candidates
+from heli_lab.diagnose.search.replication import Direction, direction
 from heli_lab.diagnose.search.screening import Screening, coefficient_std, score_of
 from heli_lab.diagnose.search.splines import (
     KNOTS,
@@ -23,6 +25,7 @@ __all__ = [
     "Alternative",
     "Candidate",
     "Cause",
+    "Direction",
     "EstimateCache",
     "ExtendedModel",
     "Hypothesis",
@@ -35,6 +38,7 @@ __all__ = [
     "SplineTerm",
     "bspline_basis",
     "coefficient_std",
+    "direction",
     "fingerprint",
     "knot_span",
     "may_join",
@@ -43,5 +47,6 @@ __all__ = [
     "search",
     "spline_candidates",
     "spline_term",
+    "split",
     "typical_candidate",
 ]
