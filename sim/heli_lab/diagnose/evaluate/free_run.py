@@ -22,7 +22,7 @@ from heli_host.arrays import Floats
 from heli_sim.model.base import Model
 from heli_sim.rig import Prior, Rig
 
-from heli_lab.diagnose.search.folds import split
+from heli_lab.diagnose.search import split
 from heli_lab.diagnose.thresholds import CALIBRATE_SHARE, CALIBRATE_s
 from heli_lab.errors import IdentifyError
 from heli_lab.estimation import Estimate

@@ -1,11 +1,9 @@
 """Confirmation of causes: a cause must hold in both directions, fitted on one side and judged on the other.
 
 Where flights are held out, the two sides are the fitted and the held-out flights; otherwise they are two
-folds of the fitted flights. A cause is confirmed if
-
-- its log-likelihood ratio is positive on the judging flights in both directions, and
-- with it, no axis' open-loop error at 1 s grows by more than its bootstrap interval in either direction,
-  compared with the baseline.
+folds of the fitted flights. A cause is confirmed if two conditions hold in both directions. Its
+log-likelihood ratio is positive on the judging flights. With it, no axis' open-loop error at 1 s grows by more than its
+bootstrap interval, compared with the baseline.
 
 Only confirmed causes enter the extended rig, unless all are asked for.
 """
@@ -59,6 +57,8 @@ class WorseAxis:
 
     Parameters
     ----------
+    axis : str
+        Elevation, pitch or travel.
     fitted, judged : str
         Labels of the flights that estimated the parameters, and of those that judge.
     reduction : ErrorReduction

@@ -2,6 +2,7 @@
 
 from heli_lab.diagnose.search.candidate import Candidate, Scored, may_join, typical_candidate
 from heli_lab.diagnose.search.estimate_cache import EstimateCache, fingerprint
+from heli_lab.diagnose.search.folds import split
 from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, Refit, Round
 from heli_lab.diagnose.search.model_comparison import ModelComparison
 from heli_lab.diagnose.search.regressors import ExtendedModel, spline_candidates
@@ -46,5 +47,6 @@ __all__ = [
     "search",
     "spline_candidates",
     "spline_term",
+    "split",
     "typical_candidate",
 ]
