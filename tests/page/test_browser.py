@@ -196,7 +196,7 @@ def test_a_status_that_waited_while_the_page_was_suspended_is_not_shown(
     stamped = service._stamped
 
     def old(status: Mapping[str, Any]) -> dict[str, Any]:
-        return {**stamped({**status, "state": int(State.CLOSED_LOOP)}), "sent_s": time.monotonic() - 5.0}
+        return {**status, "state": int(State.CLOSED_LOOP), "sent_s": time.monotonic() - 5.0}
 
     monkeypatch.setattr(service, "_stamped", old)
     expect(page.locator("#alarm")).to_contain_text("no longer sends its status")

@@ -104,7 +104,7 @@ class AgedPage(SocketPage):
     def take_words(self, words: dict[str, Any]) -> None:
         """Take a message; see `SocketPage`."""
         if "status" in words and "hello" not in words:
-            self.ages.take(words["sent_s"], time.monotonic())
+            self.ages.take(words["status"]["sent_s"], time.monotonic())
         super().take_words(words)
         if len(self.words) > 2 * _KEPT:
             del self.words[:_KEPT], self.rows[:-2]

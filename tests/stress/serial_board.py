@@ -76,9 +76,10 @@ class Truth:
                 self.longest_silence_ticks = max(self.longest_silence_ticks, tick - self.armed_tick)
             self.armed_tick = tick
         if message in (MessageId.CONTROL, MessageId.SETPOINT) and self._follows:
+            # A request that is sent again is answered, but not carried out again.
             if message == MessageId.CONTROL and self.closed_tick < 0:
                 self.closed_tick = self.fresh_tick = tick
-            elif self.closed_tick >= 0:
+            elif message == MessageId.SETPOINT and self.closed_tick >= 0:
                 self.age(tick)
                 self.fresh_tick = tick if self._follows else self.fresh_tick
         elif message in _LANDINGS and self.closed_tick >= 0:

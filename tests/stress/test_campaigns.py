@@ -75,6 +75,11 @@ def test_a_gap_of_two_seconds_is_the_boards_own_landing_and_later_setpoints_are_
     assert followed.longest_ticks == 1950 and followed.land_tick == 2200
 
 
+def test_a_request_that_is_sent_again_is_no_setpoint() -> None:
+    truth = heard(("CONTROL", 150), ("CONTROL", 1200), ("SETPOINT", 2300))
+    assert truth.longest_ticks == 2150 and truth.fresh_tick == 150
+
+
 def test_a_host_that_is_silent_between_arming_and_control_closes_nothing() -> None:
     truth = heard(("ARM", 100), ("CONTROL", 2200))
     assert truth.longest_ticks == 2100 and truth.closed_tick == -1

@@ -40,7 +40,7 @@ from heli_host.declaration import (
 from heli_host.errors import LinkError, LinkLost, LinkVersionMismatch, fault_text
 from heli_host.link.accounting import LinkCounters, TickAccount
 from heli_host.link.channels import MODES, declared
-from heli_host.link.clock import ClockFit
+from heli_host.link.clock import TICK_S, ClockFit
 from heli_host.link.events import (
     BOARD_RESTARTED,
     LINK_LOST,
@@ -64,6 +64,10 @@ KEEP_ALIVE_S = 0.099
 CLOCK_PING_S = 1.0
 SILENCE_S = 1.0
 
+# Samples that wait in the port arrive faster than they were made, and the estimated speed of the device is
+# then meaningless: so much device time may pass unseen [s]. More: the host floods the board after it read
+# slowly, and a stop waits behind the flood. Less: batches of a fast simulation delay the next sign of life.
+_UNSEEN_S = 0.05
 _HELD_BATCHES = 500
 _TICK_MASK = 0xFFFFFFFF
 
@@ -151,6 +155,7 @@ class Engine:
         self._last_sent_s = -1e9
         self._last_heard_s = 0.0
         self._last_ping_s = -1e9
+        self._sent_tick = self._ping_tick = self._setpoint_tick = 0
         self._request: Request | None = None
         self._setpoints = Stream[SetpointMessage](SETPOINT_INTERVAL_S)
         self._voltages = Stream[VoltagesMessage](VOLTAGES_INTERVAL_S)
@@ -268,9 +273,9 @@ class Engine:
             request.note_try(now_s, self._round_trip_s)
             out += self._frame(request.command, now_s)
         setpoint, voltages = self._setpoints.waiting, self._voltages.waiting
-        stale_s = now_s - self._setpoints.sent_s
+        stale_s = self._device_s(self._setpoints.sent_s, self._setpoint_tick, now_s)
         flies = self.state in (State.CLOSED_LOOP, State.HOLD)
-        kept = self.kept if flies and stale_s >= KEEP_ALIVE_S / speed else None
+        kept = self.kept if flies and stale_s >= KEEP_ALIVE_S else None
         if (setpoint or voltages or kept) and not self.permitted():
             kept = None
             self._setpoints.waiting = self._voltages.waiting = setpoint = voltages = None
@@ -285,11 +290,24 @@ class Engine:
         if kept is not None and setpoint is None:
             # Its tick may lie in the past: the board then goes on towards the same target.
             out += self._frame(self._setpoints.release(kept, now_s), now_s)
-        idle_s, unpinged_s = now_s - self._last_sent_s, now_s - self._last_ping_s
-        if request is None and (idle_s >= HEARTBEAT_S / speed or unpinged_s >= CLOCK_PING_S / speed):
+        newest = self.account.last or 0
+        if self._setpoints.sent_s == now_s:
+            self._setpoint_tick = newest
+        if self._last_sent_s == now_s:
+            self._sent_tick = newest
+        idle_s = self._device_s(self._last_sent_s, self._sent_tick, now_s)
+        unpinged_s = self._device_s(self._last_ping_s, self._ping_tick, now_s)
+        if request is None and (idle_s >= HEARTBEAT_S or unpinged_s >= CLOCK_PING_S):
             self._last_ping_s = now_s
+            self._sent_tick = self._ping_tick = newest
             out += self._frame(PingMessage(self._number(), round(now_s * 1e6)), now_s)
         return out
+
+    def _device_s(self, since_s: float, since_tick: int, now_s: float) -> float:
+        """Device time since a moment [s]: by the device's speed, but not much more than the samples show."""
+        host_s = now_s - since_s
+        seen_s = ((self.account.last or 0) - since_tick) * TICK_S + _UNSEEN_S
+        return max(host_s, min(host_s * self.speed, seen_s))
 
     def ask(self, command: Command, now_s: float, timeout_s: float) -> Request:
         """Start a command; `outgoing` sends it and repeats it until the answer comes.

@@ -198,7 +198,7 @@ class Service:
         described = self._source.describe()
         return {
             "hello": {"you": client.key, **described},
-            **_stamped(self._source.status()),
+            "status": _stamped(self._source.status()),
             **self._lease_news(),
         }
 
@@ -360,12 +360,12 @@ class Service:
         differs = {**status, "link": None} != {**self._status, "link": None}
         if differs or now_s - self._status_s >= PRESENCE_S:
             self._status, self._status_s = status, now_s
-            self._tell_all(_stamped(status))
+            self._tell_all({"status": _stamped(status)})
 
 
 def _stamped(status: Mapping[str, Any]) -> dict[str, Any]:
     """Add the time: a client that was suspended finds old statuses in its socket, and must not show them."""
-    return {"status": status, "sent_s": round(time.monotonic(), 3)}
+    return {**status, "sent_s": round(time.monotonic(), 3)}
 
 
 def _refused(message: Mapping[str, Any], cause: str, remedy: str) -> dict[str, Any]:

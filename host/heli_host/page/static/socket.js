@@ -17,10 +17,11 @@ function sign() {
 // not shown: it would pass for the present.
 function take(text, nowMs) {
   const words = JSON.parse(text);
-  if (words.sent_s === undefined) return { words, cameMs: nowMs };
-  offsetMs = Math.min(offsetMs + DRIFT * (nowMs - heardMs), nowMs - 1e3 * words.sent_s);
+  if (words.status?.sent_s === undefined) return { words, cameMs: nowMs };
+  const sentMs = 1e3 * words.status.sent_s;
+  offsetMs = Math.min(offsetMs + DRIFT * (nowMs - heardMs), nowMs - sentMs);
   heardMs = nowMs;
-  const cameMs = 1e3 * words.sent_s + offsetMs;
+  const cameMs = sentMs + offsetMs;
   if (!words.hello && nowMs - cameMs > STALE_MS) delete words.status;
   return { words, cameMs };
 }
