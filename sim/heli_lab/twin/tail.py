@@ -100,6 +100,11 @@ class Tail:
         return shape, scale_nats, weight / weight.sum()
 
 
+IDEAL: Final = Tail(5.37, 145.0, 1.0, 29)
+"""Tail of a twin with the true parameters, from simulated flights of the rig makki2024 in the disturbances of a
+quiet room. No trained twin has a lower threshold: half a minute of nominal flight may show less by chance."""
+
+
 def segment_maxima(history: Sequence[tuple[float, float]]) -> list[float]:
     """Return the largest evidence [nats] of each segment of `SEGMENT_s`; `history` holds times [s] and
     evidence.
