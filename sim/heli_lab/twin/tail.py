@@ -101,8 +101,9 @@ class Tail:
 
 
 IDEAL: Final = Tail(5.37, 145.0, 1.0, 29)
-"""Tail of a twin with the true parameters, from simulated flights of the rig makki2024 in the disturbances of a
-quiet room. No trained twin has a lower threshold: half a minute of nominal flight may show less by chance."""
+"""Tail of a twin with the true parameters, from simulated flights of the rig makki2024 in the disturbances
+of a quiet room. No trained twin has a lower threshold: half a minute of nominal flight may show less by
+chance."""
 
 
 def segment_maxima(history: Sequence[tuple[float, float]]) -> list[float]:
