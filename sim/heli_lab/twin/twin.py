@@ -45,11 +45,10 @@ UNKNOWN_s: Final = FILTER_SETTLING_s
 """Time after a voltage that no nominal flight shows for which measurements carry no evidence, s: the filter
 has to settle again. Longer: aggressive flights hide changes. Shorter: what an unknown voltage does is taken
 for a change."""
-OUTLIER: Final = 4.0
-"""Size at which an innovation is cut off for the evidence (Huber), in standard deviations: a kick then
-counts 8 nats at most for each measurement. Of normal innovations, one in four minutes is larger. Larger: a
-single kick of a real rig raises an alarm, and one in a nominal flight sets the threshold to 60 nats.
-Smaller: encoder jumps of a few counts are missed."""
+OUTLIER: Final = 5.0
+"""Size at which an innovation is cut off for the alarm (Huber), in standard deviations: 12.5 nats, so that no
+single measurement reaches the lowest threshold, 13.7 nats. Larger: a single kick of a real rig raises an
+alarm. Smaller: an encoder that jumps by six counts is missed, as it was at 4."""
 MIN_SCALE_ERROR: Final = 0.25
 """Error of an encoder's scale that is named even if a flight begins with it: a decoder that counts half the
 edges. Larger: such a decoder is not named. Smaller: a model of another day's rig is taken for one."""
