@@ -30,7 +30,7 @@ not count."""
 SUPPORTED_LENGTHS: Final = 120.0
 """Longest interval between false alarms that healthy flights support, in their own length: 30 s support one
 false alarm per hour. Their tail is then extrapolated by two powers of ten. More: the rate is a guess. Less:
-nobody has the flights that a useful rate needs."""
+a useful rate needs more flights than users have."""
 _NODES: Final = 15
 
 

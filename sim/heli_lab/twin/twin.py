@@ -65,7 +65,7 @@ class TwinEvent:
     ----------
     kind : str
         ``free`` when it begins to compare, ``waits`` when it pauses, ``alarm`` when the rig has changed,
-        ``diagnosed`` with the final ranking, ``contradicts`` when the flight contradicts the model from the
+        ``diagnosed`` with the final ranking. ``contradicts`` when the flight contradicts the model from the
         start, so that no change is named.
     t_s : float
         Time of the message on the clock of the samples minus its zero [s].
