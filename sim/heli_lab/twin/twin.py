@@ -27,7 +27,7 @@ FILTER_SETTLING_s: Final = 1.0
 """Time for which the filter estimates state, encoder zeros and torques before it looks for changes, s."""
 CALIBRATION_s: Final = 8.0
 """Time in which the filter estimates what differs between days, s: supply, encoder zeros, constant torques,
-and the parameters within their covariance. `diagnose` takes the same. What contradicts the model so early
+and the parameters within their covariance. `diagnose` takes the same. A model that is contradicted so early
 was wrong from the start. Longer: an early change is not named. Shorter: another day's supply is taken for a
 change."""
 MAX_MEAN_SQUARE: Final = 2.0
