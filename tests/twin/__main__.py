@@ -19,7 +19,7 @@ from heli_lab.twin.draws import NO_ALARM
 from heli_lab.twin.flights import count_rad_of, samples_of
 from heli_lab.twin.kalman_filter import TwinModel
 from heli_lab.twin.monitor import monitor_flight
-from heli_lab.twin.tail import Tail, segment_maxima
+from heli_lab.twin.tail import IDEAL, Tail, segment_maxima
 from heli_lab.twin.twin import Twin
 from heli_sim.model.multibody import MultibodyModel
 from scipy.stats import binom
@@ -155,7 +155,7 @@ def healthy_table(results: dict[str, Any]) -> list[str]:
         expected = alarms = 0.0
         chance = []
         for rig in results.values():
-            threshold = Tail(*rig["tail"]).threshold_nats(stated)
+            threshold = max(tail.threshold_nats(stated) for tail in (Tail(*rig["tail"]), IDEAL))
             for one in rig["healthy"]:
                 chance.append(1.0 - math.exp(-one["free_s"] / 3600.0 / stated))
                 expected += chance[-1]

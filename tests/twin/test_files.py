@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,12 @@ def test_a_file_gives_back_what_was_learned(tmp_path: Path) -> None:
     assert known.names == written.names and known.supply_std == written.supply_std
     for name in ("covariance", "low_V", "high_V"):
         assert np.array_equal(getattr(known, name), getattr(written, name))
+
+
+def test_a_trained_twin_has_no_lower_threshold_than_an_ideal_one() -> None:
+    """Twelve seconds of a quiet flight once gave a threshold of 8 nats, and a false alarm."""
+    calm = replace(CALIBRATION, tail=Tail(2.0, 144.0, 1.0, 30, healthy_s=12.0))
+    assert calm.threshold_nats(10.0) == DEFAULT_CALIBRATION.threshold_nats(10.0)
 
 
 def test_a_rig_alone_has_the_usual_weather() -> None:

@@ -22,8 +22,8 @@ from heli_sim.rig import load_rig
 
 CHANGES = all_changes()
 
-THRESHOLD_nats = 9.0
-MUCH, LITTLE = [10.0], [1.0]
+THRESHOLD_nats = 15.0
+MUCH, LITTLE = [16.0], [1.0]
 COUNT_rad = np.full(3, 2 * np.pi / 4096)
 BLOCK_s = 0.04
 FREE_ms = 1520

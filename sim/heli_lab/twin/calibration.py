@@ -15,7 +15,7 @@ from heli_lab.errors import TwinError
 from heli_lab.estimation import DisturbanceModel
 from heli_lab.identify.flight_model import DISTURBANCE_START
 from heli_lab.twin.parameter_uncertainty import EXACT, ParameterUncertainty
-from heli_lab.twin.tail import Tail
+from heli_lab.twin.tail import IDEAL, Tail
 
 _AXES, _ROTORS = 3, 2
 
@@ -47,9 +47,12 @@ class Calibration:
 
     def threshold_nats(self, false_alarm_interval_h: float) -> float:
         """Return the alarm threshold [nats] for one false alarm per `false_alarm_interval_h`, or for the
-        longest interval that the healthy flights support.
+        longest interval that the healthy flights support; never less than a twin with the true parameters
+        needs.
         """
-        return self.tail.threshold_nats(false_alarm_interval_h)
+        return max(
+            self.tail.threshold_nats(false_alarm_interval_h), IDEAL.threshold_nats(false_alarm_interval_h)
+        )
 
 
 def calibration_text(calibration: Calibration, rig: str) -> str:

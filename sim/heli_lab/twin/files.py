@@ -14,9 +14,9 @@ from heli_sim.rig import Rig, load_rig
 
 from heli_lab.errors import TwinError
 from heli_lab.twin.calibration import DEFAULT_DISTURBANCES, Calibration, parse_calibration
-from heli_lab.twin.tail import Tail
+from heli_lab.twin.tail import IDEAL
 
-DEFAULT_CALIBRATION: Final = Calibration(DEFAULT_DISTURBANCES, Tail(5.37, 145.0, 1.0, 29), "a quiet room")
+DEFAULT_CALIBRATION: Final = Calibration(DEFAULT_DISTURBANCES, IDEAL, "a quiet room")
 """Calibration of a rig without a twin file: the tail is that of simulated flights of the rig makki2024 with
 these disturbances."""
 

@@ -27,7 +27,7 @@ FILTER_SETTLING_s: Final = 1.0
 """Time for which the filter estimates state, encoder zeros and torques before it looks for changes, s."""
 CALIBRATION_s: Final = 8.0
 """Time in which the filter estimates what differs between days, s: supply, encoder zeros, constant torques,
-and the parameters within their covariance. `diagnose` takes the same. What contradicts the model so early
+and the parameters within their covariance. `diagnose` takes the same. A model that is contradicted so early
 was wrong from the start. Longer: an early change is not named. Shorter: another day's supply is taken for a
 change."""
 MAX_MEAN_SQUARE: Final = 2.0
@@ -45,11 +45,10 @@ UNKNOWN_s: Final = FILTER_SETTLING_s
 """Time after a voltage that no nominal flight shows for which measurements carry no evidence, s: the filter
 has to settle again. Longer: aggressive flights hide changes. Shorter: what an unknown voltage does is taken
 for a change."""
-OUTLIER: Final = 4.0
-"""Size at which an innovation is cut off for the evidence (Huber), in standard deviations: a kick then
-counts 8 nats at most for each measurement. Of normal innovations, one in four minutes is larger. Larger: a
-single kick of a real rig raises an alarm, and one in a nominal flight sets the threshold to 60 nats.
-Smaller: encoder jumps of a few counts are missed."""
+OUTLIER: Final = 5.0
+"""Size at which an innovation is cut off for the alarm (Huber), in standard deviations: 12.5 nats, so that no
+single measurement reaches the lowest threshold, 13.7 nats. Larger: a single kick of a real rig raises an
+alarm. Smaller: an encoder that jumps by six counts is missed, as it was at 4."""
 MIN_SCALE_ERROR: Final = 0.25
 """Error of an encoder's scale that is named even if a flight begins with it: a decoder that counts half the
 edges. Larger: such a decoder is not named. Smaller: a model of another day's rig is taken for one."""
@@ -66,7 +65,7 @@ class TwinEvent:
     ----------
     kind : str
         ``free`` when it begins to compare, ``waits`` when it pauses, ``alarm`` when the rig has changed,
-        ``diagnosed`` with the final ranking, ``contradicts`` when the flight contradicts the model from the
+        ``diagnosed`` with the final ranking. ``contradicts`` when the flight contradicts the model from the
         start, so that no change is named.
     t_s : float
         Time of the message on the clock of the samples minus its zero [s].
