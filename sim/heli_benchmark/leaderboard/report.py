@@ -17,6 +17,8 @@ _COLUMNS: Final = (
     ("interval_score", "interval score", "{:.2f}"),
     ("calibration_error", "calibration error", "{:.2f}"),
 )
+_LEAST: Final = -1.0
+"""Lowest skill that is drawn to scale; an arrow and a number show a lower one."""
 _PANELS: Final = (
     ("skill", "skill (truth known: 1)"),
     ("all_named", "every cause named"),
@@ -83,11 +85,16 @@ def draw_comparison(summary: Mapping[str, Any], path: Path) -> None:
                 continue
             colour = "tab:blue" if name == "ours" else "0.35"
             axis.plot([of["low"], of["high"]], [place, place], color=colour, linewidth=2.0)
-            axis.plot(of["value"], place, "o", color=colour)
+            if of["value"] < _LEAST:
+                axis.plot(_LEAST, place, "<", color=colour)
+                axis.text(_LEAST + 0.1, place, f"{of['value']:.1f}", color=colour, va="center", fontsize=9)
+            else:
+                axis.plot(of["value"], place, "o", color=colour)
         axis.set_title(title, fontsize=10)
         axis.grid(axis="x", color="0.9")
         axis.set_axisbelow(True)
     axes[0].axvline(0.0, color="0.6", linewidth=1.0)
+    axes[0].set_xlim(_LEAST - 0.08, 1.08)
     axes[0].set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
     for axis in axes[1:]:
         axis.set_xlim(-0.04, 1.04)
