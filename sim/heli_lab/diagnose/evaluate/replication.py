@@ -2,8 +2,8 @@
 
 Where flights are held out, the two sides are the fitted and the held-out flights; otherwise they are two
 folds of the fitted flights. A cause is confirmed if two conditions hold in both directions. Its
-log-likelihood ratio is positive on the judging flights. With it, no axis' open-loop error at 1 s grows by more than its
-bootstrap interval, compared with the baseline.
+log-likelihood ratio is positive on the judging flights. With it, no axis' open-loop error at 1 s grows by
+more than its bootstrap interval, compared with the baseline.
 
 Only confirmed causes enter the extended rig, unless all are asked for.
 """
