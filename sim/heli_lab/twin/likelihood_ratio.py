@@ -173,9 +173,9 @@ class LikelihoodRatio:
         return float(self.update_draws(innovation.value, innovation.sensitivity))
 
     def update_cut(self, innovation: Innovation, outlier: float) -> float:
-        """Add an innovation to two draws: cut off at `outlier` standard deviations, and as it is. Return the
-        evidence of the most likely change [nats]: of the cut draw, but for the jump of an encoder, which is an
-        outlier itself.
+        """Add an innovation to two draws: cut off at `outlier` standard deviations, and as it is. Return
+        the evidence of the most likely change [nats]: of the cut draw, but for the jump of an encoder,
+        which is an outlier itself.
         """
         values = np.stack((np.clip(innovation.value, -outlier, outlier), innovation.value))
         self.update_draws(values, innovation.sensitivity)
