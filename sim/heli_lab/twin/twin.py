@@ -45,10 +45,10 @@ UNKNOWN_s: Final = FILTER_SETTLING_s
 """Time after a voltage that no nominal flight shows for which measurements carry no evidence, s: the filter
 has to settle again. Longer: aggressive flights hide changes. Shorter: what an unknown voltage does is taken
 for a change."""
-OUTLIER: Final = 5.0
-"""Size at which an innovation is cut off for the alarm (Huber), in standard deviations: 12.5 nats, so that no
-single measurement reaches the lowest threshold, 13.7 nats. The jump of an encoder is seen uncut. Larger: a
-single kick of a real rig raises an alarm. Smaller: the first moments of a large change count little."""
+OUTLIER: Final = 4.0
+"""Size at which an innovation is cut off for the alarm (Huber), in standard deviations: 8 nats, below every
+threshold. The jump of an encoder is seen uncut. Larger: a single kick of a real rig raises an alarm, and those
+of nominal flights set the threshold: 38 nats at 5, 15 at 4. Smaller: large changes count little."""
 MIN_SCALE_ERROR: Final = 0.25
 """Error of an encoder's scale that is named even if a flight begins with it: a decoder that counts half the
 edges. Larger: such a decoder is not named. Smaller: a model of another day's rig is taken for one."""
