@@ -47,8 +47,8 @@ has to settle again. Longer: aggressive flights hide changes. Shorter: what an u
 for a change."""
 OUTLIER: Final = 4.0
 """Size at which an innovation is cut off for the alarm (Huber), in standard deviations: 8 nats, below every
-threshold. The jump of an encoder is seen uncut. Larger: a single kick of a real rig raises an alarm, and those
-of nominal flights set the threshold: 38 nats at 5, 15 at 4. Smaller: large changes count little."""
+threshold. The jump of an encoder is seen uncut. Larger: a single kick of a real rig raises an alarm, and
+those of nominal flights set the threshold: 38 nats at 5, 15 at 4. Smaller: large changes count little."""
 MIN_SCALE_ERROR: Final = 0.25
 """Error of an encoder's scale that is named even if a flight begins with it: a decoder that counts half the
 edges. Larger: such a decoder is not named. Smaller: a model of another day's rig is taken for one."""
