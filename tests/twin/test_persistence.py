@@ -70,7 +70,7 @@ def said(
     monkeypatch.setattr(twin_module, "CALIBRATION_s", calibration_s)
     monkeypatch.setattr(twin_module, "KalmanFilter", _Filter)
     monkeypatch.setattr(twin_module, "start_state", lambda *_: np.zeros(6))
-    monkeypatch.setattr(LikelihoodRatio, "update_draws", lambda *_: np.full(2, next(told, 0.0)))
+    monkeypatch.setattr(LikelihoodRatio, "update_cut", lambda *_: next(told, 0.0))
     monkeypatch.setattr(LikelihoodRatio, "ranking", lambda _: [first, first])
     model: Any = SimpleNamespace(
         rig=load_rig("makki2024"),

@@ -60,6 +60,11 @@ class Change:
         """Whether it is a wrong scale of an encoder."""
         return self.numbers[0] in SCALES
 
+    @property
+    def is_jump(self) -> bool:
+        """Whether it is a jump of an encoder's zero."""
+        return self.id.startswith("zero_offset.")
+
     def words(self, size: float, std: float) -> str:
         """Describe the change with the estimate `size` of its first number and its standard error `std`."""
         return (self.negative_text if size < 0 else self.positive_text).format(

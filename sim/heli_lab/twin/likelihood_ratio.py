@@ -124,7 +124,8 @@ class LikelihoodRatio:
         self._column_of = np.repeat(np.arange(len(changes)), [len(c.numbers) for c in changes])
         self._halves = 0
         self.evidence: Floats = np.full(shape, -np.inf)
-        self._last_evidence: Floats = self.evidence
+        self._last_evidence = self._first_evidence = self.evidence
+        self._is_jump = np.array([change.is_jump for change in self.changes])
 
     def ages(self, block: int) -> Floats:
         """Return the age of each onset at the end of `block`, in blocks, (columns, onsets); negative for
@@ -171,6 +172,16 @@ class LikelihoodRatio:
         """Add an innovation; return the evidence of the most likely change and onset [nats]."""
         return float(self.update_draws(innovation.value, innovation.sensitivity))
 
+    def update_cut(self, innovation: Innovation, outlier: float) -> float:
+        """Add an innovation to two draws: cut off at `outlier` standard deviations, and as it is. Return
+        the evidence of the most likely change [nats]: of the cut draw, but for the jump of an encoder,
+        which is an outlier itself.
+        """
+        values = np.stack((np.clip(innovation.value, -outlier, outlier), innovation.value))
+        self.update_draws(values, innovation.sensitivity)
+        jumps = self._last_evidence[self._is_jump]
+        return float(max(self._first_evidence.max(), jumps.max(initial=-np.inf)))
+
     def update_draws(self, value: Floats, sensitivity: Floats) -> Floats:
         """Add the innovation `value`, (3,) or (draws, 3), with a `sensitivity` as of `Innovation`; return the
         evidence of the most likely change and onset of each draw [nats].
@@ -190,6 +201,7 @@ class LikelihoodRatio:
         evidence = np.where(np.isfinite(self._onset) & (np.abs(size) >= self._least), evidence, -np.inf)
         each = evidence.reshape(-1, *self._onset.shape)
         self.evidence, self._last_evidence = each.max(axis=0), each[-1]
+        self._first_evidence = each[0]
         return np.asarray(evidence.max(axis=(-2, -1)))
 
     def _solved(self) -> tuple[Floats, Floats, Floats, Floats]:

@@ -45,10 +45,10 @@ UNKNOWN_s: Final = FILTER_SETTLING_s
 """Time after a voltage that no nominal flight shows for which measurements carry no evidence, s: the filter
 has to settle again. Longer: aggressive flights hide changes. Shorter: what an unknown voltage does is taken
 for a change."""
-OUTLIER: Final = 5.0
-"""Size at which an innovation is cut off for the alarm (Huber), in standard deviations: 12.5 nats, so that no
-single measurement reaches the lowest threshold, 13.7 nats. Larger: a single kick of a real rig raises an
-alarm. Smaller: an encoder that jumps by six counts is missed, as it was at 4."""
+OUTLIER: Final = 4.0
+"""Size at which an innovation is cut off for the alarm (Huber), in standard deviations: 8 nats, below every
+threshold. The jump of an encoder is seen uncut. Larger: a single kick of a real rig raises an alarm, and
+those of nominal flights set the threshold: 38 nats at 5, 15 at 4. Smaller: large changes count little."""
 MIN_SCALE_ERROR: Final = 0.25
 """Error of an encoder's scale that is named even if a flight begins with it: a decoder that counts half the
 edges. Larger: such a decoder is not named. Smaller: a model of another day's rig is taken for one."""
@@ -310,8 +310,7 @@ class Twin:
 
     def _weigh(self, innovation: Innovation) -> None:
         """Add an innovation to the evidence."""
-        values = np.stack((np.clip(innovation.value, -OUTLIER, OUTLIER), innovation.value))
-        self._latest_nats.append(float(self._ratio.update_draws(values, innovation.sensitivity)[0]))
+        self._latest_nats.append(self._ratio.update_cut(innovation, OUTLIER))
         self.evidence_nats = min(self._latest_nats)
 
     def _compare_spread(self, block: int, t_s: float) -> Iterator[TwinEvent]:
