@@ -55,7 +55,10 @@ def main() -> int:
         try:
             wiring = read_pins(root / PINS)
             texts[HEADER] = generate_header(wiring)
-            texts[WIRING_PAGE] = with_table((root / WIRING_PAGE).read_text(encoding="utf-8"), wiring)
+            # A copy of the firmware alone has no page.
+            if (root / WIRING_PAGE).exists():
+                page = (root / WIRING_PAGE).read_text(encoding="utf-8")
+                texts[WIRING_PAGE] = with_table(page, wiring)
         except DeclarationError as error:
             print(f"pins.toml: {error}", file=sys.stderr)
             return 2

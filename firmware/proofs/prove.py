@@ -132,7 +132,7 @@ def mutated(mutant: Mutant, folder: Path) -> Path:
 def arguments(claim: Claim, step: str, core: Path) -> list[str]:
     """How the prover is called."""
     loops = ",".join(f"{loop}:{count}" for loop, count in claim.loops.items() if loop != "other")
-    folders = (HERE / claim.name / "model", HERE / "model", core, HERE)
+    folders = (HERE / claim.name / "model", HERE / "model", core, core.parent / "due", HERE)
     return [
         *(str(HERE / claim.name / "harness.cpp"), "--function", step, "--std", "c++17"),
         *("-f", "no-access-control", "--no-abstracted-cpp-includes"),

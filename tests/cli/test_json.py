@@ -19,7 +19,16 @@ SIL = ("--sil", "--speed", "max")
 WITHOUT = {"course", "export", "flash", "motors", "watch", "sil", "dashboard"}
 """Verbs whose result is a file, a served board, or only what is shown live."""
 WITHOUT_PARTS = {
-    *("law export", "paper equations", "paper figures", "params dump", "params save"),
+    *(
+        "benchmark make",
+        "benchmark report",
+        "benchmark run",
+        "law export",
+        "paper equations",
+        "paper figures",
+        "params dump",
+        "params save",
+    ),
     *("rig export", "rig from-board", "rig new", "rig to-board"),
 }
 

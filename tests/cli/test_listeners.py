@@ -62,7 +62,21 @@ STARTED = {
     "record": Started(("record", "--sil", "--duration", "600", "--output", "g.mcap"), "g.mcap", 0),
 }
 ENDED = {
-    *("diagnose", "doctor", "export", "flash", "identify", "import", "info", "law", "motors", "paper"),
+    *(
+        "benchmark",
+        "class",
+        "course",
+        "diagnose",
+        "doctor",
+        "export",
+        "flash",
+        "identify",
+        "import",
+        "info",
+        "law",
+        "motors",
+        "paper",
+    ),
     *("params", "plot", "pool", "ports", "rig", "setpoint", "tune", "twin", "watch"),
 }
 """Verbs that serve nobody: they read and write files, or talk to a board as `fly` and `record` do."""

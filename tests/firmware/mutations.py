@@ -239,7 +239,7 @@ MOTORS = (
     ),
     Mutation(
         "motors.cpp",
-        " | PWM_FMR_FMOD(kStopInput)",
+        "PWM_FMR_FMOD(kStopInput) | ",
         "",
         safety.test_hardware_stop_trips_and_must_be_released_and_cleared,
     ),

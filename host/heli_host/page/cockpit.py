@@ -294,6 +294,8 @@ class Cockpit:
     def _fly(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
         asked = arguments.get("plans")
         names = [str(name) for name in (asked if isinstance(asked, list) else [asked])]
+        if not names:
+            raise ParameterError("no plan is named", f"choose from {', '.join(self._plans)}")
         for name in names:
             if name not in self._plans:
                 known = ", ".join(self._plans)
