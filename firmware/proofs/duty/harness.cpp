@@ -103,7 +103,8 @@ void step_write() {
 
   std::uint32_t duty[4];
   for (unsigned k = 0; k < 4; ++k) {
-    const std::uint32_t low = pwm.PWM_CH_NUM[wiring::kFrontForwardChannel + k].PWM_CDTYUPD.value_;
+    const std::uint32_t low =
+        pwm.PWM_CH_NUM[heli::due::wiring::kFrontForwardChannel + k].PWM_CDTYUPD.value_;
     CLAIM(low <= kPeriod, "a duty is within the period");
     duty[k] = kPeriod - low;
   }

@@ -39,8 +39,8 @@ class ParameterUncertainty:
     high_V: Floats
 
     def outside_V(self, volts_V: Floats) -> Floats:
-        """Return by how much voltages, (2,), are outside the range for which the parameters hold [V],
-        (2,).
+        """Return by how much `volts_V`, shape (2,), are outside the range for which the parameters hold [V],
+        shape (2,).
         """
         return np.maximum(self.low_V - volts_V, 0.0) + np.maximum(volts_V - self.high_V, 0.0)
 
