@@ -101,7 +101,6 @@ def free_run(
     calibrate_s: float = CALIBRATE_s,
     threads: int | None = None,
     horizons: Sequence[str] = tuple(HORIZONS),
-    fine: bool = True,
 ) -> FreeRun:
     """Calibrate constants of a flight on its beginning, and predict the rest.
 
@@ -118,8 +117,6 @@ def free_run(
         Threads of the simulation, see `Problem`.
     horizons : sequence of str
         Keys of `HORIZONS` to predict; the fit of the result is that of the last.
-    fine : bool
-        Whether initial states and constants are fitted to every sample, not on the coarse grid alone.
     """
     names = [quantity.name for quantity in model.parameters]
     known = {**dict(zip(names, map(float, model.parameter_values(rig)), strict=True)), **values}
@@ -130,7 +127,6 @@ def free_run(
         fit = solve(
             _problem(model, rig, known, first, priors, threads),
             robust=False,
-            fine=fine,
             scatter=False,
             warm_start=True,
         )
@@ -144,7 +140,6 @@ def free_run(
         key: solve(
             problem.with_split_windows(HORIZONS[key]),
             robust=False,
-            fine=fine,
             scatter=False,
             warm_start=True,
         )
@@ -165,7 +160,6 @@ def estimated_free_runs(
     estimate: Estimate, flights: Sequence[Record], calibrate_s: float | None, horizons: Sequence[str]
 ) -> tuple[FreeRun, ...]:
     """Predict `flights` with an `estimate` of other flights in innovations form, each after a calibration.
-    Initial states are fitted on the coarse grid, which takes half the time.
 
     Parameters
     ----------
@@ -186,7 +180,6 @@ def estimated_free_runs(
             record,
             min(CALIBRATE_s if calibrate_s is None else calibrate_s, CALIBRATE_SHARE * record.used_s),
             horizons=horizons,
-            fine=False,
         )
         for record in flights
     )
