@@ -18,7 +18,7 @@ from heli_lab.twin.flights import count_rad_of, samples_of
 from heli_lab.twin.kalman_filter import TwinModel
 from heli_lab.twin.likelihood_ratio import Innovation, LikelihoodRatio, WINDOW_s
 from heli_lab.twin.tail import Tail
-from heli_lab.twin.twin import OUTLIER, PERSISTENCE_BLOCKS, Twin
+from heli_lab.twin.twin import CUT_OFF_STD, PERSISTENCE_BLOCKS, Twin
 
 PIECE: Final = 25
 """Length of the pieces of innovations, in measurements: 1 s. Longer: few different draws from half a minute
@@ -69,7 +69,7 @@ class Draws:
 
 def _near_kicks(innovations: Floats) -> npt.NDArray[np.bool_]:
     """Which rows of innovations, (n, 3), are no farther than `PIECE` from a kick; none if all are."""
-    kicks = np.flatnonzero(np.any(np.abs(innovations) > OUTLIER, axis=1))
+    kicks = np.flatnonzero(np.any(np.abs(innovations) > CUT_OFF_STD, axis=1))
     rows = np.arange(len(innovations))
     near = np.any(np.abs(rows[:, None] - kicks) <= PIECE, axis=1)
     return near if not near.all() else np.zeros(len(rows), bool)
@@ -89,7 +89,7 @@ class _RecordingTwin(Twin):
     @override
     def _weigh(self, innovation: Innovation) -> None:
         self.innovations.append(innovation.value)
-        if np.any(np.abs(innovation.value) > OUTLIER):
+        if np.any(np.abs(innovation.value) > CUT_OFF_STD):
             self.kicks_s.append(self._block_end_s())
         super()._weigh(innovation)
 
@@ -112,7 +112,7 @@ class _DrawnTwin(Twin):
 
     @override
     def _weigh(self, innovation: Innovation) -> None:
-        value = np.clip(self._draws.next(), -OUTLIER, OUTLIER)
+        value = np.clip(self._draws.next(), -CUT_OFF_STD, CUT_OFF_STD)
         evidence = self._ratio.update_draws(value, innovation.sensitivity)
         self._latest = [*self._latest[1 - PERSISTENCE_BLOCKS :], evidence]
         if len(self._latest) == PERSISTENCE_BLOCKS:
@@ -133,7 +133,7 @@ class Followed:
     innovations : ndarray (n, 3)
         Innovations, in standard deviations.
     kicks_s : tuple of float
-        Times of innovations above `OUTLIER` [s].
+        Times of innovations above `CUT_OFF_STD` [s].
     """
 
     history: History

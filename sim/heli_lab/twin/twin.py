@@ -45,7 +45,7 @@ UNKNOWN_s: Final = FILTER_SETTLING_s
 """Time after a voltage that no nominal flight shows for which measurements carry no evidence, s: the filter
 has to settle again. Longer: aggressive flights hide changes. Shorter: what an unknown voltage does is taken
 for a change."""
-OUTLIER: Final = 4.0
+CUT_OFF_STD: Final = 4.0
 """Size at which an innovation is cut off for the alarm (Huber), in standard deviations: 8 nats, below every
 threshold. The jump of an encoder is seen uncut. Larger: a single kick of a real rig raises an alarm, and
 those of nominal flights set the threshold: 38 nats at 5, 15 at 4. Smaller: large changes count little."""
@@ -310,7 +310,7 @@ class Twin:
 
     def _weigh(self, innovation: Innovation) -> None:
         """Add an innovation to the evidence."""
-        self._latest_nats.append(self._ratio.update_cut(innovation, OUTLIER))
+        self._latest_nats.append(self._ratio.update_cut(innovation, CUT_OFF_STD))
         self.evidence_nats = min(self._latest_nats)
 
     def _compare_spread(self, block: int, t_s: float) -> Iterator[TwinEvent]:
