@@ -18,7 +18,7 @@ from heli_host.errors import LogError
 from heli_host.log.index import RECORD_HEADER
 from heli_host.log.schema import CDR_LITTLE_ENDIAN
 
-MAX_CHUNK_BYTES = 1 << 26
+LARGEST_CHUNK_BYTES = 1 << 26
 """Most that a chunk may claim to hold; writers put about 1 MiB into one. More is damage."""
 
 
@@ -53,7 +53,7 @@ def unpacked(chunk: Chunk, has_crcs: bool, path: Path) -> bytes:
     LogError
         If its compression is one that heli-host does not read.
     """
-    if chunk.uncompressed_size > MAX_CHUNK_BYTES:
+    if chunk.uncompressed_size > LARGEST_CHUNK_BYTES:
         raise ValueError("the chunk claims more than any writer puts into one")
     if chunk.compression == "zstd":
         # The frame's own word is what would be allocated.

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from heli_host.declaration import CHANNELS
 from heli_host.errors import LogError
 from heli_host.flight import OWN_COLUMNS
-from heli_host.log.chunks import MAX_CHUNK_BYTES, TickRecord, records_of, unpacked
+from heli_host.log.chunks import LARGEST_CHUNK_BYTES, TickRecord, records_of, unpacked
 from heli_host.log.index import PARSE_ERRORS, RECORD_HEADER, Index, parse, read_index
 from heli_host.log.integrity import HEAD, RECORD_CRC, head_values, metadata_crc
 from heli_host.log.schema import (
@@ -272,7 +272,7 @@ class Scan:
 
     def _read_chunk(self, chunk: Chunk) -> None:
         # A chunk that claims more is damaged, which `unpacked` finds: its claim does not count.
-        if chunk.uncompressed_size <= MAX_CHUNK_BYTES:
+        if chunk.uncompressed_size <= LARGEST_CHUNK_BYTES:
             self._unpacked_bytes += chunk.uncompressed_size
         if self._unpacked_bytes > MAX_LOG_BYTES:
             raise LogError(
