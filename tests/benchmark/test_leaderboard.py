@@ -155,3 +155,12 @@ def test_the_command_scores_reports_and_explains_an_error(
     error = capsys.readouterr().err
     assert error.startswith("error: ") and error.count("\n") == 1
     assert "case-002.json: unknown cause 'lag'; choose from causes.json" in error
+
+
+def test_a_report_of_another_file_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "scores.json").write_text("{}")
+    assert run(["benchmark", "report", str(tmp_path / "scores.json"), "-o", str(tmp_path / "report")]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and error.count("\n") == 1
+    assert "scores.json has no 'methods'; give a file of `heli-host benchmark score --json`" in error
+    assert not (tmp_path / "report").exists()

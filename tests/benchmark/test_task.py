@@ -77,6 +77,13 @@ def test_a_folder_that_is_no_split_is_one_line(tmp_path: Path) -> None:
         read_split(tmp_path)
 
 
+@pytest.mark.parametrize("content", ["{}", '{"schema": 1, "split": "public", "seed": 1}'])
+def test_a_split_that_lacks_a_key_is_one_line(content: str, tmp_path: Path) -> None:
+    (tmp_path / "causes.json").write_text(content)
+    with pytest.raises(BenchmarkError, match=r"causes\.json has no '(schema|causes)'; give a folder that"):
+        read_split(tmp_path)
+
+
 def test_causes_have_units_of_the_catalogue() -> None:
     assert isinstance(CAUSES, Causes)
     assert CAUSES.parameters["rotor_lag"] == {"rotor_lag_s": "s"}

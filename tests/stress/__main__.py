@@ -20,6 +20,8 @@ def main(words: list[str] | None = None) -> int:
     hostile.add_argument("--count", type=int, default=50, help="flights of each kind [default: 50]")
     hostile.add_argument("--only", choices=ATTACKS, nargs="*", help="only these kinds")
     options = parser.parse_args(words)
+    if options.campaign == "attack" and options.count < 1:
+        parser.error(f"--count is {options.count}; give 1 or more")
     print(f"seed {options.seed}", flush=True)
     if options.campaign == "soak":
         result = soak(options.minutes, options.seed, lambda line: print(line, flush=True))

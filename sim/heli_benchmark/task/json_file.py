@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,7 +15,7 @@ _MOST_BYTES: Final = 1 << 24
 """Largest file. The names of a split need 10 kB and an answer 5 kB."""
 
 
-def read_json(path: Path, remedy: str) -> dict[str, Any]:
+def read_json(path: Path, remedy: str, keys: Sequence[str] = ()) -> dict[str, Any]:
     """Read a JSON object.
 
     Parameters
@@ -23,11 +24,13 @@ def read_json(path: Path, remedy: str) -> dict[str, Any]:
         The file.
     remedy : str
         Advice if the file cannot be used.
+    keys : sequence of str
+        Keys that the object must have.
 
     Raises
     ------
     BenchmarkError
-        If the file cannot be read, or is not a JSON object.
+        If the file cannot be read, is not a JSON object, or lacks a key.
     """
     try:
         content = json.loads(read_file(path, _MOST_BYTES))
@@ -37,6 +40,9 @@ def read_json(path: Path, remedy: str) -> dict[str, Any]:
         raise BenchmarkError(f"{path} is not valid JSON", remedy) from None
     if not isinstance(content, dict):
         raise BenchmarkError(f"{path} is not a JSON object", remedy)
+    for key in keys:
+        if key not in content:
+            raise BenchmarkError(f"{path} has no '{key}'", remedy)
     return content
 
 

@@ -108,7 +108,7 @@ def read_split(folder: Path) -> Split:
     BenchmarkError
         If the folder is not a complete split.
     """
-    content = read_json(folder / CAUSES_FILE, _REMEDY)
+    content = read_json(folder / CAUSES_FILE, _REMEDY, ("schema", "split", "seed", "causes"))
     if content.get("schema") != SCHEMA:
         raise BenchmarkError(
             f"{folder / CAUSES_FILE} has schema {content.get('schema')}, not {SCHEMA}", "make the split again"

@@ -148,7 +148,7 @@ def report(
     from heli_benchmark.leaderboard.report import comparison_table, draw_comparison, pair_lines
     from heli_benchmark.task.json_file import read_json
 
-    summary = read_json(scores, "give a file of `heli-host benchmark score --json`")
+    summary = read_json(scores, "give a file of `heli-host benchmark score --json`", ("methods", "pairs"))
     output.mkdir(parents=True, exist_ok=True)
     pairs = "\n".join(f"- {line}" for line in pair_lines(summary))
     (output / "table.md").write_text(f"{comparison_table(summary)}\n\n{pairs}\n", encoding="utf-8")
