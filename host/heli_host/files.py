@@ -6,6 +6,7 @@ The functions refuse pipes, files above a given size, and TOML that would exhaus
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import re
 import stat
@@ -52,6 +53,23 @@ def read_file(path: Path, most_bytes: int) -> bytes:
             raise OSError(errno.EFBIG, f"it has more than {most_bytes >> 20} MiB")
         # No more than this: Python sets aside as much memory as a read may need.
         return file.read(status.st_size)
+
+
+def file_digest(path: Path) -> str:
+    """Return the SHA-256 digest of the bytes of a file, in hexadecimal digits.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    """
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def parse_toml(text: str) -> dict[str, Any]:

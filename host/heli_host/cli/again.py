@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 import tempfile
@@ -15,6 +14,7 @@ from urllib.parse import parse_qsl, urlencode, urlsplit
 from heli_host.cli.flight_command import VERB_NAME, FlightOptions, FlownFlight, fly_plans
 from heli_host.cli.say import say
 from heli_host.errors import HeliError, LogError
+from heli_host.files import file_digest
 
 if TYPE_CHECKING:
     from heli_host.fly.plan import Plan
@@ -172,7 +172,7 @@ def fly_again(path: Path, options: FlightOptions) -> FlownFlight:
     from heli_host.log.reader import read_log
 
     log = read_log(path)
-    files = {hashlib.sha256(file.read_bytes()).hexdigest(): file for file in options.effect_file or ()}
+    files = {file_digest(file): file for file in options.effect_file or ()}
     repeat = read_repeat(log, files)
     with tempfile.TemporaryDirectory(prefix="heli-again-") as folder:
         rig = Path(folder) / f"{repeat.rig_name}.toml"

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from heli_host.errors import LogError, LogWriteError
-from heli_host.files import read_file
+from heli_host.files import file_digest, read_file
 from heli_host.flight import Flight
 
 SEALED: Final = "sealed"
@@ -120,7 +120,7 @@ class Truth:
         LogError
             If this truth is of another flight, or one of the two was changed.
         """
-        matches = sealed == self.digest if sealed else self.flown.get("log_sha256") == file_digest(path)
+        matches = sealed == self.digest if sealed else self.flown.get("log_sha256") == _log_digest(path)
         if not matches:
             raise LogError(
                 f"the truth file does not match {path}: its seal is {self.digest}, the flight's is "
@@ -197,7 +197,7 @@ def sealed_truth(flight: Flight, log: Path) -> Truth | None:
         return None
     left_out = {name: text for name, text in flight.meta.items() if name not in _SAID}
     flown = {
-        "log_sha256": file_digest(log),
+        "log_sha256": _log_digest(log),
         **{name: text for name, text in left_out.items() if not name.startswith(_RESULT)},
     }
     path = truth_path(log)
@@ -211,10 +211,8 @@ def sealed_truth(flight: Flight, log: Path) -> Truth | None:
     return there
 
 
-def file_digest(path: Path) -> str:
-    """Return the SHA-256 digest of the bytes of a file, `path`."""
+def _log_digest(path: Path) -> str:
     try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        return file_digest(path)
     except OSError as error:
         raise LogError(f"cannot read {path}: {error.strerror or error}", "check the path") from error

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import subprocess
 import sys
@@ -11,6 +10,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
+
+from heli_host.files import file_digest
 
 from heli_benchmark.entries.method import MethodAddress, find_method
 from heli_benchmark.errors import BenchmarkError
@@ -126,7 +127,7 @@ def read_run(folder: Path, split: Split) -> dict[str, dict[str, Any]]:
 
 def split_digest(split: Split) -> str:
     """Return a digest of the definition of a split."""
-    return hashlib.sha256((split.folder / CAUSES_FILE).read_bytes()).hexdigest()
+    return file_digest(split.folder / CAUSES_FILE)
 
 
 def _check_folder(split: Split, method: MethodAddress, text: str, folder: Path, limits: RunLimits) -> None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from pathlib import Path
+
+from heli_host.files import file_digest
 
 from heli_sim.rig import Rig
 from heli_sim.rig.write import rig_text
@@ -33,11 +34,7 @@ def recipe_of(url: str, options: SilOptions, rig: Rig, choice: Choice) -> dict[s
         "address": url,
         "rig_name": rig.name,
         "rig": rig_text(rig, digits=_EXACT_DIGITS),
-        "effect_files": json.dumps({file: _digest(file) for file in options.effect_files}),
+        "effect_files": json.dumps({file: file_digest(Path(file)) for file in options.effect_files}),
         "flash": options.flash_file,
-        "firmware": _digest(choice.elf) if choice.elf else "",
+        "firmware": file_digest(Path(choice.elf)) if choice.elf else "",
     }
-
-
-def _digest(path: str) -> str:
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
