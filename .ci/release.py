@@ -155,7 +155,7 @@ def check_wheel(wheel: Path) -> Finding:
     """Check that a wheel contains what flies, for both boards, and nothing of the tests."""
     with zipfile.ZipFile(wheel) as file:
         names = file.namelist()
-    missing = [name for name in EXTENSIONS if not any(one.startswith(name + ".") for one in names)]
+    missing = [name for name in EXTENSIONS if not any(path.startswith(name + ".") for path in names)]
     missing += [] if any(name.endswith(".elf") for name in names) else ["the Due's firmware (*.elf)"]
     tests = [name for name in names if re.search(r"(^|/)(tests?/|test_|conftest|heli_test_)", name)]
     problem = f"missing: {', '.join(missing)}" if missing else f"it contains {tests[0]}" if tests else ""

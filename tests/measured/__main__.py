@@ -14,6 +14,7 @@ from heli_sim.model import MultibodyModel
 from heli_sim.model.parts import AXES
 from heli_sim.rig import load_rig
 
+from tests.field.cases import NO_DATA
 from tests.measured.figures import figure_of_pair, figure_of_sizes
 from tests.measured.pairs import MEASURED, PAIRS, RIG, Told, add_pairs, cross_validated, flights, told
 
@@ -46,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--figures", type=Path, default=FIGURES, help="folder to draw into")
     given = parser.parse_args(arguments)
     if not MEASURED.exists():
-        print("no measured flights: ../shared/data/measured is not there")
+        print(NO_DATA)
         return 2
     pairs = given.pairs or list(PAIRS)
     if given.diagnose:

@@ -67,8 +67,8 @@ def in_words(text: str, absence: str = "") -> str:
     >>> in_words("state hold, because of stale_hold", "the pilot's page was closed")
     "state hold: the pilot's page was closed"
     """
-    plain = _CAUSE.sub(lambda found: f": {_words(found[1], absence)}", text)
-    return _STATE.sub(lambda found: found[0].replace("_", " "), plain)
+    plain = _CAUSE.sub(lambda match: f": {_words(match[1], absence)}", text)
+    return _STATE.sub(lambda match: match[0].replace("_", " "), plain)
 
 
 def _trigger(name: str) -> Trigger | None:

@@ -141,9 +141,9 @@ def _case(name: str, seed: int, effects: Sequence[str], equations: Sequence[str]
     gentle = bool(rng.random() < _GENTLE)
     rate_Hz = RATES_Hz[int(rng.integers(3))]
     controller = CONTROLLERS[int(rng.integers(3))]
-    if any(one.startswith(PAPER_RIG_ONLY) for one in effects):
+    if any(effect.startswith(PAPER_RIG_ONLY) for effect in effects):
         on_quanser = False
-    if any(one.startswith(STRONGLY_EXCITED_ONLY) for one in (*effects, *equations)):
+    if any(cause.startswith(STRONGLY_EXCITED_ONLY) for cause in (*effects, *equations)):
         gentle = False
     larger = STRENGTH_FACTORS[strength] * (WEAK_EXCITATION_FACTOR if gentle else 1.0)
     sized = [(one, _size(one, SIZES[one], larger, rng)) for one in effects]
@@ -153,7 +153,7 @@ def _case(name: str, seed: int, effects: Sequence[str], equations: Sequence[str]
         tuple(sized),
         tuple(off),
         seed,
-        tuple(MAKERS[one] for one in (*effects, *equations)),
+        tuple(MAKERS[cause] for cause in (*effects, *equations)),
         QUANSER_RIG if on_quanser else PAPER_RIG,
         rate_Hz,
         gentle,

@@ -151,8 +151,8 @@ def _case(name: str, seed: int, number: int, kind: str) -> PublishedCase:
         weak,
         controller,
         disturbances,
-        tuple(float(one) for one in training),
-        tuple(float(one) for one in validation),
+        tuple(map(float, training)),
+        tuple(map(float, validation)),
     )
 
 

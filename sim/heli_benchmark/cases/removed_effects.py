@@ -48,7 +48,7 @@ def removed_effect_cases() -> list[DisturbedCase]:
                 effects,
                 (),
                 6000 + number,
-                tuple(_MAKERS[one] for one, _ in effects),
+                tuple(_MAKERS[effect] for effect, _ in effects),
                 PAPER_RIG,
                 100,
                 False,

@@ -113,8 +113,6 @@ class Twin:
         Evidence above which an alarm is raised [nats].
     free : bool
         True while the twin compares; False while it waits for free flight.
-    has_alarm : bool
-        True if an alarm was raised since the twin last began to compare.
     contradicts : bool
         True if this flight contradicted the model from the start; the twin then names no change of it.
     evidence_history : list of (float, float)
@@ -135,7 +133,7 @@ class Twin:
         self.model, self.calibration = model, calibration
         self.threshold_nats = calibration.threshold_nats(false_alarm_interval_h)
         self.evidence_nats = -math.inf
-        self.free = self.has_alarm = self.contradicts = False
+        self.free = self.contradicts = False
         self.records_evidence = False
         self.evidence_history: list[tuple[float, float]] = []
         self._count_rad, self._zero_s = count_rad, zero_s
@@ -236,7 +234,7 @@ class Twin:
     def _begin(self, index: int) -> KalmanFilter:
         times, angles, volts = (np.array(values) for values in zip(*self._history, strict=True))
         self.free = True
-        self.has_alarm = self.contradicts = False
+        self.contradicts = False
         if self._ghost is not None:
             self._ghost.begin()
         return self._restart(index, start_state(self.model, times, angles, volts, self.step_s), False)
@@ -291,7 +289,6 @@ class Twin:
             if self.evidence_nats > self.threshold_nats and not self.contradicts:
                 self._alarm_block, self._is_early = block, is_early
                 if not is_early:
-                    self.has_alarm = True
                     yield self._ranked_event("alarm", t_s)
         elif (block - self._alarm_block) * self.block_s >= DIAGNOSIS_DELAY_s:
             yield from self._diagnose(step.index)
@@ -363,7 +360,6 @@ class Twin:
                     t_s, f"the flight contradicts the rig by {self.evidence_nats:.0f} nats"
                 )
                 return
-            self.has_alarm = True
             yield self._ranked_event("alarm", t_s)
         self._diagnosed = True
         yield self._ranked_event("diagnosed", t_s)

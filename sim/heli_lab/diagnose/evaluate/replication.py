@@ -176,7 +176,7 @@ class _Judge:
         calibrate_s: float | None,
     ) -> None:
         self.comparison, self.search, self.assessment = comparison, search, assessment
-        self.calibrate_s, self.runs_before = calibrate_s, evaluation.extension.before
+        self.calibrate_s = calibrate_s
         self.ids = tuple(cause.effect for cause in assessment.verdict.causes)
         self._evaluated = {
             frozenset(self.ids): (assessment.after, evaluation),
