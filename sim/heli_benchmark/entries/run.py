@@ -15,6 +15,7 @@ from heli_host.files import file_digest
 
 from heli_benchmark.entries.method import MethodAddress, find_method
 from heli_benchmark.errors import BenchmarkError
+from heli_benchmark.task.commitments import COMMITMENTS_FILE
 from heli_benchmark.task.json_file import read_json, write_json
 from heli_benchmark.task.split import CAUSES_FILE, SCHEMA, Split
 
@@ -126,8 +127,9 @@ def read_run(folder: Path, split: Split) -> dict[str, dict[str, Any]]:
 
 
 def split_digest(split: Split) -> str:
-    """Return a digest of the definition of a split."""
-    return file_digest(split.folder / CAUSES_FILE)
+    """Return a digest of the definition of a split, with its commitments if it is sealed."""
+    digest = file_digest(split.folder / CAUSES_FILE)
+    return digest if split.commitments is None else digest + file_digest(split.folder / COMMITMENTS_FILE)
 
 
 def _check_folder(split: Split, method: MethodAddress, text: str, folder: Path, limits: RunLimits) -> None:

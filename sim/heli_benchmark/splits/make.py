@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,7 +18,10 @@ from heli_benchmark.errors import BenchmarkError
 from heli_benchmark.reference.truth import hidden_in
 from heli_benchmark.reference.visibility import visibility
 from heli_benchmark.splits.causes import causes_content
+from heli_benchmark.splits.data_card import write_card
+from heli_benchmark.splits.seal import Seal
 from heli_benchmark.task.case import write_case
+from heli_benchmark.task.commitments import write_commitments
 from heli_benchmark.task.json_file import read_json, write_json
 from heli_benchmark.task.split import CAUSES_FILE, SCHEMA
 
@@ -28,9 +32,10 @@ MAX_ATTEMPTS: Final = 8
 def make_split(
     folder: Path,
     split: str,
-    seed: int,
+    draw: int | Seal,
     count: int,
     *,
+    truth_folder: Path | None = None,
     workers: int = 1,
     say: Callable[[str, int], None] | None = None,
 ) -> None:
@@ -42,10 +47,12 @@ def make_split(
         Folder of the split.
     split : str
         Its name.
-    seed : int
-        Seed of all cases.
+    draw : int or Seal
+        Seed of all cases of an open split, or secret of a sealed one.
     count : int
         Number of cases.
+    truth_folder : Path, optional
+        Folder of the truths. A sealed split needs it, outside its own folder; an open split has `truth`.
     workers : int
         Number of cases that are flown in parallel.
     say : callable, optional
@@ -54,39 +61,56 @@ def make_split(
     Raises
     ------
     BenchmarkError
-        If the folder has another split, or a case cannot be flown.
+        If the folder has another split, a case cannot be flown, or the truths of a sealed split would be in
+        its folder.
     """
-    content = {"schema": SCHEMA, "split": split, "seed": seed, "count": count, "causes": causes_content()}
+    seal = draw if isinstance(draw, Seal) else None
+    truth_folder = truth_folder or folder / "truth"
+    if seal is not None and truth_folder.resolve().is_relative_to(folder.resolve()):
+        raise BenchmarkError(f"{truth_folder} is inside {folder}", "give another folder with --truth")
+    origin = {"seed": draw} if seal is None else {"secret_sha256": seal.digest}
+    content = {"schema": SCHEMA, "split": split, **origin, "count": count, "causes": causes_content()}
     mark = folder / CAUSES_FILE
     if mark.exists() and read_json(mark, "choose another folder") != content:
         raise BenchmarkError(
             f"{folder} has another split, or one of another release", "choose another folder, or delete it"
         )
-    for name in ("cases", "truth"):
-        (folder / name).mkdir(parents=True, exist_ok=True)
+    for place in (folder / "cases", truth_folder):
+        place.mkdir(parents=True, exist_ok=True)
     write_json(mark, content)
-    cases = list(published_cases(seed, count))
+    cases = list(published_cases(draw.seed if isinstance(draw, Seal) else draw, count))
     waiting = [case for case in cases if not (folder / "cases" / case.name).exists()]
-    done = count - len(waiting)
-    if workers == 1:
-        results = (_fly_and_write(case, folder) for case in waiting)
-    else:
-        from concurrent.futures import ProcessPoolExecutor
-        from multiprocessing import get_context
-
-        pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
-        results = (name for name in pool.map(_fly_and_write, waiting, [folder] * len(waiting)))
-    for name in results:
-        done += 1
+    write = partial(_fly_and_write, folder=folder, truth_folder=truth_folder, seal=seal)
+    for done, name in enumerate(_each(write, waiting, workers), count - len(waiting) + 1):
         if say is not None:
             say(name, done)
+    write_card(folder, content)
+    if seal is not None:
+        # Last: a split without commitments is not complete, and no method runs on it.
+        write_commitments(folder, truth_folder, [case.name for case in cases])
 
 
-def _fly_and_write(case: PublishedCase, folder: Path) -> str:
+def _each(
+    work: Callable[[PublishedCase], str], cases: Sequence[PublishedCase], workers: int
+) -> Iterator[str]:
+    """Yield the result of `work` on each case, in order."""
+    if workers == 1:
+        yield from map(work, cases)
+        return
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        yield from pool.map(work, cases)
+
+
+def _fly_and_write(case: PublishedCase, folder: Path, truth_folder: Path, seal: Seal | None) -> str:
     case, flights = fly_case(case)
     split_at = len(case.training_s)
     truth = truth_content(case, flights[0])
-    write_json(folder / "truth" / f"{case.name}.json", truth)
+    if seal is not None:
+        truth["salt"] = seal.salt(case.name)
+    write_json(truth_folder / f"{case.name}.json", truth)
     # Renamed when complete: a folder in `cases` is whole.
     unfinished = folder / f"unfinished-{case.name}"
     shutil.rmtree(unfinished, ignore_errors=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from heli_benchmark.errors import BenchmarkError
+from heli_benchmark.task.commitments import read_commitments, verify_commitment
 from heli_benchmark.task.json_file import read_json
 
 SCHEMA: Final = 1
@@ -60,19 +61,22 @@ class Split:
     Parameters
     ----------
     folder : Path
-        Place of `causes.json`, `cases` and `truth`.
+        Place of `causes.json`, `cases`, and of `truth` if the split is open.
     name : str
         Its name: public, train, or another word.
-    seed : int
-        Seed that drew it.
     causes : Causes
         Names that an answer may use.
+    truth_folder : Path
+        Folder of the truths; a sealed split comes without it.
+    commitments : Mapping[str, str] or None
+        Digest of each truth of a sealed split by case, None for an open split.
     """
 
     folder: Path
     name: str
-    seed: int
     causes: Causes
+    truth_folder: Path
+    commitments: Mapping[str, str] | None = None
 
     @property
     def cases(self) -> list[Path]:
@@ -90,30 +94,42 @@ class Split:
         Raises
         ------
         BenchmarkError
-            If the split has no truth of this case.
+            If there is no truth of this case, or it is not the one that a sealed split committed to.
         """
-        return read_json(self.folder / "truth" / f"{case}.json", "score a split that includes its truth")
+        file = self.truth_folder / f"{case}.json"
+        if self.commitments is not None:
+            verify_commitment(file, self.commitments.get(case))
+        return read_json(file, "give the folder of the truths with --truth")
 
 
-def read_split(folder: Path) -> Split:
+def read_split(folder: Path, truth_folder: Path | None = None) -> Split:
     """Read a split.
 
     Parameters
     ----------
     folder : Path
         Folder of the split.
+    truth_folder : Path, optional
+        Folder of the truths, if they are not in the folder of the split.
 
     Raises
     ------
     BenchmarkError
         If the folder is not a complete split.
     """
-    content = read_json(folder / CAUSES_FILE, _REMEDY, ("schema", "split", "seed", "causes"))
+    content = read_json(folder / CAUSES_FILE, _REMEDY, ("schema", "split", "causes"))
     if content.get("schema") != SCHEMA:
         raise BenchmarkError(
             f"{folder / CAUSES_FILE} has schema {content.get('schema')}, not {SCHEMA}", "make the split again"
         )
-    split = Split(folder, str(content["split"]), int(content["seed"]), causes_of(content))
+    sealed = "secret_sha256" in content
+    split = Split(
+        folder,
+        str(content["split"]),
+        causes_of(content),
+        truth_folder or folder / "truth",
+        read_commitments(folder) if sealed else None,
+    )
     if not (folder / "cases").is_dir() or not split.cases:
         raise BenchmarkError(f"{folder} has no case", _REMEDY)
     return split

@@ -24,6 +24,10 @@ RunsArgument = Annotated[
 WorkersOption = Annotated[
     int, typer.Option("--workers", metavar="N", min=1, help="Work on this many cases in parallel.")
 ]
+TruthOption = Annotated[
+    Path | None,
+    typer.Option("--truth", metavar="DIR", help="Keep the truths of a sealed split in this folder."),
+]
 
 
 @app.command("make")
@@ -33,25 +37,39 @@ def make(
         str, typer.Option("--split", metavar="NAME", help="Give the split this name.")
     ] = "public",
     seed: Annotated[
-        int, typer.Option("--seed", metavar="N", min=0, help="Draw the cases with this seed.")
-    ] = 0,
+        int | None, typer.Option("--seed", metavar="N", min=0, help="Draw the cases with this seed.")
+    ] = None,
+    secret: Annotated[
+        Path | None,
+        typer.Option("--secret", metavar="FILE", help="Seal the split: draw the cases with this secret."),
+    ] = None,
+    truth: TruthOption = None,
     count: Annotated[int, typer.Option("--count", metavar="N", min=1, help="Draw this many cases.")] = 24,
     workers: WorkersOption = 1,
 ) -> None:
     """Fly cases with hidden causes, and write them as folders for methods.
 
-    Each case takes about 10 s of CPU time. The truth is in a folder of its own. After an interruption, the
-    same command continues.
+    Each case takes about 10 s of CPU time. After an interruption, the same command continues.
+
+    A split with --seed is open: the folder `truth` has what is hidden. A split with --secret is sealed. Its
+    truths are in the folder of --truth, and the split has the SHA-256 digest of each. `openssl rand -hex 32`
+    writes a secret.
 
     Example: `heli-host benchmark make public --seed 34 --count 24`
     """
-    from heli_benchmark.splits import make_split
+    from heli_benchmark.errors import BenchmarkError
+    from heli_benchmark.splits import make_split, read_seal
 
+    if seed is not None and secret is not None:
+        raise BenchmarkError("--seed and --secret exclude each other", "give one of them")
+    if secret is not None and truth is None:
+        raise BenchmarkError("a sealed split needs a place for its truths", "give a folder with --truth")
     make_split(
         folder,
         split,
-        seed,
+        seed or 0 if secret is None else read_seal(secret),
         count,
+        truth_folder=truth,
         workers=workers,
         say=lambda name, done: say_progress(f"{name}: {done} of {count} cases"),
     )
@@ -106,11 +124,13 @@ def run(
 
 
 @app.command("score")
-def score(folder: SplitArgument, runs: RunsArgument, json: JsonOption = None) -> None:
+def score(
+    folder: SplitArgument, runs: RunsArgument, truth: TruthOption = None, json: JsonOption = None
+) -> None:
     """Score runs on a split against its truth.
 
     Prints each score with its 95 % interval over cases, and compares each two methods. Nothing is written
-    without --json.
+    without --json. A sealed split needs --truth; each truth must agree with its digest in the split.
 
     Example: `heli-host benchmark score public runs/ours runs/base_rates --json scores.json`
     """
@@ -122,7 +142,7 @@ def score(folder: SplitArgument, runs: RunsArgument, json: JsonOption = None) ->
 
     check_result_places(json)
     data_on_stdout(json)
-    split = read_split(folder)
+    split = read_split(folder, truth)
     summary = summarise_runs({run.name: score_run(split, run) for run in runs})
     say(*comparison_table(summary).splitlines(), *pair_lines(summary))
     if write_result(json, summary):
