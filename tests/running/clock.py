@@ -15,6 +15,8 @@ def spent_s() -> float:
 
 
 def charge(cpu_s: float) -> None:
-    """Add what a process took that is not waited for yet; what was added is taken back when it is."""
-    global _charged_s  # noqa: PLW0603  -- as of a process, whose CPU time this is
+    """Add the CPU time of a child that has not ended yet. Subtract it again when the child has ended, because
+    `spent_s` then includes it.
+    """
+    global _charged_s  # noqa: PLW0603  -- the CPU time of this process is global, too
     _charged_s += cpu_s

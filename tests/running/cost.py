@@ -1,13 +1,12 @@
-"""What tests cost in CPU time, and the bound that makes a dear one say so.
+"""CPU time of tests, and the limit above which a test needs a marker.
 
-A test is charged what it would cost alone: its own set-up and call, and the making of every fixture that it
-shares and of everything `kept` that it takes, whichever test they were made for. So no test passes because
-another one went first. CPU time is that of this process and of the children it has waited for; a test that
-waits costs nothing.
+The cost of a test is the CPU time that it would need alone: its set-up and call, and the making of each
+shared fixture and each kept result that it uses, whichever test made them. So no test passes only because
+another one ran first. Child processes count once they have ended. Waiting costs nothing.
 
-The same work takes up to three times the CPU time on a machine that is busy with other things. So a test that
-seems too dear is measured against the machine: a fixed piece of work that takes `UNHURRIED_S` where nothing
-else runs is timed right after it, and the charge is divided by how much longer that took.
+On a busy machine the same work takes up to three times the CPU time. A test above its limit is therefore
+compared with the machine: a fixed piece of work, which takes `IDLE_WORK_S` on an idle machine, is timed right
+after the test, and the cost is divided by the ratio.
 """
 
 from __future__ import annotations
@@ -22,19 +21,19 @@ import pytest
 from tests.running.clock import spent_s
 from tests.running.kept import KEPT
 
-DEAR: Final = ("slow", "emulated", "documents", "diagnosis")
-"""Markers that allow a test to cost as much as it needs; `make quick` leaves them out."""
+UNLIMITED: Final = ("slow", "emulated", "documents", "diagnosis")
+"""Markers of tests without a limit; `make quick` leaves these tests out."""
 MEDIUM: Final = "medium"
-"""Marker of a test that flies, fits or starts a program for a moment; `make quick` leaves it out too."""
-UNHURRIED_S: Final = 0.0064
-"""CPU time of `_work` on an idle core of the machine that the bound was set on, Python 3.11."""
+"""Marker of a test that flies, fits or starts a program for a moment; `make quick` leaves it out, too."""
+IDLE_WORK_S: Final = 0.0064
+"""CPU time of `_work` on an idle core of the machine where the limits were set, Python 3.11."""
 COSTS_KEY: Final = "heli/cpu_s"
-"""Where pytest's cache keeps what each test cost when it ran last."""
+"""Key of the costs of the last run in pytest's cache."""
 
 
 def slowness() -> float:
-    """How many times longer than on an idle machine the same work takes now; at least 1."""
-    return max(1.0, statistics.median(_work() for _ in range(9)) / UNHURRIED_S)
+    """Return the time of a fixed piece of work relative to an idle machine, at least 1."""
+    return max(1.0, statistics.median(_work() for _ in range(9)) / IDLE_WORK_S)
 
 
 def _work() -> float:
@@ -51,7 +50,7 @@ class Costs:
     Parameters
     ----------
     unmarked_s, medium_s : float
-        Most CPU time of a test without a marker, and of a medium one.
+        Limit of a test without a marker, and of a medium test.
     """
 
     def __init__(self, unmarked_s: float, medium_s: float) -> None:
@@ -59,7 +58,7 @@ class Costs:
         self._shared: dict[tuple[str, str], float] = {}
         self._within: list[float] = [0.0]
         self._phase_s: dict[str, float] = {}
-        self._own_s = 0.0
+        self._unshared_s = 0.0
 
     @pytest.hookimpl(wrapper=True)
     def pytest_fixture_setup(
@@ -70,7 +69,7 @@ class Costs:
         try:
             return (yield)
         finally:
-            # What other fixtures took that this one asked for within its body is theirs.
+            # The cost of fixtures that this one requested in its body belongs to them.
             all_s, others_s = KEPT.charged_s() - start_s, self._within.pop()
             apart_s = others_s
             if fixturedef.scope != "function":
@@ -80,7 +79,7 @@ class Costs:
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_setup(self) -> Generator[None, Any, Any]:
-        self._own_s = 0.0
+        self._unshared_s = 0.0
         return (yield from self._phase("setup"))
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
@@ -98,24 +97,28 @@ class Costs:
             return (yield)
         finally:
             self._phase_s[name] = spent_s() - real_s
-            self._own_s += KEPT.charged_s() - start_s - self._within[0]
+            self._unshared_s += KEPT.charged_s() - start_s - self._within[0]
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(
         self, item: pytest.Item, call: pytest.CallInfo[None]
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
         report = yield
-        # A number among a report's attributes travels with it from a worker to the process that reports.
+        # xdist sends the attributes of a report from a worker to the main process.
         vars(report)["cpu_s"] = self._phase_s.pop(call.when, 0.0)
-        if call.when == "call" and report.passed and not any(item.get_closest_marker(name) for name in DEAR):
-            self._hold_to_the_limit(item, report)
+        if (
+            call.when == "call"
+            and report.passed
+            and not any(item.get_closest_marker(name) for name in UNLIMITED)
+        ):
+            self._check_limit(item, report)
         return report
 
-    def _hold_to_the_limit(self, item: pytest.Item, report: pytest.TestReport) -> None:
+    def _check_limit(self, item: pytest.Item, report: pytest.TestReport) -> None:
         is_medium = item.get_closest_marker(MEDIUM) is not None
         limit_s = self._limits_s[is_medium]
         names = set(getattr(item, "fixturenames", ()))
-        alone_s = self._own_s + sum(
+        alone_s = self._unshared_s + sum(
             cost_s
             for (name, base), cost_s in self._shared.items()
             if name in names and item.nodeid.startswith(base)
@@ -124,21 +127,21 @@ class Costs:
             return
         times = slowness()
         if alone_s / times > limit_s:
-            allowing = DEAR if is_medium else (MEDIUM, *DEAR)
+            allowing = UNLIMITED if is_medium else (MEDIUM, *UNLIMITED)
             report.outcome = "failed"
             report.longrepr = (
-                f"{alone_s:.1f} s of CPU, on a machine that is {times:.1f} times slower than an idle one: a "
-                f"test above {limit_s:g} s is made cheaper, or marked as one of {', '.join(allowing)}"
+                f"{alone_s:.1f} s of CPU, on a machine that is {times:.1f} times slower than an idle one; "
+                f"make a test above {limit_s:g} s cheaper, or mark it as one of {', '.join(allowing)}"
             )
 
 
 class Account:
-    """Adds up what the tests of a run cost, for its last lines and for the order of the next run.
+    """Adds up the costs of a run, for its last lines and for the order of the next run.
 
     Parameters
     ----------
     config : pytest.Config
-        Of the process that reports.
+        Configuration of the main process.
     """
 
     def __init__(self, config: pytest.Config) -> None:
@@ -163,18 +166,19 @@ class Account:
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         if not self._cost_s:
             return
-        # Workers are children of this process, and say themselves what they and their own children took.
+        # Each worker reports its CPU time, with its children; workers may not have ended yet.
         all_s = self._workers_s + time.process_time() if self._workers_s else spent_s()
         tests_s = sum(self._cost_s.values())
-        dearest = sorted(self._cost_s.items(), key=lambda cost: -cost[1])[:5]
-        told = ", ".join(f"{name.rpartition('::')[2]} {cost_s:.1f}" for name, cost_s in dearest)
+        highest = sorted(self._cost_s.items(), key=lambda cost: -cost[1])[:5]
+        listed = ", ".join(f"{name.rpartition('::')[2]} {cost_s:.1f}" for name, cost_s in highest)
         terminalreporter.write_line(
-            f"{all_s:.1f} s of CPU, of which {all_s - tests_s:.1f} to start and collect; dearest: {told}"
+            f"{all_s:.1f} s of CPU, of which {all_s - tests_s:.1f} to start and collect; "
+            f"most expensive: {listed}"
         )
 
 
 def plain(nodeid: str) -> str:
-    """A test's name without the group that xdist writes behind it."""
+    """Return the name of a test without the group that xdist appends."""
     name, at, group = nodeid.rpartition("@")
     return name if at and not group.endswith("]") else nodeid
 

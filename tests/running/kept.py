@@ -1,8 +1,8 @@
-"""What is flown or fitted once for tests, kept on disk for all workers and for the next run.
+"""Flights and fits that many tests use, kept on disk for all workers and for the next run.
 
-It lies in ``build/kept`` under a digest of all that made it: every source and data file of the rooms that
-take part, the compiled extensions, the helpers that are named, the libraries' versions. That is coarse on
-purpose: an edit anywhere in those rooms makes it again, and nobody has to think about which edit matters.
+The folder is ``build/kept``. The name of a file has a digest of everything that made it: all source and data
+files of the packages involved, extensions, helpers of the tests, and versions of libraries. That is coarse
+on purpose. Any edit in those packages makes the result again, and nobody has to decide which edit matters.
 """
 
 from __future__ import annotations
@@ -24,32 +24,32 @@ from tests.running.clock import spent_s
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 FLOWN: Final = ("firmware", "host", "sim/native", "sim/due", "sim/due_board", "sim/heli_sim")
-"""What a flight is made by: flight code, host, simulation."""
+"""Folders whose sources determine a flight: flight code, host, simulation."""
 FITTED: Final = (*FLOWN, "sim/heli_lab")
-"""What is made of flights besides."""
+"""Folders whose sources determine what is computed from flights."""
 LIBRARIES: Final = ("numpy", "scipy", "casadi", "mujoco")
-"""Libraries whose numbers go into what is kept."""
+"""Libraries whose versions determine a result."""
 NOT_SOURCES: Final = {".md", ".pyc"}
 
 T = TypeVar("T")
 
 
 class Kept:
-    """A folder of things that tests share.
+    """A folder of results that tests share.
 
     Parameters
     ----------
     folder : Path
-        Where they are kept.
+        The folder.
     root : Path
-        What the names of rooms are relative to.
+        Folder of the project.
     extensions : Path
-        Where the compiled extensions are installed.
+        Folder where the compiled extensions are installed.
     """
 
     def __init__(self, folder: Path, root: Path, extensions: Path) -> None:
         self.saved_s = 0.0
-        """CPU time that what was taken so far took to make, less what this process spent on that."""
+        """CPU time that made the results used so far, less the part that this process spent."""
         self.folder = folder
         self._root = root
         self._extensions = extensions
@@ -63,18 +63,18 @@ class Kept:
         made_by: Iterable[str | Path],
         rooms: Iterable[str] = FITTED,
     ) -> T:
-        """Take what is kept, or make it.
+        """Return a kept result, or make it.
 
         Parameters
         ----------
         name : str
-            What it is, with every argument that it is made from.
+            Name of the result, with all arguments that determine it.
         make : callable
-            Makes it; what it returns is pickled. Never runs twice at once, in whatever processes.
+            Makes the result, which is pickled. It never runs in two processes at once.
         made_by : iterable of str or Path
-            Files of the tests that take part in making it.
+            Files of the tests that determine the result.
         rooms : iterable of str
-            Folders of the project that do.
+            Folders of the project that determine it.
         """
         stem = re.sub(r"[^\w.=-]+", "_", name)[:60] + "-" + hashlib.sha256(name.encode()).hexdigest()[:8]
         path = self.folder / f"{stem}-{self._digest(rooms, made_by)[:16]}.pickle"
@@ -93,18 +93,18 @@ class Kept:
         return kept
 
     def charged_s(self) -> float:
-        """CPU time as if this process had made everything itself that it took."""
+        """Return the CPU time as if this process had made all results that it used."""
         return spent_s() + self.saved_s
 
     def extensions(self) -> list[Path]:
-        """What is compiled, as it is installed: it may lag behind its sources, and it is what flies."""
-        found = self._extensions.glob("heli_*/**/*")
-        return [path for path in found if path.suffix in (".so", ".elf")]
+        """Return the installed extensions. They may be older than their sources, and they are what flies."""
+        paths = self._extensions.glob("heli_*/**/*")
+        return [path for path in paths if path.suffix in (".so", ".elf")]
 
     def _write(self, path: Path, make: Callable[[], object]) -> None:
         start_s = self.charged_s()
         value = make()
-        # Written whole and then named, so that an interrupted run leaves no half of it.
+        # Renamed when complete, so that an interrupted run leaves no incomplete result.
         unfinished = path.with_suffix(f".{os.getpid()}")
         unfinished.write_bytes(pickle.dumps((self.charged_s() - start_s, value)))
         unfinished.rename(path)
@@ -119,7 +119,7 @@ class Kept:
         return digest.hexdigest()
 
     def _content(self, place: Path) -> bytes:
-        """Digest of names and contents of a file, of a room's sources, or of all compiled extensions."""
+        """Return a digest of names and contents: a file, the sources of a folder, or all extensions."""
         paths = [place]
         if place == self._extensions:
             paths = self.extensions()

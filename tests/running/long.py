@@ -1,4 +1,4 @@
-"""How much of a claim about many samples runs in ``make test``, and how much in ``make long``."""
+"""Share of the samples of a claim that runs in ``make test``; ``make long`` runs all."""
 
 from __future__ import annotations
 
@@ -14,36 +14,36 @@ T = TypeVar("T")
 
 
 def samples(full: int, share: int) -> int:
-    """How many samples of a seeded sequence to try: all in ``make long``, the first of them otherwise.
+    """Return the number of samples to try: `full` in ``make long``, otherwise `share`.
 
     Parameters
     ----------
     full : int
-        In ``make long``.
+        Number in ``make long``.
     share : int
-        In ``make test``: enough that a mistake which is not rare shows.
+        Number in ``make test``: enough to show a mistake that is not rare. The first samples are used.
     """
     return full if LONG else share
 
 
 def parallel_map(cases: Sequence[T], every: int, kind: Callable[[T], object] = lambda _: None) -> list[T]:
-    """Which cases of a matrix to run: all in ``make long``, otherwise one in so many of each kind.
+    """Return the cases of a matrix to run: all in ``make long``, otherwise a share of each kind.
 
     Parameters
     ----------
     cases : sequence
-        All, in an order that does not change.
+        All cases, in a fixed order.
     every : int
-        Of each kind, one case in so many runs in ``make test``.
+        ``make test`` runs one in this many cases of each kind.
     kind : callable
-        What a case stands for; each kind keeps a case at least.
+        Kind of a case. At least one case of each kind runs.
     """
     if LONG:
         return list(cases)
     seen: Counter[object] = Counter()
-    taken = []
+    chosen = []
     for case in cases:
         if seen[kind(case)] % every == 0:
-            taken.append(case)
+            chosen.append(case)
         seen[kind(case)] += 1
-    return taken
+    return chosen

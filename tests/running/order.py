@@ -1,10 +1,12 @@
-"""Who runs which tests, and in which order, when several workers share them.
+"""Order of the tests, and their groups, when several workers run them.
 
-The tests of a file stay together, because they share what the file builds, unless a test is in a group of its
-own by ``xdist_group``. The dearest group goes first, so that none is left over at the end: by what its tests
-cost when they ran last, here or where `costs.json` was written; where that is not known, by their markers.
-Before all others goes what hardly costs anything and takes minutes, because it flies in real time: one worker
-waits there, the others compute.
+The tests of a file form a group and run in one worker, because they share fixtures. A marker ``xdist_group``
+puts a test into another group. The most expensive group runs first, so that no worker starts a long group at
+the end. The cost of a test is its CPU time in the last run here, else in `costs.json`, else a guess from its
+markers.
+
+The group `REAL_TIME` runs before all others. Its tests fly in real time and need little CPU time, so
+that one worker waits for minutes while the others compute.
 """
 
 from __future__ import annotations
@@ -16,35 +18,35 @@ from typing import Final
 import pytest
 
 from tests.running.cost import COSTS_KEY
-from tests.running.costs import written_down_s
+from tests.running.costs import saved_costs_s
 
 GUESSED_S: Final = {"documents": 10.0, "diagnosis": 10.0, "slow": 2.0, "emulated": 2.0, "medium": 0.5}
 GUESSED_OTHERWISE_S: Final = 0.02
 REAL_TIME: Final = "real-time"
-"""Group of the tests that wait longest: five minutes, of which they compute one."""
+"""Group of the tests that wait: five minutes in all, and one minute of CPU time."""
 
 
 def group_of(item: pytest.Item) -> str:
-    """The group that a test runs in."""
+    """Return the group of a test."""
     names = {str(mark.args[0]) for mark in item.iter_markers("xdist_group")}
     return "_".join(sorted(names)) or item.nodeid.partition("::")[0]
 
 
 def cost_s(item: pytest.Item, known_s: dict[str, float], files: Container[str]) -> float:
-    """What a test is expected to cost: in one of the `files` of which some are known, others cost little."""
+    """Return the expected CPU time of a test. In `files` with known costs, a test without one is cheap."""
     if item.nodeid in known_s or item.nodeid.partition("::")[0] in files:
         return known_s.get(item.nodeid, GUESSED_OTHERWISE_S)
     guesses = (guess_s for name, guess_s in GUESSED_S.items() if item.get_closest_marker(name))
     return next(guesses, GUESSED_OTHERWISE_S)
 
 
-# Before xdist, which writes the group behind a test's name.
+# Before the hook of xdist, which appends the group to the name of a test.
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if not hasattr(config, "workerinput"):
         return
     cache = getattr(config, "cache", None)
-    known_s = (cache.get(COSTS_KEY, {}) if cache is not None else {}) or written_down_s()
+    known_s = (cache.get(COSTS_KEY, {}) if cache is not None else {}) or saved_costs_s()
     groups = {item: group_of(item) for item in items}
     files = {name.partition("::")[0] for name in known_s}
     total_s: dict[str, float] = defaultdict(float)

@@ -1,4 +1,4 @@
-"""A test that is dear and does not say so fails, and what it shares with others is part of what it costs."""
+"""An expensive test without a marker fails; shared fixtures are part of the cost of each test with them."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def burn(seconds=0.4):
 """
 
 
-def ran(pytester: pytest.Pytester, tests: str) -> dict[str, str]:
-    """How each test ended, where `LIMIT_S` of CPU needs a marker and `MEDIUM_S` one of a dear test."""
+def outcomes(pytester: pytest.Pytester, tests: str) -> dict[str, str]:
+    """Run tests with the limits `LIMIT_S` and `MEDIUM_S`, and return the outcome of each."""
     pytester.makeini(
         f"[pytest]\nunmarked_cpu_s = {LIMIT_S}\nmedium_cpu_s = {MEDIUM_S}\nmarkers =\n  medium\n  slow\n"
     )
@@ -35,52 +35,54 @@ def ran(pytester: pytest.Pytester, tests: str) -> dict[str, str]:
     return {line[0].partition("::")[2]: line[1] for line in words}
 
 
-def test_a_dear_test_without_a_marker_fails_and_is_told_what_to_do(pytester: pytest.Pytester) -> None:
+def test_an_expensive_test_without_a_marker_fails(pytester: pytest.Pytester) -> None:
     tests = """
 def test_cheap(): pass
 
-def test_dear(): burn()
+def test_expensive(): burn()
 
 @pytest.mark.slow
-def test_dear_and_marked(): burn()
+def test_expensive_and_marked(): burn()
 """
-    assert ran(pytester, tests) == {
+    assert outcomes(pytester, tests) == {
         "test_cheap": "PASSED",
-        "test_dear": "FAILED",
-        "test_dear_and_marked": "PASSED",
+        "test_expensive": "FAILED",
+        "test_expensive_and_marked": "PASSED",
     }
 
 
-def test_a_medium_test_has_a_bound_of_its_own(pytester: pytest.Pytester) -> None:
+def test_a_medium_test_has_another_limit(pytester: pytest.Pytester) -> None:
     tests = """
 @pytest.mark.medium
 def test_medium(): burn(0.1)
 
 @pytest.mark.medium
-def test_dear(): burn(1.0)
+def test_expensive(): burn(1.0)
 """
-    assert ran(pytester, tests) == {"test_medium": "PASSED", "test_dear": "FAILED"}
+    assert outcomes(pytester, tests) == {"test_medium": "PASSED", "test_expensive": "FAILED"}
 
 
-def test_the_line_says_bound_and_remedy(pytester: pytest.Pytester) -> None:
+def test_the_message_names_limit_and_remedy(pytester: pytest.Pytester) -> None:
     pytester.makeini(f"[pytest]\nunmarked_cpu_s = {LIMIT_S}\nmarkers = slow\n")
-    pytester.makepyfile(HEAD + "def test_dear(): burn()\n")
+    pytester.makepyfile(HEAD + "def test_expensive(): burn()\n")
     result = pytester.runpytest_inprocess("-p", "tests.running.cost", "-p", "no:cacheprovider")
-    result.stdout.fnmatch_lines(["*a test above 0.05 s is made cheaper, or marked as one of medium, slow, *"])
-    result.stdout.fnmatch_lines(["* s of CPU, of which * to start and collect; dearest: test_dear *"])
+    result.stdout.fnmatch_lines(["*make a test above 0.05 s cheaper, or mark it as one of medium, slow, *"])
+    result.stdout.fnmatch_lines(
+        ["* s of CPU, of which * to start and collect; most expensive: test_expensive *"]
+    )
 
 
-def test_a_child_s_time_counts_and_waiting_does_not(pytester: pytest.Pytester) -> None:
+def test_the_time_of_a_child_counts_and_waiting_does_not(pytester: pytest.Pytester) -> None:
     tests = """
 def test_child():
     subprocess.run([sys.executable, "-S", "-c", "for i in range(8_000_000): pass"], check=True)
 
 def test_waiting(): time.sleep(0.3)
 """
-    assert ran(pytester, tests) == {"test_child": "FAILED", "test_waiting": "PASSED"}
+    assert outcomes(pytester, tests) == {"test_child": "FAILED", "test_waiting": "PASSED"}
 
 
-def test_a_fixture_is_paid_by_all_who_use_it_whoever_was_first(pytester: pytest.Pytester) -> None:
+def test_a_fixture_counts_for_each_test_that_uses_it(pytester: pytest.Pytester) -> None:
     tests = """
 @pytest.fixture(scope="module")
 def flight(): burn()
@@ -92,53 +94,53 @@ def test_first(flight): pass
 
 def test_second(flight): pass
 
-def test_own(board): pass
+def test_with_unshared(board): pass
 
 def test_none(): pass
 """
-    assert ran(pytester, tests) == {
+    assert outcomes(pytester, tests) == {
         "test_first": "FAILED",
         "test_second": "FAILED",
-        "test_own": "FAILED",
+        "test_with_unshared": "FAILED",
         "test_none": "PASSED",
     }
 
 
-def test_what_is_kept_is_paid_by_all_who_take_it_whoever_made_it(pytester: pytest.Pytester) -> None:
+def test_a_kept_result_counts_for_each_test_that_uses_it(pytester: pytest.Pytester) -> None:
     tests = f"""
 from pathlib import Path
 from tests.running.kept import KEPT
 
-def taken():
+def kept_flight():
     KEPT.folder = Path({str(pytester.path)!r}) / "kept"
     return KEPT("flight", burn, made_by=[], rooms=[])
 
-def test_first(): taken()
+def test_first(): kept_flight()
 
-def test_second(): taken()
+def test_second(): kept_flight()
 """
     folder = KEPT.folder
     try:
-        assert ran(pytester, tests) == {"test_first": "FAILED", "test_second": "FAILED"}
+        assert outcomes(pytester, tests) == {"test_first": "FAILED", "test_second": "FAILED"}
     finally:
         KEPT.folder = folder
 
 
-def test_a_busy_machine_makes_no_test_dear(
+def test_a_busy_machine_makes_no_test_expensive(
     pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cost, "slowness", lambda: 1000.0)
-    assert ran(pytester, "def test_dear(): burn()\n") == {"test_dear": "PASSED"}
+    assert outcomes(pytester, "def test_expensive(): burn()\n") == {"test_expensive": "PASSED"}
 
 
-def test_a_machine_is_never_taken_for_faster_than_idle(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cost, "_work", lambda: 0.1 * cost.UNHURRIED_S)
+def test_no_machine_counts_as_faster_than_idle(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cost, "_work", lambda: 0.1 * cost.IDLE_WORK_S)
     assert cost.slowness() == 1.0
-    monkeypatch.setattr(cost, "_work", lambda: 3.0 * cost.UNHURRIED_S)
+    monkeypatch.setattr(cost, "_work", lambda: 3.0 * cost.IDLE_WORK_S)
     assert cost.slowness() == pytest.approx(3.0)
 
 
-def test_what_is_charged_for_a_process_is_taken_back_when_it_is_waited_for() -> None:
+def test_the_charge_for_a_running_child_can_be_taken_back() -> None:
     before_s = clock.spent_s()
     clock.charge(1000.0)
     assert clock.spent_s() - before_s >= 1000.0

@@ -1,4 +1,4 @@
-"""What is kept is made once, whoever asks, and again as soon as anything that made it has changed."""
+"""A kept result is made once for all workers, and again when anything that determines it has changed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Place = Callable[[], Kept]
 
 @pytest.fixture
 def place(tmp_path: Path) -> Place:
-    """A small project, looked at anew by each run."""
+    """A small project; each call opens it as a new run does."""
     for room in FITTED:
         (tmp_path / "project" / room).mkdir(parents=True)
     for name in ("host/heli_host/fly.py", "sim/heli_sim/rigs/small.toml", "firmware/core/law.cpp"):
@@ -32,7 +32,7 @@ def place(tmp_path: Path) -> Place:
 
 
 class Maker:
-    """Counts how often it made something."""
+    """Counts its calls."""
 
     def __init__(self) -> None:
         self.times = 0
@@ -42,15 +42,15 @@ class Maker:
         return self.times
 
 
-def test_it_is_made_once_for_all_who_ask_in_this_run_and_the_next(place: Place, tmp_path: Path) -> None:
+def test_a_result_is_made_once_in_this_run_and_the_next(place: Place, tmp_path: Path) -> None:
     make = Maker()
     this_run = place()
-    taken = [this_run("a flight", make, made_by=[tmp_path / "helper.py"]) for _ in range(3)]
-    assert [*taken, place()("a flight", make, made_by=[tmp_path / "helper.py"])] == [1, 1, 1, 1]
+    results = [this_run("a flight", make, made_by=[tmp_path / "helper.py"]) for _ in range(3)]
+    assert [*results, place()("a flight", make, made_by=[tmp_path / "helper.py"])] == [1, 1, 1, 1]
     assert make.times == 1
 
 
-def test_another_name_is_another_thing(place: Place) -> None:
+def test_another_name_is_another_result(place: Place) -> None:
     make = Maker()
     assert [place()(name, make, made_by=[]) for name in ("seed 1", "seed 2", "seed 1")] == [1, 2, 1]
 
@@ -65,7 +65,7 @@ def test_another_name_is_another_thing(place: Place) -> None:
         "helper.py",
     ],
 )
-def test_a_change_of_any_source_is_noticed(place: Place, tmp_path: Path, changed: str) -> None:
+def test_a_change_of_any_source_makes_it_again(place: Place, tmp_path: Path, changed: str) -> None:
     make, helpers = Maker(), [tmp_path / "helper.py"]
     assert place()("a flight", make, made_by=helpers) == 1
     path = tmp_path / changed
@@ -76,7 +76,7 @@ def test_a_change_of_any_source_is_noticed(place: Place, tmp_path: Path, changed
     assert place()("a flight", make, made_by=helpers) == 3, "only the newest is kept"
 
 
-def test_a_source_that_comes_goes_or_moves_is_noticed(place: Place, tmp_path: Path) -> None:
+def test_a_new_or_renamed_source_makes_it_again(place: Place, tmp_path: Path) -> None:
     make, room = Maker(), tmp_path / "project" / "host" / "heli_host"
     assert place()("a flight", make, made_by=[]) == 1
     (room / "more.py").write_text("")
@@ -85,7 +85,7 @@ def test_a_source_that_comes_goes_or_moves_is_noticed(place: Place, tmp_path: Pa
     assert place()("a flight", make, made_by=[]) == 3
 
 
-def test_documents_bytecode_and_rooms_that_take_no_part_change_nothing(place: Place, tmp_path: Path) -> None:
+def test_documents_bytecode_and_other_folders_change_nothing(place: Place, tmp_path: Path) -> None:
     make, project = Maker(), tmp_path / "project"
     assert place()("a flight", make, made_by=[], rooms=FLOWN) == 1
     (project / "host" / "README.md").write_text("Words.\n")
@@ -97,7 +97,7 @@ def test_documents_bytecode_and_rooms_that_take_no_part_change_nothing(place: Pl
 
 
 @pytest.mark.medium
-def test_two_workers_that_ask_at_once_make_it_once(place: Place, tmp_path: Path) -> None:
+def test_two_workers_at_once_make_it_once(place: Place, tmp_path: Path) -> None:
     place()
     script = (
         "import sys, time; from pathlib import Path; from tests.running.kept import Kept\n"
@@ -116,7 +116,7 @@ def test_two_workers_that_ask_at_once_make_it_once(place: Place, tmp_path: Path)
     assert (tmp_path / "made").read_text() == "once "
 
 
-def test_what_fails_while_it_is_made_is_not_kept(place: Place) -> None:
+def test_a_failure_is_not_kept(place: Place) -> None:
     def fail() -> int:
         raise ArithmeticError("crashed")
 
@@ -125,8 +125,7 @@ def test_what_fails_while_it_is_made_is_not_kept(place: Place) -> None:
     assert place()("a flight", Maker(), made_by=[]) == 1
 
 
-def test_the_project_s_own_sources_and_extensions_are_looked_at() -> None:
+def test_sources_and_extensions_of_this_project_exist() -> None:
     for room in FLOWN:
         assert any((ROOT / room).rglob("*")), room
-    # Names of what is compiled, as they are installed.
     assert any(path.suffix == ".so" for path in KEPT.extensions())

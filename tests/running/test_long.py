@@ -14,7 +14,7 @@ def kind_of(case: str) -> str:
     return case[0]
 
 
-def test_a_share_has_one_of_each_kind_and_every_so_many(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_share_has_at_least_one_case_of_each_kind(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(long, "LONG", False)
     assert parallel_map(CASES, every=3, kind=kind_of) == ["a0", "a3", "a6", "b0", "c0", "c3"]
     assert parallel_map(CASES, every=5) == ["a0", "a5", "c2"]

@@ -1,4 +1,4 @@
-"""The tests of a file stay together, documents alone, and the dearest group goes first."""
+"""The tests of a file stay together, each document is a group, and the most expensive group is first."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_that_waits(): pass
 def ordered(
     pytester: pytest.Pytester, known_s: dict[str, float], *, worker: bool = True, tests: str = TESTS
 ) -> list[pytest.Item]:
-    """The tests above, and then the cheap one of a file of its own, as a worker would run them."""
+    """Return tests in the order in which a worker would run them."""
     pytester.makeini("[pytest]\nmarkers =\n  slow\n  documents\n")
     items = pytester.getitems(tests)
     cache = SimpleNamespace(get={COSTS_KEY: known_s}.get)
@@ -54,12 +54,12 @@ def names(items: list[pytest.Item]) -> list[str]:
     return [item.name for item in items]
 
 
-def test_without_a_known_cost_markers_tell_which_group_is_dearest(pytester: pytest.Pytester) -> None:
+def test_without_known_costs_markers_decide_the_order(pytester: pytest.Pytester) -> None:
     assert names(ordered(pytester, {})) == ["test_document", "test_cheap", "test_slow", "test_other_document"]
 
 
-def test_the_cost_of_the_last_run_tells_it_better(pytester: pytest.Pytester) -> None:
-    file = "test_the_cost_of_the_last_run_tells_it_better.py"
+def test_costs_of_the_last_run_decide_the_order(pytester: pytest.Pytester) -> None:
+    file = "test_costs_of_the_last_run_decide_the_order.py"
     known_s = {
         f"{file}::test_other_document": 50.0,
         f"{file}::test_document": 1.0,
@@ -73,27 +73,23 @@ def test_the_cost_of_the_last_run_tells_it_better(pytester: pytest.Pytester) -> 
     ]
 
 
-def test_a_clone_that_has_run_nothing_goes_by_what_is_written_down(
+def test_a_clone_that_has_run_nothing_uses_the_saved_costs(
     pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    file = "test_a_clone_that_has_run_nothing_goes_by_what_is_written_down.py"
-    monkeypatch.setattr(order, "written_down_s", lambda: {f"{file}::test_other_document": 9.0})
+    file = "test_a_clone_that_has_run_nothing_uses_the_saved_costs.py"
+    monkeypatch.setattr(order, "saved_costs_s", lambda: {f"{file}::test_other_document": 9.0})
     assert names(ordered(pytester, {}))[0] == "test_other_document"
-    # What ran here is known better.
+    # Costs of a run in this clone have priority.
     assert names(ordered(pytester, {f"{file}::test_document": 0.3}))[0] == "test_document"
 
 
-def test_what_flies_in_real_time_goes_before_all_that_costs_more(pytester: pytest.Pytester) -> None:
+def test_flights_in_real_time_run_before_more_expensive_tests(pytester: pytest.Pytester) -> None:
     assert names(ordered(pytester, {}, tests=TESTS + WAITS))[0] == "test_that_waits"
 
 
-def test_a_file_is_a_group_and_a_document_one_of_its_own(pytester: pytest.Pytester) -> None:
+def test_each_file_and_each_document_is_a_group(pytester: pytest.Pytester) -> None:
     groups = {item.name: group_of(item) for item in ordered(pytester, {})}
-    assert (
-        groups["test_cheap"]
-        == groups["test_slow"]
-        == "test_a_file_is_a_group_and_a_document_one_of_its_own.py"
-    )
+    assert groups["test_cheap"] == groups["test_slow"] == "test_each_file_and_each_document_is_a_group.py"
     assert groups["test_document"] == "document-b.md"
     assert groups["test_other_document"] == "document-a.md"
 
@@ -104,7 +100,7 @@ def test_one_process_keeps_the_order_of_the_file(pytester: pytest.Pytester) -> N
     assert not any(items[0].iter_markers("xdist_group"))
 
 
-def test_two_workers_share_files_out_and_never_the_tests_of_one(
+def test_the_tests_of_a_file_run_in_one_worker(
     pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
@@ -135,5 +131,5 @@ def test_two_workers_share_files_out_and_never_the_tests_of_one(
         ("test_a.py::test_b", "test_a.py::test_b"),
     ],
 )
-def test_a_test_has_one_name_whoever_runs_it(nodeid: str, name: str) -> None:
+def test_a_test_has_the_same_name_in_each_worker(nodeid: str, name: str) -> None:
     assert plain(nodeid) == name

@@ -1,4 +1,4 @@
-"""``--quick`` runs what has no marker, and imports no file that is dear as a whole."""
+"""``--quick`` runs tests without a marker, and imports no file that is expensive as a whole."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 pytest_plugins = ["pytester"]
 
 
-def test_what_is_dear_is_left_out_and_a_dear_file_not_even_imported(pytester: pytest.Pytester) -> None:
+def test_quick_leaves_expensive_tests_out_and_does_not_import_their_files(pytester: pytest.Pytester) -> None:
     pytester.makeini("[pytest]\nmarkers =\n  medium\n  slow\n  emulated\n")
     pytester.makepyfile(
         test_mixed="""
@@ -21,7 +21,7 @@ def test_what_is_dear_is_left_out_and_a_dear_file_not_even_imported(pytester: py
         @pytest.mark.medium
         def test_medium(): assert False
         """,
-        test_dear="""
+        test_expensive="""
         import pytest
 
         pytestmark = pytest.mark.emulated
@@ -29,8 +29,8 @@ def test_what_is_dear_is_left_out_and_a_dear_file_not_even_imported(pytester: py
         raise AssertionError("imported")
         """,
     )
-    ran = pytester.runpytest_inprocess("-p", "tests.running.quick", "--quick", "-p", "no:cacheprovider")
-    ran.assert_outcomes(passed=1, deselected=2)
+    result = pytester.runpytest_inprocess("-p", "tests.running.quick", "--quick", "-p", "no:cacheprovider")
+    result.assert_outcomes(passed=1, deselected=2)
 
 
 def test_without_the_option_all_run(pytester: pytest.Pytester) -> None:
