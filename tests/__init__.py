@@ -1,4 +1,4 @@
-"""What the project claims.
+"""Claims of the project.
 
 `make test` runs them all; each reads as a claim and would fail if the claim were false. Deterministic:
 seeds are fixed, and nothing here has a bound on wall-clock time (`bench/` measures, and is no test). One

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 pytest_plugins = ["tests.running.cost", "tests.running.order", "tests.running.quick"]
 
-# Where the environment forbids it, each worker and each of some hundred commands that tests start would
-# compile all sources anew, and pytest would rewrite the asserts of all tests: 5 s of CPU a worker.
+# If the environment forbids bytecode, each worker and each of a hundred commands compiles all sources
+# again. Pytest then rewrites the asserts of all tests, too: 5 s of CPU per worker.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 

@@ -37,7 +37,7 @@ def measured_by(parts: Sequence[Part], console: Console) -> list[Measured]:
     parts : sequence of Part
         In the order in which they are measured.
     console : Console
-        Told what is measured next, and how long that takes.
+        Shows what is measured next, and how long that takes.
     """
     measured: list[Measured] = []
     for number, part in enumerate(parts, 1):

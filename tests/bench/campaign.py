@@ -1,4 +1,4 @@
-"""What a second worker brings a campaign, and what the campaign itself costs."""
+"""Gain of a campaign by a second worker, and cost of the campaign itself."""
 
 from __future__ import annotations
 

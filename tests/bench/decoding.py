@@ -12,7 +12,7 @@ from heli_host.link.telemetry import TelemetryDecoder
 from tests.bench.result import Measured
 
 REPETITIONS = 5
-# What a program that reads a port in bulk, or a saved stream, hands over at a time: about 6 s of flight.
+# Size of the pieces in which a program reads a port or a saved stream: about 6 s of flight.
 CHUNK_BYTES = 65536
 
 
@@ -58,7 +58,7 @@ def measure(flight_bytes: bytes) -> list[Measured]:
     Parameters
     ----------
     flight_bytes : bytes
-        What the board sent during a flight.
+        Bytes that the board sent during a flight.
 
     Returns
     -------

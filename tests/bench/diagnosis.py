@@ -58,7 +58,7 @@ excite = { signal = "multisine", front_V = 0.25, back_V = 0.25, start_Hz = 0.1, 
 
 @dataclass(frozen=True)
 class Spent:
-    """What a process took.
+    """Time and memory of a process.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def now(folder: Path) -> Run:
 
 
 def earlier(folder: Path) -> Run | str:
-    """Run ``heli-host`` of the earlier commit, built beside; or why that cannot be."""
+    """Run ``heli-host`` of the earlier commit, built in another folder; or the reason why that fails."""
     packed = subprocess.run(
         ["git", "-C", str(ROOT), "archive", "--format=tar", EARLIER], capture_output=True, check=False
     )

@@ -1,4 +1,4 @@
-"""What the Due's firmware costs and how quick it is, counted on the emulated board: exact and repeatable."""
+"""Cost and speed of the firmware, counted on the emulated board: exact and repeatable."""
 
 from __future__ import annotations
 

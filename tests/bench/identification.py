@@ -1,4 +1,4 @@
-"""How long identification takes, and how often its standard errors tell the truth."""
+"""Time of an identification, and how often the truth is within its standard errors."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def coverage(say: Callable[[str], None] = lambda _: None) -> list[Covered]:
     Parameters
     ----------
     say : callable
-        Told now and then how far it is.
+        Called now and then with the progress.
     """
     flights = []
     for seed in range(1, RIGS + 1):
@@ -60,7 +60,7 @@ def measure(say: Callable[[str], None] = lambda _: None) -> list[Measured]:
     Parameters
     ----------
     say : callable
-        Told how far it is.
+        Called with the progress.
     """
     measured = [Measured("identify_60s_flight_s", identify_flight_s())]
     flights = coverage(say)

@@ -1,4 +1,4 @@
-"""What share of the line the telemetry takes."""
+"""Share of the line that telemetry uses."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def measure(sent: bytes, duration_s: float) -> list[Measured]:
     Parameters
     ----------
     sent : bytes
-        What the board sent.
+        Bytes that the board sent.
     duration_s : float
         In how many seconds.
     """

@@ -1,4 +1,4 @@
-"""What a flight costs a diagnosis among many of the same rig."""
+"""Cost of one more flight in a diagnosis of many flights of a rig."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ class ZeroDuty:
     """Notes when this host has seen the motors without voltage, after they ran.
 
     That is later than the moment itself by the rest of a batch, the line and the reading of it, 10 to 30 ms:
-    what is told is an upper bound. The board's ticks say less where a loaded computer runs it in bursts.
+    the number is an upper bound. The board's ticks say less where a loaded computer runs it in bursts.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def stop_latencies_ms(presses: int, press: Callable[[], float], heli: Heli) -> l
 
 
 def stop_under_load() -> list[float]:
-    """Four tabs that take every row, both cores busy besides, an emulated Due in real time."""
+    """Four tabs that take every row, both cores busy with other work, an emulated Due in real time."""
     with TemporaryDirectory() as folder, page_of_a_simulated_board(Path(folder), board="due") as served:
         heli = served.heli
         with tabs(served, TABS) as ask, loaded_cores(2):

@@ -1,7 +1,7 @@
 """``python -m tests.bench.page_tabs HOST PORT TOKEN TABS``: tabs of a page in a process of their own.
 
-On a line of standard input it does what that says, and answers with a line: ``press`` stops by the first
-tab's socket and tells the moment before [s, monotonic]; ``gaps`` tells how many ticks the tabs missed.
+It obeys each line of standard input. The answer is one line: ``press`` stops by the socket of the first
+tab, and gives the time before that [s, monotonic]; ``gaps`` gives the number of ticks that the tabs missed.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ def cross_compiler() -> str:
 
 @cache
 def sent() -> tuple[bytes, float]:
-    """What the board sent during one flight, and in how many seconds: two parts look at it."""
+    """Bytes of the board during a flight, and its duration; two parts use them."""
     return line.flight_bytes()
 
 
@@ -61,13 +61,13 @@ class Part:
     Parameters
     ----------
     name : str
-        What a person types.
+        Name on the command line.
     what : str
         What is measured, for the line before it begins.
     usual_s : float
-        What it took on two cores.
+        Usual time on two cores.
     measure : callable
-        Measures; told where to say what it does next.
+        Measures; its argument shows the next step.
     lack : callable
         Says what is not installed without which it cannot measure; empty where nothing is lacking.
     """

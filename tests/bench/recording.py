@@ -1,4 +1,4 @@
-"""What share of a core a host takes that records in real time."""
+"""Share of a core that a host needs to record in real time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was measured, and what was promised."""
+"""Measured numbers and their promised bounds."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class Promise:
     key : str
         Its key.
     meaning : str
-        What it is, for the table.
+        Meaning, for the table.
     bound : float or None
-        What was promised; None for a number that is only reported.
+        Promised bound; None for a number that is only reported.
     at_least : bool
         Whether the bound is a lower one.
     """

@@ -99,7 +99,7 @@ def repeat_speed(name: str, count: int, fly_once: Callable[[], Speed]) -> list[M
     Parameters
     ----------
     name : str
-        What the keys begin with.
+        Prefix of the keys.
     count : int
         How often.
     fly_once : callable

@@ -20,7 +20,7 @@ PERMUTATIONS = 200
 
 
 def file_features(folder: Path) -> dict[str, object]:
-    """What the files of a case show without a look at their numbers."""
+    """Features of the files of a case other than their numbers."""
     features: dict[str, object] = {"number": int(folder.name.partition("-")[2]) % 4}
     names = sorted(path.name for path in folder.iterdir())
     features["names"] = tuple(names)

@@ -40,7 +40,7 @@ def apart(*names: str) -> list[Any]:
 
 @cache
 def answer(name: str) -> dict[str, Any]:
-    """What the diagnosis says of a case, as JSON."""
+    """Diagnosis of a case as JSON."""
     case = CASES[name]
 
     def make() -> dict[str, Any]:

@@ -30,7 +30,7 @@ def flown(name: str) -> tuple[Flight, TrueTrajectory]:
 
 
 def torques(disturbances: DisturbanceModel, seed: int, duration_s: float) -> Floats:
-    """What the air does to a rig that stands, (n, 3)."""
+    """Torques of the disturbances on a rig at rest, shape (n, 3)."""
     air = DisturbanceTorques(disturbances, np.random.default_rng(seed))
     rows = []
     for k in range(0, round(duration_s / STEP_S), 20):
@@ -93,7 +93,7 @@ def test_true_numbers_stay_within_what_is_said_of_them() -> None:
         for axis in ("elevation", "pitch", "travel"):
             assert 0.5 <= rig[f"friction_{axis}"].value / nominal[f"friction_{axis}"].value <= 2.0
         if case.rig_name == QUANSER_RIG:
-            # What its file does not know well is drawn from within what it says.
+            # Uncertain parameters are drawn within the tolerances of the rig file.
             for name in (
                 "dead_zone",
                 "L_theta",

@@ -1,4 +1,4 @@
-"""What counts as right, and what as a miss."""
+"""Rules for right answers and misses."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ def test_a_wrong_certainty_costs_more_than_base_rates() -> None:
     always_lag = summarise_runs({"lag": scores(lambda _: certain("rotor_lag"))})["methods"]["lag"]
     assert always_lag["skill"]["value"] < 0.0
     assert always_lag["false_alarms"]["value"] == 1.0
-    # Of six cases, one has the lag alone, and one has it with a cause that is not visible.
+    # One of the six cases has the lag alone, and one has it with a cause that is not visible.
     assert always_lag["all_named"]["value"] == pytest.approx(2 / 4)
     assert always_lag["first_right"]["value"] == pytest.approx(3 / 6)
 

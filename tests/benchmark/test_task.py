@@ -59,7 +59,8 @@ def test_base_rates_agree_with_the_kinds_of_cases() -> None:
     rates = CAUSES.base_rates
     assert rates[NOTHING] == pytest.approx(1 / 3, abs=1e-5)
     assert rates[UNLISTED] == pytest.approx(1 / 6, abs=1e-5)
-    # Of twelve cases, three have one listed cause, two have two, one has three, and one has one with another.
+    # Three of twelve cases have one listed cause, two have two, one has three, and one has one with an
+    # unlisted.
     assert sum(rates[name] for name in CAUSES.listed) == pytest.approx(11 / 12, abs=1e-4)
 
 

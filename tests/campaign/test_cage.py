@@ -70,7 +70,7 @@ def test_good_cases_share_a_process(cage: WorkerProcess) -> None:
     assert pids != {os.getpid()}
 
 
-def test_a_process_does_not_outlive_whoever_gives_it_orders() -> None:
+def test_a_process_does_not_outlive_its_parent() -> None:
     program = """
 import sys, time
 from heli_lab.campaign import Case

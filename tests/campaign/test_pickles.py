@@ -1,4 +1,4 @@
-"""What campaigns send around pickles: rigs, models, fits and diagnoses, and they answer as before."""
+"""Rigs, models, fits and diagnoses that a campaign sends can be pickled, and then give the same results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What lies on disk: whole results, a table that follows from them, and one campaign at a time."""
+"""The folder of a campaign has complete results and their table, and serves one campaign at a time."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_results_of_other_code_are_other_results(tmp_path: Path) -> None:
 
 
 @pytest.mark.medium
-def test_cases_are_done_again_where_that_is_asked_for(tmp_path: Path) -> None:
+def test_cases_are_repeated_on_request(tmp_path: Path) -> None:
     log = tmp_path / "log.txt"
     store = Store(tmp_path / "out")
     run_campaign(logged(tmp_path, log), store, code="test")

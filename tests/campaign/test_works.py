@@ -46,7 +46,7 @@ def test_gains_without_margin_fail_where_the_defaults_fly(tmp_path: Any) -> None
 
 
 @pytest.mark.slow
-def test_a_fit_is_held_against_the_rig_that_flew() -> None:
+def test_a_fit_is_compared_with_the_rig_that_flew() -> None:
     settings = {**works.DEFAULTS, "plan": "identify", "validate": "sine", "draw": "tolerances", "seed": 3}
     row, detail = works.identify(settings)
     assert row["converged"] and row["outcome"]

@@ -1,6 +1,6 @@
 """A telemetry channel, from its declaration to every table.
 
-What must hold whichever channels are declared, in whatever order and of whatever types.
+Claims that hold for all declarations of channels, in any order and of any types.
 
 Does not belong here: the position or the number of a channel.
 """

@@ -1,4 +1,4 @@
-"""A copy of the sources under another declaration: changed, generated, compiled, run beside the real one."""
+"""A copy of the sources with another declaration: generated, compiled, and run next to the real one."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class ChangedCopy:
             assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
         (extension,) = build.glob("_native*.so")
         self.extension.write_bytes(extension.read_bytes())
-        # What the laboratory compiles depends on no declaration.
+        # The extensions of the laboratory do not depend on the declaration.
         suffix = sysconfig.get_config_var("EXT_SUFFIX")
         for module in (_kalman, _expression_vm):
             name = module.__name__.rpartition(".")[2]

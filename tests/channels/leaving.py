@@ -16,7 +16,7 @@ from heli_host.link.frames import FrameParser
 
 
 class Mishap(Exception):
-    """What a user's program may raise."""
+    """An error of a user's program."""
 
 
 def leave(*, by_exception: bool) -> dict[str, Any]:

@@ -55,7 +55,8 @@ TILT_STEP, TILT_DEG = 192, 60.0
 
 
 def message_of(step: int) -> Any:
-    """What leaves at a step: an entry of the script; while it flies setpoints, and pings to be alive."""
+    """Messages of a step: an entry of the script; in flight setpoints, and pings that show the host is
+    alive."""
     if step in SCRIPT:
         return SCRIPT[step]
     if 10 <= step < 140 and step % 2:

@@ -152,7 +152,7 @@ def test_a_plan_flies_to_its_end_and_its_log_knows_state_and_fault(flown: Flown)
         np.testing.assert_allclose(table.columns()[name], column, atol=1e-9)
 
 
-def test_a_fault_in_flight_is_told_by_its_name(flown: Flown) -> None:
+def test_a_fault_in_flight_is_reported_by_its_name(flown: Flown) -> None:
     program = """
 import numpy as np
 import heli_host
@@ -222,7 +222,7 @@ except LogError as error:
 
 
 def compiled(copy: ChangedCopy) -> str:
-    """What the compiler says of the core; empty if it compiles."""
+    """Messages of the compiler about the core; empty if it compiles."""
     compiler = os.environ.get("CXX", "c++")
     core = copy.root / "firmware" / "core"
     command = [compiler, "-std=c++17", "-fsyntax-only", f"-I{core}", str(core / "core.cpp")]

@@ -1,4 +1,4 @@
-"""What the generator refuses, it refuses in one line that says where and why; nothing is written then."""
+"""The generator refuses a mistake in one line with place and reason, and then writes nothing."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""What a person at the terminal sees.
+"""The program as a user at the terminal sees it.
 
-Every verb once, and every wrong input that a person is likely to give: one line that says what and what to
-do, an exit code that is not zero, motors off, nothing lost that was already logged. Nothing is faked but
-the ports of the machine.
+Every verb once, and every wrong input that a user is likely to give. A wrong input ends with one line that
+says what is wrong and what to do, and with a non-zero exit code. The motors are off, and everything logged
+so far is kept. Only the ports of the machine are faked.
 """

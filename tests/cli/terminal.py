@@ -24,7 +24,7 @@ class Ended:
     code : int
         Exit code.
     out, err : str
-        What it printed.
+        Its output.
     """
 
     code: int

@@ -51,7 +51,7 @@ def test_a_port_and_the_simulated_board_contradict_each_other(
 
 
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo-terminals on this system")
-def test_a_device_that_speaks_something_else_is_told_apart(terminal: Terminal) -> None:
+def test_a_device_with_another_protocol_is_recognised(terminal: Terminal) -> None:
     talker, port = os.openpty()
     quiet = threading.Event()
 

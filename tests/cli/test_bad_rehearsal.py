@@ -1,4 +1,4 @@
-"""What cannot be rehearsed on a simulated board is refused in one line that names the option."""
+"""A fault that a simulated board cannot rehearse is refused in one line that names the option."""
 
 from __future__ import annotations
 

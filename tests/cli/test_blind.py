@@ -119,7 +119,7 @@ def test_the_same_flight_without_blind_does_give_it_away(short: Terminal, tmp_pa
         assert {EFFECT, SIZE, SEED, RIG, "sil://"} <= given_away(tmp_path / name), name
 
 
-def test_a_blind_export_of_a_log_that_tells_gives_nothing_away(short: Terminal, tmp_path: Path) -> None:
+def test_a_blind_export_of_an_open_log_gives_nothing_away(short: Terminal, tmp_path: Path) -> None:
     assert short("fly", *FLOWN, "--seed", SEED, "--log", "a.mcap").code == 0
     seals = set()
     for option, name in FORMATS.items():

@@ -404,7 +404,7 @@ def test_a_board_that_flies_is_not_flashed(
 
 
 @pytest.mark.medium
-def test_whoever_says_no_keeps_the_board_as_it_is(
+def test_after_a_no_the_board_is_unchanged(
     terminal: Terminal, image: Path, silent_port: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     uploader = Uploader(tmp_path / "bin")

@@ -98,7 +98,7 @@ def test_names_of_files_reach_the_terminal_as_text(terminal: Terminal, tmp_path:
         assert "\\x1b" in shown.out, words
 
 
-def test_what_is_told_of_files_is_one_line_each(capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_file_is_reported_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     say("a\nb", "c")
     say_files([Path("d\x1b[2J"), None, Path("e\nf")])
     say_files([None])
@@ -260,7 +260,7 @@ def test_a_log_that_unpacks_to_more_than_any_flight_is_refused(
         b'{"t_s": 0, "name": "a", "message": "' + b"b" * 100_000 + b'"}',
     ],
 )
-def test_an_event_that_no_flight_has_costs_its_chunk_and_is_told(tmp_path: Path, body: bytes) -> None:
+def test_an_impossible_event_costs_its_chunk_and_is_reported(tmp_path: Path, body: bytes) -> None:
     from heli_host.log.records import EVENT_CHANNEL, JsonMessage
 
     writer = open_writer(tmp_path / "a.mcap")

@@ -1,4 +1,4 @@
-"""What another program reads: JSON, tables on standard output, a version; and what a shell completes."""
+"""Output for other programs: JSON, tables on standard output, a version, completions for a shell."""
 
 from __future__ import annotations
 

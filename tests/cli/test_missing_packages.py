@@ -1,4 +1,4 @@
-"""A package that is not installed is named with what installs it and all that is needed beside it."""
+"""The message about a missing package has the command that installs it and all other missing ones."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ VERB = Verb(greet, "Own")
 
 
 def install(folder: Path, package: str, modules: dict[str, str]) -> None:
-    """Lay a package and what an installer writes beside it into a folder."""
+    """Write a package and the files of its installer into a folder."""
     (folder / package).mkdir()
     for name, text in {"__init__": "", **modules}.items():
         (folder / package / f"{name}.py").write_text(text)

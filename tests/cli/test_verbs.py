@@ -69,7 +69,7 @@ def test_setpoint_holds_then_lands(terminal: Terminal, tmp_path: Path) -> None:
     assert flight.travel_rad.max() > 0.12
 
 
-def test_log_records_as_long_as_told(terminal: Terminal, tmp_path: Path) -> None:
+def test_log_records_for_the_given_time(terminal: Terminal, tmp_path: Path) -> None:
     assert terminal("record", "--duration", "3", "-o", tmp_path / "f.mcap", *SIL).code == 0
     assert read_flight(tmp_path / "f.mcap").duration_s == pytest.approx(3.0, abs=0.2)
 
@@ -92,7 +92,7 @@ def test_export_does_not_overwrite_its_source(terminal: Terminal, tmp_path: Path
     assert table.read_bytes() == before
 
 
-def test_sil_serves_a_board_until_it_is_told_to_stop(terminal: Terminal, tmp_path: Path) -> None:
+def test_sil_serves_a_board_until_it_is_stopped(terminal: Terminal, tmp_path: Path) -> None:
     with process(tmp_path, "sil", "--pty", "due", "--speed", "20") as board:
         assert board.stdout is not None
         assert "due" in board.stdout.readline()
@@ -108,7 +108,7 @@ def test_doctor_finds_this_computer_fit(terminal: Terminal) -> None:
     assert ended.code == 0, ended.out
 
 
-def test_doctor_says_what_to_mend(
+def test_doctor_says_what_to_repair(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(list_ports, "comports", lambda: [NATIVE])

@@ -1,4 +1,5 @@
-"""A stand-in for ``bossac``: says which version it is, notes its arguments, and ends as it is told to."""
+"""A stand-in for ``bossac``: prints its version, writes its arguments to a file, and ends as the test
+demands."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ from pathlib import Path
 NEW_USB = "  -U, --usb-port[=BOOL] force serial port detection to USB if BOOL is 1 [default]"
 OLD_USB = "  -U, --force_usb_port=true/false override USB port autodetection"
 
-# What bossac says and ends with, read in its source.
+# Output and exit code of bossac, from its source.
 ENDINGS = {
     "good": ("Write 28612 bytes to flash (112 pages)\nVerify successful\nSet boot flash true\n", 0),
     "no device": ("No device found on ttyACM0\n", 1),
@@ -49,7 +50,7 @@ class Uploader:
     ending : str
         A key of `ENDINGS`, ``crash`` or ``hang``.
     version : str
-        What it says it is.
+        Version that it prints.
     """
 
     def __init__(self, folder: Path, ending: str = "good", version: str = "1.7.0") -> None:

@@ -1,8 +1,6 @@
 """Claims about the control law, the mixer, the rate filter and the excitation.
 
-The witness is `reference.py`: the same law written a second time, slowly, in double precision from the
-equations of the paper (32-34) and the limits as `firmware/link.toml` words them; never from the C++.
-
-`test_seam.py`: the core flies any law through the interface alone, here one that is told its voltages, and
-trusts none.
+The witness is `reference.py`, the same law written a second time in double precision. Its sources are
+equations 32 to 34 of the paper and the limits in `firmware/link.toml`, never the C++ code. In
+`test_seam.py` the core flies any law through the interface alone, and trusts none.
 """

@@ -80,9 +80,9 @@ def test_law_agrees_when_gains_are_so_large_that_their_terms_leave_the_range_of_
     large = {"elevation_kp": 8.0, "elevation_kd": 2.0, "pitch_kp": 10.0, "pitch_kd": 2.0}
     still = {"elevation_ki": 0.0, "pitch_ki": 0.0, "travel_ki": 0.0, "bumpless_s": 0.02}
     out = fly_both(12, 4000, (ALL,), differential_max_V=24.0, **large, **still)
-    # The fade of the start is over by then. 1e-5 rad of rounding in a slewing pitch setpoint are 6 mV at this
-    # gain and more where two of them meet, and the blend multiplies by up to 20; a term that saturated alone
-    # would make it 10 V.
+    # The fade of the start is over by then. Rounding of a slewing pitch setpoint by 1e-5 rad gives 6 mV at
+    # this gain, and more where two add up. The blend multiplies this by up to 20. A term that saturated
+    # alone would give 10 V.
     np.testing.assert_allclose(out[1000:, :2], out[1000:, 3:5], atol=0.2)
 
 

@@ -43,7 +43,7 @@ def followed(root: Path) -> ChangedCopy:
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What the flight of the copy wrote."""
+    """Output of the flight of the copy."""
     copy = followed(tmp_path_factory.mktemp("own controller") / "copy")
 
     def compiled() -> bytes:

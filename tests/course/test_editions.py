@@ -35,7 +35,7 @@ def edition(folder: Path, kind: str, name: str) -> list[dict[str, Any]]:
 
 
 def released(cell: dict[str, Any]) -> dict[str, Any]:
-    """What nbgrader hands out of a cell: a stub in place of each solution."""
+    """The student version that nbgrader makes of a cell: a stub replaces each solution."""
     if not cell["metadata"].get("nbgrader", {}).get("solution"):
         return cell
     if cell["cell_type"] == "markdown":

@@ -24,7 +24,7 @@ def cells(path: Path) -> list[tuple[str, str]]:
 
 
 def script(path: Path) -> str:
-    """The code of a notebook, line by line where it stands in the file."""
+    """The code of a notebook; each line keeps its number in the file."""
     return "".join("\n" * text.count("\n") if "[markdown]" in head else text for head, text in cells(path))
 
 

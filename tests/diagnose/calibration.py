@@ -57,7 +57,7 @@ class Case:
     seed : int
         Seed of the first flight.
     axis : str
-        Axis whose correlation time is of interest; empty for none.
+        Axis of the correlation time; empty for none.
     """
 
     hidden: Mapping[str, Mapping[str, float]]

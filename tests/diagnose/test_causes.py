@@ -106,7 +106,7 @@ def test_search_that_is_resumed_ends_as_one_that_never_stopped(tmp_path: Path) -
     with pytest.raises(KeyboardInterrupt):
         asked(told)
     kept = (tmp_path / "search").read_bytes()
-    # What it was writing when it was killed.
+    # The file that it was writing when it was killed.
     (tmp_path / "search").write_bytes(kept[:-200])
     everything = to_json(asked())
     assert {**everything, "seconds_taken": 0.0} == {**whole, "seconds_taken": 0.0}

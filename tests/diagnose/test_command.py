@@ -47,7 +47,7 @@ def test_command_writes_numbers_rig_and_page(
 
 
 @pytest.mark.skipif(not LONG, reason="test_short asks this of 3 s; this one runs in make long")
-def test_short_part_of_a_flight_is_answered_with_the_flight_that_would_tell(
+def test_a_short_part_is_answered_with_a_flight_that_would_show_it(
     terminal: Terminal, tables: tuple[Path, Path]
 ) -> None:
     fit, held_out = tables

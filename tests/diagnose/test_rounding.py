@@ -1,4 +1,4 @@
-"""What a diagnosis says does not hang on how the processor rounds."""
+"""A diagnosis does not depend on how the processor rounds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Flights too short, or in which nothing happens: what cannot be known from them, and what would tell."""
+"""Flights too short, or in which nothing happens: what they cannot show, and which flight would."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ def waiting(register: int, mask: int, *, strict: bool = False) -> Due:
     return booted(code, strict=strict)
 
 
-def test_the_register_the_bit_and_the_place_are_told_after_half_a_second() -> None:
+def test_register_bit_and_place_are_reported_after_half_a_second() -> None:
     due = waiting(SPI0_SR, 1 << 9)
     due.run_us(499_000)
     with pytest.raises(Stop) as stopped:
@@ -39,12 +39,12 @@ def test_the_register_the_bit_and_the_place_are_told_after_half_a_second() -> No
     assert due.now_us == pytest.approx(510_000, abs=11_000)
 
 
-def test_a_modelled_register_that_nothing_will_change_is_told_by_its_name() -> None:
+def test_a_modelled_register_that_nothing_changes_is_named() -> None:
     with pytest.raises(Stop, match=r"read PMC PMC_SR \(0x400e0668\), .*waits for one of its bits 1, 6;"):
         waiting(PMC_SR, 1 << 6 | 1 << 1).run_us(600_000)
 
 
-def test_a_register_that_must_be_two_things_at_once_is_told_without_a_bit() -> None:
+def test_a_register_that_must_be_two_things_is_reported_without_a_bit() -> None:
     # bics r2, r1 leaves what is missing; back unless that is nothing
     code = program(LOAD_ADDRESS, 0x6801, 0x4A07, 0x438A, 0xD1FB, ENDLESS, literals=(PMC_SR, 1 << 6 | 1 << 1))
     with pytest.raises(Stop, match="the program waits for no single bit of it"):

@@ -1,4 +1,4 @@
-"""A flight in weather whose truth is known, made once for all tests."""
+"""A flight under known disturbances, made once for all tests."""
 
 from __future__ import annotations
 

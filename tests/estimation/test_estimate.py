@@ -1,4 +1,4 @@
-"""Parameters and weather of a flight whose truth is known."""
+"""Parameters and disturbances of a flight whose truth is known."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ def test_parameters_are_the_rigs_within_their_standard_errors() -> None:
         assert abs(found.values[name] - TRUE_RIG[name].value) < 3.5 * std[name], name
 
 
-def test_weather_is_what_blew() -> None:
+def test_estimated_disturbances_are_those_that_acted() -> None:
     disturbances = baseline().estimate.disturbances
     assert disturbances.fast_std == pytest.approx(list(GUST_Nm.values()), rel=0.35)
-    # A memory of half a second is told to about a factor of two by half a minute.
+    # Half a minute shows a correlation time of half a second to about a factor of two.
     assert np.all((disturbances.correlation_time_s > 0.2) & (disturbances.correlation_time_s < 1.2))
 
 
@@ -75,7 +75,7 @@ def test_scale_of_an_encoder_is_no_cause_of_its_own_innovations() -> None:
     assert max(gain for gain, _, _ in scores) < 14.0
 
 
-def test_weather_found_is_likelier_than_its_neighbours() -> None:
+def test_estimated_disturbances_are_more_likely_than_their_neighbours() -> None:
     estimate = baseline().estimate
 
     def value(gust: float, memory: float) -> float:
@@ -96,7 +96,7 @@ def test_weather_found_is_likelier_than_its_neighbours() -> None:
 def test_larger_model_is_never_less_likely_than_the_one_that_it_contains(id_: str) -> None:
     kind = KINDS[id_]
     more = comparison().refit([typical_candidate(kind)], None, baseline())
-    # What it cannot avoid is the prior of its size, which at nothing is up to 1.4 standard deviations off.
+    # The prior of the size remains: at zero it is up to 1.4 standard deviations away.
     assert more.log_likelihood > baseline().log_likelihood - 1.2
 
 

@@ -125,7 +125,7 @@ def test_random_programs(recipe: list[tuple[int, int, int]]) -> None:
     values = [*ca.vertsplit(x), *ca.vertsplit(u), t, *ca.vertsplit(p), ca.SX(0.7)]
     calls = [*(lambda a, b, f=f: f(a) for f in UNARY.values()), *BINARY.values()]
     for which, a, b in recipe:
-        # What grows without bound would end in infinity, where nothing can be compared.
+        # Unbounded growth would end in infinity, where nothing can be compared.
         values.append(ca.tanh(calls[which % len(calls)](values[a % len(values)], values[b % len(values)])))
     wanted = [ca.vertcat(*values[-6:]), ca.horzcat(*values[:4])]
     same(ca.Function("f", [x, u, t, p], wanted), reference(2, 3, len(recipe)))

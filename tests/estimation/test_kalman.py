@@ -28,7 +28,7 @@ class System:
     variance: Floats
 
     def arguments(self, columns: int = 1) -> tuple[Floats, ...]:
-        """What filter and smoother take before the signals, and a drive of nothing."""
+        """Arguments of filter and smoother before the signals, and a zero drive."""
         return (
             self.transition,
             self.part_input,
@@ -183,7 +183,7 @@ def test_midpoint_rule_is_that_of_dense_algebra() -> None:
 
 @pytest.mark.parametrize("states", [4, 6, 8, 12, 13])
 @pytest.mark.parametrize("disturbance_models", [1, 4, 6])
-def test_several_weathers_at_once_are_as_likely_as_each_by_itself(
+def test_several_disturbance_models_together_are_as_likely_as_each_alone(
     states: int, disturbance_models: int
 ) -> None:
     random = np.random.default_rng(100 * states + disturbance_models)

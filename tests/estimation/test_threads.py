@@ -45,7 +45,7 @@ def test_what_a_thread_raises_is_raised_here() -> None:
         parallel_map(lambda number: 1 / number, [1, 0, 2], 2)
 
 
-def test_a_block_uses_the_threads_that_it_was_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_block_uses_the_given_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     with using_threads(3):
         with using_threads(None):

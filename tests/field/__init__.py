@@ -1,14 +1,14 @@
 """Practice and field cases, whose truth is known.
 
-Eleven clean cases and ten in weather that lie beside the project, in `../shared/data/practice` and
-`../shared/data/field`: two simulated flights each, and a `truth.toml` that says what is hidden. Other cases
-of the kind judge this project; these are for looking.
+Eleven clean cases are in `../shared/data/practice`, and ten with disturbances in `../shared/data/field`.
+Each has two simulated flights, and a `truth.toml` that names the hidden causes. These cases are for
+development; others of their kind judge this project.
 
-`python -m tests.field` asks the diagnosis, which gets the flights and nothing else, and prints a table:
-what is hidden, the verdict, the causes with confidence and numbers, whether that is right, and the seconds
-of CPU. `python -m tests.field 'lag*'` asks some; `--json` keeps the answers. `cases.py` reads the cases and
-judges, `__main__.py` asks and prints. `golden.py` compares the diagnosis of every practice, field and
-measured case with the results in `golden.json`: a change of names or structure must not change them.
+`python -m tests.field` diagnoses them from the flights alone, and prints a table: hidden causes, verdict,
+causes with confidence and sizes, whether that is right, and CPU time. `python -m tests.field 'lag*'`
+diagnoses some of them; `--json` saves the answers. `golden.py` compares the diagnosis of every practice,
+field and measured case with `golden.json`. A change of names or structure must not change these results.
 
-Without that folder it says `skipped: no shared data`, and so do the tests. No row of a flight belongs here.
+Without the shared data, the command and the tests say `skipped: no shared data`. No row of a flight is
+copied.
 """

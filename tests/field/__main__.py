@@ -1,4 +1,4 @@
-"""What the diagnosis says of the practice and field cases: ``python -m tests.field``."""
+"""Diagnoses of the practice and field cases: ``python -m tests.field``."""
 
 from __future__ import annotations
 

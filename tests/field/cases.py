@@ -1,4 +1,4 @@
-"""The cases beside the project: what their truth files say, and whether an answer is right."""
+"""Cases outside of the project: the content of their truth files, and whether an answer is right."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Judged:
-    """What a diagnosis said of a case, compared.
+    """A diagnosis of a case, compared with the truth.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class Judged:
     numbers : Mapping[str, tuple]
         Value and standard error of each number found of what is hidden, and the truth.
     cpu_s : float
-        What it took.
+        CPU time.
     failure : str
         Error that ended it.
     """
@@ -120,7 +120,7 @@ class Judged:
 
     @property
     def false_names(self) -> tuple[str, ...]:
-        """What was named and is not hidden; random torques may be."""
+        """Named causes that are not hidden; random torques are permitted."""
         return tuple(name for name in self._names() if name not in self.case.hidden)
 
     @property

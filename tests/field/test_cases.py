@@ -1,4 +1,4 @@
-"""The cases beside the project are read as they are written, and judged as their README asks."""
+"""The cases outside of the project are read as they are written, and judged as their README demands."""
 
 from __future__ import annotations
 

@@ -1,13 +1,17 @@
-"""Claims about the Due's firmware.
+"""Claims about the firmware of the Due.
 
-Registers against the vendor's description, the linked program against its bounds, and the program running
-on the emulated board. Tests skip, and say why, without `arm-none-eabi-g++`, without the emulator's
-extension, or without the vendor's description, which `python tests/due/fetch_svd.py` puts into `build/svd`.
-`test_mutations.py` makes one mistake of `mutations.py` (registers) or `subtle_mutations.py` (filters, lock
-times, traps, order, races; the core's too) at a time and expects the claim beside it to fail: whoever
-changes a driver adds one. `hangs.py` are ways to hang in flight, `measures.py` what tests and bench both
-measure. `desk.py` is the emulated board with the arm on its pins and a host on its port; `description.py`
-reads the vendor's file. `cost.py` counts instructions over the most expensive flights: `python -m
-tests.firmware.cost ELF`; `pid_v1.cpp` is there for scale. `test_call_graph.py` holds what
-`firmware/due/report.py` reads from machine code against `calls.cpp` and `calls.s`, which call in every way.
+Tests compare registers with the vendor's description, the linked program with its bounds, and the program
+on the emulated board with what it must do. They skip with a reason without `arm-none-eabi-g++`, without the
+emulator's extension, or without the vendor's description in `build/svd` (`python tests/due/fetch_svd.py`).
+
+| file | content |
+|---|---|
+| `mutations.py`, `subtle_mutations.py` | mistakes, each with a test that must fail |
+| `hangs.py` | ways to hang in flight |
+| `measures.py` | measurements that tests and bench share |
+| `desk.py` | the emulated board with a rig on its pins and a host on its port |
+| `description.py` | reader of the vendor's file |
+| `cost.py` | instructions in the most expensive flights, `python -m tests.firmware.cost ELF` |
+| `pid_v1.cpp` | Arduino's PID library, for comparison |
+| `calls.cpp`, `calls.s` | every kind of call, for the call graph of `firmware/due/report.py` |
 """

@@ -1,4 +1,4 @@
-"""The firmware, linked once for all tests, and what it is held against."""
+"""The firmware, linked once for all tests, and its references."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def board(elf: Path, image: Image) -> Board:
 
 @pytest.fixture(scope="session")
 def description() -> Description:
-    """What the vendor says of the chip."""
+    """The vendor's description of the chip."""
     path = fetch_svd.find()
     if path is None:
         pytest.skip(fetch_svd.MISSING)

@@ -1,4 +1,4 @@
-"""What the firmware costs in instructions, counted on the emulated board over its most expensive flights.
+"""Cost of the firmware in instructions, counted on the emulated board over its most expensive flights.
 
 Command line: ``python -m tests.firmware.cost ELF`` prints a table. Counts are exact and repeatable: an
 interrupt's are its own, without those of a more urgent one that came in between.
@@ -182,7 +182,8 @@ def _crowded(flight: Flight) -> None:
     heli.take_off(0.0)
     heli.excite("multisine", 0.2, 0.2, start_Hz=0.3, stop_Hz=5.0, duration_s=30.0)
     for k in range(40):
-        # What the USB bridge has kept arrives together: as many setpoints as the board queues, and a command.
+        # The USB bridge delivers everything that it kept together: as many setpoints as the board queues,
+        # and a command.
         for axis_deg in range(4):
             heli.setpoint(elevation_deg=0.1 * k, pitch_deg=2.0 * axis_deg, travel_deg=0.2 * k)
         heli.excite("multisine", 0.2, 0.2, start_Hz=0.3, stop_Hz=5.0, duration_s=30.0)

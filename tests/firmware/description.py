@@ -18,7 +18,7 @@ class Register:
     access : str
         read-only, write-only or read-write.
     count : int
-        Of an array; 1 for a single register.
+        Length of an array; 1 for a single register.
     fields : dict of str to tuple of int
         Lowest bit and width of each field.
     values : dict of tuple of str to int
@@ -94,7 +94,7 @@ def read_description(path: Path) -> Description:
     Returns
     -------
     Description
-        What it says of the SAM3X8E.
+        Registers of the SAM3X8E.
     """
     root = ElementTree.parse(path).getroot()
     nodes = {_text(node, "name"): node for node in root.iter("peripheral")}

@@ -104,7 +104,7 @@ class Board:
         return received
 
     def duties(self) -> list[float]:
-        """What acts on the motors, -1 to 1; a disabled bridge gives nothing."""
+        """Duty of the motors, -1 to 1; a disabled bridge gives 0."""
         return [motor_duty(self.due, motor) * motor_enabled(self.due, motor) for motor in (0, 1)]
 
     def off(self) -> bool:
@@ -145,7 +145,7 @@ class Board:
         self.due.power_on()
 
     def register(self, address: int) -> int:
-        """What a register of the chip holds."""
+        """Value of a register of the chip."""
         return int.from_bytes(self.due.peek(address, 4), "little")
 
     def press_stop(self) -> None:

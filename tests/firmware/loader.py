@@ -30,8 +30,9 @@ RETURN: Final = RAM + RAM_SIZE - 4
 _COMMAND = re.compile(rb"([A-Za-z])([0-9A-Fa-f]*)(?:,([0-9A-Fa-f]*))?#")
 
 
-# What an uploader reads to tell chips apart and the emulated chip, which is strict, does not have: the ROM's
-# vector at 0, which is no branch as on an ARM7, and where other chips have their identity.
+# Addresses that an uploader reads to identify chips, and that the strict emulated chip does not have. They
+# are the ROM's vector at 0, which is no branch as on an ARM7, and the places where other chips have their
+# identity.
 ELSEWHERE: Final = {0: 0x2000_1000, 0x400E_0740: 0}
 
 
@@ -71,7 +72,7 @@ class RomLoader:
 
     def _serve(self) -> None:
         try:
-            # What the uploader sent last, before it ended, is still obeyed.
+            # The last command of the uploader before it ended is still obeyed.
             while not self._ended.is_set() or self._receive():
                 self._receive()
                 while (command := _COMMAND.search(bytes(self._waiting))) is not None:

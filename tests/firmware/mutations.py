@@ -22,13 +22,13 @@ class Mutation:
     file : str
         In firmware/due; with a slash in it, in firmware.
     right : str
-        What stands there, once.
+        Code that the file has once.
     wrong : str
-        What a slip would make of it.
+        The same code with a mistake.
     claim : callable
         A test that must fail then.
     arguments : tuple
-        What it takes besides a board, or besides ELF and image.
+        Its arguments after a board, or after ELF file and image.
     """
 
     file: str
@@ -55,7 +55,7 @@ def overload(right: str, wrong: str) -> Mutation:
         "encoders.cpp",
         right,
         wrong,
-        safety.test_edges_faster_than_the_board_counts_cut_in_order_and_the_host_is_told,
+        safety.test_edges_too_fast_to_count_switch_off_and_inform_the_host,
         (2.5e6, 1),
     )
 
@@ -107,7 +107,9 @@ def saving(right: str, wrong: str) -> Mutation:
 
 
 def hanging(file: str, right: str, wrong: str) -> Mutation:
-    return Mutation(file, right, wrong, safety.test_what_hangs_is_reset_and_the_host_is_told, (HANGS[0],))
+    return Mutation(
+        file, right, wrong, safety.test_a_program_that_hangs_is_reset_and_the_host_is_informed, (HANGS[0],)
+    )
 
 
 def fault(right: str, wrong: str) -> Mutation:
@@ -115,7 +117,7 @@ def fault(right: str, wrong: str) -> Mutation:
         "faults.cpp",
         right,
         wrong,
-        safety.test_a_fault_switches_off_at_once_and_the_host_is_told,
+        safety.test_a_fault_switches_off_at_once_and_the_host_is_informed,
         (POLL, safety.UNDEFINED, Fault.HARD_FAULT),
     )
 
@@ -320,7 +322,7 @@ FAULTS = (
         "faults.cpp",
         "RSTC_SR_RSTTYP.of(RSTC->RSTC_SR.read())",
         "RSTC->RSTC_SR.read()",
-        claims.test_opening_the_port_is_told_from_power_up,
+        claims.test_opening_the_port_is_distinguished_from_power_up,
     ),
     Mutation(
         "main.cpp",

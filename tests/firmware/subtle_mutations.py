@@ -180,17 +180,17 @@ TRAPS = (
     telling(
         "(recorded & kMagicMask) == kMagic && ",
         "",
-        records.test_a_register_that_holds_no_record_tells_nothing,
+        records.test_a_register_without_a_record_reports_nothing,
     ),
     telling(
         "GPBR->SYS_GPBR[kRecord].write(0);",
         "",
-        records.test_a_record_is_told_after_the_reset_that_found_it_and_never_again,
+        records.test_a_record_is_reported_after_the_next_reset_and_never_again,
     ),
     telling(
         "      report.boot_fault = static_cast<std::uint8_t>(recorded);",
         "",
-        records.test_a_record_is_told_after_the_reset_that_found_it_and_never_again,
+        records.test_a_record_is_reported_after_the_next_reset_and_never_again,
     ),
     telling(
         "kUsageFault = 6",
@@ -244,7 +244,7 @@ ORDER = (
         "startup.cpp",
         "for (std::uint32_t* to = __bss_start; to != __bss_end; ++to) *to = 0;",
         "",
-        claims.test_opening_the_port_is_told_from_power_up,
+        claims.test_opening_the_port_is_distinguished_from_power_up,
     ),
     Mutation(
         "main.cpp",
@@ -385,7 +385,7 @@ CORE = (
         "flight/limits.cpp",
         "  // Before the limits that a wrong count breaks.\n  if (s.overload_edges > 0U) {",
         "  if (false) {",
-        safety.test_edges_faster_than_the_board_counts_cut_in_order_and_the_host_is_told,
+        safety.test_edges_too_fast_to_count_switch_off_and_inform_the_host,
         2.5e6,
         1,
     ),

@@ -1,4 +1,4 @@
-"""What the firmware does on the emulated board."""
+"""Behaviour of the firmware on the emulated board."""
 
 from __future__ import annotations
 
@@ -193,7 +193,7 @@ def test_duties_are_the_voltages_within_one_step(board: Board, front_V: float, b
     assert board.due.pwm_period_cycles(4) == 84_000_000 // 20_000
 
 
-def test_opening_the_port_is_told_from_power_up(board: Board) -> None:
+def test_opening_the_port_is_distinguished_from_power_up(board: Board) -> None:
     before = board.connect().session.welcome
     assert before.reset == Reset.POWER_UP
     board.due.usb_control_lines(False)

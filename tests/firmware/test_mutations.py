@@ -1,4 +1,4 @@
-"""One wrong register in any driver is noticed: each mutation must break the claim beside it.
+"""One wrong register in any driver is noticed: each mutation must break its claim.
 
 `make test` takes one in four of every file's mutations, `make long` all.
 """
@@ -60,7 +60,8 @@ class Workshop:
         assert text.count(mutation.right) == 1, (
             f"{mutation.file} has {text.count(mutation.right)} of: {mutation.right}"
         )
-        # Source and object come back together, so that make has nothing to mend before the next one. A header
+        # Source and object come back together, so that make has nothing to build before the next one. A
+        # header
         # has many objects: it comes back as changed.
         whole = self.folder / "build" / path.relative_to(self.folder).with_suffix(".o")
         kept = [(file, file.read_bytes(), file.stat()) for file in (path, whole) if file.exists()]

@@ -37,7 +37,7 @@ def test_pulses_shorter_than_the_filter_are_nothing_to_a_decoder(board: Board, a
     heli = board.connect()
     before = list(counted(heli))
     for _ in range(5):
-        # What a motor's switching couples into a cable comes on both lines at once. A running processor
+        # The switching of a motor couples a pulse into both lines of a cable at once. A running processor
         # would end its instruction first, and so stretch a pulse past the 0.76 us of the filter.
         board.due.hold_processor(True)
         for level in ("high", "low"):

@@ -125,7 +125,7 @@ def test_no_interrupt_gets_between_giving_up_and_the_reset(board: Board) -> None
 
 
 def hang(board: Board) -> Fault:
-    """Let the idle loop of an armed board hang; what the next start tells."""
+    """Let the idle loop of an armed board hang, and return the report of the next start."""
     board.connect().arm()
     resets = board.due.resets
     with HANGS[1].of(board):
@@ -136,7 +136,7 @@ def hang(board: Board) -> Fault:
     return Fault(welcome.boot_fault)
 
 
-def test_a_record_is_told_after_the_reset_that_found_it_and_never_again(board: Board) -> None:
+def test_a_record_is_reported_after_the_next_reset_and_never_again(board: Board) -> None:
     board.advance(20)
     store(board, GPBR, MAGIC | Fault.HARD_FAULT)
     assert hang(board) is Fault.HARD_FAULT
@@ -152,7 +152,7 @@ def test_a_record_from_before_a_reset_by_the_user_is_old(board: Board) -> None:
     assert hang(board) is Fault.WATCHDOG
 
 
-def test_a_register_that_holds_no_record_tells_nothing(board: Board) -> None:
+def test_a_register_without_a_record_reports_nothing(board: Board) -> None:
     board.advance(20)
     store(board, GPBR, Fault.HARD_FAULT)
     assert hang(board) is Fault.WATCHDOG

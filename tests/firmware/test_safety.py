@@ -1,4 +1,4 @@
-"""Whatever happens to program or power, the bridges go off in time, and the host is told why."""
+"""Whatever happens to program or power, the bridges go off in time, and the host gets the reason."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def assert_told(heli: Heli, reset: Reset, fault: Fault) -> None:
 
 
 @pytest.mark.parametrize("hang", HANGS, ids=str)
-def test_what_hangs_is_reset_and_the_host_is_told(elf: Path, image: Image, hang: Hang) -> None:
+def test_a_program_that_hangs_is_reset_and_the_host_is_informed(elf: Path, image: Image, hang: Hang) -> None:
     board, heli = flying(elf, image)
     resets = board.due.resets
     with hang.of(board):
@@ -106,7 +106,7 @@ def test_the_watchdog_leaves_a_normal_flight_alone_with_three_times_to_spare(elf
     [(UNDEFINED, Fault.HARD_FAULT), (SUPERVISOR_CALL, Fault.UNEXPECTED_INTERRUPT)],
 )
 @pytest.mark.parametrize("where", [TICK, POLL])
-def test_a_fault_switches_off_at_once_and_the_host_is_told(
+def test_a_fault_switches_off_at_once_and_the_host_is_informed(
     elf: Path, image: Image, where: str, instruction: bytes, fault: Fault
 ) -> None:
     board, heli = flying(elf, image)
@@ -121,7 +121,7 @@ def test_a_fault_switches_off_at_once_and_the_host_is_told(
     assert_told(heli, Reset.SOFTWARE, fault)
 
 
-def test_an_unexpected_interrupt_switches_off_at_once_and_the_host_is_told(elf: Path, image: Image) -> None:
+def test_an_unexpected_interrupt_switches_off_and_informs_the_host(elf: Path, image: Image) -> None:
     board, heli = flying(elf, image)
     pend(board, 8)
     assert board.milliseconds_until_off(step_us=1.0) <= AT_ONCE_MS
@@ -207,7 +207,7 @@ def flood(board: Board, edges_per_s: float, milliseconds: int, direction: int = 
 
 @pytest.mark.parametrize("direction", [0, 1])
 @pytest.mark.parametrize("edges_per_s", [5e5, 2.5e6])
-def test_edges_faster_than_the_board_counts_cut_in_order_and_the_host_is_told(
+def test_edges_too_fast_to_count_switch_off_and_inform_the_host(
     board: Board, edges_per_s: float, direction: int
 ) -> None:
     heli = board.connect()

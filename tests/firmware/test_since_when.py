@@ -1,4 +1,4 @@
-"""What counts from when on: late ticks from arming, rates from zeroing, and where a hold holds."""
+"""Start of each count: late ticks from arming, rates from zeroing; and the place where a hold holds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the firmware is written with: the check of its image, and the real uploader on an emulated chip."""
+"""Tools that write the firmware: the check of its image, and the real uploader on an emulated chip."""
 
 from __future__ import annotations
 

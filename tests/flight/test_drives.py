@@ -102,7 +102,7 @@ def test_a_landing_has_its_own_time_and_no_following_error_of_the_elevation() ->
     assert harness.state is State.LANDING
 
 
-def test_how_far_travel_must_have_turned_is_told_in_degrees() -> None:
+def test_how_far_travel_must_have_turned_is_given_in_degrees() -> None:
     harness = level()
     hover(harness, 1000)
     harness.glide(PITCH, 12.0, 60.0)

@@ -1,4 +1,4 @@
-"""What a fault says: its sign, what was counted since arming, and that nothing else erases it."""
+"""Detail of a fault: its sign, the count since arming, and that nothing else erases it."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_arming_is_refused_below_the_table_too() -> None:
 
 @pytest.mark.parametrize("axis", [1, 2])
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_a_limit_tells_which_way_it_was_broken(axis: int, sign: int) -> None:
+def test_a_limit_reports_which_way_it_was_broken(axis: int, sign: int) -> None:
     harness = Harness()
     harness.set("setpoint_hold_s", 5)
     harness.set("setpoint_land_s", 30)
@@ -52,7 +52,7 @@ def test_a_limit_tells_which_way_it_was_broken(axis: int, sign: int) -> None:
     assert harness.last_event(Event.FAULT).value == pytest.approx(sign * limit_deg, abs=2)
 
 
-def test_late_ticks_are_told_as_they_were_counted_since_arming() -> None:
+def test_late_ticks_are_reported_as_counted_since_arming() -> None:
     harness = Harness()
     harness.tick(7, late=True)
     harness.fly()
@@ -101,7 +101,7 @@ def test_an_axis_that_is_held_already_keeps_its_setpoint_when_its_loop_is_asked_
     assert math.degrees(law.setpoint_rad[2]) == pytest.approx(0.0, abs=0.1)
 
 
-def test_a_host_that_is_late_for_a_landing_is_not_told_off() -> None:
+def test_a_setpoint_too_late_for_a_landing_is_no_fault() -> None:
     harness = Harness()
     harness.fly()
     harness.glide(0, 0, 60)

@@ -33,7 +33,7 @@ class Arm:
     calm : bool
         Whether pitch stands still to the count, as only simulations do.
     parameters : float
-        Of the board.
+        From the board.
     """
 
     def __init__(

@@ -266,7 +266,7 @@ def told_by_telemetry(harness: Harness) -> list[tuple[State, Trigger]]:
     return [pair for pair, _ in itertools.groupby(pairs)]
 
 
-def test_telemetry_tells_what_led_to_a_state_and_still_does_so_after_the_touchdown() -> None:
+def test_telemetry_states_the_cause_of_a_state_also_after_touchdown() -> None:
     harness = Harness()
     harness.fly()
     harness.tick(600)
@@ -289,7 +289,7 @@ def test_telemetry_tells_what_led_to_a_state_and_still_does_so_after_the_touchdo
     assert events == [*told[1:-1], (State.IDLE, Trigger.TOUCHDOWN)]
 
 
-def test_telemetry_tells_of_a_trip_and_of_its_clearing() -> None:
+def test_telemetry_reports_a_trip_and_its_clearing() -> None:
     harness = Harness()
     harness.fly()
     harness.move(pitch_deg=60)
@@ -492,7 +492,7 @@ def test_excitation_ends_when_the_board_must_hold() -> None:
     assert (
         harness.ask(d.ExciteMessage(0, d.Excitation.MULTISINE, 0.2, 0.2, 0.1, 5, 60, 1)).result == Result.OK
     )
-    for _ in range(6):  # whoever reads later than that loses events: the line's buffer is full of telemetry
+    for _ in range(6):  # a host that reads later loses events: the buffer of the line is full of telemetry
         harness.tick(100)
     assert harness.state is State.HOLD
     assert harness.last_event(Event.EXCITATION_END).detail == d.Excitation.MULTISINE

@@ -1,7 +1,7 @@
 """Fly healthy rigs and rigs with a wrong encoder, and count warnings: ``python -m tests.fly.encoder_scale``.
 
 The rigs are drawn within the tolerances of makki2024, half of them with a lag of their rotors that its file
-does not state, under disturbances of three strengths. What judges uses the nominal rig.
+does not state, under disturbances of three strengths. The judge uses the nominal rig.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def fly_drawn(plan: str, seed: int, axis: int = 0, scale: float = 1.0) -> tuple[
     scales = [1.0, 1.0, 1.0]
     scales[axis] = scale
     faults = RigFaults(encoder_scales=(scales[0], scales[1], scales[2]))
-    # What the operator of this rig would have set.
+    # Settings of the operator of this rig.
     hover_V = float(sum(trim(MultibodyModel(), rig).volts_V)) - 2.0 * rig["dead_zone"].value
     options = SilOptions(seed=seed, rig_faults=faults)
     return fly_one(with_process_noise(calm, weather), rig, plan, options, {"hover_V": hover_V})
@@ -108,7 +108,7 @@ def healthy_lines(rigs: int) -> list[str]:
         cells = []
         for place, axis in enumerate(AXES):
             mine = [one.estimates[place] for one in said]
-            # A scale near 0 has a small error and is no likelier than 1: that is no distance.
+            # A scale near 0 has a small error, and is not more likely than 1: that is no difference.
             most = max((min(one.sigmas, math.sqrt(2.0 * max(one.nats, 0.0))) for one in mine), default=0.0)
             error = float(np.median([one.standard_error for one in mine])) if mine else np.nan
             shown = f"{error:.3f}" if np.isfinite(error) else "not visible"

@@ -50,7 +50,7 @@ class Struck:
     Attributes
     ----------
     states : list of EventMessage
-        The board's changes of state, as it told of them.
+        Changes of state that the board reported.
     last_on_tick : int
         Newest millisecond in which a motor had a voltage.
     disk_full : bool
@@ -126,13 +126,13 @@ class Case:
     what : str
         The first column of the table.
     says : str
-        What the flight's outcome must contain.
+        Words that the outcome of the flight must contain.
     within_s : float
         Bound of the time until the board acts; 0 where it has nothing to do.
     at_s : float
         When, simulated seconds; 0 for before take-off.
     options : str
-        Of the simulated board's address, where those do it.
+        Options in the address of the simulated board, where these cause the failure.
     blow : callable, optional
         What does it otherwise, as `Struck` takes it.
     plan : Plan or str
@@ -140,7 +140,7 @@ class Case:
     due_only : bool
         Whether only the emulated Due has what fails.
     as_if : str or None
-        What the board does where nobody can hear it: as in another case, whose times are its own.
+        Case with the same behaviour of the board, which nobody can observe here.
     """
 
     what: str
@@ -161,18 +161,18 @@ class Outcome:
     Parameters
     ----------
     says : str
-        What the host said; empty for one that was killed.
+        Report of the host; empty for a host that was killed.
     acted_s : float
         From the fault, or from closing the loops, until the board cut the motors or went to another state; 0
         where it did neither.
     off_s : float
         The same until the motors were off, or the time they ran on where the flight was not ended.
     does : str
-        What the board did, in words.
+        Behaviour of the board in words.
     volts_V : list of float
         On the motors long after.
     state : int
-        Newest state that the board told of.
+        Newest state that the board reported.
     """
 
     says: str

@@ -52,7 +52,7 @@ class Flown:
     gains : str
         File of `GAINS`, made by ``heli-host tune``; empty for the board's own gains.
     effects : str
-        Of the simulation, separated by semicolons.
+        Effects of the simulation, separated by semicolons.
     pull_rad_s2 : float
         Constant travel torque, as an acceleration.
     """
@@ -116,7 +116,7 @@ class Case:
     at_s : float
         Simulated time of the fault.
     seed : int
-        Of the simulation.
+        Seed of the simulation.
     """
 
     rig: str
@@ -128,12 +128,12 @@ class Case:
 
 @dataclass(frozen=True)
 class Seen:
-    """What the board reported, and where the arm truly was.
+    """Report of the board, and true position of the arm.
 
     Parameters
     ----------
     case : Case
-        What was flown.
+        Plan and rig of the flight.
     outcome : str
         As the host reported it.
     acted_s : float
@@ -287,7 +287,7 @@ def false_alarms(count: int, seed: int = 0) -> Iterator[Seen]:
     count : int
         How many flights.
     seed : int
-        Of the first pass over rigs and plans; later passes count on.
+        Seed of the first pass over rigs and plans; later passes count on.
     """
     pairs = list(itertools.product(HEALTHY, PLANS))
     for number in range(count):

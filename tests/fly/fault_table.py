@@ -1,7 +1,7 @@
 """The table of docs/reference/failures.md: what fails, what the board does, how soon, what the host reports.
 
-``python -m tests.fly.fault_table`` flies its rows on the emulated Due and prints it. What fails at any moment
-of a flight is in `fault_sweep`.
+``python -m tests.fly.fault_table`` flies its rows on the emulated Due and prints it. Failures at any
+moment of a flight are in `fault_sweep`.
 """
 
 from __future__ import annotations

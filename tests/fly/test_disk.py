@@ -51,7 +51,8 @@ def test_a_disk_that_blocks_for_seconds_is_not_noticed_by_the_board(
                 now_s = device_s()
                 for at_s in [at_s for at_s in due if now_s - begin_s >= at_s][:1]:
                     until_s, give_up_s = now_s + due.pop(at_s), time.monotonic() + GIVE_UP_S
-                    # Whoever reads the board must not be who waits here: its time would not go on.
+                    # Another thread must read the board: while this one waits, the time of the board would
+                    # stop.
                     while device_s() < until_s and time.monotonic() < give_up_s:
                         time.sleep(0.002)
                 return super().write(data)  # type: ignore[arg-type]
@@ -71,7 +72,7 @@ def test_a_disk_that_blocks_for_seconds_is_not_noticed_by_the_board(
         assert any(block_s <= s < block_s + 1.0 for s in told_s), told_s
 
 
-def test_over_a_port_a_full_disk_lands_the_rig_and_is_the_first_thing_told(
+def test_over_a_port_a_full_disk_lands_the_rig_and_is_reported_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     process = pytest.importorskip("heli_sim.sil.process", reason="skipped: no simulation")
@@ -127,7 +128,7 @@ def test_a_log_that_is_there_is_refused_before_anything_is_armed(tmp_path: Path)
     assert (tmp_path / "a.mcap").read_bytes() == b"an older flight"
 
 
-def test_a_disk_that_takes_not_even_the_beginning_is_what_is_told(
+def test_a_disk_that_takes_not_even_the_beginning_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     process = pytest.importorskip("heli_sim.sil.process", reason="skipped: no simulation")

@@ -117,13 +117,13 @@ duration_s = 8
 """
 
 
-def test_the_likeliest_of_several_axes_is_named() -> None:
+def test_the_most_likely_of_several_axes_is_named() -> None:
     def one(axis: str, scale: float, error: float, nats: float) -> ScaleEstimate:
         return ScaleEstimate(axis, scale, error, nats)
 
     found = wrong_scale([one("elevation", 0.8, 0.01, 20.0), one("travel", 0.5, 0.02, 90.0)])
     assert found is not None and found.axis == "travel"
-    # Far from 1 by its own error only, and near by it but no likelier than 1.
+    # One is far from 1 by its small error only; the other is not more likely than 1.
     assert wrong_scale([one("pitch", 0.2, 0.3, 80.0), one("travel", 0.5, 0.02, 1.0)]) is None
     assert "it counts 0.498 ± 0.008 (1 standard error)" in warning_text(one("travel", 0.4981, 0.0083, 90.0))
     assert "it counts 0.50 ± 0.03 (1 standard error)" in warning_text(one("travel", 0.5, 0.03, 90.0))

@@ -70,7 +70,7 @@ def told() -> dict[str, list[float]]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["elevation", "pitch", "travel"])
-def test_a_flight_of_the_sweep_is_within_the_worst_that_the_document_tells(kind: str) -> None:
+def test_a_flight_of_the_sweep_is_within_the_worst_of_the_document(kind: str) -> None:
     count, _, within_s, off_deg, *_ = told()[kind]
     for case in [*swept(kind, int(count))][: samples(int(count), 4)][0 if LONG else 2 :]:
         seen = flown(case)

@@ -1,4 +1,4 @@
-"""A board that starts anew in flight ends that flight, and nobody takes the two for one."""
+"""A board that restarts in flight ends that flight, and the two are never taken for one."""
 
 from __future__ import annotations
 

@@ -208,7 +208,7 @@ def test_a_fault_ends_the_flight_with_its_name_and_parameter(tmp_path: Path) -> 
     assert any(event["name"] == "fault" and event["level"] == 4 for event in log.events)
 
 
-def test_a_refused_arming_is_told_and_nothing_moves(tmp_path: Path) -> None:
+def test_a_refused_arming_is_reported_and_nothing_moves(tmp_path: Path) -> None:
     summary, log, state = flown(tmp_path / "a.mcap", prepare=lambda heli: heli.arm())
     assert summary.outcome.startswith("aborted: the board refused arm")
     assert state is State.IDLE and not log.ticks["front_volt"].any()

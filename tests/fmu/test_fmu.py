@@ -111,7 +111,7 @@ def test_the_sources_compile_by_themselves_without_a_warning(plain: Path, tmp_pa
     with zipfile.ZipFile(plain) as archive:
         archive.extractall(tmp_path)
         listed = archive.read("sources/buildDescription.xml").decode()
-    # What CasADi generates is not ours to warn about.
+    # Warnings about code that CasADi generates are not ours.
     own = ["rig.c", "fmi3.c", "model_start.c"]
     assert all(f'name="{name}"' in listed for name in [*own, "model.c"])
     subprocess.run(

@@ -1,16 +1,19 @@
 """Claims about the import of files from other programs.
 
-Flights whose truth is known are written as others might have: other names, units, signs, rates, delays,
-motors exchanged, sums, decimal commas. The guess must be right or say that it is unsure; silently wrong is
-the one thing it may not be.
+Flights with a known truth are written as other programs might: with other names, units, signs, rates and
+delays, exchanged motors, sums, and decimal commas. The guess must be right, or say that it is unsure. It
+must never be wrong without a doubt.
 
-`python -m tests.guess` writes 200 such files, guesses, and prints a table; `--measured` takes the measured
-flights, if the shared data is available. `--exports` writes the measured flights in further forms and
-counts what must be corrected in each guessed profile, with the rig file of `--rig`. `distort.py` writes a
-file and keeps its truth, `students.py` writes logs of a course, `exports.py` those further forms,
-`judge.py` compares, `flights.py` flies the rigs.
+`python -m tests.guess` writes 200 such files, guesses, and prints a table. `--measured` uses the measured
+flights, if the shared data is available. `--exports` writes them in further forms, and counts the
+corrections that each guessed profile needs with the rig file of `--rig`.
 
-`python -m tests.guess.grade` writes raw files as the repositories of other courses hold them, from flights
-under other controllers, and counts the corrections and the doubts that name them; `--judge` takes other
-seeds. `pilots.py` flies, `foreign.py` writes.
+`python -m tests.guess.grade` writes raw files as the repositories of other courses have them. It counts the
+corrections, and the doubts that name them; `--judge` uses other seeds.
+
+| file | content |
+|---|---|
+| `flights.py`, `pilots.py` | flights under our controller, and under others |
+| `distort.py`, `students.py`, `exports.py`, `foreign.py` | writers of files, with their truth |
+| `judge.py` | comparison of a guess with the truth |
 """

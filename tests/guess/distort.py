@@ -46,7 +46,7 @@ class Distortion:
     stated : bool
         Whether names say the unit.
     signs : tuple of float
-        Of elevation, pitch and travel.
+        Signs of elevation, pitch and travel.
     swapped : bool
         Motors exchanged under the same names.
     summed : bool

@@ -52,7 +52,7 @@ class ForeignFile:
     rig : Rig or None
         Rig file that the user gives; None if the user gives none.
     about : str
-        What was drawn, in one line.
+        The draw in one line.
     """
 
     paths: tuple[Path, ...]

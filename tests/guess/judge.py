@@ -24,7 +24,7 @@ _MAX_LATE_s = {"travel": 0.14, "elevation": 0.22, "voltages": 0.25}
 
 @dataclass(frozen=True)
 class FileVerdict:
-    """What came of a file.
+    """Result of a file.
 
     Parameters
     ----------
@@ -58,8 +58,8 @@ def judge_file(path: Path, truth: Flight, how: Distortion, rig: Rig) -> FileVerd
 def _mirrored(flight: Flight) -> Flight:
     """The same flight with the other rotor called the front one.
 
-    Where names and physics agree, nothing in a file tells it from the flight itself, nor does it matter to
-    any equation.
+    Where names and physics agree, nothing in a file distinguishes it from the flight itself, and no
+    equation depends on it.
     """
     return replace(
         flight,

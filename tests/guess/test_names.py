@@ -1,4 +1,4 @@
-"""What columns are called, in the languages of courses."""
+"""Names of columns, in the languages of courses."""
 
 from __future__ import annotations
 

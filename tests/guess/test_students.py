@@ -34,13 +34,13 @@ def assert_right(flight: Flight, rig: Rig, path: Path, offset_V: float = 0.0) ->
     return {ambiguity.subject for ambiguity in guess_result.ambiguities}
 
 
-def test_rates_beside_angles_are_not_taken_for_angles(tmp_path: Path) -> None:
+def test_rates_next_to_angles_are_not_taken_for_angles(tmp_path: Path) -> None:
     flight, rig = simulated(1)
     path = write_mat(tmp_path / "a.mat", flight.t_s, [*voltage_rows(flight), *state_rows(flight)])
     assert assert_right(flight, rig, path) == {"which rotor is the front one"}
 
 
-def test_setpoints_and_estimates_beside_angles_are_not_taken_for_angles(tmp_path: Path) -> None:
+def test_setpoints_and_estimates_are_not_taken_for_angles(tmp_path: Path) -> None:
     flight, rig = simulated(1)
     estimates = [np.convolve(item, np.ones(10) / 10.0, mode="same") for item in state_rows(flight, DEG)[::2]]
     rows = [*setpoint_rows(flight, DEG), *voltage_rows(flight), *estimates, *state_rows(flight, DEG)]

@@ -1,4 +1,4 @@
-"""What episodes draw is what the rigs' files and the given ranges say."""
+"""Episodes draw from the rig files and the given ranges."""
 
 from __future__ import annotations
 

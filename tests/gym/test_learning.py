@@ -24,7 +24,8 @@ def test_the_cross_entropy_method_finds_gains_that_hover() -> None:
     generations, required = (15, 460.0) if LONG else (5, 380.0)
     policy = cross_entropy(env, generations=generations, population=20 if LONG else 12, episodes=2)
     searched, idle = mean_return(env, policy, SEEDS), mean_return(env, LinearPolicy(np.zeros((2, 8))), SEEDS)
-    # Of 500; hover voltages alone, on rigs as uncertain as the file says, let most arms sink or rise.
+    # 500 is the best return. Hover voltages alone let most arms sink or rise on rigs within the tolerances
+    # of the file.
     assert idle < 320.0 and searched > required
 
 

@@ -1,6 +1,6 @@
 """Claims about fits.
 
-Numbers found again on rigs whose numbers only the test knows (`made.py` flies them on the simulated board,
-link and all), simulated flights explained down to the quantisation, and measured pairs two seconds ahead
-where those data lie beside the project.
+Rigs with known parameters fly on the simulated board (`made.py`), and the fit must find these parameters.
+It must explain simulated flights down to the quantisation, and predict measured flights two seconds ahead,
+if the shared data is available.
 """

@@ -1,6 +1,7 @@
-"""How often the standard errors tell the truth: rigs drawn from their tolerances, flown, identified.
+"""How often the truth is within the standard errors: rigs drawn from their tolerances, flown, identified.
 
-`make bench` does fifty; a test does a few. A rig's numbers are drawn from what the rig file says of them; the
+`make bench` does fifty; a test does a few. The parameters of a rig are drawn from the tolerances of its
+file; the
 flight code flies the built-in plan `identify` on it, and another flight that the fit does not see.
 """
 

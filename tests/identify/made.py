@@ -1,4 +1,4 @@
-"""Flights made by the simulated board on rigs whose numbers are known to the test and to nobody else."""
+"""Flights of the simulated board on rigs whose parameters only the test knows."""
 
 from __future__ import annotations
 

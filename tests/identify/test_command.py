@@ -1,4 +1,4 @@
-"""`heli-host identify`: flights in, a rig that flies out, with a page and numbers beside it."""
+"""`heli-host identify`: flights in, a rig that flies out, with a page and numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A fit finds the numbers of the rig that flew, and explains a flight it never saw down to the encoder."""
+"""A fit finds the parameters of the rig that flew, and explains a held-out flight down to the encoder."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_a_rig_file_that_is_far_off_is_no_obstacle() -> None:
     assert found.json()["normalised_residual"]["train"] <= 1.03
 
 
-def test_a_delay_and_a_lag_are_told_apart() -> None:
+def test_a_delay_and_a_lag_are_distinguished() -> None:
     effects = catalogue()
     model = MultibodyModel((effects["rotor_lag"].make({"rotor_lag_s": 0.04}), effects["input_delay"].make()))
     found = identify(model, known(), [late_flight()])
@@ -165,7 +165,7 @@ def test_a_disturbed_window_does_not_decide() -> None:
         assert abs(robust.values[name] - value) < abs(plain.values[name] - value), name
 
 
-def test_a_budget_that_runs_out_is_told() -> None:
+def test_a_budget_that_runs_out_is_reported() -> None:
     fit = solve(Problem(MultibodyModel(), known(), [changed_flight(3)]), budget=Budget(evaluations=2))
     assert not fit.converged
     assert check(fit).normalised > 1.0

@@ -1,4 +1,4 @@
-"""What one flight has of its own, and what is known of it beforehand."""
+"""Constants of a single flight, and their priors."""
 
 from __future__ import annotations
 

@@ -1,10 +1,11 @@
 """Real machines: fit on one flight, two seconds of free run on the other of the pair.
 
-The baseline lacks the lag of the thrust (0.09 to 0.15 s on all of them) and the air's part. What it reaches
-is within what the data's README reports of a refitted lumped model (elevation 0.4 to 1.1, pitch 1.3 to 2.9,
-travel 0.3 to 1.5 degrees), but for the pitch of the liveliest three, which turn at 100 degrees a second with
-the short arm at 50. There a fit to the very flight that it is judged on leaves 2.2 to 3.4 degrees: no choice
-of numbers, weights or windows helps, only effects that the baseline does not have.
+The baseline lacks the lag of the thrust (0.09 to 0.15 s on all of them) and the air's part. Its errors are
+within those that the README of the data reports of a refitted lumped model: elevation 0.4 to 1.1, pitch
+1.3 to 2.9, travel 0.3 to 1.5 degrees. The exception is pitch in the three most strongly excited flights,
+which turn at 100 degrees a second with the short arm at 50. A fit to the judged flight itself leaves 2.2
+to 3.4 degrees there. No choice of parameters, weights or windows helps, only effects that the baseline
+does not have.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a flight made ready for fitting keeps of a flight, and what it knows of the time before."""
+"""A record for fitting: what it keeps of a flight, and what it knows of the time before."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How sure, what cannot be told apart, and whether what is left is chance."""
+"""Standard errors, parameters that flights cannot separate, and whether the residuals are random."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_a_sum_that_is_identified_leaves_a_difference_that_is_not() -> None:
     assert combinations(("a", "b"), 1e4 * np.eye(2), np.ones(2)) == []
 
 
-def test_counterweight_and_a_constant_torque_cannot_be_told_apart_near_level() -> None:
+def test_counterweight_and_constant_torque_are_inseparable_near_level() -> None:
     both = found("M_w", "torque_elevation", "friction_elevation")
     (first, second, value), *others = both.strong_correlations
     assert {first, second} == {"M_w", "torque_elevation"} and value < -0.99 and not others
@@ -84,7 +84,7 @@ def test_no_estimate_is_less_sure_than_before_the_flight() -> None:
         assert std <= 1.03 * one.prior.std, one.name
 
 
-def test_no_time_is_surer_than_the_tick_within_which_a_voltage_begins() -> None:
+def test_no_delay_is_more_certain_than_the_tick_of_a_voltage() -> None:
     record = prepare(flown(load_rig("makki2024"), 3, 25.0), load_rig("makki2024"), "a")
     model = MultibodyModel((RotorLag(0.05),))
     problem = Problem(model, load_rig("makki2024"), [record])

@@ -143,6 +143,6 @@ def test_first_states_follow_the_parameters_and_are_worked_out_once_for_each() -
     for theta in (slow, fast, fast, slow):
         (states,) = cost.initial_state_guess(theta)
         assert np.array_equal(states, initial_state_guess(problem, theta)[0])
-        # Whoever optimises them does not change what is remembered.
+        # An optimiser that changes them does not change the memory.
         states += 1.0
     assert not np.allclose(initial_state_guess(problem, slow)[0], initial_state_guess(problem, fast)[0])

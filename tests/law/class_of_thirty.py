@@ -143,7 +143,7 @@ def unsafe_ticks(log: Path) -> int:
 
 @dataclass(frozen=True)
 class Marked:
-    """What a run of `heli-host class` left.
+    """Result of a run of `heli-host class` left.
 
     ``exit_code`` and ``text`` of the command, its ``marks`` by name, ``ticks`` and ``unsafe`` ticks in all
     logs, ``digest`` of all files that it should not change.

@@ -53,8 +53,9 @@ LONGEST_s: Final = 40.0
 # A law that the guard lets fly: law_envelope of elevation_following_max_deg, and what it goes on in the time
 # that the guard allows.
 NEAR_deg: Final = 13.0
-# Lower, the rotors hardly turn, and what pitch asks of them lifts the arm: without a law the cascade wanders
-# by up to 6.8 degrees (90 flights of 100 s between -25 and -15), and it hangs at -22 when it is to be below.
+# Below this, the rotors hardly turn, and the voltage for pitch lifts the arm. Without a law the cascade
+# then wanders by up to 6.8 degrees (90 flights of 100 s between -25 and -15). With a setpoint below -22
+# degrees, the arm hangs at -22.
 LOW_deg: Final = -19.5
 LOW_ERROR_deg: Final = 8.0
 HANGS_deg: Final = -22.0
@@ -64,7 +65,7 @@ Volts = tuple[Any, Any]
 
 @dataclass(frozen=True)
 class Good:
-    """What a law that follows well would do: lift and its difference [V], pitch [rad], motors [V]."""
+    """Outputs of a good law: lift and its difference [V], pitch [rad], motors [V]."""
 
     collective_V: Any
     differential_V: Any
@@ -176,7 +177,7 @@ def _rows() -> dict[str, _Row]:
     )  # fmt: skip
     add("infinite", NUMBER, lifted(lambda now, t: 1.0 / fmax(0.0, -1.0 - fabs(now.pitch_rad))))
     add("bang_bang", JUMP, lambda now, good, _: both(if_else(_below(now), 12.0, 0.0)))
-    # Within what a voltage may jump by, so that only the arm's motion tells.
+    # Within the permitted jump of a voltage, so that only the motion of the arm shows it.
     add("small_bang_bang", HARMLESS, lambda now, good, _: both(if_else(_below(now), 2.9, 1.0)))
     add(
         "bang_bang_by_rate", HARMLESS,
@@ -305,7 +306,7 @@ class Tried:
     travel_error_deg: float
 
     def problem(self) -> str:
-        """What the board should not have let happen; empty if nothing."""
+        """Event that the board should have prevented; empty if there is none."""
         near_deg = LOW_ERROR_deg if self.elevation_deg < LOW_deg else 1.0
         checks = {
             f"{self.state}": self.state == "CLOSED_LOOP",

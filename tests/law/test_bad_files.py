@@ -174,7 +174,7 @@ def test_a_law_of_another_process_has_the_same_tape_and_may_print(tmp_path: Path
     assert load_law(tmp_path / "talks.py").name == "law"
 
 
-def test_a_law_may_import_what_lies_beside_it(terminal: Terminal) -> None:
+def test_a_law_may_import_a_file_of_its_folder(terminal: Terminal) -> None:
     Path("gains_of_mine.py").write_text("KP = 2.5\n")
     text = law("return Command(KP * now.pitch_rad + 1.0, 1.0)")
     Path("law.py").write_text("from gains_of_mine import KP\n" + text)

@@ -1,4 +1,4 @@
-"""What no board can fly is refused in one line, with the remedy, before anything is sent."""
+"""A law that no board can fly is refused in one line, with the remedy, before anything is sent."""
 
 # ruff: noqa: E501  -- a row each
 from __future__ import annotations

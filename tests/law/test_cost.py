@@ -1,4 +1,4 @@
-"""What a program costs is bounded by the sum of its operations' declared costs, and the bound is near."""
+"""The declared costs of its operations bound the cost of a program, and the bound is tight."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ SUM = next(one for one in OPERATIONS if one.name == "sum_of_products")
 MAX_TICK = 30_000
 # Square roots that fill a tick.
 ROOTS = 48
-# What the core has for laws, and what stands there without.
+# The core with the code for laws, and without it.
 SEAT = (
     ("law/simplex.hpp", "if (!uploaded_.busy()) {", "if (true) {"),
     ("core.cpp", "if (uploaded_.busy() && uploaded_.flying() &&", "if (false && uploaded_.flying() &&"),
@@ -102,7 +102,7 @@ def random_program(chance: np.random.Generator, inputs: int, written: int) -> tu
     return words, foretold
 
 
-def test_random_tapes_never_take_longer_than_foretold(processor: Processor) -> None:
+def test_random_tapes_never_take_longer_than_predicted(processor: Processor) -> None:
     chance = np.random.default_rng(2)
     inputs, written = len(LAW_INPUTS), 60
     for _ in range(TAPES):
@@ -113,7 +113,7 @@ def test_random_tapes_never_take_longer_than_foretold(processor: Processor) -> N
 
 
 @pytest.mark.parametrize("name", ALL if LONG else ("lqi", "mpc"))
-def test_a_flight_costs_no_more_than_foretold_and_nearly_as_much(name: str) -> None:
+def test_a_flight_costs_no_more_than_predicted_and_nearly_as_much(name: str) -> None:
     program = law_of(LAWS / f"{name}.py").program
     flight = flown(program)
     _, _, update = flight.function(LAW_UPDATE)
@@ -130,7 +130,7 @@ def test_states_and_signals_cost_no_more_than_declared() -> None:
     assert (told - few) / 4 <= LAW_SIGNAL_COST
 
 
-def test_a_tick_with_the_dearest_tape_that_is_accepted_stays_within_its_bound() -> None:
+def test_a_tick_with_the_most_expensive_accepted_tape_is_within_its_bound() -> None:
     program = dearest().program
     assert LAW_TICK_COST - 400 < program.cost <= LAW_TICK_COST
     flight = flown(program)

@@ -125,7 +125,7 @@ def test_an_axis_that_stays_away_from_its_setpoint_is_taken_over(axis: str, want
         heli.setpoint(**{f"{axis}_deg": wanted_deg})
         report = heli.fly_law(law.program, duration_s=15.0)
         assert report.taken_over == f"{axis}_following", str(report)
-        # Of the board's own limit, the share that law_envelope says.
+        # The share of the board's limit that law_envelope states.
         assert abs(report.value) > 0.8 * heli.params[f"{axis}_following_max_deg"]
 
 

@@ -35,7 +35,7 @@ from tests.law.test_places import Compiled
 from tests.running.long import samples
 
 LAWS = sorted((Path(__file__).resolve().parents[2] / "docs" / "laws").glob("*.py"))
-# Of a law's values: near level, each axis a little off.
+# Inputs of a law: near level, with a small error on each axis.
 COUNTS, SETPOINTS = [10, 12, -9], [500, 0, 1500]
 FRONT_V, BACK_V = 1.7, 1.7
 CALLS_BEFORE = 3

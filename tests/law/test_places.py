@@ -80,9 +80,7 @@ def test_numpy_tape_and_c_give_the_same_to_single_precision(name: str, tmp_path:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES if LONG else ("lqr",))
 @pytest.mark.parametrize("place", ["numpy", "c"])
-def test_a_law_flies_over_the_link_and_its_errors_are_told_as_they_are(
-    name: str, place: str, tmp_path: Path
-) -> None:
+def test_a_law_flies_over_the_link_and_its_errors_are_reported(name: str, place: str, tmp_path: Path) -> None:
     law = law_of(LAWS / f"{name}.py")
     log = tmp_path / "streamed.mcap"
     with heli_host.connect("sil://", land_on_exit=True) as heli, Recorder(heli, log):

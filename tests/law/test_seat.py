@@ -1,4 +1,4 @@
-"""What holds for a law that flies on the board, whatever the host asks for meanwhile."""
+"""Guarantees for a law that flies on the board, whatever the host demands meanwhile."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def taken_over(harness: Harness) -> list[Takeover]:
 
 
 def law_on(harness: Harness) -> d.LawMessage:
-    """What the board says of the law that it has."""
+    """The board's report of the law that it has."""
     before = len(harness.frames)
     harness.send(d.LawReadMessage(200))
     harness.tick(3)

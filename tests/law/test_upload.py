@@ -51,7 +51,7 @@ def upload_frames(harness: Harness, program: LawProgram, request: int) -> list[b
 
 
 def law_on(harness: Harness) -> LawMessage:
-    """What the board says that it has, to a host that has just come back."""
+    """The board's report of its law to a host that has just reconnected."""
     # Half a frame swallows what follows it, as on a line; a host greets until it is answered.
     hello = HelloMessage(240, LINK_HASH, 2)
     greeted = any(of_kind(harness.turn(harness.frame(hello), ticks=2), MessageId.WELCOME) for _ in range(9))

@@ -38,7 +38,7 @@ Execute = Callable[[int, bytes], tuple[int, int, float]]
 
 
 class Message(Protocol):
-    """What the generated message classes have in common."""
+    """Interface that the generated message classes share."""
 
     @property
     def ID(self) -> MessageId: ...

@@ -1,7 +1,7 @@
 """A small board that speaks the declaration, and lines to reach it by: simulated, and a pseudo-terminal.
 
-It flies nothing: its angles are a known function of the tick, so that a test can tell a right sample from a
-wrong one. What it sends is built by the slow witness of `host_reference`.
+It flies nothing: its angles are a known function of the tick, so that a test can distinguish a right
+sample from a wrong one. Its frames are built by the slow witness of `host_reference`.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class FakeBoard:
         self._out = bytearray()
 
     def reboot(self) -> None:
-        """Start anew, as after a reset."""
+        """Start again, as after a reset."""
         self.tick, self.boot_id, self.state = 0, self.boot_id + 1, State.IDLE
         self.open, self._session, self._memory, self._seq = False, None, None, 0
         self._batch.clear()

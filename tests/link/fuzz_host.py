@@ -35,9 +35,9 @@ _MESSAGES = [
 _FLOATS = [float("nan"), float("inf"), float("-inf"), -0.0, 3.4e38, 1e-45, 1.0, 2.0**24]
 _WIDTH_BITS = (0, 2, 4, 8, 16, 32)
 _BASE_BYTES = sum(struct.calcsize(channel.code) for channel in CHANNELS)
-# Of many frames one always asks for a new handshake, and what the others say is then set aside.
+# One of many frames always demands a new handshake, and the others are then dropped.
 _A_READING = (4, 20, 300)
-# A session that was told of another declaration is over; so is one that has been made to wait too long.
+# A session ends when the board reports another declaration, and when it has waited too long.
 _READINGS_A_SESSION = 40
 
 
@@ -57,7 +57,7 @@ class Frames:
         self._tick = 0
 
     def reading(self, board_bytes: bytes) -> bytes:
-        """What one reading brings: what the board said, among many other frames."""
+        """Bytes of one reading: frames of the board among many others."""
         made = [self.frame() for _ in range(self._random.choice(_A_READING))]
         made.insert(self._random.randrange(len(made)), board_bytes)
         return b"".join(made)
@@ -119,7 +119,7 @@ class Frames:
 
 
 def unexpected(error: Exception) -> Exception | None:
-    """The error that should not be, None for one that the package tells its user on purpose."""
+    """The error that should not be, None for one that the package reports on purpose."""
     if not isinstance(error, HeliError):
         return error
     cause = error.__cause__
@@ -137,7 +137,7 @@ def fuzz_host(seed: int, frames: int) -> tuple[int, Counter[str]]:
     Parameters
     ----------
     seed : int
-        Of the frames.
+        Seed of the frames.
     frames : int
         At least so many are sent.
 
@@ -146,7 +146,7 @@ def fuzz_host(seed: int, frames: int) -> tuple[int, Counter[str]]:
     sent : int
         How many were.
     broken : Counter of str
-        What happened that should not, and how often.
+        Events that should not happen, and how often each happened.
     """
     made, broken = Frames(seed), Counter[str]()
 

@@ -1,4 +1,4 @@
-"""What the board makes of each command and stream, also of malformed ones."""
+"""The board's answer to each command and stream, malformed ones included."""
 
 from __future__ import annotations
 
@@ -183,7 +183,7 @@ def test_saving_writes_the_flash_only_after_the_tick_agreed() -> None:
     assert harness.native.board.flash == erased
 
 
-def test_a_save_is_told_with_its_generation_and_not_repeated_by_a_retry() -> None:
+def test_a_save_is_reported_with_its_generation_and_not_repeated() -> None:
     harness = open_harness()
     for generation in (1, 2):
         frames = harness.ask(ParamsSaveMessage(generation))

@@ -113,7 +113,7 @@ def test_a_repeated_frame_is_not_a_gap_of_255() -> None:
     assert (parser.frames_ok, parser.frames_lost) == (2, 0)
 
 
-def test_a_host_that_starts_anew_with_hello_loses_nothing() -> None:
+def test_a_host_that_starts_again_with_hello_loses_nothing() -> None:
     parser = core_link.Parser()
     parser.feed(
         encode_frame(10, 99, b"") + encode_frame(MessageId.HELLO, 0, bytes(9)) + encode_frame(10, 1, b"")

@@ -49,7 +49,7 @@ def test_before_the_handshake_the_board_says_nothing_by_itself() -> None:
     assert harness.turn(ticks=3000) == []
 
 
-def test_what_happened_before_the_handshake_is_told_after_it() -> None:
+def test_events_before_the_handshake_are_reported_after_it() -> None:
     harness = Harness()
     for tick in range(5):
         harness.native.push_event(tick, 1)

@@ -20,7 +20,7 @@ HOVER_DEFAULT = core_link.Params().get(HOVER)
 
 
 def load(board: core_link.Board) -> tuple[int, float]:
-    """What a board that starts with this flash finds: the source and a value."""
+    """Parameters of a board that starts with this flash: their source and a value."""
     params = core_link.Params()
     return core_link.Store(board).load(params), params.get(HOVER)
 

@@ -1,4 +1,4 @@
-"""What the board sends by itself: every tick once, gaps counted, replies before events before telemetry."""
+"""The board sends every tick once, counts gaps, and sends replies before events before telemetry."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whatever sound frames say, and whatever becomes of others, the host tells it in a line or lives on."""
+"""The host answers any sound or damaged frame with a one-line error, or goes on."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.running.long import samples
 
 
 @pytest.mark.slow
-def test_a_million_frames_raise_nothing_that_is_not_told_on_purpose() -> None:
+def test_a_million_frames_raise_only_errors_of_the_package() -> None:
     frames = samples(1_000_000, 15_000)
     sent, broken = fuzz_host(2, frames)
     assert sent >= frames

@@ -1,4 +1,4 @@
-"""What an event would have told, telemetry tells when the event was lost, once and in its place."""
+"""When an event is lost, telemetry reports its content once and in its place."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ def watching(*flown: tuple[State, Trigger]) -> MissedEvents:
     return missed
 
 
-def test_the_first_samples_tell_of_no_change() -> None:
+def test_the_first_samples_report_no_change() -> None:
     assert watching(LANDING, LANDING).take_ticks(ticks(102, LANDING)) == []
 
 
-def test_a_change_whose_event_was_lost_is_told_with_its_trigger_and_tick() -> None:
+def test_a_change_with_a_lost_event_is_reported_with_trigger_and_tick() -> None:
     missed = watching(FLYING)
     found = missed.take_ticks(ticks(101, FLYING, HOLDING, HOLDING, LANDING))
     assert found == [
@@ -53,7 +53,7 @@ def test_a_change_whose_event_was_lost_is_told_with_its_trigger_and_tick() -> No
     assert missed.take_ticks(ticks(105, LANDING, LANDING)) == []
 
 
-def test_a_change_that_an_event_told_is_not_told_again() -> None:
+def test_a_change_that_an_event_reported_is_not_reported_again() -> None:
     missed = watching(FLYING)
     missed.take_event(told(102, State.HOLD, Trigger.STALE_HOLD))
     assert missed.take_ticks(ticks(101, FLYING, HOLDING, LANDING)) == [
@@ -68,12 +68,12 @@ def test_an_event_within_a_gap_of_the_telemetry_counts_and_one_from_before_it_do
         assert len(missed.take_ticks(ticks(1000, HOLDING))) == missing, tick
 
 
-def test_a_landing_that_nobody_saw_is_told_by_what_led_to_it() -> None:
+def test_an_unseen_landing_is_reported_with_its_cause() -> None:
     missed = watching(FLYING)
     assert missed.take_ticks(ticks(9000, LANDED)) == [told(9000, State.IDLE, Trigger.STALE_LAND)]
 
 
-def test_a_hold_that_nobody_saw_is_told_although_the_state_is_the_same() -> None:
+def test_an_unseen_hold_is_reported_although_the_state_is_the_same() -> None:
     back = (State.CLOSED_LOOP, Trigger.SETPOINT_FRESH)
     assert watching(FLYING).take_ticks(ticks(900, back)) == [
         told(900, State.CLOSED_LOOP, Trigger.SETPOINT_FRESH)
@@ -87,7 +87,7 @@ def test_ticks_may_pass_2_to_the_32() -> None:
     assert missed.take_ticks(ticks(5, HOLDING)) == []
 
 
-def test_a_fault_is_told_by_its_code() -> None:
+def test_a_fault_is_reported_by_its_code() -> None:
     missed = watching(FLYING)
     missed.take_event(told(101, State.FAULT, Trigger.TRIP))
     [fault] = missed.take_ticks(ticks(101, TRIPPED, TRIPPED))
@@ -98,7 +98,7 @@ def test_a_fault_is_told_by_its_code() -> None:
 
 @pytest.mark.medium
 @pytest.mark.parametrize("lost", [False, True])
-def test_a_session_tells_a_lost_event_once_and_says_that_telemetry_told_it(lost: bool) -> None:
+def test_a_session_reports_a_lost_event_once_with_telemetry_as_source(lost: bool) -> None:
     board = FakeBoard()
     session = Session(FakeLine(board))
     seen: list[LinkEvent] = []

@@ -161,7 +161,7 @@ def test_a_board_that_forgot_the_session_is_greeted_again_and_the_command_execut
     assert session.counters.reconnects == 1
 
 
-def test_a_command_is_not_repeated_to_a_board_that_started_anew() -> None:
+def test_a_command_is_not_repeated_to_a_board_that_restarted() -> None:
     board = FakeBoard()
     session = opened(board)
     session.wait(0.5)

@@ -132,7 +132,7 @@ def _rubbish_until(board: FakeBoard, tick: int) -> Callable[[bytes], bytes]:
 
 
 def _tail_first() -> Callable[[bytes], bytes]:
-    """Whoever opens a port in the middle of a frame sees its tail first."""
+    """A host that opens a port in the middle of a frame sees its tail first."""
     parts: list[bytes] = []
 
     def damage(data: bytes) -> bytes:

@@ -1,4 +1,4 @@
-"""What a line does to a session: cut, damaged, restarted; nothing wrong is accepted, all is counted."""
+"""A line that is cut, damaged or restarted: no wrong frame is accepted, and every loss is counted."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_a_board_silent_for_good_ends_the_wait() -> None:
         session.wait(60.0)
 
 
-def test_a_restart_of_the_board_is_told_apart_from_a_lost_cable() -> None:
+def test_a_restart_of_the_board_is_distinguished_from_a_lost_cable() -> None:
     board = FakeBoard()
     session = Session(FakeLine(board))
     seen = collected(session)
@@ -132,7 +132,7 @@ def test_a_restart_of_the_board_is_told_apart_from_a_lost_cable() -> None:
     assert 1000 <= latest[0] < 1300
 
 
-def test_a_restart_of_which_only_the_ticks_tell_is_noticed() -> None:
+def test_a_restart_that_only_the_ticks_show_is_noticed() -> None:
     board = FakeBoard()
     line = FakeLine(board)
     session = Session(line)

@@ -171,7 +171,7 @@ def test_unplugged_and_plugged_in_again_the_session_goes_on_by_itself(rig: PtyBo
 
 
 @posix
-def test_unplugged_for_good_a_waiting_user_is_told_in_one_line(rig: PtyBoard) -> None:
+def test_unplugged_for_good_a_waiting_user_gets_one_line(rig: PtyBoard) -> None:
     with open_session(rig, reconnect_timeout_s=0.3) as session:
         session.wait(0.1)
         rig.unplug()

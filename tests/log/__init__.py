@@ -1,9 +1,7 @@
 """Claims about logs, tables, exports, figures and summaries, without any board.
 
-`made.py` makes flights by formula, `fuzz_log.py` damages them.
-
-Witnesses: the `mcap` library's own readers (by index and by stream, with CRCs), a ROS 2 decoder that knows
-only the schema, and the measured flights beside the checkout where they are present. Damage is part of the
-room: files cut at any byte, bytes changed in every way that `mutate.py` knows, a writer killed by `kill
--9`, a disk that fills up.
+`made.py` makes flights by formula, and `fuzz_log.py` damages them: files cut at any byte, bytes changed in
+every way of `mutate.py`, a writer ended by `kill -9`, a full disk. Witnesses are the readers of the `mcap`
+library, by index and by stream with checksums, a ROS 2 decoder that knows only the schema, and measured
+flights if the shared data is available.
 """

@@ -28,7 +28,7 @@ def damaged(whole: bytes, chance: random.Random) -> bytes:
     data = bytearray(whole)
     for _ in range(chance.choice((1, 1, 2, 8))):
         at = chance.randrange(len(data))
-        # What stands at the ends is short and decides how the rest is read.
+        # The records at both ends are short, and decide how the rest is read.
         near = chance.choice((at, at % min(4096, len(data)), -1 - at % min(4096, len(data))))
         kind = chance.randrange(6)
         if kind == 0:
@@ -58,7 +58,7 @@ def fuzz_log(seed: int, count: int) -> Counter[str]:
     Returns
     -------
     Counter of str
-        What happened that should not, and how often.
+        Events that should not happen, and how often each happened.
     """
     chance, broken = random.Random(seed), Counter[str]()
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():

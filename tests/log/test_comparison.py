@@ -55,7 +55,7 @@ def test_metrics_of_a_step_are_those_of_the_textbook(ramp_s: float) -> None:
     assert travel.step_s == pytest.approx(AT_s, abs=0.005)
     assert travel.step_deg == pytest.approx(STEP_deg)
     assert travel.overshoot_percent == pytest.approx(overshoot, abs=0.1)
-    # Of a second-order system with this damping: rise 10 to 90 % at 1.463 / w, by its closed form.
+    # A second-order system with this damping rises from 10 to 90 % in 1.463 / w, by its closed form.
     share = np.rad2deg(second_order().travel_rad) / STEP_deg
     t_s = second_order().t_s
     rise_s = t_s[np.argmax(share > 0.9)] - t_s[np.argmax(share > 0.1)]
@@ -110,7 +110,7 @@ def test_a_count_is_measured_per_axis_where_no_log_states_it() -> None:
     flight = counted(second_order(), 1000.0, logged=False)
     count_deg = np.rad2deg(count_rad(flight))
     assert count_deg[2] == pytest.approx(0.36)
-    # Pitch does not move. Not in whole counts are the angles of a flight that no encoder shows.
+    # Pitch does not move. The angles of a flight without encoders are not whole counts.
     assert np.isnan(count_deg[1]) and np.isnan(count_rad(second_order())[2])
 
 
@@ -139,7 +139,7 @@ def test_a_sine_has_no_steps_at_any_rate_of_samples() -> None:
         assert not steps(flight, "elevation") and not steps(flight, "travel")
 
 
-def test_all_steps_are_found_and_the_largest_is_told() -> None:
+def test_all_steps_are_found_and_the_largest_is_reported() -> None:
     t_s = np.arange(0.0, 30.0, 0.001)
     zero = np.zeros_like(t_s)
     wanted = np.deg2rad(np.select([t_s < 5.0, t_s < 15.0], [0.0, 6.0], -4.0))

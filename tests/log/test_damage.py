@@ -1,4 +1,5 @@
-"""Whatever happens to a log's bytes, what is read is what was written, and what is missing is told."""
+"""Whatever happens to the bytes of a log, the reader returns what was written, and reports what is
+missing."""
 
 from __future__ import annotations
 
@@ -114,7 +115,7 @@ def test_no_mutation_of_a_log_that_was_not_closed_makes_a_number_silently_wrong(
         _never_silently_wrong(written, mutated(written.unclosed, seed, last=last))
 
 
-def test_every_flipped_bit_of_the_encoder_parameters_is_told(written: Written) -> None:
+def test_every_flipped_bit_of_the_encoder_parameters_is_reported(written: Written) -> None:
     for data in (written.closed, written.unclosed):
         at = data.index(b"travel_counts_per_rev") + len(b"travel_counts_per_rev") + 4
         for bit in range(8):
@@ -140,7 +141,7 @@ def test_a_parameter_that_does_not_make_the_logged_angles_is_left_out(written: W
     np.testing.assert_allclose(changed.flight().angles_rad, written.angles_rad, rtol=2.0**-22)
 
 
-def test_the_data_crc_is_that_of_the_mcap_library_and_damage_to_it_is_told(written: Written) -> None:
+def test_the_data_crc_is_that_of_the_mcap_library_and_damage_is_reported(written: Written) -> None:
     records = list(StreamReader(io.BytesIO(written.closed), validate_crcs=True, emit_chunks=True).records)
     end = next(record for record in records if isinstance(record, DataEnd))
     assert end.data_section_crc != 0
@@ -215,7 +216,7 @@ def _without_crcs(data: bytes) -> bytes:
     return magic + bytes(builder.end()) + magic  # type: ignore[no-untyped-call]
 
 
-def test_counts_are_held_against_angles_on_every_axis(written: Written) -> None:
+def test_counts_are_compared_with_angles_on_every_axis(written: Written) -> None:
     for axis in AXES:
         old = _without_crcs(written.closed)
         name = f"{axis}_counts_per_rev".encode()

@@ -25,7 +25,7 @@ BATCH = 500
 
 
 class FakeClock:
-    """A time that passes when it is told to."""
+    """A clock that the test sets."""
 
     def __init__(self) -> None:
         self.now_s = 0.0
@@ -110,7 +110,7 @@ def test_thirty_seconds_that_do_not_compress_wait_for_a_blocked_disk(
     assert log.complete and len(log.ticks) == 30_000
 
 
-def test_more_than_may_wait_is_dropped_counted_and_told(
+def test_more_than_may_wait_is_dropped_counted_and_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gate: threading.Event
 ) -> None:
     on_disk(monkeypatch, blocked_until(gate))
@@ -133,7 +133,7 @@ def test_more_than_may_wait_is_dropped_counted_and_told(
     assert any(note.startswith(f"{dropped} ticks were not logged") for note in summarise(log).notes)
 
 
-def test_how_long_the_disk_blocked_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_time_that_the_disk_blocked_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = FakeClock()
 
     def pass_time(writes: int) -> None:
@@ -170,7 +170,7 @@ def test_the_disk_is_made_to_keep_the_log_every_second_or_two_and_its_name_once(
     assert folders == [tmp_path / "new"]
 
 
-def test_a_full_disk_is_told_at_the_next_call_and_leaves_whole_chunks(
+def test_a_full_disk_is_reported_at_the_next_call_and_leaves_whole_chunks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fill_up(writes: int) -> None:

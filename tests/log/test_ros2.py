@@ -1,4 +1,4 @@
-"""What readers that know nothing of this package get out of an export for ROS 2."""
+"""An export for ROS 2, read by readers that know nothing of this package."""
 
 from __future__ import annotations
 

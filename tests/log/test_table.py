@@ -36,7 +36,7 @@ def write(path: Path, *lines: str) -> Path:
 
 
 def told_rates_Hz(folder: Path) -> set[float]:
-    """Rates told by the README of a flight's collection, and by that of one whose format it shares."""
+    """Rates from the README of a collection, and from that of another with the same format."""
     readme = next(at for at in (folder / "README.md", folder.parent / "README.md") if at.exists())
     text = readme.read_text()
     shared = [readme.parent / other / "README.md" for other in re.findall(r"`(\.\./\w+)`", text)]

@@ -1,4 +1,4 @@
-"""What samples and flights show in a notebook: degrees, rates, tables, figures, a text."""
+"""Views of samples and flights in a notebook: degrees, rates, tables, figures, a text."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_a_rate_is_the_derivative_of_what_the_encoder_counts(hertz: float) -> No
     true = 0.3 * 2.0 * np.pi * hertz * np.cos(2.0 * np.pi * hertz * t_s)
     found = rate(t_s, np.round(angle_rad / COUNT_RAD) * COUNT_RAD)
     inside = slice(60, -60)
-    # Half of the parabolas' length loses 4 % at 2 Hz; beside it, the noise that the module states.
+    # Half of the parabolas' length loses 4 % at 2 Hz; the module states the noise, which adds to this.
     assert np.abs(found - true)[inside].max() < 0.05 * np.abs(true).max() + np.deg2rad(0.5)
     assert np.std(rate(t_s, angle_rad)[inside]) == pytest.approx(np.std(true[inside]), rel=0.05)
 

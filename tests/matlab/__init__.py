@@ -1,8 +1,6 @@
 """The class for MATLAB, in Octave.
 
-No MATLAB is here: `docs/matlab/Heli.m` runs in Octave, where Octave and its package instrument-control are;
-else these tests skip and say so.
-
-`test_matlab.py`: its frames are those of the host, and it flies a simulated board over TCP. `frames.m`,
-`flies.m`: what Octave does for that.
+`docs/matlab/Heli.m` runs in Octave with its package instrument-control, because MATLAB is not available
+here. Without Octave these tests skip with that reason. `test_matlab.py` compares its frames with those of
+the host, and flies a simulated board over TCP with the scripts `frames.m` and `flies.m`.
 """

@@ -1,13 +1,11 @@
 """Claims about flights of real machines.
 
-Four pairs of flights of Quanser-type machines, in `../shared/data/measured`; no licence is stated by their
-repositories, so none of them is in this one, and what runs here needs that folder. Tests say `skipped: no
-shared data` without it.
+Four pairs of flights of Quanser-type machines are in `../shared/data/measured`. Their repositories state no
+licence, so that no row of them is copied; only numbers and small figures computed from them are. Without
+that folder, tests say `skipped: no shared data`.
 
-`python -m tests.measured` fits each pair's first flight, predicts the second two seconds ahead, prints the
-tables of docs/validation/measured-flights.md and draws its figures into `docs/figures/`; `--diagnose` lets
-the search name the causes instead of being told them. `pairs.py` has the pairs and the fits, `figures.py`
-the drawings, `__main__.py` the tables.
-
-Only numbers and small figures that were computed from the flights belong here, never rows of them.
+`python -m tests.measured` fits the first flight of each pair, and predicts the second two seconds ahead. It
+prints the tables of docs/validation/measured-flights.md, and draws its figures into `docs/figures`. The
+models have given effects; with `--diagnose`, the search names the causes. `pairs.py` has the pairs and
+fits, `figures.py` the drawings, `__main__.py` the tables.
 """

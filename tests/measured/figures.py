@@ -24,7 +24,7 @@ def figure_of_pair(before: Told, after: Told, title: str) -> Figure:
     before, after : Told
         Refitted baseline and extended model.
     title : str
-        What stands above it.
+        Title.
 
     Returns
     -------
@@ -46,7 +46,7 @@ def figure_of_pair(before: Told, after: Told, title: str) -> Figure:
                 t_s, np.rad2deg(seen.measured_rad[:, 1]), ".", ms=1.5, color=_MEASURED, label="measured"
             )
         for number, window in enumerate(seen.windows):
-            # Runs begin anew, each from the state that fits it best; a line across would hide that.
+            # Each run starts from the state that fits it best; a line across two runs would hide that.
             once = label if number == 0 else None
             angle.plot(
                 t_s[window], np.rad2deg(seen.predicted_rad[window, 1]), color=colour, lw=0.9, label=once

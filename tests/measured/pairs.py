@@ -1,4 +1,4 @@
-"""The measured pairs, and models that are told which effects they have."""
+"""The measured pairs, and models with given effects."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Told:
     effects : tuple of str
         Their ids.
     fit : Fit
-        Of the flight that teaches.
+        Fit of the first flight.
     judges : Record
         The other flight.
     run : FreeRun
@@ -171,7 +171,7 @@ def fitted(
     Returns
     -------
     Fit
-        The likeliest on this flight: where there are several maxima, the flight that teaches chooses.
+        The most likely on this flight; the first flight chooses among several maxima.
     """
     kinds, rig = catalogue(), load_rig(RIG)
     model = MultibodyModel(tuple(kinds[id_].make(kinds[id_].typical) for id_ in effects))
@@ -183,12 +183,12 @@ def cross_validated(one: Told) -> dict[str, dict[str, ErrorReduction]]:
     """Compare a model taught by the other flight with the same model taught by the judging flight itself.
 
     The judged part is halved, and each half is predicted by a fit to the other half and to the first 8 s;
-    that tells the flight's zeros and torques, too.
+    this also gives zeros and torques of the flight.
 
     Parameters
     ----------
     one : Told
-        What the other flight taught.
+        Estimate from the other flight.
 
     Returns
     -------
@@ -207,7 +207,7 @@ def cross_validated(one: Told) -> dict[str, dict[str, ErrorReduction]]:
 
 
 def _rows(record: Record, windows: Sequence[tuple[int, int]]) -> npt.NDArray[np.bool_]:
-    """Which rows lie in these windows: first row and number of rows of each."""
+    """Return the first row and the number of rows of each window."""
     inside = np.zeros(len(record.t_s), bool)
     for first, count in windows:
         inside[first : first + count] = True

@@ -1,10 +1,13 @@
-"""Claims about what is made from a model's symbols, and about effects.
+"""Claims about effects, and about everything that is derived from the symbols of a model.
 
-Claims about what is made from a model's symbols (trim, Jacobians, linearisation, formulas) and about the
-equations as the paper prints them. The models themselves are held against witnesses in `tests/plant/`.
+Trim, Jacobians, linearisation, formulas, and the equations as the paper prints them are derived from
+symbols. `tests/plant` compares the models themselves with witnesses. Claims about effects:
 
-Effects: `test_effects.py` (neutral values, size, derivatives, energy, order), `test_rotor_effects.py`
-(lags, supply, momentum, nested effects), `test_effects_mujoco.py` (MuJoCo makes the same effect by its own
-means), `test_effect_files.py` (command line, rig files, users' files, the documents),
-`test_effects_flown.py` (flown by the simulated board, found in its log; `flown.py` does all).
+| file | claims |
+|---|---|
+| `test_effects.py` | neutral values, size, derivatives, energy, order |
+| `test_rotor_effects.py` | lags, supply, momentum, nested effects |
+| `test_effects_mujoco.py` | MuJoCo makes the same effect by its own means |
+| `test_effect_files.py` | command line, rig files, files of users, documents |
+| `test_effects_flown.py` | an effect of the simulated board is identified from its log; `flown.py` does all |
 """

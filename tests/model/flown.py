@@ -31,7 +31,7 @@ HIDDEN = "zero_offset.travel"
 
 @dataclass(frozen=True)
 class Found:
-    """What a fit made of a flight.
+    """Result of a fit.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def find(kind: EffectSpec, seed: int = 7) -> Found:
     true = kind.make(kind.typical)
     rig = load_rig("makki2024")
     if true.pushes_below_dead_zone:
-        # What the drivers swallow is in no log, and else lies within the dead zone.
+        # The voltage that the drivers lose is in no log; it is within the dead zone.
         rig = rig.replace(driver_dead_band=0.0)
     flight = flown(rig, seed, FLIGHT_S, MultibodyModel((true,)))
     record = prepare(flight, rig, "a")
@@ -68,7 +68,7 @@ def find(kind: EffectSpec, seed: int = 7) -> Found:
 
 
 def searched(kind: EffectSpec) -> dict[str, Prior]:
-    """What a search over moments and frequencies would hand to the fit."""
+    """Priors of moment and frequency, as a search over them would give."""
     near = {kind.full("at_s"): 1.0, kind.full("Hz"): 0.01}
     return {name: Prior(kind.typical[name], near[name], 0.0) for name in near if name in kind.typical}
 

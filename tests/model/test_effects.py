@@ -37,7 +37,7 @@ COUNT_RAD = 2 * np.pi / 4096
 
 
 def everything(model: type[Model]) -> tuple[EffectSpec, ...]:
-    """All that one model may have at once: what contains others is not beside them."""
+    """All effects that a model may have together; an effect that contains others excludes them."""
     return tuple(kind for kind in KINDS.values() if kind.suits(model()) and not kind.contains)
 
 
@@ -135,7 +135,7 @@ def test_all_effects_fit_into_one_model_with_finite_derivatives(model: type[Mode
 
 @pytest.mark.slow
 def test_both_kernels_run_all_effects_at_once_and_agree() -> None:
-    """Also where effects set their states anew after each step."""
+    """This includes effects that set their states again after each step."""
     rig, random = load_rig("makki2024"), np.random.default_rng(6)
     full = MultibodyModel(tuple(kind.make() for kind in everything(MultibodyModel)))
     free = tuple(name for effect in full.effects for name in effect.priors)
@@ -192,7 +192,7 @@ def test_a_lag_follows_the_thrust_that_a_bent_curve_asks_for() -> None:
 
 
 def power_W(model: Model, effect: Effect, x: Floats, volts_V: tuple[float, float]) -> float:
-    """What an effect's torque gives to the axes, at rates that they keep but for it."""
+    """Power that the torque and the friction of an effect give to the axes."""
     symbols = ca.SX.sym("x", len(model.states))
     at = model.operands(symbols, ca.SX(list(volts_V)), ca.SX(model.parameter_values(load_rig("makki2024"))))
     friction = effect.friction_Nm(at, ca.SX.zeros(3), ca.SX.ones(3))

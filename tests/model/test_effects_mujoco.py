@@ -81,7 +81,7 @@ def theirs(
 
 
 def lagged(asked: Floats) -> ReferenceTrajectory:
-    """What follows each row of `asked`, from nothing, with a lag of T_s: exactly, also between the ticks."""
+    """Response to each row of `asked`, from zero, with a lag of T_s: exactly, also between the ticks."""
     left = np.exp(-1e-3 / T_s)
     reached = np.zeros((len(asked) + 1, 2))
     for tick, row in enumerate(asked):

@@ -39,7 +39,7 @@ def rates(
 def accelerations(
     texts: list[str], own: npt.ArrayLike, volts_V: npt.ArrayLike, time_s: float = 0.0, rig: Rig = RIG
 ) -> Floats:
-    """Of a model with effects whose states are `own`, in rad/s2."""
+    """Accelerations of a model with effects whose states are `own`, in rad/s2."""
     model = MultibodyModel(parse_effects(texts))
     return rates(model, np.append(STATE, own), volts_V, time_s, rig)[3:6]
 
@@ -169,7 +169,7 @@ def test_a_flywheel_is_a_gyroscopic_torque_whose_momentum_goes_with_the_speed() 
     assert np.abs(found - accelerations([], [], volts_V)).max() > 0.1
 
 
-def test_a_flywheel_that_speeds_up_turns_the_rig_the_other_way_where_that_is_told() -> None:
+def test_a_flywheel_that_speeds_up_turns_the_rig_the_other_way() -> None:
     volts_V, both_V, T_s = np.array([1.9, 2.3]), 3.1, 0.1
     reaction_Nm = -0.02 * (volts_V.sum() - both_V) / T_s
     arm_m = reaction_Nm / (GAIN_N_per_V * (volts_V - DEAD_V).sum())

@@ -83,9 +83,9 @@ def test_files() -> list[str]:
 
 
 def _digest_of_tests(file: str) -> str:
-    """What a file of tests depends on besides the sources: itself and what helps the tests of its folder."""
-    beside = (path for path in (ROOT / file).parent.glob("*.py") if not path.name.startswith("test_"))
-    return digest(file, *(path.relative_to(ROOT).as_posix() for path in sorted(beside)))
+    """Digest of a file of tests and of the helpers in its folder."""
+    helpers = (path for path in (ROOT / file).parent.glob("*.py") if not path.name.startswith("test_"))
+    return digest(file, *(path.relative_to(ROOT).as_posix() for path in sorted(helpers)))
 
 
 def _look(library: Path, files: list[str]) -> dict[str, Any]:

@@ -38,7 +38,7 @@ class Declaration:
     occurrence : int
         How many equal lines come before it in the file.
     column : int, optional
-        Of the change in the line; needed where the same change is possible twice.
+        Column of the change; needed where the line permits the same change twice.
     """
 
     file: str

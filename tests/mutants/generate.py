@@ -66,7 +66,7 @@ class Mutant:
     occurrence : int
         How many equal lines come before it in the file.
     column : int
-        Of the change, in that line.
+        Column of the change.
     kind : str
         ``relation``, ``arithmetic``, ``logic``, ``operand``, ``condition``, ``constant`` or ``statement``.
     before, after : str
@@ -285,7 +285,7 @@ class _Source:
         )
 
     def _skipped_tokens(self) -> set[int]:
-        """What the compiler proves, attributes, and what only names or aligns."""
+        """Indices of tokens without mutants: static assertions, attributes, names and alignments."""
         skipped: set[int] = set()
         for index, token in enumerate(self._tokens):
             if token.text in ("static_assert", "alignas", "asm", "__asm__", "__attribute__"):

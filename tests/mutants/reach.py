@@ -29,7 +29,7 @@ Hits = npt.NDArray[np.bool_]
 
 @dataclass
 class Reach:
-    """What each test reaches.
+    """Lines that each test reaches.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ class Watch:
             self._failed.add(report.nodeid)
 
     def result(self) -> dict[str, Any]:
-        """Costs, and what is entered, of the tests that passed and are not too dear."""
+        """Costs and entered functions of the tests that passed and are not too expensive."""
         for item in self._items:
             for (name, base), entered in self._shared.items():
                 if name in getattr(item, "fixturenames", ()) and item.nodeid.startswith(base):

@@ -1,4 +1,4 @@
-"""What became of each mutant, kept between runs, and the table of it."""
+"""Result of each mutant, saved between runs, and their table."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DECLARED: Final = "declared"
 
 @dataclass(frozen=True)
 class Result:
-    """What became of a mutant.
+    """Result of a mutant.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ _MEMORY_BYTES: Final = 8 << 30
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the tests made of a build.
+    """Result of the tests of a build.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def run_pytest(files: Sequence[str], plugins: Iterable[object], *options: str) -
     """Run pytest in this process, with nothing of its own kept; its exit code."""
     from tests.running.kept import KEPT
 
-    # What a mutant flew must not be taken for what the flight code flew.
+    # A flight of a mutant must not be kept as one of the flight code.
     KEPT.folder = Path(tempfile.gettempdir()) / "kept"
     return int(pytest.main([*_ARGUMENTS, *options, *files], plugins=list(plugins)))
 
@@ -209,7 +209,7 @@ def _in_child(run: Callable[[], int]) -> None:
 
 
 def _read_until_end(reading: int, most_s: float) -> tuple[bytes, bool]:
-    """What a child wrote, and whether it closed its end in time."""
+    """Output of a child, and whether it closed its end in time."""
     import select
 
     said, deadline_s = b"", time.monotonic() + most_s

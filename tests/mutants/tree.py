@@ -84,7 +84,7 @@ class Tree:
 
 
 def digest(*folders: str) -> str:
-    """What identifies the sources, tests and tables of folders or files."""
+    """Digest of the sources, tests and tables of folders or files."""
     content = hashlib.sha256()
     for folder in folders:
         place = ROOT / folder

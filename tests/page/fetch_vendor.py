@@ -1,4 +1,4 @@
-"""Write the page's copies of other people's code from npm's tarballs, which are held against pinned hashes.
+"""Write the page's copies of other people's code from npm's tarballs, whose hashes are pinned.
 
 ``python tests/page/fetch_vendor.py``: needed only when a version in ``vendor.toml`` changes.
 """

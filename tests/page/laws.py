@@ -1,4 +1,4 @@
-"""Laws for the page's tests: one that flies and tells what it wants, and one that does so for a second."""
+"""Laws for the page's tests: one that flies and sends its setpoint, and one that does so for a second."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a page's server logs, line by line."""
+"""Lines that the server of a page logs."""
 
 from __future__ import annotations
 
@@ -34,5 +34,5 @@ def log_lines() -> Iterator[list[str]]:
 
 
 def traces(lines: list[str]) -> list[str]:
-    """What a person would take for a crash: more than one line for one cause, or words of asyncio."""
+    """Lines that look like a crash: several for one cause, or words of asyncio."""
     return [line for line in lines if "\n" in line or "never retrieved" in line]

@@ -36,7 +36,7 @@ duration_s = 2
 
 @dataclass(frozen=True)
 class Served:
-    """What a test has in hand."""
+    """A running server: its client, its address and the folder of its logs."""
 
     heli: Heli
     address: Address

@@ -82,7 +82,7 @@ def run_motors(served: Served) -> None:
     heli.control(Axes(0), front_V=0.8, back_V=0.8)
 
 
-# What has the focus, and what is pressed then.
+# Element with the focus, and the key that is pressed then.
 WAYS = {
     "space": ("body", "Space"),
     "escape": ("body", "Escape"),
@@ -397,7 +397,7 @@ def test_a_law_is_chosen_its_signal_drawn_and_why_it_was_taken_over_said(
         assert not opened.wrong
 
 
-def test_a_tab_that_is_loaded_anew_keeps_its_seat(served: Served, window: Tabs) -> None:
+def test_a_tab_that_is_reloaded_keeps_control(served: Served, window: Tabs) -> None:
     page = window.open(served.address.page)
     window.open(served.address.page)
     page.reload()
@@ -477,7 +477,7 @@ def test_everything_has_its_place_and_axe_finds_nothing_serious(
         for name in TABS:
             click(page, f"#tab-{name}")
             page.wait_for_timeout(200)
-            # What axe finds goes by the page's text and colours, which are the same at every size.
+            # Findings of axe depend on text and colours, which are the same at every size.
             if size == WIDE or name == TABS[0] or LONG:
                 found = axe.run(page).response["violations"]
                 serious = [one for one in found if one["impact"] in ("serious", "critical")]

@@ -1,4 +1,4 @@
-"""One pilot: the first, until he hands over or is gone and somebody asks."""
+"""There is one pilot: the first, until they hand over, or are gone and another page asks."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_who_does_not_fly_neither_hands_over_nor_keeps() -> None:
     assert lease.asking is None
 
 
-def test_a_pilot_is_present_as_long_as_his_last_sign_is_fresh() -> None:
+def test_a_pilot_is_present_as_long_as_the_last_sign_of_life_is_fresh() -> None:
     lease = two()
     lease.beat("a", 10.0)
     lease.beat("b", 20.0)
@@ -38,7 +38,7 @@ def test_a_pilot_is_present_as_long_as_his_last_sign_is_fresh() -> None:
     assert not lease.present(10.0 + PRESENT_S + 0.01)
 
 
-def test_a_pilot_who_left_is_absent_at_once_and_has_his_seat_when_he_is_back() -> None:
+def test_a_pilot_who_left_is_absent_at_once_and_has_control_when_back() -> None:
     lease = two()
     lease.beat("a", 1.0)
     lease.leave("a")
@@ -48,7 +48,7 @@ def test_a_pilot_who_left_is_absent_at_once_and_has_his_seat_when_he_is_back() -
     assert lease.present(1.1)
 
 
-def test_control_of_an_absent_pilot_is_had_by_asking_and_he_watches_when_he_is_back() -> None:
+def test_control_of_an_absent_pilot_can_be_taken_and_the_pilot_watches() -> None:
     lease = two()
     lease.beat("a", 1.0)
     assert not lease.ask("b", 1.0 + ABSENT_S)

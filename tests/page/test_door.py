@@ -1,4 +1,4 @@
-"""What anybody may send to the page's server: it is answered in one line, and costs nobody the status."""
+"""Any message to the server of the page gets one line as answer, and no client misses the status."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_a_take_off_to_nowhere_arms_nothing(served: Served) -> None:
         assert page.state == "idle"
 
 
-def test_a_status_that_cannot_be_written_is_logged_once_and_told_again_when_it_can(
+def test_a_status_that_cannot_be_written_is_logged_once_and_sent_later(
     served: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     status = Cockpit.status

@@ -1,5 +1,4 @@
-"""What the browser gets: our own few lines, other people's as they were published, and nothing from
-elsewhere."""
+"""The browser gets our few lines, other projects' files as published, and nothing from other servers."""
 
 from __future__ import annotations
 

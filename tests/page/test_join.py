@@ -1,4 +1,5 @@
-"""What a program may hand to `heli_host.join` and to what it returns: an answer, or an error of one line."""
+"""Each value that a program gives to `heli_host.join` and to its result gets an answer, or an error of one
+line."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def test_a_law_is_brought_on_the_table_and_flies_after_the_take_off(heli: Heli) 
     assert flies(heli)
 
 
-def test_why_the_board_took_over_is_told_until_another_choice(heli: Heli) -> None:
+def test_the_reason_of_a_takeover_is_shown_until_another_choice(heli: Heli) -> None:
     laws = LawChoice(heli, [STEADY, TIRED])
     heli.session.subscribe_events(laws.take_event)
     laws.choose("tired")
@@ -67,7 +67,7 @@ def test_why_the_board_took_over_is_told_until_another_choice(heli: Heli) -> Non
     assert laws.status() == {"chosen": "steady", "flies": False, "taken_over": "", "values": {"kp": 16.0}}
 
 
-def test_a_landing_is_nothing_to_be_told_of(heli: Heli) -> None:
+def test_a_landing_is_not_reported_as_a_takeover(heli: Heli) -> None:
     laws = LawChoice(heli, [STEADY])
     heli.session.subscribe_events(laws.take_event)
     laws.choose("steady")
@@ -85,7 +85,7 @@ def test_what_cannot_be_chosen_is_said(heli: Heli) -> None:
         LawChoice(heli, [STEADY, STEADY])
 
 
-def test_a_parameter_of_the_law_is_changed_in_flight_and_kept_when_it_is_brought_anew(heli: Heli) -> None:
+def test_a_parameter_changed_in_flight_is_kept_when_the_law_is_sent_again(heli: Heli) -> None:
     laws = LawChoice(heli, [STEADY, TIRED])
     with pytest.raises(ParameterError, match="no control law is chosen"):
         laws.set("kp", 20.0)

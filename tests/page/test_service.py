@@ -346,7 +346,7 @@ def test_a_second_program_joins_tunes_and_flies_once_it_is_let(served: Served) -
         program.wait_for_state(State.IDLE)
 
 
-def test_who_gives_no_page_s_address_is_told_so(served: Served) -> None:
+def test_a_program_with_an_address_of_no_page_gets_an_error(served: Served) -> None:
     with pytest.raises(PortError, match="is not the address of a dashboard"):
         heli_host.join("page://127.0.0.1:1")
     with pytest.raises(LinkError, match="refuses the connection"):
@@ -364,7 +364,7 @@ def test_a_server_that_is_killed_is_a_missing_setpoint_and_the_board_lands(tmp_p
                 server.kill()
                 server.wait()
         with heli_host.connect(board.url, keep_alive=False) as heli:
-            # What led to the landing stays in telemetry until the next take-off.
+            # The cause of the landing stays in telemetry until the next take-off.
             landed = heli.wait_until(lambda sample: sample.state is State.IDLE, 60.0)
             assert landed.trigger is Trigger.STALE_LAND
 

@@ -65,7 +65,7 @@ def test_more_than_fits_keeps_the_newest() -> None:
     check_rows(cut)
 
 
-def test_what_was_cleared_is_not_read_and_the_reader_is_told() -> None:
+def test_cleared_rows_are_not_read_and_the_reader_is_informed() -> None:
     buffer = TelemetryBuffer(100)
     buffer.append(*rows(0, 20))
     buffer.clear()
@@ -89,7 +89,7 @@ def test_a_frame_holds_what_was_packed(first: int, count: int, reset: bool, thin
 @pytest.mark.parametrize(
     "damage", [lambda b: b[:-1], lambda b: b[:10], lambda b: b"\2" + b[1:], lambda b: b + b"\0"]
 )
-def test_what_is_no_frame_is_told_apart(damage: object) -> None:
+def test_bytes_that_are_no_frame_are_recognised(damage: object) -> None:
     assert callable(damage)
     with pytest.raises(LinkError):
         unpack(damage(pack(Cut(*rows(3, 4), 4, False, False), 1, (4, 12))))

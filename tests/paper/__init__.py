@@ -1,6 +1,5 @@
-"""Claims about the paper.
+"""Claims about the project's account of the paper.
 
-Claims about what the project says of the paper: its equations as printed, its bench tests on a locked rig,
-Table 6's two readings, the figures, and that every number in docs/validation/paper.md is what the commands
-print today.
+The equations as printed, bench tests on a locked rig, the two readings of Table 6, and the figures. Every
+number in docs/validation/paper.md is what the commands print today.
 """

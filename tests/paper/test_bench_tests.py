@@ -54,7 +54,7 @@ def test_on_a_rig_that_obeys_30_its_coefficients_are_found_within_three_standard
     assert all(table.normalised <= 1.05 for table in by_paper.values())
 
 
-def test_what_the_papers_own_tests_cannot_tell_is_not_given_a_value(by_paper: dict[int, Table]) -> None:
+def test_a_parameter_that_the_papers_tests_cannot_show_gets_no_value(by_paper: dict[int, Table]) -> None:
     untold = {row.name for table in by_paper.values() for row in table.rows if row.estimate is None}
     assert untold == {"P_11", "P_1", "P_5", "P_15", "P_17", "P_18"}
 

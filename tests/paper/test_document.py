@@ -91,7 +91,7 @@ def equilibrium_deg(p: Mapping[str, float]) -> float:
     return math.degrees(math.atan2(p["P_2"], -p["P_3"]) + turn)
 
 
-def test_the_sensitivities_told_are_those_of_the_figure() -> None:
+def test_the_stated_sensitivities_are_those_of_the_figure() -> None:
     base = analytic(load_rig("makki2024"))
     rest_deg = equilibrium_deg(base)
     computed = {

@@ -53,7 +53,7 @@ def test_drag_as_printed_lacks_its_arm() -> None:
 def test_24_turns_travel_by_a_difference_of_thrusts_at_level_elevation_and_a_multibody_model_does_not() -> (
     None
 ):
-    """What a difference does turn, at elevation, is travel with the arm -L_h sin(elevation)."""
+    """At elevation, a difference turns travel, with the arm -L_h sin(elevation)."""
     tilted = np.array([0.0, 0.3, 0.0, 0.0, 0.0, 0.0])
     more, less = (HOVER[0] + 0.2, HOVER[1] - 0.2), (HOVER[0] - 0.2, HOVER[1] + 0.2)
     turned = rates(PRINTED, RIG, tilted, more)[5] - rates(PRINTED, RIG, tilted, less)[5]
@@ -79,7 +79,8 @@ def test_no_pitch_gives_table_2s_J_theta() -> None:
 
 
 def test_phi_minus_delta_holds_at_either_sign_of_phi() -> None:
-    """(11) beside (10): a mass L_1 beside and L_1 tan(delta) below the axis, turned by a signed phi."""
+    """(11) compared with (10): a mass L_1 next to and L_1 tan(delta) below the axis, turned by a signed
+    phi."""
     beside, delta = 0.275, math.atan(0.03 / 0.275)
     for phi in (-0.3, 0.1, 0.4):
         below = beside * math.tan(delta)

@@ -1,5 +1,6 @@
 """Claims about rigs, models and the compiled plant.
 
-Witnesses: closed forms, conserved energy, the numbers of the paper, and scipy's integrator on the same
-symbols; never the plant's own code. `toys.py` holds rigs and effects simple enough to have exact solutions.
+Witnesses are closed forms, conserved energy, numbers of the paper, and SciPy's integrator on the same
+symbols; never the code of the plant. `toys.py` has rigs and effects that are simple enough for exact
+solutions.
 """

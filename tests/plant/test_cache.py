@@ -34,7 +34,7 @@ def build() -> Path:
 
 @needs_compiler
 @pytest.mark.medium
-def test_a_library_that_a_power_cut_left_damaged_is_built_anew() -> None:
+def test_a_library_that_a_power_cut_damaged_is_built_again() -> None:
     library = build()
     whole = library.read_bytes()
     for damaged in (b"", whole[:700], whole[: len(whole) // 2], whole[:-1], bytes(len(whole)), whole[:-2000]):
@@ -56,7 +56,7 @@ def test_a_whole_library_is_not_built_again(monkeypatch: pytest.MonkeyPatch) -> 
 
 @needs_compiler
 @pytest.mark.medium
-def test_a_library_of_a_version_that_kept_no_digest_is_built_anew() -> None:
+def test_a_library_of_a_version_without_digests_is_built_again() -> None:
     library = build()
     library.write_bytes(library.read_bytes().partition(b"\nheli_sim sha256 ")[0])
     ctypes.CDLL(str(library))
@@ -111,7 +111,7 @@ def test_a_library_that_others_can_write_is_not_loaded(folder: Path) -> None:
 
 
 @posix
-def test_a_cache_of_another_user_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cache_of_another_user_is_reported(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder.mkdir()
     monkeypatch.setattr("heli_sim.cache.os.geteuid", lambda: folder.stat().st_uid + 1)
     if folder.stat().st_uid != 0:

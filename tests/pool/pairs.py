@@ -1,10 +1,10 @@
 """`python -m tests.pool.pairs`: benefit of the strongly excited flight of one rig for another rig of its
 type.
 
-Two rigs of one type fly in MuJoCo with disturbances and a rotor lag: one flight is strongly excited
-("lively"), the other weakly ("gentle"). The parameters of the second rig are estimated from its flight with
-the rig file as prior, and with the pooled prior from the first rig. Both estimates are evaluated on another
-lively and another gentle flight of the second rig, by the log-likelihood of the innovations and by open-loop
+Two rigs of one type fly in MuJoCo with disturbances and a rotor lag: one flight is strongly excited, the
+other weakly. The parameters of the second rig are estimated from its flight with
+the rig file as prior, and with the pooled prior from the first rig. Both estimates are evaluated on
+another flight of each kind of the second rig, by the log-likelihood of the innovations and by open-loop
 errors over 2 s. The true population, with the standard deviation between its rigs, gives the best result that
 pooling can reach.
 """
@@ -129,10 +129,13 @@ def compare_pair(number: int) -> dict[str, Any]:
     -------
     dict
         For each evaluation flight, ``lively`` and ``gentle``, and each prior, ``by_file``, ``by_make`` and
-        ``as_drawn``: the ``log_likelihood`` of the flight, with its constants and disturbances estimated; the
-        open-loop RMS error over 2 s by axis (``deg``) and over all axes in standard deviations of the
-        quantisation (``normalised``). For each of the ``numbers``: true value, mean and standard deviation of
-        the pooled prior.
+        ``as_drawn``:
+
+        - ``log_likelihood`` of the flight, with its constants and disturbances estimated;
+        - ``deg``: open-loop RMS error over 2 s by axis;
+        - ``normalised``: the same over all axes, in standard deviations of the quantisation.
+
+        For each of the ``numbers``: true value, mean and standard deviation of the pooled prior.
     """
     nominal = load_rig("makki2024")
     excited, gentle = pair_cases(number)

@@ -1,6 +1,5 @@
-"""Claims about the repository itself.
+"""Claims about the repository itself; nothing flies here.
 
-That generated files are fresh, that every public argument is documented, that what the documents tell a
-reader to type works, that no path of a build machine is in the tree, that an installation carries nothing
-of the tests. Nothing here flies.
+Generated files are fresh, every public argument is documented, commands in the documents work, no path of a
+build machine is in the tree, and an installation carries nothing of the tests.
 """

@@ -1,8 +1,8 @@
 """Every public function, class and argument of all packages is documented, in numpydoc.
 
 An argument is documented by an entry of its own, by its name in backticks in the sentences above the
-entries, or by the method that is overridden. It needs no entry if its name and its type say everything: its
-type is a class of these packages, or it is a number whose name ends in a unit, a path, or a seed. An entry
+entries, or by the method that is overridden. It needs no entry if its name and its type say everything.
+That is so for a class of these packages, a number whose name ends in a unit, a path, and a seed. An entry
 must say more than the name and the type: a unit, a shape, a range or a meaning.
 """
 

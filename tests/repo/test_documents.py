@@ -1,4 +1,4 @@
-"""What the documents tell a reader to type works.
+"""Commands in the documents work.
 
 In a fence ```console every line that starts with ``$`` is a command: its verb and options must exist. A fence
 ```console run, or ```python run, is run, each document in one empty folder from top to bottom. One with
@@ -34,7 +34,7 @@ class Block:
     Parameters
     ----------
     language : str
-        What it is written in.
+        Language of the block.
     runs : bool
         Whether it is to be run.
     is_long : bool

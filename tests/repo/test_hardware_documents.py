@@ -1,4 +1,4 @@
-"""What the documents say of the hardware is what the firmware and the host do."""
+"""The documents of the hardware agree with firmware and host."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ NOT_SIMULATED = {"doctor", "ports", "flash", "sil"}
 TIED = "tied.toml"
 FALL_s = 1.5
 """Time in which the arm, with the drivers off, has come to rest on the table."""
-# Of the table of rehearsals: what is typed at the board, the command, what it ends with.
+# A row of the table of rehearsals: input at the board, command, end of the flight.
 REHEARSAL = re.compile(r"^\| `([a-z ]+)` \| `heli-host (.+)` \| `(.+)` \|$", re.MULTILINE)
 
 
@@ -75,7 +75,7 @@ def test_the_wiring_table_is_the_firmwares_pins() -> None:
     assert len(table()) == 17
 
 
-def test_no_pin_is_used_twice_or_beside_its_shorted_twin() -> None:
+def test_no_pin_is_used_twice_or_together_with_its_shorted_twin() -> None:
     printed = [due for due, _ in table().values()]
     chips = [chip for _, chip in table().values()]
     assert len(set(printed)) == len(printed)

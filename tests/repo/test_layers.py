@@ -170,7 +170,7 @@ def copy_to(folder: Path) -> None:
 
 
 def lint(folder: Path) -> dict[str, str]:
-    """What the linter says of each contract that is broken, by the contract's name.
+    """Messages of the linter by the name of the broken contract.
 
     Without the module `site`, the file that hooks in the installed packages is not read, and the copy is what
     is found.
@@ -196,7 +196,7 @@ def lint(folder: Path) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def spoiled(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """What the linter says of a copy with every wrong import, and a module in no layer."""
+    """Messages of the linter about a copy with every wrong import, and a module in no layer."""
     pytest.importorskip("importlinter", reason="skipped: no import-linter, which make setup installs")
     folder = tmp_path_factory.mktemp("layers")
     copy_to(folder)

@@ -1,4 +1,4 @@
-"""What a verb prints of names that others chose goes through ``say`` or ``printable``."""
+"""Verbs print names that others chose through ``say`` or ``printable``."""
 
 from __future__ import annotations
 

@@ -34,7 +34,8 @@ def folders() -> list[Path]:
 
 
 def purpose_of(folder: Path) -> str:
-    """What a folder is for: its README, or for tests the docstring of its package; or those of its parent."""
+    """Purpose of a folder: its README, or for tests the docstring of its package; or those of its
+    parent."""
     for place in (folder, folder.parent):
         for name in ("README.md", "__init__.py"):
             text = (place / name).read_text() if (place / name).exists() and place != ROOT else ""
@@ -57,7 +58,7 @@ def test_no_path_of_a_build_machine() -> None:
 
 
 def skipped_by_mypy() -> list[str]:
-    """Parts of libraries whose types mypy is told not to read."""
+    """Parts of libraries whose types mypy does not read."""
     overrides = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["mypy"]["overrides"]
     (skipped,) = (one["module"] for one in overrides if one.get("follow_imports") == "skip")
     return [name.removesuffix(".*") for name in skipped]
@@ -89,7 +90,7 @@ def test_a_folder_says_what_it_is_for(folder: Path) -> None:
 
 
 def first_words(path: Path) -> str:
-    """What the first lines of a source say that it is."""
+    """Description of a source in its first lines."""
     text = path.read_text()
     if path.suffix == ".py":
         return (ast.get_docstring(ast.parse(text)) or "") if text.strip() else "empty"
@@ -101,7 +102,7 @@ def test_a_source_file_says_first_what_it_is() -> None:
         path for path in tracked() if path.suffix in (".py", ".hpp", ".js") and "vendor" not in path.parts
     ]
     silent = [str(path.relative_to(ROOT)) for path in sources if len(first_words(path).strip()) < 5]
-    # What a test claims, and what a notebook teaches, is in its names and its cells.
+    # A test states its claim in its name, and a notebook its subject in its cells.
     allowed = ("tests/", "docs/course/", "docs/laws/")
     assert not [path for path in silent if not path.startswith(allowed)]
 

@@ -1,4 +1,4 @@
-"""What each shipped rig claims follows from its own numbers."""
+"""The claims of each shipped rig follow from its parameters."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_a_negative_mass_is_refused_by_name(tmp_path: Path) -> None:
         load_rig(file_with(tmp_path, r"(\[M_w\]\nvalue = )", r"\g<1>-"))
 
 
-def test_every_arrangement_within_the_tolerances_lies_in_the_range() -> None:
+def test_every_arrangement_within_the_tolerances_is_within_the_range() -> None:
     rig = load_rig("makki2024")
     names = [name for name in rig if name.startswith(("M_", "L_"))]
     centre = {name: rig[name].value for name in names}

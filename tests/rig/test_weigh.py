@@ -81,7 +81,7 @@ def test_numbers_that_were_hidden_are_found_within_their_tolerances() -> None:
         assert number.tolerance < known[name].tolerance
         assert "bench" in number.source
     assert weighed.rig["thrust_gain"].tolerance < 0.02
-    # What the tests tell together they tell better than any number by itself.
+    # The tests together show more than any single number.
     assert all(one.off < 0.5 for one in weighed.tested if "thrust" not in one.what)
     before = {one.what: abs(one.before - one.read) / one.tolerance for one in weighed.tested}
     assert before["elevation of balance"] > 1.0 and before["decrement of pitch"] > 1.0

@@ -1,4 +1,4 @@
-"""How tests are run.
+"""How tests are run: plugins of pytest, which `tests/conftest.py` loads.
 
-Plugins of pytest, loaded by `tests/conftest.py`. Does not belong here: claims about the project.
+Does not belong here: claims about the project.
 """

@@ -1,11 +1,12 @@
 """CPU time of tests, and the limit above which a test needs a marker.
 
-The cost of a test is the CPU time that it would need alone: its set-up and call, and the making of each
-shared fixture and each kept result that it uses, whichever test made them. So no test passes only because
+The cost of a test is the CPU time that it would need alone. It includes set-up and call, and each shared
+fixture and kept result that the test uses, whichever test made them. So no test passes only because
 another one ran first. Child processes count once they have ended. Waiting costs nothing.
 
 On a busy machine the same work takes up to three times the CPU time. A test above its limit is therefore
-compared with the machine: a fixed piece of work, which takes `IDLE_WORK_S` on an idle machine, is timed right
+compared with the machine. A fixed piece of work, which takes `IDLE_WORK_S` on an idle machine, is timed
+right
 after the test, and the cost is divided by the ratio.
 """
 

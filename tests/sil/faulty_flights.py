@@ -38,7 +38,7 @@ Row = tuple[int, bytes]
 
 @dataclass
 class Heard:
-    """What the board sent, as far as the line carried it to where its faults begin."""
+    """Bytes of the board up to the first fault of the line."""
 
     rows: set[Row] = field(default_factory=set)
     events: list[EventMessage] = field(default_factory=list)
@@ -69,7 +69,7 @@ class Heard:
         return None
 
     def fault(self) -> Fault:
-        """The fault that was told first."""
+        """The fault that was reported first."""
         return next((Fault(e.detail) for e in self.events if e.kind == Event.FAULT), Fault.NONE)
 
 
@@ -85,7 +85,7 @@ class Case:
     Parameters
     ----------
     options : str
-        Of the line, as in a ``sil://`` address.
+        Faults of the line, as in a ``sil://`` address.
     at_s : float
         When the blow comes, device time since the loops were closed.
     blow : str
@@ -145,7 +145,7 @@ class Flown:
     Parameters
     ----------
     delivered : list of Ticks
-        What the host was given.
+        Bytes that the host received.
     since_tick : int
         Newest tick before the first of them.
     volts_V : list of float
@@ -221,7 +221,7 @@ def wrong(flight: Flown) -> list[str]:
 
 
 def reason(flight: Flown) -> str:
-    """What the outcome of a flight must say."""
+    """Words that the outcome of a flight must contain."""
     blow, silent_s = flight.case.blow, flight.case.silent_s
     if blow in ("power", "reset"):
         return f"restarted ({'power_up' if blow == 'power' else 'user'})"

@@ -1,7 +1,7 @@
 """Boards whose time goes on with the machine's, flown on a machine that may stall.
 
-At ten times real time the half second after which a board holds is 50 ms of the machine's, and the two after
-which it lands are 200: a machine that stalls for a second must not end what a test flies.
+A board holds after half a second, and lands after two. At ten times real time these are 50 ms and 200 ms.
+A machine that stalls for a second must not end the flight of a test.
 """
 
 from __future__ import annotations

@@ -114,7 +114,7 @@ def test_a_pulled_cable_resets_no_board_and_the_session_goes_on(board: Board) ->
         assert world_of(heli).board.sim.boots == boots
 
 
-def test_a_hung_idle_loop_is_reset_by_the_watchdog_and_the_session_is_told_why(elf: Path) -> None:
+def test_a_hung_idle_loop_is_reset_and_the_session_gets_the_reason(elf: Path) -> None:
     with heli_host.connect(url({"board": "due", "elf": str(elf)})) as heli:
         due = due_of(world_of(heli)).sim.due
         address = read_image(elf).address(POLL)

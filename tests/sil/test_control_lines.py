@@ -134,7 +134,7 @@ def test_a_flight_survives_a_host_that_dies_where_opening_resets_nothing(elf: Pa
             second.land()
 
 
-def test_lines_tell_only_of_changes() -> None:
+def test_lines_report_only_changes() -> None:
     changes: list[LineChange] = []
     lines = Lines(changes)
     lines.baudrate = 250_000
@@ -202,7 +202,7 @@ def test_1200_baud_is_refused_by_the_host_and_would_have_erased_the_flash(elf: P
             heli_host.connect(due.url, baud=1200)
         with heli_host.connect(due.url) as heli:
             assert heli.info.board == "Arduino Due"
-        # What the host will not do.
+        # Request that the host refuses.
         serial.serial_for_url(due.url, 1200).close()
         with pytest.raises(HandshakeTimeout):
             heli_host.connect(due.url, handshake_timeout_s=1.0)

@@ -149,7 +149,7 @@ def test_edges_of_a_millisecond_come_between_its_command_and_the_next_tick(build
     assert board.due.cycles < board.due.last_entry_cycle(SYSTICK) + 84_000
 
 
-def test_an_arm_that_is_put_elsewhere_is_told_by_edges(image: Image) -> None:
+def test_an_arm_that_is_moved_gives_edges(image: Image) -> None:
     board = booted(image)
     for _ in range(10):
         board.run((1000, 0, -400), [])

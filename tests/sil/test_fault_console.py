@@ -1,4 +1,4 @@
-"""What a person types at a served board goes wrong on its rig, until he says otherwise."""
+"""A fault that a user types at a served board acts on its rig, until the user ends it."""
 
 from __future__ import annotations
 

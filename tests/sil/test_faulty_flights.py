@@ -1,4 +1,4 @@
-"""Whatever happens to a flight: no wrong tick, every loss counted, the true reason told, motors off."""
+"""Whatever happens to a flight: no wrong tick, every loss counted, the true reason reported, motors off."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ pytestmark = pytest.mark.slow
 FLIGHTS = 150
 
 
-def test_every_faulty_flight_is_told_as_it_was() -> None:
+def test_every_faulty_flight_is_reported_as_it_was() -> None:
     reasons: Counter[str] = Counter()
     complaints = []
     for number in range(samples(FLIGHTS, len(BLOWS))):

@@ -76,5 +76,5 @@ def test_a_host_that_does_not_read_loses_bytes_and_the_rest_arrives() -> None:
     lost = host.world.native.line_counters()["to_host_overflow"] - before["to_host_overflow"]
     assert lost > 1000
     host.world.host_reading = True
-    # What the ring of 128 bytes kept comes first.
+    # The bytes in the ring of 128 come first.
     assert 0 < len(host.world.advance(5)) <= 128 + 5 * 25

@@ -81,7 +81,7 @@ def test_it_ends_when_the_process_that_started_it_is_killed(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
-def test_a_server_told_to_end_takes_its_port_away(tmp_path: Path, number: signal.Signals) -> None:
+def test_a_server_that_is_ended_takes_its_port_away(tmp_path: Path, number: signal.Signals) -> None:
     path = tmp_path / "due"
     server = subprocess.Popen(
         [sys.executable, "-m", "heli_sim.sil.server", "--pty", str(path), "--options", "speed=1"],

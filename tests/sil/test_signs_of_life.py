@@ -15,7 +15,7 @@ from tests.fly.fault_flights import world_of
 
 @pytest.mark.medium
 def test_a_clock_that_seems_to_race_does_not_flood_the_board(monkeypatch: pytest.MonkeyPatch) -> None:
-    # What the fit gives when a port that was read slowly hands out all that waited in it.
+    # Result of the fit when a port that was read slowly delivers all waiting bytes.
     racing = ClockEstimate(0, 0.0, 1e-9, 0.0, 0.0)
     sent: Counter[int] = Counter()
     with heli_host.connect("sil://?seed=3&speed=max") as heli:

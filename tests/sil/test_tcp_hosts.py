@@ -1,4 +1,4 @@
-"""Hosts at one TCP port: who is silent gives way, and who waits is told for whom."""
+"""Hosts at one TCP port: a silent host gives way, and a waiting host learns which host has the board."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from heli_sim.sil.tcp import PATIENCE_S, SILENT_S, TcpEndpoint
 
 
 class FakeClock:
-    """A time that passes when it is told to."""
+    """A clock that the test sets."""
 
     def __init__(self) -> None:
         self.now_s = 100.0
@@ -53,7 +53,9 @@ def until(endpoint: TcpEndpoint, so: Callable[[bytes], bool]) -> None:
     pytest.fail("it never came")
 
 
-def test_the_next_host_is_told_who_holds_the_board_and_waits(endpoint: TcpEndpoint, clock: FakeClock) -> None:
+def test_the_next_host_learns_which_host_has_the_board_and_waits(
+    endpoint: TcpEndpoint, clock: FakeClock
+) -> None:
     first = connected(endpoint)
     first.send(b"first")
     until(endpoint, lambda data: data == b"first")
@@ -115,7 +117,7 @@ def test_a_host_that_gave_up_waiting_makes_room_for_another(endpoint: TcpEndpoin
     third.close()
 
 
-def test_a_session_says_what_it_was_told() -> None:
+def test_a_session_reports_the_waiting_message() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         transport = open_transport(f"socket://127.0.0.1:{port}")

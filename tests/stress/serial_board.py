@@ -38,7 +38,7 @@ _LANDINGS: Final = (MessageId.LAND, MessageId.STOP)
 
 @dataclass
 class Truth:
-    """What the board's side of the port shows, in ticks of the board; -1 for what has not happened.
+    """Events at the board's side of the port, in ticks of the board; -1 for an event that has not happened.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ class SerialBoard:
     path : Path
         Name of the port.
     seed : int
-        Of the simulation.
+        Seed of the simulation.
     speed : float
         Simulated seconds per second.
     """

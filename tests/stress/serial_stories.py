@@ -112,7 +112,7 @@ class Lived:
     code : int
         The host's exit code; -1 for one that did not end.
     outcome : str
-        What the host reported: the summary's outcome, or its error where there was no flight.
+        Report of the host: the outcome in the summary, or its error if there was no flight.
     landed_s : float
         From the newest setpoint to motors off; 0 where the host ended the flight or none was flown.
     """

@@ -60,14 +60,14 @@ _PAGE_KB: Final = os.sysconf("SC_PAGE_SIZE") // 1024 if hasattr(os, "sysconf") e
 
 @dataclass
 class Soak:
-    """What a soak measured.
+    """Result of a soak.
 
     Attributes
     ----------
     minutes : float
         How long it took.
     acts : Counter of str
-        What clients did, and how often.
+        Actions of the clients, and their counts.
     lost_ticks, gaps : int
         Samples that the host missed, and samples missing in the logs.
     memory_kB : list of (float, int)
@@ -129,12 +129,12 @@ class Soak:
 
 
 class Clients:
-    """What clients do to a page's server, one act at a time.
+    """Actions of clients, one at a time.
 
     Parameters
     ----------
     address : Address
-        Of the server.
+        Address of the server.
     """
 
     def __init__(self, address: Address, lateness: Lateness) -> None:
@@ -274,7 +274,7 @@ def soak(minutes: float, seed: int, say: Callable[[str], None] = print) -> Soak:
     minutes : float
         How long.
     seed : int
-        Of what the clients do.
+        Seed of the actions.
     say : callable
         Takes a line now and then.
     """

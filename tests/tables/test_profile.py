@@ -57,7 +57,7 @@ def test_a_profile_survives_its_file(tmp_path: Path) -> None:
     path = tmp_path / "p.toml"
     path.write_text(profile_text(PROFILE))
     read = read_profile(path)
-    # What has no meaning for a unit is not written.
+    # Options without a meaning for a unit are not written.
     assert read == dataclasses.replace(
         PROFILE, voltages={**PROFILE.voltages, "difference": Voltage("d", "mV", sign=-1.0)}
     )

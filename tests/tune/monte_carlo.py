@@ -64,7 +64,7 @@ def flown(settings: Mapping[str, Any]) -> tuple[dict[str, Any], Any]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Fly them and tell; 0 when every case ended and none hit a limit."""
+    """Fly all cases and print the result. Return 0 if every case ended and none reached a limit."""
     parser = argparse.ArgumentParser(prog="python -m tests.tune.monte_carlo", description=__doc__)
     parser.add_argument("--rigs", type=int, default=200)
     parser.add_argument("--together", type=int, default=20, help="rigs a case: they share the compiled step")

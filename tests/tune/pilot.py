@@ -1,7 +1,7 @@
 """A quick host for many flights: bytes in, bytes out, telemetry decoded when the flight is over.
 
-No session and no log: some hundred times real time, so that a claim may be about hundreds of flights. What it
-flies is the flight code behind the simulated line, as any host would.
+It has no session and no log, and flies the flight code behind the simulated line, as any host does. It is
+a hundred times faster than real time, so that a claim may be about hundreds of flights.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class PilotFlight:
     volts_V : ndarray (n, 2)
         Front and back.
     state, fault, flags : ndarray (n,)
-        Of the supervisor.
+        State, fault and flags of the supervisor.
     """
 
     t_s: Floats
@@ -112,7 +112,7 @@ def fly(
     parameters : mapping of str to float, optional
         Board parameters that differ from their defaults.
     seed : int
-        Of the encoders' starting points.
+        Seed of the starting points of the encoders.
     """
     world = SilWorld(SilOptions(seed=seed), plant)
     # Table 2 as point masses balances at -22 degrees: the arm is held down until the loops close.
@@ -191,7 +191,7 @@ def demanding_path_deg(t_s: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class FlightMetrics:
-    """What the project promises of a flight along `demanding_path_deg`.
+    """Promises of a flight along `demanding_path_deg`.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ class FlightMetrics:
     take_off_s : float
         From when on the elevation stays within half a degree of level, until the step.
     overshoot : float
-        Of the travel step, as a share of it; the worse of both steps.
+        Overshoot as a share of the travel step; the worse of both steps.
     settling_time_s : float
         From when on travel stays within half a degree of the step; the worse of both.
     travel_rms_deg, elevation_rms_deg : float

@@ -1,4 +1,4 @@
-"""What the project promises of its gains, flown: with encoders, drivers and a line, with and without lag."""
+"""The promises of the gains, flown with encoders, drivers and a line, with and without lag."""
 
 from __future__ import annotations
 

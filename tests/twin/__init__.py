@@ -1,7 +1,8 @@
-"""Claims about the twin: a model that runs together with a rig.
+"""Claims about the twin, a model that runs together with a rig.
 
-`python -m tests.twin` flies random rigs in weather with their twins, healthy and changed from a moment on,
-and prints the tables of docs/validation/twin.md; it goes on where it was stopped. `rigs.py` draws the rigs
-and what a user knows of them, `changes.py` what changes, `__main__.py` counts. The tests fly a short share.
-`python -m tests.twin.measured` (`measured.py`) flies beside real machines, where their flights are.
+`python -m tests.twin` flies random rigs under disturbances with their twins, healthy and changed from a
+moment on. It prints the tables of docs/validation/twin.md, and continues after an interruption. The tests
+fly a small share. `rigs.py` draws the rigs and what a user knows of them, `changes.py` the changes,
+`__main__.py` counts. `python -m tests.twin.measured` watches flights of real machines, if the shared data
+is available.
 """

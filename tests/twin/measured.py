@@ -57,7 +57,7 @@ falls and two rotors that fade are one family: both rotors lose the same share."
 
 @dataclass(frozen=True)
 class Watched:
-    """What a twin reports about one flight with a loss.
+    """Report of a twin about a flight with a loss.
 
     Parameters
     ----------

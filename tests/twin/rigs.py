@@ -1,4 +1,4 @@
-"""Random rigs in weather, and what a user would know of them: numbers and weather from two flights."""
+"""Random rigs under disturbances, and a user's knowledge of them: estimates from two flights."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class Known:
     rig : Rig
         True numbers.
     model : Model
-        True equations, weather among the effects.
+        True equations; the effects include the disturbances.
     twin : TwinRig
-        What the user has.
+        The rig as the user knows it.
     """
 
     seed: int
@@ -49,7 +49,8 @@ class Known:
 
 
 def true_rig(seed: int) -> tuple[Rig, Model, DisturbanceModel]:
-    """Draw a rig within the tolerances of makki2024, half of them with a rotor lag, in a weather."""
+    """Draw a rig within the tolerances of makki2024, and disturbances. Half of the rigs have a rotor
+    lag."""
     rng = np.random.default_rng([seed, 16])
     base = load_rig("makki2024")
     model = MultibodyModel()
@@ -83,7 +84,7 @@ def known(seed: int, drawn: int) -> Known:
 
 
 def flights(model: Model, rig: Rig, seed: int, count: int, seconds: float = 60.0) -> list[Flight]:
-    """Fly random plans; an arm that the weather moves too much to be armed is tried again."""
+    """Fly random plans. If disturbances move the arm too much to be armed, try again."""
     found: list[Flight] = []
     for number in range(10 * count):
         if len(found) == count:

@@ -1,4 +1,4 @@
-"""Healthy rigs in weather give no more alarms than stated, and what changes is found under its name."""
+"""Healthy rigs under disturbances give no more alarms than stated, and changes get their right names."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Twin's files keep what they are given; what is wrong with one is told in one line."""
+"""The files of the twin keep their content; a mistake in one is an error of one line."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_a_trained_twin_has_no_lower_threshold_than_an_ideal_one() -> None:
     assert calm.threshold_nats(10.0) == DEFAULT_CALIBRATION.threshold_nats(10.0)
 
 
-def test_a_rig_alone_has_the_usual_weather() -> None:
+def test_a_rig_alone_has_the_default_disturbances() -> None:
     assert open_rig("makki2024").calibration is DEFAULT_CALIBRATION
 
 
@@ -69,7 +69,7 @@ def test_a_rig_alone_has_the_usual_weather() -> None:
         ("low_V = [1.5, -0.5]", "low_V = [1.5]", "parameters.low_V"),
     ],
 )
-def test_what_is_wrong_with_a_file_is_told(tmp_path: Path, old: str, new: str, told: str) -> None:
+def test_a_mistake_in_a_file_is_reported(tmp_path: Path, old: str, new: str, told: str) -> None:
     path = tmp_path / "wrong.toml"
     write_calibration(path, CALIBRATION, "makki2024")
     path.write_text(path.read_text().replace(old, new))
@@ -128,8 +128,8 @@ def test_learning_from_a_healthy_flight_writes_a_file_that_the_twin_takes(
     # A minute of flight supports one false alarm in two hours.
     assert learned.calibration.tail.healthy_s == pytest.approx(60.0)
     assert "one false alarm in 2 h in the air at best" in told
-    # A simulated flight without weather has next to none of it.
+    # Estimated disturbances of a flight without any are almost zero.
     fast_std_Nm = learned.calibration.disturbances.fast_std
     assert np.any(fast_std_Nm < DEFAULT_CALIBRATION.disturbances.fast_std)
-    # A learned weather is not believed to be calmer than encoders can show.
+    # Learned disturbances are not smaller than encoders can show.
     assert np.all(learned.calibration.disturbances.quantisation >= 1.0) and np.all(fast_std_Nm > 1e-4)

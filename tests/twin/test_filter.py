@@ -59,7 +59,8 @@ def test_innovations_are_white_and_of_unit_variance(monkeypatch: pytest.MonkeyPa
     )
     seen = innovations(monkeypatch, twin, flight)
     assert len(seen) > 900
-    # Angles at rest are told to be worth less than they are: below one is safe, above is a false alarm.
+    # The filter assumes too large errors for angles at rest: a variance below one is safe, above it alarms
+    # are false.
     assert np.all((seen.std(axis=0) > 0.6) & (seen.std(axis=0) < 1.15))
     lag = (seen[1:] * seen[:-1]).mean(axis=0) / (seen**2).mean(axis=0)
     assert np.all(np.abs(lag) < 0.15)
@@ -123,7 +124,8 @@ def test_no_variance_turns_negative_however_large_the_disturbances_are() -> None
 
 @pytest.mark.slow
 def test_another_supply_than_the_rig_s_is_estimated_and_no_change() -> None:
-    """What differs between days is a state of the filter, from its prior and the first seconds."""
+    """Differences between days are states of the filter, estimated from their prior and the first
+    seconds."""
     rig, flight = healthy()
     weak = replace(flight, front_V=flight.front_V / 0.96, back_V=flight.back_V / 0.96)
     most = {}

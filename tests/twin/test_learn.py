@@ -1,4 +1,4 @@
-"""What is learned of calm flights is no less weather than the encoders' rounding hides."""
+"""Disturbances learned from calm flights are at least those that the quantisation hides."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_rounding_is_no_less_than_that_of_an_encoder() -> None:
     assert floored(CALM).quantisation.tolist() == [1.0, 1.0, 1.7]
 
 
-def test_weather_that_shows_is_left_as_it_was_found() -> None:
+def test_visible_disturbances_are_kept_as_estimated() -> None:
     room = DisturbanceModel(
         np.array([0.006, 0.002, 0.004]), np.array([0.3, 1.2, 0.6]), np.full(3, 1e-3), np.full(3, 1.2)
     )

@@ -77,7 +77,7 @@ def test_the_size_and_its_error_are_those_of_least_squares() -> None:
     assert found.std == pytest.approx((own @ own) ** -0.5, rel=2e-3)
 
 
-def test_the_window_keeps_the_likeliest_onset_of_each_half_second() -> None:
+def test_the_window_keeps_the_most_likely_onset_of_each_half_second() -> None:
     ratio = LikelihoodRatio(CHANGES, COUNT_rad)
     moved = np.zeros((4, COLUMNS, ONSETS))
     rng = np.random.default_rng(4)

@@ -62,8 +62,8 @@ def said(
     change: Change = CHANGES[0],
     size: float = 0.1,
 ) -> list[tuple[str, int]]:
-    """What the twin says, and after how many measurements, where their evidence is this; with motors off for
-    a moment after so many of them, or in a landing from there on.
+    """Report of the twin, and the number of measurements until then, for this evidence. The motors are off
+    for a moment after the given number of measurements, or a landing begins there.
     """
     told = iter(evidence)
     first = ChangeCandidate(change, 0, size, 0.01, THRESHOLD_nats)

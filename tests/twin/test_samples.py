@@ -1,4 +1,4 @@
-"""Steps are the same whatever pieces the samples come in; what is lost is bridged or begins anew."""
+"""Steps do not depend on the pieces in which samples arrive; gaps are bridged, or the filter restarts."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_a_step_holds_the_samples_of_its_ten_milliseconds() -> None:
     assert np.allclose(second.measured_rad, about.mean(axis=0))
 
 
-def test_a_short_gap_is_bridged_and_a_long_one_begins_anew() -> None:
+def test_a_short_gap_is_bridged_and_after_a_long_one_the_filter_restarts() -> None:
     samples = made(0, 300)
     short = np.r_[0:103, 131:300]
     steps = list(Stepper(0.001).update(samples.select(short)))
@@ -65,7 +65,7 @@ def test_a_short_gap_is_bridged_and_a_long_one_begins_anew() -> None:
     assert [s.index for s in Stepper(0.001).update(samples.select(long)) if s.after_gap] == [0, 19]
 
 
-def test_a_clock_that_begins_anew_begins_anew() -> None:
+def test_a_clock_that_restarts_restarts_the_filter() -> None:
     stepper = Stepper(0.001)
     list(stepper.update(made(500, 100)))
     assert next(iter(stepper.update(made(0, 50)))).after_gap

@@ -91,7 +91,7 @@ def test_what_the_log_has_of_it_came_at_these_ticks() -> None:
     log, seen = logged()
     written = [float(event["t_s"]) for event in log.events if str(event["message"]).startswith("alarm at")]
     alarms = [event.t_s for event in seen.events if event.kind == "alarm"]
-    # A step of 10 ms is told when it is complete, and a batch of ticks comes at once.
+    # A step of 10 ms is reported when it is complete, and a batch of ticks comes at once.
     assert 0.0 <= written[0] - alarms[0] < 0.06
 
 

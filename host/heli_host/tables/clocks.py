@@ -44,7 +44,7 @@ def seconds_of(cells: pandas.Series) -> Floats | None:
         dates = pandas.to_datetime(
             text.str.replace(",", "."), errors="coerce", dayfirst=day_first, format="mixed", utc=True
         )
-        seconds = (dates - dates.iloc[0]).dt.total_seconds().to_numpy(np.float64)
+        seconds = np.asarray((dates - dates.iloc[0]).dt.total_seconds(), dtype=np.float64)
     else:
         return None
     found = seconds[np.isfinite(seconds)]

@@ -58,7 +58,7 @@ def croissant_content(folder: Path, name: str, release: str, description: str) -
     release : str
         Version of heli-lab that made it.
     description : str
-        What it is, in a sentence.
+        A sentence about it.
     """
     return {
         "@context": _CONTEXT,

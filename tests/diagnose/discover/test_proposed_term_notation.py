@@ -117,7 +117,7 @@ def test_what_sympy_reads_is_what_is_computed_along_a_flight() -> None:
 @pytest.mark.medium
 @pytest.mark.parametrize("number", range(0, len(OF_EACH_SORT), 6))
 def test_what_the_written_file_flies_is_what_was_fitted(number: int, tmp_path: Path) -> None:
-    # Two groups of different channels in one law, beside a lag of the rotors.
+    # Two groups of different channels in one law, together with a lag of the rotors.
     first, second = OF_EACH_SORT[number], OF_EACH_SORT[-1 - number]
     equation = Equation(tuple(dict.fromkeys((*first.terms, *second.terms))))
     effect = equation_effect(equation, dict.fromkeys(equation.coefficients, 1.0))

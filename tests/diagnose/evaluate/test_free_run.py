@@ -166,7 +166,7 @@ def test_flight_in_pieces_is_calibrated_on_its_first_seconds_of_free_flight() ->
         MultibodyModel(parse_effects([RIGHT])), the_rig(), {}, replace(record, segments=segments), 5.0
     )
     assert run.calibrated_s == pytest.approx(5.0)
-    # What the cut leaves of the second piece, a second, is judged with the third.
+    # The cut leaves one second of the second piece, which is judged with the third.
     assert run.fit.problem.records[0].segments == (
         (start + piece[1] + round(2.0 / record.step_s), start + piece[2]),
         (start + piece[3], stop),

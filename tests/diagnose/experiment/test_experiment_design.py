@@ -1,4 +1,4 @@
-"""The flight that a diagnosis asks for tells what the flights given could not."""
+"""The flight that a diagnosis proposes shows what the given flights could not."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def gentle(duration_s: int) -> tuple[Flight, Flight]:
 
 @cache
 def unclear() -> dict[str, Any]:
-    """What two gentle flights tell; short ones, except in `make long`."""
+    """Diagnosis of two weakly excited flights; short ones, except in `make long`."""
     fit, held_out = gentle(samples(30, 18))
     return to_json(among_two([fit], [held_out]))
 
@@ -63,7 +63,7 @@ def among_two(flights: list[Flight], validation: list[Flight]) -> Diagnosis:
     return diagnose(MultibodyModel(), load_rig("makki2024"), flights, validation, kinds=kinds)
 
 
-def test_gentle_flights_leave_lag_and_delay_open_and_another_is_asked_for() -> None:
+def test_weak_excitation_leaves_lag_or_delay_open_and_proposes_a_flight() -> None:
     assert unclear()["verdict"] == "ambiguous"
     (cause,) = unclear()["causes"]
     assert {cause["effect"], *cause["ambiguous_with"]} == {"rotor_lag", "input_delay"}

@@ -1,4 +1,4 @@
-"""Figures come out the same whoever draws them, and none is lost when the process beside dies."""
+"""Figures are the same in either process, and none is lost when the drawing process dies."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def figure(number: int, points: int = 2) -> Figure:
     return drawn
 
 
-def test_a_process_beside_draws_the_same_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_second_process_draws_the_same_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     expected = [png_of(figure(number)) for number in range(3)]
     with Drawing(use_process=True) as some:
         added = [some.add(figure(number), tmp_path / f"{number}.png") for number in range(3)]

@@ -1,4 +1,4 @@
-"""What a search keeps: refused where it is of another search, whole after it was cut anywhere."""
+"""The estimates of a search are refused by another search, and are complete after any interruption."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _record() -> Record:
     return prepare(hovering(4.0), load_rig("makki2024"), "still")
 
 
-def test_digest_tells_flights_rigs_models_and_parts_apart() -> None:
+def test_flights_rigs_models_and_parts_have_different_digests() -> None:
     rig, record = load_rig("makki2024"), _record()
     start, stop = record.segments[0]
     others = (

@@ -67,7 +67,7 @@ class Rules:
     def read(cls, path: Path, glossary: Path) -> Rules:
         """Read the vocabulary and the limits, and the abbreviations of the glossary."""
         table = tomllib.loads(path.read_text())
-        kinds = ["document", "docstring", "message", "help"]
+        kinds = ["document", "docstring", "message", "help", "test"]
         words = tuple(
             (
                 re.compile(rf"\b(?:{row['not']})\b", re.IGNORECASE),
@@ -101,7 +101,7 @@ class Rules:
         short = _shortened(sentence)
         if is_long(sentence, self.sentence_words):
             yield Finding(text.file, text.line, "sentence", f"{words_in(sentence)} words: {short}")
-        if OPENING.match(sentence) and text.kind in ("document", "docstring"):
+        if OPENING.match(sentence) and text.kind in ("document", "docstring", "test"):
             yield Finding(text.file, text.line, "opening", f"begin with subject and verb: {short}")
         if text.kind == "document" and numbers_in(sentence) > self.numbers:
             yield Finding(text.file, text.line, "numbers", f"{numbers_in(sentence)} numbers: {short}")
@@ -122,9 +122,9 @@ def unexplained(texts: list[Text], meanings: dict[str, str]) -> Iterator[Finding
     Parameters
     ----------
     texts : list of Text
-        Of one page, in its order.
+        Texts of one page, in its order.
     meanings : dict of str
-        What each stands for; this in the page's text, before or next to the first use, expands it.
+        Meaning of each abbreviation; the page expands it with these words, before or next to its first use.
     """
     for short, meaning in meanings.items():
         for position, text in enumerate(texts):

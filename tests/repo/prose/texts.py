@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import ast
 import inspect
+import io
 import itertools
 import re
 import subprocess
+import tokenize
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -25,6 +27,7 @@ SOURCES = (
     "sim/heli_sim/*.py",
     "sim/heli_lab/*.py",
     "sim/heli_benchmark/*.py",
+    "tests/*.py",
 )
 WITH_REMEDY = "fault_text("
 """Call of the function that writes a fault with its remedy."""
@@ -46,7 +49,7 @@ class Text:
     line : int
         First line of the paragraph, counted from 1.
     kind : str
-        ``document``, ``docstring``, ``message`` or ``help``.
+        ``document``, ``docstring``, ``message``, ``help`` or ``test``.
     is_prose : bool
         False for a heading, a cell of a table or a message: these have words, and no sentences to count.
     content : str
@@ -100,8 +103,28 @@ def texts_of(path: Path, root: Path) -> Iterator[Text]:
         yield from _meanings(source, name)
     elif name.startswith("docs/course/"):
         yield from _notebook(source, name)
+    elif name.startswith("tests/"):
+        yield from _tests(source, name)
     else:
         yield from _python(source, name, user_errors(root))
+
+
+def _tests(source: str, name: str) -> Iterator[Text]:
+    """Names of tests, all docstrings, and all comments that are sentences."""
+    for node in ast.walk(ast.parse(source)):
+        if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        line = 1 if isinstance(node, ast.Module) else node.lineno
+        if not isinstance(node, ast.Module) and node.name.startswith("test_"):
+            yield Text(name, line, "test", False, node.name.replace("_", " "))
+        yield from _docstring(ast.get_docstring(node) or "", name, line, "test")
+    comment: list[str] = []
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            comment.append(token.string.lstrip("#: "))
+        elif token.type not in (tokenize.NL, tokenize.NEWLINE) and comment:
+            yield Text(name, token.start[0], "test", True, _without_code(" ".join(comment)))
+            comment = []
 
 
 def _plain(inline: Token) -> str:
@@ -249,7 +272,7 @@ def _docstring(doc: str, name: str, line: int, kind: str) -> Iterator[Text]:
     for paragraph in re.split(r"\n\s*\n", prose):
         if (
             paragraph.strip()
-            and not re.match(r"\s*(?:>>>|\.\. |    |\|)", paragraph)
+            and not re.match(r"\s*(?:>>>|\.\. |    |\||- )", paragraph)
             and "::" not in paragraph
         ):
             yield Text(name, line, kind, True, _without_code(paragraph))
