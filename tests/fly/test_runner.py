@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from heli_host.declaration import Axes, Flags, State
 from heli_host.errors import LogWriteError, PlanError
-from heli_host.fly.pilot import Pilot
 from heli_host.fly.plan import Plan, load_plan
 from heli_host.fly.recorder import Recorder
+from heli_host.fly.route_stream import RouteStream
 from heli_host.fly.runner import Progress, fly
 from heli_host.fly.tracking import TrackingMonitor
 from heli_host.heli import Heli, connect
@@ -414,13 +414,13 @@ def test_a_full_disk_lands_the_rig_and_keeps_what_was_written(
 def test_setpoints_go_on_by_the_clock_while_samples_do_not_come(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    take = Pilot._take_ticks
+    take = RouteStream.take_ticks
 
-    def deaf(self: Pilot, ticks: Ticks) -> None:
+    def deaf(self: RouteStream, ticks: Ticks) -> None:
         if not 6000 < int(ticks.tick[-1]) < 9000:
             take(self, ticks)
 
-    monkeypatch.setattr(Pilot, "_take_ticks", deaf)
+    monkeypatch.setattr(RouteStream, "take_ticks", deaf)
     with connect("sil://?seed=3", keep_alive=False) as heli:
         summary = fly(heli, short(), log_path=tmp_path / "a.mcap")
     assert summary.completed

@@ -244,7 +244,7 @@ def test_an_ack_for_another_command_with_the_same_number_is_no_answer() -> None:
     board = FakeBoard()
     session = opened(board)
     board.lose_replies = 1
-    request = session._engine.ask(ArmMessage(0), session.transport.now_s(), 1.0)
+    request = session._engine.commands.ask(ArmMessage(0), session.transport.now_s(), 1.0)
     board.send(AckMessage(request.command.request, MessageId.STOP, Result.OK, 0, 0.0))
     session.wait_for(lambda: False, 0.01)
     assert not request.done

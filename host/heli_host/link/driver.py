@@ -142,7 +142,7 @@ class Driver:
             Longest wait for bytes [s]; in lockstep the simulated time that passes.
         """
         transport, engine = self.transport, self._engine
-        speed = 1.0 if transport.lockstep else engine.speed
+        speed = 1.0 if transport.lockstep else engine.telemetry.speed
         set_read_interval(transport, timeout_s if transport.lockstep else self.read_interval_s / speed)
         lost: LinkLost | None = None
         received = Received()
@@ -157,9 +157,9 @@ class Driver:
         self._deliver(received)
         if lost is not None:
             self._reopen(lost)
-        if engine.mismatch is not None:
-            self._fail(engine.mismatch)
-        elif engine.unreachable and self.transport.now_s() >= self._give_up_s():
+        if engine.handshake.mismatch is not None:
+            self._fail(engine.handshake.mismatch)
+        elif engine.handshake.unreachable and self.transport.now_s() >= self._give_up_s():
             self._fail(LinkLost("the board does not answer any more", "check its supply, then connect again"))
 
     def _run(self) -> None:
@@ -200,8 +200,9 @@ class Driver:
         )
 
     def _give_up_s(self) -> float:
-        since_s = self._engine.unreachable_since_s
-        if self._engine.welcome is None or since_s is None:
+        handshake = self._engine.handshake
+        since_s = handshake.unreachable_since_s
+        if handshake.welcome is None or since_s is None:
             return self.handshake_deadline_s
         return since_s + self._reconnect_timeout_s
 

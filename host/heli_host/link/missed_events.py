@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from heli_host.declaration import Channel, Event, EventMessage, Fault
 from heli_host.link.channels import MODES
+from heli_host.link.events import LinkEvent, event_kind, event_text
 from heli_host.link.telemetry import Ticks
 
 # The board queues at most 16 events.
@@ -85,3 +86,26 @@ class MissedEvents:
             event.kind == kind and event.detail == detail and (tick - event.tick) % _TICK_MODULUS < span
             for event in self._arrived
         )
+
+
+def insert_missed(message: EventMessage, wall_ns: int, events: list[LinkEvent]) -> None:
+    """Insert a reconstructed event before the events that happened later.
+
+    Parameters
+    ----------
+    message : EventMessage
+        The event.
+    wall_ns : int
+        Unix time [ns].
+    events : list of LinkEvent
+        Events of one reading, in order; changed in place.
+    """
+    text = f"{event_text(message)}; from telemetry, its event was lost"
+    later = (
+        index
+        for index, other in enumerate(events)
+        if other.message is not None and 0 < (other.tick - message.tick) % _TICK_MODULUS < _TICK_MODULUS // 2
+    )
+    events.insert(
+        next(later, len(events)), LinkEvent(message.tick, wall_ns, event_kind(message), text, message)
+    )

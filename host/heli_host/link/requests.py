@@ -15,6 +15,25 @@ _FIRST_TRY_S = 0.06
 _LONGEST_TRY_S = 0.5
 
 
+class RequestNumbers:
+    """Numbers of the requests of a session, from 1 to 255 and then from 1 again.
+
+    Parameters
+    ----------
+    seed : int
+        Number before the first.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self._number = seed & 0xFF
+
+    def take(self) -> int:
+        """Return the next number."""
+        # 0 is the number of what the board sends unasked.
+        self._number = self._number % 255 + 1
+        return self._number
+
+
 class Command(Protocol):
     """A message that the board answers; every class of the declaration with a ``REPLY`` is one."""
 
@@ -23,7 +42,7 @@ class Command(Protocol):
 
     @property
     def request(self) -> int:
-        """Request number; the engine sets it."""
+        """Request number; `heli_host.link.command_slot.CommandSlot` sets it."""
         ...
 
     def pack(self) -> bytes:

@@ -38,7 +38,7 @@ from heli_host.errors import LinkError, LinkLost, WaitTimeout
 from heli_host.link.accounting import LinkCounters
 from heli_host.link.clock import TICK_S, ClockEstimate
 from heli_host.link.driver import READ_TIMEOUT_S, Driver
-from heli_host.link.engine import Engine, Phase
+from heli_host.link.engine import Engine
 from heli_host.link.events import LinkEvent
 from heli_host.link.frames import Frame
 from heli_host.link.greeting import no_welcome
@@ -120,14 +120,14 @@ class Session:
     @property
     def welcome(self) -> WelcomeMessage:
         """Description that the board sent when it last welcomed this session."""
-        if self._engine.welcome is None:
+        if self._engine.handshake.welcome is None:
             raise LinkError("the session is not open yet", "call connect() first")
-        return self._engine.welcome
+        return self._engine.handshake.welcome
 
     @property
     def connected(self) -> bool:
         """Whether the board answers at present."""
-        return self._engine.phase is Phase.OPEN and self._driver.fatal is None
+        return self._engine.handshake.is_open and self._driver.fatal is None
 
     @property
     def counters(self) -> LinkCounters:
@@ -139,7 +139,7 @@ class Session:
     def clock(self) -> ClockEstimate | None:
         """Estimated relation of device time to host time; None before the first sample."""
         with self._driver.lock:
-            return self._engine.clock.estimate()
+            return self._engine.telemetry.clock.estimate()
 
     @property
     def events(self) -> tuple[LinkEvent, ...]:
@@ -151,13 +151,14 @@ class Session:
     def latest(self) -> tuple[int, npt.NDArray[np.int32]] | None:
         """Newest tick, unwrapped beyond 2^32, and its raw numbers (channels,); None before the first."""
         with self._driver.lock:
-            tick, raw = self._engine.account.last, self._engine.latest_raw
+            telemetry = self._engine.telemetry
+            tick, raw = telemetry.account.last, telemetry.latest_raw
             return None if tick is None or raw is None else (tick, raw)
 
     @property
     def state(self) -> State | None:
         """Supervisor state in the newest sample; None before the first."""
-        return self._engine.state
+        return self._engine.telemetry.state
 
     @property
     def read_interval_s(self) -> float:
@@ -189,7 +190,7 @@ class Session:
         """
         driver = self._driver
         driver.handshake_deadline_s = driver.transport.now_s() + self.handshake_timeout_s
-        while self._engine.phase is Phase.GREETING:
+        while not self._engine.handshake.is_open:
             driver.check()
             if driver.transport.now_s() >= driver.handshake_deadline_s:
                 raise no_welcome(self._engine.parser, driver.transport.url, self.handshake_timeout_s)
@@ -240,12 +241,12 @@ class Session:
             self._driver.check()
             pending: Request | None = None
             while pending is None:
-                self.wait_for(lambda: not self._engine.preempted, step_s=_LOCKSTEP_REPLY_STEP_S)
+                self.wait_for(lambda: not self._engine.commands.preempted, step_s=_LOCKSTEP_REPLY_STEP_S)
                 with self._driver.lock:
                     if self._latched and isinstance(command, _START_MOTORS):
                         raise LinkError("a stop cancelled this command", "send the command again")
-                    if not self._engine.preempted:
-                        pending = self._engine.ask(command, self.transport.now_s(), timeout_s)
+                    if not self._engine.commands.preempted:
+                        pending = self._engine.commands.ask(command, self.transport.now_s(), timeout_s)
             self._driver.send_due()
             asked = pending
             self.wait_for(lambda: asked.done, step_s=_LOCKSTEP_REPLY_STEP_S)
@@ -280,7 +281,7 @@ class Session:
     @property
     def stops(self) -> int:
         """Number of calls of `stop_now` so far: the stop epoch that `release_stop` compares."""
-        return self._engine.stops
+        return self._engine.commands.stops
 
     def stop_now(self) -> None:
         """Switch both motors off: send the stop immediately and return without waiting for the answer.
@@ -297,8 +298,8 @@ class Session:
         """
         with self._driver.lock:
             self._latched = True
-            self._engine.kept = None
-            self._engine.preempt(StopMessage(0), self.transport.now_s(), COMMAND_TIMEOUT_S)
+            self._engine.streams.kept = None
+            self._engine.commands.preempt(StopMessage(0), self.transport.now_s(), COMMAND_TIMEOUT_S)
         self._driver.send_due()
         # After the bytes are sent: a pending error of a callback must not delay the stop.
         self._driver.check()
@@ -317,7 +318,7 @@ class Session:
             False if `stop_now` was called after that: the stop stays in force.
         """
         with self._driver.lock:
-            if self._engine.stops != stops:
+            if self._engine.commands.stops != stops:
                 return False
             self._latched = False
             return True
@@ -336,7 +337,7 @@ class Session:
             block and must not call the session.
         """
         with self._driver.lock:
-            self._engine.permitted = permitted
+            self._engine.streams.permitted = permitted
 
     def read_params(self) -> tuple[float, ...]:
         """Read all parameters of the board.
@@ -386,7 +387,7 @@ class Session:
         """
         self._driver.check()
         with self._driver.lock:
-            self._engine.stream(message)
+            self._engine.streams.put(message)
         self._driver.send_due()
 
     def keep_alive(self, setpoint: SetpointMessage | None) -> None:
@@ -401,7 +402,7 @@ class Session:
             ``setpoint_hold_s`` and lands after ``setpoint_land_s``.
         """
         with self._driver.lock:
-            self._engine.kept = setpoint
+            self._engine.streams.kept = setpoint
 
     def device_tick(self) -> int:
         """Estimate the present device time.
@@ -417,7 +418,8 @@ class Session:
             No sample has arrived yet.
         """
         with self._driver.lock:
-            last, estimate = self._engine.account.last, self._engine.clock.estimate()
+            telemetry = self._engine.telemetry
+            last, estimate = telemetry.account.last, telemetry.clock.estimate()
             if last is None or estimate is None:
                 raise LinkError("no sample has come from the board yet", "wait a moment, then try again")
             tick = round(estimate.tick_at(self._driver.transport.now_s()))
@@ -433,7 +435,7 @@ class Session:
         """
         if len(ticks) == 0:
             return np.empty(0, np.int64)
-        last = self._engine.account.unwrap(int(ticks.tick[-1]))
+        last = self._engine.telemetry.account.unwrap(int(ticks.tick[-1]))
         behind = (ticks.tick[-1] - ticks.tick).astype(np.int64)
         return np.asarray(last - behind, np.int64)
 
@@ -482,22 +484,22 @@ class Session:
         HeliError
             A callback failed.
         """
-        account, engine = self._engine.account, self._engine
+        account, handshake = self._engine.telemetry.account, self._engine.handshake
         if account.last is None and not self.wait_for(
             lambda: account.last is not None, _FIRST_SAMPLE_TIMEOUT_S
         ):
             raise WaitTimeout("the board sends no samples", "reset it, then connect again")
-        restarts, goal = engine.restarts, (account.last or 0) + round(duration_s / TICK_S)
+        restarts, goal = handshake.restarts, (account.last or 0) + round(duration_s / TICK_S)
 
         def passed() -> bool:
-            return engine.restarts != restarts or (account.last is not None and account.last >= goal)
+            return handshake.restarts != restarts or (account.last is not None and account.last >= goal)
 
         while self.lockstep and not passed():
             self._driver.check()
             left_s = (goal - (account.last or 0)) * TICK_S
             self._driver.pump(min(max(left_s, TICK_S), _LOCKSTEP_STEP_S))
         self.wait_for(passed)
-        if engine.restarts != restarts:
+        if handshake.restarts != restarts:
             raise LinkLost("the board restarted while the host waited", "check its supply, then arm again")
 
     def subscribe_ticks(self, callback: TicksCallback) -> Unsubscribe:

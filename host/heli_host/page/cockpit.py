@@ -1,22 +1,24 @@
-"""A connected board as the source of a page: it runs clients' requests and reports telemetry and events."""
+"""A connected board as the source of a page: the way of a stop, the table of requests, and the status."""
 
 from __future__ import annotations
 
-import contextlib
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from heli_host.declaration import Axes, Channel, State
-from heli_host.errors import HeliError, LinkError, ParameterError, SetpointError
+from heli_host.declaration import Channel
+from heli_host.errors import ParameterError
 from heli_host.fly.plan import Plan
 from heli_host.link.clock import TICK_S
 from heli_host.link.events import BOARD_RESTARTED, LAW_SIGNALS, LinkEvent
 from heli_host.link.transport import transport_label, transport_rig
-from heli_host.page.causes import cause, in_words, is_without_setpoints
-from heli_host.page.flying import PlanFlight
+from heli_host.page.event_feed import EventFeed
+from heli_host.page.flight_requests import FlightRequests
 from heli_host.page.law_choice import LawChoice
+from heli_host.page.parameter_edits import ParameterEdits
+from heli_host.page.pilot_watch import PilotWatch
+from heli_host.page.recording import Recording
 from heli_host.page.source import (
     KEPT_S,
     UNKNOWN,
@@ -38,23 +40,23 @@ if TYPE_CHECKING:
     from heli_host.fly.recorder import Recorder
     from heli_host.heli import Heli
     from heli_host.law_program import LawProgram
+    from heli_host.link.session import Session
     from heli_host.link.telemetry import Ticks
     from heli_host.twins import TwinNews, TwinWatch
 
-_LOOK_S = 0.2
-_SETTLED_LOOKS = 15
-"""Looks at a page that is there each time before plans begin: one that still loads is busy for a second,
-which is a missing pilot."""
 _HEARD_S = 0.5
 """Greatest age of the newest tick at which its state counts as the present state [s]. It equals
 `heli_host.page.control_lease.PRESENT_S`. Shorter: a busy computer makes the state unknown. Longer: a page
 shows a board as idle that may have begun to fly."""
-_EVENTS_KEPT = 200
-_MAX_UNDO = 100
 
 
 class Cockpit:
     """A connected board as the source of a page.
+
+    A stop goes straight from `stop` to the session, in the thread of the caller, and waits for no request.
+    All other requests run in the thread of their `CommandQueue`, after `clear_stop` has accepted them.
+    Samples and events arrive in the session's reading thread. `describe`, `status` and `state` may be called
+    from any thread.
 
     Parameters
     ----------
@@ -97,41 +99,33 @@ class Cockpit:
         self.buffer = TelemetryBuffer(round(KEPT_S / TICK_S))
         self._heli = heli
         self._session = heli.session
-        self._new_recorder = new_recorder
-        self._plans = {plan.name: plan for plan in plans}
         self._board, self._rig, self._rig_name = board, dict(rig), rig_name
+        self._feed = EventFeed()
+        self._recording = Recording(heli.session, new_recorder, self._feed)
+        self._pilot = PilotWatch(self._recording)
         self._law = LawChoice(heli, laws)
-        self._news: News | None = None
-        self._events: list[dict[str, Any]] = []
+        self._flight = FlightRequests(heli, plans, self._law, self._recording, self._pilot)
+        self._parameters = ParameterEdits(heli, self._recording, self._tell_parameters)
         self._signals: dict[str, str] = {}
-        self._recorder: Recorder | None = None
-        self._flight: PlanFlight | None = None
-        self._doing = ""
-        self._marks = 0
         self._heard_s = -math.inf
-        self._present: Callable[[], bool] = lambda: False
-        self._absence: Callable[[], str] = lambda: ""
-        self._cause = ""
-        self._last_absence = ""
-        self._undo: list[tuple[str, float]] = []
-        self._values = dict(heli.params)
+        flight, parameters = self._flight, self._parameters
         anybody, pilot, tuner = Role.OBSERVER, Role.PILOT, Role.TUNER
         self.actions: Mapping[str, Action] = {
-            "take_off": Action(self._take_off, CommandQueue.FLIGHT, pilot),
-            "fly": Action(self._fly, CommandQueue.FLIGHT, pilot),
-            "land": Action(self._land, CommandQueue.QUICK, pilot),
-            "clear_fault": Action(self._clear_fault, CommandQueue.QUICK, pilot),
-            "zero": Action(self._zero, CommandQueue.QUICK, pilot),
-            "setpoint": Action(self._setpoint, CommandQueue.SETPOINT, pilot),
-            "hold": Action(self._hold, CommandQueue.SETPOINT, pilot),
-            "set": Action(self._set, CommandQueue.QUICK, tuner),
-            "undo": Action(self._undo_last, CommandQueue.QUICK, tuner),
-            "save": Action(self._save, CommandQueue.QUICK, tuner),
+            "take_off": Action(flight.take_off, CommandQueue.FLIGHT, pilot),
+            "fly": Action(flight.fly, CommandQueue.FLIGHT, pilot),
+            "land": Action(flight.land, CommandQueue.QUICK, pilot),
+            "clear_fault": Action(flight.clear_fault, CommandQueue.QUICK, pilot),
+            "zero": Action(flight.zero, CommandQueue.QUICK, pilot),
+            "setpoint": Action(flight.setpoint, CommandQueue.SETPOINT, pilot),
+            "hold": Action(flight.hold, CommandQueue.SETPOINT, pilot),
+            "set": Action(parameters.set, CommandQueue.QUICK, tuner),
+            "undo": Action(parameters.undo_last, CommandQueue.QUICK, tuner),
+            "save": Action(parameters.save, CommandQueue.QUICK, tuner),
             "law": Action(self._choose_law, CommandQueue.QUICK, pilot),
             "set_law": Action(self._set_law, CommandQueue.QUICK, tuner),
             "record": Action(self._record, CommandQueue.QUICK, pilot),
-            "mark": Action(self._mark, CommandQueue.QUICK, anybody),
-            "signal": Action(self._signal, CommandQueue.QUICK, anybody),
+            "mark": Action(self._recording.mark, CommandQueue.QUICK, anybody),
+            "signal": Action(self._recording.signal, CommandQueue.QUICK, anybody),
         }
         self._twin = twin
         if twin is not None:
@@ -141,7 +135,7 @@ class Cockpit:
 
     def describe(self) -> dict[str, Any]:
         """Return the constant facts that each client gets once; see `Source.describe`."""
-        values = self._values
+        values = self._parameters.values
         return {
             "mode": "live",
             "kind": "simulation" if is_simulated(self._heli) else "real",
@@ -154,39 +148,25 @@ class Cockpit:
             "faults": fault_rows(),
             "parameters": parameter_rows(),
             "values": values,
-            "undo": len(self._undo),
+            "undo": self._parameters.undoable,
             "limits_deg": self._heli.setpoint_limits_deg(),
-            "plans": [{"name": plan.name, "title": plan.title} for plan in self._plans.values()],
+            "plans": [{"name": plan.name, "title": plan.title} for plan in self._flight.plans.values()],
             "laws": self._law.describe(),
-            "events": self._events[-_EVENTS_KEPT:],
+            "events": self._feed.newest(),
         }
 
     def status(self) -> dict[str, Any]:
         """Return the present status as JSON; see `Source.status`."""
-        session = self._session
-        newest, counters, clock = session.latest, session.counters, session.clock
-        recorder, flight = self._recorder, self._flight
-        state = int(newest[1][Channel.STATE]) if newest is not None else -1
-        fault = int(newest[1][Channel.FAULT]) if newest is not None else 0
+        newest = self._session.latest
         return {
-            "state": state,
-            "fault": fault,
-            "cause": self._cause,
-            "connected": session.connected,
-            "link": {
-                "frames": counters.frames_ok,
-                "bad": counters.frames_bad,
-                "lost_ticks": counters.ticks_lost,
-                "ticks": counters.ticks_received,
-                "retries": counters.retries,
-                "reconnects": counters.reconnects,
-                "latency_ms": round(clock.round_trip_s * 1e3, 1) if clock is not None else None,
-                "jitter_ms": round(clock.jitter_s * 1e3, 1) if clock is not None else None,
-            },
-            "recording": str(recorder.path) if recorder is not None else None,
-            "trouble": str(recorder.error) if recorder is not None and recorder.error is not None else "",
-            "doing": self._doing,
-            "flight": flight.progress if flight is not None else None,
+            "state": int(newest[1][Channel.STATE]) if newest is not None else -1,
+            "fault": int(newest[1][Channel.FAULT]) if newest is not None else 0,
+            "cause": self._pilot.cause,
+            "connected": self._session.connected,
+            "link": _link_status(self._session),
+            **self._recording.status(),
+            "doing": self._flight.doing,
+            "flight": self._flight.progress,
             "twin": self._twin_status(),
             "law": self._law.status(),
         }
@@ -206,7 +186,7 @@ class Cockpit:
         news : callable taking a mapping
             Called with each event as JSON, from any thread.
         """
-        self._news = news
+        self._feed.listen(news)
 
     def stop(self) -> None:
         """Switch both motors off, ahead of all other commands; see `Source.stop`."""
@@ -236,7 +216,7 @@ class Cockpit:
         absence : callable returning str
             Why the pilot's page is absent, in words; empty while it is present.
         """
-        self._present, self._absence = present, absence
+        self._pilot.watch(present, absence)
         self._session.permit_streams(present)
 
     def fly_when_watched(self, names: Sequence[str], give_up: Callable[[], bool]) -> Mapping[str, Any]:
@@ -261,15 +241,9 @@ class Cockpit:
         HeliError
             A plan is unknown or cannot be flown on this board.
         """
-        seen = 0
-        while seen < _SETTLED_LOOKS:
-            if give_up():
-                return {}
-            time.sleep(_LOOK_S)
-            seen = seen + 1 if self._present() else 0
-        if not self.clear_stop(self.stop_epoch()):
+        if not self._pilot.wait_until_settled(give_up) or not self.clear_stop(self.stop_epoch()):
             return {}
-        return self._fly({"plans": list(names)})
+        return self._flight.fly({"plans": list(names)})
 
     def close(self, outcome: str = "recorded") -> None:
         """End the recording, if there is one, and write the log to its end. The motors are not touched.
@@ -279,90 +253,7 @@ class Cockpit:
         outcome : str
             Outcome of the flight, for the log.
         """
-        recorder, self._recorder = self._recorder, None
-        if recorder is not None:
-            recorder.close(outcome)
-            self._tell({"recorded": str(recorder.path)})
-
-    def _take_off(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        elevation_deg = number(arguments, "elevation_deg") if "elevation_deg" in arguments else 0.0
-        with self._busy("taking off"):
-            self._heli.take_off(elevation_deg)
-            self._law.engage()
-        return {}
-
-    def _fly(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        asked = arguments.get("plans")
-        names = [str(name) for name in (asked if isinstance(asked, list) else [asked])]
-        if not names:
-            raise ParameterError("no plan is named", f"choose from {', '.join(self._plans)}")
-        for name in names:
-            if name not in self._plans:
-                known = ", ".join(self._plans)
-                raise ParameterError(f"unknown plan {name:.40}", f"choose from {known}")
-        if self._heli.state is not State.IDLE:
-            raise SetpointError("a plan starts only from the table, with the motors off", "land first")
-        plans = [self._plans[name] for name in names]
-        flight = PlanFlight(self._heli, plans, self._law.engage)
-        own = self._recorder is None
-        if own:
-            self._begin_recording(plans, flight.duration_s)
-        recorder = self._recorder
-        if recorder is None:
-            raise LinkError("the recording ended before the plan started", "start it again")
-        self._flight = flight
-        try:
-            with self._busy(f"flying {', '.join(names)}"):
-                outcome = flight.fly(recorder)
-        finally:
-            self._flight = None
-            if own:
-                self.close(flight.outcome)
-        return {"outcome": in_words(outcome, self._last_absence)}
-
-    def _land(self, _: Mapping[str, Any]) -> Mapping[str, Any]:
-        self._heli.land(wait=False)
-        return {}
-
-    def _clear_fault(self, _: Mapping[str, Any]) -> Mapping[str, Any]:
-        self._heli.clear_fault()
-        return {}
-
-    def _zero(self, _: Mapping[str, Any]) -> Mapping[str, Any]:
-        self._heli.zero(Axes.ELEVATION | Axes.PITCH | Axes.TRAVEL)
-        return {}
-
-    def _setpoint(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        if self._flight is not None:
-            raise SetpointError("a plan flies now, and controls the setpoints", "end it with Land")
-        axes = ("elevation_deg", "travel_deg")
-        self._heli.setpoint(**{name: number(arguments, name) for name in axes if name in arguments})
-        return {}
-
-    def _hold(self, _: Mapping[str, Any]) -> Mapping[str, Any]:
-        if self._flight is not None:
-            raise SetpointError("a plan flies now, and controls the setpoints", "end it with Land")
-        self._heli.hold()
-        return {}
-
-    def _set(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        name = text(arguments, "name")
-        before = self._heli.params[name]
-        self._heli.params.set(name, number(arguments, "value"))
-        self._undo = [*self._undo, (name, before)][-_MAX_UNDO:]
-        self._note(f"{name}: {before:g} -> {self._heli.params[name]:g}", "parameter")
-        self._tell_values()
-        return {"value": self._heli.params[name]}
-
-    def _undo_last(self, _: Mapping[str, Any]) -> Mapping[str, Any]:
-        if not self._undo:
-            raise ParameterError("this page has not changed any parameter", "change a parameter first")
-        name, before = self._undo[-1]
-        self._heli.params.set(name, before)
-        self._undo.pop()
-        self._note(f"{name}: back to {before:g}", "parameter")
-        self._tell_values()
-        return {"name": name, "value": before}
+        self._recording.close(outcome)
 
     def _choose_law(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
         return self._law.choose(text(arguments, "name") if arguments.get("name") else "")
@@ -370,56 +261,18 @@ class Cockpit:
     def _set_law(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
         name = text(arguments, "name")
         before, after = self._law.set(name, number(arguments, "value"))
-        self._note(f"{self._law.chosen} {name}: {before:g} -> {after:g}", "parameter")
+        self._recording.announce("parameter", f"{self._law.chosen} {name}: {before:g} -> {after:g}")
         return {"value": after}
-
-    def _save(self, _: Mapping[str, Any]) -> Mapping[str, Any]:
-        return {"generation": self._heli.params.save()}
 
     def _record(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
         if arguments.get("on"):
-            if self._recorder is None:
-                self._begin_recording((), 0.0)
-        elif self._flight is not None:
+            if self._recording.recorder is None:
+                self._recording.begin((), 0.0)
+        elif self._flight.flies_plan:
             raise ParameterError("a plan flies now, and is always recorded", "land first")
         else:
-            self.close()
+            self._recording.close()
         return {}
-
-    def _mark(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        self._marks += 1
-        words = text(arguments, "text") if arguments.get("text") else f"mark {self._marks}"
-        self._note(words, "mark")
-        return {"logged": self._recorder is not None}
-
-    def _signal(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        name, value = text(arguments, "name", 40), number(arguments, "value")
-        newest = self._session.latest
-        recorder = self._recorder
-        if recorder is not None:
-            recorder.note("signal", f"{name} = {value!r}")
-        self._tell({"signal": {"name": name, "value": value, "tick": newest[0] if newest else 0}})
-        return {}
-
-    def _begin_recording(self, plans: Sequence[Plan], duration_s: float) -> None:
-        self._recorder = self._new_recorder(plans, duration_s)
-        self._tell({"recording": str(self._recorder.path)})
-
-    @contextlib.contextmanager
-    def _busy(self, doing: str) -> Any:
-        self._doing = doing
-        try:
-            yield
-        finally:
-            self._doing = ""
-
-    def _note(self, words: str, kind: str) -> None:
-        """Write something of the host's own into the log, and on the page."""
-        recorder = self._recorder
-        if recorder is not None:
-            recorder.note(kind, words)
-        newest = self._session.latest
-        self._add_event(newest[0] if newest is not None else 0, kind, words)
 
     def _twin_status(self) -> dict[str, Any] | None:
         if self._twin is None:
@@ -432,10 +285,8 @@ class Cockpit:
         }
 
     def _hear_twin(self, news: TwinNews) -> None:
-        recorder = self._recorder
-        if recorder is not None:
-            recorder.note(EVENT, news.text)
-        self._add_event(news.tick, EVENT, news.text)
+        self._recording.write(EVENT, news.text)
+        self._feed.add(news.tick, EVENT, news.text)
 
     def _take_ticks(self, ticks: Ticks) -> None:
         self._heard_s = time.monotonic()
@@ -445,42 +296,35 @@ class Cockpit:
         if event.kind == BOARD_RESTARTED:
             self.buffer.clear()
         self._law.take_event(event)
-        self._add_event(event.tick, event.kind, self._in_words(event.text))
+        self._feed.add(event.tick, event.kind, self._pilot.event_in_words(event.text))
         if event.kind == LAW_SIGNALS:
             self._signals = {f"signal_{number}": name for number, name in enumerate(event.names, 1)}
-            self._tell({"channels": channel_rows(self._values, self._signals)})
+            self._feed.tell({"channels": channel_rows(self._parameters.values, self._signals)})
 
-    def _in_words(self, text: str) -> str:
-        """Return the text of an event with its cause in words, and note an absent pilot in the log too."""
-        is_without = is_without_setpoints(text)
-        absence = self._absence() if is_without else ""
-        if absence and absence != self._cause and (recorder := self._recorder) is not None:
-            recorder.note("pilot", absence)
-        if is_without:
-            self._last_absence = absence
-        self._cause = cause(text, absence) or self._cause
-        return in_words(text, absence)
-
-    def _add_event(self, tick: int, kind: str, words: str) -> None:
-        entry = {"t_s": round(tick * TICK_S, 3), "kind": kind, "text": words}
-        self._events = [*self._events[1 - _EVENTS_KEPT :], entry]
-        self._tell({"event": entry})
-
-    def _tell_values(self) -> None:
-        with contextlib.suppress(HeliError):
-            self._values = dict(self._heli.params)
-        self._tell(
+    def _tell_parameters(self) -> None:
+        values = self._parameters.values
+        self._feed.tell(
             {
-                "values": self._values,
-                "undo": len(self._undo),
+                "values": values,
+                "undo": self._parameters.undoable,
                 "limits_deg": self._heli.setpoint_limits_deg(),
-                "channels": channel_rows(self._values, self._signals),
+                "channels": channel_rows(values, self._signals),
             }
         )
 
-    def _tell(self, news: Mapping[str, Any]) -> None:
-        if self._news is not None:
-            self._news(news)
+
+def _link_status(session: Session) -> dict[str, Any]:
+    counters, clock = session.counters, session.clock
+    return {
+        "frames": counters.frames_ok,
+        "bad": counters.frames_bad,
+        "lost_ticks": counters.ticks_lost,
+        "ticks": counters.ticks_received,
+        "retries": counters.retries,
+        "reconnects": counters.reconnects,
+        "latency_ms": round(clock.round_trip_s * 1e3, 1) if clock is not None else None,
+        "jitter_ms": round(clock.jitter_s * 1e3, 1) if clock is not None else None,
+    }
 
 
 def is_simulated(heli: Heli) -> bool:

@@ -10,14 +10,15 @@ from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
-from heli_sim.model.parts import AXES
 
 from heli_lab.estimation import BLOCK_s
 from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.free_flight import FreeFlight
 from heli_lab.twin.ghost import Ghost
+from heli_lab.twin.input_history import InputHistory
 from heli_lab.twin.kalman_filter import KalmanFilter, TwinModel, start_state
 from heli_lab.twin.likelihood_ratio import RECENT, WINDOW_BLOCKS, ChangeCandidate, Innovation, LikelihoodRatio
+from heli_lab.twin.model_check import ModelCheck
 from heli_lab.twin.samples import Samples, Step, Stepper
 
 DIAGNOSIS_DELAY_s: Final = 3.0
@@ -30,14 +31,6 @@ CALIBRATION_s: Final = 8.0
 and the parameters within their covariance. `diagnose` takes the same. A model that is contradicted so early
 was wrong from the start. Longer: an early change is not named. Shorter: another day's supply is taken for a
 change."""
-MAX_MEAN_SQUARE: Final = 2.0
-"""Mean square of an axis' innovations in `CALIBRATION_s` above which the model is not this rig's; 1 is what
-the model states. 175 innovations with the outliers of real flights (kurtosis 6) have a standard error of
-0.17, so chance needs six of them. Larger: flights that no model here explains raise alarms later. Smaller:
-a day with gusts 1.4 times as large contradicts the rig."""
-_HISTORY_s: Final = 2.0
-"""Length of the flight before the filter begins from which the states of effects are integrated, s: far
-longer than the lag of any rotor."""
 PERSISTENCE_BLOCKS: Final = 6
 """Number of measurements, 40 ms apart, over which evidence must persist before it counts: 0.24 s. Fewer:
 rounding that a gust makes larger raises an alarm. More: sudden changes are reported that much later."""
@@ -143,10 +136,7 @@ class Twin:
         self.block_s = self._block * self.step_s
         self._free_flight = FreeFlight(model.rig, self.step_s)
         self._ghost = Ghost(model, self.step_s) if with_ghost else None
-        self._delayed = round(model.delay_s / self.step_s)
-        self._history: deque[tuple[float, Floats, Floats]] = deque(maxlen=round(_HISTORY_s / self.step_s))
-        self._volts: deque[Floats] = deque(maxlen=self._delayed + 1)
-        self._motors_since_s = math.nan
+        self._inputs = InputHistory(model, self.step_s)
         self._kalman: KalmanFilter | None = None
         self._ratio = self._new_ratio()
         self._latest_nats: deque[float] = deque([-math.inf] * PERSISTENCE_BLOCKS, PERSISTENCE_BLOCKS)
@@ -155,8 +145,7 @@ class Twin:
         self._began = self._blocks = 0
         self._alarm_block: int | None = None
         self._diagnosed = self._recalibrates = self._is_early = False
-        self._squares: Floats = np.zeros(3)
-        self._squared = 0
+        self._check = ModelCheck()
         self._unknown_until = -1
         """Last step after voltages that no nominal flight shows."""
 
@@ -188,23 +177,16 @@ class Twin:
     def _update_step(self, step: Step) -> Iterator[TwinEvent]:
         if step.after_gap:
             yield from self._wait(step.index, "samples are missing")
-            self._history.clear()
-            self._volts.clear()
-            self._motors_since_s = math.nan
+            self._inputs.restart()
         t_s = step.index * self.step_s - self._zero_s
-        volts_V = np.maximum(step.volts_V, self.model.least_V).mean(axis=0)
-        self._volts.append(volts_V)
-        acting_V = self._volts[0]
-        if not step.flying:
-            self._motors_since_s = math.nan
-        elif math.isnan(self._motors_since_s) and np.any(step.volts_V):
-            self._motors_since_s = t_s
-        since_s = 0.0 if math.isnan(self._motors_since_s) else t_s - self._motors_since_s
+        inputs = self._inputs
+        inputs.update(step, t_s)
+        since_s, acting_V = inputs.since_s, inputs.acting_V
         free = self._free_flight.update(step.measured_rad, step.flying)
         if step.measured_rad is not None:
-            self._history.append((since_s, step.measured_rad, acting_V))
+            inputs.keep(step.measured_rad)
         elif self._kalman is None:
-            self._history.clear()
+            inputs.forget_kept()
         # In a landing the motors run at the border of their dead zone, where evidence is unreliable. An alarm
         # that was raised before the landing still gets its final ranking.
         if not free or (step.landing and (self._alarm_block is None or self._diagnosed)):
@@ -232,12 +214,13 @@ class Twin:
         return LikelihoodRatio(self.model.changes, self._count_rad, draws=2)
 
     def _begin(self, index: int) -> KalmanFilter:
-        times, angles, volts = (np.array(values) for values in zip(*self._history, strict=True))
+        times_s, angles_rad, volts_V = self._inputs.kept()
         self.free = True
         self.contradicts = False
         if self._ghost is not None:
             self._ghost.begin()
-        return self._restart(index, start_state(self.model, times, angles, volts, self.step_s), False)
+        state = start_state(self.model, times_s, angles_rad, volts_V, self.step_s)
+        return self._restart(index, state, False)
 
     def _restart(self, index: int, state: Floats, changed: bool) -> KalmanFilter:
         """Begin to filter from a state; after an alarm (`changed`) all possible changes are unknown
@@ -256,7 +239,7 @@ class Twin:
         self._latest_nats.extend([-math.inf] * PERSISTENCE_BLOCKS)
         self._began, self._blocks = index, 0
         self._alarm_block, self._diagnosed, self._recalibrates = None, False, changed
-        self._squares, self._squared = np.zeros(3), 0
+        self._check = ModelCheck()
         return self._kalman
 
     def _end_block(
@@ -276,8 +259,7 @@ class Twin:
             if step.index <= self._unknown_until:
                 innovation = Innovation(np.zeros(3), np.zeros_like(innovation.sensitivity))
             elif block * self.block_s > FILTER_SETTLING_s:
-                self._squares += innovation.value**2
-                self._squared += 1
+                self._check.add(innovation.value)
             self._weigh(innovation)
         self._angles_rad[block % len(self._angles_rad)] = kalman.state[:3]
         if self.records_evidence:
@@ -312,17 +294,9 @@ class Twin:
 
     def _compare_spread(self, block: int, t_s: float) -> Iterator[TwinEvent]:
         """Compare the innovations' mean square with the stated one, once, at the end of `CALIBRATION_s`."""
-        is_due = block == math.floor(CALIBRATION_s / self.block_s) and self._squared > 0
-        if not is_due or self.threshold_nats == math.inf:
-            return
-        mean_square = self._squares / self._squared
-        worst = int(np.argmax(mean_square))
-        if mean_square[worst] > MAX_MEAN_SQUARE:
-            spread = mean_square[worst] ** 0.5
-            yield self._contradicts(
-                t_s,
-                f"{AXES[worst]} differs from its predictions by {spread:.1f} times the stated deviation",
-            )
+        is_due = block == math.floor(CALIBRATION_s / self.block_s)
+        if is_due and self.threshold_nats != math.inf and (why := self._check.contradiction()):
+            yield self._contradicts(t_s, why)
 
     def _contradicts(self, t_s: float, why: str) -> TwinEvent:
         self.contradicts = True

@@ -1,0 +1,133 @@
+"""Decides whether a flight must end, and derives why from the board's samples and events."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from heli_host.declaration import Channel, Event, Fault, State, Trigger
+from heli_host.errors import FlightAborted, fault_text
+from heli_host.link.events import BOARD_RESTARTED, LinkEvent, state_text
+
+if TYPE_CHECKING:
+    from heli_host.fly.recorder import Recorder
+    from heli_host.link.session import Session
+
+_LOOK_S = 0.05
+_CLOSING_S = 2.0
+FLYING = (State.ARMED, State.CLOSED_LOOP, State.HOLD)
+
+
+class FlightMonitor:
+    """Watches one flight. It sends nothing: `heli_host.fly.pilot.Pilot` acts on what it raises.
+
+    A stop from elsewhere, such as a page, is seen here as a state of the board that is not that of a flight.
+    `take_event` runs in the session's reading thread, all other methods in that of `Pilot.fly`.
+
+    Parameters
+    ----------
+    session : Session
+        Session with the board.
+    recorder : Recorder
+        If it fails, the flight must end.
+    end_when : callable returning str
+        Returns the reason why the flight must end now, otherwise an empty text. It must not block.
+
+    Attributes
+    ----------
+    was_closed : bool
+        Whether the control loops have been closed in this flight.
+    """
+
+    def __init__(self, session: Session, recorder: Recorder, end_when: Callable[[], str]) -> None:
+        self.was_closed = False
+        self._session = session
+        self._recorder = recorder
+        self._end_when = end_when
+        self._hears = False
+        self._ended_by = ""
+        self._restarts = self._reconnects = 0
+
+    def begin(self) -> None:
+        """Compare restarts and reconnects with those of now."""
+        counters = self._session.counters
+        self._restarts, self._reconnects = counters.restarts, counters.reconnects
+
+    def hear_events(self) -> None:
+        """Take the cause of the end from events that arrive from now on."""
+        self._hears = True
+
+    def take_event(self, event: LinkEvent) -> None:
+        """Remember the event that ended the flight.
+
+        Parameters
+        ----------
+        event : LinkEvent
+            Any event of the link; called in the session's reading thread.
+        """
+        # The first event with a state that is not flying gives the cause; later ones are its consequences.
+        message = event.message
+        if not self._hears or self._ended_by or message is None or message.kind != Event.STATE:
+            return
+        # A touchdown follows from a landing, whose event was lost if this is the first.
+        if message.cause != Trigger.TOUCHDOWN:
+            self._ended_by = "" if message.detail in FLYING else event.text
+
+    def must_end(self) -> bool:
+        """Whether the board does not fly any more, the recorder has failed, or the caller ends the flight."""
+        state = self._session.state
+        self.was_closed = self.was_closed or state is State.CLOSED_LOOP
+        flying = (State.CLOSED_LOOP, State.HOLD) if self.was_closed else (State.CLOSED_LOOP, State.ARMED)
+        wrong = (state is not None and state not in flying) or self._recorder.error is not None
+        return wrong or bool(self._end_when())
+
+    def check(self, t_s: float) -> None:
+        """Raise the error that must end the flight, if there is one.
+
+        Parameters
+        ----------
+        t_s : float
+            Device time since the loops were to be closed [s]; they must be closed within 2 s.
+
+        Raises
+        ------
+        HeliError
+            The recorder failed, the board restarted or does not fly, or the caller ends the flight.
+        """
+        self._recorder.check()
+        if restarted := self.restarted():
+            raise FlightAborted(restarted.removeprefix("aborted: "))
+        slow = not self.was_closed and t_s > _CLOSING_S
+        if not self.must_end() and not slow:
+            return
+        raise FlightAborted(self._end_when() or self.why_down())
+
+    def why_down(self) -> str:
+        """Return the reason for a state of the board that is not that of a flight."""
+        state = self._session.state
+        if state in (State.FAULT, State.EMERGENCY_LANDING):
+            return f"fault {fault_text(self.fault())}"
+        # Telemetry shows a state a moment before its events are handed over.
+        self._session.wait_for(lambda: bool(self._ended_by), _LOOK_S)
+        lost = ", after the link was lost" if self._session.counters.reconnects != self._reconnects else ""
+        name = state.name.lower() if state is not None else "unknown"
+        return f"the board went to state {name}{lost} ({self._ended_by or self._newest_state()})"
+
+    def restarted(self) -> str:
+        """Return the outcome of a flight whose board has restarted; empty if it has not."""
+        if self._session.counters.restarts == self._restarts:
+            return ""
+        texts = (event.text for event in reversed(self._session.events) if event.kind == BOARD_RESTARTED)
+        text = next(texts, "the board restarted")
+        return f"aborted: {text} in flight, motors off; check its supply and the log's last events"
+
+    def fault(self) -> int:
+        """Return the number of the fault in the newest sample."""
+        newest = self._session.latest
+        return int(newest[1][Channel.FAULT]) if newest is not None else int(Fault.NONE)
+
+    def _newest_state(self) -> str:
+        newest = self._session.latest
+        if newest is None:
+            return "no sample arrived"
+        return state_text(int(newest[1][Channel.STATE]), int(newest[1][Channel.TRIGGER]))

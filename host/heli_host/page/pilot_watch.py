@@ -1,0 +1,104 @@
+"""Whether the pilot's page answers, and how its absence explains what the board did."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from heli_host.page.causes import cause, in_words, is_without_setpoints
+
+if TYPE_CHECKING:
+    from heli_host.page.recording import Recording
+
+_LOOK_S = 0.2
+_SETTLED_LOOKS = 15
+"""Looks at a page that is there each time before plans begin: one that still loads is busy for a second,
+which is a missing pilot."""
+
+
+class PilotWatch:
+    """Presence of the pilot's page, and causes of what the board does without it.
+
+    It owns the cause of the board's last change of state. The server's lease decides whether the page is
+    present. The session asks the same callable before each setpoint: see
+    `heli_host.link.session.Session.permit_streams`.
+
+    Parameters
+    ----------
+    recording : Recording
+        Gets a line when the pilot's page is absent.
+
+    Attributes
+    ----------
+    cause : str
+        Cause of the last change of state, in words; empty before the first. Written by the session's reading
+        thread.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        self.cause = ""
+        self._recording = recording
+        self._present: Callable[[], bool] = lambda: False
+        self._absence: Callable[[], str] = lambda: ""
+        self._last_absence = ""
+
+    def watch(self, present: Callable[[], bool], absence: Callable[[], str]) -> None:
+        """Register the conditions; see `heli_host.page.source.Source.watch_pilot`.
+
+        Parameters
+        ----------
+        present : callable returning bool
+            True while the pilot's page answers; it must not block.
+        absence : callable returning str
+            Why the pilot's page is absent, in words; empty while it is present.
+        """
+        self._present, self._absence = present, absence
+
+    def wait_until_settled(self, give_up: Callable[[], bool]) -> bool:
+        """Wait, in the caller's thread, until a pilot's page has answered for 3 s without a break.
+
+        Parameters
+        ----------
+        give_up : callable returning bool
+            Asked before each look at the page, five times per second; True ends the wait.
+
+        Returns
+        -------
+        bool
+            False if the caller gave up.
+        """
+        seen = 0
+        while seen < _SETTLED_LOOKS:
+            if give_up():
+                return False
+            time.sleep(_LOOK_S)
+            seen = seen + 1 if self._present() else 0
+        return True
+
+    def event_in_words(self, text: str) -> str:
+        """Return the text of an event with its cause in words, and write an absent pilot into the log.
+
+        Parameters
+        ----------
+        text : str
+            Text of an event of the link. Called in the session's reading thread.
+        """
+        is_without = is_without_setpoints(text)
+        absence = self._absence() if is_without else ""
+        if absence and absence != self.cause:
+            self._recording.write("pilot", absence)
+        if is_without:
+            self._last_absence = absence
+        self.cause = cause(text, absence) or self.cause
+        return in_words(text, absence)
+
+    def outcome_in_words(self, outcome: str) -> str:
+        """Return the outcome of a flight with its cause in words.
+
+        Parameters
+        ----------
+        outcome : str
+            See `heli_host.fly.pilot.Pilot`.
+        """
+        return in_words(outcome, self._last_absence)

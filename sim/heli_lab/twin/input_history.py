@@ -1,0 +1,73 @@
+"""Inputs of the model at each step: the voltage that acts, and the time since the motors started."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Final
+
+import numpy as np
+from heli_host.arrays import Floats
+
+from heli_lab.twin.kalman_filter import TwinModel
+from heli_lab.twin.samples import Step
+
+_HISTORY_s: Final = 2.0
+"""Length of the flight before the filter begins from which the states of effects are integrated, s: far
+longer than the lag of any rotor."""
+
+
+class InputHistory:
+    """Inputs of the latest steps. It owns the delay between a voltage and its action.
+
+    Parameters
+    ----------
+    model : TwinModel
+        States the delay and the least voltage that acts.
+    step_s : float
+        Time between two steps [s].
+
+    Attributes
+    ----------
+    since_s : float
+        Time since the motors started [s]; 0 while they are off.
+    acting_V : ndarray (2,)
+        Voltages that act at the present step [V].
+    """
+
+    def __init__(self, model: TwinModel, step_s: float) -> None:
+        self.since_s = 0.0
+        self.acting_V: Floats = np.zeros(2)
+        self._least_V = model.least_V
+        self._volts: deque[Floats] = deque(maxlen=round(model.delay_s / step_s) + 1)
+        self._motors_since_s = math.nan
+        self._latest: deque[tuple[float, Floats, Floats]] = deque(maxlen=round(_HISTORY_s / step_s))
+
+    def update(self, step: Step, t_s: float) -> None:
+        """Take the inputs of a `step` at time `t_s` [s]."""
+        self._volts.append(np.maximum(step.volts_V, self._least_V).mean(axis=0))
+        self.acting_V = self._volts[0]
+        if not step.flying:
+            self._motors_since_s = math.nan
+        elif math.isnan(self._motors_since_s) and np.any(step.volts_V):
+            self._motors_since_s = t_s
+        self.since_s = 0.0 if math.isnan(self._motors_since_s) else t_s - self._motors_since_s
+
+    def keep(self, measured_rad: Floats) -> None:
+        """Keep the present inputs with the angles [rad], (3,), that were measured at the same step."""
+        self._latest.append((self.since_s, measured_rad, self.acting_V))
+
+    def forget_kept(self) -> None:
+        """Discard the kept inputs."""
+        self._latest.clear()
+
+    def restart(self) -> None:
+        """Discard everything, because samples are missing."""
+        self._latest.clear()
+        self._volts.clear()
+        self._motors_since_s = math.nan
+
+    def kept(self) -> tuple[Floats, Floats, Floats]:
+        """Return times since the motors started [s], angles [rad] and voltages [V] of the kept steps."""
+        times_s, angles_rad, volts_V = (np.array(values) for values in zip(*self._latest, strict=True))
+        return times_s, angles_rad, volts_V

@@ -1,0 +1,39 @@
+"""Checks at the beginning of a flight whether its innovations are as large as the model states."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from heli_host.arrays import Floats
+from heli_sim.model.parts import AXES
+
+MAX_MEAN_SQUARE: Final = 2.0
+"""Mean square of an axis' innovations in `heli_lab.twin.twin.CALIBRATION_s` above which the model is not this
+rig's; 1 is what the model states. 175 innovations with the outliers of real flights (kurtosis 6) have a
+standard error of 0.17, so chance needs six of them. Larger: flights that no model here explains raise alarms
+later. Smaller: a day with gusts 1.4 times as large contradicts the rig."""
+
+
+class ModelCheck:
+    """Mean square of the innovations of each axis. It owns their sums since the filter began."""
+
+    def __init__(self) -> None:
+        self._squares: Floats = np.zeros(3)
+        self._count = 0
+
+    def add(self, innovation: Floats) -> None:
+        """Add an `innovation`, (3,), in standard deviations."""
+        self._squares += innovation**2
+        self._count += 1
+
+    def contradiction(self) -> str:
+        """Describe the axis whose innovations are too large; empty if none are, or none were added."""
+        if not self._count:
+            return ""
+        mean_square = self._squares / self._count
+        worst = int(np.argmax(mean_square))
+        if not mean_square[worst] > MAX_MEAN_SQUARE:
+            return ""
+        spread = mean_square[worst] ** 0.5
+        return f"{AXES[worst]} differs from its predictions by {spread:.1f} times the stated deviation"
