@@ -29,7 +29,7 @@ INTERFACES = {
 AMBIGUOUS = {
     "heli_host": {
         "After", "EVENT_TOPIC", "Excitation", "Flags", "LAW_SIGNALS", "LINE_EVERY_S",
-        "Part", "Request", "Rows", "TAKE_OFF", "TICK_S",
+        "Part", "Request", "Rows", "TAKE_OFF",
         "TICK_TOPIC", "Table",
     },
     "heli_lab": {"gains"},

@@ -80,7 +80,13 @@ class TelemetryReceiver:
         return 1.0 if estimate is None else max(estimate.rate, 1.0)
 
     def is_behind(self, tick: int) -> bool:
-        """Whether a tick from the board is lower than the newest one accepted."""
+        """Whether a tick from the board is lower than the newest one accepted.
+
+        Parameters
+        ----------
+        tick : int
+            As it came over the link, modulo 2^32.
+        """
         return self.account.last is not None and self.account.unwrap(tick) < self.account.last
 
     def hold(self, payload: bytes) -> None:

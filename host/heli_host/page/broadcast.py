@@ -72,13 +72,25 @@ class Broadcast:
                 client.tell(text)
 
     def tell_all_soon(self, news: Mapping[str, Any]) -> None:
-        """Send news to all clients, from any thread: the event loop does it next."""
+        """Send news to all clients, from any thread: the event loop does it next.
+
+        Parameters
+        ----------
+        news : mapping
+            See `tell_all`.
+        """
         if self.loop is not None:
             with contextlib.suppress(RuntimeError):
                 self.loop.call_soon_threadsafe(self.tell_all, news)
 
     def as_json(self, news: Mapping[str, Any]) -> str:
-        """Return news as JSON, and log numbers that are not finite."""
+        """Return news as JSON, and log numbers that are not finite.
+
+        Parameters
+        ----------
+        news : mapping
+            Content; a number that is not finite becomes null.
+        """
         text, is_not_finite = as_json(news)
         if is_not_finite:
             self._notes.warn(f"{', '.join(news)} holds a number that is not finite; pages get null")

@@ -54,7 +54,13 @@ class InputHistory:
         self.since_s = 0.0 if math.isnan(self._motors_since_s) else t_s - self._motors_since_s
 
     def keep(self, measured_rad: Floats) -> None:
-        """Keep the present inputs with the angles [rad], (3,), that were measured at the same step."""
+        """Keep the present inputs with angles that were measured at the same step.
+
+        Parameters
+        ----------
+        measured_rad : ndarray (3,)
+            Measured angles [rad].
+        """
         self._latest.append((self.since_s, measured_rad, self.acting_V))
 
     def forget_kept(self) -> None:
