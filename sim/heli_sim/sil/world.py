@@ -90,6 +90,8 @@ class SilWorld:
             offset_count=random.uniform(-_OFFSET_COUNTS, _OFFSET_COUNTS, 3).tolist(),
             board=self.board.sim,
         )
+        wiring = options.rig_faults
+        self.native.wire_motors(wiring.motors_swapped, wiring.motor_signs)
         support_arm(self.plant, self.native)
         self.to_board = FaultyStream(options.faults, options.seed, 0)
         self.to_host = FaultyStream(options.faults, options.seed, 1)

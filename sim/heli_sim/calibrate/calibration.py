@@ -1,0 +1,265 @@
+"""The whole calibration: encoders, motors, then a rig and the parameters of the board."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+from heli_host.declaration import AXES, State
+from heli_host.errors import fault_text
+from heli_host.heli import Heli
+
+from heli_sim.calibrate.encoders import EncoderResult, angles_deg, calibrate_encoders
+from heli_sim.calibrate.errors import CalibrationError
+from heli_sim.calibrate.limits import pulse_limits, temporary_parameters
+from heli_sim.calibrate.motors import OUTPUTS, MotorResult, PulseLimits, calibrate_motor
+from heli_sim.calibrate.operator import Action, Operator
+from heli_sim.calibrate.thrust import Thrust, geometry_share
+from heli_sim.rig import Number, Rig
+from heli_sim.rig.encoders import counts_per_turn
+from heli_sim.rig.schema import ENCODER_COUNTS, ENCODER_DIRECTIONS
+
+HARD_MAX_V: Final = 6.0
+"""Voltage that no pulse exceeds, whatever the options say [V]."""
+MAX_ANGLE_deg: Final = 20.0
+_ABOVE_DEAD_ZONE_V: Final = 1.0
+_FIRST_SHARE: Final = 0.3
+_FIRST_V: Final = 0.2
+_TIED_deg: Final = 3.0
+"""Least elevation above the table in pulses: on its table an arm brakes pitch."""
+_TRIES: Final = 3
+_REST_deg: Final = 1.0
+"""Tolerance of a rest angle whose level is a person's spirit level [deg]."""
+_LEAST_DEAD_ZONE_V: Final = 0.02
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Result of a calibration.
+
+    Parameters
+    ----------
+    encoders : EncoderResult
+        Directions and rest angle.
+    motors : tuple of MotorResult
+        Of the front output and the back output.
+    rig : Rig
+        The rig with the measured numbers.
+    parameters : Mapping of str to float
+        Parameters that the board should have.
+    notes : tuple of str
+        What was not measured, with the reason, and what to change by hand.
+    """
+
+    encoders: EncoderResult
+    motors: tuple[MotorResult, ...]
+    rig: Rig
+    parameters: Mapping[str, float]
+    notes: tuple[str, ...]
+
+    @property
+    def motors_exchanged(self) -> bool:
+        """Whether the front output drives the back rotor, and the back output the front rotor."""
+        return all(motor.rotor != motor.output for motor in self.motors)
+
+
+def default_limits(rig: Rig) -> PulseLimits:
+    """Return the bounds of the pulses that a rig's dead zone suggests."""
+    dead_zone_V = rig["dead_zone"].value
+    return PulseLimits(
+        max(_FIRST_V, _FIRST_SHARE * dead_zone_V),
+        min(dead_zone_V + _ABOVE_DEAD_ZONE_V, HARD_MAX_V),
+        MAX_ANGLE_deg,
+    )
+
+
+def calibrate(
+    heli: Heli,
+    operator: Operator,
+    rig: Rig,
+    limits: PulseLimits | None = None,
+    *,
+    name: str = "",
+    mark: Callable[[str], None] = lambda _: None,
+    check: Callable[[], None] = lambda: None,
+) -> Calibration:
+    """Calibrate encoders and motors of a connected board.
+
+    The board keeps its parameters: they are changed in its memory only, and put back. The motors go off
+    first in every ending.
+
+    Parameters
+    ----------
+    heli : Heli
+        Connected; the board is idle.
+    operator : Operator
+        Moves the rig, confirms pulses, and sees which rotor turns.
+    rig : Rig
+        Rig with everything that is not measured.
+    limits : PulseLimits, optional
+        Bounds of the pulses; those of `default_limits` if omitted.
+    name : str
+        Name of the resulting rig; empty for the name of `rig`.
+    mark : callable taking str
+        Gets the name of each part of the calibration, for the log.
+    check : callable
+        Called repeatedly; raises when the log cannot be written.
+
+    Raises
+    ------
+    CalibrationError
+        The board is not idle, or a movement or a pulse has no clear answer.
+    FlightAborted
+        The operator or the board ended a pulse.
+    """
+    _check_idle(heli)
+    _check_counts(heli, rig)
+    limits = limits or default_limits(rig)
+    _check_voltages(heli, limits)
+    mark("encoders")
+    encoders = calibrate_encoders(heli, operator)
+    check()
+    encoder_values = _encoder_values(heli, encoders)
+    signs = {f"motor_{output}_sign": heli.params[f"motor_{output}_sign"] for output in OUTPUTS}
+    with temporary_parameters(heli, encoder_values | signs):
+        heli.zero()
+        _tie(heli, operator)
+        motors = []
+        with temporary_parameters(
+            heli, pulse_limits(heli, max_V=limits.max_V, max_angle_deg=limits.max_angle_deg)
+        ):
+            for output in OUTPUTS:
+                mark(f"{output} output")
+                motors.append(calibrate_motor(heli, operator, output, rig, limits, check))
+    mark("result")
+    return _calibration(encoders, encoder_values, motors, rig, name or rig.name)
+
+
+def set_parameters(heli: Heli, operator: Operator, values: Mapping[str, float]) -> None:
+    """Set parameters on the board with the arm at rest, zero its encoders, and save."""
+    operator.act(Action.REST)
+    heli.params.restore(values)
+    heli.zero()
+    heli.params.save()
+
+
+def _check_idle(heli: Heli) -> None:
+    if heli.state is State.FAULT:
+        raise CalibrationError(
+            f"the board has a fault: {fault_text(heli.fault)}", "add --clear-fault when its cause is gone"
+        )
+    if heli.state is not State.IDLE:
+        raise CalibrationError(f"the board is {heli.state.name.lower()}, not idle", "stop it first")
+
+
+def _check_counts(heli: Heli, rig: Rig) -> None:
+    for axis, counts in zip(AXES, counts_per_turn(rig), strict=True):
+        board = abs(heli.params[f"{axis}_counts_per_rev"])
+        if board != counts:
+            raise CalibrationError(
+                f"{axis}_counts_per_rev is {board:g}, but rig {rig.name} has {counts:g} counts per turn",
+                "correct the wrong one with params set or rig new: counts per turn are not measured",
+            )
+
+
+def _check_voltages(heli: Heli, limits: PulseLimits) -> None:
+    most_V = min(HARD_MAX_V, heli.params["motor_max_V"])
+    if not 0.0 < limits.start_V < limits.max_V <= most_V:
+        raise CalibrationError(
+            f"pulses from {limits.start_V:g} to {limits.max_V:g} V are not possible",
+            f"give a --max-V above {limits.start_V:g} and up to {most_V:g} V",
+        )
+
+
+def _encoder_values(heli: Heli, encoders: EncoderResult) -> dict[str, float]:
+    spec = heli.params.spec("elevation_rest_deg")
+    rest_deg = round(encoders.rest_deg, 2)
+    if not spec.min <= rest_deg <= spec.max:
+        raise CalibrationError(
+            f"the arm rests at {rest_deg:g} degrees, and the board takes {spec.min:g} to {spec.max:g}",
+            "lift the arm only until it is level, and check the counts per turn of the elevation encoder",
+        )
+    values = {
+        f"{axis}_counts_per_rev": direction * abs(heli.params[f"{axis}_counts_per_rev"])
+        for axis, direction in encoders.direction.items()
+    }
+    return values | {"elevation_rest_deg": rest_deg}
+
+
+def _tie(heli: Heli, operator: Operator) -> None:
+    rest_deg = heli.params["elevation_rest_deg"]
+    for _ in range(_TRIES):
+        operator.act(Action.TIE)
+        lifted_deg = angles_deg(heli)[0] - rest_deg
+        if lifted_deg >= _TIED_deg:
+            return
+        operator.report(f"the arm is {lifted_deg:.1f} degrees above its table; it needs {_TIED_deg:g} or more")
+    raise CalibrationError(
+        "the arm is still on its table", "put a block below the long arm: the table brakes the short arm"
+    )
+
+
+def _calibration(
+    encoders: EncoderResult,
+    encoder_values: Mapping[str, float],
+    motors: Sequence[MotorResult],
+    rig: Rig,
+    name: str,
+) -> Calibration:
+    notes: list[str] = []
+    values = dict(encoder_values)
+    first, second = motors
+    if first.rotor == second.rotor:
+        raise CalibrationError(
+            f"both outputs drive the {first.rotor} rotor, as the operator saw it",
+            "look at the rotors during a pulse, and calibrate again",
+        )
+    if first.rotor == "front":
+        values |= {f"motor_{motor.output}_sign": float(motor.sign) for motor in motors}
+    else:
+        notes.append(
+            "the motors are exchanged: swap the plugs of the two motors, then calibrate again; their signs "
+            "were not put into the parameters"
+        )
+    lines = [motor.thrust for motor in motors if isinstance(motor.thrust, Thrust)]
+    notes += [
+        f"thrust of the {motor.rotor} rotor is not known: {motor.thrust}; the rig's values stay"
+        for motor in motors
+        if isinstance(motor.thrust, str)
+    ]
+    numbers = dict(rig)
+    if len(lines) == len(motors):
+        gain, gain_std = _mean([(line.gain_N_per_V, line.gain_std) for line in lines])
+        zero_V, zero_std = _mean([(line.dead_zone_V, line.dead_zone_std) for line in lines])
+        zero_V = max(zero_V, 0.0)
+        tolerance = math.hypot(2.0 * gain_std, gain * geometry_share(rig))
+        source = "heli-host calibrate: pitch after short pulses"
+        numbers["thrust_gain"] = Number(gain, "N/V", tolerance, source)
+        numbers["dead_zone"] = Number(zero_V, "V", max(2.0 * zero_std, _LEAST_DEAD_ZONE_V), source)
+        values["dead_zone_V"] = round(zero_V, 3)
+        ratio = lines[0].gain_N_per_V / lines[1].gain_N_per_V
+        if first.rotor == "back":
+            ratio = 1.0 / ratio
+        if abs(ratio - 1.0) > 0.1:
+            notes.append(
+                f"the front rotor pushes {ratio:.2f} times as much per volt as the back rotor: check the "
+                "propellers, or describe it with the effect thrust_asymmetry"
+            )
+    for axis, counts, quantity in zip(AXES, ENCODER_COUNTS, ENCODER_DIRECTIONS, strict=True):
+        numbers[counts] = rig[counts]
+        direction = float(encoders.direction[axis])
+        numbers[quantity] = Number(direction, "1", 0.0, "heli-host calibrate: turned by hand")
+    numbers["elevation_min"] = Number(
+        values["elevation_rest_deg"], "deg", _REST_deg, "heli-host calibrate: lifted to level by hand"
+    )
+    calibrated = replace(
+        rig, name=name, description=f"calibrated on the bench, the rest as {rig.name}", numbers=numbers
+    )
+    return Calibration(encoders, tuple(motors), calibrated, values, tuple(notes))
+
+
+def _mean(values: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    mean = sum(value for value, _ in values) / len(values)
+    return mean, math.sqrt(sum(std**2 for _, std in values)) / len(values)

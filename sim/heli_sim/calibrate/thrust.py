@@ -1,0 +1,180 @@
+"""Thrust and dead zone of a rotor, from the pitch angle after short pulses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import scipy.linalg
+import scipy.optimize
+from heli_host.arrays import Floats
+
+from heli_sim.rig import Rig
+from heli_sim.rig.inertia import inertias_kg_m2
+
+GRID_s: Final = 0.005
+"""Step of the times at which the response is compared."""
+BEFORE_s: Final = 0.3
+PULSE_s: Final = 0.3
+"""Length of a pulse. Longer: a strong rotor turns pitch too far. Shorter: a slow rotor gives no thrust yet."""
+AFTER_s: Final = 1.2
+"""Time after the pulse that is compared; it holds the impulse of a slow rotor too."""
+LEAST_PULSES: Final = 3
+"""Pulses that moved, of which a straight line has a standard error."""
+MAX_SHARE: Final = 0.2
+"""Standard error of a thrust gain, as share of it, above which the rig file's value stays."""
+_GAIN_MASSES: Final = ("M_f", "M_b", "M_h", "L_h", "L_phi")
+
+
+@dataclass(frozen=True)
+class Pulse:
+    """Pitch around one pulse.
+
+    Parameters
+    ----------
+    volts_V : float
+        Voltage of the output during the pulse.
+    pitch_rad : Floats
+        Pitch from BEFORE_s before the pulse to AFTER_s after it, in steps of GRID_s.
+    """
+
+    volts_V: float
+    pitch_rad: Floats
+
+
+@dataclass(frozen=True)
+class Thrust:
+    """Straight line of thrust over voltage: gain (V - dead zone).
+
+    Parameters
+    ----------
+    gain_N_per_V, gain_std : float
+        Slope, and its standard error by the jackknife over the pulses.
+    dead_zone_V, dead_zone_std : float
+        Voltage at which the line is zero, and its standard error.
+    pulses : int
+        Pulses that the line is fitted to.
+    """
+
+    gain_N_per_V: float
+    gain_std: float
+    dead_zone_V: float
+    dead_zone_std: float
+    pulses: int
+
+
+def response_design(stiffness: float, damping: float, lag_s: float) -> Floats:
+    """Return pitch for unit acceleration during the pulse, for an offset, a first angle and a first rate,
+    shape (times, 4); stiffness [1/s2], damping [1/s].
+    """
+    lag_s = max(lag_s, 1e-3)
+    rates = np.array(
+        [
+            [0.0, 1.0, 0.0, 0.0],
+            [-stiffness, -damping, 1.0, 0.0],
+            [0.0, 0.0, -1.0 / lag_s, 1.0 / lag_s],
+            [0.0, 0.0, 0.0, 0.0],
+        ]
+    )
+    step = scipy.linalg.expm(rates * GRID_s)
+    before, during, after = (round(span / GRID_s) for span in (BEFORE_s, PULSE_s, AFTER_s))
+    # Columns of states: the response to the pulse, to a first angle, to a first rate.
+    state = np.zeros((4, 3))
+    state[0, 1] = state[1, 2] = 1.0
+    rows = np.empty((before + during + after, 4))
+    rows[:, 1] = 1.0
+    for index in range(len(rows)):
+        state[3, 0] = float(before <= index < before + during)
+        rows[index, [0, 2, 3]] = state[0]
+        state = step @ state
+    # Without stiffness a first angle is an offset too: the least squares take the shortest solution.
+    return rows
+
+
+def accelerations(pulses: Sequence[Pulse], rig: Rig) -> Floats:
+    """Fit stiffness, damping and lag of all pulses together, then return the pitch acceleration that each
+    pulse caused [rad/s2], shape (n,).
+    """
+    measured = np.column_stack([pulse.pitch_rad for pulse in pulses])
+    inertia = _pitch_inertia(rig)
+    short_kg = rig["M_f"].value + rig["M_b"].value + rig["M_h"].value
+    stated = short_kg * rig["g"].value * rig["L_phi"].value / inertia
+    start = np.array([max(stated, 0.1), max(rig["friction_pitch"].value / inertia, 0.05), 0.02])
+
+    def residual(unknown: Floats) -> Floats:
+        design = response_design(*unknown)
+        return np.asarray((measured - design @ _solve(design, measured)).ravel())
+
+    fit = scipy.optimize.least_squares(
+        residual, start, bounds=([0.0, 0.0, 1e-3], [100.0, 20.0, 0.5]), x_scale=[1.0, 1.0, 0.05], xtol=1e-6
+    )
+    return _solve(response_design(*fit.x), measured)[0]
+
+
+def response_counts(pulse: Pulse, count_rad: float) -> tuple[float, float]:
+    """Return how far the pulse turned pitch, signed, and the scatter of the readings before it [counts]."""
+    before, during = round(BEFORE_s / GRID_s), round(PULSE_s / GRID_s)
+    base, scatter = pulse.pitch_rad[:before].mean(), pulse.pitch_rad[:before].std()
+    change = pulse.pitch_rad[before : before + 2 * during] - base
+    return float(change[np.argmax(np.abs(change))] / count_rad), float(scatter / count_rad)
+
+
+def thrust_of(pulses: Sequence[Pulse], sign: int, rig: Rig) -> Thrust | str:
+    """Infer thrust gain and dead zone of a rotor from the pulses that moved pitch.
+
+    Parameters
+    ----------
+    pulses : sequence of Pulse
+        Pulses with positive thrust.
+    sign : int
+        Sign of the pitch that this rotor's thrust causes: 1 for the front rotor.
+    rig : Rig
+        Rig whose inertia and lever turn an acceleration into thrust.
+
+    Returns
+    -------
+    Thrust or str
+        The line, or the reason why there is none.
+    """
+    if len(pulses) < LEAST_PULSES:
+        return f"{len(pulses)} pulses moved pitch, and a line needs {LEAST_PULSES}"
+    volts = np.array([pulse.volts_V for pulse in pulses])
+    newton_per_acceleration = sign * _pitch_inertia(rig) / rig["L_h"].value
+    lines = [_line(volts, newton_per_acceleration * accelerations(pulses, rig))]
+    for index in range(len(pulses)):
+        rest = [pulse for number, pulse in enumerate(pulses) if number != index]
+        if len(rest) >= LEAST_PULSES - 1:
+            lines.append(_line(np.delete(volts, index), newton_per_acceleration * accelerations(rest, rig)))
+    (gain, zero), *others = lines
+    spread = np.array(others) - np.mean(others, axis=0)
+    gain_std, zero_std = np.sqrt((len(others) - 1) / len(others) * np.sum(spread**2, axis=0))
+    if not gain > 0.0:
+        return f"thrust does not grow with the voltage ({gain:.3g} N/V)"
+    if gain_std > MAX_SHARE * gain:
+        return f"the pulses scatter: {gain:.3g} N/V with a standard error of {gain_std:.2g} N/V"
+    return Thrust(gain, float(gain_std), zero, float(zero_std), len(pulses))
+
+
+def geometry_share(rig: Rig) -> float:
+    """Return the half width, as share of the gain, that the tolerances of masses and lengths add."""
+    reference = _pitch_inertia(rig) / rig["L_h"].value
+    shares = []
+    for name in _GAIN_MASSES:
+        other = rig.replace(**{name: rig[name].value + rig[name].tolerance})
+        shares.append(_pitch_inertia(other) / other["L_h"].value / reference - 1.0)
+    return float(np.sqrt(np.sum(np.square(shares))))
+
+
+def _line(volts: Floats, thrust_N: Floats) -> tuple[float, float]:
+    slope, constant = np.polyfit(volts, thrust_N, 1)
+    return float(slope), float(-constant / slope) if slope else 0.0
+
+
+def _pitch_inertia(rig: Rig) -> float:
+    return inertias_kg_m2({name: number.value for name, number in rig.items()})["J_phi"]
+
+
+def _solve(design: Floats, measured: Floats) -> Floats:
+    return np.asarray(np.linalg.lstsq(design, measured, rcond=1e-10)[0])
