@@ -38,7 +38,7 @@ class SimulatedOperator:
         self._report = report
         self._rest_rad = float(np.radians(world.rig["elevation_min"].value))
         self._seen_V = np.zeros(2)
-        heli.on_ticks(lambda _: self._look())
+        heli.session.subscribe_ticks(lambda _: self._look())
 
     def act(self, action: Action) -> None:
         """Turn the axes as the action wants, and wait until they are there."""

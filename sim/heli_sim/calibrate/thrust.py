@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import scipy.linalg
 import scipy.optimize
 from heli_host.arrays import Floats
 
@@ -25,6 +24,9 @@ LEAST_PULSES: Final = 3
 """Pulses that moved, of which a straight line has a standard error."""
 MAX_SHARE: Final = 0.2
 """Standard error of a thrust gain, as share of it, above which the rig file's value stays."""
+_LOW: Final = (0.0, 0.0, 1e-3)
+_HIGH: Final = (100.0, 20.0, 0.5)
+"""Bounds of stiffness, damping and lag: of any rig that a hand can carry, with rotors of up to 0.5 s."""
 _GAIN_MASSES: Final = ("M_f", "M_b", "M_h", "L_h", "L_phi")
 
 
@@ -78,7 +80,7 @@ def response_design(stiffness: float, damping: float, lag_s: float) -> Floats:
             [0.0, 0.0, 0.0, 0.0],
         ]
     )
-    step = scipy.linalg.expm(rates * GRID_s)
+    step = _exponential(rates * GRID_s)
     before, during, after = (round(span / GRID_s) for span in (BEFORE_s, PULSE_s, AFTER_s))
     # Columns of states: the response to the pulse, to a first angle, to a first rate.
     state = np.zeros((4, 3))
@@ -89,28 +91,42 @@ def response_design(stiffness: float, damping: float, lag_s: float) -> Floats:
         state[3, 0] = float(before <= index < before + during)
         rows[index, [0, 2, 3]] = state[0]
         state = step @ state
-    # Without stiffness a first angle is an offset too: the least squares take the shortest solution.
     return rows
 
 
-def accelerations(pulses: Sequence[Pulse], rig: Rig) -> Floats:
-    """Fit stiffness, damping and lag of all pulses together, then return the pitch acceleration that each
-    pulse caused [rad/s2], shape (n,).
-    """
-    measured = np.column_stack([pulse.pitch_rad for pulse in pulses])
+@dataclass(frozen=True)
+class _Swing:
+    """Response of pitch, common to all pulses: stiffness [1/s2], damping [1/s] and lag of the thrust [s]."""
+
+    stiffness: float
+    damping: float
+    lag_s: float
+
+    def accelerations(self, measured: Floats) -> Floats:
+        """Pitch acceleration that each pulse caused [rad/s2], shape (n,)."""
+        design = response_design(self.stiffness, self.damping, self.lag_s)
+        return _solve(design, measured)[0]
+
+
+def _stated_swing(rig: Rig) -> _Swing:
     inertia = _pitch_inertia(rig)
     short_kg = rig["M_f"].value + rig["M_b"].value + rig["M_h"].value
-    stated = short_kg * rig["g"].value * rig["L_phi"].value / inertia
-    start = np.array([max(stated, 0.1), max(rig["friction_pitch"].value / inertia, 0.05), 0.02])
+    stiffness = short_kg * rig["g"].value * rig["L_phi"].value / inertia
+    return _Swing(max(stiffness, 0.1), max(rig["friction_pitch"].value / inertia, 0.05), 0.02)
+
+
+def _fitted_swing(measured: Floats, start: _Swing) -> _Swing:
+    """Fit the common response to pitch around all pulses, shape (times, n)."""
 
     def residual(unknown: Floats) -> Floats:
         design = response_design(*unknown)
         return np.asarray((measured - design @ _solve(design, measured)).ravel())
 
+    first = np.clip([start.stiffness, start.damping, start.lag_s], _LOW, _HIGH)
     fit = scipy.optimize.least_squares(
-        residual, start, bounds=([0.0, 0.0, 1e-3], [100.0, 20.0, 0.5]), x_scale=[1.0, 1.0, 0.05], xtol=1e-6
+        residual, first, bounds=(_LOW, _HIGH), x_scale=[1.0, 1.0, 0.05], xtol=1e-4
     )
-    return _solve(response_design(*fit.x), measured)[0]
+    return _Swing(*map(float, fit.x))
 
 
 def response_counts(pulse: Pulse, count_rad: float) -> tuple[float, float]:
@@ -142,11 +158,13 @@ def thrust_of(pulses: Sequence[Pulse], sign: int, rig: Rig) -> Thrust | str:
         return f"{len(pulses)} pulses moved pitch, and a line needs {LEAST_PULSES}"
     volts = np.array([pulse.volts_V for pulse in pulses])
     newton_per_acceleration = sign * _pitch_inertia(rig) / rig["L_h"].value
-    lines = [_line(volts, newton_per_acceleration * accelerations(pulses, rig))]
+    measured = np.column_stack([pulse.pitch_rad for pulse in pulses])
+    swing = _fitted_swing(measured, _stated_swing(rig))
+    lines = [_line(volts, newton_per_acceleration * swing.accelerations(measured))]
     for index in range(len(pulses)):
-        rest = [pulse for number, pulse in enumerate(pulses) if number != index]
-        if len(rest) >= LEAST_PULSES - 1:
-            lines.append(_line(np.delete(volts, index), newton_per_acceleration * accelerations(rest, rig)))
+        rest = np.delete(measured, index, axis=1)
+        other = _fitted_swing(rest, swing)
+        lines.append(_line(np.delete(volts, index), newton_per_acceleration * other.accelerations(rest)))
     (gain, zero), *others = lines
     spread = np.array(others) - np.mean(others, axis=0)
     gain_std, zero_std = np.sqrt((len(others) - 1) / len(others) * np.sum(spread**2, axis=0))
@@ -178,3 +196,16 @@ def _pitch_inertia(rig: Rig) -> float:
 
 def _solve(design: Floats, measured: Floats) -> Floats:
     return np.asarray(np.linalg.lstsq(design, measured, rcond=1e-10)[0])
+
+
+def _exponential(matrix: Floats) -> Floats:
+    # scipy.linalg.expm takes 10 ms for these four rows, and a fit needs hundreds.
+    squarings = max(int(np.ceil(np.log2(max(np.abs(matrix).sum(axis=1).max(), 1e-9)))) + 1, 0)
+    scaled, term = matrix / 2.0**squarings, np.eye(len(matrix))
+    total = term
+    for order in range(1, 12):
+        term = term @ scaled / order
+        total = total + term
+    for _ in range(squarings):
+        total = total @ total
+    return total
