@@ -123,13 +123,12 @@ def calibrate(
     check()
     encoder_values = _encoder_values(heli, encoders)
     signs = {f"motor_{output}_sign": heli.params[f"motor_{output}_sign"] for output in OUTPUTS}
-    with temporary_parameters(heli, encoder_values | signs):
+    with temporary_parameters(heli, encoder_values | signs, operator.report):
         heli.zero()
         _tie(heli, operator)
         motors = []
-        with temporary_parameters(
-            heli, pulse_limits(heli, max_V=limits.max_V, max_angle_deg=limits.max_angle_deg)
-        ):
+        low = pulse_limits(heli, max_V=limits.max_V, max_angle_deg=limits.max_angle_deg)
+        with temporary_parameters(heli, low, operator.report):
             for output in OUTPUTS:
                 mark(f"{output} output")
                 motors.append(calibrate_motor(heli, operator, output, rig, limits, check))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 from heli_host.declaration import State
 from heli_host.errors import HeliError
@@ -13,11 +13,13 @@ from heli_sim.calibrate.errors import CalibrationError
 
 
 @contextlib.contextmanager
-def temporary_parameters(heli: Heli, values: Mapping[str, float]) -> Iterator[None]:
+def temporary_parameters(
+    heli: Heli, values: Mapping[str, float], warn: Callable[[str], None]
+) -> Iterator[None]:
     """Set parameters in the board's memory, and put the former values back at the end.
 
-    At an ending of any kind the motors go off first. If the board does not answer then, the low limits stay
-    until its restart, because they were not saved.
+    At an ending of any kind the motors go off first. If the board does not take the former values then, the
+    new ones stay until its restart, because they were not saved; `warn` gets a line about it.
     """
     before = {name: heli.params[name] for name in values}
     try:
@@ -25,8 +27,10 @@ def temporary_parameters(heli: Heli, values: Mapping[str, float]) -> Iterator[No
             heli.params[name] = value
         yield
     except BaseException:
-        with contextlib.suppress(HeliError):
+        try:
             _off_and_back(heli, before)
+        except HeliError as error:
+            warn(f"warning: {error}")
         raise
     _off_and_back(heli, before)
 

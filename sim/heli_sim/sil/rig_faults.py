@@ -68,6 +68,13 @@ class RigFaults:
         if not set(self.motor_signs) <= {-1, 1}:
             raise OptionError(f"motor signs {self.motor_signs} are invalid", "give 1 or -1 for each")
 
+    @property
+    def uncompared_signs(self) -> dict[str, float]:
+        """Signs of motors with wrong wires as 0: any sign of the board is then no contradiction to the rig."""
+        wrong = (self.motors_swapped or sign < 0 for sign in self.motor_signs)
+        names = ("motor_front_sign", "motor_back_sign")
+        return {name: 0.0 for name, is_wrong in zip(names, wrong, strict=True) if is_wrong}
+
     def next_edge(self, tick: int) -> int:
         """First tick after `tick` at which something begins or ends.
 
