@@ -49,17 +49,18 @@ pytestmark = pytest.mark.medium
 
 PAPER = "makki2024"
 RIG = load_rig(PAPER)
+RISING = {PAPER: PulseLimits(0.88, 1.3, 20.0), "quanser-course": PulseLimits(0.5, 1.0, 20.0)}
 WRONG = Wires((-1, -1, -1), (-1, -1))
 
 
-@pytest.mark.parametrize("wires", ALL[5::16], ids=str)
+@pytest.mark.parametrize("wires", ALL[7::19], ids=str)
 def test_wrong_signs_and_exchanged_plugs_are_all_found(tmp_path: Path, wires: Wires) -> None:
     assert wires_found(calibrated(tmp_path, PAPER, wires, FEW)) == wires
 
 
 @pytest.mark.parametrize("name", HIDDEN)
 def test_thrust_and_dead_zone_are_within_their_tolerances(tmp_path: Path, name: str) -> None:
-    result = calibrated(tmp_path, name, Wires(motors=(-1, 1)))
+    result = calibrated(tmp_path, name, Wires(motors=(-1, 1)), RISING[name])
     gain_share, dead_zone_V = errors_of(result, name)
     assert abs(gain_share) < GAIN_SHARE
     assert abs(dead_zone_V) < DEAD_ZONE_V
@@ -80,22 +81,26 @@ def test_a_rig_with_all_signs_wrong_flies_after_its_calibration(tmp_path: Path) 
         heli.land()
 
 
-def test_the_level_arm_gives_the_rest_angle(tmp_path: Path) -> None:
-    result = calibrated(tmp_path, PAPER, Wires(), FEW)
-    assert result.parameters["elevation_rest_deg"] == pytest.approx(HIDDEN[PAPER]["elevation_min"], abs=0.1)
-    assert result.rig["elevation_min"].value == result.parameters["elevation_rest_deg"]
+@pytest.fixture(scope="module")
+def exchanged(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
+    """Calibration of a rig whose motors are exchanged, with few pulses."""
+    return calibrated(tmp_path_factory.mktemp("exchanged"), PAPER, Wires(swapped=True), FEW)
 
 
-def test_exchanged_motors_set_no_signs_and_say_what_to_do(tmp_path: Path) -> None:
-    result = calibrated(tmp_path, PAPER, Wires(swapped=True), FEW)
-    assert "motor_front_sign" not in result.parameters
-    assert result.notes[0].startswith("the motors are exchanged: swap the plugs of the two motors")
+def test_the_level_arm_gives_the_rest_angle(exchanged: Calibration) -> None:
+    rest_deg = exchanged.parameters["elevation_rest_deg"]
+    assert rest_deg == pytest.approx(HIDDEN[PAPER]["elevation_min"], abs=0.1)
+    assert exchanged.rig["elevation_min"].value == rest_deg
 
 
-def test_too_few_pulses_keep_the_thrust_of_the_rig_file(tmp_path: Path) -> None:
-    result = calibrated(tmp_path, PAPER, Wires(), FEW)
-    assert result.rig["thrust_gain"] == RIG["thrust_gain"]
-    assert any("2 pulses moved pitch, and a line needs 3" in note for note in result.notes)
+def test_exchanged_motors_set_no_signs_and_say_what_to_do(exchanged: Calibration) -> None:
+    assert "motor_front_sign" not in exchanged.parameters
+    assert exchanged.notes[0].startswith("the motors are exchanged: swap the plugs of the two motors")
+
+
+def test_too_few_pulses_keep_the_thrust_of_the_rig_file(exchanged: Calibration) -> None:
+    assert exchanged.rig["thrust_gain"] == RIG["thrust_gain"]
+    assert any("2 pulses moved pitch, and a line needs 3" in note for note in exchanged.notes)
 
 
 def test_scattered_pulses_keep_the_thrust_of_the_rig_file() -> None:
@@ -184,9 +189,9 @@ def let_the_arm_go(_heli: Heli, world: SilWorld) -> None:
 
 
 ENDINGS: list[tuple[Callable[[Heli, SilWorld], None], type[BaseException], str]] = [
-    (interrupt, KeyboardInterrupt, ""),
+    (interrupt, KeyboardInterrupt, "^$"),
     (press_stop, FlightAborted, "the board switched the motors off: hardware_stop"),
-    (unplug, LinkError, ""),
+    (unplug, LinkError, "unplugged|pulled out|not come back"),
     (let_the_arm_go, FlightAborted, "elevation moved by"),
 ]
 
@@ -263,7 +268,7 @@ def test_a_script_answers_as_a_person_at_the_terminal(stop_at: str) -> None:
 
 
 def test_the_verb_writes_rig_parameters_log_and_result(terminal: Terminal) -> None:
-    wires = ("--sil", "--miswired", "pitch,swapped", "--max-V", "1.3")
+    wires = ("--sil", "--miswired", "pitch,swapped", "--max-V", "1.25")
     ended = terminal("calibrate", *wires, "--save-params", "p.toml", "--json", "r.json", "--log", "c.mcap")
     assert ended.code == 1, ended
     assert "note: the motors are exchanged" in ended.out
@@ -272,7 +277,8 @@ def test_the_verb_writes_rig_parameters_log_and_result(terminal: Terminal) -> No
     content = json.loads(Path("r.json").read_text(encoding="utf-8"))
     assert content["motors_exchanged"]
     assert content["saved"]
-    assert read_log(Path("c.mcap")).ticks.front_V.max() == pytest.approx(1.3, abs=0.11)
+    front_V = read_log(Path("c.mcap")).flight().front_V
+    assert max(front_V) == pytest.approx(1.2, abs=0.01)
     again = refusal(terminal("calibrate", *wires), code=2)
     assert "makki2024-calibrated.toml exists already; give another --save-rig" in again
 
@@ -280,7 +286,7 @@ def test_the_verb_writes_rig_parameters_log_and_result(terminal: Terminal) -> No
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (("--sil", "--max-V", "9"), "pulses from 0.3 to 9 V are not possible; give a --max-V above 0.3 and up to 6"),
+        (("--sil", "--max-V", "9"), "pulses from 0.5 to 9 V are not possible; give a --max-V above 0.5 and up to 6"),
         (("--sil", "--miswired", "roll"), "unknown --miswired 'roll'; choose elevation, pitch"),
         (("--port", "/dev/none"), "no rig is named, and thrust needs its inertia; add --rig FILE"),
         (("--port", "/dev/none", "--miswired", "pitch"), "--miswired is for a simulated board only"),

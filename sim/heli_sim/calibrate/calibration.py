@@ -25,7 +25,7 @@ HARD_MAX_V: Final = 6.0
 """Voltage that no pulse exceeds, whatever the options say [V]."""
 MAX_ANGLE_deg: Final = 20.0
 _ABOVE_DEAD_ZONE_V: Final = 1.0
-_FIRST_SHARE: Final = 0.3
+_FIRST_SHARE: Final = 0.5
 _FIRST_V: Final = 0.2
 _TIED_deg: Final = 3.0
 """Least elevation above the table in pulses: on its table an arm brakes pitch."""

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-from heli_host.declaration import Axes, Excitation, State
-from heli_host.errors import FlightAborted, HeliError, fault_text
+from heli_host.declaration import Axes, Excitation, Fault, State
+from heli_host.errors import CommandRefused, FlightAborted, HeliError, fault_text
 from heli_host.heli import Heli
 from heli_host.samples import Samples
 from heli_host.vehicle import Vehicle
@@ -48,6 +48,8 @@ _QUIET_WITHIN_s: Final = 5.0
 _TICK_s: Final = 0.001
 _LOOK_s: Final = 0.02
 _TRIES: Final = 3
+_ARM_TRIES: Final = 20
+_ARM_AGAIN_s: Final = 0.05
 
 
 @dataclass(frozen=True)
@@ -228,8 +230,7 @@ class _Pulser:
             self._confirmed = answer == "all"
         self._steady()
         heli = self._heli
-        # A simulated rig with wrong wires contradicts its board on purpose: that is what is looked for.
-        Vehicle.arm(heli)
+        self._arm()
         try:
             samples = self._driven(volts_V)
         except BaseException:
@@ -238,6 +239,19 @@ class _Pulser:
             raise
         heli.stop()
         return _cut(samples, self._output, volts_V)
+
+    def _arm(self) -> None:
+        for attempt in range(_ARM_TRIES):
+            try:
+                # Heli.arm compares a simulated board with its rig, which wrong wires contradict on purpose.
+                Vehicle.arm(self._heli)
+            except CommandRefused as error:
+                # A single count of a slow drift looks like 3 degrees per second for a moment.
+                if error.detail != Fault.MOVING or attempt == _ARM_TRIES - 1:
+                    raise
+                self._heli.wait(_ARM_AGAIN_s)
+            else:
+                return
 
     def _driven(self, volts_V: float) -> Samples:
         heli = self._heli

@@ -16,7 +16,6 @@ _LIFTED_deg: Final = 15.0
 _TURNED_deg: Final = {Action.FRONT_UP: 20.0, Action.BACK_LEADS: 30.0}
 _THERE_rad: Final = 1e-6
 _TIMEOUT_s: Final = 10.0
-_SEEN_V: Final = 0.05
 
 
 class SimulatedOperator:
@@ -37,7 +36,7 @@ class SimulatedOperator:
         self._world = world
         self._report = report
         self._rest_rad = float(np.radians(world.rig["elevation_min"].value))
-        self._seen_V = np.zeros(2)
+        self._turned = "neither"
         heli.session.subscribe_ticks(lambda _: self._look())
 
     def act(self, action: Action) -> None:
@@ -61,13 +60,11 @@ class SimulatedOperator:
             self._turn((nan, nan, nan))
 
     def choose(self, question: str, choices: tuple[str, ...]) -> str:
-        """Confirm a pulse; name the rotor that turned since the last question of it; agree to the rest."""
+        """Name the rotor that turned last; agree to everything else."""
         if "neither" not in choices:
-            self._seen_V[:] = 0.0
             return choices[0]
-        rotor = ("front", "back")[int(np.argmax(self._seen_V))] if self._seen_V.any() else "neither"
-        self._report(f"hand: {question} {rotor}")
-        return rotor
+        self._report(f"hand: {question} {self._turned}")
+        return self._turned
 
     def report(self, text: str) -> None:
         """Pass a line on."""
@@ -78,7 +75,9 @@ class SimulatedOperator:
         return False
 
     def _look(self) -> None:
-        self._seen_V = np.maximum(self._seen_V, np.abs(self._world.native.volts_V))
+        for rotor, volts_V in zip(("front", "back"), self._world.native.volts_V, strict=True):
+            if volts_V:
+                self._turned = rotor
 
     def _turn(self, target_rad: tuple[float, float, float]) -> None:
         self._world.native.hand_rad = target_rad

@@ -80,17 +80,17 @@ def response_design(stiffness: float, damping: float, lag_s: float) -> Floats:
             [0.0, 0.0, 0.0, 0.0],
         ]
     )
-    step = _exponential(rates * GRID_s)
     before, during, after = (round(span / GRID_s) for span in (BEFORE_s, PULSE_s, AFTER_s))
-    # Columns of states: the response to the pulse, to a first angle, to a first rate.
-    state = np.zeros((4, 3))
-    state[0, 1] = state[1, 2] = 1.0
-    rows = np.empty((before + during + after, 4))
+    count = before + during + after
+    powers = _powers(_exponential(rates * GRID_s), count)
+    # States are angle, rate, acceleration by thrust, and the voltage, which only the pulse sets.
+    end = powers[during] @ (0.0, 0.0, 0.0, 1.0)
+    end[3] = 0.0
+    rows = np.zeros((count, 4))
+    rows[before : before + during, 0] = powers[:during, 0, 3]
+    rows[before + during :, 0] = powers[:after, 0] @ end
     rows[:, 1] = 1.0
-    for index in range(len(rows)):
-        state[3, 0] = float(before <= index < before + during)
-        rows[index, [0, 2, 3]] = state[0]
-        state = step @ state
+    rows[:, 2:] = powers[:, 0, :2]
     return rows
 
 
@@ -209,3 +209,12 @@ def _exponential(matrix: Floats) -> Floats:
     for _ in range(squarings):
         total = total @ total
     return total
+
+
+def _powers(matrix: Floats, count: int) -> Floats:
+    """Powers 0 to count - 1 of a matrix, shape (count, n, n)."""
+    powers = np.eye(len(matrix))[np.newaxis]
+    while len(powers) < count:
+        powers = np.concatenate((powers, powers @ matrix))
+        matrix = matrix @ matrix
+    return powers[:count]
