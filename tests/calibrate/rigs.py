@@ -83,7 +83,9 @@ def wires_found(result: Calibration) -> Wires:
     """Wires that a calibration reports."""
     signs = {motor.rotor: motor.sign for motor in result.motors}
     encoders = tuple(result.encoders.direction[axis] for axis in AXES)
-    return Wires((encoders[0], encoders[1], encoders[2]), (signs["front"], signs["back"]), result.motors_exchanged)
+    return Wires(
+        (encoders[0], encoders[1], encoders[2]), (signs["front"], signs["back"]), result.motors_exchanged
+    )
 
 
 def errors_of(result: Calibration, name: str) -> tuple[float, float]:
@@ -102,5 +104,3 @@ def stops_while_driven(world: SilWorld, do: Callable[[], None]) -> Callable[[], 
             do()
 
     return check
-
-

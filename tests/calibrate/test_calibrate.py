@@ -1,4 +1,4 @@
-"""A simulated hand calibrates rigs with wrong wires; wrong movements are refused, and every ending is at 0 V."""
+"""A simulated hand calibrates rigs with wrong wires; unclear movements are refused; all ends at 0 V."""
 
 from __future__ import annotations
 
@@ -66,7 +66,11 @@ def test_thrust_and_dead_zone_are_within_their_tolerances(tmp_path: Path, name: 
     assert abs(dead_zone_V) < DEAD_ZONE_V
     # The rig file's tolerance holds the error, and is not a mere repetition of the old one.
     gain = result.rig["thrust_gain"]
-    assert abs(gain.value - HIDDEN[name]["thrust_gain"]) < gain.tolerance != load_rig(name)["thrust_gain"].tolerance
+    assert (
+        abs(gain.value - HIDDEN[name]["thrust_gain"])
+        < gain.tolerance
+        != load_rig(name)["thrust_gain"].tolerance
+    )
 
 
 def test_a_rig_with_all_signs_wrong_flies_after_its_calibration(tmp_path: Path) -> None:
@@ -105,7 +109,9 @@ def test_too_few_pulses_keep_the_thrust_of_the_rig_file(exchanged: Calibration) 
 
 def test_scattered_pulses_keep_the_thrust_of_the_rig_file() -> None:
     swing = response_design(5.0, 0.5, 0.05)[:, 0]
-    scattered = [Pulse(volts, swing * size) for volts, size in zip((1.2, 1.3, 1.4, 1.5), (3, 1, 4, 2.9), strict=True)]
+    scattered = [
+        Pulse(volts, swing * size) for volts, size in zip((1.2, 1.3, 1.4, 1.5), (3, 1, 4, 2.9), strict=True)
+    ]
     reason = thrust_of(scattered, 1, RIG)
     assert isinstance(reason, str)
     assert reason.startswith("the pulses scatter")
@@ -115,7 +121,9 @@ def test_a_slow_rotor_has_the_same_thrust() -> None:
     inertia_over_lever = 0.0546 / 0.275
     for lag_s in (0.0, 0.15):
         swing = response_design(5.8, 0.55, lag_s)[:, 0]
-        pulses = [Pulse(volts, swing * (volts - 1.0) * 0.6 / inertia_over_lever) for volts in (1.1, 1.2, 1.3, 1.4)]
+        pulses = [
+            Pulse(volts, swing * (volts - 1.0) * 0.6 / inertia_over_lever) for volts in (1.1, 1.2, 1.3, 1.4)
+        ]
         line = thrust_of(pulses, 1, RIG)
         assert not isinstance(line, str)
         assert line.gain_N_per_V == pytest.approx(0.6, rel=0.01)
@@ -286,7 +294,10 @@ def test_the_verb_writes_rig_parameters_log_and_result(terminal: Terminal) -> No
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (("--sil", "--max-V", "9"), "pulses from 0.5 to 9 V are not possible; give a --max-V above 0.5 and up to 6"),
+        (
+            ("--sil", "--max-V", "9"),
+            "pulses from 0.5 to 9 V are not possible; give a --max-V above 0.5 and up to 6",
+        ),
         (("--sil", "--miswired", "roll"), "unknown --miswired 'roll'; choose elevation, pitch"),
         (("--port", "/dev/none"), "no rig is named, and thrust needs its inertia; add --rig FILE"),
         (("--port", "/dev/none", "--miswired", "pitch"), "--miswired is for a simulated board only"),

@@ -194,7 +194,9 @@ def _tie(heli: Heli, operator: Operator) -> None:
         lifted_deg = angles_deg(heli)[0] - rest_deg
         if lifted_deg >= _TIED_deg:
             return
-        operator.report(f"the arm is {lifted_deg:.1f} degrees above its table; it needs {_TIED_deg:g} or more")
+        operator.report(
+            f"the arm is {lifted_deg:.1f} degrees above its table; it needs {_TIED_deg:g} or more"
+        )
     raise CalibrationError(
         "the arm is still on its table", "put a block below the long arm: the table brakes the short arm"
     )

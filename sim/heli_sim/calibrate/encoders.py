@@ -18,8 +18,8 @@ MOVED_deg: Final = 5.0
 """Change of an angle that counts as a movement. Less: the play of an axis that somebody touches counts too.
 More: travel of a short-cabled rig cannot be turned so far."""
 RETURNED_deg: Final = 1.0
-"""Error of an angle, back at rest, that is tolerated. Less: a short arm that nobody levels exactly is refused.
-More: a slipping coupling passes."""
+"""Error of the elevation, back at rest, that is tolerated. Less: an arm on a soft table is refused. More: a
+slipping coupling passes."""
 _TRIES: Final = 3
 _SETTLE_S: Final = 0.3
 _MOVES: Final = (

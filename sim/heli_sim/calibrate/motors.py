@@ -21,8 +21,8 @@ from heli_sim.calibrate.thrust import (
     AFTER_s,
     BEFORE_s,
     GRID_s,
-    PULSE_s,
     Pulse,
+    PULSE_s,
     Thrust,
     response_counts,
     thrust_of,
@@ -257,8 +257,8 @@ class _Pulser:
         heli = self._heli
         before_deg = angles_deg(heli)
         heli.control(Axes(0))
-        volts = {f"{self._output}_V": volts_V}
-        heli.excite(Excitation.STEP, **volts, duration_s=PULSE_s)
+        front_V, back_V = (volts_V if output == self._output else 0.0 for output in OUTPUTS)
+        heli.excite(Excitation.STEP, front_V, back_V, duration_s=PULSE_s)
         end_s = heli.latest.t_s + PULSE_s + AFTER_s + 0.2
         while (sample := heli.latest).t_s < end_s:
             if sample.state is not State.OPEN_LOOP:

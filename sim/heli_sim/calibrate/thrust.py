@@ -17,7 +17,7 @@ GRID_s: Final = 0.005
 """Step of the times at which the response is compared."""
 BEFORE_s: Final = 0.3
 PULSE_s: Final = 0.3
-"""Length of a pulse. Longer: a strong rotor turns pitch too far. Shorter: a slow rotor gives no thrust yet."""
+"""Length of a pulse. Longer: a strong rotor turns pitch too far. Shorter: a slow rotor gives no thrust."""
 AFTER_s: Final = 1.2
 """Time after the pulse that is compared; it holds the impulse of a slow rotor too."""
 LEAST_PULSES: Final = 3
@@ -105,7 +105,8 @@ class _Swing:
     def accelerations(self, measured: Floats) -> Floats:
         """Pitch acceleration that each pulse caused [rad/s2], shape (n,)."""
         design = response_design(self.stiffness, self.damping, self.lag_s)
-        return _solve(design, measured)[0]
+        pulse_part: Floats = _solve(design, measured)[0]
+        return pulse_part
 
 
 def _stated_swing(rig: Rig) -> _Swing:

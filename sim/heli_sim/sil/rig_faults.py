@@ -70,7 +70,7 @@ class RigFaults:
 
     @property
     def uncompared_signs(self) -> dict[str, float]:
-        """Signs of motors with wrong wires as 0: any sign of the board is then no contradiction to the rig."""
+        """Signs of motors with wrong wires as 0: no sign of the board then contradicts the rig."""
         wrong = (self.motors_swapped or sign < 0 for sign in self.motor_signs)
         names = ("motor_front_sign", "motor_back_sign")
         return {name: 0.0 for name, is_wrong in zip(names, wrong, strict=True) if is_wrong}

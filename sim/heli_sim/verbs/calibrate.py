@@ -232,9 +232,8 @@ def _say_result(result: Calibration, base: Rig, before: dict[str, float]) -> Non
             if isinstance(line, Thrust)
             else "thrust not known"
         )
-        say(
-            f"{motor.output} output: {motor.rotor} rotor, {leads}, moves pitch from {motor.begins_V:g} V; {thrust}"
-        )
+        begins = f"moves pitch from {motor.begins_V:g} V"
+        say(f"{motor.output} output: {motor.rotor} rotor, {leads}, {begins}; {thrust}")
     for row in _changes(result, base, before):
         mark = "" if row["before"] == row["after"] else "  changed"
         was, now = (f"{row[when]:.6g}" for when in ("before", "after"))
