@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.declaration import State
+from heli_host.declaration import AXES, State
 from heli_host.errors import FlightAborted, HeliError, LinkError
 from heli_host.heli import Heli
 from heli_host.log.reader import read_log
@@ -211,6 +211,8 @@ def test_every_ending_leaves_the_motors_at_0_V(
     limits = replace(FEW, max_angle_deg=8.0)
     with bench(Path(PAPER)) as (heli, world, operator):
         before = dict(heli.params)
+        lines: list[str] = []
+        operator.report = lines.append  # type: ignore[method-assign]
         check = stops_while_driven(world, lambda: do(heli, world))
         with pytest.raises(error, match=text):
             calibrate(heli, operator, RIG, limits, check=check)
@@ -219,6 +221,9 @@ def test_every_ending_leaves_the_motors_at_0_V(
         if do in (interrupt, let_the_arm_go):
             assert heli.state is State.IDLE
             assert dict(heli.params) == before
+        else:
+            # The board did not take its former limits back: the user learns it.
+            assert any(line.startswith("warning: ") for line in lines), lines
 
 
 def test_pitch_beyond_its_limit_is_cut_by_the_board_itself() -> None:
@@ -273,6 +278,16 @@ def test_a_script_answers_as_a_person_at_the_terminal(stop_at: str) -> None:
     else:
         assert isinstance(result, Calibration)
         assert not result.motors_exchanged
+
+
+def test_without_motors_no_voltage_is_given(tmp_path: Path) -> None:
+    wires = Wires(encoders=(1, -1, -1))
+    with bench(true_rig(tmp_path, PAPER, wires), wires) as (heli, _, operator):
+        result = calibrate(heli, operator, RIG, motors=False)
+        assert heli.samples().state.max() == State.IDLE
+    assert result.encoders.direction == {"elevation": 1, "pitch": -1, "travel": -1}
+    assert set(result.parameters) == {*(f"{axis}_counts_per_rev" for axis in AXES), "elevation_rest_deg"}
+    assert result.rig["dead_zone"] == RIG["dead_zone"]
 
 
 def test_the_verb_writes_rig_parameters_log_and_result(terminal: Terminal) -> None:

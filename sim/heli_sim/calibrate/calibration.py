@@ -19,7 +19,7 @@ from heli_sim.calibrate.operator import Action, Operator
 from heli_sim.calibrate.thrust import Thrust, geometry_share
 from heli_sim.rig import Number, Rig
 from heli_sim.rig.encoders import counts_per_turn
-from heli_sim.rig.schema import ENCODER_COUNTS, ENCODER_DIRECTIONS
+from heli_sim.rig.schema import ENCODER_DIRECTIONS
 
 HARD_MAX_V: Final = 6.0
 """Voltage that no pulse exceeds, whatever the options say [V]."""
@@ -33,6 +33,10 @@ _TRIES: Final = 3
 _REST_deg: Final = 1.0
 """Tolerance of a rest angle whose level is a person's spirit level [deg]."""
 _LEAST_DEAD_ZONE_V: Final = 0.02
+_EQUAL: Final = 0.1
+"""Difference of two rotors, as share, that is normal: as in docs/how-to/first-power-up.md, step 9."""
+SOURCE: Final = "heli-host calibrate"
+"""Beginning of the source of each number that a calibration measured."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ class Calibration:
     encoders : EncoderResult
         Directions and rest angle.
     motors : tuple of MotorResult
-        Of the front output and the back output.
+        Of the front output and the back output; empty if only the encoders were calibrated.
     rig : Rig
         The rig with the measured numbers.
     parameters : Mapping of str to float
@@ -62,7 +66,7 @@ class Calibration:
     @property
     def motors_exchanged(self) -> bool:
         """Whether the front output drives the back rotor, and the back output the front rotor."""
-        return all(motor.rotor != motor.output for motor in self.motors)
+        return any(motor.rotor != motor.output for motor in self.motors)
 
 
 def default_limits(rig: Rig) -> PulseLimits:
@@ -82,6 +86,7 @@ def calibrate(
     limits: PulseLimits | None = None,
     *,
     name: str = "",
+    motors: bool = True,
     mark: Callable[[str], None] = lambda _: None,
     check: Callable[[], None] = lambda: None,
 ) -> Calibration:
@@ -102,6 +107,8 @@ def calibrate(
         Bounds of the pulses; those of `default_limits` if omitted.
     name : str
         Name of the resulting rig; empty for the name of `rig`.
+    motors : bool
+        False calibrates the encoders only: no motor runs.
     mark : callable taking str
         Gets the name of each part of the calibration, for the log.
     check : callable
@@ -122,18 +129,20 @@ def calibrate(
     encoders = calibrate_encoders(heli, operator)
     check()
     encoder_values = _encoder_values(heli, encoders)
+    if not motors:
+        return _calibration(encoders, encoder_values, (), rig, name or rig.name)
     signs = {f"motor_{output}_sign": heli.params[f"motor_{output}_sign"] for output in OUTPUTS}
     with temporary_parameters(heli, encoder_values | signs, operator.report):
         heli.zero()
         _tie(heli, operator)
-        motors = []
+        results = []
         low = pulse_limits(heli, max_V=limits.max_V, max_angle_deg=limits.max_angle_deg)
         with temporary_parameters(heli, low, operator.report):
             for output in OUTPUTS:
                 mark(f"{output} output")
-                motors.append(calibrate_motor(heli, operator, output, rig, limits, check))
+                results.append(calibrate_motor(heli, operator, output, rig, limits, check))
     mark("result")
-    return _calibration(encoders, encoder_values, motors, rig, name or rig.name)
+    return _calibration(encoders, encoder_values, results, rig, name or rig.name)
 
 
 def set_parameters(heli: Heli, operator: Operator, values: Mapping[str, float]) -> None:
@@ -209,56 +218,64 @@ def _calibration(
     rig: Rig,
     name: str,
 ) -> Calibration:
-    notes: list[str] = []
-    values = dict(encoder_values)
-    first, second = motors
-    if first.rotor == second.rotor:
-        raise CalibrationError(
-            f"both outputs drive the {first.rotor} rotor, as the operator saw it",
-            "look at the rotors during a pulse, and calibrate again",
-        )
-    if first.rotor == "front":
-        values |= {f"motor_{motor.output}_sign": float(motor.sign) for motor in motors}
-    else:
-        notes.append(
-            "the motors are exchanged: swap the plugs of the two motors, then calibrate again; their signs "
-            "were not put into the parameters"
-        )
-    lines = [motor.thrust for motor in motors if isinstance(motor.thrust, Thrust)]
-    notes += [
-        f"thrust of the {motor.rotor} rotor is not known: {motor.thrust}; the rig's values stay"
-        for motor in motors
-        if isinstance(motor.thrust, str)
-    ]
+    signs, notes = _motor_signs(motors)
     numbers = dict(rig)
-    if len(lines) == len(motors):
-        gain, gain_std = _mean([(line.gain_N_per_V, line.gain_std) for line in lines])
-        zero_V, zero_std = _mean([(line.dead_zone_V, line.dead_zone_std) for line in lines])
-        zero_V = max(zero_V, 0.0)
-        tolerance = math.hypot(2.0 * gain_std, gain * geometry_share(rig))
-        source = "heli-host calibrate: pitch after short pulses"
-        numbers["thrust_gain"] = Number(gain, "N/V", tolerance, source)
-        numbers["dead_zone"] = Number(zero_V, "V", max(2.0 * zero_std, _LEAST_DEAD_ZONE_V), source)
-        values["dead_zone_V"] = round(zero_V, 3)
-        ratio = lines[0].gain_N_per_V / lines[1].gain_N_per_V
-        if first.rotor == "back":
-            ratio = 1.0 / ratio
-        if abs(ratio - 1.0) > 0.1:
-            notes.append(
-                f"the front rotor pushes {ratio:.2f} times as much per volt as the back rotor: check the "
-                "propellers, or describe it with the effect thrust_asymmetry"
-            )
-    for axis, counts, quantity in zip(AXES, ENCODER_COUNTS, ENCODER_DIRECTIONS, strict=True):
-        numbers[counts] = rig[counts]
-        direction = float(encoders.direction[axis])
-        numbers[quantity] = Number(direction, "1", 0.0, "heli-host calibrate: turned by hand")
+    dead_zone, more = _put_thrust(numbers, motors, rig)
+    for axis, quantity in zip(AXES, ENCODER_DIRECTIONS, strict=True):
+        numbers[quantity] = Number(float(encoders.direction[axis]), "1", 0.0, f"{SOURCE}: turned by hand")
     numbers["elevation_min"] = Number(
-        values["elevation_rest_deg"], "deg", _REST_deg, "heli-host calibrate: lifted to level by hand"
+        encoder_values["elevation_rest_deg"], "deg", _REST_deg, f"{SOURCE}: lifted to level by hand"
     )
     calibrated = replace(
         rig, name=name, description=f"calibrated on the bench, the rest as {rig.name}", numbers=numbers
     )
-    return Calibration(encoders, tuple(motors), calibrated, values, tuple(notes))
+    values = dict(encoder_values) | signs | dead_zone
+    return Calibration(encoders, tuple(motors), calibrated, values, (*notes, *more))
+
+
+def _motor_signs(motors: Sequence[MotorResult]) -> tuple[dict[str, float], list[str]]:
+    """Parameters with the signs of the motors, none where their plugs are exchanged, and notes."""
+    rotors = [motor.rotor for motor in motors]
+    if len(set(rotors)) < len(rotors):
+        raise CalibrationError(
+            f"both outputs drive the {rotors[0]} rotor, as the operator saw it",
+            "look at the rotors during a pulse, and calibrate again",
+        )
+    if any(motor.rotor != motor.output for motor in motors):
+        note = (
+            "the motors are exchanged: swap the plugs of the two motors, then calibrate again; their signs "
+            "were not put into the parameters"
+        )
+        return {}, [note]
+    return {f"motor_{motor.output}_sign": float(motor.sign) for motor in motors}, []
+
+
+def _put_thrust(
+    numbers: dict[str, Number], motors: Sequence[MotorResult], rig: Rig
+) -> tuple[dict[str, float], list[str]]:
+    """Put gain and dead zone into a rig's numbers, if both rotors have them; return parameters and notes."""
+    lines = {motor.rotor: motor.thrust for motor in motors if isinstance(motor.thrust, Thrust)}
+    notes = [
+        f"thrust of the {motor.rotor} rotor is not known: {motor.thrust}; the rig's values stay"
+        for motor in motors
+        if isinstance(motor.thrust, str)
+    ]
+    if len(lines) < len(OUTPUTS):
+        return {}, notes
+    gain, gain_std = _mean([(line.gain_N_per_V, line.gain_std) for line in lines.values()])
+    zero_V, zero_std = _mean([(line.dead_zone_V, line.dead_zone_std) for line in lines.values()])
+    zero_V = max(zero_V, 0.0)
+    tolerance = math.hypot(2.0 * gain_std, gain * geometry_share(rig))
+    source = f"{SOURCE}: pitch after short pulses"
+    numbers["thrust_gain"] = Number(gain, "N/V", tolerance, source)
+    numbers["dead_zone"] = Number(zero_V, "V", max(2.0 * zero_std, _LEAST_DEAD_ZONE_V), source)
+    ratio = lines["front"].gain_N_per_V / lines["back"].gain_N_per_V
+    if abs(ratio - 1.0) > _EQUAL:
+        notes.append(
+            f"the front rotor pushes {ratio:.2f} times as much per volt as the back rotor: check the "
+            "propellers, or describe it with the effect thrust_asymmetry"
+        )
+    return {"dead_zone_V": round(zero_V, 3)}, notes
 
 
 def _mean(values: Sequence[tuple[float, float]]) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from urllib.parse import urlencode
 
 import typer
 from heli_host.cli.options import ClearFaultOption, JsonOption, PortOption, flight_folder
-from heli_host.cli.say import data_on_stdout, say, say_files, write_result
+from heli_host.cli.say import data_on_stdout, say, say_files, say_progress, write_result
 from heli_host.cli.simulated import DEFAULT_RIG, MAX_SPEED, SilOption, refuse_without_sil, sil_address
 from heli_host.cli.verb import Verb
 
@@ -71,6 +71,9 @@ def calibrate(
             "--max-angle-deg", metavar="DEG", min=6, max=45, help="Stop if an axis moves further in a pulse."
         ),
     ] = 20.0,
+    skip_motors: Annotated[
+        bool, typer.Option("--skip-motors", help="Calibrate the encoders only. No motor runs.")
+    ] = False,
     clear_fault: ClearFaultOption = False,
     json: JsonOption = None,
     port: PortOption = None,
@@ -89,7 +92,7 @@ def calibrate(
     Finds zero and direction of each encoder, rotor and direction of each motor, dead zone and thrust. It
     asks before each pulse. Enter, Ctrl-C and the stop switch end a pulse with the motors off. The rig is
     written to a new file, and the board is changed only after your yes. With --sil a simulated hand does the
-    work.
+    work. See docs/how-to/calibrate.md.
 
     Example: `heli-host calibrate --port /dev/ttyACM0 --rig mine.toml`
     """
@@ -129,9 +132,24 @@ def calibrate(
 
         def mark(part: str) -> None:
             recorder.note("calibrate", part)
-            say(f"--- {part}")
+            say_progress(f"--- {part}")
 
-        result = run(heli, operator, base, limits, name=new_rig.stem, mark=mark, check=recorder.check)
+        try:
+            result = run(
+                heli,
+                operator,
+                base,
+                limits,
+                name=new_rig.stem,
+                motors=not skip_motors,
+                mark=mark,
+                check=recorder.check,
+            )
+        except BaseException:
+            _off(heli)
+            state = "may still run: use the stop switch" if heli.motors_may_run else "are off"
+            say(f"the motors {state}; no rig file was written, the log is {path}")
+            raise
         _write_files(result, base, new_rig, save_params)
         _say_result(result, base, before)
         changed = {name: value for name, value in result.parameters.items() if value != before[name]}
@@ -222,7 +240,7 @@ def _write_files(result: Calibration, base: Rig, new_rig: Path, save_params: Pat
 def _say_result(result: Calibration, base: Rig, before: dict[str, float]) -> None:
     from heli_sim.calibrate.thrust import Thrust
 
-    say("--- result (+- is one standard error)")
+    say("+- is one standard error")
     for motor in result.motors:
         leads = "as wired" if motor.sign > 0 else "reversed"
         line = motor.thrust
@@ -244,7 +262,9 @@ def _say_result(result: Calibration, base: Rig, before: dict[str, float]) -> Non
 def _changes(result: Calibration, base: Rig, before: dict[str, float]) -> list[dict[str, Any]]:
     from heli_host.parameters import spec_of
 
-    names = [name for name in result.rig if result.rig[name].source.startswith("heli-host calibrate")]
+    from heli_sim.calibrate.calibration import SOURCE
+
+    names = [name for name in result.rig if result.rig[name].source.startswith(SOURCE)]
     rows: list[dict[str, Any]] = [
         {
             "of": "rig",
