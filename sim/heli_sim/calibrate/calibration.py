@@ -14,9 +14,9 @@ from heli_host.heli import Heli
 from heli_sim.calibrate.encoders import EncoderResult, angles_deg, calibrate_encoders
 from heli_sim.calibrate.errors import CalibrationError
 from heli_sim.calibrate.limits import pulse_limits, temporary_parameters
-from heli_sim.calibrate.motors import OUTPUTS, MotorResult, PulseLimits, calibrate_motor
+from heli_sim.calibrate.motors import MOTOR_OUTPUTS, MotorResult, PulseLimits, calibrate_motor
 from heli_sim.calibrate.operator import Action, Operator
-from heli_sim.calibrate.thrust import Thrust, geometry_share
+from heli_sim.calibrate.thrust import ThrustLine, geometry_share
 from heli_sim.rig import Number, Rig
 from heli_sim.rig.encoders import counts_per_turn
 from heli_sim.rig.schema import ENCODER_DIRECTIONS
@@ -48,13 +48,13 @@ class Calibration:
     encoders : EncoderResult
         Directions and rest angle.
     motors : tuple of MotorResult
-        Of the front output and the back output; empty if only the encoders were calibrated.
+        Results of the front output and the back output; empty if only the encoders were calibrated.
     rig : Rig
         The rig with the measured numbers.
     parameters : Mapping of str to float
         Parameters that the board should have.
     notes : tuple of str
-        What was not measured, with the reason, and what to change by hand.
+        Reasons why something was not measured, and changes to make by hand.
     """
 
     encoders: EncoderResult
@@ -131,14 +131,14 @@ def calibrate(
     encoder_values = _encoder_values(heli, encoders)
     if not motors:
         return _calibration(encoders, encoder_values, (), rig, name or rig.name)
-    signs = {f"motor_{output}_sign": heli.params[f"motor_{output}_sign"] for output in OUTPUTS}
+    signs = {f"motor_{output}_sign": heli.params[f"motor_{output}_sign"] for output in MOTOR_OUTPUTS}
     with temporary_parameters(heli, encoder_values | signs, operator.report):
         heli.zero()
         _tie(heli, operator)
         results = []
         low = pulse_limits(heli, max_V=limits.max_V, max_angle_deg=limits.max_angle_deg)
         with temporary_parameters(heli, low, operator.report):
-            for output in OUTPUTS:
+            for output in MOTOR_OUTPUTS:
                 mark(f"{output} output")
                 results.append(calibrate_motor(heli, operator, output, rig, limits, check))
     mark("result")
@@ -146,7 +146,13 @@ def calibrate(
 
 
 def set_parameters(heli: Heli, operator: Operator, values: Mapping[str, float]) -> None:
-    """Set parameters on the board with the arm at rest, zero its encoders, and save."""
+    """Set parameters, `values` by name, on the board with the arm at rest, zero its encoders, and save.
+
+    Raises
+    ------
+    CommandRefused
+        The board refused one; those set before it were put back, and nothing was saved.
+    """
     operator.act(Action.REST)
     heli.params.restore(values)
     heli.zero()
@@ -254,13 +260,13 @@ def _put_thrust(
     numbers: dict[str, Number], motors: Sequence[MotorResult], rig: Rig
 ) -> tuple[dict[str, float], list[str]]:
     """Put gain and dead zone into a rig's numbers, if both rotors have them; return parameters and notes."""
-    lines = {motor.rotor: motor.thrust for motor in motors if isinstance(motor.thrust, Thrust)}
+    lines = {motor.rotor: motor.thrust for motor in motors if isinstance(motor.thrust, ThrustLine)}
     notes = [
         f"thrust of the {motor.rotor} rotor is not known: {motor.thrust}; the rig's values stay"
         for motor in motors
         if isinstance(motor.thrust, str)
     ]
-    if len(lines) < len(OUTPUTS):
+    if len(lines) < len(MOTOR_OUTPUTS):
         return {}, notes
     gain, gain_std = _mean([(line.gain_N_per_V, line.gain_std) for line in lines.values()])
     zero_V, zero_std = _mean([(line.dead_zone_V, line.dead_zone_std) for line in lines.values()])

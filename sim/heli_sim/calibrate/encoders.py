@@ -15,7 +15,7 @@ from heli_sim.calibrate.errors import CalibrationError
 from heli_sim.calibrate.operator import Action, Operator
 
 MOVED_deg: Final = 5.0
-"""Change of an angle that counts as a movement. Less: the play of an axis that somebody touches counts too.
+"""Change of an angle that counts as a movement. Less: the play of an axis that a hand touches counts too.
 More: travel of a short-cabled rig cannot be turned so far."""
 RETURNED_deg: Final = 1.0
 """Error of the elevation, back at rest, that is tolerated. Less: an arm on a soft table is refused. More: a
@@ -32,7 +32,7 @@ _MOVES: Final = (
 
 @dataclass(frozen=True)
 class EncoderResult:
-    """What the movements by hand show.
+    """Directions and zeros that the movements by hand show.
 
     Parameters
     ----------

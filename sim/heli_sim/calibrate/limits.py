@@ -16,7 +16,7 @@ from heli_sim.calibrate.errors import CalibrationError
 def temporary_parameters(
     heli: Heli, values: Mapping[str, float], warn: Callable[[str], None]
 ) -> Iterator[None]:
-    """Set parameters in the board's memory, and put the former values back at the end.
+    """Set parameters, `values` by name, in the board's memory, and put the former values back at the end.
 
     At an ending of any kind the motors go off first. If the board does not take the former values then, the
     new ones stay until its restart, because they were not saved; `warn` gets a line about it.

@@ -23,13 +23,13 @@ from heli_sim.calibrate.thrust import (
     GRID_s,
     Pulse,
     PULSE_s,
-    Thrust,
+    ThrustLine,
     response_counts,
     thrust_of,
 )
 from heli_sim.rig import Rig
 
-OUTPUTS: Final = ("front", "back")
+MOTOR_OUTPUTS: Final = ("front", "back")
 STEP_V: Final = 0.1
 """Rise of the voltage from pulse to pulse, before pitch has moved. More: the first pulse above the dead zone
 turns a strong rotor too far. Less: more pulses, each with its confirmation."""
@@ -71,7 +71,7 @@ class PulseLimits:
 
 @dataclass(frozen=True)
 class MotorResult:
-    """What the pulses of one output show.
+    """Rotor, direction, dead zone and thrust that the pulses of one output show.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class MotorResult:
         Parameter with which a positive voltage lifts this rotor: 1 or -1.
     begins_V : float
         Lowest voltage at which pitch moved [V].
-    thrust : Thrust or str
+    thrust : ThrustLine or str
         Line of thrust over voltage, or the reason why there is none.
     """
 
@@ -91,7 +91,7 @@ class MotorResult:
     rotor: str
     sign: int
     begins_V: float
-    thrust: Thrust | str
+    thrust: ThrustLine | str
 
 
 @dataclass
@@ -155,7 +155,7 @@ def calibrate_motor(
 
 
 def lift_turn(rotor: str) -> int:
-    """Return the sign of the pitch that a rotor causes when it pushes up."""
+    """Return the sign of the pitch that a `rotor`, ``front`` or ``back``, causes when it pushes up."""
     return 1 if rotor == "front" else -1
 
 
@@ -172,7 +172,7 @@ class _Pulser:
         self._count_rad = 2.0 * np.pi / abs(heli.params["pitch_counts_per_rev"])
 
     def series(self, start_V: float) -> _Series:
-        """Pulse with rising voltage. A rotor that pushes down ends the series at once."""
+        """Pulse with rising voltage. A rotor that pushes down ends the series."""
         series = _Series()
         volts_V, step_V = start_V, STEP_V
         peaks: list[tuple[float, float]] = []
@@ -257,13 +257,17 @@ class _Pulser:
         heli = self._heli
         before_deg = angles_deg(heli)
         heli.control(Axes(0))
-        front_V, back_V = (volts_V if output == self._output else 0.0 for output in OUTPUTS)
+        front_V, back_V = (volts_V if output == self._output else 0.0 for output in MOTOR_OUTPUTS)
         heli.excite(Excitation.STEP, front_V, back_V, duration_s=PULSE_s)
         end_s = heli.latest.t_s + PULSE_s + AFTER_s + 0.2
         while (sample := heli.latest).t_s < end_s:
             if sample.state is not State.OPEN_LOOP:
-                reason = fault_text(sample.fault) if sample.fault else "it stopped hearing the host"
-                raise FlightAborted(f"the board switched the motors off: {reason}")
+                if sample.fault:
+                    raise FlightAborted(f"the board switched the motors off: {fault_text(sample.fault)}")
+                raise FlightAborted(
+                    "the board stopped hearing the host and switched the motors off",
+                    "check the USB cable, then calibrate again",
+                )
             moved_deg = np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg]) - before_deg
             if np.max(np.abs(moved_deg)) > self._limits.max_angle_deg:
                 axis = ("elevation", "pitch", "travel")[int(np.argmax(np.abs(moved_deg)))]

@@ -1,4 +1,4 @@
-"""What a calibration asks of the person at the bench."""
+"""Actions and questions for the person at the bench."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ class Operator(Protocol):
         """Let the operator do an action, and return when it is done and the arm is still."""
 
     def choose(self, question: str, choices: tuple[str, ...]) -> str:
-        """Ask a question; returns one of `choices`."""
+        """Ask a `question`; returns one of `choices`."""
 
     def report(self, text: str) -> None:
-        """Show a line."""
+        """Show a line of `text`."""
 
     def wants_stop(self) -> bool:
         """Whether the operator pressed the stop key since the last answer; does not wait."""

@@ -60,14 +60,14 @@ class SimulatedOperator:
             self._turn((nan, nan, nan))
 
     def choose(self, question: str, choices: tuple[str, ...]) -> str:
-        """Name the rotor that turned last; agree to everything else."""
+        """Answer a `question`: name the rotor that turned last; otherwise the first of the `choices`."""
         if "neither" not in choices:
             return choices[0]
         self._report(f"hand: {question} {self._turned}")
         return self._turned
 
     def report(self, text: str) -> None:
-        """Pass a line on."""
+        """Pass a line of `text` on."""
         self._report(text)
 
     def wants_stop(self) -> bool:

@@ -35,7 +35,7 @@ class TerminalOperator:
         self._line()
 
     def choose(self, question: str, choices: tuple[str, ...]) -> str:
-        """Ask until the answer is one of the choices, or the first letters of one; Enter alone repeats."""
+        """Ask a `question` until the answer is one of the `choices`, or the first letters of one."""
         while True:
             self._show(f"{question} [{'/'.join(choices)}]")
             answer = self._line(may_stop=_STOP not in choices)
@@ -44,7 +44,7 @@ class TerminalOperator:
                 return named[0]
 
     def report(self, text: str) -> None:
-        """Show a line."""
+        """Show a line of `text`."""
         self._show(text)
 
     def wants_stop(self) -> bool:

@@ -1,4 +1,4 @@
-"""Thrust and dead zone of a rotor, from the pitch angle after short pulses."""
+"""ThrustLine and dead zone of a rotor, from the pitch angle after short pulses."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Pulse:
 
 
 @dataclass(frozen=True)
-class Thrust:
+class ThrustLine:
     """Straight line of thrust over voltage: gain (V - dead zone).
 
     Parameters
@@ -69,7 +69,7 @@ class Thrust:
 
 def response_design(stiffness: float, damping: float, lag_s: float) -> Floats:
     """Return pitch for unit acceleration during the pulse, for an offset, a first angle and a first rate,
-    shape (times, 4); stiffness [1/s2], damping [1/s].
+    shape (times, 4), by `stiffness` [1/s2], `damping` [1/s] and `lag_s` of the thrust.
     """
     lag_s = max(lag_s, 1e-3)
     rates = np.array(
@@ -138,7 +138,7 @@ def response_counts(pulse: Pulse, count_rad: float) -> tuple[float, float]:
     return float(change[np.argmax(np.abs(change))] / count_rad), float(scatter / count_rad)
 
 
-def thrust_of(pulses: Sequence[Pulse], sign: int, rig: Rig) -> Thrust | str:
+def thrust_of(pulses: Sequence[Pulse], sign: int, rig: Rig) -> ThrustLine | str:
     """Infer thrust gain and dead zone of a rotor from the pulses that moved pitch.
 
     Parameters
@@ -152,7 +152,7 @@ def thrust_of(pulses: Sequence[Pulse], sign: int, rig: Rig) -> Thrust | str:
 
     Returns
     -------
-    Thrust or str
+    ThrustLine or str
         The line, or the reason why there is none.
     """
     if len(pulses) < LEAST_PULSES:
@@ -173,7 +173,7 @@ def thrust_of(pulses: Sequence[Pulse], sign: int, rig: Rig) -> Thrust | str:
         return f"thrust does not grow with the voltage ({gain:.3g} N/V)"
     if gain_std > MAX_SHARE * gain:
         return f"the pulses scatter: {gain:.3g} N/V with a standard error of {gain_std:.2g} N/V"
-    return Thrust(gain, float(gain_std), zero, float(zero_std), len(pulses))
+    return ThrustLine(gain, float(gain_std), zero, float(zero_std), len(pulses))
 
 
 def geometry_share(rig: Rig) -> float:

@@ -238,7 +238,7 @@ def _write_files(result: Calibration, base: Rig, new_rig: Path, save_params: Pat
 
 
 def _say_result(result: Calibration, base: Rig, before: dict[str, float]) -> None:
-    from heli_sim.calibrate.thrust import Thrust
+    from heli_sim.calibrate.thrust import ThrustLine
 
     say("+- is one standard error")
     for motor in result.motors:
@@ -247,7 +247,7 @@ def _say_result(result: Calibration, base: Rig, before: dict[str, float]) -> Non
         thrust = (
             f"thrust {line.gain_N_per_V:.4g} +- {line.gain_std:.2g} N/V above "
             f"{line.dead_zone_V:.3g} +- {line.dead_zone_std:.1g} V ({line.pulses} pulses)"
-            if isinstance(line, Thrust)
+            if isinstance(line, ThrustLine)
             else "thrust not known"
         )
         begins = f"moves pitch from {motor.begins_V:g} V"
