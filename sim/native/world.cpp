@@ -123,8 +123,8 @@ void World::move_rig() {
     volts_V_[motor] = signs_[motor] * output_V[swapped_ ? 1 - motor : motor] + 0.0;
   }
   const std::array<double, heli::kAxisCount> locked = turned_by_hand();
-  step_->step(state_.data(), volts_V_.data(), locked.data(), parameters_.data(),
-              next_state_.data(), angles_rad_.data());
+  step_->step(state_.data(), volts_V_.data(), locked.data(), parameters_.data(), next_state_.data(),
+              angles_rad_.data());
   state_.swap(next_state_);
   encoders_.move(angles_rad_.data());
 }

@@ -209,10 +209,10 @@ def test_every_ending_leaves_the_motors_at_0_V(
     do: Callable[[Heli, SilWorld], None], error: type[BaseException], text: str
 ) -> None:
     limits = replace(FEW, max_angle_deg=8.0)
-    with bench(Path(PAPER)) as (heli, world, operator):
+    with bench(Path(PAPER)) as (heli, world, _):
         before = dict(heli.params)
         lines: list[str] = []
-        operator.report = lines.append  # type: ignore[method-assign]
+        operator = SimulatedOperator(heli, world, lines.append)
         check = stops_while_driven(world, lambda: do(heli, world))
         with pytest.raises(error, match=text):
             calibrate(heli, operator, RIG, limits, check=check)

@@ -1,4 +1,4 @@
-"""ThrustLine and dead zone of a rotor, from the pitch angle after short pulses."""
+"""Thrust and dead zone of a rotor, from the pitch angle after short pulses."""
 
 from __future__ import annotations
 
