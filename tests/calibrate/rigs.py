@@ -12,9 +12,9 @@ from typing import Final
 import heli_host
 from heli_host.declaration import AXES
 from heli_host.heli import Heli
-from heli_sim.calibrate.calibration import Calibration, calibrate
-from heli_sim.calibrate.motors import PulseLimits
-from heli_sim.calibrate.simulated_operator import SimulatedOperator
+from heli_lab.calibrate.calibration import Calibration, calibrate
+from heli_lab.calibrate.motors import PulseLimits
+from heli_lab.calibrate.simulated_operator import SimulatedOperator
 from heli_sim.rig import load_rig, write_rig
 from heli_sim.rig.schema import ENCODER_DIRECTIONS
 from heli_sim.sil.inprocess import InProcessTransport

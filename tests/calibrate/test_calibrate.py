@@ -14,14 +14,14 @@ from heli_host.declaration import AXES, State
 from heli_host.errors import FlightAborted, HeliError, LinkError
 from heli_host.heli import Heli
 from heli_host.log.reader import read_log
-from heli_sim.calibrate.calibration import Calibration, calibrate, set_parameters
-from heli_sim.calibrate.encoders import calibrate_encoders
-from heli_sim.calibrate.errors import CalibrationError
-from heli_sim.calibrate.motors import PulseLimits
-from heli_sim.calibrate.operator import Action
-from heli_sim.calibrate.simulated_operator import SimulatedOperator
-from heli_sim.calibrate.terminal_operator import TerminalOperator
-from heli_sim.calibrate.thrust import Pulse, response_design, thrust_of
+from heli_lab.calibrate.calibration import Calibration, calibrate, set_parameters
+from heli_lab.calibrate.encoders import calibrate_encoders
+from heli_lab.calibrate.errors import CalibrationError
+from heli_lab.calibrate.motors import PulseLimits
+from heli_lab.calibrate.operator import Action
+from heli_lab.calibrate.simulated_operator import SimulatedOperator
+from heli_lab.calibrate.terminal_operator import TerminalOperator
+from heli_lab.calibrate.thrust import Pulse, response_design, thrust_of
 from heli_sim.rig import load_rig
 from heli_sim.sil.faults import FaultPlan
 from heli_sim.sil.intervals import Span

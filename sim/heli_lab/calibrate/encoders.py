@@ -11,8 +11,8 @@ from heli_host.arrays import Floats
 from heli_host.declaration import AXES
 from heli_host.heli import Heli
 
-from heli_sim.calibrate.errors import CalibrationError
-from heli_sim.calibrate.operator import Action, Operator
+from heli_lab.calibrate.errors import CalibrationError
+from heli_lab.calibrate.operator import Action, Operator
 
 MOVED_deg: Final = 5.0
 """Change of an angle that counts as a movement. Less: the play of an axis that a hand touches counts too.

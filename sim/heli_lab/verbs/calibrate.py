@@ -16,10 +16,10 @@ from heli_host.cli.verb import Verb
 
 if TYPE_CHECKING:
     from heli_host.heli import Heli
-
-    from heli_sim.calibrate.calibration import Calibration
-    from heli_sim.calibrate.operator import Operator
     from heli_sim.rig import Rig
+
+    from heli_lab.calibrate.calibration import Calibration
+    from heli_lab.calibrate.operator import Operator
 
 _WIRES: Final = ("elevation", "pitch", "travel", "front", "back", "swapped")
 
@@ -83,7 +83,7 @@ def calibrate(
         typer.Option(
             "--miswired",
             metavar="WIRES",
-            help="Simulate wrong wires: elevation, pitch, travel, front, back, swapped; commas between them.",
+            help="Simulate wrong wires: elevation, pitch, travel, front, back or swapped.",
         ),
     ] = "",
 ) -> None:
@@ -100,8 +100,8 @@ def calibrate(
     from heli_host.fly.recorder import Recorder
     from heli_host.log.disk import check_new
 
-    from heli_sim.calibrate.calibration import calibrate as run
-    from heli_sim.calibrate.calibration import default_limits, set_parameters
+    from heli_lab.calibrate.calibration import calibrate as run
+    from heli_lab.calibrate.calibration import default_limits, set_parameters
 
     if not sil:
         refuse_without_sil(miswired=miswired)
@@ -173,7 +173,6 @@ def _base(rig: str | None) -> Rig:
 
 def _new_rig_file(rig: str | None, save_rig: Path | None) -> Path:
     from heli_host.cli.outputs import check_place
-
     from heli_sim.errors import RigError
 
     source = Path(rig if rig is not None else DEFAULT_RIG)
@@ -208,9 +207,10 @@ def _address(rig: str | None, miswired: str) -> str:
 def _operator(heli: Heli, *, simulated: bool) -> Operator:
     import sys
 
-    from heli_sim.calibrate.simulated_operator import SimulatedOperator
-    from heli_sim.calibrate.terminal_operator import TerminalOperator
     from heli_sim.sil.inprocess import InProcessTransport
+
+    from heli_lab.calibrate.simulated_operator import SimulatedOperator
+    from heli_lab.calibrate.terminal_operator import TerminalOperator
 
     transport = heli.session.transport
     if simulated and isinstance(transport, InProcessTransport):
@@ -228,7 +228,6 @@ def _off(heli: Heli) -> None:
 
 def _write_files(result: Calibration, base: Rig, new_rig: Path, save_params: Path | None) -> None:
     from heli_host.parameter_file import parameters_text
-
     from heli_sim.rig import write_rig
 
     write_rig(result.rig, new_rig, f"Written by heli-host calibrate: the rest as {base.name}.")
@@ -238,7 +237,7 @@ def _write_files(result: Calibration, base: Rig, new_rig: Path, save_params: Pat
 
 
 def _say_result(result: Calibration, base: Rig, before: dict[str, float]) -> None:
-    from heli_sim.calibrate.thrust import ThrustLine
+    from heli_lab.calibrate.thrust import ThrustLine
 
     say("+- is one standard error")
     for motor in result.motors:
@@ -262,7 +261,7 @@ def _say_result(result: Calibration, base: Rig, before: dict[str, float]) -> Non
 def _changes(result: Calibration, base: Rig, before: dict[str, float]) -> list[dict[str, Any]]:
     from heli_host.parameters import spec_of
 
-    from heli_sim.calibrate.calibration import SOURCE
+    from heli_lab.calibrate.calibration import SOURCE
 
     names = [name for name in result.rig if result.rig[name].source.startswith(SOURCE)]
     rows: list[dict[str, Any]] = [

@@ -9,7 +9,6 @@ from typing import Final
 import numpy as np
 import scipy.optimize
 from heli_host.arrays import Floats
-
 from heli_sim.rig import Rig
 from heli_sim.rig.inertia import inertias_kg_m2
 

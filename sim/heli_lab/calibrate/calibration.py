@@ -10,16 +10,16 @@ from typing import Final
 from heli_host.declaration import AXES, State
 from heli_host.errors import fault_text
 from heli_host.heli import Heli
-
-from heli_sim.calibrate.encoders import EncoderResult, angles_deg, calibrate_encoders
-from heli_sim.calibrate.errors import CalibrationError
-from heli_sim.calibrate.limits import pulse_limits, temporary_parameters
-from heli_sim.calibrate.motors import MOTOR_OUTPUTS, MotorResult, PulseLimits, calibrate_motor
-from heli_sim.calibrate.operator import Action, Operator
-from heli_sim.calibrate.thrust import ThrustLine, geometry_share
 from heli_sim.rig import Number, Rig
 from heli_sim.rig.encoders import counts_per_turn
 from heli_sim.rig.schema import ENCODER_DIRECTIONS
+
+from heli_lab.calibrate.encoders import EncoderResult, angles_deg, calibrate_encoders
+from heli_lab.calibrate.errors import CalibrationError
+from heli_lab.calibrate.limits import pulse_limits, temporary_parameters
+from heli_lab.calibrate.motors import MOTOR_OUTPUTS, MotorResult, PulseLimits, calibrate_motor
+from heli_lab.calibrate.operator import Action, Operator
+from heli_lab.calibrate.thrust import ThrustLine, geometry_share
 
 HARD_MAX_V: Final = 6.0
 """Voltage that no pulse exceeds, whatever the options say [V]."""

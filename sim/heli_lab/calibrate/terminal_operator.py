@@ -9,7 +9,7 @@ from typing import TextIO
 
 from heli_host.errors import FlightAborted
 
-from heli_sim.calibrate.operator import Action
+from heli_lab.calibrate.operator import Action
 
 _STOP = "stop"
 

@@ -9,7 +9,7 @@ from heli_host.declaration import State
 from heli_host.errors import HeliError
 from heli_host.heli import Heli
 
-from heli_sim.calibrate.errors import CalibrationError
+from heli_lab.calibrate.errors import CalibrationError
 
 
 @contextlib.contextmanager

@@ -13,11 +13,12 @@ from heli_host.errors import CommandRefused, FlightAborted, HeliError, fault_tex
 from heli_host.heli import Heli
 from heli_host.samples import Samples
 from heli_host.vehicle import Vehicle
+from heli_sim.rig import Rig
 
-from heli_sim.calibrate.encoders import angles_deg
-from heli_sim.calibrate.errors import CalibrationError
-from heli_sim.calibrate.operator import Action, Operator
-from heli_sim.calibrate.thrust import (
+from heli_lab.calibrate.encoders import angles_deg
+from heli_lab.calibrate.errors import CalibrationError
+from heli_lab.calibrate.operator import Action, Operator
+from heli_lab.calibrate.thrust import (
     AFTER_s,
     BEFORE_s,
     GRID_s,
@@ -27,7 +28,6 @@ from heli_sim.calibrate.thrust import (
     response_counts,
     thrust_of,
 )
-from heli_sim.rig import Rig
 
 MOTOR_OUTPUTS: Final = ("front", "back")
 STEP_V: Final = 0.1
@@ -115,7 +115,7 @@ def calibrate_motor(
     Parameters
     ----------
     heli : Heli
-        Connected, the board idle with low limits; see `heli_sim.calibrate.limits.pulse_limits`.
+        Connected, the board idle with low limits; see `heli_lab.calibrate.limits.pulse_limits`.
     operator : Operator
         Confirms each pulse and sees which rotor turns.
     output : str

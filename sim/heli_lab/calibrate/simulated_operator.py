@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 from heli_host.heli import Heli
-
-from heli_sim.calibrate.operator import Action
 from heli_sim.sil.world import SilWorld
+
+from heli_lab.calibrate.operator import Action
 
 _LIFTED_deg: Final = 15.0
 _TURNED_deg: Final = {Action.FRONT_UP: 20.0, Action.BACK_LEADS: 30.0}
