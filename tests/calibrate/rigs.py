@@ -12,7 +12,7 @@ from typing import Final
 import heli_host
 from heli_host.declaration import AXES
 from heli_host.heli import Heli
-from heli_lab.calibrate.calibration import Calibration, calibrate
+from heli_lab.calibrate.calibration import BenchCalibration, calibrate
 from heli_lab.calibrate.motors import PulseLimits
 from heli_lab.calibrate.simulated_operator import SimulatedOperator
 from heli_sim.rig import load_rig, write_rig
@@ -74,7 +74,7 @@ def bench(rig: Path, wires: Wires = Wires()) -> Iterator[tuple[Heli, SilWorld, S
         yield heli, transport.world, SimulatedOperator(heli, transport.world, lambda _: None)
 
 
-def calibrated(folder: Path, name: str, wires: Wires, limits: PulseLimits | None = None) -> Calibration:
+def calibrated(folder: Path, name: str, wires: Wires, limits: PulseLimits | None = None) -> BenchCalibration:
     """Calibrate a rig whose file knows neither its wires nor its hidden numbers."""
     with bench(true_rig(folder, name, wires), wires) as (heli, world, operator):
         result = calibrate(heli, operator, load_rig(name), limits)
@@ -82,7 +82,7 @@ def calibrated(folder: Path, name: str, wires: Wires, limits: PulseLimits | None
     return result
 
 
-def wires_found(result: Calibration) -> Wires:
+def wires_found(result: BenchCalibration) -> Wires:
     """Wires that a calibration reports."""
     signs = {motor.rotor: motor.sign for motor in result.motors}
     encoders = tuple(result.encoders.direction[axis] for axis in AXES)
@@ -91,7 +91,7 @@ def wires_found(result: Calibration) -> Wires:
     )
 
 
-def errors_of(result: Calibration, name: str) -> tuple[float, float]:
+def errors_of(result: BenchCalibration, name: str) -> tuple[float, float]:
     """Errors of the thrust gain, as share, and of the dead zone [V]."""
     gain, zero_V = (result.rig[key].value for key in ("thrust_gain", "dead_zone"))
     return gain / HIDDEN[name]["thrust_gain"] - 1.0, zero_V - HIDDEN[name]["dead_zone"]

@@ -14,11 +14,11 @@ from heli_host.declaration import AXES, State
 from heli_host.errors import FlightAborted, HeliError, LinkError
 from heli_host.heli import Heli
 from heli_host.log.reader import read_log
-from heli_lab.calibrate.calibration import Calibration, calibrate, set_parameters
+from heli_lab.calibrate.calibration import BenchCalibration, calibrate, set_parameters
 from heli_lab.calibrate.encoders import calibrate_encoders
 from heli_lab.calibrate.errors import CalibrationError
 from heli_lab.calibrate.motors import PulseLimits
-from heli_lab.calibrate.operator import Action
+from heli_lab.calibrate.operator import HandAction
 from heli_lab.calibrate.simulated_operator import SimulatedOperator
 from heli_lab.calibrate.terminal_operator import TerminalOperator
 from heli_lab.calibrate.thrust import Pulse, response_design, thrust_of
@@ -86,23 +86,23 @@ def test_a_rig_with_all_signs_wrong_flies_after_its_calibration(tmp_path: Path) 
 
 
 @pytest.fixture(scope="module")
-def exchanged(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
+def exchanged(tmp_path_factory: pytest.TempPathFactory) -> BenchCalibration:
     """Calibration of a rig whose motors are exchanged, with few pulses."""
     return calibrated(tmp_path_factory.mktemp("exchanged"), PAPER, Wires(swapped=True), FEW)
 
 
-def test_the_level_arm_gives_the_rest_angle(exchanged: Calibration) -> None:
+def test_the_level_arm_gives_the_rest_angle(exchanged: BenchCalibration) -> None:
     rest_deg = exchanged.parameters["elevation_rest_deg"]
     assert rest_deg == pytest.approx(HIDDEN[PAPER]["elevation_min"], abs=0.1)
     assert exchanged.rig["elevation_min"].value == rest_deg
 
 
-def test_exchanged_motors_set_no_signs_and_say_what_to_do(exchanged: Calibration) -> None:
+def test_exchanged_motors_set_no_signs_and_say_what_to_do(exchanged: BenchCalibration) -> None:
     assert "motor_front_sign" not in exchanged.parameters
     assert exchanged.notes[0].startswith("the motors are exchanged: swap the plugs of the two motors")
 
 
-def test_too_few_pulses_keep_the_thrust_of_the_rig_file(exchanged: Calibration) -> None:
+def test_too_few_pulses_keep_the_thrust_of_the_rig_file(exchanged: BenchCalibration) -> None:
     assert exchanged.rig["thrust_gain"] == RIG["thrust_gain"]
     assert any("2 pulses moved pitch, and a line needs 3" in note for note in exchanged.notes)
 
@@ -133,9 +133,9 @@ def test_a_slow_rotor_has_the_same_thrust() -> None:
 class Clumsy(SimulatedOperator):
     """Does other movements than those that the instruction wants."""
 
-    moves: dict[Action, tuple[float, float, float]]
+    moves: dict[HandAction, tuple[float, float, float]]
 
-    def act(self, action: Action) -> None:
+    def act(self, action: HandAction) -> None:
         if action in self.moves:
             self._turn(self.moves[action])
         else:
@@ -154,7 +154,7 @@ def test_a_movement_that_is_not_clear_is_refused(moved_rad: tuple[float, float, 
     with bench(Path(PAPER)) as (heli, world, _):
         lines: list[str] = []
         operator = Clumsy(heli, world, lines.append)
-        operator.moves = {Action.LIFT: moved_rad}
+        operator.moves = {HandAction.LIFT: moved_rad}
         with pytest.raises(CalibrationError, match=reason):
             calibrate_encoders(heli, operator)
         assert sum("then try again" in line for line in lines) == 2
@@ -164,7 +164,7 @@ def test_a_movement_that_is_not_clear_is_refused(moved_rad: tuple[float, float, 
 def test_an_arm_on_its_table_gets_no_pulse() -> None:
     with bench(Path(PAPER)) as (heli, world, _):
         operator = Clumsy(heli, world, lambda _: None)
-        operator.moves = {Action.TIE: (np.radians(-25.0), 0.0, 0.0)}
+        operator.moves = {HandAction.TIE: (np.radians(-25.0), 0.0, 0.0)}
         with pytest.raises(CalibrationError, match="the arm is still on its table"):
             calibrate(heli, operator, RIG, FEW)
         assert heli.samples().front_V.max() == 0.0
@@ -250,7 +250,7 @@ class Script:
         return False
 
     def readline(self) -> str:
-        for action in Action:
+        for action in HandAction:
             if self._shown.startswith(action.text):
                 self._hand.act(action)
                 return "\n"
@@ -267,7 +267,7 @@ def test_a_script_answers_as_a_person_at_the_terminal(stop_at: str) -> None:
         script = Script(hand)
         script.stop_at = stop_at
         operator = TerminalOperator(script, script.show)  # type: ignore[arg-type]
-        result: Calibration | HeliError
+        result: BenchCalibration | HeliError
         try:
             result = calibrate(heli, operator, RIG, FEW)
         except HeliError as error:
@@ -276,7 +276,7 @@ def test_a_script_answers_as_a_person_at_the_terminal(stop_at: str) -> None:
     if stop_at:
         assert str(result).startswith("the operator stopped the calibration")
     else:
-        assert isinstance(result, Calibration)
+        assert isinstance(result, BenchCalibration)
         assert not result.motors_exchanged
 
 

@@ -18,7 +18,7 @@ from heli_lab.calibrate.encoders import EncoderResult, angles_deg, calibrate_enc
 from heli_lab.calibrate.errors import CalibrationError
 from heli_lab.calibrate.limits import pulse_limits, temporary_parameters
 from heli_lab.calibrate.motors import MOTOR_OUTPUTS, MotorResult, PulseLimits, calibrate_motor
-from heli_lab.calibrate.operator import Action, Operator
+from heli_lab.calibrate.operator import HandAction, Operator
 from heli_lab.calibrate.thrust import ThrustLine, geometry_share
 
 HARD_MAX_V: Final = 6.0
@@ -40,7 +40,7 @@ SOURCE: Final = "heli-host calibrate"
 
 
 @dataclass(frozen=True)
-class Calibration:
+class BenchCalibration:
     """Result of a calibration.
 
     Parameters
@@ -89,7 +89,7 @@ def calibrate(
     motors: bool = True,
     mark: Callable[[str], None] = lambda _: None,
     check: Callable[[], None] = lambda: None,
-) -> Calibration:
+) -> BenchCalibration:
     """Calibrate encoders and motors of a connected board.
 
     The board keeps its parameters: they are changed in its memory only, and put back. The motors go off
@@ -153,7 +153,7 @@ def set_parameters(heli: Heli, operator: Operator, values: Mapping[str, float]) 
     CommandRefused
         The board refused one; those set before it were put back, and nothing was saved.
     """
-    operator.act(Action.REST)
+    operator.act(HandAction.REST)
     heli.params.restore(values)
     heli.zero()
     heli.params.save()
@@ -205,7 +205,7 @@ def _encoder_values(heli: Heli, encoders: EncoderResult) -> dict[str, float]:
 def _tie(heli: Heli, operator: Operator) -> None:
     rest_deg = heli.params["elevation_rest_deg"]
     for _ in range(_TRIES):
-        operator.act(Action.TIE)
+        operator.act(HandAction.TIE)
         lifted_deg = angles_deg(heli)[0] - rest_deg
         if lifted_deg >= _TIED_deg:
             return
@@ -223,7 +223,7 @@ def _calibration(
     motors: Sequence[MotorResult],
     rig: Rig,
     name: str,
-) -> Calibration:
+) -> BenchCalibration:
     signs, notes = _motor_signs(motors)
     numbers = dict(rig)
     dead_zone, more = _put_thrust(numbers, motors, rig)
@@ -236,7 +236,7 @@ def _calibration(
         rig, name=name, description=f"calibrated on the bench, the rest as {rig.name}", numbers=numbers
     )
     values = dict(encoder_values) | signs | dead_zone
-    return Calibration(encoders, tuple(motors), calibrated, values, (*notes, *more))
+    return BenchCalibration(encoders, tuple(motors), calibrated, values, (*notes, *more))
 
 
 def _motor_signs(motors: Sequence[MotorResult]) -> tuple[dict[str, float], list[str]]:

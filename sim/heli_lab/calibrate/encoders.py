@@ -12,7 +12,7 @@ from heli_host.declaration import AXES
 from heli_host.heli import Heli
 
 from heli_lab.calibrate.errors import CalibrationError
-from heli_lab.calibrate.operator import Action, Operator
+from heli_lab.calibrate.operator import HandAction, Operator
 
 MOVED_deg: Final = 5.0
 """Change of an angle that counts as a movement. Less: the play of an axis that a hand touches counts too.
@@ -23,9 +23,9 @@ slipping coupling passes."""
 _TRIES: Final = 3
 _SETTLE_S: Final = 0.3
 _MOVES: Final = (
-    ("elevation", Action.LIFT, True),
-    ("pitch", Action.FRONT_UP, False),
-    ("travel", Action.BACK_LEADS, False),
+    ("elevation", HandAction.LIFT, True),
+    ("pitch", HandAction.FRONT_UP, False),
+    ("travel", HandAction.BACK_LEADS, False),
 )
 """Axis, action that must make its angle grow, and whether the elevation shows the rest angle."""
 
@@ -58,7 +58,7 @@ def calibrate_encoders(heli: Heli, operator: Operator) -> EncoderResult:
     CalibrationError
         No encoder, another one or two moved in each of three tries, or an angle did not return to zero.
     """
-    operator.act(Action.REST)
+    operator.act(HandAction.REST)
     heli.zero()
     heli.wait(_SETTLE_S)
     start_deg = angles_deg(heli)
@@ -71,7 +71,7 @@ def calibrate_encoders(heli: Heli, operator: Operator) -> EncoderResult:
         if is_lift:
             rest_deg = -abs(change_deg)
         operator.report(f"{axis}: {change_deg:+.1f} degrees, so {_counts_text(direction[axis])}")
-        operator.act(Action.REST)
+        operator.act(HandAction.REST)
         _check_return(heli, start_deg, axis)
     return EncoderResult(direction, rest_deg, moved_deg)
 
@@ -83,12 +83,12 @@ def angles_deg(heli: Heli) -> Floats:
     return np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg])
 
 
-def _movement(heli: Heli, operator: Operator, axis: str, action: Action) -> float:
+def _movement(heli: Heli, operator: Operator, axis: str, action: HandAction) -> float:
     reason = remedy = ""
     for attempt in range(_TRIES):
         if attempt:
             operator.report(f"{reason}; {remedy}, then try again")
-            operator.act(Action.REST)
+            operator.act(HandAction.REST)
         before_deg = angles_deg(heli)
         operator.act(action)
         change_deg = angles_deg(heli) - before_deg

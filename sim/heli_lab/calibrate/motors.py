@@ -17,12 +17,12 @@ from heli_sim.rig import Rig
 
 from heli_lab.calibrate.encoders import angles_deg
 from heli_lab.calibrate.errors import CalibrationError
-from heli_lab.calibrate.operator import Action, Operator
+from heli_lab.calibrate.operator import HandAction, Operator
 from heli_lab.calibrate.thrust import (
     AFTER_s,
     BEFORE_s,
-    GRID_s,
     Pulse,
+    PULSE_GRID_s,
     PULSE_s,
     ThrustLine,
     response_counts,
@@ -291,7 +291,7 @@ class _Pulser:
                     if abs(self._heli.latest.pitch_deg) < _SHARE * self._limits.max_angle_deg:
                         return
                     break
-            self._operator.act(Action.STEADY)
+            self._operator.act(HandAction.STEADY)
         raise CalibrationError(
             "the short arm does not come to rest",
             "keep draughts away, and check that the cables do not pull at the short arm",
@@ -304,9 +304,9 @@ def _cut(samples: Samples, output: str, volts_V: float) -> Pulse:
         raise CalibrationError(
             f"the board gave no voltage to the {output} output", "check the limits of its parameters"
         )
-    step = round(GRID_s / _TICK_s)
+    step = round(PULSE_GRID_s / _TICK_s)
     first = driven[0] - round(BEFORE_s / _TICK_s)
-    count = round((BEFORE_s + PULSE_s + AFTER_s) / GRID_s)
+    count = round((BEFORE_s + PULSE_s + AFTER_s) / PULSE_GRID_s)
     index = first + step * np.arange(count)
     if index[0] < 0 or index[-1] >= len(samples) or np.any(np.diff(samples.tick) != 1):
         raise CalibrationError("samples of a pulse are missing", "check the USB cable, then calibrate again")

@@ -6,7 +6,7 @@ from enum import Enum
 from typing import Protocol
 
 
-class Action(Enum):
+class HandAction(Enum):
     """A movement by hand, with its instruction. The arm is still when the operator answers."""
 
     REST = (
@@ -36,7 +36,7 @@ class Action(Enum):
 class Operator(Protocol):
     """The person at the bench. Any method may raise KeyboardInterrupt or a HeliError, which ends all."""
 
-    def act(self, action: Action) -> None:
+    def act(self, action: HandAction) -> None:
         """Let the operator do an action, and return when it is done and the arm is still."""
 
     def choose(self, question: str, choices: tuple[str, ...]) -> str:

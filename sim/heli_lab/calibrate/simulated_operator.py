@@ -10,10 +10,10 @@ import numpy as np
 from heli_host.heli import Heli
 from heli_sim.sil.world import SilWorld
 
-from heli_lab.calibrate.operator import Action
+from heli_lab.calibrate.operator import HandAction
 
 _LIFTED_deg: Final = 15.0
-_TURNED_deg: Final = {Action.FRONT_UP: 20.0, Action.BACK_LEADS: 30.0}
+_TURNED_deg: Final = {HandAction.FRONT_UP: 20.0, HandAction.BACK_LEADS: 30.0}
 _THERE_rad: Final = 1e-6
 _TIMEOUT_s: Final = 10.0
 
@@ -39,21 +39,21 @@ class SimulatedOperator:
         self._turned = "neither"
         heli.session.subscribe_ticks(lambda _: self._look())
 
-    def act(self, action: Action) -> None:
+    def act(self, action: HandAction) -> None:
         """Turn the axes as the action wants, and wait until they are there."""
         self._report(f"hand: {action.text}")
         tied = (self._rest_rad + np.radians(_LIFTED_deg), nan, 0.0)
-        if action is Action.STEADY:
+        if action is HandAction.STEADY:
             self._turn((*tied[:1], 0.0, 0.0))
             self._turn(tied)
-        elif action is Action.TIE:
+        elif action is HandAction.TIE:
             self._turn((tied[0], 0.0, 0.0))
             self._turn(tied)
-        elif action is Action.LIFT:
+        elif action is HandAction.LIFT:
             self._turn((0.0, 0.0, 0.0))
-        elif action is Action.FRONT_UP:
+        elif action is HandAction.FRONT_UP:
             self._turn((self._rest_rad, float(np.radians(_TURNED_deg[action])), 0.0))
-        elif action is Action.BACK_LEADS:
+        elif action is HandAction.BACK_LEADS:
             self._turn((self._rest_rad, 0.0, float(np.radians(_TURNED_deg[action]))))
         else:
             self._turn((self._rest_rad, 0.0, 0.0))

@@ -9,7 +9,7 @@ from typing import TextIO
 
 from heli_host.errors import FlightAborted
 
-from heli_lab.calibrate.operator import Action
+from heli_lab.calibrate.operator import HandAction
 
 _STOP = "stop"
 
@@ -29,7 +29,7 @@ class TerminalOperator:
         self._answers = answers
         self._show = show
 
-    def act(self, action: Action) -> None:
+    def act(self, action: HandAction) -> None:
         """Show the instruction, and wait for Enter; ``stop`` ends the calibration."""
         self._show(f"{action.text} Then press Enter (or type {_STOP}).")
         self._line()

@@ -12,7 +12,7 @@ from heli_host.arrays import Floats
 from heli_sim.rig import Rig
 from heli_sim.rig.inertia import inertias_kg_m2
 
-GRID_s: Final = 0.005
+PULSE_GRID_s: Final = 0.005
 """Step of the times at which the response is compared."""
 BEFORE_s: Final = 0.3
 PULSE_s: Final = 0.3
@@ -38,7 +38,7 @@ class Pulse:
     volts_V : float
         Voltage of the output during the pulse.
     pitch_rad : Floats
-        Pitch from BEFORE_s before the pulse to AFTER_s after it, in steps of GRID_s.
+        Pitch from BEFORE_s before the pulse to AFTER_s after it, in steps of PULSE_GRID_s.
     """
 
     volts_V: float
@@ -79,9 +79,9 @@ def response_design(stiffness: float, damping: float, lag_s: float) -> Floats:
             [0.0, 0.0, 0.0, 0.0],
         ]
     )
-    before, during, after = (round(span / GRID_s) for span in (BEFORE_s, PULSE_s, AFTER_s))
+    before, during, after = (round(span / PULSE_GRID_s) for span in (BEFORE_s, PULSE_s, AFTER_s))
     count = before + during + after
-    powers = _powers(_exponential(rates * GRID_s), count)
+    powers = _powers(_exponential(rates * PULSE_GRID_s), count)
     # States are angle, rate, acceleration by thrust, and the voltage, which only the pulse sets.
     end = powers[during] @ (0.0, 0.0, 0.0, 1.0)
     end[3] = 0.0
@@ -131,7 +131,7 @@ def _fitted_swing(measured: Floats, start: _Swing) -> _Swing:
 
 def response_counts(pulse: Pulse, count_rad: float) -> tuple[float, float]:
     """Return how far the pulse turned pitch, signed, and the scatter of the readings before it [counts]."""
-    before, during = round(BEFORE_s / GRID_s), round(PULSE_s / GRID_s)
+    before, during = round(BEFORE_s / PULSE_GRID_s), round(PULSE_s / PULSE_GRID_s)
     base, scatter = pulse.pitch_rad[:before].mean(), pulse.pitch_rad[:before].std()
     change = pulse.pitch_rad[before : before + 2 * during] - base
     return float(change[np.argmax(np.abs(change))] / count_rad), float(scatter / count_rad)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from heli_host.heli import Heli
     from heli_sim.rig import Rig
 
-    from heli_lab.calibrate.calibration import Calibration
+    from heli_lab.calibrate.calibration import BenchCalibration
     from heli_lab.calibrate.operator import Operator
 
 _WIRES: Final = ("elevation", "pitch", "travel", "front", "back", "swapped")
@@ -226,7 +226,7 @@ def _off(heli: Heli) -> None:
             heli.stop()
 
 
-def _write_files(result: Calibration, base: Rig, new_rig: Path, save_params: Path | None) -> None:
+def _write_files(result: BenchCalibration, base: Rig, new_rig: Path, save_params: Path | None) -> None:
     from heli_host.parameter_file import parameters_text
     from heli_sim.rig import write_rig
 
@@ -236,7 +236,7 @@ def _write_files(result: Calibration, base: Rig, new_rig: Path, save_params: Pat
         save_params.write_text(text, encoding="utf-8")
 
 
-def _say_result(result: Calibration, base: Rig, before: dict[str, float]) -> None:
+def _say_result(result: BenchCalibration, base: Rig, before: dict[str, float]) -> None:
     from heli_lab.calibrate.thrust import ThrustLine
 
     say("+- is one standard error")
@@ -258,7 +258,7 @@ def _say_result(result: Calibration, base: Rig, before: dict[str, float]) -> Non
     say(*(f"note: {note}" for note in result.notes))
 
 
-def _changes(result: Calibration, base: Rig, before: dict[str, float]) -> list[dict[str, Any]]:
+def _changes(result: BenchCalibration, base: Rig, before: dict[str, float]) -> list[dict[str, Any]]:
     from heli_host.parameters import spec_of
 
     from heli_lab.calibrate.calibration import SOURCE
@@ -280,7 +280,7 @@ def _changes(result: Calibration, base: Rig, before: dict[str, float]) -> list[d
     ]
 
 
-def _content(result: Calibration, base: Rig, before: dict[str, float]) -> dict[str, Any]:
+def _content(result: BenchCalibration, base: Rig, before: dict[str, float]) -> dict[str, Any]:
     return {
         "encoders": asdict(result.encoders),
         "motors": [asdict(motor) for motor in result.motors],
