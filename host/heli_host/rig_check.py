@@ -157,7 +157,7 @@ def rig_differences(
         Parameters of the board by name.
     simulated : bool
         Whether the board is simulated. Its encoders count as the rig states and its motors are not swapped,
-        so every other sign is a contradiction.
+        so every other sign is a contradiction. A stated motor sign of 0, of simulated wrong wires, is none.
     directed : collection of str
         On hardware, those counts per turn whose sign the rig states. The sign of the others says how a part
         is wired, and is not compared.
@@ -185,7 +185,7 @@ def rig_differences(
         differences += [
             RigDifference(name, parameters[name], 1.0, Part.DIRECTION)
             for name in _SIGNS
-            if parameters.get(name, 1.0) < 0.0
+            if parameters.get(name, 1.0) * stated.get(name, 1.0) < 0.0
         ]
     return differences
 

@@ -4,6 +4,7 @@
 
     HeliError                   cause, remedy and exit code
     └── SimError                an error in the simulation
+        ├── CalibrationError    a calibration ended before its result; in heli_lab.calibrate.errors
         ├── CampaignError       a campaign cannot be read, started or continued
         ├── PoolError           diagnoses cannot be pooled
         ├── TwinError           a twin cannot be built, or cannot follow a flight

@@ -134,6 +134,10 @@ void bind_world(nb::module_& module) {
       .def_prop_rw("state", &World::state, &World::set_state)
       .def_prop_rw("parameters", &World::parameters, &World::set_parameters)
       .def_prop_ro("volts_V", &World::volts_V)
+      .def("wire_motors", &World::set_wiring, "swapped"_a, "signs"_a,
+           "Plug the motors' cables: exchanged with each other, or each with its leads exchanged.")
+      .def_prop_rw("hand_rad", &World::hand_rad, &World::set_hand,
+                   "Angles to which a hand turns the axes, and holds them; NaN lets go.")
       .def_prop_ro("counts",
                    [](World& self) {
                      const std::int32_t* count = self.encoders().count();

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -12,6 +13,10 @@ namespace {
 
 // How often the operator looks at the arm.
 constexpr std::uint64_t kSupport_ticks = 5;
+
+// How fast a hand turns an axis: a quarter of a turn takes three seconds. Below every rate limit.
+constexpr double kHand_rad_s = 0.5;
+constexpr double kTick_s = 1e-3;
 
 void require_size(const char* what, std::size_t given, std::size_t wanted) {
   if (given == wanted) return;
@@ -38,6 +43,7 @@ World::World(std::shared_ptr<SimBoard> board, std::shared_ptr<PlantStep> step,
       state_(std::move(state)),
       next_state_(state_.size()),
       parameters_(std::move(parameters)) {
+  hand_rad_.fill(std::numeric_limits<double>::quiet_NaN());
   require_size("the state", state_.size(), step_->state_count());
   require_size("the parameter vector", parameters_.size(), step_->parameter_count());
   std::copy_n(state_.begin(), heli::kAxisCount, angles_rad_.begin());
@@ -84,19 +90,41 @@ void World::one_tick(std::vector<std::uint8_t>& to_host) {
 
 void World::support_arm() {
   if (!support_below_rad_.has_value() || locked_ != supported_) return;
-  const bool off = volts_V_[0] <= 0.0 && volts_V_[1] <= 0.0;
+  const bool off = volts_V_[0] == 0.0 && volts_V_[1] == 0.0;
   const bool low = state_[heli::kElevation] <= *support_below_rad_;
   supported_[heli::kElevation] = off && low ? 1.0 : 0.0;
   locked_ = supported_;
 }
 
+void World::set_wiring(bool swapped, const std::array<double, 2>& signs) {
+  swapped_ = swapped;
+  signs_ = signs;
+}
+
+std::array<double, heli::kAxisCount> World::turned_by_hand() {
+  std::array<double, heli::kAxisCount> locked = locked_;
+  for (std::size_t axis = 0; axis < heli::kAxisCount; ++axis) {
+    if (std::isnan(hand_rad_[axis])) continue;
+    const double most_rad = kHand_rad_s * kTick_s;
+    state_[axis] += std::clamp(hand_rad_[axis] - state_[axis], -most_rad, most_rad);
+    state_[heli::kAxisCount + axis] = 0.0;
+    locked[axis] = 1.0;
+  }
+  return locked;
+}
+
 void World::move_rig() {
   const MotorOutput motors = board_->motors();
   const bool drives = motors.enable && supply_on_;
-  volts_V_[0] = drives ? power_.volts(motors.front_duty) : 0.0;
-  volts_V_[1] = drives ? power_.volts(motors.back_duty) : 0.0;
-  step_->step(state_.data(), volts_V_.data(), locked_.data(), parameters_.data(),
-              next_state_.data(), angles_rad_.data());
+  const std::array<double, 2> output_V{drives ? power_.volts(motors.front_duty) : 0.0,
+                                       drives ? power_.volts(motors.back_duty) : 0.0};
+  for (std::size_t motor = 0; motor < 2; ++motor) {
+    // Adding 0 turns the -0 of a sign into 0.
+    volts_V_[motor] = signs_[motor] * output_V[swapped_ ? 1 - motor : motor] + 0.0;
+  }
+  const std::array<double, heli::kAxisCount> locked = turned_by_hand();
+  step_->step(state_.data(), volts_V_.data(), locked.data(), parameters_.data(), next_state_.data(),
+              angles_rad_.data());
   state_.swap(next_state_);
   encoders_.move(angles_rad_.data());
 }

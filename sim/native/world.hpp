@@ -39,6 +39,13 @@ class World {
   SerialLine& line() { return line_; }
   const Encoders& encoders() const { return encoders_; }
   void set_encoder_out(std::size_t axis, bool out) { encoders_.set_out(axis, out); }
+  // How the motors' cables are plugged: with `swapped`, the front output drives the back motor; a
+  // sign of -1 is a motor whose leads are exchanged.
+  void set_wiring(bool swapped, const std::array<double, 2>& signs);
+  // A hand on the rig: it turns an axis to its angle (rad) at kHand_rad_s and holds it there. NaN
+  // lets go.
+  void set_hand(const std::array<double, heli::kAxisCount>& target_rad) { hand_rad_ = target_rad; }
+  const std::array<double, heli::kAxisCount>& hand_rad() const { return hand_rad_; }
   // The motors' supply: without it the board drives, and nothing turns.
   void set_supply_on(bool on) { supply_on_ = on; }
   bool supply_on() const { return supply_on_; }
@@ -58,6 +65,7 @@ class World {
   void one_tick(std::vector<std::uint8_t>& to_host);
   void support_arm();
   void move_rig();
+  std::array<double, heli::kAxisCount> turned_by_hand();
 
   std::shared_ptr<SimBoard> board_;
   std::shared_ptr<PlantStep> step_;
@@ -71,6 +79,9 @@ class World {
   std::array<double, heli::kAxisCount> locked_{};
   std::array<double, heli::kAxisCount> supported_{};  // as the operator last locked them
   std::optional<double> support_below_rad_;
+  std::array<double, heli::kAxisCount> hand_rad_;
+  bool swapped_ = false;
+  std::array<double, 2> signs_{1.0, 1.0};
   std::array<double, 2> volts_V_{};
   std::uint64_t tick_ = 0;
   bool supply_on_ = true;

@@ -186,3 +186,23 @@ def test_a_served_board_listens_while_it_flies(host: Host, person: Person) -> No
     assert heard and "travel encoder is unplugged" in heard[0]
     for fd in (stop_fd, stop_pen, reader, pen):
         os.close(fd)
+
+
+def test_a_hand_turns_an_axis_and_lets_it_go(host: Host, person: Person) -> None:
+    said = person.type_in("turn elevation -5\nturn pitch 20\n")
+    assert said.endswith("a hand turns pitch to 20 degrees, and holds it")
+    host.wait(1500)
+    assert np.degrees(host.world.state[:2]) == pytest.approx([-5.0, 20.0])
+    person.type_in("let pitch\n")
+    host.wait(300)
+    elevation_deg, pitch_deg = np.degrees(host.world.state[:2])
+    assert elevation_deg == pytest.approx(-5.0)
+    assert pitch_deg < 19.0
+
+
+@pytest.mark.parametrize(
+    "line", ["turn roll 5", "turn pitch up", "turn pitch nan", "turn pitch 900", "turn pitch"]
+)
+def test_a_hand_turns_no_other_axis_and_to_no_other_angle(host: Host, person: Person, line: str) -> None:
+    assert HELP in person.type_in(f"{line}\n")
+    assert np.all(np.isnan(host.world.native.hand_rad))

@@ -1,7 +1,8 @@
-"""Faults of the rig at a person's word, while a simulated board is served."""
+"""Faults of the rig, and a hand on it, at a person's word, while a simulated board is served."""
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,8 +16,11 @@ from heli_sim.sil.world import SilWorld
 
 _TICK_s: Final = 1e-3
 _MAX_BYTES: Final = 4096
+_MAX_ANGLE_deg: Final = 360.0
 _AXES: Final = "|".join(AXES)
-HELP: Final = f"stop, release, pull {_AXES}, plug {_AXES}, supply off, supply on, help"
+HELP: Final = (
+    f"stop, release, pull {_AXES}, plug {_AXES}, supply off, supply on, turn {_AXES} DEG, let {_AXES}, help"
+)
 """The lines that are understood."""
 
 
@@ -99,12 +103,24 @@ class FaultConsole:
             case ["supply", "on"]:
                 faults = replace(faults, supply_out=self._until_now(faults.supply_out))
                 text = "the motors have their supply"
+            case ["turn", axis, angle] if axis in AXES and _is_angle(angle):
+                self._hand(axis, math.radians(float(angle)))
+                text = f"a hand turns {axis} to {float(angle):g} degrees, and holds it"
+            case ["let", axis] if axis in AXES:
+                self._hand(axis, math.nan)
+                text = f"the hand lets go of {axis}"
             case ["help"]:
                 text = HELP
             case _:
                 text = f"this cannot be rehearsed; say {HELP}"
         self._world.rig_faults = faults
         return text
+
+    def _hand(self, axis: str, angle_rad: float) -> None:
+        native = self._world.native
+        hand_rad = list(native.hand_rad)
+        hand_rad[AXES.index(axis)] = angle_rad
+        native.hand_rad = hand_rad
 
     def _from_now(self) -> Interval:
         return Interval(self._world.time_s)
@@ -131,3 +147,10 @@ class FaultConsole:
             return os.tcgetpgrp(self._fd) != os.getpgrp()
         except OSError:
             return False
+
+
+def _is_angle(text: str) -> bool:
+    try:
+        return abs(float(text)) <= _MAX_ANGLE_deg
+    except ValueError:
+        return False

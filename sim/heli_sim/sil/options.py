@@ -20,6 +20,7 @@ _KEYS: Final = (
     *("process", "model", "effect", "effects"),
     *("flip", "drop", "double", "stall", "unplug"),
     *("encoder_out", "encoder_scale", "stop_switch", "supply_out"),
+    *("motor_sign", "motors_swapped"),
 )
 
 NATIVE: Final = "native"
@@ -106,6 +107,7 @@ def parse_url(url: str) -> SilOptions:
         The address. ``stall`` and ``unplug`` take start:length in seconds, several with commas between them;
         ``stop_switch`` and ``supply_out`` too, and ``encoder_out`` behind an axis, as in ``pitch:15``; these
         last where the length is left out. ``encoder_scale`` takes axis:scale, as in ``travel:0.5``.
+        ``motor_sign`` takes ``front:-1`` or ``back:-1`` for exchanged leads, ``motors_swapped`` takes 0 or 1.
         ``effect`` takes effects, ``effects`` files of them, several with semicolons between them.
 
     Raises
@@ -165,6 +167,8 @@ def parse_options(values: dict[str, str]) -> SilOptions:
             stop_switch=parse_times("stop_switch", _listed(values, "stop_switch")),
             supply_out=parse_times("supply_out", _listed(values, "supply_out")),
             encoder_scales=_scales("encoder_scale", _listed(values, "encoder_scale")),
+            motor_signs=_motor_signs("motor_sign", _listed(values, "motor_sign")),
+            motors_swapped=_flag("motors_swapped", values.get("motors_swapped", "0")),
         ),
     )
 
@@ -177,6 +181,16 @@ def _scales(key: str, texts: Sequence[str]) -> tuple[float, float, float]:
             raise OptionError(f"unknown encoder '{axis}'", f"choose {', '.join(AXES)}")
         scales[axis] = _number(key, scale)
     return scales["elevation"], scales["pitch"], scales["travel"]
+
+
+def _motor_signs(key: str, texts: Sequence[str]) -> tuple[int, int]:
+    signs = {"front": 1, "back": 1}
+    for text in texts:
+        motor, _, sign = text.partition(":")
+        if motor not in signs:
+            raise OptionError(f"unknown motor '{motor}'", "choose front or back")
+        signs[motor] = int(_number(key, sign, whole=True))
+    return signs["front"], signs["back"]
 
 
 def _listed(values: dict[str, str], key: str) -> list[str]:

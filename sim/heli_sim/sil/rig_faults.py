@@ -36,6 +36,10 @@ class RigFaults:
     encoder_scales : tuple of float
         Counts of each encoder per count that the rig's file states, from the start on: 0.5 is an encoder
         with half the counts, -1 one that is wired backwards. Nothing reports them to the board.
+    motor_signs : tuple of int
+        -1 for a motor, front or back, whose leads are exchanged.
+    motors_swapped : bool
+        The front output drives the back motor, and the back output the front motor.
 
     Raises
     ------
@@ -47,6 +51,8 @@ class RigFaults:
     stop_switch: tuple[Interval, ...] = ()
     supply_out: tuple[Interval, ...] = ()
     encoder_scales: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    motor_signs: tuple[int, int] = (1, 1)
+    motors_swapped: bool = False
 
     def __post_init__(self) -> None:
         for axis, _ in self.encoders_out:
@@ -58,6 +64,16 @@ class RigFaults:
                     f"an encoder's scale of {scale:g} is out of range",
                     f"give a number from -{_MAX_SCALE:g} to {_MAX_SCALE:g}, but not 0",
                 )
+
+        if not set(self.motor_signs) <= {-1, 1}:
+            raise OptionError(f"motor signs {self.motor_signs} are invalid", "give 1 or -1 for each")
+
+    @property
+    def uncompared_signs(self) -> dict[str, float]:
+        """Signs of motors with wrong wires as 0: no sign of the board then contradicts the rig."""
+        wrong = (self.motors_swapped or sign < 0 for sign in self.motor_signs)
+        names = ("motor_front_sign", "motor_back_sign")
+        return {name: 0.0 for name, is_wrong in zip(names, wrong, strict=True) if is_wrong}
 
     def next_edge(self, tick: int) -> int:
         """First tick after `tick` at which something begins or ends.

@@ -114,7 +114,7 @@ def open_transport(url: str) -> InProcessTransport | ProcessTransport:
             choice.text,
             note,
             options.rig,
-            parameters_of(rig),
+            parameters_of(rig) | options.rig_faults.uncompared_signs,
             recipe_of(url, options, rig, choice),
         )
     world = SilWorld(replace(options, board=choice.name, elf=choice.elf))

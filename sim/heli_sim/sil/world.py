@@ -74,7 +74,9 @@ class SilWorld:
         """The board; its ``sim`` is what the world drives."""
         self.rig_source = options.rig if plant is None else self.rig.name
         """Name or file of the rig."""
-        self.rig_parameters: Mapping[str, float] = parameters_of(self.rig)
+        self.rig_parameters: Mapping[str, float] = (
+            parameters_of(self.rig) | options.rig_faults.uncompared_signs
+        )
         """Parameters of the board that the rig determines."""
         self.set_from_rig: Mapping[str, float] = set_from_rig(options, self.rig)
         """Those that the board starts with instead of its defaults."""
@@ -90,6 +92,8 @@ class SilWorld:
             offset_count=random.uniform(-_OFFSET_COUNTS, _OFFSET_COUNTS, 3).tolist(),
             board=self.board.sim,
         )
+        wiring = options.rig_faults
+        self.native.wire_motors(wiring.motors_swapped, wiring.motor_signs)
         support_arm(self.plant, self.native)
         self.to_board = FaultyStream(options.faults, options.seed, 0)
         self.to_host = FaultyStream(options.faults, options.seed, 1)

@@ -1,0 +1,289 @@
+"""The whole calibration: encoders, motors, then a rig and the parameters of the board."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+from heli_host.declaration import AXES, State
+from heli_host.errors import fault_text
+from heli_host.heli import Heli
+from heli_sim.rig import Number, Rig
+from heli_sim.rig.encoders import counts_per_turn
+from heli_sim.rig.schema import ENCODER_DIRECTIONS
+
+from heli_lab.calibrate.encoders import EncoderResult, angles_deg, calibrate_encoders
+from heli_lab.calibrate.errors import CalibrationError
+from heli_lab.calibrate.limits import pulse_limits, temporary_parameters
+from heli_lab.calibrate.motors import MOTOR_OUTPUTS, MotorResult, PulseLimits, calibrate_motor
+from heli_lab.calibrate.operator import HandAction, Operator
+from heli_lab.calibrate.thrust import ThrustLine, geometry_share
+
+HARD_MAX_V: Final = 6.0
+"""Voltage that no pulse exceeds, whatever the options say [V]."""
+MAX_ANGLE_deg: Final = 20.0
+_ABOVE_DEAD_ZONE_V: Final = 1.0
+_FIRST_SHARE: Final = 0.5
+_FIRST_V: Final = 0.2
+_TIED_deg: Final = 3.0
+"""Least elevation above the table in pulses: on its table an arm brakes pitch."""
+_TRIES: Final = 3
+_REST_deg: Final = 1.0
+"""Tolerance of a rest angle whose level is a person's spirit level [deg]."""
+_LEAST_DEAD_ZONE_V: Final = 0.02
+_EQUAL: Final = 0.1
+"""Difference of two rotors, as share, that is normal: as in docs/how-to/first-power-up.md, step 9."""
+SOURCE: Final = "heli-host calibrate"
+"""Beginning of the source of each number that a calibration measured."""
+
+
+@dataclass(frozen=True)
+class BenchCalibration:
+    """Result of a calibration.
+
+    Parameters
+    ----------
+    encoders : EncoderResult
+        Directions and rest angle.
+    motors : tuple of MotorResult
+        Results of the front output and the back output; empty if only the encoders were calibrated.
+    rig : Rig
+        The rig with the measured numbers.
+    parameters : Mapping of str to float
+        Parameters that the board should have.
+    notes : tuple of str
+        Reasons why something was not measured, and changes to make by hand.
+    """
+
+    encoders: EncoderResult
+    motors: tuple[MotorResult, ...]
+    rig: Rig
+    parameters: Mapping[str, float]
+    notes: tuple[str, ...]
+
+    @property
+    def motors_exchanged(self) -> bool:
+        """Whether the front output drives the back rotor, and the back output the front rotor."""
+        return any(motor.rotor != motor.output for motor in self.motors)
+
+
+def default_limits(rig: Rig) -> PulseLimits:
+    """Return the bounds of the pulses that a rig's dead zone suggests."""
+    dead_zone_V = rig["dead_zone"].value
+    return PulseLimits(
+        max(_FIRST_V, _FIRST_SHARE * dead_zone_V),
+        min(dead_zone_V + _ABOVE_DEAD_ZONE_V, HARD_MAX_V),
+        MAX_ANGLE_deg,
+    )
+
+
+def calibrate(
+    heli: Heli,
+    operator: Operator,
+    rig: Rig,
+    limits: PulseLimits | None = None,
+    *,
+    name: str = "",
+    motors: bool = True,
+    mark: Callable[[str], None] = lambda _: None,
+    check: Callable[[], None] = lambda: None,
+) -> BenchCalibration:
+    """Calibrate encoders and motors of a connected board.
+
+    The board keeps its parameters: they are changed in its memory only, and put back. The motors go off
+    first in every ending.
+
+    Parameters
+    ----------
+    heli : Heli
+        Connected; the board is idle.
+    operator : Operator
+        Moves the rig, confirms pulses, and sees which rotor turns.
+    rig : Rig
+        Rig with everything that is not measured.
+    limits : PulseLimits, optional
+        Bounds of the pulses; those of `default_limits` if omitted.
+    name : str
+        Name of the resulting rig; empty for the name of `rig`.
+    motors : bool
+        False calibrates the encoders only: no motor runs.
+    mark : callable taking str
+        Gets the name of each part of the calibration, for the log.
+    check : callable
+        Called repeatedly; raises when the log cannot be written.
+
+    Raises
+    ------
+    CalibrationError
+        The board is not idle, or a movement or a pulse has no clear answer.
+    FlightAborted
+        The operator or the board ended a pulse.
+    """
+    _check_idle(heli)
+    _check_counts(heli, rig)
+    limits = limits or default_limits(rig)
+    _check_voltages(heli, limits)
+    mark("encoders")
+    encoders = calibrate_encoders(heli, operator)
+    check()
+    encoder_values = _encoder_values(heli, encoders)
+    if not motors:
+        return _calibration(encoders, encoder_values, (), rig, name or rig.name)
+    signs = {f"motor_{output}_sign": heli.params[f"motor_{output}_sign"] for output in MOTOR_OUTPUTS}
+    with temporary_parameters(heli, encoder_values | signs, operator.report):
+        heli.zero()
+        _tie(heli, operator)
+        results = []
+        low = pulse_limits(heli, max_V=limits.max_V, max_angle_deg=limits.max_angle_deg)
+        with temporary_parameters(heli, low, operator.report):
+            for output in MOTOR_OUTPUTS:
+                mark(f"{output} output")
+                results.append(calibrate_motor(heli, operator, output, rig, limits, check))
+    mark("result")
+    return _calibration(encoders, encoder_values, results, rig, name or rig.name)
+
+
+def set_parameters(heli: Heli, operator: Operator, values: Mapping[str, float]) -> None:
+    """Set parameters, `values` by name, on the board with the arm at rest, zero its encoders, and save.
+
+    Raises
+    ------
+    CommandRefused
+        The board refused one; those set before it were put back, and nothing was saved.
+    """
+    operator.act(HandAction.REST)
+    heli.params.restore(values)
+    heli.zero()
+    heli.params.save()
+
+
+def _check_idle(heli: Heli) -> None:
+    if heli.state is State.FAULT:
+        raise CalibrationError(
+            f"the board has a fault: {fault_text(heli.fault)}", "add --clear-fault when its cause is gone"
+        )
+    if heli.state is not State.IDLE:
+        raise CalibrationError(f"the board is {heli.state.name.lower()}, not idle", "stop it first")
+
+
+def _check_counts(heli: Heli, rig: Rig) -> None:
+    for axis, counts in zip(AXES, counts_per_turn(rig), strict=True):
+        board = abs(heli.params[f"{axis}_counts_per_rev"])
+        if board != counts:
+            raise CalibrationError(
+                f"{axis}_counts_per_rev is {board:g}, but rig {rig.name} has {counts:g} counts per turn",
+                "correct the wrong one with params set or rig new: counts per turn are not measured",
+            )
+
+
+def _check_voltages(heli: Heli, limits: PulseLimits) -> None:
+    most_V = min(HARD_MAX_V, heli.params["motor_max_V"])
+    if not 0.0 < limits.start_V < limits.max_V <= most_V:
+        raise CalibrationError(
+            f"pulses from {limits.start_V:g} to {limits.max_V:g} V are not possible",
+            f"give a --max-V above {limits.start_V:g} and up to {most_V:g} V",
+        )
+
+
+def _encoder_values(heli: Heli, encoders: EncoderResult) -> dict[str, float]:
+    spec = heli.params.spec("elevation_rest_deg")
+    rest_deg = round(encoders.rest_deg, 2)
+    if not spec.min <= rest_deg <= spec.max:
+        raise CalibrationError(
+            f"the arm rests at {rest_deg:g} degrees, and the board takes {spec.min:g} to {spec.max:g}",
+            "lift the arm only until it is level, and check the counts per turn of the elevation encoder",
+        )
+    values = {
+        f"{axis}_counts_per_rev": direction * abs(heli.params[f"{axis}_counts_per_rev"])
+        for axis, direction in encoders.direction.items()
+    }
+    return values | {"elevation_rest_deg": rest_deg}
+
+
+def _tie(heli: Heli, operator: Operator) -> None:
+    rest_deg = heli.params["elevation_rest_deg"]
+    for _ in range(_TRIES):
+        operator.act(HandAction.TIE)
+        lifted_deg = angles_deg(heli)[0] - rest_deg
+        if lifted_deg >= _TIED_deg:
+            return
+        operator.report(
+            f"the arm is {lifted_deg:.1f} degrees above its table; it needs {_TIED_deg:g} or more"
+        )
+    raise CalibrationError(
+        "the arm is still on its table", "put a block below the long arm: the table brakes the short arm"
+    )
+
+
+def _calibration(
+    encoders: EncoderResult,
+    encoder_values: Mapping[str, float],
+    motors: Sequence[MotorResult],
+    rig: Rig,
+    name: str,
+) -> BenchCalibration:
+    signs, notes = _motor_signs(motors)
+    numbers = dict(rig)
+    dead_zone, more = _put_thrust(numbers, motors, rig)
+    for axis, quantity in zip(AXES, ENCODER_DIRECTIONS, strict=True):
+        numbers[quantity] = Number(float(encoders.direction[axis]), "1", 0.0, f"{SOURCE}: turned by hand")
+    numbers["elevation_min"] = Number(
+        encoder_values["elevation_rest_deg"], "deg", _REST_deg, f"{SOURCE}: lifted to level by hand"
+    )
+    calibrated = replace(
+        rig, name=name, description=f"calibrated on the bench, the rest as {rig.name}", numbers=numbers
+    )
+    values = dict(encoder_values) | signs | dead_zone
+    return BenchCalibration(encoders, tuple(motors), calibrated, values, (*notes, *more))
+
+
+def _motor_signs(motors: Sequence[MotorResult]) -> tuple[dict[str, float], list[str]]:
+    """Parameters with the signs of the motors, none where their plugs are exchanged, and notes."""
+    rotors = [motor.rotor for motor in motors]
+    if len(set(rotors)) < len(rotors):
+        raise CalibrationError(
+            f"both outputs drive the {rotors[0]} rotor, as the operator saw it",
+            "look at the rotors during a pulse, and calibrate again",
+        )
+    if any(motor.rotor != motor.output for motor in motors):
+        note = (
+            "the motors are exchanged: swap the plugs of the two motors, then calibrate again; their signs "
+            "were not put into the parameters"
+        )
+        return {}, [note]
+    return {f"motor_{motor.output}_sign": float(motor.sign) for motor in motors}, []
+
+
+def _put_thrust(
+    numbers: dict[str, Number], motors: Sequence[MotorResult], rig: Rig
+) -> tuple[dict[str, float], list[str]]:
+    """Put gain and dead zone into a rig's numbers, if both rotors have them; return parameters and notes."""
+    lines = {motor.rotor: motor.thrust for motor in motors if isinstance(motor.thrust, ThrustLine)}
+    notes = [
+        f"thrust of the {motor.rotor} rotor is not known: {motor.thrust}; the rig's values stay"
+        for motor in motors
+        if isinstance(motor.thrust, str)
+    ]
+    if len(lines) < len(MOTOR_OUTPUTS):
+        return {}, notes
+    gain, gain_std = _mean([(line.gain_N_per_V, line.gain_std) for line in lines.values()])
+    zero_V, zero_std = _mean([(line.dead_zone_V, line.dead_zone_std) for line in lines.values()])
+    zero_V = max(zero_V, 0.0)
+    tolerance = math.hypot(2.0 * gain_std, gain * geometry_share(rig))
+    source = f"{SOURCE}: pitch after short pulses"
+    numbers["thrust_gain"] = Number(gain, "N/V", tolerance, source)
+    numbers["dead_zone"] = Number(zero_V, "V", max(2.0 * zero_std, _LEAST_DEAD_ZONE_V), source)
+    ratio = lines["front"].gain_N_per_V / lines["back"].gain_N_per_V
+    if abs(ratio - 1.0) > _EQUAL:
+        notes.append(
+            f"the front rotor pushes {ratio:.2f} times as much per volt as the back rotor: check the "
+            "propellers, or describe it with the effect thrust_asymmetry"
+        )
+    return {"dead_zone_V": round(zero_V, 3)}, notes
+
+
+def _mean(values: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    mean = sum(value for value, _ in values) / len(values)
+    return mean, math.sqrt(sum(std**2 for _, std in values)) / len(values)

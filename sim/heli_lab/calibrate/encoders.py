@@ -1,0 +1,122 @@
+"""Directions and zeros of the encoders, from movements by hand with the motors off."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from heli_host.arrays import Floats
+from heli_host.declaration import AXES
+from heli_host.heli import Heli
+
+from heli_lab.calibrate.errors import CalibrationError
+from heli_lab.calibrate.operator import HandAction, Operator
+
+MOVED_deg: Final = 5.0
+"""Change of an angle that counts as a movement. Less: the play of an axis that a hand touches counts too.
+More: travel of a short-cabled rig cannot be turned so far."""
+RETURNED_deg: Final = 1.0
+"""Error of the elevation, back at rest, that is tolerated. Less: an arm on a soft table is refused. More: a
+slipping coupling passes."""
+_TRIES: Final = 3
+_SETTLE_S: Final = 0.3
+_MOVES: Final = (
+    ("elevation", HandAction.LIFT, True),
+    ("pitch", HandAction.FRONT_UP, False),
+    ("travel", HandAction.BACK_LEADS, False),
+)
+"""Axis, action that must make its angle grow, and whether the elevation shows the rest angle."""
+
+
+@dataclass(frozen=True)
+class EncoderResult:
+    """Directions and zeros that the movements by hand show.
+
+    Parameters
+    ----------
+    direction : Mapping of str to int
+        1 by axis where the encoder counts up with its angle, -1 where it counts down, without the sign that
+        the board's parameter has.
+    rest_deg : float
+        Elevation at rest on the table, if the operator's level is 0 [deg].
+    moved_deg : Mapping of str to float
+        Change of each axis in its movement, as the board showed it [deg].
+    """
+
+    direction: Mapping[str, int]
+    rest_deg: float
+    moved_deg: Mapping[str, float]
+
+
+def calibrate_encoders(heli: Heli, operator: Operator) -> EncoderResult:
+    """Let the operator move each axis, and read its encoder.
+
+    Raises
+    ------
+    CalibrationError
+        No encoder, another one or two moved in each of three tries, or an angle did not return to zero.
+    """
+    operator.act(HandAction.REST)
+    heli.zero()
+    heli.wait(_SETTLE_S)
+    start_deg = angles_deg(heli)
+    direction: dict[str, int] = {}
+    moved_deg: dict[str, float] = {}
+    rest_deg = 0.0
+    for axis, action, is_lift in _MOVES:
+        moved_deg[axis] = change_deg = _movement(heli, operator, axis, action)
+        direction[axis] = int(np.sign(change_deg) * np.sign(heli.params[f"{axis}_counts_per_rev"]))
+        if is_lift:
+            rest_deg = -abs(change_deg)
+        operator.report(f"{axis}: {change_deg:+.1f} degrees, so {_counts_text(direction[axis])}")
+        operator.act(HandAction.REST)
+        _check_return(heli, start_deg, axis)
+    return EncoderResult(direction, rest_deg, moved_deg)
+
+
+def angles_deg(heli: Heli) -> Floats:
+    """Return the angles of the newest sample after a moment [deg], shape (3,)."""
+    heli.wait(_SETTLE_S)
+    sample = heli.latest
+    return np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg])
+
+
+def _movement(heli: Heli, operator: Operator, axis: str, action: HandAction) -> float:
+    reason = remedy = ""
+    for attempt in range(_TRIES):
+        if attempt:
+            operator.report(f"{reason}; {remedy}, then try again")
+            operator.act(HandAction.REST)
+        before_deg = angles_deg(heli)
+        operator.act(action)
+        change_deg = angles_deg(heli) - before_deg
+        moved = [name for name, change in zip(AXES, change_deg, strict=True) if abs(change) >= MOVED_deg]
+        if moved == [axis]:
+            return float(change_deg[AXES.index(axis)])
+        listed = ", ".join(f"{name} {change:+.1f}" for name, change in zip(AXES, change_deg, strict=True))
+        if not moved:
+            reason = f"no encoder counted {MOVED_deg:g} degrees for {axis} ({listed})"
+            remedy = f"move it further, and check the plug and the supply of the {axis} encoder"
+        elif len(moved) > 1:
+            reason = f"{' and '.join(moved)} moved together ({listed} degrees)"
+            remedy = f"hold the other axes while you move {axis}"
+        else:
+            reason = f"the {moved[0]} encoder counted when {axis} moved ({listed} degrees)"
+            remedy = f"exchange the plugs of the {axis} and {moved[0]} encoders"
+    raise CalibrationError(reason, remedy)
+
+
+def _check_return(heli: Heli, start_deg: Floats, axis: str) -> None:
+    error_deg = angles_deg(heli) - start_deg
+    # Nothing stops pitch and travel at a place: only the elevation has a table.
+    if abs(error_deg[0]) > RETURNED_deg:
+        raise CalibrationError(
+            f"elevation reads {error_deg[0]:+.1f} degrees from its first rest after {axis} moved",
+            "check the coupling, the cable and the pull-ups of the elevation encoder",
+        )
+
+
+def _counts_text(direction: int) -> str:
+    return "the encoder counts up" if direction > 0 else "the encoder counts down"

@@ -1,0 +1,313 @@
+"""Which rotor an output drives, which way, from which voltage, and how strongly: pulses of rising voltage."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from heli_host.declaration import Axes, Excitation, Fault, State
+from heli_host.errors import CommandRefused, FlightAborted, HeliError, fault_text
+from heli_host.heli import Heli
+from heli_host.samples import Samples
+from heli_host.vehicle import Vehicle
+from heli_sim.rig import Rig
+
+from heli_lab.calibrate.encoders import angles_deg
+from heli_lab.calibrate.errors import CalibrationError
+from heli_lab.calibrate.operator import HandAction, Operator
+from heli_lab.calibrate.thrust import (
+    AFTER_s,
+    BEFORE_s,
+    Pulse,
+    PULSE_GRID_s,
+    PULSE_s,
+    ThrustLine,
+    response_counts,
+    thrust_of,
+)
+
+MOTOR_OUTPUTS: Final = ("front", "back")
+STEP_V: Final = 0.1
+"""Rise of the voltage from pulse to pulse, before pitch has moved. More: the first pulse above the dead zone
+turns a strong rotor too far. Less: more pulses, each with its confirmation."""
+_LEAST_STEP_V: Final = 0.02
+_MOVING_PULSES: Final = 8
+_MOVED_counts: Final = 4.0
+"""Change of pitch that counts as a movement. Less: a swing that has not died out yet counts. More: the dead
+zone is read too high."""
+_SCATTERS: Final = 4.0
+_SHARE: Final = 0.5
+"""Share of the largest angle at which the voltage rises no further."""
+_QUIET_counts: Final = 3.0
+_QUIET_s: Final = 1.0
+"""Time over which pitch must stay. Shorter: the turning point of a slow swing looks quiet."""
+_QUIET_WITHIN_s: Final = 5.0
+_TICK_s: Final = 0.001
+_LOOK_s: Final = 0.02
+_TRIES: Final = 3
+_ARM_TRIES: Final = 20
+_ARM_AGAIN_s: Final = 0.05
+
+
+@dataclass(frozen=True)
+class PulseLimits:
+    """Bounds of the pulses.
+
+    Parameters
+    ----------
+    start_V, max_V : float
+        First and highest voltage of the pulses [V].
+    max_angle_deg : float
+        Angle by which an axis may move in a pulse; beyond it the motors go off and all ends [deg].
+    """
+
+    start_V: float
+    max_V: float
+    max_angle_deg: float
+
+
+@dataclass(frozen=True)
+class MotorResult:
+    """Rotor, direction, dead zone and thrust that the pulses of one output show.
+
+    Parameters
+    ----------
+    output : str
+        ``front`` or ``back``.
+    rotor : str
+        Rotor that the output drives.
+    sign : int
+        Parameter with which a positive voltage lifts this rotor: 1 or -1.
+    begins_V : float
+        Lowest voltage at which pitch moved [V].
+    thrust : ThrustLine or str
+        Line of thrust over voltage, or the reason why there is none.
+    """
+
+    output: str
+    rotor: str
+    sign: int
+    begins_V: float
+    thrust: ThrustLine | str
+
+
+@dataclass
+class _Series:
+    """Pulses of one output with one sign."""
+
+    pulses: list[Pulse] = field(default_factory=list)
+    rotor: str = ""
+    turn: int = 0
+    begins_V: float = 0.0
+
+
+def calibrate_motor(
+    heli: Heli, operator: Operator, output: str, rig: Rig, limits: PulseLimits, check: Callable[[], None]
+) -> MotorResult:
+    """Drive one output with pulses until its rotor, direction, dead zone and thrust are known.
+
+    A rotor that pushes down, or does nothing, is driven again with the other sign. The sign of the board is
+    put back before the return.
+
+    Parameters
+    ----------
+    heli : Heli
+        Connected, the board idle with low limits; see `heli_lab.calibrate.limits.pulse_limits`.
+    operator : Operator
+        Confirms each pulse and sees which rotor turns.
+    output : str
+        ``front`` or ``back``.
+    rig : Rig
+        Rig whose inertia gives thrust.
+    limits : PulseLimits
+        Voltages and angle.
+    check : callable
+        Called repeatedly; raises when the log cannot be written.
+
+    Raises
+    ------
+    CalibrationError
+        The output moves nothing with either sign, or the operator and pitch contradict each other.
+    FlightAborted
+        The operator or the board ended a pulse, or an axis moved too far.
+    """
+    name = f"motor_{output}_sign"
+    first_sign = int(heli.params[name])
+    pulser = _Pulser(heli, operator, output, limits, check)
+    start_V = limits.start_V
+    for sign in (first_sign, -first_sign):
+        heli.params[name] = sign
+        series = pulser.series(start_V)
+        if series.pulses and series.turn == lift_turn(series.rotor):
+            heli.params[name] = first_sign
+            thrust = thrust_of(series.pulses, lift_turn(series.rotor), rig)
+            return MotorResult(output, series.rotor, sign, series.begins_V, thrust)
+        what = f"the {series.rotor} rotor pushes down" if series.pulses else "no pulse moved pitch"
+        operator.report(f"{output} output with {name} {sign}: {what}")
+    heli.params[name] = first_sign
+    raise CalibrationError(
+        f"the {output} output lifts no rotor up to {limits.max_V:g} V, with either sign",
+        "check supply, driver and plug of that motor, and its propeller, or raise --max-V",
+    )
+
+
+def lift_turn(rotor: str) -> int:
+    """Return the sign of the pitch that a `rotor`, ``front`` or ``back``, causes when it pushes up."""
+    return 1 if rotor == "front" else -1
+
+
+class _Pulser:
+    def __init__(
+        self, heli: Heli, operator: Operator, output: str, limits: PulseLimits, check: Callable[[], None]
+    ) -> None:
+        self._heli = heli
+        self._operator = operator
+        self._output = output
+        self._limits = limits
+        self._check = check
+        self._confirmed = False
+        self._count_rad = 2.0 * np.pi / abs(heli.params["pitch_counts_per_rev"])
+
+    def series(self, start_V: float) -> _Series:
+        """Pulse with rising voltage. A rotor that pushes down ends the series."""
+        series = _Series()
+        volts_V, step_V = start_V, STEP_V
+        peaks: list[tuple[float, float]] = []
+        while volts_V <= self._limits.max_V + 1e-9 and len(series.pulses) < _MOVING_PULSES:
+            pulse = self.pulse(volts_V)
+            counts, scatter = response_counts(pulse, self._count_rad)
+            if abs(counts) > max(_MOVED_counts, _SCATTERS * scatter):
+                turn = int(np.sign(counts))
+                if not series.rotor:
+                    series.rotor, series.turn, series.begins_V = self._see(volts_V), turn, volts_V
+                if turn != series.turn:
+                    raise CalibrationError(
+                        f"the {self._output} output turned pitch both ways",
+                        "check its plug, its driver and the propeller's seat",
+                    )
+                series.pulses.append(pulse)
+                if turn != lift_turn(series.rotor):
+                    break
+                peak_deg = float(np.degrees(abs(counts) * self._count_rad))
+                peaks.append((volts_V, peak_deg))
+                step_V = self._next_step(peaks)
+                if step_V < _LEAST_STEP_V:
+                    break
+            volts_V = round(volts_V + step_V, 3)
+        return series
+
+    def _next_step(self, peaks: list[tuple[float, float]]) -> float:
+        """Rise after which pitch is expected to stay below a share of the largest angle [V]."""
+        volts_V, peak_deg = peaks[-1]
+        before_V, before_deg = peaks[-2] if len(peaks) > 1 else (volts_V - STEP_V, 0.0)
+        slope = max((peak_deg - before_deg) / (volts_V - before_V), 1e-3)
+        return min(STEP_V, (_SHARE * self._limits.max_angle_deg - peak_deg) / slope)
+
+    def _see(self, volts_V: float) -> str:
+        rotor = self._operator.choose(
+            f"{self._output} output, {volts_V:g} V: which rotor turned?", ("front", "back", "neither")
+        )
+        if rotor == "neither":
+            raise CalibrationError(
+                f"pitch moved during the pulse of the {self._output} output, but neither rotor turned",
+                "keep hands and draughts off the short arm, then calibrate again",
+            )
+        return rotor
+
+    def pulse(self, volts_V: float) -> Pulse:
+        """Ask, wait until pitch is still, and give one pulse."""
+        if not self._confirmed:
+            answer = self._operator.choose(
+                f"pulse: {self._output} output, {volts_V:g} V for {PULSE_s:g} s. "
+                "Hands off, nobody in the arm's circle",
+                ("pulse", "all", "stop"),
+            )
+            if answer == "stop":
+                raise FlightAborted("the operator stopped the calibration; the motors are off")
+            self._confirmed = answer == "all"
+        self._steady()
+        heli = self._heli
+        self._arm()
+        try:
+            samples = self._driven(volts_V)
+        except BaseException:
+            with contextlib.suppress(HeliError):
+                heli.stop()
+            raise
+        heli.stop()
+        return _cut(samples, self._output, volts_V)
+
+    def _arm(self) -> None:
+        for attempt in range(_ARM_TRIES):
+            try:
+                # Heli.arm compares a simulated board with its rig, which wrong wires contradict on purpose.
+                Vehicle.arm(self._heli)
+            except CommandRefused as error:
+                # A single count of a slow drift looks like 3 degrees per second for a moment.
+                if error.detail != Fault.MOVING or attempt == _ARM_TRIES - 1:
+                    raise
+                self._heli.wait(_ARM_AGAIN_s)
+            else:
+                return
+
+    def _driven(self, volts_V: float) -> Samples:
+        heli = self._heli
+        before_deg = angles_deg(heli)
+        heli.control(Axes(0))
+        front_V, back_V = (volts_V if output == self._output else 0.0 for output in MOTOR_OUTPUTS)
+        heli.excite(Excitation.STEP, front_V, back_V, duration_s=PULSE_s)
+        end_s = heli.latest.t_s + PULSE_s + AFTER_s + 0.2
+        while (sample := heli.latest).t_s < end_s:
+            if sample.state is not State.OPEN_LOOP:
+                if sample.fault:
+                    raise FlightAborted(f"the board switched the motors off: {fault_text(sample.fault)}")
+                raise FlightAborted(
+                    "the board stopped hearing the host and switched the motors off",
+                    "check the USB cable, then calibrate again",
+                )
+            moved_deg = np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg]) - before_deg
+            if np.max(np.abs(moved_deg)) > self._limits.max_angle_deg:
+                axis = ("elevation", "pitch", "travel")[int(np.argmax(np.abs(moved_deg)))]
+                raise FlightAborted(
+                    f"{axis} moved by {np.max(np.abs(moved_deg)):.1f} degrees, more than "
+                    f"{self._limits.max_angle_deg:g}; the motors are off; block the arm, or lower --max-V"
+                )
+            if self._operator.wants_stop():
+                raise FlightAborted("the stop key was pressed; the motors are off")
+            self._check()
+            heli.wait(_LOOK_s)
+        return heli.samples(BEFORE_s + PULSE_s + AFTER_s + 1.0)
+
+    def _steady(self) -> None:
+        for _ in range(_TRIES):
+            end_s = self._heli.latest.t_s + _QUIET_WITHIN_s
+            while self._heli.latest.t_s < end_s:
+                self._heli.wait(_QUIET_s)
+                recent = self._heli.samples(_QUIET_s)
+                if np.ptp(recent.pitch_rad) <= _QUIET_counts * self._count_rad:
+                    if abs(self._heli.latest.pitch_deg) < _SHARE * self._limits.max_angle_deg:
+                        return
+                    break
+            self._operator.act(HandAction.STEADY)
+        raise CalibrationError(
+            "the short arm does not come to rest",
+            "keep draughts away, and check that the cables do not pull at the short arm",
+        )
+
+
+def _cut(samples: Samples, output: str, volts_V: float) -> Pulse:
+    driven = np.flatnonzero(getattr(samples, f"{output}_V"))
+    if not len(driven):
+        raise CalibrationError(
+            f"the board gave no voltage to the {output} output", "check the limits of its parameters"
+        )
+    step = round(PULSE_GRID_s / _TICK_s)
+    first = driven[0] - round(BEFORE_s / _TICK_s)
+    count = round((BEFORE_s + PULSE_s + AFTER_s) / PULSE_GRID_s)
+    index = first + step * np.arange(count)
+    if index[0] < 0 or index[-1] >= len(samples) or np.any(np.diff(samples.tick) != 1):
+        raise CalibrationError("samples of a pulse are missing", "check the USB cable, then calibrate again")
+    return Pulse(volts_V, samples.pitch_rad[index])

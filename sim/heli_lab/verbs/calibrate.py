@@ -1,0 +1,293 @@
+"""``heli-host calibrate``: signs, zeros, dead zone and thrust, by hand movements and short pulses."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final
+from urllib.parse import urlencode
+
+import typer
+from heli_host.cli.options import ClearFaultOption, JsonOption, PortOption, flight_folder
+from heli_host.cli.say import data_on_stdout, say, say_files, say_progress, write_result
+from heli_host.cli.simulated import DEFAULT_RIG, MAX_SPEED, SilOption, refuse_without_sil, sil_address
+from heli_host.cli.verb import Verb
+
+if TYPE_CHECKING:
+    from heli_host.heli import Heli
+    from heli_sim.rig import Rig
+
+    from heli_lab.calibrate.calibration import BenchCalibration
+    from heli_lab.calibrate.operator import Operator
+
+_WIRES: Final = ("elevation", "pitch", "travel", "front", "back", "swapped")
+
+
+def calibrate(
+    rig: Annotated[
+        str | None,
+        typer.Option(
+            "--rig",
+            metavar="NAME|FILE",
+            help="Take everything that is not measured from this rig.  [default: makki2024 with --sil]",
+            show_default=False,
+        ),
+    ] = None,
+    save_rig: Annotated[
+        Path | None,
+        typer.Option(
+            "--save-rig",
+            metavar="FILE",
+            help="Write the calibrated rig to this new file.  [default: RIG-calibrated.toml next to the rig]",
+            show_default=False,
+        ),
+    ] = None,
+    save_params: Annotated[
+        Path | None,
+        typer.Option("--save-params", metavar="FILE", help="Write the board's parameters to this TOML file."),
+    ] = None,
+    log: Annotated[
+        Path | None,
+        typer.Option(
+            "--log",
+            metavar="FILE",
+            help="Write the log to this file.  [default: flights/TIME/calibration.mcap]",
+            show_default=False,
+        ),
+    ] = None,
+    max_V: Annotated[
+        float | None,
+        typer.Option(
+            "--max-V",
+            metavar="V",
+            help="Give no pulse above this voltage, at most 6 V.  [default: 1 V above the rig's dead zone]",
+            show_default=False,
+        ),
+    ] = None,
+    max_angle_deg: Annotated[
+        float,
+        typer.Option(
+            "--max-angle-deg", metavar="DEG", min=6, max=45, help="Stop if an axis moves further in a pulse."
+        ),
+    ] = 20.0,
+    skip_motors: Annotated[
+        bool, typer.Option("--skip-motors", help="Calibrate the encoders only. No motor runs.")
+    ] = False,
+    clear_fault: ClearFaultOption = False,
+    json: JsonOption = None,
+    port: PortOption = None,
+    sil: SilOption = False,
+    miswired: Annotated[
+        str,
+        typer.Option(
+            "--miswired",
+            metavar="WIRES",
+            help="Simulate wrong wires: elevation, pitch, travel, front, back or swapped.",
+        ),
+    ] = "",
+) -> None:
+    """Calibrate a rig on its bench, by hand movements and short pulses.
+
+    Finds zero and direction of each encoder, rotor and direction of each motor, dead zone and thrust. It
+    asks before each pulse. Enter, Ctrl-C and the stop switch end a pulse with the motors off. The rig is
+    written to a new file, and the board is changed only after your yes. With --sil a simulated hand does the
+    work. See docs/how-to/calibrate.md.
+
+    Example: `heli-host calibrate --port /dev/ttyACM0 --rig mine.toml`
+    """
+    from heli_host.cli.board import clear_latched_fault, open_board
+    from heli_host.fly.recorder import Recorder
+    from heli_host.log.disk import check_new
+
+    from heli_lab.calibrate.calibration import calibrate as run
+    from heli_lab.calibrate.calibration import default_limits, set_parameters
+
+    if not sil:
+        refuse_without_sil(miswired=miswired)
+        if port is not None and rig is None:
+            raise typer.BadParameter(
+                "no rig is named, and thrust needs its inertia; add --rig FILE, or --rig makki2024 for the "
+                "paper's"
+            )
+    data_on_stdout(json)
+    base = _base(rig)
+    new_rig = _new_rig_file(rig, save_rig)
+    _check_places(save_params, json)
+    if log is not None:
+        check_new(log)
+    limits = replace(default_limits(base), max_angle_deg=max_angle_deg)
+    if max_V is not None:
+        limits = replace(limits, max_V=max_V)
+    with contextlib.ExitStack() as stack:
+        heli = stack.enter_context(open_board(port, _address(rig, miswired) if sil else None))
+        if clear_fault:
+            clear_latched_fault(heli)
+        operator = _operator(heli, simulated=sil)
+        path = log if log is not None else flight_folder() / "calibration.mcap"
+        recorder = stack.enter_context(Recorder(heli, path, rig_name=base.name))
+        # Before the log is closed, in every ending.
+        stack.callback(_off, heli)
+        before = dict(heli.params)
+
+        def mark(part: str) -> None:
+            recorder.note("calibrate", part)
+            say_progress(f"--- {part}")
+
+        try:
+            result = run(
+                heli,
+                operator,
+                base,
+                limits,
+                name=new_rig.stem,
+                motors=not skip_motors,
+                mark=mark,
+                check=recorder.check,
+            )
+        except BaseException:
+            _off(heli)
+            state = "may still run: use the stop switch" if heli.motors_may_run else "are off"
+            say(f"the motors {state}; no rig file was written, the log is {path}")
+            raise
+        _write_files(result, base, new_rig, save_params)
+        _say_result(result, base, before)
+        changed = {name: value for name, value in result.parameters.items() if value != before[name]}
+        saved = bool(changed) and operator.choose("Set and save these on the board?", ("yes", "no")) == "yes"
+        if saved:
+            set_parameters(heli, operator, changed)
+        recorder.note("calibrate", f"parameters {'saved' if saved else 'not saved'}: {changed}")
+    say("the board's parameters are saved" if saved else "the board's parameters stay as they were")
+    content = _content(result, base, before)
+    if not write_result(json, {**content, "saved": saved, "rig": str(new_rig), "log": str(path)}):
+        say_files([new_rig, save_params, path, json])
+    if result.motors_exchanged:
+        raise typer.Exit(1)
+
+
+def _base(rig: str | None) -> Rig:
+    from heli_sim.rig import load_rig
+
+    return load_rig(rig if rig is not None else DEFAULT_RIG)
+
+
+def _new_rig_file(rig: str | None, save_rig: Path | None) -> Path:
+    from heli_host.cli.outputs import check_place
+    from heli_sim.errors import RigError
+
+    source = Path(rig if rig is not None else DEFAULT_RIG)
+    new = save_rig if save_rig is not None else source.with_name(f"{source.stem}-calibrated.toml")
+    check_place(new)
+    if new.exists():
+        raise RigError(f"{new} exists already", "give another --save-rig, because no rig is overwritten")
+    return new
+
+
+def _check_places(save_params: Path | None, json: Path | None) -> None:
+    from heli_host.cli.outputs import check_result_places
+
+    check_result_places(save_params, json)
+
+
+def _address(rig: str | None, miswired: str) -> str:
+    """Spell the simulated board, in this process, with its wrong wires."""
+    wires = list(filter(None, (word.strip() for word in miswired.split(","))))
+    for wire in wires:
+        if wire not in _WIRES:
+            raise typer.BadParameter(f"unknown --miswired '{wire}'; choose {', '.join(_WIRES)}")
+    faults = {
+        "encoder_scale": ",".join(f"{wire}:-1" for wire in wires if wire in _WIRES[:3]),
+        "motor_sign": ",".join(f"{wire}:-1" for wire in wires if wire in _WIRES[3:5]),
+        "motors_swapped": "1" if "swapped" in wires else "",
+    }
+    told = urlencode({key: value for key, value in faults.items() if value})
+    return "&".join(filter(None, (sil_address(rig=rig, speed=MAX_SPEED), told)))
+
+
+def _operator(heli: Heli, *, simulated: bool) -> Operator:
+    import sys
+
+    from heli_sim.sil.inprocess import InProcessTransport
+
+    from heli_lab.calibrate.simulated_operator import SimulatedOperator
+    from heli_lab.calibrate.terminal_operator import TerminalOperator
+
+    transport = heli.session.transport
+    if simulated and isinstance(transport, InProcessTransport):
+        return SimulatedOperator(heli, transport.world, say)
+    return TerminalOperator(sys.stdin, say)
+
+
+def _off(heli: Heli) -> None:
+    from heli_host.errors import HeliError
+
+    if heli.motors_may_run:
+        with contextlib.suppress(HeliError):
+            heli.stop()
+
+
+def _write_files(result: BenchCalibration, base: Rig, new_rig: Path, save_params: Path | None) -> None:
+    from heli_host.parameter_file import parameters_text
+    from heli_sim.rig import write_rig
+
+    write_rig(result.rig, new_rig, f"Written by heli-host calibrate: the rest as {base.name}.")
+    if save_params is not None:
+        text = parameters_text(result.parameters, "heli-host calibrate: measured on the bench")
+        save_params.write_text(text, encoding="utf-8")
+
+
+def _say_result(result: BenchCalibration, base: Rig, before: dict[str, float]) -> None:
+    from heli_lab.calibrate.thrust import ThrustLine
+
+    say("+- is one standard error")
+    for motor in result.motors:
+        leads = "as wired" if motor.sign > 0 else "reversed"
+        line = motor.thrust
+        thrust = (
+            f"thrust {line.gain_N_per_V:.4g} +- {line.gain_std:.2g} N/V above "
+            f"{line.dead_zone_V:.3g} +- {line.dead_zone_std:.1g} V ({line.pulses} pulses)"
+            if isinstance(line, ThrustLine)
+            else "thrust not known"
+        )
+        begins = f"moves pitch from {motor.begins_V:g} V"
+        say(f"{motor.output} output: {motor.rotor} rotor, {leads}, {begins}; {thrust}")
+    for row in _changes(result, base, before):
+        mark = "" if row["before"] == row["after"] else "  changed"
+        was, now = (f"{row[when]:.6g}" for when in ("before", "after"))
+        say(f"{row['of']:<5}  {row['name']:<28} {was:>10} -> {now:>10} {row['unit']}{mark}")
+    say(*(f"note: {note}" for note in result.notes))
+
+
+def _changes(result: BenchCalibration, base: Rig, before: dict[str, float]) -> list[dict[str, Any]]:
+    from heli_host.parameters import spec_of
+
+    from heli_lab.calibrate.calibration import SOURCE
+
+    names = [name for name in result.rig if result.rig[name].source.startswith(SOURCE)]
+    rows: list[dict[str, Any]] = [
+        {
+            "of": "rig",
+            "name": name,
+            "before": base[name].value,
+            "after": result.rig[name].value,
+            "unit": result.rig[name].unit.replace("1", ""),
+        }
+        for name in names
+    ]
+    return rows + [
+        {"of": "board", "name": name, "before": before[name], "after": value, "unit": spec_of(name).unit}
+        for name, value in result.parameters.items()
+    ]
+
+
+def _content(result: BenchCalibration, base: Rig, before: dict[str, float]) -> dict[str, Any]:
+    return {
+        "encoders": asdict(result.encoders),
+        "motors": [asdict(motor) for motor in result.motors],
+        "motors_exchanged": result.motors_exchanged,
+        "changes": _changes(result, base, before),
+        "notes": list(result.notes),
+    }
+
+
+VERB = Verb(calibrate, "Board")

@@ -1,0 +1,1 @@
+"""Claims about the calibration of a rig on its bench."""
