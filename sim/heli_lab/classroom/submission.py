@@ -9,14 +9,14 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from heli_host.declaration import PARAMS
 from heli_host.errors import BadLaw, HeliError, ParameterError, PlanError, file_remedy
 from heli_host.files import TOML_BYTES, parse_toml, read_file
 from heli_host.fly.plan import Plan
 from heli_host.law_program import LawProgram
-from heli_host.parameter_file import TABLE, read_parameter_set
+from heli_host.parameter_file import TABLE, parameter_set
 
 from heli_lab.law.files import load_limited
 from heli_lab.law.limits import FileLimits
@@ -107,9 +107,9 @@ def read_submission(folder: Path, limits: FileLimits) -> Submission:
         except ValueError as error:
             raise PlanError(f"{path.name} is not TOML: {error}", "correct that line") from error
         if TABLE in content:
-            gains.append(_gains(path))
+            gains.append(_gains(content, path))
         else:
-            plans.append(_short(Plan.parse(text, path.name)))
+            plans.append(_short(Plan.of_tables(content, text, path.name)))
     for kind, found in (("plans", plans), ("parameter files", gains)):
         if len(found) > 1:
             raise PlanError(f"{len(found)} {kind} are in the folder", "submit one of them")
@@ -159,10 +159,10 @@ def _short(plan: Plan) -> Plan:
     return plan
 
 
-def _gains(path: Path) -> dict[str, float]:
+def _gains(content: Mapping[str, Any], path: Path) -> dict[str, float]:
     """Gains of a file; its other parameters have to be the defaults, and the rig keeps its values of them."""
     defaults = {spec.name: spec.default for spec in PARAMS}
-    values = read_parameter_set(path).values
+    values = parameter_set(content, path).values
     gains = {name: value for name, value in values.items() if _GAINS.fullmatch(name) is not None}
     for name in sorted(values.keys() - gains.keys()):
         if values[name] != defaults[name]:
