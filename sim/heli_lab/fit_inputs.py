@@ -65,17 +65,15 @@ def fit_inputs(
     SimError
         When rig, model or an effect is unknown or invalid.
     """
-    from heli_sim.model.effects import effects_of, parse_effects
+    from heli_sim.model.effects import effects_with
     from heli_sim.model.named import model_named
     from heli_sim.rig import load_rig
 
     from heli_lab.identify.result import short_names
 
     chosen = load_rig(rig)
-    given_effects = parse_effects(effects, effect_files)
-    names = {effect.name for effect in given_effects}
-    stated = tuple(effect for effect in effects_of(chosen, effect_files) if effect.name not in names)
-    equations = model_named(model or chosen.model or DEFAULT_MODEL, stated + given_effects)
+    all_effects = effects_with(chosen, effects, effect_files)
+    equations = model_named(model or chosen.model or DEFAULT_MODEL, all_effects)
     return FitInputs(chosen, equations, short_names([*flights, *validate]))
 
 
