@@ -108,9 +108,7 @@ class ReferenceTrajectory:
         return replace(self, predicted=_held(predicted, self.at_rest), filtered=_held(filtered, self.at_rest))
 
 
-def kinematic_filter(
-    record: Recording, kinematics: KinematicModel, step_s: float = STEP_s
-) -> ReferenceTrajectory:
+def kinematic_filter(record: Recording, kinematics: KinematicModel) -> ReferenceTrajectory:
     """Filter the outputs of a flight without a model of the machine.
 
     Parameters
@@ -119,10 +117,8 @@ def kinematic_filter(
         The flight.
     kinematics : KinematicModel
         How positions move.
-    step_s : float
-        Longest step; steps are not shorter than the recording's.
     """
-    every = max(1, int(step_s / record.step_s + 1e-6))
+    every = max(1, int(STEP_s / record.step_s + 1e-6))
     count = len(record.t_s) // every
     half = every // 2
     outputs = record.outputs
