@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -161,22 +161,41 @@ def refuse_wrong_signs(flights: Sequence[Flight], labels: Sequence[str], rig: Ri
             )
 
 
-def read_flights(paths: Sequence[Path], allow_gaps: bool = False) -> list[Flight]:
-    """Read and check flight files.
+def read_checked(
+    paths: Sequence[Path],
+    inputs: FitInputs,
+    allow_gaps: bool,
+    skip_sign_check: bool,
+    show: Callable[[str, float], None],
+) -> list[Flight]:
+    """Read flight files, and refuse wrong signs.
 
     Parameters
     ----------
     paths : sequence of Path
-        The files.
+        Files of the flights, in the order of their names in `inputs`.
+    inputs : FitInputs
+        Rig and names of the flights.
     allow_gaps : bool
         Whether rows may be missing.
+    skip_sign_check : bool
+        Whether signs may be wrong.
+    show : callable
+        Called with each stage and the share of the work that is done.
 
     Raises
     ------
     FlightDataError
         When a file is invalid; the message names file, column and row.
+    WrongSigns
+        As `refuse_wrong_signs`.
     """
     from heli_host.log.flight_file import read_flight
 
+    show("reading", 0.0)
     # Fits do not use the extra columns, which are 80 MB for ten minutes at 1 kHz.
-    return [replace(read_flight(path, allow_gaps=allow_gaps), extra={}) for path in paths]
+    flights = [replace(read_flight(path, allow_gaps=allow_gaps), extra={}) for path in paths]
+    if not skip_sign_check:
+        show("checking signs and zeros", 0.0)
+        refuse_wrong_signs(flights, inputs.labels, inputs.rig)
+    return flights

@@ -90,7 +90,7 @@ class LawGrade:
     refused : str
         Why the law did not fly at all; empty if it did.
     scores : tuple of FlightScore
-        One per rig and seed, in the order of `flights_of`.
+        One per rig and seed, in the order of the flights.
     gain_margin, phase_margin_deg : float
         Lesser margin of the collective and the differential on the first rig; nan without one.
     flight : Flight or None
@@ -190,19 +190,6 @@ def score_of_trial(trial: LawTrial) -> FlightScore:
         effort_V(trial.flight),
         trial.taken_over,
     )
-
-
-def flights_of(rigs: Sequence[str], seeds: Sequence[int]) -> list[tuple[str, int]]:
-    """Return each rig with each seed.
-
-    Parameters
-    ----------
-    rigs : sequence of str
-        Names or files.
-    seeds : sequence of int
-        Seeds of the flights on each rig.
-    """
-    return [(rig, seed) for rig in rigs for seed in seeds]
 
 
 def grade(

@@ -191,11 +191,6 @@ def returned_files(folder: Path) -> Iterator[Path]:
     The former ``marked`` is replaced, but for flights on the rig. Nothing is written through it, because it
     may be a link that leads elsewhere.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the submission.
-
     Raises
     ------
     HeliError

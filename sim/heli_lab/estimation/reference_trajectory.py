@@ -61,8 +61,6 @@ class ReferenceTrajectory:
 
     Parameters
     ----------
-    record : Recording
-        The flight.
     every : int
         Rows of the flight in a step.
     measured : ndarray (n, m)
@@ -113,8 +111,6 @@ def kinematic_filter(record: Recording, kinematics: KinematicModel) -> Reference
 
     Parameters
     ----------
-    record : Recording
-        The flight.
     kinematics : KinematicModel
         How positions move.
     """

@@ -177,8 +177,6 @@ def assignments(
 
     Parameters
     ----------
-    signals : Signals
-        The columns.
     columns : list of str
         Names of the columns that may be an angle or a voltage.
     reference : Reference

@@ -49,8 +49,6 @@ def guess(table: Table, rig: Rig, rate_Hz: float | None = None) -> Guess:
 
     Parameters
     ----------
-    table : Table
-        The file.
     rig : Rig
         Parameters, table angle, encoders and supply of the rig. Only units and zeros depend on them.
     rate_Hz : float, optional
@@ -75,8 +73,6 @@ def propose(
 
     Parameters
     ----------
-    tables : sequence of Table
-        The files.
     rig : Rig
         Rig file, as in `guess`.
     rate_Hz : float, optional

@@ -23,13 +23,7 @@ from heli_lab.law.program_data import program_json
 
 
 def answer_to(path: Path) -> dict[str, Any]:
-    """Run a file; return its law, or the cause and fix of the error.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    """
+    """Run a file; return its law, or the cause and fix of the error."""
     try:
         law = run_law(path)
         plain = Law(law.name, law.rate_Hz, law.function, dict(law.states), dict(law.parameters), law.signals)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -329,7 +330,7 @@ def grade(
     from heli_host.fly.plan import load_plan
     from heli_sim.rig import load_rig
 
-    from heli_lab.classroom.grade import REFERENCE, LawGrade, flights_of, grade_lines
+    from heli_lab.classroom.grade import REFERENCE, LawGrade, grade_lines
     from heli_lab.classroom.grade import grade as graded
     from heli_lab.law.files import load_limited
     from heli_lab.law.limits import FileLimits
@@ -342,7 +343,7 @@ def grade(
     flown_plan = load_plan(plan) if plan is not None else trial_plan(duration_s)
     rigs = rig or [DEFAULT_RIG]
     plant = linear_plant(load_rig(rigs[0]))
-    flights = flights_of(rigs, range(1, seeds + 1))
+    flights = list(itertools.product(rigs, range(1, seeds + 1)))
 
     def fly_on(program: LawProgram | None, name: str, seed: int) -> LawTrial:
         options = FlightOptions(sil=True, rig=name, seed=seed, speed=MAX_SPEED, effect=effect)
