@@ -201,7 +201,7 @@ def _design_elevation(
         if slowest_1_s > -_MIN_DECAY_1_s:
             return _UNSTABLE_COST + slowest_1_s
         response = pid.response(loops.FREQUENCY_rad_s)
-        peak = float(np.max(1.0 / np.abs(1.0 + response * plant_responses)))
+        peak = loops.peak_sensitivity(response * plant_responses)
         return _log_cost(np.mean(error_deg(pid, closed) ** 2, axis=0), nominal_count) + _bound_penalty(
             peak, sensitivity
         )
@@ -305,9 +305,7 @@ def _design_tilt(
         inner = pitch.response(loops.FREQUENCY_rad_s) * to_pitch
         forward = pitch.kp + hold + pitch.ki / (1j * loops.FREQUENCY_rad_s)
         outer = travel.response(loops.FREQUENCY_rad_s) * forward * to_travel
-        peaks = [
-            float(np.max(1.0 / np.abs(1.0 + loop))) for loop in (inner, outer / (1.0 + inner), inner + outer)
-        ]
+        peaks = map(loops.peak_sensitivity, (inner, outer / (1.0 + inner), inner + outer))
         squares, largest_V = travel_step.simulate(pitch, travel, acceleration_ff, closed)
         penalty = sum(_bound_penalty(peak, sensitivity) for peak in peaks) + _bound_penalty(
             largest_V, differential_max_V
