@@ -66,14 +66,14 @@ def _campaign(path: Path, table: Mapping[str, Any]) -> Campaign:
     if work in WORKS:
         _known(lists, tuple(DEFAULTS), "[cases]")
     values = {name: _values(name, given, path.parent) for name, given in lists.items()}
-    count = math.prod(len(each) for each in values.values())
+    count = math.prod(map(len, values.values()))
     if count > MAX_CASES:
         raise CampaignError(
             f"these lists make {count} cases, more than {MAX_CASES}", "shorten one of the lists"
         )
     draw = _draw(table.get("draw", {}))
     fixed = {**(DEFAULTS if work in WORKS else {}), **({"draw": draw} if draw else {})}
-    varied = [name for name, each in values.items() if len(each) > 1]
+    varied = [name for name, choices in values.items() if len(choices) > 1]
     cases = []
     for chosen in itertools.product(*values.values()):
         settings = dict(zip(values, chosen, strict=True))

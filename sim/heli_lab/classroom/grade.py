@@ -180,7 +180,11 @@ def judged(program: LawProgram) -> LawProgram:
 def score_of_trial(trial: LawTrial) -> FlightScore:
     """Return the score of a flight."""
     elevation, _, travel = responses(trial.flight)
-    step = max(elevation, travel, key=lambda one: 0.0 if math.isnan(one.step_deg) else abs(one.step_deg))
+    step = max(
+        elevation,
+        travel,
+        key=lambda response: 0.0 if math.isnan(response.step_deg) else abs(response.step_deg),
+    )
     never = math.nan if math.isnan(step.step_deg) else math.inf
     return FlightScore(
         never if math.isnan(step.settling_s) else step.settling_s,
@@ -251,7 +255,7 @@ def _margins(program: LawProgram | None, plant: LinearPlant | None) -> tuple[flo
 
 def grade_lines(grades: Sequence[LawGrade]) -> list[str]:
     """Return the table of grades as lines of text, and a line for each reason."""
-    rows = [list(HEADS), *(one.row() for one in grades)]
+    rows = [list(HEADS), *(law_grade.row() for law_grade in grades)]
     widths = [max(len(row[k]) for row in rows) for k in range(len(HEADS))]
     lines = [
         "  ".join(
@@ -266,12 +270,12 @@ def grade_lines(grades: Sequence[LawGrade]) -> list[str]:
 def reasons(grades: Sequence[LawGrade]) -> list[str]:
     """Return a line for each law that was refused or did not fly to its end."""
     lines = []
-    for one in grades:
-        if one.refused:
-            lines.append(f"{one.label}: refused: {one.refused}")
-        elif one.takeovers:
-            causes = sorted({score.ended for score in one.scores if score.ended})
-            lines.append(f"{one.label}: did not fly to the end: {', '.join(causes)}")
+    for law_grade in grades:
+        if law_grade.refused:
+            lines.append(f"{law_grade.label}: refused: {law_grade.refused}")
+        elif law_grade.takeovers:
+            causes = sorted({score.ended for score in law_grade.scores if score.ended})
+            lines.append(f"{law_grade.label}: did not fly to the end: {', '.join(causes)}")
     return lines
 
 

@@ -71,10 +71,10 @@ def submissions_in(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         raise BadLaw(f"{folder} is not a folder", "give the folder that has one folder per submission")
-    found = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
-    if not found:
+    folders = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
+    if not folders:
         raise BadLaw(f"{folder} contains no submission", f"put each one into a folder, as NAME/{LAW_FILE}")
-    return found
+    return folders
 
 
 def read_submission(folder: Path, limits: FileLimits) -> Submission:
@@ -110,9 +110,9 @@ def read_submission(folder: Path, limits: FileLimits) -> Submission:
             gains.append(_gains(content, path))
         else:
             plans.append(_short(Plan.of_tables(content, text, path.name)))
-    for kind, found in (("plans", plans), ("parameter files", gains)):
-        if len(found) > 1:
-            raise PlanError(f"{len(found)} {kind} are in the folder", "submit one of them")
+    for kind, given in (("plans", plans), ("parameter files", gains)):
+        if len(given) > 1:
+            raise PlanError(f"{len(given)} {kind} are in the folder", "submit one of them")
     if law is None and not plans and not gains:
         raise BadLaw(
             "the folder contains no law, plan or parameters",

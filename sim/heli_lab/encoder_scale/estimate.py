@@ -268,8 +268,8 @@ def _fit(known: FlightInWeakForm, noise: Floats, axes: Sequence[int], start: Flo
 
     def at(point: Floats) -> tuple[float, list[Floats], Floats, Floats]:
         residuals, derivatives = known.residuals(point)
-        rows = np.vstack([one[:, free] / n for one, n in zip(derivatives, noise, strict=True)])
-        errors = np.concatenate([one / n for one, n in zip(residuals, noise, strict=True)])
+        rows = np.vstack([of_flight[:, free] / n for of_flight, n in zip(derivatives, noise, strict=True)])
+        errors = np.concatenate([of_flight / n for of_flight, n in zip(residuals, noise, strict=True)])
         away = weight * (point[free] - known.mean[free])
         information = rows.T @ rows + np.diag(weight**2)
         gradient = rows.T @ errors + weight * away

@@ -208,10 +208,10 @@ def _kinematic(
     measured: Floats, variance: Floats, step_s: float, kinematics: KinematicModel
 ) -> tuple[Floats, Floats]:
     count, size = measured.shape
-    one, zero = np.eye(size), np.zeros((size, size))
-    transition = np.block([[one, step_s * one], [zero, one]])
-    push = np.vstack((0.5 * step_s**2 * one, step_s * one))
-    measurement = np.hstack((one, zero))
+    identity, zero = np.eye(size), np.zeros((size, size))
+    transition = np.block([[identity, step_s * identity], [zero, identity]])
+    push = np.vstack((0.5 * step_s**2 * identity, step_s * identity))
+    measurement = np.hstack((identity, zero))
     relative = measured - measured[0]
     before, after = _kalman.track(
         np.broadcast_to(transition, (count, *transition.shape)).copy(),

@@ -248,8 +248,10 @@ def _log_likelihood_table(
                 continue
             axis_terms = (signal.value - signal.value.mean(), signal.rate)
             nats[index] = max(
-                explain(signal.acceleration, axis_terms, each, stiffness, rows[index]).log_likelihood_ratio
-                for each in lagged
+                explain(
+                    signal.acceleration, axis_terms, late_cause, stiffness, rows[index]
+                ).log_likelihood_ratio
+                for late_cause in lagged
             )
         table[key] = nats
     return table

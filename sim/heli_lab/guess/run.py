@@ -232,7 +232,7 @@ def check_by_simulation(guessed: Guess, tables: Sequence[Table], rig: Rig) -> li
     """
     longest = [max(flights_of(table, guessed.profile), key=len) for table in tables]
     choices = [try_sign_choices(flight, rig) for flight in longest]
-    simulated = [each for each in choices if each]
+    simulated = [trials for trials in choices if trials]
     if not simulated:
         ambiguity = Ambiguity(
             "the signs",
@@ -241,7 +241,9 @@ def check_by_simulation(guessed: Guess, tables: Sequence[Table], rig: Rig) -> li
             "the flight is too short in the air to simulate the model",
         )
         return [guessed.with_ambiguity(ambiguity) for _ in tables]
-    log_ratios = np.mean([[math.log(choice.error_ratio) for choice in each] for each in simulated], axis=0)
+    log_ratios = np.mean(
+        [[math.log(choice.error_ratio) for choice in trials] for trials in simulated], axis=0
+    )
     second = int(np.argmin(log_ratios[1:])) + 1
     name, ratio = simulated[0][second].name, math.exp(float(log_ratios[second]))
     if ratio < thresholds.AMBIGUOUS_ERROR_RATIO:
@@ -258,7 +260,7 @@ def check_by_simulation(guessed: Guess, tables: Sequence[Table], rig: Rig) -> li
         f"{ratio:.1f} times as large"
     )
     guessed = replace(guessed, evidence=(*guessed.evidence, evidence))
-    return [replace(guessed, sign_choices=each) for each in choices]
+    return [replace(guessed, sign_choices=trials) for trials in choices]
 
 
 def fewest_sign_changes(

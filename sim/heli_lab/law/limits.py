@@ -157,7 +157,7 @@ def _filter_system_calls() -> None:
     machine = platform.machine()
     if machine not in _ARCHITECTURES:
         return
-    program = b"".join(struct.pack("<HBBI", *one) for one in _filter(machine))
+    program = b"".join(struct.pack("<HBBI", *line) for line in _filter(machine))
     buffer = ctypes.create_string_buffer(program)
     header = _FilterProgram(len(program) // 8, ctypes.addressof(buffer))
     libc = ctypes.CDLL(None, use_errno=True)

@@ -351,7 +351,7 @@ def grade(
 
     grades = [graded(REFERENCE, None, flights, fly_on)]
     for path in laws:
-        label = path.stem if path.stem not in {one.label for one in grades} else str(path)
+        label = path.stem if path.stem not in {known.label for known in grades} else str(path)
         try:
             program = load_limited(path, FileLimits(load_timeout))
         except BadLaw as error:
@@ -363,7 +363,7 @@ def grade(
         "rigs": rigs,
         "seeds": list(range(1, seeds + 1)),
         "effects": list(effect or ()),
-        "grades": [one.as_dict() for one in grades],
+        "grades": [law_grade.as_dict() for law_grade in grades],
     }
     if not write_result(json, content):
         say(*grade_lines(grades))
@@ -373,7 +373,7 @@ def grade(
 
         page = write_grades(grades, content, report)
     say_files((json, page))
-    if failed := [one.label for one in grades[1:] if not one.passed]:
+    if failed := [law_grade.label for law_grade in grades[1:] if not law_grade.passed]:
         raise FlightAborted(
             f"{len(failed)} of {len(laws)} laws did not fly to the end: {', '.join(failed)}",
             "look at the reasons above, or try one with heli-host law check",
