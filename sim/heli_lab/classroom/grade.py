@@ -14,6 +14,7 @@ from heli_host.errors import BadLaw, FlightAborted, FlightDataError, HeliError
 from heli_host.flight import Flight
 from heli_host.flight.response import effort_V, responses
 from heli_host.law_program import LawProgram
+from heli_host.text_table import table_lines
 
 from heli_lab.law.linear import linearised
 from heli_lab.law.program_data import law_of_program
@@ -255,16 +256,7 @@ def _margins(program: LawProgram | None, plant: LinearPlant | None) -> tuple[flo
 
 def grade_lines(grades: Sequence[LawGrade]) -> list[str]:
     """Return the table of grades as lines of text, and a line for each reason."""
-    rows = [list(HEADS), *(law_grade.row() for law_grade in grades)]
-    widths = [max(len(row[k]) for row in rows) for k in range(len(HEADS))]
-    lines = [
-        "  ".join(
-            cell.ljust(width) if k == 0 else cell.rjust(width)
-            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in rows
-    ]
-    return lines + reasons(grades)
+    return table_lines([HEADS, *(law_grade.row() for law_grade in grades)]) + reasons(grades)
 
 
 def reasons(grades: Sequence[LawGrade]) -> list[str]:

@@ -118,6 +118,8 @@ def identify(
 
 def _print(identification: Identification) -> None:
     """Print estimates and priors in a table, each with its standard error."""
+    from heli_host.text_table import table_lines
+
     from heli_lab.identify.result import rounded
 
     fit = identification.fit
@@ -127,12 +129,7 @@ def _print(identification: Identification) -> None:
         remark = "on its bound" if parameter.name in fit.at_bound else remark
         prior = f"{parameter.prior.mean:g}", f"{parameter.prior.std:g}"
         rows.append((parameter.name, rounded(value, std), rounded(std, std), *prior, parameter.unit, remark))
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    for row in rows:
-        name, *numbers = (cell.rjust(width) for cell, width in zip(row[:5], widths, strict=False))
-        cells = (name.strip().ljust(widths[0]), *numbers, row[5].ljust(widths[5]), row[6])
-        say("  ".join(cells).rstrip())
-    say("± is one standard error")
+    say(*table_lines(rows, words=(0, 5, 6)), "± is one standard error")
 
 
 VERB = Verb(identify, "Laboratory", variadic=True)
