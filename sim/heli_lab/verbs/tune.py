@@ -16,6 +16,7 @@ from heli_lab.fit_options import DEFAULT_MODEL, EquationsOption
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from heli_host.cli.progress_bar import WorkBar
     from heli_sim.model.base import Model
     from heli_sim.rig import Rig
 
@@ -78,11 +79,9 @@ def tune(
     from heli_sim.model.effects import effects_with
     from heli_sim.model.effects.rotor_lag import RotorLag
     from heli_sim.model.named import MODELS, model_named
-    from heli_sim.plant import Plant
     from heli_sim.rig import load_rig
 
     from heli_lab.tune import find_gains, loop_effects_of
-    from heli_lab.tune.flights import try_gains
 
     data_on_stdout(json)
     check_result_places(save_params, json, figure=figure)
@@ -91,7 +90,6 @@ def tune(
     name = model or loaded.model or DEFAULT_MODEL
     equations = model_named(name, all_effects)
     loop_effects = loop_effects_of(all_effects)
-    trials: list[Trial] = []
     with WorkBar() as bar:
         design = find_gains(
             loaded,
@@ -108,12 +106,7 @@ def tune(
         if loop_effects.lag_s is None:
             lagging = model_named(name, (*all_effects, RotorLag(TRIAL_LAG_s)))
             models.append((f"lag {1e3 * TRIAL_LAG_s:.0f} ms", lagging))
-        for number, (label, trial_model) in enumerate(models):
-
-            def report(done: float, label: str = label, number: int = number) -> None:
-                bar.show(f"test flight, {label}", 0.5 + 0.5 * (number + done) / len(models))
-
-            trials.append(try_gains(Plant(trial_model, loaded, seed), parameters, label, seed, report))
+        trials = _fly(models, loaded, parameters, seed, bar)
     say(*_head(loaded, name, design, loop_effects), *_margin_lines(design), *_flight_lines(trials))
     written: list[Path | None] = []
     if save_params is not None:
@@ -143,6 +136,24 @@ def rounded_parameters(parameters: Mapping[str, float]) -> dict[str, float]:
         name: value if name.endswith("_counts_per_rev") else float(f"{value:.{_DIGITS}g}")
         for name, value in parameters.items()
     }
+
+
+def _fly(
+    models: Sequence[tuple[str, Model]], rig: Rig, parameters: Mapping[str, float], seed: int, bar: WorkBar
+) -> list[Trial]:
+    """Fly the board's parameters on a rig of each model."""
+    from heli_sim.plant import Plant
+
+    from heli_lab.tune.flights import try_gains
+
+    trials = []
+    for number, (label, model) in enumerate(models):
+
+        def report(done: float, label: str = label, number: int = number) -> None:
+            bar.show(f"test flight, {label}", 0.5 + 0.5 * (number + done) / len(models))
+
+        trials.append(try_gains(Plant(model, rig, seed), parameters, label, seed, report))
+    return trials
 
 
 def _label(loop_effects: LoopEffects) -> str:
