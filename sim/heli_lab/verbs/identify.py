@@ -125,8 +125,7 @@ def _print(identification: Identification) -> None:
     fit = identification.fit
     rows = [("parameter", "estimate", "±", "prior", "±", "unit", "")]
     for parameter, value, std in zip(fit.problem.free, fit.theta, fit.std.values(), strict=True):
-        remark = "uninformed" if parameter.name in identification.uninformed_parameters else ""
-        remark = "on its bound" if parameter.name in fit.at_bound else remark
+        remark = identification.remark(parameter.name)
         prior = f"{parameter.prior.mean:g}", f"{parameter.prior.std:g}"
         rows.append((parameter.name, rounded(value, std), rounded(std, std), *prior, parameter.unit, remark))
     say(*table_lines(rows, words=(0, 5, 6)), "± is one standard error")
