@@ -82,12 +82,10 @@ class Program:
         return place
 
     def take(self, other: Program, place: int, moved: dict[int, int]) -> None:
-        """Add a value of another program, and note its index in `moved`.
+        """Add a value of the program `other`, and note its index in `moved`.
 
         Parameters
         ----------
-        other : Program
-            The other program.
         place : int
             Index of the value there.
         moved : dict of int to int
