@@ -54,12 +54,17 @@ class DeclarationError(Exception):
     """The declaration contradicts itself; the message says in one line where, and what to do."""
 
 
+def read_toml(path: Path) -> Table:
+    """The tables of a file, not checked."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise DeclarationError(f"cannot be read: {' '.join(str(error).split())}") from error
+
+
 def read(path: Path) -> Table:
     """The declaration in a file, checked."""
-    try:
-        declaration = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise DeclarationError(f"cannot be read: {error}") from error
+    declaration = read_toml(path)
     try:
         check(declaration)
     except KeyError as error:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from firmware.generator.declared import DeclarationError
+from firmware.generator.declared import DeclarationError, read_toml
 
 AXES = ("elevation", "pitch", "travel")
 LINES = ("forward_pwm", "reverse_pwm", "forward_enable", "reverse_enable")
@@ -107,10 +106,7 @@ def read_pins(path: Path) -> Wiring:
     DeclarationError
         The file is no TOML, lacks an entry, or asks for something the board cannot have.
     """
-    try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise DeclarationError(f"not readable: {' '.join(str(error).split())}") from error
+    tables = read_toml(path)
     for problem in _wrong_keys(tables):
         raise DeclarationError(problem)
     wiring = Wiring(

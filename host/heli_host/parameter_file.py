@@ -17,6 +17,7 @@ UNITS = "units"
 """Table of the file that holds their units."""
 SCHEMA = "schema"
 """Entry of the file that says under which schema of the parameters it was written."""
+_REMEDY = "give a file that params dump wrote"
 
 
 def parameters_text(values: Mapping[str, float], comment: str) -> str:
@@ -64,9 +65,6 @@ class ParameterSet:
 def read_parameter_set(file: Path) -> ParameterSet:
     """Read parameters that may have been written under another schema of the parameters.
 
-    Under this host's own schema, or without one, every value has to be valid. Under another schema, known
-    parameters with the declared unit and a valid value are kept, and the others dropped.
-
     Parameters
     ----------
     file : Path
@@ -77,7 +75,34 @@ def read_parameter_set(file: Path) -> ParameterSet:
     ParameterError
         The file cannot be read, holds anything but numbers, or breaks its own schema.
     """
-    values, content = _read(file)
+    try:
+        content = parse_toml(read_file(file, TOML_BYTES).decode("utf-8"))
+    except OSError as error:
+        raise ParameterError(f"cannot read {file}: {error.strerror or error}", "check the path") from error
+    except ValueError as error:
+        raise ParameterError(f"{file} is not TOML: {error}", _REMEDY) from error
+    return parameter_set(content, file)
+
+
+def parameter_set(content: Mapping[str, object], file: Path) -> ParameterSet:
+    """Check the tables of a parameter file.
+
+    Under this host's own schema, or without one, every value has to be valid. Under another schema, known
+    parameters with the declared unit and a valid value are kept, and the others dropped.
+
+    Parameters
+    ----------
+    content : mapping
+        Tables of the file.
+    file : Path
+        Where they come from, for messages.
+
+    Raises
+    ------
+    ParameterError
+        They hold anything but numbers, or break their own schema.
+    """
+    values = _values(content, file)
     units = content.get(UNITS)
     other_schema = content.get(SCHEMA, f"{PARAMS_HASH:08x}") != f"{PARAMS_HASH:08x}"
     kept: dict[str, float] = {}
@@ -98,21 +123,13 @@ def read_parameter_set(file: Path) -> ParameterSet:
     return ParameterSet(kept, tuple(dropped), tuple(spec.name for spec in PARAMS if spec.name not in values))
 
 
-def _read(file: Path) -> tuple[dict[str, float], dict[str, object]]:
-    """The values of a file, and all else that it holds."""
-    remedy = "give a file that params dump wrote"
-    try:
-        content = parse_toml(read_file(file, TOML_BYTES).decode("utf-8"))
-    except OSError as error:
-        raise ParameterError(f"cannot read {file}: {error.strerror or error}", "check the path") from error
-    except ValueError as error:
-        raise ParameterError(f"{file} is not TOML: {error}", remedy) from error
+def _values(content: Mapping[str, object], file: Path) -> dict[str, float]:
     table = content.get(TABLE)
     if not isinstance(table, dict) or not table:
-        raise ParameterError(f"{file} has no table [{TABLE}]", remedy)
+        raise ParameterError(f"{file} has no table [{TABLE}]", _REMEDY)
     values: dict[str, float] = {}
     for name, value in table.items():
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise ParameterError(f"{file}: {name} is not a number", "correct that line")
         values[name] = float(value)
-    return values, content
+    return values

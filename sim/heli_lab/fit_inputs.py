@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -65,17 +65,15 @@ def fit_inputs(
     SimError
         When rig, model or an effect is unknown or invalid.
     """
-    from heli_sim.model.effects import effects_of, parse_effects
+    from heli_sim.model.effects import effects_with
     from heli_sim.model.named import model_named
     from heli_sim.rig import load_rig
 
     from heli_lab.identify.result import short_names
 
     chosen = load_rig(rig)
-    given_effects = parse_effects(effects, effect_files)
-    names = {effect.name for effect in given_effects}
-    stated = tuple(effect for effect in effects_of(chosen, effect_files) if effect.name not in names)
-    equations = model_named(model or chosen.model or DEFAULT_MODEL, stated + given_effects)
+    all_effects = effects_with(chosen, effects, effect_files)
+    equations = model_named(model or chosen.model or DEFAULT_MODEL, all_effects)
     return FitInputs(chosen, equations, short_names([*flights, *validate]))
 
 
@@ -163,22 +161,41 @@ def refuse_wrong_signs(flights: Sequence[Flight], labels: Sequence[str], rig: Ri
             )
 
 
-def read_flights(paths: Sequence[Path], allow_gaps: bool = False) -> list[Flight]:
-    """Read and check flight files.
+def read_checked(
+    paths: Sequence[Path],
+    inputs: FitInputs,
+    allow_gaps: bool,
+    skip_sign_check: bool,
+    show: Callable[[str, float], None],
+) -> list[Flight]:
+    """Read flight files, and refuse wrong signs.
 
     Parameters
     ----------
     paths : sequence of Path
-        The files.
+        Files of the flights, in the order of their names in `inputs`.
+    inputs : FitInputs
+        Rig and names of the flights.
     allow_gaps : bool
         Whether rows may be missing.
+    skip_sign_check : bool
+        Whether signs may be wrong.
+    show : callable
+        Called with each stage and the share of the work that is done.
 
     Raises
     ------
     FlightDataError
         When a file is invalid; the message names file, column and row.
+    WrongSigns
+        As `refuse_wrong_signs`.
     """
     from heli_host.log.flight_file import read_flight
 
+    show("reading", 0.0)
     # Fits do not use the extra columns, which are 80 MB for ten minutes at 1 kHz.
-    return [replace(read_flight(path, allow_gaps=allow_gaps), extra={}) for path in paths]
+    flights = [replace(read_flight(path, allow_gaps=allow_gaps), extra={}) for path in paths]
+    if not skip_sign_check:
+        show("checking signs and zeros", 0.0)
+        refuse_wrong_signs(flights, inputs.labels, inputs.rig)
+    return flights

@@ -30,10 +30,6 @@ def fly_law(
     ----------
     program : LawProgram or None
         Law as the board takes it; None for the board's own.
-    options : FlightOptions
-        Options of the command line.
-    plan : Plan
-        Plan to fly.
     typed : str
         Plan as typed, for the truth file of a blind flight.
 

@@ -71,7 +71,7 @@ def edited(old: str, new: str) -> Callable[[Path], Path]:
         ("[enable]", "[enables]", "unknown section [enables]"),
         ("[stop]\n", "[stop]\npin = 3\n", "[stop] has an unknown entry 'pin'"),
         ('interrupt = "travel"', "", "[encoders] lacks interrupt"),
-        ("[encoders]", "[encoders", "not readable"),
+        ("[encoders]", "[encoders", "cannot be read"),
     ],
 )
 def test_a_wiring_that_the_board_cannot_have_is_refused(
@@ -90,7 +90,7 @@ def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
         check=False,
     )
     assert done.returncode == 2
-    assert done.stderr.startswith(f"error: {tmp_path / 'none.toml'}: not readable")
+    assert done.stderr.startswith(f"error: {tmp_path / 'none.toml'}: cannot be read")
     assert done.stderr.count("\n") == 1
 
 

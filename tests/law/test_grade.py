@@ -15,7 +15,6 @@ from heli_host.log.comparison import MAX_FLIGHTS, split_into_figures, write_comp
 from heli_lab.classroom.grade import (
     HEADS,
     LawGrade,
-    flights_of,
     grade,
     grade_lines,
     judged,
@@ -68,7 +67,7 @@ def test_each_law_flies_each_rig_with_each_seed_in_the_same_order() -> None:
             calls.append((rig, seed))
             return LawTrial(flight())
 
-        grade(label, a_law().program, flights_of(["x", "y"], [1, 2]), fly)
+        grade(label, a_law().program, [("x", 1), ("x", 2), ("y", 1), ("y", 2)], fly)
     assert flown["a"] == flown["b"] == [("x", 1), ("x", 2), ("y", 1), ("y", 2)]
 
 

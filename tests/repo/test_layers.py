@@ -86,9 +86,9 @@ WRONG = {
         "heli_sim.rig.compare -> heli_sim.plant",
     ),
     "laboratory": Wrong(
-        "sim/heli_lab/identify/windows.py",
+        "sim/heli_lab/identify/kernel_interface.py",
         "from heli_lab.tune import loops",
-        "heli_lab.identify.windows -> heli_lab.tune.loops",
+        "heli_lab.identify.kernel_interface -> heli_lab.tune.loops",
     ),
     "diagnosis: ": Wrong(
         "sim/heli_lab/diagnose/search/exchange.py",

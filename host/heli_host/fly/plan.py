@@ -121,6 +121,24 @@ class Plan:
             values = parse_toml(text)
         except ValueError as error:
             raise PlanError(f"{source} is not TOML: {error}", "correct that line") from error
+        return Plan.of_tables(values, text, source, name)
+
+    @staticmethod
+    def of_tables(values: dict[str, Any], text: str, source: str, name: str = "") -> Plan:
+        """Read a plan from its parsed tables.
+
+        Parameters
+        ----------
+        values : dict
+            The tables of `text`.
+        text, source, name : str
+            As those of `parse`.
+
+        Raises
+        ------
+        PlanError
+            If it has an unknown key, lacks one, or holds a value that no board takes.
+        """
         name = name or Path(source).stem
         table = Table(values, source, ("title", "axes", "start", "tolerance", "segment"))
         closed = _read_axes(table)

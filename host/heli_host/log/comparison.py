@@ -14,6 +14,7 @@ from heli_host.errors import LogWriteError
 from heli_host.flight import Flight
 from heli_host.flight.flown import flown_rows, led_rows
 from heli_host.flight.response import effort_V, responses
+from heli_host.text_table import table_lines
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,7 +32,7 @@ HEADS: Final = (
 _COLOURS: Final = ("#0b5fa5", "#d1495b", "#157a4a", "#c98a00", "#6b3fa0", "#4a8c94", "#8a5a3b", "#5b5f66")
 MAX_FLIGHTS: Final = len(_COLOURS)
 """Largest number of flights on one page; each has a colour of its own."""
-_WORDS: Final = 2
+_WORDS: Final = (0, 1)
 """Columns of a table that hold words; the others hold numbers."""
 _POINTS: Final = 4000
 _DPI: Final = 130
@@ -93,15 +94,7 @@ def comparison_rows(numbers: Sequence[Mapping[str, Any]]) -> list[list[str]]:
 
 def comparison_lines(numbers: Sequence[Mapping[str, Any]]) -> list[str]:
     """The table of `numbers`, as `comparison_numbers` gives them, with its heads, in lines of text."""
-    rows = [list(HEADS), *comparison_rows(numbers)]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(HEADS))]
-    return [
-        "  ".join(
-            cell.ljust(width) if i < _WORDS else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
+    return table_lines([HEADS, *comparison_rows(numbers)], _WORDS)
 
 
 def _cell(value: float, form: str) -> str:

@@ -7,6 +7,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from heli_host.process_limits import limit_process
+
 from heli_benchmark.entries.method import find_method, load_function, load_train
 from heli_benchmark.task.answer import answer_content, check_answer
 from heli_benchmark.task.case import read_case
@@ -25,7 +27,8 @@ def main(arguments: list[str]) -> int:
         of CPU time in s, and limit of memory in MB.
     """
     method_text, case_folder, result_file, resources_text, cpu_limit_s, memory_limit_MB = arguments
-    _limit(int(cpu_limit_s), int(memory_limit_MB))
+    limit_process("CPU", int(cpu_limit_s), int(cpu_limit_s) + 5)
+    limit_process("AS", int(memory_limit_MB) * _MB, int(memory_limit_MB) * _MB)
     resources = None if resources_text == "-" else Path(resources_text)
     result: dict[str, Any] = {"answer": None, "failure": ""}
     started_s = time.perf_counter()
@@ -44,16 +47,6 @@ def main(arguments: list[str]) -> int:
     result |= {"seconds": time.perf_counter() - started_s, "cpu_s": _cpu_s(), "peak_MB": _peak_MB()}
     write_json(Path(result_file), result)
     return 0
-
-
-def _limit(cpu_s: int, memory_MB: int) -> None:
-    if sys.platform == "win32":
-        # Windows has no such limits; the time limit of the parent holds.
-        return
-    import resource
-
-    resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 5))
-    resource.setrlimit(resource.RLIMIT_AS, (memory_MB * _MB, memory_MB * _MB))
 
 
 def _cpu_s() -> float:

@@ -25,8 +25,6 @@ class Drawn:
 
     Parameters
     ----------
-    rig : Rig
-        The rig with its drawn parameters.
     effects : tuple of str
         Effects as the command line spells them, each with its size.
     numbers : Mapping of str to float

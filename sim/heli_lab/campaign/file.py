@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -65,21 +66,19 @@ def _campaign(path: Path, table: Mapping[str, Any]) -> Campaign:
     if work in WORKS:
         _known(lists, tuple(DEFAULTS), "[cases]")
     values = {name: _values(name, given, path.parent) for name, given in lists.items()}
-    count = 1
-    for each in values.values():
-        count *= len(each)
+    count = math.prod(map(len, values.values()))
     if count > MAX_CASES:
         raise CampaignError(
             f"these lists make {count} cases, more than {MAX_CASES}", "shorten one of the lists"
         )
     draw = _draw(table.get("draw", {}))
     fixed = {**(DEFAULTS if work in WORKS else {}), **({"draw": draw} if draw else {})}
-    varied = [name for name, each in values.items() if len(each) > 1]
+    varied = [name for name, choices in values.items() if len(choices) > 1]
     cases = []
     for chosen in itertools.product(*values.values()):
         settings = dict(zip(values, chosen, strict=True))
         name = " ".join(
-            f"{_spelled(settings[setting])}" if setting != "seed" else f"seed {settings[setting]}"
+            _spelled(settings[setting]) if setting != "seed" else f"seed {settings[setting]}"
             for setting in varied
         )
         cases.append(Case(name or "the case", WORKS.get(work, work), {**fixed, **settings}))

@@ -132,12 +132,25 @@ def run_campaign(
         count = sum(bool(row.get("failure")) for row in rows.values())
         report(State(len(rows), count, len(keys)))
         remaining = {key: case for key, case in keys.items() if key not in rows}
+        # Results that do not depend on the installed code need workers with the same packages nevertheless.
+        works, worker_code = (campaign.works, digest) if code is None else ((), code_digest())
+        jobs = {
+            key: Job(
+                case,
+                key,
+                worker_code,
+                works,
+                campaign.limits,
+                str(store.cases.resolve()),
+                store.token,
+                campaign.modules,
+            )
+            for key, case in remaining.items()
+        }
         waiting: list[dict[str, Cell]] = []
         flushed_s = time.monotonic()
         try:
-            for result, note in _results(
-                campaign, store, remaining, scheduler, processes, digest, code is None
-            ):
+            for result, note in _results(jobs, scheduler, processes):
                 if result is None:
                     report(State(len(rows), count, len(keys), None, note))
                     continue
@@ -193,36 +206,14 @@ def _kept_rows(
 
 
 def _results(
-    campaign: Campaign,
-    store: Store,
-    remaining: dict[str, Case],
-    scheduler: str | None,
-    processes: int,
-    code: str,
-    compared: bool,
+    jobs: dict[str, Job], scheduler: str | None, processes: int
 ) -> Iterator[tuple[JobResult | None, str]]:
-    """Yield results as they arrive, or None with a note on another problem. Without `compared`, the workers'
-    code is only checked against the installed packages.
-    """
-    if not remaining:
+    """Yield results as they arrive, or None with a note on another problem."""
+    if not jobs:
         return
-    works = campaign.works if compared else ()
-    expected_code = code if compared else code_digest()
-    jobs = {
-        key: Job(
-            case,
-            key,
-            expected_code,
-            works,
-            campaign.limits,
-            str(store.cases.resolve()),
-            store.token,
-            campaign.modules,
-        )
-        for key, case in remaining.items()
-    }
-    with workers_of(scheduler, min(processes, len(remaining))) as client:
-        good, bad = usable(client, expected_code, works, campaign.modules)
+    job = next(iter(jobs.values()))
+    with workers_of(scheduler, min(processes, len(jobs))) as client:
+        good, bad = usable(client, job.code, job.works, job.modules)
         for address, why in bad.items():
             yield None, f"worker {address} is not used: {why}"
         if not good:

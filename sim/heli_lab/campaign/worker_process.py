@@ -25,6 +25,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import IO, Any, Final, Self
 
+from heli_host.process_limits import limit_process
+
 from heli_lab.campaign.case import Case, JobResult
 
 _ONE_THREAD: Final = {f"{name}_NUM_THREADS": "{threads}" for name in ("OMP", "OPENBLAS", "MKL")}
@@ -247,20 +249,10 @@ def _cpu_limit() -> Callable[[float], None]:
     """Return a function that sets the CPU time, in s, after which this process is ended; the kernel counts it
     if it can.
     """
-    try:
-        import resource
-    except ImportError:
+    if sys.platform == "win32":
         return _own_cpu_limit()
-
-    def allow(until_s: float) -> None:
-        hard = resource.getrlimit(resource.RLIMIT_CPU)[1]
-        seconds = max(1, int(until_s) + 1)
-        if hard != resource.RLIM_INFINITY:
-            seconds = min(seconds, hard)
-        resource.setrlimit(resource.RLIMIT_CPU, (seconds, hard))
-        resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
-
-    return allow
+    limit_process("CORE", 0)
+    return lambda until_s: limit_process("CPU", max(1, int(until_s) + 1))
 
 
 def _own_cpu_limit() -> Callable[[float], None]:

@@ -20,7 +20,7 @@ from heli_host.log.summary import FlightSummary
 from heli_host.parameter_file import read_parameter_set
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Model
-from heli_sim.model.effects import catalogue, effects_of, parse_effects
+from heli_sim.model.effects import catalogue, effects_of, effects_with, parse_effects
 from heli_sim.model.named import model_named
 from heli_sim.model.parts import AXES
 from heli_sim.plant import Plant
@@ -122,7 +122,9 @@ def diagnose(settings: Settings) -> Result:
     flown = _flown(settings, settings["plan"], 0)
     nominal = flown.nominal
     other = _flown(settings, settings["validate"], _VALIDATION_SEED)
-    known = _effects(settings, nominal, of_rig_only=True)
+    hidden = {effect.name for effect in parse_effects(settings["effects"], settings["effect_files"])}
+    stated = effects_of(nominal, settings["effect_files"])
+    known = tuple(effect for effect in stated if effect.name not in hidden)
     diagnosis = find(
         model_named(settings["model"] or nominal.model or MultibodyModel.name, known),
         nominal,
@@ -134,7 +136,6 @@ def diagnose(settings: Settings) -> Result:
         threads=settings["threads"],
     )
     numbers = to_json(diagnosis)
-    hidden = {effect.name for effect in parse_effects(settings["effects"], settings["effect_files"])}
     named = {cause["effect"] for cause in numbers["causes"]}
     sure = {cause["effect"] for cause in numbers["causes"] if cause["confidence"] >= 0.9}
     gains = numbers["gain"]["axis"]
@@ -204,14 +205,10 @@ def _outcome(*flights: _Flown) -> str:
 
 def _flown(settings: Settings, plan: str, more_seed: int) -> _Flown:
     nominal, draw = _draw(settings)
-    true, effects = draw.rig, draw.effects
-    all_effects = (
-        *_effects(settings, nominal, of_rig_only=True),
-        *parse_effects(effects, settings["effect_files"]),
-    )
+    all_effects = effects_with(nominal, draw.effects, settings["effect_files"])
     model = model_named(settings["model"] or nominal.model or MultibodyModel.name, all_effects)
     seed = settings["seed"] + more_seed
-    session = Session(InProcessTransport(SilWorld(SilOptions(seed=seed), Plant(model, true, seed))))
+    session = Session(InProcessTransport(SilWorld(SilOptions(seed=seed), Plant(model, draw.rig, seed))))
     session.connect()
     with Heli(session) as heli, tempfile.TemporaryDirectory() as folder:
         if settings["params"]:
@@ -221,18 +218,11 @@ def _flown(settings: Settings, plan: str, more_seed: int) -> _Flown:
         return _Flown(nominal, draw, read_flight(log), summary)
 
 
-def _effects(settings: Settings, rig: Rig, *, of_rig_only: bool) -> tuple[Any, ...]:
-    """Effects of the rig's file without the hidden ones, which are added unless `of_rig_only`."""
-    hidden = parse_effects(settings["effects"], settings["effect_files"])
-    names = {effect.name for effect in hidden}
-    stated = tuple(effect for effect in effects_of(rig, settings["effect_files"]) if effect.name not in names)
-    return stated if of_rig_only else (*stated, *hidden)
-
-
 def _model(settings: Settings, rig: Rig) -> Model:
     """Model that a fit is given: with the effects, whose sizes it estimates."""
     return model_named(
-        settings["model"] or rig.model or MultibodyModel.name, _effects(settings, rig, of_rig_only=False)
+        settings["model"] or rig.model or MultibodyModel.name,
+        effects_with(rig, settings["effects"], settings["effect_files"]),
     )
 
 

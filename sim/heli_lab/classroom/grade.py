@@ -14,6 +14,7 @@ from heli_host.errors import BadLaw, FlightAborted, FlightDataError, HeliError
 from heli_host.flight import Flight
 from heli_host.flight.response import effort_V, responses
 from heli_host.law_program import LawProgram
+from heli_host.text_table import table_lines
 
 from heli_lab.law.linear import linearised
 from heli_lab.law.program_data import law_of_program
@@ -90,7 +91,7 @@ class LawGrade:
     refused : str
         Why the law did not fly at all; empty if it did.
     scores : tuple of FlightScore
-        One per rig and seed, in the order of `flights_of`.
+        One per rig and seed, in the order of the flights.
     gain_margin, phase_margin_deg : float
         Lesser margin of the collective and the differential on the first rig; nan without one.
     flight : Flight or None
@@ -180,7 +181,11 @@ def judged(program: LawProgram) -> LawProgram:
 def score_of_trial(trial: LawTrial) -> FlightScore:
     """Return the score of a flight."""
     elevation, _, travel = responses(trial.flight)
-    step = max(elevation, travel, key=lambda one: 0.0 if math.isnan(one.step_deg) else abs(one.step_deg))
+    step = max(
+        elevation,
+        travel,
+        key=lambda response: 0.0 if math.isnan(response.step_deg) else abs(response.step_deg),
+    )
     never = math.nan if math.isnan(step.step_deg) else math.inf
     return FlightScore(
         never if math.isnan(step.settling_s) else step.settling_s,
@@ -190,19 +195,6 @@ def score_of_trial(trial: LawTrial) -> FlightScore:
         effort_V(trial.flight),
         trial.taken_over,
     )
-
-
-def flights_of(rigs: Sequence[str], seeds: Sequence[int]) -> list[tuple[str, int]]:
-    """Return each rig with each seed.
-
-    Parameters
-    ----------
-    rigs : sequence of str
-        Names or files.
-    seeds : sequence of int
-        Seeds of the flights on each rig.
-    """
-    return [(rig, seed) for rig in rigs for seed in seeds]
 
 
 def grade(
@@ -264,27 +256,18 @@ def _margins(program: LawProgram | None, plant: LinearPlant | None) -> tuple[flo
 
 def grade_lines(grades: Sequence[LawGrade]) -> list[str]:
     """Return the table of grades as lines of text, and a line for each reason."""
-    rows = [list(HEADS), *(one.row() for one in grades)]
-    widths = [max(len(row[k]) for row in rows) for k in range(len(HEADS))]
-    lines = [
-        "  ".join(
-            cell.ljust(width) if k == 0 else cell.rjust(width)
-            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in rows
-    ]
-    return lines + reasons(grades)
+    return table_lines([HEADS, *(law_grade.row() for law_grade in grades)]) + reasons(grades)
 
 
 def reasons(grades: Sequence[LawGrade]) -> list[str]:
     """Return a line for each law that was refused or did not fly to its end."""
     lines = []
-    for one in grades:
-        if one.refused:
-            lines.append(f"{one.label}: refused: {one.refused}")
-        elif one.takeovers:
-            causes = sorted({score.ended for score in one.scores if score.ended})
-            lines.append(f"{one.label}: did not fly to the end: {', '.join(causes)}")
+    for law_grade in grades:
+        if law_grade.refused:
+            lines.append(f"{law_grade.label}: refused: {law_grade.refused}")
+        elif law_grade.takeovers:
+            causes = sorted({score.ended for score in law_grade.scores if score.ended})
+            lines.append(f"{law_grade.label}: did not fly to the end: {', '.join(causes)}")
     return lines
 
 

@@ -94,14 +94,14 @@ def points_of(score: FlightScore, reference: FlightScore) -> float:
 
 def _share(name: str, score: FlightScore, reference: FlightScore) -> float:
     """Share of the points for a number; nan if the reference lacks it."""
-    value, own = getattr(score, name), getattr(reference, name)
-    if math.isnan(own):
+    value, reference_value = getattr(score, name), getattr(reference, name)
+    if math.isnan(reference_value):
         return math.nan
     if math.isnan(value):
         return 0.0
-    if math.isinf(value) and not math.isinf(own):
+    if math.isinf(value) and not math.isinf(reference_value):
         return 0.0
-    ratio = 1.0 if value <= own else max(1.0, value / max(own, FLOORS[name]))
+    ratio = 1.0 if value <= reference_value else max(1.0, value / max(reference_value, FLOORS[name]))
     return max(0.0, 1.0 - math.log(ratio) / math.log(NO_POINTS))
 
 
@@ -115,6 +115,6 @@ def mark_of(name: str, scores: Sequence[FlightScore], references: Sequence[Fligh
     scores, references : sequence of FlightScore
         Its flights, and those of the board's own law, in the same order.
     """
-    points = [points_of(score, own) for score, own in zip(scores, references, strict=True)]
+    points = [points_of(score, reference) for score, reference in zip(scores, references, strict=True)]
     reason = ", ".join(sorted({score.ended for score in scores if score.ended}))
     return Mark(name, round(sum(points) / len(points), 1), reason, tuple(scores))

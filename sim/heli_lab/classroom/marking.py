@@ -36,8 +36,6 @@ class Answer:
 
     Parameters
     ----------
-    folder : Path
-        Folder of the submission.
     mark : Mark
         Its mark, or why it has none.
     submission : Submission or None
@@ -132,8 +130,6 @@ def scored_flight(
         Law to fly; the board's own without one.
     options : FlightOptions
         Board, and files to write.
-    plan : Plan
-        Plan to fly.
     parameters : mapping of str to float
         Parameters of the board to fly with.
 

@@ -89,8 +89,8 @@ def cells_of(text: str, name: str) -> list[NotebookCell]:
         is_code = "[markdown]" not in head
         tags = _tags(head, name)
         words = body.strip("\n") if is_code else _markdown(body)
-        if not is_code and (found := _TASK.search(words)):
-            task = found[1]
+        if not is_code and (task_words := _TASK.search(words)):
+            task = task_words[1]
         if "check" in tags or "**Check.**" in words:
             task = CHECK
         cells.append(NotebookCell(words, is_code, tags, task))

@@ -39,7 +39,7 @@ def write_grades(grades: Sequence[LawGrade], content: Mapping[str, Any], folder:
         _TEMPLATE,
         title="Grades of control laws",
         heads=HEADS,
-        rows=[one.row() for one in grades],
+        rows=[grade.row() for grade in grades],
         reasons=reasons(grades),
         figures=figures,
         settings=content,
@@ -48,7 +48,7 @@ def write_grades(grades: Sequence[LawGrade], content: Mapping[str, Any], folder:
 
 def _figures(grades: Sequence[LawGrade]) -> list[tuple[dict[str, Flight], str]]:
     """Flights of each figure by label, the first grade in each, and the names of the others."""
-    flown = {one.label: one.flight for one in grades if one.flight is not None}
+    flown = {grade.label: grade.flight for grade in grades if grade.flight is not None}
     if not flown:
         return []
     return [(part, ", ".join(list(part)[1:] or part)) for part in split_into_figures(flown)]

@@ -9,14 +9,14 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from heli_host.declaration import PARAMS
 from heli_host.errors import BadLaw, HeliError, ParameterError, PlanError, file_remedy
 from heli_host.files import TOML_BYTES, parse_toml, read_file
 from heli_host.fly.plan import Plan
 from heli_host.law_program import LawProgram
-from heli_host.parameter_file import TABLE, read_parameter_set
+from heli_host.parameter_file import TABLE, parameter_set
 
 from heli_lab.law.files import load_limited
 from heli_lab.law.limits import FileLimits
@@ -71,10 +71,10 @@ def submissions_in(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         raise BadLaw(f"{folder} is not a folder", "give the folder that has one folder per submission")
-    found = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
-    if not found:
+    folders = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
+    if not folders:
         raise BadLaw(f"{folder} contains no submission", f"put each one into a folder, as NAME/{LAW_FILE}")
-    return found
+    return folders
 
 
 def read_submission(folder: Path, limits: FileLimits) -> Submission:
@@ -107,12 +107,12 @@ def read_submission(folder: Path, limits: FileLimits) -> Submission:
         except ValueError as error:
             raise PlanError(f"{path.name} is not TOML: {error}", "correct that line") from error
         if TABLE in content:
-            gains.append(_gains(path))
+            gains.append(_gains(content, path))
         else:
-            plans.append(_short(Plan.parse(text, path.name)))
-    for kind, found in (("plans", plans), ("parameter files", gains)):
-        if len(found) > 1:
-            raise PlanError(f"{len(found)} {kind} are in the folder", "submit one of them")
+            plans.append(_short(Plan.of_tables(content, text, path.name)))
+    for kind, given in (("plans", plans), ("parameter files", gains)):
+        if len(given) > 1:
+            raise PlanError(f"{len(given)} {kind} are in the folder", "submit one of them")
     if law is None and not plans and not gains:
         raise BadLaw(
             "the folder contains no law, plan or parameters",
@@ -159,10 +159,10 @@ def _short(plan: Plan) -> Plan:
     return plan
 
 
-def _gains(path: Path) -> dict[str, float]:
+def _gains(content: Mapping[str, Any], path: Path) -> dict[str, float]:
     """Gains of a file; its other parameters have to be the defaults, and the rig keeps its values of them."""
     defaults = {spec.name: spec.default for spec in PARAMS}
-    values = read_parameter_set(path).values
+    values = parameter_set(content, path).values
     gains = {name: value for name, value in values.items() if _GAINS.fullmatch(name) is not None}
     for name in sorted(values.keys() - gains.keys()):
         if values[name] != defaults[name]:
@@ -190,11 +190,6 @@ def returned_files(folder: Path) -> Iterator[Path]:
 
     The former ``marked`` is replaced, but for flights on the rig. Nothing is written through it, because it
     may be a link that leads elsewhere.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the submission.
 
     Raises
     ------

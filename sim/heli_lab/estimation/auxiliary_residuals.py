@@ -102,10 +102,10 @@ def auxiliary_residuals(
             system = list(filtered.system(linearised, blocks, disturbances))
             system[4] = np.concatenate((system[4], np.repeat((_LEVEL, _IMPULSE), outputs)))
             system[5] = np.concatenate((system[5], np.zeros(2 * outputs)))
-            found = _kalman.shock_scores(*system, drive, measured)
+            state_scores, state_information = _kalman.shock_scores(*system, drive, measured)
             times.append(linearised.nodes.t_s[blocks.rows])
-            scores.append(found[0][:, -2 * outputs :])
-            information.append(found[1][:, -2 * outputs :])
+            scores.append(state_scores[:, -2 * outputs :])
+            information.append(state_information[:, -2 * outputs :])
         score, weight = np.concatenate(scores), np.concatenate(information)
         level, impulse = slice(0, outputs), slice(outputs, 2 * outputs)
         results.append(

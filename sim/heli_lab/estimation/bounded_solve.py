@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
-from heli_host.arrays import Floats, Integers
+from heli_host.arrays import Flags, Floats, Integers
 
 from heli_lab.estimation.arrowhead import NO_BLOCKS, solve_arrowhead
+
+_ROUNDING: Final = 1e-12
+"""Share of the greatest gain of any unknown alone; a release that gains less is rounding."""
 
 
 def bounded_solve(
     matrix: Floats, right: Floats, low: Floats, high: Floats, per_flight: Integers = NO_BLOCKS
 ) -> Floats:
-    """Solve a positive definite system within bounds.
+    """Minimise the quadratic of a positive definite system, xᵀ matrix x / 2 - rightᵀ x, within bounds.
 
-    An unknown that would leave its bounds is set on the bound, and the others are solved again. This is
-    Nocedal and Wright, Numerical Optimization, section 16.5, without the release of constraints.
+    First all unknowns that would leave their bounds are set on them, until none would. Then those that the
+    gradient pulls inside are released singly (BVLS: Stark and Parker, Comput. Stat. 10 (1995) 129).
 
     Parameters
     ----------
@@ -31,16 +36,40 @@ def bounded_solve(
     -------
     ndarray (f,)
     """
-    move = np.zeros(len(right))
-    free = np.ones(len(right), bool)
-    while free.any():
-        rest = right - matrix[:, ~free] @ move[~free]
-        # An unknown on its bound is decoupled from the others and does not move.
-        held = np.where(free[:, None] & free, matrix, np.diag(np.where(free, 0.0, 1.0)))
-        move[free] = solve_arrowhead(held, np.where(free, rest, 0.0), per_flight)[free]
-        outside = free & ((move < low) | (move > high))
-        if not outside.any():
-            break
-        move[outside] = np.clip(move, low, high)[outside]
+
+    def minimum(x: Floats, free: Flags) -> Floats:
+        """Minimum over the `free` unknowns; the others stay at `x`."""
+        rest = np.where(free, right - matrix[:, ~free] @ x[~free], 0.0)
+        decoupled = np.where(free[:, None] & free, matrix, np.diag(np.where(free, 0.0, 1.0)))
+        return np.where(free, solve_arrowhead(decoupled, rest, per_flight), x)
+
+    x, free, outside = np.zeros(len(right)), np.ones(len(right), bool), np.ones(len(right), bool)
+    while free.any() and outside.any():
+        x = minimum(x, free)
+        outside = (x < low) | (x > high)
+        x = np.clip(x, low, high)
         free &= ~outside
-    return move
+    curvature = np.diag(matrix)
+    # Each release reduces the quadratic, so that few are needed; the limit ends a cycle of rounding errors.
+    for _ in range(3 * len(right)):
+        gradient = right - matrix @ x
+        pulled = ~free & (low < high) & np.where(x <= low, gradient > 0.0, gradient < 0.0)
+        gain = np.where(pulled, gradient**2 / curvature, 0.0)
+        if not np.any(gain > _ROUNDING * np.max(right**2 / curvature)):
+            break
+        free[gain.argmax()] = True
+        while True:
+            target = minimum(x, free)
+            outside = (target < low) | (target > high)
+            if not outside.any():
+                break
+            # As far as the first bound on the way.
+            way = target[outside] - x[outside]
+            bound = np.where(way > 0.0, high[outside], low[outside])
+            share = (bound - x[outside]) / way
+            first = np.flatnonzero(outside)[share <= share.min()]
+            x = np.where(free, x + share.min() * (target - x), x)
+            x[first] = np.where(target[first] > high[first], high[first], low[first])
+            free[first] = False
+        x = target
+    return x

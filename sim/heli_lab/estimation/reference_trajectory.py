@@ -61,8 +61,6 @@ class ReferenceTrajectory:
 
     Parameters
     ----------
-    record : Recording
-        The flight.
     every : int
         Rows of the flight in a step.
     measured : ndarray (n, m)
@@ -108,21 +106,15 @@ class ReferenceTrajectory:
         return replace(self, predicted=_held(predicted, self.at_rest), filtered=_held(filtered, self.at_rest))
 
 
-def kinematic_filter(
-    record: Recording, kinematics: KinematicModel, step_s: float = STEP_s
-) -> ReferenceTrajectory:
+def kinematic_filter(record: Recording, kinematics: KinematicModel) -> ReferenceTrajectory:
     """Filter the outputs of a flight without a model of the machine.
 
     Parameters
     ----------
-    record : Recording
-        The flight.
     kinematics : KinematicModel
         How positions move.
-    step_s : float
-        Longest step; steps are not shorter than the recording's.
     """
-    every = max(1, int(step_s / record.step_s + 1e-6))
+    every = max(1, int(STEP_s / record.step_s + 1e-6))
     count = len(record.t_s) // every
     half = every // 2
     outputs = record.outputs
@@ -216,10 +208,10 @@ def _kinematic(
     measured: Floats, variance: Floats, step_s: float, kinematics: KinematicModel
 ) -> tuple[Floats, Floats]:
     count, size = measured.shape
-    one, zero = np.eye(size), np.zeros((size, size))
-    transition = np.block([[one, step_s * one], [zero, one]])
-    push = np.vstack((0.5 * step_s**2 * one, step_s * one))
-    measurement = np.hstack((one, zero))
+    identity, zero = np.eye(size), np.zeros((size, size))
+    transition = np.block([[identity, step_s * identity], [zero, identity]])
+    push = np.vstack((0.5 * step_s**2 * identity, step_s * identity))
+    measurement = np.hstack((identity, zero))
     relative = measured - measured[0]
     before, after = _kalman.track(
         np.broadcast_to(transition, (count, *transition.shape)).copy(),

@@ -153,19 +153,17 @@ class EffectStates:
     rates, resets : casadi.Function
         Their rates, and what they jump to at the end of a step, by z, time, the `inputs` of a step and all
         parameters.
-    inputs : int
-        Number of inputs that a step has.
     """
 
-    def __init__(self, rates: ca.Function, resets: ca.Function, inputs: int = 2) -> None:
-        self._made_of = rates, resets, inputs
-        arguments = [ca.SX.sym("v", rates.numel_in(i)) for i in range(inputs + 3)]
+    def __init__(self, rates: ca.Function, resets: ca.Function) -> None:
+        self._made_of = rates, resets
+        arguments = [ca.SX.sym("v", rates.numel_in(i)) for i in range(rates.n_in())]
         both = ca.Function("both", arguments, [rates(*arguments), resets(*arguments)])
         listing = _Listing(both)
         self._size = both.numel_in(0)
         self._integrator = _expression_vm.CourseIntegrator(*listing.arguments, *listing.outputs)
 
-    def __reduce__(self) -> tuple[type[EffectStates], tuple[ca.Function, ca.Function, int]]:
+    def __reduce__(self) -> tuple[type[EffectStates], tuple[ca.Function, ca.Function]]:
         return EffectStates, self._made_of
 
     def integrate(

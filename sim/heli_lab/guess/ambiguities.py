@@ -173,27 +173,22 @@ def unit_ambiguities(
                     f"{rig.name}; give your rig with --rig",
                 )
             )
-    for axis in AXES:
-        stated = motion.stated_units.get(axis, "")
-        if stated and stated != best.angles[axis]:
-            ambiguities.append(
-                Ambiguity(
-                    f"{axis}'s unit",
-                    best.angles[axis],
-                    f"{stated}, as the header says",
-                    "the motion fits another unit than the header",
-                )
-            )
-    stated = motion.stated_units.get("voltage", "")
-    if stated and stated != best.voltage:
-        ambiguities.append(
-            Ambiguity(
-                "the voltages' unit",
-                best.voltage,
-                f"{stated}, as the header says",
-                "the motion fits another unit than the header",
-            )
-        )
+    for name, what, unit in (
+        *((axis, f"{axis}'s unit", best.angles[axis]) for axis in AXES),
+        ("voltage", "the voltages' unit", best.voltage),
+    ):
+        stated = motion.stated_units.get(name, "")
+        if stated and stated != unit:
+            reason = "the motion fits another unit than the header"
+            ambiguities.append(Ambiguity(what, unit, f"{stated}, as the header says", reason))
+    return ambiguities + _supply_ambiguities(possible, motion, reference)
+
+
+def _supply_ambiguities(
+    possible: list[Scale], motion: MeasuredMotion, reference: Reference
+) -> list[Ambiguity]:
+    """List what is assumed of the rig's hover voltage and supply."""
+    best, ambiguities = possible[0], []
     if best.bias_removed:
         ambiguities.append(
             Ambiguity(
@@ -203,18 +198,20 @@ def unit_ambiguities(
                 "the sum was logged without its bias; look up the bias and set offset_V",
             )
         )
-    if best.voltage in SHARES:
-        full = f" of {best.full_scale:g}" if best.voltage == "pwm" else ""
-        if not stated:
-            ambiguities.append(
-                Ambiguity(
-                    "the voltages' unit",
-                    f"{best.voltage}{full}, a share of {reference.supply_V:g} V",
-                    f"a share of another supply{_volts_of_another_gain(possible)}",
-                    "the file does not state it; measure the supply and set supply_V",
-                )
+    if best.voltage in SHARES and not motion.stated_units.get("voltage"):
+        ambiguities.append(
+            Ambiguity(
+                "the voltages' unit",
+                f"{best.voltage}{_full_scale(best)}, a share of {reference.supply_V:g} V",
+                f"a share of another supply{_volts_of_another_gain(possible)}",
+                "the file does not state it; measure the supply and set supply_V",
             )
+        )
     return ambiguities
+
+
+def _full_scale(scale: Scale) -> str:
+    return f" of {scale.full_scale:g}" if scale.voltage == "pwm" else ""
 
 
 def _volts_of_another_gain(possible: list[Scale]) -> str:
@@ -233,9 +230,8 @@ def _describe_units(scale: Scale) -> str:
         if len(angles) == 1
         else ", ".join(f"{axis} in {unit}" for axis, unit in scale.angles.items())
     )
-    full = f" of {scale.full_scale:g}" if scale.voltage == "pwm" else ""
     halves = ", sum and difference by halves" if scale.factor != 1.0 else ""
-    return f"angles in {shown}, voltages in {scale.voltage}{full}{halves}"
+    return f"angles in {shown}, voltages in {scale.voltage}{_full_scale(scale)}{halves}"
 
 
 def sign_ambiguities(
@@ -333,9 +329,7 @@ def elevation_zero(rest: RestElevation, reference: Reference) -> tuple[float, li
     ]
 
 
-def lag_ambiguities(
-    explained: dict[str, RegressionFit],
-) -> tuple[list[Ambiguity], list[str]]:
+def lag_ambiguities(explained: dict[str, RegressionFit]) -> tuple[list[Ambiguity], str]:
     """List the ambiguities of delays, and a sentence of evidence. No delay is sure enough to be removed."""
     ambiguities = []
     lag = {axis: explained[axis].lag_s for axis in AXES}
@@ -377,4 +371,4 @@ def lag_ambiguities(
         "(rotor lag, transport and logging delay; a flight cannot separate them); travel follows pitch "
         f"after {lag['travel']:.2f} s"
     )
-    return ambiguities, [sentence]
+    return ambiguities, sentence

@@ -177,8 +177,6 @@ def assignments(
 
     Parameters
     ----------
-    signals : Signals
-        The columns.
     columns : list of str
         Names of the columns that may be an angle or a voltage.
     reference : Reference
@@ -220,22 +218,17 @@ def assignments(
     pitch_nats = {key: nats + measured for key, nats in pitch_nats.items()}
     travel_nats += measured
     stated = _name_scores(columns, known)
+
+    def physics(by_sum: tuple[int, ...], by_difference: tuple[int, ...]) -> Floats:
+        """Score of each choice of elevation, pitch and travel for columns of the voltages."""
+        elevation, pitch = elevation_nats[by_sum], pitch_nats[by_difference]
+        return elevation[:, None, None] + pitch[None, :, None] + travel_nats[None, :, :]
+
     ranked = []
     for pair in pairs:
-        ranked += _best(
-            columns, elevation_nats[pair], pitch_nats[pair], travel_nats, pair, False, polarity, stated
-        )
+        ranked += _best(columns, physics(pair, pair), stated, pair, False, polarity)
     for pair in itertools.permutations(range(count), 2):
-        ranked += _best(
-            columns,
-            elevation_nats[pair[:1]],
-            pitch_nats[pair[1:]],
-            travel_nats,
-            pair,
-            True,
-            polarity,
-            stated,
-        )
+        ranked += _best(columns, physics(pair[:1], pair[1:]), stated, pair, True, polarity)
     return sorted(ranked, key=lambda assignment: -assignment.log_likelihood)
 
 
@@ -255,8 +248,10 @@ def _log_likelihood_table(
                 continue
             axis_terms = (signal.value - signal.value.mean(), signal.rate)
             nats[index] = max(
-                explain(signal.acceleration, axis_terms, each, stiffness, rows[index]).log_likelihood_ratio
-                for each in lagged
+                explain(
+                    signal.acceleration, axis_terms, late_cause, stiffness, rows[index]
+                ).log_likelihood_ratio
+                for late_cause in lagged
             )
         table[key] = nats
     return table
@@ -283,16 +278,13 @@ def _name_scores(columns: list[str], known: Mapping[str, str]) -> dict[str, Floa
 
 def _best(
     columns: list[str],
-    elevation_nats: Floats,
-    pitch_nats: Floats,
-    travel_nats: Floats,
+    physics: Floats,
+    stated: dict[str, Floats],
     pair: tuple[int, int],
     summed: bool,
     polarity: Floats,
-    stated: dict[str, Floats],
 ) -> list[ColumnAssignment]:
     """Return the three most likely choices of angles for a pair of voltages."""
-    physics = elevation_nats[:, None, None] + pitch_nats[None, :, None] + travel_nats[None, :, :]
     words = (
         stated["elevation"][:, None, None] + stated["pitch"][None, :, None] + stated["travel"][None, None, :]
     )

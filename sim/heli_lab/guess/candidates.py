@@ -24,8 +24,6 @@ def candidates(
 
     Parameters
     ----------
-    signals : Signals
-        The columns.
     encoders : collection of str
         Columns quantised by an encoder.
     known : collection of str

@@ -148,11 +148,12 @@ def _added_up(lists: Sequence[list[ColumnAssignment]]) -> list[ColumnAssignment]
     by_columns = [{(a.columns, a.summed): a for a in ranked} for ranked in lists]
     floors = [max(a.physics_log_likelihood for a in ranked) - _UNRANKED_NATS for ranked in lists]
     added = []
-    for key in {key for each in by_columns for key in each}:
-        found = [each.get(key) for each in by_columns]
-        best = max((a for a in found if a is not None), key=lambda a: a.log_likelihood)
+    for key in {key for by_file in by_columns for key in by_file}:
+        of_files = [by_file.get(key) for by_file in by_columns]
+        best = max((a for a in of_files if a is not None), key=lambda a: a.log_likelihood)
         physics = sum(
-            floor if a is None else a.physics_log_likelihood for a, floor in zip(found, floors, strict=True)
+            floor if a is None else a.physics_log_likelihood
+            for a, floor in zip(of_files, floors, strict=True)
         )
         words = best.log_likelihood - best.physics_log_likelihood
         added.append(replace(best, log_likelihood=physics + words, physics_log_likelihood=physics))
@@ -167,14 +168,17 @@ def pooled_scales(motions: Sequence[MeasuredMotion], reference: Reference) -> li
     lists = [scales(motion, reference) for motion in motions]
     if len(lists) == 1:
         return lists[0]
-    by_units = [{(s.units, s.bias_removed): s for s in each} for each in lists]
+    by_units = [{(s.units, s.bias_removed): s for s in scales} for scales in lists]
     pooled = []
     for key, first in by_units[0].items():
-        found = [each[key] for each in by_units if key in each]
-        missing = len(lists) - len(found)
-        nats = float(np.mean([s.log_likelihood for s in found])) - _UNRANKED_NATS * missing / len(lists)
+        scales_of_key = [by_unit[key] for by_unit in by_units if key in by_unit]
+        missing = len(lists) - len(scales_of_key)
+        nats = float(np.mean([s.log_likelihood for s in scales_of_key])) - _UNRANKED_NATS * missing / len(
+            lists
+        )
         deviation = {
-            name: float(np.mean([s.deviation_std[name] for s in found])) for name in first.deviation_std
+            name: float(np.mean([s.deviation_std[name] for s in scales_of_key]))
+            for name in first.deviation_std
         }
         pooled.append(replace(first, log_likelihood=nats, deviation_std=deviation))
     return sorted(pooled, key=lambda s: -s.log_likelihood)

@@ -45,8 +45,6 @@ def guess_by_rigs(
 
     Parameters
     ----------
-    tables : sequence of Table
-        The files.
     rig : Rig, optional
         Rig file to use.
     rate_Hz : float, optional

@@ -23,9 +23,16 @@ from heli_lab.guess.ambiguities import (
     unit_ambiguities,
 )
 from heli_lab.guess.assignment import ColumnAssignment, RegressionFit
-from heli_lab.guess.axis_regression import axis_regressions, rest_elevation, sum_and_difference
+from heli_lab.guess.axis_regression import RestElevation, axis_regressions, rest_elevation, sum_and_difference
 from heli_lab.guess.candidates import feedback_sign
-from heli_lab.guess.evidence import common_candidates, pooled_fits, pooled_scales, prepare_file, rank
+from heli_lab.guess.evidence import (
+    PreparedFile,
+    common_candidates,
+    pooled_fits,
+    pooled_scales,
+    prepare_file,
+    rank,
+)
 from heli_lab.guess.known import NOTHING_KNOWN, KnownEntries
 from heli_lab.guess.mirror import prefers_mirror, travel_torque_nats
 from heli_lab.guess.reference import Reference, reference_of
@@ -42,8 +49,6 @@ def guess(table: Table, rig: Rig, rate_Hz: float | None = None) -> Guess:
 
     Parameters
     ----------
-    table : Table
-        The file.
     rig : Rig
         Parameters, table angle, encoders and supply of the rig. Only units and zeros depend on them.
     rate_Hz : float, optional
@@ -68,8 +73,6 @@ def propose(
 
     Parameters
     ----------
-    tables : sequence of Table
-        The files.
     rig : Rig
         Rig file, as in `guess`.
     rate_Hz : float, optional
@@ -85,26 +88,14 @@ def propose(
     reference = reference_of(rig)
     files = [prepare_file(known.with_units(table.aligned()), reference, rate_Hz) for table in tables]
     first = files[0]
-    clock = first.clock
-    for file in files[1:]:
-        if (file.clock.column, file.clock.unit) != (clock.column, clock.unit):
-            raise FlightDataError(
-                f"{file.table.source}: its times differ from those of {first.table.source} "
-                f"('{file.clock.column}' in {file.clock.unit}, '{clock.column}' in {clock.unit})",
-                "import files of different programs one by one",
-            )
+    clock, clock_ambiguities = _common_clock(files)
     columns, dropped = common_candidates(files, known.columns)
     if len(columns) < len(AXES) + 2:
         raise too_few_columns(first.table.source, columns, dropped)
     ranked, motions = rank(files, columns, reference, known)
     assignment = ranked[0]
     ambiguities, evidence = assignment_ambiguities(ranked)
-    if not clock.sure:
-        ambiguities.append(
-            Ambiguity(
-                "the time", f"{clock.column} in {clock.unit}", clock.alternative or "something else", NO_RATE
-            )
-        )
+    ambiguities += clock_ambiguities
     possible = pooled_scales(motions, reference)
     scale = possible[0]
     ambiguities += unit_ambiguities(possible, motions[0], reference, rig)
@@ -118,37 +109,31 @@ def propose(
     if not names_state_voltages(assignment) and not known.voltages:
         check_voltages(first.table.source, explained, assignment)
         ambiguities += sum_ambiguities(explained, assignment, columns, dropped)
-    feedback = sum(
-        feedback_sign(
-            filtered_signal(sum_and_difference(file.signals, assignment, bias, limit)[0]).value,
-            file.signals.filtered[assignment.elevation],
-            file.signals.counts_per_turn,
-        )
-        for file in files
-    )
-    signs = fewest_sign_changes(explained, feedback, known)
-    torque_nats = float(
-        np.mean(
-            [travel_torque_nats(file.signals, assignment, reference, rad, signs.travel) for file in files]
-        )
-    )
-    mirrored = prefers_mirror(signs, torque_nats)
-    if known.mirrored is not None:
-        mirrored = known.mirrored
+    signs = fewest_sign_changes(explained, _feedback(files, assignment, bias, limit), known)
+    torques_nats = [
+        travel_torque_nats(file.signals, assignment, reference, rad, signs.travel) for file in files
+    ]
+    torque_nats = float(np.mean(torques_nats))
+    mirrored = prefers_mirror(signs, torque_nats) if known.mirrored is None else known.mirrored
     ambiguities += sign_ambiguities(explained, signs, assignment, torque_nats, mirrored, rig)
-    deg = float(np.degrees(signs.elevation * rad["elevation"]))
-    rests = [rest_elevation(file.signals, assignment.elevation, deg) for file in files]
-    rest = next((rest for rest in rests if rest.deg is not None and rest.lowest), rests[0])
-    offset_deg, zero_ambiguities = elevation_zero(rest, reference)
+    unit_deg = float(np.degrees(signs.elevation * rad["elevation"]))
+    offset_deg, zero_ambiguities = elevation_zero(_rest(files, assignment, unit_deg), reference)
     ambiguities += zero_ambiguities
-    timing_ambiguities, lag_notes = lag_ambiguities(explained)
+    timing_ambiguities, lag_sentence = lag_ambiguities(explained)
     ambiguities += timing_ambiguities
-    profile = _profile(first.table, clock, rate_Hz, assignment, scale, signs, reference, offset_deg)
-    profile = known.applied(replace(profile, mirrored=mirrored))
+    profile = Profile(
+        _angles(assignment, scale, signs, reference, offset_deg),
+        _voltages(assignment, scale, signs, reference),
+        "" if rate_Hz else clock.column,
+        clock.unit,
+        rate_Hz or 0.0,
+        about=f"guessed from {Path(first.table.source).name}",
+        mirrored=mirrored,
+    )
+    profile = known.applied(profile)
     if dropped:
-        left_out = ", ".join(f"{name} ({reason})" for name, reason in dropped.items())
-        evidence.append(f"left out: {left_out}")
-    evidence += [_regression_sentence(axis, explained[axis]) for axis in AXES] + lag_notes
+        evidence.append("left out: " + ", ".join(f"{name} ({reason})" for name, reason in dropped.items()))
+    evidence += [_regression_sentence(axis, explained[axis]) for axis in AXES] + [lag_sentence]
     evidence.append(
         f"hover: the voltages add up to {abs(motions[0].mean_sum) * scale.volts(reference):.2f} V, and to "
         f"{reference.hover_V:.2f} V in the rig file"
@@ -161,6 +146,43 @@ def propose(
     return Guess(
         profile, tuple(ambiguities), tuple(evidence), log_likelihood=assignment.log_likelihood
     ), parts
+
+
+def _feedback(
+    files: Sequence[PreparedFile], assignment: ColumnAssignment, bias: float, limit: float
+) -> float:
+    """Sum of the signs of elevation's feedback in the files, from -1 to 1 in each."""
+    return sum(
+        feedback_sign(
+            filtered_signal(sum_and_difference(file.signals, assignment, bias, limit)[0]).value,
+            file.signals.filtered[assignment.elevation],
+            file.signals.counts_per_turn,
+        )
+        for file in files
+    )
+
+
+def _rest(files: Sequence[PreparedFile], assignment: ColumnAssignment, unit_deg: float) -> RestElevation:
+    """Elevation at rest, of the first file that begins at rest at its lowest point."""
+    rests = [rest_elevation(file.signals, assignment.elevation, unit_deg) for file in files]
+    return next((rest for rest in rests if rest.deg is not None and rest.lowest), rests[0])
+
+
+def _common_clock(files: Sequence[PreparedFile]) -> tuple[Clock, list[Ambiguity]]:
+    """Return the times of the files, which have to be in the same column and unit, and if they are unsure."""
+    first = files[0]
+    for file in files[1:]:
+        if (file.clock.column, file.clock.unit) != (first.clock.column, first.clock.unit):
+            raise FlightDataError(
+                f"{file.table.source}: its times differ from those of {first.table.source} "
+                f"('{file.clock.column}' in {file.clock.unit}, '{first.clock.column}' in {first.clock.unit})",
+                "import files of different programs one by one",
+            )
+    clock = first.clock
+    if clock.sure:
+        return clock, []
+    other = clock.alternative or "something else"
+    return clock, [Ambiguity("the time", f"{clock.column} in {clock.unit}", other, NO_RATE)]
 
 
 def _limit_to_supply(
@@ -210,7 +232,7 @@ def check_by_simulation(guessed: Guess, tables: Sequence[Table], rig: Rig) -> li
     """
     longest = [max(flights_of(table, guessed.profile), key=len) for table in tables]
     choices = [try_sign_choices(flight, rig) for flight in longest]
-    simulated = [each for each in choices if each]
+    simulated = [trials for trials in choices if trials]
     if not simulated:
         ambiguity = Ambiguity(
             "the signs",
@@ -219,7 +241,9 @@ def check_by_simulation(guessed: Guess, tables: Sequence[Table], rig: Rig) -> li
             "the flight is too short in the air to simulate the model",
         )
         return [guessed.with_ambiguity(ambiguity) for _ in tables]
-    log_ratios = np.mean([[math.log(choice.error_ratio) for choice in each] for each in simulated], axis=0)
+    log_ratios = np.mean(
+        [[math.log(choice.error_ratio) for choice in trials] for trials in simulated], axis=0
+    )
     second = int(np.argmin(log_ratios[1:])) + 1
     name, ratio = simulated[0][second].name, math.exp(float(log_ratios[second]))
     if ratio < thresholds.AMBIGUOUS_ERROR_RATIO:
@@ -236,7 +260,7 @@ def check_by_simulation(guessed: Guess, tables: Sequence[Table], rig: Rig) -> li
         f"{ratio:.1f} times as large"
     )
     guessed = replace(guessed, evidence=(*guessed.evidence, evidence))
-    return [replace(guessed, sign_choices=each) for each in choices]
+    return [replace(guessed, sign_choices=trials) for trials in choices]
 
 
 def fewest_sign_changes(
@@ -273,28 +297,24 @@ def _regression_sentence(axis: str, explained: RegressionFit) -> str:
     return f"{axis} accelerates {direction} {cause}: {explained.log_likelihood_ratio:.0f} nats"
 
 
-def _profile(
-    table: Table,
-    clock: Clock,
-    rate_Hz: float | None,
-    assignment: ColumnAssignment,
-    scale: Scale,
-    signs: SignChanges,
-    reference: Reference,
-    offset_deg: float,
-) -> Profile:
-    columns = dict(zip(AXES, (assignment.elevation, assignment.pitch, assignment.travel), strict=True))
-    sign = {"elevation": signs.elevation, "pitch": signs.pitch, "travel": signs.travel}
-    angles = {
+def _angles(
+    assignment: ColumnAssignment, scale: Scale, signs: SignChanges, reference: Reference, offset_deg: float
+) -> dict[str, Angle]:
+    return {
         axis: Angle(
-            columns[axis],
+            getattr(assignment, axis),
             scale.angles[axis],
             reference.counts[axis],
-            sign[axis],
+            getattr(signs, axis),
             round(offset_deg, 3) if axis == "elevation" else 0.0,
         )
         for axis in AXES
     }
+
+
+def _voltages(
+    assignment: ColumnAssignment, scale: Scale, signs: SignChanges, reference: Reference
+) -> dict[str, Voltage]:
     pair = [
         Voltage(column, scale.voltage, scale.full_scale, reference.supply_V, polarity, factor=scale.factor)
         for column, polarity in zip(assignment.voltages, assignment.polarity, strict=True)
@@ -304,16 +324,5 @@ def _profile(
             pair[0] = replace(pair[0], offset_V=round(reference.hover_V, 3))
         if signs.motors_swapped:
             pair[1] = replace(pair[1], sign=-pair[1].sign)
-        voltages_by_role = dict(zip(("sum", "difference"), pair, strict=True))
-    else:
-        voltages_by_role = dict(
-            zip(("front", "back"), pair[::-1] if signs.motors_swapped else pair, strict=True)
-        )
-    return Profile(
-        angles,
-        voltages_by_role,
-        "" if rate_Hz else clock.column,
-        clock.unit,
-        rate_Hz or 0.0,
-        about=f"guessed from {Path(table.source).name}",
-    )
+        return dict(zip(("sum", "difference"), pair, strict=True))
+    return dict(zip(("front", "back"), pair[::-1] if signs.motors_swapped else pair, strict=True))

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from heli_sim.errors import RigError
 from heli_sim.model.effect import Effect
-from heli_sim.model.effects import effects_of, parse_effects
+from heli_sim.model.effects import effects_with, parse_effects
 from heli_sim.rig import Rig, load_rig
 
 from heli_lab.errors import LearningError
@@ -93,13 +93,7 @@ class Domain:
             for name, (low, high) in self.effects.items()
             if random.random() < self.chance
         )
-        drawn_effects = parse_effects(texts)
-        names = {effect.name for effect in drawn_effects}
-        return DrawnRig(
-            rig,
-            (*(rig_effect for rig_effect in effects_of(rig) if rig_effect.name not in names), *drawn_effects),
-            texts,
-        )
+        return DrawnRig(rig, effects_with(rig, texts), texts)
 
     def _rig(self, random: np.random.Generator) -> Rig:
         rig = load_rig(self.rigs[int(random.integers(len(self.rigs)))])

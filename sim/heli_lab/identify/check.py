@@ -117,8 +117,8 @@ def check(fit: Fit, index: int = 0) -> Check:
     )
 
 
-def validate(fit: Fit, flights: Sequence[Flight | Record], labels: Sequence[str] | None = None) -> Fit:
-    """Predict flights, called `labels`, that a fit has not seen; the result is a fit of the same parameters
+def validate(fit: Fit, flights: Sequence[Flight | Record]) -> Fit:
+    """Predict flights that a fit has not seen; the result is a fit of the same parameters
     on these flights, for `check` and `trace`. Its standard errors of the zeros leave the effect of
     quantisation out.
 
@@ -140,7 +140,6 @@ def validate(fit: Fit, flights: Sequence[Flight | Record], labels: Sequence[str]
         flights,
         free=tuple(local),
         per_flight=tuple(local) or PER_FLIGHT,
-        labels=labels,
         window_s=problem.grids.window_s,
         step_s=problem.grids.step_s,
         priors=local,

@@ -15,7 +15,7 @@ from heli_sim.errors import PlantError
 from typing_extensions import override
 
 from heli_lab.identify.functions import Functions, Inputs
-from heli_lab.identify.windows import Kernel
+from heli_lab.identify.kernel_interface import Kernel
 from heli_lab.threads import parallel_map
 
 _WORTH_THREADS_ROWS: Final = 500
@@ -281,15 +281,15 @@ class CompiledKernel(Kernel):
         self._windows.restype = None
 
     @override
-    def _run(
-        self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool
+    def run(
+        self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool = True
     ) -> tuple[Floats, Floats | None]:
         jacobian = np.empty((inputs.rows, 3, self._sizes[1])) if derivatives else None
         angles, _ = self._call(inputs, start, parameters, jacobian, None)
         return angles, jacobian
 
     @override
-    def _products(
+    def products(
         self, inputs: Inputs, start: Floats, parameters: Floats, measured_rad: Floats, sigma_rad: Floats
     ) -> tuple[Floats, Floats]:
         size = self._sizes[1] + 1
@@ -298,7 +298,7 @@ class CompiledKernel(Kernel):
         return angles, normal_matrix
 
     @override
-    def _end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
+    def end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
         return self._call(inputs, start, parameters, None, None)[1]
 
     def _call(

@@ -143,12 +143,8 @@ class RigParameters(ParameterVector):
 
     Parameters
     ----------
-    model : Model
-        The model, with its effects.
     rig : Rig
         Values and priors of its parameters.
-    records : sequence of Recording
-        The flights.
     fixed : Mapping[str, float], optional
         Values of parameters that are not estimated.
     """

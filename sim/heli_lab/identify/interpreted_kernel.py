@@ -12,7 +12,7 @@ from typing_extensions import override
 
 from heli_lab.estimation.trajectory_functions import AlongTrajectory, Trajectory
 from heli_lab.identify.functions import Functions, Inputs
-from heli_lab.identify.windows import Kernel
+from heli_lab.identify.kernel_interface import Kernel
 
 
 class InterpretedKernel(Kernel):
@@ -33,14 +33,14 @@ class InterpretedKernel(Kernel):
         return self._programs[name]
 
     @override
-    def _run(
-        self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool
+    def run(
+        self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool = True
     ) -> tuple[Floats, Floats | None]:
         angles, jacobian, _ = self._loop(inputs, start, parameters, derivatives)
         return angles, jacobian
 
     @override
-    def _products(
+    def products(
         self, inputs: Inputs, start: Floats, parameters: Floats, measured_rad: Floats, sigma_rad: Floats
     ) -> tuple[Floats, Floats]:
         angles, jacobian, _ = self._loop(inputs, start, parameters, True)
@@ -52,7 +52,7 @@ class InterpretedKernel(Kernel):
         return angles, np.array([part.transpose(0, 2, 1) @ part for part in parts])
 
     @override
-    def _end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
+    def end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
         return self._loop(inputs, start, parameters, False)[2]
 
     def _loop(
@@ -82,7 +82,9 @@ class InterpretedKernel(Kernel):
                     name: mean_by[rows] + (c - 0.5) * change_by[rows]
                     for name, mean_by, change_by in inputs.shaped_by
                 }
-                return self._evaluate(which, y, u, time_s + c * inputs.step_s, parameters, ys, du)
+                return self._evaluate(
+                    which, Trajectory(time_s + c * inputs.step_s, y, u, 0.0, parameters), ys, du
+                )
 
             angles[rows], evaluation = evaluate("angles", 0.0, x[here], s[here])
             if jacobian is not None:
@@ -102,19 +104,15 @@ class InterpretedKernel(Kernel):
     def _evaluate(
         self,
         which: str,
-        x: Floats,
-        u: Floats,
-        time_s: Floats,
-        parameters: Floats,
+        at: Trajectory,
         s: Floats,
         du: Mapping[str, Floats],
     ) -> tuple[Floats, Floats]:
         """Value (w, rows) and its derivatives through the chain (w, rows, columns)."""
-        at = Trajectory(time_s, x, u, 0.0, parameters)
         if s.shape[2] == 0:
             (value,) = self._program(which)(at)
             return value[:, :, 0], np.zeros((*value.shape[:2], 0))
-        nx = x.shape[1]
+        nx = at.state.shape[1]
         value, fx, fp, fu = self._program(f"{which}_jacobian")(at)
         chained: Floats = fx @ s
         chained[:, :, nx:] += fp

@@ -16,7 +16,7 @@ from heli_sim.model.base import Model
 from heli_lab.identify.compiled_kernel import CompiledKernel, driver
 from heli_lab.identify.functions import Functions
 from heli_lab.identify.interpreted_kernel import InterpretedKernel
-from heli_lab.identify.windows import Kernel
+from heli_lab.identify.kernel_interface import Kernel
 from heli_lab.threads import default_thread_count
 
 __all__ = ["Kernel", "kernel"]

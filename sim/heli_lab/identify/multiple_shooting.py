@@ -11,7 +11,6 @@ from collections.abc import Callable
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
 
 from heli_lab.estimation.levenberg_marquardt import DampedStep, minimise
 from heli_lab.estimation.posterior_step import posterior_step
@@ -60,20 +59,10 @@ class MultipleShooting:
         seconds = time.perf_counter() - self.started_s
         return self.cost.evaluations >= self._budget.evaluations or seconds >= self._budget.seconds
 
-    def normal_equations(
-        self, iterate: Iterate, damping: float = 0.0
-    ) -> tuple[Floats, Floats, list[tuple[Floats, Floats]], float]:
-        """Normal equations of the free parameters at an `iterate`, with `damping` of the initial states; see
-        `eliminate_states`.
-        """
-        cost = self.cost
-        of_records = iterate.evaluations, iterate.states, cost.state_prior, cost.variance, cost.weights
-        return eliminate_states(cost.problem, *of_records, damping=damping)
-
     def step(self, iterate: Iterate, damping: float) -> DampedStep[Iterate]:
         """Linearise at an `iterate` and solve for a step with this `damping`."""
         cost, problem = self.cost, self.cost.problem
-        information, score, follow, gain = self.normal_equations(iterate, thresholds.STATE_DAMPING * damping)
+        information, score, follow, gain = eliminate_states(cost, iterate, thresholds.STATE_DAMPING * damping)
         step = posterior_step(
             problem.parameter_vector,
             iterate.theta,

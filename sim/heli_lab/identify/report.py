@@ -90,8 +90,7 @@ def _parameters(identification: Identification) -> dict[str, Any]:
     fit, problem = identification.fit, identification.fit.problem
     rows = []
     for parameter, value, std in zip(problem.free, fit.theta, fit.std.values(), strict=True):
-        remark = "on its bound" if parameter.name in fit.at_bound else ""
-        remark = remark or ("uninformed" if parameter.name in identification.uninformed_parameters else "")
+        remark = identification.remark(parameter.name)
         prior = f"{parameter.prior.mean:g} ± {parameter.prior.std:g}"
         text = f"{rounded(value, std)} ± {rounded(std, std)}"
         rows.append([parameter.name, text, parameter.unit, prior, f"{std / parameter.prior.std:.2g}", remark])

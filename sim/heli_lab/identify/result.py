@@ -42,6 +42,12 @@ class Identification:
             self.fit.problem.names, self.fit.covariance, self.fit.problem.parameter_vector.std
         )
 
+    def remark(self, name: str) -> str:
+        """Say of the free parameter `name` that it is on its bound or uninformed; empty if neither."""
+        if name in self.fit.at_bound:
+            return "on its bound"
+        return "uninformed" if name in self.uninformed_parameters else ""
+
     @property
     def strong_correlations(self) -> list[tuple[str, str, float]]:
         """Strongly correlated pairs of parameters, strongest first."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
 
-from heli_lab.identify.problem import Evaluation, Problem
+from heli_lab.identify.problem import Problem
+from heli_lab.identify.shooting_cost import Iterate, ShootingCost
 
 SINGULAR_GUARD: Final = 1e-12
 """Added to the diagonal of a block, as a share of its largest entry. It keeps the block regular if no data
@@ -78,27 +78,16 @@ def add_state_prior(
 
 
 def eliminate_states(
-    problem: Problem,
-    evaluations: Sequence[Evaluation],
-    states: Sequence[Floats],
-    reference: Sequence[Floats],
-    variance: Sequence[Floats],
-    weights: Sequence[Floats],
-    *,
-    damping: float = 0.0,
+    cost: ShootingCost, iterate: Iterate, damping: float = 0.0
 ) -> tuple[Floats, Floats, list[tuple[Floats, Floats]], float]:
     """Eliminate the windows' initial states from the normal equations.
 
     Parameters
     ----------
-    evaluations : sequence of Evaluation
-        Predictions of all records with their derivatives.
-    states : sequence of ndarray (w, states)
-        Initial states.
-    reference : sequence of ndarray (w, states)
-        Prior means of the initial states of effects.
-    variance, weights : sequence of ndarray
-        As in `Fit`.
+    cost : ShootingCost
+        Variances and weights of the records, and prior means of the initial states of effects.
+    iterate : Iterate
+        Where the model is linearised.
     damping : float
         Increase of the diagonal of the states, as a share of itself.
 
@@ -115,14 +104,15 @@ def eliminate_states(
         Reduction of the sum of squares by the step of the states with the parameters fixed, if the sum is
         quadratic as in the normal equations.
     """
+    problem = cost.problem
     nx, count = problem.state_count, len(problem.free)
     information, gradient, states_gain = np.zeros((count, count)), np.zeros(count), 0.0
     follow = []
-    for index, evaluation in enumerate(evaluations):
+    for index, evaluation in enumerate(iterate.evaluations):
         assert evaluation.normal_matrix is not None
-        scale = weights[index][:, None] / variance[index]
+        scale = cost.weights[index][:, None] / cost.variance[index]
         normal = np.einsum("wa,waij->wij", scale, evaluation.normal_matrix)
-        add_state_prior(problem, normal, states[index], reference[index], damping)
+        add_state_prior(problem, normal, iterate.states[index], cost.state_prior[index], damping)
         complement, gain = eliminate(normal, nx, SINGULAR_GUARD)
         columns = problem.columns[index]
         information[np.ix_(columns, columns)] += complement[:, :-1, :-1].sum(axis=0)

@@ -15,6 +15,7 @@ from heli_lab.identify import thresholds
 from heli_lab.identify.fit import Budget, Fit, FitProgress
 from heli_lab.identify.multiple_shooting import MultipleShooting
 from heli_lab.identify.problem import Problem
+from heli_lab.identify.schur import eliminate_states
 from heli_lab.identify.shooting_cost import Iterate, ShootingCost
 from heli_lab.identify.uncertainty import quantisation_scatter, timing_variance
 from heli_lab.identify.window_recovery import restart_outliers
@@ -131,7 +132,7 @@ def _start(cost: ShootingCost, start: Fit | Mapping[str, float] | None) -> tuple
 
 def _result(shooting: MultipleShooting, iterate: Iterate, converged: bool, scatter: bool) -> Fit:
     cost, problem = shooting.cost, shooting.cost.problem
-    information, *_ = shooting.normal_equations(iterate)
+    information, *_ = eliminate_states(cost, iterate)
     weight = np.diag(1.0 / problem.parameter_vector.std**2)
     covariance: Floats = np.linalg.inv(information + weight).astype(np.float64)
     if scatter and cost.fine and len(problem.free):

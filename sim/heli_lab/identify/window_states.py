@@ -19,6 +19,8 @@ from heli_lab.identify.shooting_cost import Iterate, ShootingCost, window_cost
 
 _DAMPING: Final = 1e-3
 """First damping of a window, as a share of its diagonal."""
+_RESTART_STEPS: Final = 12
+"""Most steps of a window from another start, which is far: three times those of a refinement."""
 
 
 def refine_states(
@@ -52,14 +54,12 @@ def refine_states(
     windows.insert(cost, iterate, index)
 
 
-def restart_states(
-    cost: ShootingCost, iterate: Iterate, index: int, which: Integers, other: Floats, *, most: int = 12
-) -> None:
+def restart_states(cost: ShootingCost, iterate: Iterate, index: int, which: Integers, other: Floats) -> None:
     """Optimise some windows of an `iterate` from other initial states, and keep the result if it is better.
 
     Parameters
     ----------
-    cost, index, which, most
+    cost, index, which
         As in `refine_states`.
     other : ndarray (w, states)
         Initial states to start from, of all windows of the record.
@@ -67,7 +67,7 @@ def restart_states(
     windows, again = (_Windows(cost, iterate, index, which) for _ in range(2))
     again.cost[:] = np.inf
     again.offer(other[which])
-    again.descend(most, thresholds.RESTART_PATIENCE)
+    again.descend(_RESTART_STEPS, thresholds.RESTART_PATIENCE)
     windows.take(again)
     windows.insert(cost, iterate, index)
 

@@ -5,17 +5,15 @@ Every value gets a cell of memory, which is used again after the last operation 
 
 from __future__ import annotations
 
-from typing import Final, Protocol
+from typing import Protocol
 
 import casadi as ca
 from heli_host.declaration import LAW_CELLS, LAW_INPUTS
 from heli_host.errors import BadLaw
 from heli_host.law_program import Instruction, LawProgram, Term, divisor_of
 
-from heli_lab.law.program import CODE, Program, Value
+from heli_lab.law.program import CODE, FIXED_OUTPUTS, Program, Value
 from heli_lab.law.sums import SUM, with_sums
-
-_FIRST_NEW_STATE: Final = 5
 
 
 class LawSource(Protocol):
@@ -86,7 +84,7 @@ def compile_program(law: LawSource) -> LawProgram:
 def _read(law: LawSource, function: ca.Function) -> tuple[Program, list[int]]:
     program = Program(law.name)
     kinds = ("input", "state", "parameter")
-    count = _FIRST_NEW_STATE + len(law.signals)
+    count = FIXED_OUTPUTS + len(law.signals)
     outputs = [program.constant(0.0)] * (count + len(law.states))
     work: dict[int, int] = {}
     for k in range(function.n_instructions()):
@@ -110,7 +108,7 @@ def _read(law: LawSource, function: ca.Function) -> tuple[Program, list[int]]:
 
 def _with_copies(law: LawSource, program: Program, outputs: list[int]) -> None:
     """Copy a state before it is written if a later operation still reads its old value."""
-    for k in range(_FIRST_NEW_STATE + len(law.signals), len(outputs)):
+    for k in range(FIXED_OUTPUTS + len(law.signals), len(outputs)):
         if program.values[outputs[k]].kind == "state":
             outputs[k] = program.do("copy", outputs[k])
 
@@ -124,13 +122,7 @@ def _without_dead_ends(program: Program, outputs: list[int]) -> tuple[Program, l
     kept = Program(program.name)
     moved: dict[int, int] = {}
     for place in sorted(needed):
-        value = program.values[place]
-        if value.kind == "constant":
-            moved[place] = kept.constant(program.constants[value.place])
-        else:
-            moved[place] = kept.put(
-                Value(value.kind, value.place, tuple(moved[operand] for operand in value.operands))
-            )
+        kept.take(program, place, moved)
     return kept, [moved[operand] for operand in outputs]
 
 

@@ -189,11 +189,6 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 def run_law(path: Path) -> Law:
     """Run a file in this process and return its ``LAW``.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
     Raises
     ------
     BadLaw

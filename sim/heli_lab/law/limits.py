@@ -12,8 +12,11 @@ import os
 import platform
 import struct
 import sys
+import time
 from dataclasses import dataclass
 from typing import Any, Final
+
+from heli_host.process_limits import limit_process
 
 MEMORY_LIMIT_MB: Final = 1024
 """Address space [MB]. A law of the documents takes 170 MB, with scipy and control 330 MB. With less, a file
@@ -64,31 +67,21 @@ class FileLimits:
     memory_MB: int = MEMORY_LIMIT_MB
 
 
-def limit_process(limits: FileLimits) -> None:
+def fence_process(limits: FileLimits) -> None:
     """Apply the limits to this process, for ever.
 
     Without Linux, only the hook of Python and the limits that the system knows apply.
     """
-    try:
-        import resource
-    except ImportError:  # Windows
-        resource = None  # type: ignore[assignment]
-    if resource is not None:
-        used = resource.getrusage(resource.RUSAGE_SELF)
-        seconds = math.ceil(used.ru_utime + used.ru_stime + limits.cpu_s)
-        memory = limits.memory_MB << 20
-        for kind, soft, hard in (
-            # SIGXCPU says why; a file that ignores it is killed a second later.
-            (resource.RLIMIT_CPU, seconds, seconds + 1),
-            (resource.RLIMIT_AS, memory, memory),
-            (resource.RLIMIT_FSIZE, 0, 0),
-            (resource.RLIMIT_NOFILE, _OPEN_FILES, _OPEN_FILES),
-            (resource.RLIMIT_CORE, 0, 0),
-        ):
-            try:
-                resource.setrlimit(kind, (soft, hard))
-            except (OSError, ValueError):  # macOS knows no limit of the address space
-                continue
+    seconds = math.ceil(time.process_time() + limits.cpu_s)
+    # SIGXCPU says why; a file that ignores it is killed a second later.
+    limit_process("CPU", seconds, seconds + 1)
+    for kind, most in (
+        ("AS", limits.memory_MB << 20),
+        ("FSIZE", 0),
+        ("NOFILE", _OPEN_FILES),
+        ("CORE", 0),
+    ):
+        limit_process(kind, most, most)
     if sys.platform == "linux":
         _filter_system_calls()
     sys.addaudithook(_refuse)
@@ -164,7 +157,7 @@ def _filter_system_calls() -> None:
     machine = platform.machine()
     if machine not in _ARCHITECTURES:
         return
-    program = b"".join(struct.pack("<HBBI", *one) for one in _filter(machine))
+    program = b"".join(struct.pack("<HBBI", *line) for line in _filter(machine))
     buffer = ctypes.create_string_buffer(program)
     header = _FilterProgram(len(program) // 8, ctypes.addressof(buffer))
     libc = ctypes.CDLL(None, use_errno=True)

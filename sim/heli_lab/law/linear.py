@@ -47,8 +47,6 @@ def linearised(law: Law, plant: LinearPlant) -> LinearisedLaw:
     ----------
     law : Law
         What flies.
-    plant : LinearPlant
-        The rig.
     """
     angles = ["elevation_rad", "pitch_rad", "travel_rad"]
     rates = [f"{angle}_s" for angle in angles]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import casadi as ca
@@ -17,6 +17,8 @@ from heli_host.declaration import OPERATIONS
 from heli_host.errors import BadLaw
 
 CODE: Final = {operation.name: operation.code for operation in OPERATIONS}
+FIXED_OUTPUTS: Final = 5
+"""Outputs of every law: two voltages and three setpoints. Its signals follow, then its new states."""
 BINARY: Final = frozenset(operation.code for operation in OPERATIONS if operation.operands == 2)
 _MAX_POWER: Final = 16
 
@@ -78,6 +80,23 @@ class Program:
             place = self._known[value] = len(self.values)
             self.values.append(value)
         return place
+
+    def take(self, other: Program, place: int, moved: dict[int, int]) -> None:
+        """Add a value of the program `other`, and note its index in `moved`.
+
+        Parameters
+        ----------
+        place : int
+            Index of the value there.
+        moved : dict of int to int
+            Indices here, by those of `other`, of the values that it is computed from.
+        """
+        value = other.values[place]
+        if value.kind == "constant":
+            moved[place] = self.constant(other.constants[value.place])
+        else:
+            operands = tuple(moved[operand] for operand in value.operands)
+            moved[place] = self.put(replace(value, operands=operands))
 
     def constant(self, number: float) -> int:
         """Add a constant; return its place.

@@ -12,10 +12,9 @@ from heli_host.errors import BadLaw
 from heli_host.law_program import Instruction, LawProgram, Term, check_number
 
 from heli_lab.law.law import Law
-from heli_lab.law.program import CODE
+from heli_lab.law.program import CODE, FIXED_OUTPUTS
 from heli_lab.law.sums import SUM
 
-_FIRST_SIGNAL: Final = 5
 _LONGEST_NAME: Final = 63
 _MAX_ITEMS: Final = 8192
 """Longest list [entries]: more than the 1,536 words that a board stores."""
@@ -43,13 +42,13 @@ def program_json(program: LawProgram) -> str:
         "signals": program.signals,
         "instructions": [
             (
-                one.code,
-                one.target,
-                one.first,
-                one.second,
-                [(term.first, term.second, int(term.negative)) for term in one.terms],
+                instruction.code,
+                instruction.target,
+                instruction.first,
+                instruction.second,
+                [(term.first, term.second, int(term.negative)) for term in instruction.terms],
             )
-            for one in program.instructions
+            for instruction in program.instructions
         ],
     }
     return json.dumps(content)
@@ -81,7 +80,7 @@ def _program(content: Mapping[str, Any]) -> LawProgram:
     states = tuple(_named("state", *pair) for pair in _list(content["states"]))
     signals = tuple(_name(signal) for signal in _list(content["signals"]))
     outputs = tuple(_cell(cell) for cell in _list(content["outputs"]))
-    if len(outputs) != _FIRST_SIGNAL + len(signals) + len(states):
+    if len(outputs) != FIXED_OUTPUTS + len(signals) + len(states):
         raise ValueError("another number of outputs")
     program = LawProgram(
         _name(content["name"]),
@@ -91,7 +90,7 @@ def _program(content: Mapping[str, Any]) -> LawProgram:
         states,
         outputs,
         signals,
-        tuple(_instruction(*one) for one in _list(content["instructions"])),
+        tuple(_instruction(*fields) for fields in _list(content["instructions"])),
     )
     law_of_program(program)  # its names are checked, and every cell is written before it is read
     return program
@@ -123,21 +122,23 @@ def law_of_program(program: LawProgram) -> Law:
     ]
     cells: dict[int, ca.SX] = dict(enumerate(start))
     try:
-        for one in program.instructions:
-            if one.code == CODE[SUM]:
+        for instruction in program.instructions:
+            if instruction.code == CODE[SUM]:
                 products = (
                     (-1.0 if term.negative else 1.0) * cells[term.first] * cells[term.second]
-                    for term in one.terms
+                    for term in instruction.terms
                 )
-                cells[one.target] = sum(products, ca.SX(0.0))
+                cells[instruction.target] = sum(products, ca.SX(0.0))
             else:
-                cells[one.target] = _COMPUTED[OPERATIONS[one.code].name](*(cells[cell] for cell in one.read))
+                cells[instruction.target] = _COMPUTED[OPERATIONS[instruction.code].name](
+                    *(cells[cell] for cell in instruction.read)
+                )
         results = [cells[cell] for cell in program.outputs]
     except KeyError as error:
         raise BadLaw(
             f"the law {program.name} reads cell {error} before it is written", "compile the law again"
         ) from error
-    count = _FIRST_SIGNAL + len(program.signals)
+    count = FIXED_OUTPUTS + len(program.signals)
     function = ca.Function(
         "law",
         [inputs, states, parameters],
@@ -185,7 +186,7 @@ def _number(what: str, value: Any) -> float:
 def _name(value: Any) -> str:
     if not isinstance(value, str):
         raise TypeError("not a name")
-    return "".join(one if one.isprintable() else "?" for one in value[:_LONGEST_NAME])
+    return "".join(letter if letter.isprintable() else "?" for letter in value[:_LONGEST_NAME])
 
 
 def _named(kind: str, name: Any, value: Any) -> tuple[str, float]:

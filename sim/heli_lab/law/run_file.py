@@ -18,18 +18,12 @@ from heli_host.errors import HeliError
 
 from heli_lab.law.files import run_law
 from heli_lab.law.law import Law
-from heli_lab.law.limits import FileLimits, limit_process
+from heli_lab.law.limits import FileLimits, fence_process
 from heli_lab.law.program_data import program_json
 
 
 def answer_to(path: Path) -> dict[str, Any]:
-    """Run a file; return its law, or the cause and fix of the error.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    """
+    """Run a file; return its law, or the cause and fix of the error."""
     try:
         law = run_law(path)
         plain = Law(law.name, law.rate_Hz, law.function, dict(law.states), dict(law.parameters), law.signals)
@@ -73,7 +67,7 @@ def main() -> None:
         answers.flush()
         if limits:
             sys.dont_write_bytecode = True
-            limit_process(FileLimits(limits[0], int(limits[1])))
+            fence_process(FileLimits(limits[0], int(limits[1])))
             answers.write(json.dumps(program_or_error(path)).encode())
         else:
             answers.write(pickle.dumps(answer_to(path)))

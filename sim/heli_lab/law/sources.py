@@ -86,12 +86,8 @@ def from_state_space(
     ----------
     system : control.StateSpace
         Continuous system, which is then sampled by a bilinear transform, or discrete system at `rate_Hz`.
-    hover_V : float
-        Collective that carries the arm at level, above the dead zones [V].
-    rate_Hz : float
-        Calls per second [Hz].
-    dead_zone_V : float
-        Voltage below which a rotor gives no thrust [V].
+    hover_V, rate_Hz, dead_zone_V : float
+        As in `from_gain`.
     name : str
         Name of the law for readers.
 

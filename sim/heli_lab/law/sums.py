@@ -8,7 +8,7 @@ term for each product: most of a linear law is that.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 from heli_host.declaration import LAW_MAX_TERMS, LAW_TERM_COST, OPERATIONS
@@ -60,15 +60,10 @@ def with_sums(program: Program, outputs: list[int]) -> tuple[Program, list[int]]
     kept = Program(program.name)
     moved: dict[int, int] = {}
     for place in sorted(needed):
-        value = program.values[place]
         if place in parts:
             moved[place] = _put(kept, [_moved(part, moved) for part in parts[place]])
-        elif value.kind == "constant":
-            moved[place] = kept.constant(program.constants[value.place])
         else:
-            moved[place] = kept.put(
-                replace(value, operands=tuple(moved[source] for source in value.operands))
-            )
+            kept.take(program, place, moved)
     return kept, [moved[output] for output in outputs]
 
 

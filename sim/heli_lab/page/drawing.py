@@ -39,8 +39,6 @@ class Picture:
         Renderer to which the figure was added.
     figure : matplotlib.figure.Figure
         Figure, which must stay unchanged.
-    path : Path
-        The PNG file.
     """
 
     def __init__(self, drawing: Drawing, figure: Figure, path: Path) -> None:

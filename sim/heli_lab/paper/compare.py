@@ -34,10 +34,8 @@ class ModelError:
     normalised: float
 
 
-def model_errors(
-    models: Sequence[Model], rig: Rig, flight: Flight, window_s: float = 2.0
-) -> list[ModelError]:
-    """Simulate a flight open loop with each model, in windows of `window_s` [s].
+def model_errors(models: Sequence[Model], rig: Rig, flight: Flight) -> list[ModelError]:
+    """Simulate a flight open loop with each model, in windows of 2 s.
 
     Raises
     ------
@@ -47,6 +45,6 @@ def model_errors(
     record = prepare(flight, rig)
     out = []
     for model in models:
-        checked = check(solve(Problem(model, rig, [record], free=[], window_s=window_s)))
+        checked = check(solve(Problem(model, rig, [record], free=[])))
         out.append(ModelError(model.name, checked.rms_deg, checked.normalised))
     return out

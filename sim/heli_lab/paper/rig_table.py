@@ -162,13 +162,10 @@ def _is_excited(name: str, tests: Sequence[BenchTest]) -> bool:
 
 def _row(name: str, rig: Rig, best: Mapping[str, tuple[float, float, str]]) -> RigRow:
     number = rig[name]
-    note = "printed as a second L_h" if name == "L_b" else ""
+    notes = ["printed as a second L_h"] if name == "L_b" else []
+    value = half = None
     if name in best and best[name][1] < _IDENTIFIED * number.tolerance:
         value, half, source = best[name]
-        text = ", ".join(filter(None, (note, source)))
-        return RigRow(
-            name, number.unit, PRINTED_TABLE_2.get(name), number.value, number.tolerance, value, half, text
-        )
-    return RigRow(
-        name, number.unit, PRINTED_TABLE_2.get(name), number.value, number.tolerance, None, None, note
-    )
+        notes.append(source)
+    printed = PRINTED_TABLE_2.get(name)
+    return RigRow(name, number.unit, printed, number.value, number.tolerance, value, half, ", ".join(notes))

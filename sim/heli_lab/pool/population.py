@@ -16,7 +16,7 @@ from heli_lab.pool.rig_diagnosis import MIN_CAUSE_CONFIDENCE, ParameterEstimate,
 
 PRIOR_SPREAD: Final = 0.5
 """Prior standard deviation between rigs of one type, over that of the rig file; it counts as one rig. Set by
-judgement: a file's tolerance also covers wrong rig_estimates. A smaller value predicts that the second rig
+judgement: a file's tolerance also covers wrong estimates. A smaller value predicts that the second rig
 equals the first, with a larger one a single rig has no influence."""
 _EFFECT_PRIOR_SPREAD: Final = 0.3
 """The same for an effect's parameter, over its pooled value: catalogue priors cover all rig types."""
@@ -60,21 +60,18 @@ class RigPopulation:
             Mean and standard deviation, in the parameter's unit.
         """
         measured = [
-            rig_estimate.parameters[name]
-            for rig_estimate in self.diagnoses
-            if name in rig_estimate.parameters
+            diagnosis.parameters[name] for diagnosis in self.diagnoses if name in diagnosis.parameters
         ]
         if not measured:
             return prior.value, prior.std
         k = len(measured)
         tau2 = ((k - 1) * self.parameters[name].tau ** 2 + spread**2) / k
-        weights = [1.0 / (rig_estimate.std**2 + tau2) for rig_estimate in measured]
-        mean = sum(w * rig_estimate.value for w, rig_estimate in zip(weights, measured, strict=True)) / sum(
-            weights
-        )
+        weights = [1.0 / (estimate.std**2 + tau2) for estimate in measured]
+        total = sum(weights)
+        mean = sum(w * estimate.value for w, estimate in zip(weights, measured, strict=True)) / total
         # The rig file is one more estimate of the mean.
-        precision = sum(weights) + prior.std**-2.0
-        centre = (mean * sum(weights) + prior.value * prior.std**-2.0) / precision
+        precision = total + prior.std**-2.0
+        centre = (mean * total + prior.value * prior.std**-2.0) / precision
         return centre, (tau2 + 1.0 / precision) ** 0.5
 
     def prior_rig(self, base: Rig, name: str) -> Rig:
@@ -153,7 +150,7 @@ def pool(diagnoses: Sequence[RigDiagnosis]) -> RigPopulation:
     for name in names:
         measured = [diagnosis.parameters[name] for diagnosis in diagnoses if name in diagnosis.parameters]
         parameters[name] = der_simonian_laird(
-            [rig_estimate.value for rig_estimate in measured], [rig_estimate.std for rig_estimate in measured]
+            [estimate.value for estimate in measured], [estimate.std for estimate in measured]
         )
     causes = {}
     for id_ in dict.fromkeys(id_ for diagnosis in diagnoses for id_ in diagnosis.causes):

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -26,7 +27,7 @@ from heli_sim.rig.encoders import direction_is_known
 from heli_sim.rig.inertia import inertias_kg_m2
 
 from heli_lab.tune import loops
-from heli_lab.tune.loops import CascadeGains, Pid
+from heli_lab.tune.loops import CascadeGains, Margin, Pid
 from heli_lab.tune.plants import LinearPlant, LoopEffects, Spread, spread_plants
 from heli_lab.tune.shaping import shaped_step
 from heli_lab.tune.simulate import DiscretePlants, SIMULATION_STEP_s, discretise
@@ -79,6 +80,11 @@ class Design:
     sensitivity: float
     parameters: Mapping[str, float]
 
+    @cached_property
+    def margins(self) -> list[dict[str, Margin]]:
+        """Stability margins of each loop, on each plant."""
+        return [loops.margins(plant, self.law) for plant in self.plants]
+
 
 def find_gains(
     rig: Rig,
@@ -107,7 +113,7 @@ def find_gains(
     PlantError
         When the rig cannot hover, or needs more voltage to hover than its supply gives.
     """
-    report = on_progress if on_progress is not None else _ignore_progress
+    report = on_progress or (lambda _: None)
     loop_effects = loop_effects if loop_effects is not None else LoopEffects()
     spread = spread if spread is not None else loop_effects.spread
     plants = spread_plants(rig, spread, model=model, loop_effects=loop_effects)
@@ -128,10 +134,6 @@ def _check_lift(rig: Rig, hover_V: float) -> None:
             f"but its motors get at most {_motor_max_V(rig):.1f} V",
             "check its masses, thrust_gain and supply",
         )
-
-
-def _ignore_progress(_: str) -> None:
-    pass
 
 
 def _rig_parameters(rig: Rig) -> dict[str, float]:
@@ -199,7 +201,7 @@ def _design_elevation(
         if slowest_1_s > -_MIN_DECAY_1_s:
             return _UNSTABLE_COST + slowest_1_s
         response = pid.response(loops.FREQUENCY_rad_s)
-        peak = float(np.max(1.0 / np.abs(1.0 + response * plant_responses)))
+        peak = loops.peak_sensitivity(response * plant_responses)
         return _log_cost(np.mean(error_deg(pid, closed) ** 2, axis=0), nominal_count) + _bound_penalty(
             peak, sensitivity
         )
@@ -220,6 +222,61 @@ def _design_elevation(
     }
 
 
+@dataclass(frozen=True)
+class _TravelStep:
+    """The travel step and the constant loads by which the gains of pitch and travel are judged.
+
+    Parameters
+    ----------
+    plants : sequence of LinearPlant
+        The rig at each lag, then the corners of its spread.
+    hold : float
+        Feed-forward of the pitch setpoint [V/rad].
+    path : ndarray (n, 3)
+        Setpoint of travel with its derivatives, in degrees.
+    after : int
+        Row at which the setpoint has arrived.
+    loads_deg_s2 : dict of int to (float, float)
+        Constant accelerations and their weights, by state.
+    """
+
+    plants: Sequence[LinearPlant]
+    hold: float
+    path: Floats
+    after: int
+    loads_deg_s2: Mapping[int, tuple[float, float]]
+
+    def simulate(
+        self, pitch: Pid, travel: Pid, acceleration_ff: float, closed: Floats
+    ) -> tuple[Floats, float]:
+        """Return each plant's weighted mean squared error [deg^2], and the rig's largest differential [V]."""
+        path, nominal_count = self.path, _count_nominal(self.plants)
+        unloaded = np.zeros((len(path), len(self.loads_deg_s2)))
+        input_matrices = np.zeros((len(self.plants), 11, 2 + len(self.loads_deg_s2)))
+        for index, plant in enumerate(self.plants):
+            input_matrices[index, :5, 0] = plant.tilt_B * (pitch.kp + self.hold)
+        input_matrices[:, 9, 0], input_matrices[:, 10, 1] = 1.0, 1.0
+        for number, (state, (load_deg_s2, _)) in enumerate(self.loads_deg_s2.items()):
+            input_matrices[:, state, 2 + number] = load_deg_s2
+        points = discretise(closed, input_matrices)
+        setpoint = travel.kp * path[:, 0] + travel.kd * path[:, 1] + acceleration_ff * path[:, 2]
+        states = points.simulate(np.column_stack((setpoint, path[:, 0], unloaded)))
+        error = states[:, :, 1] - path[:, :1]
+        setpoints = np.einsum(
+            "tpn,n->tp", states[:, :nominal_count], loops.tilt_output(11, pitch, travel, self.hold)
+        )
+        largest_V = float(np.radians(np.abs(setpoints + (pitch.kp + self.hold) * setpoint[:, None]).max()))
+        step = np.mean(error**2, axis=0)
+        step = step + _FINAL_ERROR_WEIGHT * np.mean(error[self.after :] ** 2, axis=0)
+        step = step + _OVERSHOOT_WEIGHT * np.maximum(error[self.after :].max(axis=0), 0.0) ** 2
+        corners = DiscretePlants(points.transition[nominal_count:], points.inputs[nominal_count:, :, 2:])
+        trim_index = round(_TRIM_TIME_s / SIMULATION_STEP_s)
+        remaining = corners.step_response(trim_index + len(path) // 2)[:, 1, :, trim_index:]
+        for number, (_, weight) in enumerate(self.loads_deg_s2.values()):
+            step[nominal_count:] += weight * np.mean(remaining[:, number] ** 2, axis=1)
+        return np.asarray(step), largest_V
+
+
 def _design_tilt(
     rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensitivity: float
 ) -> tuple[Pid, Pid, float, dict[str, float]]:
@@ -229,8 +286,7 @@ def _design_tilt(
     acceleration_deg_s2 = min(_MAX_TRAVEL_DEG_S2, _PITCH_SHARE * PITCH_SETPOINT_MAX_DEG * nominal.travel_gain)
     path = shaped_step(TRAVEL_STEP_DEG, TRAVEL_SLEW_DEG_S, acceleration_deg_s2, 10.0, SIMULATION_STEP_s)
     after = round(2.0 * np.sqrt(TRAVEL_STEP_DEG / acceleration_deg_s2) / SIMULATION_STEP_s)
-    loads_deg_s2 = _constant_loads_deg_s2(rig, spread)
-    unloaded = np.zeros((len(path), len(loads_deg_s2)))
+    travel_step = _TravelStep(plants, hold, path, after, _constant_loads_deg_s2(rig, spread))
     differential_max_V = _differential_max_V(rig, nominal.hover_V)
     unit = CascadeGains(Pid(0.0, 0.0, 0.0, 1.0), Pid(1.0, 0.0, 0.0, 1.0), Pid(1.0, 0.0, 0.0, 1.0))
     plant_responses = [loops.open_loops(plant, unit) for plant in plants]
@@ -239,37 +295,6 @@ def _design_tilt(
 
     def pids(gains: Floats) -> tuple[Pid, Pid, float]:
         return _pid(gains[0:3], _FILTERS_Hz[1]), _pid(gains[3:6], _FILTERS_Hz[2]), float(gains[6])
-
-    def simulate_step(
-        pitch: Pid, travel: Pid, acceleration_ff: float, closed: Floats
-    ) -> tuple[Floats, float]:
-        """Simulate a travel step and constant loads.
-
-        Returns the weighted mean squared error of each plant [deg^2] and the rig's largest differential [V].
-        """
-        input_matrices = np.zeros((len(plants), 11, 2 + len(loads_deg_s2)))
-        for index, plant in enumerate(plants):
-            input_matrices[index, :5, 0] = plant.tilt_B * (pitch.kp + hold)
-        input_matrices[:, 9, 0], input_matrices[:, 10, 1] = 1.0, 1.0
-        for number, (state, (load_deg_s2, _)) in enumerate(loads_deg_s2.items()):
-            input_matrices[:, state, 2 + number] = load_deg_s2
-        points = discretise(closed, input_matrices)
-        setpoint = travel.kp * path[:, 0] + travel.kd * path[:, 1] + acceleration_ff * path[:, 2]
-        states = points.simulate(np.column_stack((setpoint, path[:, 0], unloaded)))
-        error = states[:, :, 1] - path[:, :1]
-        setpoints = np.einsum(
-            "tpn,n->tp", states[:, :nominal_count], loops.tilt_output(11, pitch, travel, hold)
-        )
-        largest_V = float(np.radians(np.abs(setpoints + (pitch.kp + hold) * setpoint[:, None]).max()))
-        step = np.mean(error**2, axis=0)
-        step = step + _FINAL_ERROR_WEIGHT * np.mean(error[after:] ** 2, axis=0)
-        step = step + _OVERSHOOT_WEIGHT * np.maximum(error[after:].max(axis=0), 0.0) ** 2
-        corners = DiscretePlants(points.transition[nominal_count:], points.inputs[nominal_count:, :, 2:])
-        trim_index = round(_TRIM_TIME_s / SIMULATION_STEP_s)
-        remaining = corners.step_response(trim_index + len(path) // 2)[:, 1, :, trim_index:]
-        for number, (_, weight) in enumerate(loads_deg_s2.values()):
-            step[nominal_count:] += weight * np.mean(remaining[:, number] ** 2, axis=1)
-        return np.asarray(step), largest_V
 
     def cost(gains: Floats) -> float:
         pitch, travel, acceleration_ff = pids(gains)
@@ -280,10 +305,8 @@ def _design_tilt(
         inner = pitch.response(loops.FREQUENCY_rad_s) * to_pitch
         forward = pitch.kp + hold + pitch.ki / (1j * loops.FREQUENCY_rad_s)
         outer = travel.response(loops.FREQUENCY_rad_s) * forward * to_travel
-        peaks = [
-            float(np.max(1.0 / np.abs(1.0 + loop))) for loop in (inner, outer / (1.0 + inner), inner + outer)
-        ]
-        squares, largest_V = simulate_step(pitch, travel, acceleration_ff, closed)
+        peaks = map(loops.peak_sensitivity, (inner, outer / (1.0 + inner), inner + outer))
+        squares, largest_V = travel_step.simulate(pitch, travel, acceleration_ff, closed)
         penalty = sum(_bound_penalty(peak, sensitivity) for peak in peaks) + _bound_penalty(
             largest_V, differential_max_V
         )

@@ -97,8 +97,8 @@ def class_(
     marking = Marking(options, class_plan, range(1, seeds + 1), FileLimits(load_timeout))
     answers: list[Answer] = []
     try:
-        for one in folders:
-            answers.append(marking.answer(one))
+        for submitted in folders:
+            answers.append(marking.answer(submitted))
             say(str(answers[-1].mark))
     finally:
         _write_marks([answer.mark for answer in answers], folder / MARKS)

@@ -101,7 +101,7 @@ def diagnose(
     from heli_lab.diagnose import diagnose as find
     from heli_lab.diagnose.report import write_effect_file, write_insufficient_excitation, write_report
     from heli_lab.errors import NotExcited
-    from heli_lab.fit_inputs import fit_inputs, part_of, parts, read_flights, refuse_wrong_signs
+    from heli_lab.fit_inputs import fit_inputs, part_of, parts, read_checked
     from heli_lab.page.drawing import Drawing
     from heli_lab.threads import default_thread_count, limit_malloc_arenas
 
@@ -117,12 +117,8 @@ def diagnose(
     written: list[Path | None] = []
     use_process = report is not None and default_thread_count() > 1
     with WorkBar() as bar, Drawing(use_process) as drawing:
-        bar.show("reading", 0.0)
         spans = parts(start_s or (), stop_s or (), len(flights), len(others))
-        read = read_flights([*flights, *others], allow_gaps)
-        if not skip_sign_check:
-            bar.show("checking signs and zeros", 0.0)
-            refuse_wrong_signs(read, given.labels, given.rig)
+        read = read_checked([*flights, *others], given, allow_gaps, skip_sign_check, bar.show)
         # Flights are passed one by one and not kept: ten minutes at 1 kHz take 45 MB.
         read.reverse()
         used = (
@@ -145,22 +141,20 @@ def diagnose(
             )
         except NotExcited as error:
             result = insufficient_excitation(str(error), given.model, given.rig, kinds)
-        if save_rig is not None and not isinstance(result, InsufficientExcitation):
-            write_rig(
-                result.rig(save_rig.stem, with_term, with_unconfirmed),
-                save_rig,
-                f"Found by heli-host diagnose, model {given.model.name}. {summary(result)}",
-            )
-            written.append(save_rig)
-        if report is not None:
-            bar.show("drawing", 0.95)
-            if isinstance(result, InsufficientExcitation):
+        if isinstance(result, InsufficientExcitation):
+            if report is not None:
                 written.append(write_insufficient_excitation(result, report))
-            else:
+        else:
+            if save_rig is not None:
+                extended = result.rig(save_rig.stem, with_term, with_unconfirmed)
+                source = f"heli-host diagnose, model {given.model.name}"
+                write_rig(extended, save_rig, f"Found by {source}. {summary(result)}")
+                written.append(save_rig)
+            if report is not None:
+                bar.show("drawing", 0.95)
                 written.append(write_report(result, report, drawing))
-        if not isinstance(result, InsufficientExcitation) and result.proposed_term is not None:
             place = report or (save_rig.parent if save_rig is not None and with_term else None)
-            if place is not None:
+            if result.proposed_term is not None and place is not None:
                 written.append(write_effect_file(result, place))
         write_result(json, to_json(result))
         written.append(json)

@@ -70,7 +70,7 @@ def identify(
     from heli_host.cli.progress_bar import WorkBar
     from heli_sim.rig import write_rig
 
-    from heli_lab.fit_inputs import fit_inputs, part_of, parts, read_flights, refuse_wrong_signs
+    from heli_lab.fit_inputs import fit_inputs, part_of, parts, read_checked
     from heli_lab.identify.report import verdict, write_identification_report
     from heli_lab.identify.run import identify as find
     from heli_lab.page.drawing import Drawing
@@ -82,12 +82,8 @@ def identify(
     given = fit_inputs(flights, others, rig, model, effect_file or (), effect or ())
     use_process = report is not None and default_thread_count() > 1
     with WorkBar() as bar, Drawing(use_process) as drawing:
-        bar.show("reading", 0.0)
         spans = parts(start_s or (), stop_s or (), len(flights), len(others))
-        read = read_flights([*flights, *others], allow_gaps)
-        if not skip_sign_check:
-            bar.show("checking signs and zeros", 0.0)
-            refuse_wrong_signs(read, given.labels, given.rig)
+        read = read_checked([*flights, *others], given, allow_gaps, skip_sign_check, bar.show)
         used = [
             part_of(flight, given.rig, label, span)
             for flight, label, span in zip(read, given.labels, spans, strict=True)
@@ -122,21 +118,17 @@ def identify(
 
 def _print(identification: Identification) -> None:
     """Print estimates and priors in a table, each with its standard error."""
+    from heli_host.text_table import table_lines
+
     from heli_lab.identify.result import rounded
 
     fit = identification.fit
     rows = [("parameter", "estimate", "±", "prior", "±", "unit", "")]
     for parameter, value, std in zip(fit.problem.free, fit.theta, fit.std.values(), strict=True):
-        remark = "uninformed" if parameter.name in identification.uninformed_parameters else ""
-        remark = "on its bound" if parameter.name in fit.at_bound else remark
+        remark = identification.remark(parameter.name)
         prior = f"{parameter.prior.mean:g}", f"{parameter.prior.std:g}"
         rows.append((parameter.name, rounded(value, std), rounded(std, std), *prior, parameter.unit, remark))
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    for row in rows:
-        name, *numbers = (cell.rjust(width) for cell, width in zip(row[:5], widths, strict=False))
-        cells = (name.strip().ljust(widths[0]), *numbers, row[5].ljust(widths[5]), row[6])
-        say("  ".join(cells).rstrip())
-    say("± is one standard error")
+    say(*table_lines(rows, words=(0, 5, 6)), "± is one standard error")
 
 
 VERB = Verb(identify, "Laboratory", variadic=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -329,7 +330,7 @@ def grade(
     from heli_host.fly.plan import load_plan
     from heli_sim.rig import load_rig
 
-    from heli_lab.classroom.grade import REFERENCE, LawGrade, flights_of, grade_lines
+    from heli_lab.classroom.grade import REFERENCE, LawGrade, grade_lines
     from heli_lab.classroom.grade import grade as graded
     from heli_lab.law.files import load_limited
     from heli_lab.law.limits import FileLimits
@@ -342,7 +343,7 @@ def grade(
     flown_plan = load_plan(plan) if plan is not None else trial_plan(duration_s)
     rigs = rig or [DEFAULT_RIG]
     plant = linear_plant(load_rig(rigs[0]))
-    flights = flights_of(rigs, range(1, seeds + 1))
+    flights = list(itertools.product(rigs, range(1, seeds + 1)))
 
     def fly_on(program: LawProgram | None, name: str, seed: int) -> LawTrial:
         options = FlightOptions(sil=True, rig=name, seed=seed, speed=MAX_SPEED, effect=effect)
@@ -350,7 +351,7 @@ def grade(
 
     grades = [graded(REFERENCE, None, flights, fly_on)]
     for path in laws:
-        label = path.stem if path.stem not in {one.label for one in grades} else str(path)
+        label = path.stem if path.stem not in {known.label for known in grades} else str(path)
         try:
             program = load_limited(path, FileLimits(load_timeout))
         except BadLaw as error:
@@ -362,7 +363,7 @@ def grade(
         "rigs": rigs,
         "seeds": list(range(1, seeds + 1)),
         "effects": list(effect or ()),
-        "grades": [one.as_dict() for one in grades],
+        "grades": [law_grade.as_dict() for law_grade in grades],
     }
     if not write_result(json, content):
         say(*grade_lines(grades))
@@ -372,7 +373,7 @@ def grade(
 
         page = write_grades(grades, content, report)
     say_files((json, page))
-    if failed := [one.label for one in grades[1:] if not one.passed]:
+    if failed := [law_grade.label for law_grade in grades[1:] if not law_grade.passed]:
         raise FlightAborted(
             f"{len(failed)} of {len(laws)} laws did not fly to the end: {', '.join(failed)}",
             "look at the reasons above, or try one with heli-host law check",

@@ -16,10 +16,11 @@ from heli_lab.fit_options import DEFAULT_MODEL, EquationsOption
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from heli_host.cli.progress_bar import WorkBar
     from heli_sim.model.base import Model
     from heli_sim.rig import Rig
 
-    from heli_lab.tune import Design, LoopEffects, Margin
+    from heli_lab.tune import Design, LoopEffects
     from heli_lab.tune.flights import Trial
 
 TRIAL_LAG_s = 0.12
@@ -75,72 +76,51 @@ def tune(
     from heli_host.cli.progress_bar import WorkBar
     from heli_host.parameter_file import parameters_text
     from heli_host.parameters import checked
-    from heli_sim.model.effects import effects_of, parse_effects
+    from heli_sim.model.effects import effects_with
     from heli_sim.model.effects.rotor_lag import RotorLag
     from heli_sim.model.named import MODELS, model_named
-    from heli_sim.plant import Plant
     from heli_sim.rig import load_rig
 
     from heli_lab.tune import find_gains, loop_effects_of
-    from heli_lab.tune.flights import try_gains
 
     data_on_stdout(json)
     check_result_places(save_params, json, figure=figure)
     loaded = load_rig(rig)
-    given_effects = parse_effects(effect or (), effect_file or ())
-    names = {effect_.name for effect_ in given_effects}
-    all_effects = (
-        *(effect_ for effect_ in effects_of(loaded, effect_file or ()) if effect_.name not in names),
-        *given_effects,
-    )
+    all_effects = effects_with(loaded, effect or (), effect_file or ())
     name = model or loaded.model or DEFAULT_MODEL
     equations = model_named(name, all_effects)
     loop_effects = loop_effects_of(all_effects)
-    flown_trials: list[Trial] = []
     with WorkBar() as bar:
         design = find_gains(
             loaded,
             None,
             sensitivity,
-            lambda what: bar.show(what, 0.05 if what.startswith("elevation") else 0.2),
+            lambda stage: bar.show(stage, 0.05 if stage.startswith("elevation") else 0.2),
             model=MODELS[name],
             loop_effects=loop_effects,
         )
         parameters = rounded_parameters(design.parameters)
         for parameter, value in parameters.items():
             checked(parameter, value)
-        trials: list[tuple[str, Model]] = [(_label(loop_effects), equations)]
+        models: list[tuple[str, Model]] = [(_label(loop_effects), equations)]
         if loop_effects.lag_s is None:
             lagging = model_named(name, (*all_effects, RotorLag(TRIAL_LAG_s)))
-            trials.append((f"lag {1e3 * TRIAL_LAG_s:.0f} ms", lagging))
-        for number, (label, trial_model) in enumerate(trials):
-
-            def report(done: float, label: str = label, number: int = number) -> None:
-                bar.show(f"test flight, {label}", 0.5 + 0.5 * (number + done) / len(trials))
-
-            flown_trials.append(try_gains(Plant(trial_model, loaded, seed), parameters, label, seed, report))
-    margins_of_plants = _margins(design)
-    say(
-        *_head(loaded, name, design, loop_effects),
-        *_margin_lines(design, margins_of_plants),
-        *_flight_lines(flown_trials),
-    )
+            models.append((f"lag {1e3 * TRIAL_LAG_s:.0f} ms", lagging))
+        trials = _fly(models, loaded, parameters, seed, bar)
+    say(*_head(loaded, name, design, loop_effects), *_margin_lines(design), *_flight_lines(trials))
     written: list[Path | None] = []
     if save_params is not None:
-        also = "".join(f", {effect.name}" for effect in all_effects)
-        comment = f"heli-host tune: gains for rig {loaded.name}, model {name}{also}"
-        save_params.write_text(parameters_text(parameters, comment), encoding="utf-8")
+        used = ", ".join((f"rig {loaded.name}", f"model {name}", *(effect.name for effect in all_effects)))
+        text = parameters_text(parameters, f"heli-host tune: gains for {used}")
+        save_params.write_text(text, encoding="utf-8")
         written.append(save_params)
-    write_result(
-        json, _numbers(loaded, name, design, margins_of_plants, loop_effects, parameters, flown_trials)
-    )
+    write_result(json, _numbers(loaded, name, design, loop_effects, parameters, trials))
     written.append(json)
     if figure is not None:
         from heli_lab.tune.figures import figure_of_design
 
-        figure_of_design(design, [(trial.label, trial.flight) for trial in flown_trials]).savefig(
-            figure, dpi=120
-        )
+        flights = [(trial.label, trial.flight) for trial in trials]
+        figure_of_design(design, flights).savefig(figure, dpi=120)
         written.append(figure)
     say_files(written)
     if save_params is not None:
@@ -156,6 +136,24 @@ def rounded_parameters(parameters: Mapping[str, float]) -> dict[str, float]:
         name: value if name.endswith("_counts_per_rev") else float(f"{value:.{_DIGITS}g}")
         for name, value in parameters.items()
     }
+
+
+def _fly(
+    models: Sequence[tuple[str, Model]], rig: Rig, parameters: Mapping[str, float], seed: int, bar: WorkBar
+) -> list[Trial]:
+    """Fly the board's parameters on a rig of each model."""
+    from heli_sim.plant import Plant
+
+    from heli_lab.tune.flights import try_gains
+
+    trials = []
+    for number, (label, model) in enumerate(models):
+
+        def report(done: float, label: str = label, number: int = number) -> None:
+            bar.show(f"test flight, {label}", 0.5 + 0.5 * (number + done) / len(models))
+
+        trials.append(try_gains(Plant(model, rig, seed), parameters, label, seed, report))
+    return trials
 
 
 def _label(loop_effects: LoopEffects) -> str:
@@ -183,14 +181,16 @@ def _head(rig: Rig, model: str, design: Design, loop_effects: LoopEffects) -> li
     return lines
 
 
-def _margin_lines(design: Design, margins_: Sequence[Mapping[str, Margin]]) -> list[str]:
+def _margin_lines(design: Design) -> list[str]:
     from heli_lab.tune import LOOPS
 
     nominal = [
         index for index, plant in enumerate(design.plants) if plant.thrust == plant.counterweight == 1.0
     ]
-    chosen = [(f"lag {1e3 * design.plants[index].lag_s:.0f} ms", [margins_[index]]) for index in nominal]
-    chosen.append(("worst case", list(margins_)))
+    chosen = [
+        (f"lag {1e3 * design.plants[index].lag_s:.0f} ms", [design.margins[index]]) for index in nominal
+    ]
+    chosen.append(("worst case", design.margins))
     lines = [f"{'loop':13}{'plant':13}{'gain up':>9}{'down':>8}{'phase':>9}{'delay':>10}{'peak S':>8}"]
     for loop in LOOPS:
         for place, (label, margins) in enumerate(chosen):
@@ -204,12 +204,6 @@ def _margin_lines(design: Design, margins_: Sequence[Mapping[str, Margin]]) -> l
                 f"{max(margin.sensitivity for margin in loop_margins):>8.2f}"
             )
     return lines
-
-
-def _margins(design: Design) -> list[dict[str, Margin]]:
-    from heli_lab.tune import margins
-
-    return [margins(plant, design.law) for plant in design.plants]
 
 
 def _flight_lines(tried: Sequence[Trial]) -> list[str]:
@@ -232,7 +226,6 @@ def _numbers(
     rig: Rig,
     model: str,
     design: Design,
-    margins_of_plants: Sequence[Mapping[str, Margin]],
     loop_effects: LoopEffects,
     parameters: Mapping[str, float],
     tried: Sequence[Trial],
@@ -247,7 +240,7 @@ def _numbers(
             "counterweight": plant.counterweight,
             "margins": {loop: asdict(margin) for loop, margin in plant_margins.items()},
         }
-        for plant, plant_margins in zip(design.plants, margins_of_plants, strict=True)
+        for plant, plant_margins in zip(design.plants, design.margins, strict=True)
     ]
     return {
         "rig": rig.name,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from heli_sim.model.effects import effects_of, parse_effects
+from heli_sim.model.effects import effects_with
 from heli_sim.model.multibody import MultibodyModel
 from heli_sim.model.named import model_named
 from heli_sim.plant import Plant
@@ -17,8 +17,6 @@ def plant_of(options: SilOptions) -> Plant:
     RigError, EffectError or PlantError when one of the three is unknown, unreadable or has an invalid value.
     """
     rig = load_rig(options.rig)
-    asked = parse_effects(options.effects, options.effect_files)
-    names = {effect.name for effect in asked}
-    stated = tuple(one for one in effects_of(rig, options.effect_files) if one.name not in names)
-    model = model_named(options.model or rig.model or MultibodyModel.name, stated + asked)
+    effects = effects_with(rig, options.effects, options.effect_files)
+    model = model_named(options.model or rig.model or MultibodyModel.name, effects)
     return Plant(model, rig, options.seed)

@@ -72,6 +72,26 @@ def effects_of(rig: Rig, extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]
     return tuple(made)
 
 
+def effects_with(rig: Rig, texts: Sequence[str], extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]:
+    """Effects that a rig's file states, then those of `texts`, which replace stated ones of the same name.
+
+    Parameters
+    ----------
+    texts : sequence of str
+        As `parse_effects` takes them.
+    extra : sequence of str or Path
+        Users' files with more effects.
+
+    Raises
+    ------
+    EffectError
+        When an effect of either is unknown or invalid.
+    """
+    given = parse_effects(texts, extra)
+    names = {effect.name for effect in given}
+    return *(effect for effect in effects_of(rig, extra) if effect.name not in names), *given
+
+
 def _stated_priors(kind: EffectSpec, numbers: Mapping[str, Number]) -> dict[str, Prior]:
     """Priors by full name of the numbers whose tolerance a rig's file states: normal, with half of it as the
     standard deviation, as of the rig's own numbers, within the effect's bounds.

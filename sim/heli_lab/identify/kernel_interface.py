@@ -12,6 +12,7 @@ from heli_lab.identify.functions import Inputs
 class Kernel(ABC):
     """Runs windows; compiled and interpreted kernels agree to the rounding of doubles."""
 
+    @abstractmethod
     def run(
         self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool = True
     ) -> tuple[Floats, Floats | None]:
@@ -33,8 +34,8 @@ class Kernel(ABC):
         jacobian : ndarray (n, 3, states + free) or None
             Their derivatives to the window's initial state and to the free parameters.
         """
-        return self._run(inputs, start, parameters, derivatives)
 
+    @abstractmethod
     def products(
         self, inputs: Inputs, start: Floats, parameters: Floats, measured_rad: Floats, sigma_rad: Floats
     ) -> tuple[Floats, Floats]:
@@ -58,23 +59,9 @@ class Kernel(ABC):
         normal_matrix : ndarray (w, 3, states + free + 1, states + free + 1)
             For each window and axis, products of the columns of [Jacobian | residual], both over sigma.
         """
-        return self._products(inputs, start, parameters, measured_rad, sigma_rad)
 
+    @abstractmethod
     def end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
         """Run every window from its initial state in `start`, shape (w, states), with all `parameters` of the
         model, shape (p,), and return the states at their ends, shape (w, states).
         """
-        return self._end(inputs, start, parameters)
-
-    @abstractmethod
-    def _run(
-        self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool
-    ) -> tuple[Floats, Floats | None]: ...
-
-    @abstractmethod
-    def _products(
-        self, inputs: Inputs, start: Floats, parameters: Floats, measured_rad: Floats, sigma_rad: Floats
-    ) -> tuple[Floats, Floats]: ...
-
-    @abstractmethod
-    def _end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats: ...
