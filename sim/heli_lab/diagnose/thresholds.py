@@ -270,6 +270,10 @@ catalogue lacks, three of four names are true (`python -m tests.diagnose.calibra
 2026-11): too few for a measured value. 1: false causes pass with high confidence. Lower: true causes are not
 believed."""
 
+FACT_MIN_CONFIDENCE: Final[Annotated[float, "1", JUDGEMENT]] = 0.8
+"""Confidence from which on a cause is stated as a fact; below, with "perhaps" and its confidence. Lower: one
+statement in four is false. Higher: random torques, whose confidence is 0.8, are never stated plainly."""
+
 # Equations of what the catalogue lacks.
 
 EQUATION_MAX_TERMS: Final[Annotated[int, "terms", JUDGEMENT]] = 3
