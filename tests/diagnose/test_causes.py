@@ -14,6 +14,9 @@ from heli_lab.diagnose import Diagnosis, diagnose, summary, to_json
 from heli_lab.diagnose.evaluate import compare_free_runs
 from heli_lab.diagnose.report import missing_terms, title, write_report
 from heli_lab.diagnose.report.cautions import cautions
+from heli_lab.diagnose.report.regions_section import regions_section
+from heli_lab.diagnose.report.result_figures import figure_of_prediction
+from heli_lab.identify import trace
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import effects_of
 from heli_sim.rig import load_rig, write_rig
@@ -167,6 +170,10 @@ def test_curve_in_the_place_of_an_unknown_cause_is_the_cause_and_in_no_rig(tmp_p
     assert said.count(summary(found)) == 1
     assert to_json(found)["sentence"] == summary(found)
     assert "a torque about pitch that depends on elevation predicts" in said
+    # The first part after the verdict is about what the headline names.
+    assert said.index("<h2>The unexplained part") == said.index("<h2>")
+    for axis in ("pitch", "elevation", "travel"):
+        assert f"<li>About {axis}: the model with all named causes lacks " in said
     assert (tmp_path / "curves.png").exists()
 
 
@@ -185,6 +192,26 @@ def test_missing_torque_follows_what_was_hidden_without_the_equation(
     assert np.polyfit(term.quantity, term.missing, 1)[0] == pytest.approx(hidden_slope, rel=0.1)
     assert abs(np.polyfit(term.quantity, term.remaining, 1)[0]) < 0.1 * abs(hidden_slope)
     assert term.share > 0.8
+
+
+def test_a_page_says_why_no_region_fails_although_something_is_missing() -> None:
+    found = diagnosed(unlisted=True)
+    quiet = replace(found.failing.after, fails=np.zeros_like(found.failing.after.fails))
+    found = replace(found)
+    found.__dict__["failing"] = replace(found.failing, after=quiet)
+    section = regions_section(found, lambda *_: None)
+    assert "although something is missing there" in section["note"]
+
+
+def test_each_run_of_a_prediction_shows_where_it_starts() -> None:
+    before = diagnosed("rotor_lag=0.06").held_out.extension.before[0].fit
+    drawn = trace(before)
+    angle = figure_of_prediction(before, before, "pitch").axes[0]
+    starts = [line.get_xydata() for line in angle.get_lines() if line.get_marker() == "o"]
+    assert len(starts) == len(drawn.windows)
+    place = drawn.windows[1].start
+    expected = (drawn.t_s[place], np.rad2deg(drawn.predicted_rad[place, 1]))
+    assert starts[1][0] == pytest.approx(expected)
 
 
 def test_causes_next_to_something_unknown_are_never_stated_as_facts() -> None:
@@ -232,7 +259,11 @@ def test_extended_rig_is_read_back_with_the_cause_and_its_size(tmp_path: Path) -
 
 def test_report_needs_nothing_else_and_says_the_cause_with_its_number(tmp_path: Path) -> None:
     page = write_report(diagnosed("rotor_lag=0.06"), tmp_path).read_text(encoding="utf-8")
-    assert "The rotors' thrust lags their voltage by 0.0" in html.unescape(page)
+    said = html.unescape(page)
+    assert "The rotors' thrust lags their voltage by 0.0" in said
+    assert "Rig makki2024. Fitted: fit (" in said.partition('class="verdict')[0]
+    assert "<i>F</i><sub>i</sub> thrust of rotor i" in said
+    assert "time constant T</td>" in said
     assert not any(scheme in page for scheme in ("http:", "https:"))
     assert {
         "cause.png",

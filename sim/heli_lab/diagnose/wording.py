@@ -31,12 +31,16 @@ def evidence_in_words(log_likelihood_ratio: float) -> str:
     number: ``very strong evidence (log-likelihood ratio 12 nats)``.
     """
     words = next((text for limit, text in _EVIDENCE if log_likelihood_ratio < limit), "very strong evidence")
-    number = f"{log_likelihood_ratio:.0f} nats"
+    return f"{words} (log-likelihood ratio {nats_in_words(log_likelihood_ratio)})"
+
+
+def nats_in_words(log_likelihood_ratio: float) -> str:
+    """Write a `log_likelihood_ratio` with its unit, and no digits that say nothing."""
     if log_likelihood_ratio < _EVIDENCE[0][0]:
-        number = "below 1 nat"
-    elif log_likelihood_ratio > _MOST_NATS:
-        number = f"above {_MOST_NATS:.0f} nats"
-    return f"{words} (log-likelihood ratio {number})"
+        return "below 1 nat"
+    if log_likelihood_ratio > _MOST_NATS:
+        return f"above {_MOST_NATS:.0f} nats"
+    return f"{log_likelihood_ratio:.0f} nats"
 
 
 def channel_in_words(channel: str) -> str:

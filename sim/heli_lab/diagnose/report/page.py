@@ -14,9 +14,10 @@ from heli_lab.diagnose.discover import MissingTerm, missing_term
 from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
 from heli_lab.diagnose.report import equation_figures, figures
 from heli_lab.diagnose.report.cause_sections import Kept, capital, cause_section, plus_minus, shown_unit
+from heli_lab.diagnose.report.missing_section import missing_section
+from heli_lab.diagnose.report.regions_section import regions_section, unknown_torque
 from heli_lab.diagnose.report.result_figures import (
     figure_of_gain,
-    figure_of_missing_terms,
     figure_of_prediction,
 )
 from heli_lab.diagnose.report.sentences import (
@@ -29,29 +30,17 @@ from heli_lab.diagnose.report.sentences import (
 from heli_lab.diagnose.report.serialize import proposal_json, to_json
 from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.thresholds import MIN_MARGIN
-from heli_lab.diagnose.wording import dependence_in_words, evidence_in_words, quantity_in_words, readable_id
+from heli_lab.diagnose.wording import dependence_in_words, evidence_in_words, nats_in_words, readable_id
 from heli_lab.identify import Fit, trace
 from heli_lab.page import folder_with, write_page
 from heli_lab.page.drawing import Drawing, Picture
 
 _WHEN: Final = ("before", "after")
 _PAGE: Final = Path(__file__).with_name("report.html")
-_DOTS: Final = (
-    "Each grey dot is 40 ms of the fitted flights; black dots are means. A Kalman smoother estimates the "
-    "missing torque after the cause was removed from the model, with all other parameters unchanged. A "
-    "cause that also changes the steady thrust shows that change too. The mean is subtracted, because a "
-    "constant torque is a parameter. The equation of the cause has no part in that estimate."
-)
-_FAINT: Final = 0.3
-"""Share of the variance below which a caption says that the dots hardly show a term."""
-_POINTS: Final = (
-    "Points are a smooth curve that is estimated in the place of the cause, with two standard errors. The "
-    "equation of the cause has no part in that estimate."
-)
 _EQUATION_SYMBOLS: Final = (
     "The angles θ, φ, ψ are elevation, pitch and travel, and a dot is a rate. F is a thrust (f front, b "
-    "back), and τ a torque. A number as a subscript is a time constant in s: the quantity after a first-order lag. "
-    "washout(x, T) is the lagged quantity less the quantity itself."
+    "back), and τ a torque. A number as a subscript is a time constant in s: the quantity after a "
+    "first-order lag. washout(x, T) is the lagged quantity less the quantity itself."
 )
 _NOTHING_FLEW: Final = Path(__file__).with_name("insufficient_excitation.html")
 
@@ -101,8 +90,8 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
         sentence=numbers["sentence"],
         next_step=capital(next_step(diagnosis)),
         cautions=[_sentence(caution) for caution in numbers["cautions"]],
-        unknown_cause=_cause("unknown", unknown_terms, kept),
-        cause=_cause("cause", [term for term in terms if term not in unknown_terms], kept),
+        unknown_cause=missing_section("unknown", unknown_terms, kept),
+        cause=missing_section("cause", [term for term in terms if term not in unknown_terms], kept),
         judged="a flight that no fit used"
         if diagnosis.assessment.after.held_out_fit
         else "the fitted flight",
@@ -120,10 +109,10 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
         small=[_sentence(line) for line in small_effect_lines(diagnosis)],
         unknown=_unknown(numbers["unexplained"]),
         curves=kept("curves", figures.figure_of_curves(curves)) if curves else None,
-        unknown_torque=_unknown_torque(diagnosis, kept),
+        unknown_torque=unknown_torque(diagnosis, kept),
         disturbances=_disturbances(diagnosis, numbers),
         equation=_equation(diagnosis, kept),
-        regions=_regions(diagnosis, kept),
+        regions=regions_section(diagnosis, kept),
         torque=kept("torque", figures.figure_of_torque(diagnosis)),
         ranking={
             "address": kept("ranking", figures.figure_of_ranking(diagnosis.search.rounds)),
@@ -216,83 +205,6 @@ def _rounding_rad(fit: Fit) -> Floats:
     return fit.problem.records[0].sigma_rad
 
 
-def _regions(diagnosis: Diagnosis, kept: Kept) -> dict[str, Any]:
-    """Where the models fail, about each axis, in a figure and in words; the axis of the verdict first."""
-    first = diagnosis.failing
-    every = [first, *(diagnosis.failing_about(axis) for axis in AXES if axis != first.axis)]
-    models = ["baseline", "model with all named causes"]
-    if diagnosis.proposal is not None:
-        models = [models[1], "with the proposed equation"]
-    elif not diagnosis.assessment.extended.candidates:
-        models = models[:1]
-    return {
-        "address": kept("regions", equation_figures.figure_of_failing_regions(every, models)),
-        "said": [
-            f"About {regions.axis}: "
-            + "; ".join(
-                f"the {model} lacks {1e3 * test.rms_Nm:.2g} mN m rms and fails "
-                + (f"in {100 * test.share:.0f} % of the time" if test.fails.any() else "in no cell")
-                for model, test in zip(
-                    (name.replace("with the", "model with the") for name in models),
-                    (regions.before, regions.after),
-                    strict=False,
-                )
-            )
-            for regions in every
-        ],
-        "note": _regions_note(diagnosis, len(models) > 1),
-    }
-
-
-def _regions_note(diagnosis: Diagnosis, two: bool) -> str:
-    """How the cells agree with the verdict, where they seem not to."""
-    first = diagnosis.failing
-    test = first.after if two else first.before
-    if diagnosis.label == "unexplained" and not test.fails.any():
-        x, y = quantity_in_words(first.x), quantity_in_words(first.y)
-        return (
-            f"No cell of {x} and {y} fails about {first.axis}, although something is missing there: it is "
-            "spread over many cells, or depends on other quantities."
-        )
-    if diagnosis.label != "unexplained" and test.fails.any():
-        return (
-            "The verdict does not rest on these cells: no candidate explains what fails there, so that it is "
-            "small or by chance."
-        )
-    return ""
-
-
-def _unknown_torque(diagnosis: Diagnosis, kept: Kept) -> Picture | None:
-    """The figure of an unknown for which no curve was estimated, if it depends on a quantity of a plane."""
-    if diagnosis.missing is None or diagnosis.verdict.unlisted or diagnosis.proposal is not None:
-        return None
-    if (diagnosis.failing.axis, diagnosis.failing.x) != diagnosis.missing:
-        return None
-    return kept("unknown", equation_figures.figure_of_unknown_torque(diagnosis.failing))
-
-
-def _cause(file: str, terms: Sequence[MissingTerm], kept: Kept) -> dict[str, Any] | None:
-    if not terms:
-        return None
-    return {
-        "address": kept(file, figure_of_missing_terms(terms)),
-        "meaning": "; ".join(f"missing {term.what} about {term.axis} over {term.on}" for term in terms),
-        "caption": " ".join(
-            [
-                *(_caption(term) for term in terms),
-                _DOTS if any(term.what == "torque" for term in terms) else _POINTS,
-            ]
-        ),
-    }
-
-
-def _caption(term: MissingTerm) -> str:
-    name = readable_id(term.id)
-    what = "equation" if name == term.id else "curve"
-    faint = " Disturbances hide it in these dots." if term.share < _FAINT else ""
-    return f"{name}: the {what} explains {100 * max(term.share, 0.0):.0f} % of the variance.{faint}"
-
-
 def _equation(diagnosis: Diagnosis, kept: Kept) -> dict[str, Any] | None:
     """The proposed equation with its figure."""
     if diagnosis.proposal is None:
@@ -309,6 +221,7 @@ def _equation(diagnosis: Diagnosis, kept: Kept) -> dict[str, Any] | None:
         "evidence": f"Confidence {proposed.confidence:.2f}: {evidence_in_words(discovery.train)} "
         f"on the fitted flights, {confirmed}, the best of {discovery.tried} terms.",
         "address": kept("equation", equation_figures.figure_of_equation(proposed)),
+        "axis": proposed.trace.axis,
         "symbols": _EQUATION_SYMBOLS,
         "rows": [
             # A dimensionless parameter is shown as it is, not in per cent.
@@ -414,10 +327,10 @@ def _disturbances(diagnosis: Diagnosis, numbers: dict[str, Any]) -> dict[str, An
                 f"{1e3 * values['fast_std_Nm']:.2g}",
                 f"{values['correlation_time_s']:.2g}",
                 f"{1e3 * values['slow_std_Nm']:.2g}",
-                evidence_in_words(values["log_likelihood_ratio"]),
+                nats_in_words(values["log_likelihood_ratio"]),
             ]
             if values["log_likelihood_ratio"] > MIN_MARGIN
-            else [axis, "none", "", "", evidence_in_words(values["log_likelihood_ratio"])]
+            else [axis, "none", "", "", nats_in_words(values["log_likelihood_ratio"])]
             for axis, values in numbers["disturbances"].items()
         ],
     }

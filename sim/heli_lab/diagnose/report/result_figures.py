@@ -49,7 +49,7 @@ def figure_of_missing_terms(terms: Sequence[MissingTerm]) -> Figure:
         noun = f"torque about {term.axis}" if term.what == "torque" else f"angle of the {term.axis} encoder"
         name, whose = readable_id(term.id), "cause"
         if name != term.id:
-            name, whose = f"a curve in place of the unknown, {name.removeprefix('any ')}", "curve"
+            name, whose = f"curve in place of the unknown: {name.removeprefix('any ')}", "curve"
         _dots(before, term.missing, term)
         _dots(after, term.remaining, term)
         quantity, value = (
