@@ -207,7 +207,7 @@ def test_each_run_of_a_prediction_shows_where_it_starts() -> None:
     before = diagnosed("rotor_lag=0.06").held_out.extension.before[0].fit
     drawn = trace(before)
     angle = figure_of_prediction(before, before, "pitch").axes[0]
-    starts = [line.get_xydata() for line in angle.get_lines() if line.get_marker() == "o"]
+    starts = [np.asarray(line.get_xydata()) for line in angle.get_lines() if line.get_marker() == "o"]
     assert len(starts) == len(drawn.windows)
     place = drawn.windows[1].start
     expected = (drawn.t_s[place], np.rad2deg(drawn.predicted_rad[place, 1]))

@@ -32,6 +32,7 @@ from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.thresholds import MIN_MARGIN
 from heli_lab.diagnose.wording import dependence_in_words, evidence_in_words, nats_in_words, readable_id
 from heli_lab.identify import Fit, trace
+from heli_lab.identify.thresholds import UNINFORMED
 from heli_lab.page import folder_with, write_page
 from heli_lab.page.drawing import Drawing, Picture
 
@@ -112,6 +113,7 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
         unknown_torque=unknown_torque(diagnosis, kept),
         disturbances=_disturbances(diagnosis, numbers),
         equation=_equation(diagnosis, kept),
+        uninformed=_uninformed(numbers["rig"]["numbers"], meanings),
         regions=regions_section(diagnosis, kept),
         torque=kept("torque", figures.figure_of_torque(diagnosis)),
         ranking={
@@ -198,6 +200,21 @@ def _heading(numbers: Mapping[str, Any]) -> str:
         by_role[flight["role"]].append(f"{flight['flight']} ({flight['seconds_used']:.0f} s used)")
     validated = ", ".join(by_role["held_out"]) or "no flight"
     return f"Rig {numbers['rig']['name']}. Fitted: {', '.join(by_role['train'])}. Validated on: {validated}."
+
+
+def _uninformed(parameters: Mapping[str, Mapping[str, Any]], meanings: Mapping[str, str]) -> list[list[str]]:
+    """Parameters whose estimate is nearly as uncertain as their prior."""
+    return [
+        [
+            name,
+            meanings.get(name, ""),
+            plus_minus(number["prior"], number["unit"]),
+            plus_minus(number, number["unit"]),
+            shown_unit(number["unit"]),
+        ]
+        for name, number in parameters.items()
+        if number["std"] > UNINFORMED * number["prior"]["std"]
+    ]
 
 
 def _rounding_rad(fit: Fit) -> Floats:
