@@ -257,13 +257,34 @@ def test_extended_rig_is_read_back_with_the_cause_and_its_size(tmp_path: Path) -
     assert effect.values["rotor_lag_s"] == pytest.approx(0.06, abs=0.003)
 
 
+def uninformed(found: Diagnosis) -> set[str]:
+    """Parameters whose standard error is above 0.9 of their prior's."""
+    fit = found.replication.prediction.fit
+    priors = dict(zip(fit.problem.names, fit.problem.parameter_vector.std, strict=True))
+    return {name for name, error in fit.std.items() if error > 0.9 * priors[name]}
+
+
+def test_rig_states_which_parameters_the_flights_do_not_inform() -> None:
+    found = diagnosed("rotor_lag=0.06")
+    rig = found.rig("extended")
+    sources = {name: rig[name].source for name in found.replication.prediction.fit.std if name in rig.numbers}
+    marked = {name for name, source in sources.items() if source.startswith("not informed by fit;")}
+    assert marked == uninformed(found)
+    assert marked
+    assert any(source.startswith("identified from fit;") for source in sources.values())
+
+
 def test_report_needs_nothing_else_and_says_the_cause_with_its_number(tmp_path: Path) -> None:
-    page = write_report(diagnosed("rotor_lag=0.06"), tmp_path).read_text(encoding="utf-8")
+    found = diagnosed("rotor_lag=0.06")
+    page = write_report(found, tmp_path).read_text(encoding="utf-8")
     said = html.unescape(page)
     assert "The rotors' thrust lags their voltage by 0.0" in said
     assert "Rig makki2024. Fitted: fit (" in said.partition('class="verdict')[0]
     assert "<i>F</i><sub>i</sub> thrust of rotor i" in said
     assert "time constant T</td>" in said
+    table = said.partition("Parameters that these flights do not inform")[2].partition("</table>")[0]
+    names = found.replication.prediction.fit.problem.names
+    assert {name for name in names if f"<td>{name}</td>" in table} == uninformed(found)
     assert not any(scheme in page for scheme in ("http:", "https:"))
     assert {
         "cause.png",

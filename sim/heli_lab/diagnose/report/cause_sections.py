@@ -46,7 +46,7 @@ def cause_section(
         "equation": kept(f"equation-{cause['effect']}", equation),
         "symbols": legend(cause["effect"], cause["equation"], known),
         "rows": [
-            [name, meaning, plus_minus(number, number["unit"]), shown_unit(number["unit"])]
+            [name, plus_minus(number, number["unit"]), shown_unit(number["unit"]), meaning]
             for (name, number), meaning in zip(parameters.items(), known, strict=True)
         ],
         "evidence": _evidence(cause["evidence"]),

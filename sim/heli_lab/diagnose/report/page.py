@@ -207,10 +207,10 @@ def _uninformed(parameters: Mapping[str, Mapping[str, Any]], meanings: Mapping[s
     return [
         [
             name,
-            meanings.get(name, ""),
             plus_minus(number["prior"], number["unit"]),
             plus_minus(number, number["unit"]),
             shown_unit(number["unit"]),
+            meanings.get(name, ""),
         ]
         for name, number in parameters.items()
         if number["std"] > UNINFORMED * number["prior"]["std"]
