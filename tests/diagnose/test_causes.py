@@ -14,6 +14,7 @@ from heli_lab.diagnose import Diagnosis, diagnose, summary, to_json
 from heli_lab.diagnose.evaluate import compare_free_runs
 from heli_lab.diagnose.report import missing_terms, title, write_report
 from heli_lab.diagnose.report.cautions import cautions
+from heli_lab.diagnose.report.figures import figure_of_flight, figure_of_torque, figure_of_windows
 from heli_lab.diagnose.report.regions_section import regions_section
 from heli_lab.diagnose.report.result_figures import figure_of_prediction
 from heli_lab.identify import trace
@@ -201,6 +202,16 @@ def test_a_page_says_why_no_region_fails_although_something_is_missing() -> None
     found.__dict__["failing"] = replace(found.failing, after=quiet)
     section = regions_section(found, lambda *_: None)
     assert "although something is missing there" in section["note"]
+
+
+def test_models_that_are_the_same_are_drawn_once() -> None:
+    explained = diagnosed()
+    assert not explained.assessment.extended.candidates
+    fit = explained.held_out.extension.before[0].fit
+    assert figure_of_torque(explained).axes[0].get_legend_handles_labels()[1][0].startswith("baseline")
+    for figure in (figure_of_torque(explained), figure_of_windows(fit, fit), figure_of_flight(fit, fit)):
+        labels = [label for panel in figure.axes for label in panel.get_legend_handles_labels()[1]]
+        assert not any("after" in label or "extended" in label or "causes" in label for label in labels)
 
 
 def test_each_run_of_a_prediction_shows_where_it_starts() -> None:

@@ -1,4 +1,4 @@
-"""What the page says of each cause: its sentence, evidence, equation, symbols and parameters."""
+"""Section of the page about each cause: its sentence, evidence, equation, symbols and parameters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the page shows of the torques and angles that a model lacks, with and without a cause."""
+"""Section of the page about the torques and angles that a model lacks, with and without a cause."""
 
 from __future__ import annotations
 

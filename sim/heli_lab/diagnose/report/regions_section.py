@@ -1,4 +1,4 @@
-"""What the page says of the regions in which the models fail."""
+"""Section of the page about the regions in which the models fail."""
 
 from __future__ import annotations
 
