@@ -141,7 +141,8 @@ def missing_term(estimate: Estimate, cause: Candidate) -> MissingTerm:
 
 
 def _centred(values: Floats) -> Floats:
-    return np.subtract(values, values.mean())
+    centred: Floats = values - values.mean()
+    return centred
 
 
 class _Blocks:
