@@ -261,7 +261,8 @@ HELD_OUT_NATS: Final[Annotated[float, "nats", JUDGEMENT]] = 2.0
 change from flight to flight."""
 
 CONFIDENCE_RANDOM_TORQUE: Final[Annotated[float, "1", JUDGEMENT]] = 0.8
-"""Confidence of a random torque: rare unmodelled dynamics pass the whiteness test."""
+"""Confidence of a random torque: rare unmodelled dynamics pass the whiteness test. A cause with a lower
+confidence is stated with "perhaps"."""
 
 CONFIDENCE_FACTOR_UNEXPLAINED: Final[Annotated[float, "1", JUDGEMENT]] = 0.69
 """Factor on the confidence of causes if something unexplained remains that they may imitate: odds of about
@@ -269,10 +270,6 @@ two to one, because an imitation fits held-out flights too. On development fligh
 catalogue lacks, three of four names are true (`python -m tests.diagnose.calibration`, seeds 6000 to 6041,
 2026-11): too few for a measured value. 1: false causes pass with high confidence. Lower: true causes are not
 believed."""
-
-FACT_MIN_CONFIDENCE: Final[Annotated[float, "1", JUDGEMENT]] = 0.8
-"""Confidence from which on a cause is stated as a fact; below, with "perhaps" and its confidence. Lower: one
-statement in four is false. Higher: random torques, whose confidence is 0.8, are never stated plainly."""
 
 # Equations of what the catalogue lacks.
 

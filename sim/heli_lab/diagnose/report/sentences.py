@@ -12,7 +12,7 @@ from heli_lab.diagnose.report.cautions import cautions
 from heli_lab.diagnose.result import Diagnosis, Proposal
 from heli_lab.diagnose.thresholds import (
     CONFIDENCE_NATS,
-    FACT_MIN_CONFIDENCE,
+    CONFIDENCE_RANDOM_TORQUE,
     MATTERS_COUNTS,
     MIN_MARGIN,
     REPORT_RATIO,
@@ -28,7 +28,7 @@ def title(result: Diagnosis) -> str:
     causes = findings.causes(result)
     named = [cause["effect"] for cause in causes]
     plural = "s" * (len(named) > 1)
-    certain = all(cause["confidence"] >= FACT_MIN_CONFIDENCE for cause in causes)
+    certain = all(cause["confidence"] >= CONFIDENCE_RANDOM_TORQUE for cause in causes)
     found = f"Cause{plural} found" if certain else f"Probable cause{plural}"
     return {
         "explained": "Nothing is missing that these flights show",
@@ -84,7 +84,7 @@ def stated(cause: Mapping[str, Any], certain: bool = True) -> str:
     """Write the sentence of a `cause`: as a fact, or with "perhaps" and its confidence if that is low or if
     not even the verdict is `certain`.
     """
-    if certain and cause["confidence"] >= FACT_MIN_CONFIDENCE:
+    if certain and cause["confidence"] >= CONFIDENCE_RANDOM_TORQUE:
         return str(cause["sentence"])
     return f"perhaps {cause['sentence']} (confidence {cause['confidence']:.2f})"
 
