@@ -14,6 +14,10 @@ from heli_lab.diagnose import Diagnosis, diagnose, summary, to_json
 from heli_lab.diagnose.evaluate import compare_free_runs
 from heli_lab.diagnose.report import missing_terms, title, write_report
 from heli_lab.diagnose.report.cautions import cautions
+from heli_lab.diagnose.report.figures import figure_of_flight, figure_of_torque, figure_of_windows
+from heli_lab.diagnose.report.regions_section import regions_section
+from heli_lab.diagnose.report.result_figures import figure_of_prediction
+from heli_lab.identify import trace
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import effects_of
 from heli_sim.rig import load_rig, write_rig
@@ -167,6 +171,10 @@ def test_curve_in_the_place_of_an_unknown_cause_is_the_cause_and_in_no_rig(tmp_p
     assert said.count(summary(found)) == 1
     assert to_json(found)["sentence"] == summary(found)
     assert "a torque about pitch that depends on elevation predicts" in said
+    # The first part after the verdict is about what the headline names.
+    assert said.index("<h2>The unexplained part") == said.index("<h2>")
+    for axis in ("pitch", "elevation", "travel"):
+        assert f"<li>About {axis}: the model with all named causes lacks " in said
     assert (tmp_path / "curves.png").exists()
 
 
@@ -185,6 +193,36 @@ def test_missing_torque_follows_what_was_hidden_without_the_equation(
     assert np.polyfit(term.quantity, term.missing, 1)[0] == pytest.approx(hidden_slope, rel=0.1)
     assert abs(np.polyfit(term.quantity, term.remaining, 1)[0]) < 0.1 * abs(hidden_slope)
     assert term.share > 0.8
+
+
+def test_a_page_says_why_no_region_fails_although_something_is_missing() -> None:
+    found = diagnosed(unlisted=True)
+    quiet = replace(found.failing.after, fails=np.zeros_like(found.failing.after.fails))
+    found = replace(found)
+    found.__dict__["failing"] = replace(found.failing, after=quiet)
+    section = regions_section(found, lambda *_: None)
+    assert "although something is missing there" in section["note"]
+
+
+def test_models_that_are_the_same_are_drawn_once() -> None:
+    explained = diagnosed()
+    assert not explained.assessment.extended.candidates
+    fit = explained.held_out.extension.before[0].fit
+    assert figure_of_torque(explained).axes[0].get_legend_handles_labels()[1][0].startswith("baseline")
+    for figure in (figure_of_torque(explained), figure_of_windows(fit, fit), figure_of_flight(fit, fit)):
+        labels = [label for panel in figure.axes for label in panel.get_legend_handles_labels()[1]]
+        assert not any("after" in label or "extended" in label or "causes" in label for label in labels)
+
+
+def test_each_run_of_a_prediction_shows_where_it_starts() -> None:
+    before = diagnosed("rotor_lag=0.06").held_out.extension.before[0].fit
+    drawn = trace(before)
+    angle = figure_of_prediction(before, before, "pitch").axes[0]
+    starts = [np.asarray(line.get_xydata()) for line in angle.get_lines() if line.get_marker() == "o"]
+    assert len(starts) == len(drawn.windows)
+    place = drawn.windows[1].start
+    expected = (drawn.t_s[place], np.rad2deg(drawn.predicted_rad[place, 1]))
+    assert starts[1][0] == pytest.approx(expected)
 
 
 def test_causes_next_to_something_unknown_are_never_stated_as_facts() -> None:
@@ -230,9 +268,34 @@ def test_extended_rig_is_read_back_with_the_cause_and_its_size(tmp_path: Path) -
     assert effect.values["rotor_lag_s"] == pytest.approx(0.06, abs=0.003)
 
 
+def uninformed(found: Diagnosis) -> set[str]:
+    """Parameters whose standard error is above 0.9 of their prior's."""
+    fit = found.replication.prediction.fit
+    priors = dict(zip(fit.problem.names, fit.problem.parameter_vector.std, strict=True))
+    return {name for name, error in fit.std.items() if error > 0.9 * priors[name]}
+
+
+def test_rig_states_which_parameters_the_flights_do_not_inform() -> None:
+    found = diagnosed("rotor_lag=0.06")
+    rig = found.rig("extended")
+    sources = {name: rig[name].source for name in found.replication.prediction.fit.std if name in rig.numbers}
+    marked = {name for name, source in sources.items() if source.startswith("not informed by fit;")}
+    assert marked == uninformed(found)
+    assert marked
+    assert any(source.startswith("identified from fit;") for source in sources.values())
+
+
 def test_report_needs_nothing_else_and_says_the_cause_with_its_number(tmp_path: Path) -> None:
-    page = write_report(diagnosed("rotor_lag=0.06"), tmp_path).read_text(encoding="utf-8")
-    assert "The rotors' thrust lags their voltage by 0.0" in html.unescape(page)
+    found = diagnosed("rotor_lag=0.06")
+    page = write_report(found, tmp_path).read_text(encoding="utf-8")
+    said = html.unescape(page)
+    assert "The rotors' thrust lags their voltage by 0.0" in said
+    assert "Rig makki2024. Fitted: fit (" in said.partition('class="verdict')[0]
+    assert "<i>F</i><sub>i</sub> thrust of rotor i" in said
+    assert "time constant T</td>" in said
+    table = said.partition("Parameters that these flights do not inform")[2].partition("</table>")[0]
+    names = found.replication.prediction.fit.problem.names
+    assert {name for name in names if f"<td>{name}</td>" in table} == uninformed(found)
     assert not any(scheme in page for scheme in ("http:", "https:"))
     assert {
         "cause.png",

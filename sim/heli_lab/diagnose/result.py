@@ -145,13 +145,42 @@ class Diagnosis:
         """
         term = self.proposed_term
         if term is not None:
-            base, hypothesis = term.discovery.base, term.discovery.hypothesis
-            return failing_regions(base.estimate, hypothesis.estimate, term.trace.axis, term.trace.on)
-        splines = [spline.candidate.id.split(":") for spline in self.search.rounds[0].splines]
-        torques = [(channel, on) for _, channel, on in splines if channel.startswith("torque")]
-        channel, on = torques[0] if torques else (f"torque.{self.assessment.residual_analysis.axis}", "")
-        axis = channel.partition(".")[2]
-        return failing_regions(self.search.baseline.estimate, self.assessment.extended.estimate, axis, on)
+            return self.failing_about(term.trace.axis, term.trace.on)
+        rounds = self.search.rounds[0].splines
+        torques = [
+            (channel.partition(".")[2], on)
+            for _, channel, on in (spline.candidate.id.split(":") for spline in rounds)
+            if channel.startswith("torque")
+        ]
+        missing = [self.missing] if self.missing else []
+        axis, on = next(iter((*missing, *torques)), (self.assessment.residual_analysis.axis, ""))
+        return self.failing_about(axis, on)
+
+    def failing_about(self, axis: str, on: str = "") -> FailingRegions:
+        """Regions in which these two models fail about one axis; `on` is one of the two quantities."""
+        term = self.proposed_term
+        before, after = (
+            (term.discovery.base, term.discovery.hypothesis)
+            if term is not None
+            else (self.search.baseline, self.assessment.extended)
+        )
+        return failing_regions(before.estimate, after.estimate, axis, on)
+
+    @property
+    def missing(self) -> tuple[str, str] | None:
+        """Axis that moves by what no effect explains, and the quantity on which that most likely depends;
+        None if everything is explained.
+        """
+        if self.label != "unexplained":
+            return None
+        residual = self.assessment.residual_analysis
+        if self.verdict.unlisted:
+            _, channel, on = self.verdict.unlisted[0].candidate.id.split(":")
+            where = channel.rpartition(".")[2]
+            return (where if where in AXES else ("pitch" if where == "difference" else "elevation")), on
+        channel, _, on = residual.dependences[0].what.partition(" on ")
+        where = channel.rpartition(".")[2]
+        return (where if where in AXES else residual.axis), on
 
     @cached_property
     def prior_conflicts(self) -> tuple[PriorConflict, ...]:

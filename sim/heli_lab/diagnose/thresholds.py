@@ -261,7 +261,8 @@ HELD_OUT_NATS: Final[Annotated[float, "nats", JUDGEMENT]] = 2.0
 change from flight to flight."""
 
 CONFIDENCE_RANDOM_TORQUE: Final[Annotated[float, "1", JUDGEMENT]] = 0.8
-"""Confidence of a random torque: rare unmodelled dynamics pass the whiteness test."""
+"""Confidence of a random torque: rare unmodelled dynamics pass the whiteness test. A cause with a lower
+confidence is stated with "perhaps"."""
 
 CONFIDENCE_FACTOR_UNEXPLAINED: Final[Annotated[float, "1", JUDGEMENT]] = 0.69
 """Factor on the confidence of causes if something unexplained remains that they may imitate: odds of about

@@ -18,6 +18,8 @@ SHOWN: Final = {
 _EVIDENCE: Final = ((1.0, "hardly any evidence"), (3.0, "some evidence"), (5.0, "strong evidence"))
 """Upper limits of log-likelihood ratios in nats and their words. At 1 nat the data are 3 times as likely, at
 3 nats 20 times and at 5 nats 150 times."""
+_MOST_NATS: Final = 1000.0
+"""Log-likelihood ratio above which the number says no more than the words."""
 _CHANNELS: Final = {
     "thrust.both": "a share of both thrusts",
     "thrust.difference": "an imbalance of the thrusts",
@@ -29,7 +31,16 @@ def evidence_in_words(log_likelihood_ratio: float) -> str:
     number: ``very strong evidence (log-likelihood ratio 12 nats)``.
     """
     words = next((text for limit, text in _EVIDENCE if log_likelihood_ratio < limit), "very strong evidence")
-    return f"{words} (log-likelihood ratio {log_likelihood_ratio:.0f} nats)"
+    return f"{words} (log-likelihood ratio {nats_in_words(log_likelihood_ratio)})"
+
+
+def nats_in_words(log_likelihood_ratio: float) -> str:
+    """Write a `log_likelihood_ratio` with its unit, and no digits that say nothing."""
+    if log_likelihood_ratio < _EVIDENCE[0][0]:
+        return "below 1 nat"
+    if log_likelihood_ratio > _MOST_NATS:
+        return f"above {_MOST_NATS:.0f} nats"
+    return f"{log_likelihood_ratio:.0f} nats"
 
 
 def channel_in_words(channel: str) -> str:

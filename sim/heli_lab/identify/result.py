@@ -62,7 +62,8 @@ class Identification:
 
     def rig(self, name: str) -> Rig:
         """Make the rig that was found, called `name`: the identified numbers with twice their standard errors
-        as tolerances; everything else as it was. It names the model that was fitted, and has that model's
+        as tolerances; everything else as it was. The source of a number states if the flights do not inform
+        it. It names the model that was fitted, and has that model's
         effects. If several flights have separate values of a torque, the rig has their mean, with their
         scatter in the tolerance. Zeros with separate values stay unchanged: another flight has others.
         """
@@ -70,6 +71,7 @@ class Identification:
         labels = ", ".join(record.label for record in self.fit.problem.records)
         numbers = dict(old.numbers)
         several = len(self.fit.problem.records) > 1
+        uninformed = set(self.uninformed_parameters)
         by_quantity: dict[str, list[tuple[float, float]]] = {}
         for parameter, value, std in zip(
             self.fit.problem.free, self.fit.theta, self.fit.std.values(), strict=True
@@ -82,7 +84,8 @@ class Identification:
             values, errors = np.array(estimates).T
             scatter = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
             tolerance = 2.0 * math.hypot(float(np.sqrt(np.mean(errors**2))), scatter)
-            source = f"identified from {labels}; before: {was.value:g} +- {was.tolerance:g}"
+            how = "not informed by" if quantity in uninformed else "identified from"
+            source = f"{how} {labels}; before: {was.value:g} +- {was.tolerance:g}"
             numbers[quantity] = Number(float(np.mean(values)), was.unit, tolerance, source)
         return Rig(
             name,

@@ -5,7 +5,7 @@ flights.
 from heli_lab.diagnose.discover.discovery import Discovery
 from heli_lab.diagnose.discover.effect_contribution import accelerations
 from heli_lab.diagnose.discover.equation import CHANNELS, NAME
-from heli_lab.diagnose.discover.missing import MissingTerm, missing_term
+from heli_lab.diagnose.discover.missing import TIME, MissingTerm, missing_term
 from heli_lab.diagnose.discover.notation import expression, latex
 from heli_lab.diagnose.discover.proposal import ProposedTerm, proposed_term
 from heli_lab.diagnose.discover.spline_curve import SplineCurve, spline_curve_of
@@ -16,6 +16,7 @@ __all__ = [
     "CHANNELS",
     "NAME",
     "SYMBOLS",
+    "TIME",
     "Discovery",
     "MissingTerm",
     "ProposedTerm",

@@ -38,6 +38,8 @@ from heli_lab.estimation import AlongTrajectory, Estimate, LinearisedFlight, Tra
 from heli_lab.estimation.estimate import estimate_disturbances
 from heli_lab.identify.flight_model import RigParameters, model_functions
 
+TIME: Final = "time of the flight"
+"""Quantity over which a term is drawn that follows no single quantity."""
 _LAGS_s: Final = (0.03, 0.06, 0.1, 0.15)
 """Time constants of lags that measure how fast a thrust changes: those of rotors."""
 _SHOWN_PLACES: Final = 15
@@ -61,7 +63,8 @@ class MissingTerm:
     axis : str
         ``elevation``, ``pitch`` or ``travel``.
     on, on_unit : str
-        Quantity that the cause depends on, in words, and its display unit.
+        Quantity that the cause depends on, in words, and its display unit; `TIME` if the cause depends on
+        several quantities.
     quantity : ndarray (n,)
         Values of the quantity.
     missing, std : ndarray (n,)
@@ -70,6 +73,8 @@ class MissingTerm:
         Torque or angle that the model lacks with the cause.
     contribution : ndarray (n,)
         Torque or angle by the equation of the cause.
+
+    Torques are less their means: a constant torque is a parameter of every model.
     """
 
     id: str
@@ -105,20 +110,20 @@ def missing_term(estimate: Estimate, cause: Candidate) -> MissingTerm:
     less = _without(estimate, cause.effect.name)
     with_, without = estimate.filtered().linearised_flights, less.filtered().linearised_flights
     torque = [_contributed_torque(*pair) for pair in zip(with_, without, strict=True)]
-    size = np.sqrt(np.mean(np.concatenate(torque) ** 2, axis=0))
-    if not size.any():
+    every = np.concatenate(torque)
+    if not every.any():
         return _missing_angle(estimate, less, cause)
     blocks = [_Blocks(linear) for linear in without]
     equation = np.concatenate([block.mean(values) for block, values in zip(blocks, torque, strict=True)])
-    missing, std = _smoothed_torque(less)
-    remaining, _ = _smoothed_torque(estimate)
-    rest = np.sqrt(np.mean((missing - equation) ** 2, axis=0)) + 1e-9
-    axis = int(np.argmax(size / rest))
+    t_s, missing, std = _smoothed_torque(less)
+    _, remaining, _ = _smoothed_torque(estimate)
+    # With its mean, the elevation torque of a thrust curve hides the pitch torque of its lag.
+    axis = int(np.argmax(every.std(axis=0) / ((missing - equation).std(axis=0) + 1e-9)))
     places = [
         {name: block.mean(value) for name, value in _quantities(linear).items()}
         for block, linear in zip(blocks, with_, strict=True)
     ]
-    place, on, on_unit = _best_place(places, equation[:, axis], cause)
+    place, on, on_unit = _best_place(places, equation[:, axis], cause, t_s)
     factor, unit = SHOWN["N m"]
     return MissingTerm(
         cause.id,
@@ -128,8 +133,16 @@ def missing_term(estimate: Estimate, cause: Candidate) -> MissingTerm:
         on,
         on_unit,
         place,
-        *(factor * values[:, axis] for values in (missing, std, remaining, equation)),
+        factor * _centred(missing[:, axis]),
+        factor * std[:, axis],
+        factor * _centred(remaining[:, axis]),
+        factor * _centred(equation[:, axis]),
     )
+
+
+def _centred(values: Floats) -> Floats:
+    centred: Floats = values - values.mean()
+    return centred
 
 
 class _Blocks:
@@ -193,14 +206,13 @@ def _coefficients(screening: Screening, candidate: Candidate) -> tuple[Floats, F
     return covariance @ score, covariance
 
 
-def _smoothed_torque(estimate: Estimate) -> tuple[Floats, Floats]:
-    """Smoothed disturbance torques about the three axes, (k, 3) over all flights, and their
+def _smoothed_torque(estimate: Estimate) -> tuple[Floats, Floats, Floats]:
+    """Times (k,) of all flights, smoothed disturbance torques about the three axes, (k, 3), and their
     standard errors.
     """
     smoothed = smoothed_disturbances(estimate.filtered(), estimate.disturbances)
-    return np.concatenate([values for _, values, _ in smoothed]), np.concatenate(
-        [values for _, _, values in smoothed]
-    )
+    times, values, errors = (np.concatenate(every) for every in zip(*smoothed, strict=True))
+    return times, values, errors
 
 
 def _contributed_torque(with_: LinearisedFlight, without: LinearisedFlight) -> Floats:
@@ -242,9 +254,11 @@ def _lagged(values: Floats, step: float) -> Floats:
 
 
 def _best_place(
-    places: Sequence[Mapping[str, Floats]], equation: Floats, cause: Candidate
+    places: Sequence[Mapping[str, Floats]], equation: Floats, cause: Candidate, t_s: Floats
 ) -> tuple[Floats, str, str]:
-    """Quantity over which a contribution is best drawn: its values, its name in words and its unit."""
+    """Quantity over which a contribution is best drawn: its values, its name in words and its unit. It is
+    the time if the contribution follows no single quantity: over itself, any contribution is a straight line.
+    """
     together = {name: np.concatenate([place[name] for place in places]) for name in places[0]}
     if isinstance(cause.effect, SplineTerm):
         name = cause.effect.on
@@ -252,8 +266,7 @@ def _best_place(
         followed = {name: _followed(value, equation) for name, value in together.items()}
         name = max(followed, key=lambda candidate: followed[candidate])
         if followed[name] < CURVE_SHARE:
-            factor, unit = SHOWN["N m"]
-            return factor * equation, "contribution of the equation", unit
+            return t_s, TIME, "s"
     factor, unit = SHOWN.get(_unit(name), (1.0, _unit(name)))
     return factor * together[name], quantity_in_words(name), unit
 
@@ -283,7 +296,7 @@ def _missing_angle(estimate: Estimate, less: Estimate, cause: Candidate) -> Miss
     equation = np.concatenate(equations)
     axis = int(np.argmax(equation.std(axis=0)))
     places = [quantity_values(linear.model.source, linear.nodes) for linear in linearised_flights]
-    place, on, on_unit = _best_place(places, equation[:, axis], cause)
+    place, on, on_unit = _best_place(places, equation[:, axis], cause, np.empty(0))
     name = next((n for n in places[0] if quantity_in_words(n) == on), AXES[axis])
     place = np.concatenate([quantities[name] for quantities in places])
     low, step = knot_span(place)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from heli_lab.diagnose.evaluate import Extrapolation, PriorConflict, worse_axis_sentence
 from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.thresholds import FEW_WINDOWS
+from heli_lab.diagnose.wording import evidence_in_words
 
 
 def cautions(result: Diagnosis) -> list[str]:
@@ -22,7 +23,13 @@ def cautions(result: Diagnosis) -> list[str]:
             f"not confirmed, and not in the extended rig: {unconfirmed}; --with-unconfirmed adds what is not "
             "confirmed to the rig of --save-rig"
         )
-    lines += [prior_conflict_sentence(conflict) for conflict in result.prior_conflicts]
+    meanings = {
+        quantity.name: quantity.meaning for quantity in result.assessment.after.fit.problem.model.parameters
+    }
+    lines += [
+        prior_conflict_sentence(conflict, meanings.get(conflict.name, ""))
+        for conflict in result.prior_conflicts
+    ]
     if not result.search.complete:
         lines.append("the limit of refits ended the search before everything was tried; raise --budget")
     return lines
@@ -59,12 +66,14 @@ def extrapolation_sentence(flight: Extrapolation) -> str:
     )
 
 
-def prior_conflict_sentence(conflict: PriorConflict) -> str:
-    """Describe a `conflict` in a sentence without its full stop."""
+def prior_conflict_sentence(conflict: PriorConflict, meaning: str = "") -> str:
+    """Describe a `conflict` of a parameter with this `meaning` in a sentence without its full stop."""
     unit = "" if conflict.unit == "1" else f" {conflict.unit}"
     prior = conflict.prior
+    explained = f" ({meaning})" if meaning else ""
     text = (
-        f"{conflict.name} is estimated as {conflict.value:.3g}{unit}, {abs(conflict.deviations):.1f} "
+        f"the parameter {conflict.name}{explained} is estimated as {conflict.value:.3g}{unit}, "
+        f"{abs(conflict.deviations):.1f} "
         f"standard deviations from its prior, {prior.mean:.3g} \N{PLUS-MINUS SIGN} {prior.std:.2g}{unit} "
         "(1 standard deviation): either the prior is wrong, or the parameter replaces what the model lacks"
     )
@@ -73,5 +82,5 @@ def prior_conflict_sentence(conflict: PriorConflict) -> str:
         return text
     return (
         f"{text}; these flights alone give {freed.value:.3g} \N{PLUS-MINUS SIGN} {freed.std:.2g}{unit} "
-        f"(1 standard error), and are more likely by {freed.log_likelihood_gain:.0f} nats"
+        f"(1 standard error), with {evidence_in_words(freed.log_likelihood_gain)} against the prior"
     )

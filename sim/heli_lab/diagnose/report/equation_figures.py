@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 _MISSING, _TERM, _OUTLINE = "#8d959e", "#0b5fa5", "#111111"
 _POINTS: Final = 4000
+_MEANS: Final = 24
+"""Means over equal parts of the dots: fewer hide a bend, more show noise."""
 
 
 def figure_of_equation(proposed: ProposedTerm) -> Figure:
@@ -63,22 +66,44 @@ def figure_of_equation(proposed: ProposedTerm) -> Figure:
     return figure
 
 
-def figure_of_failing_regions(regions: FailingRegions) -> Figure:
-    """Draw the fitted flights in the plane of `regions`, coloured by the missing torque, before and after;
-    cells in which the model fails are outlined.
+def figure_of_failing_regions(every: Sequence[FailingRegions], models: Sequence[str]) -> Figure:
+    """Draw the fitted flights in the plane of each axis, coloured by the missing torque; cells in which a
+    model fails are outlined.
+
+    Parameters
+    ----------
+    every : sequence of FailingRegions
+        One row each.
+    models : sequence of str
+        Names of the models before and after, one column each; without the second, the first is drawn alone.
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, 4.9))
-    panels = figure.subplots(1, 2, sharex=True, sharey=True)
-    figure.subplots_adjust(0.075, 0.12, 0.9, 0.86, wspace=0.1)
-    every = np.concatenate([np.abs(flight.torque_Nm) for flight in regions.before.flights])
-    most = 1e3 * float(np.quantile(every, 0.98)) or 1.0
+    high = 0.8 + 4.1 * len(every)
+    figure = Figure(figsize=(11, high))
+    rows = figure.subplots(len(every), len(models), sharex="row", sharey="row", squeeze=False)
+    figure.subplots_adjust(0.075, 0.55 / high, 0.9, 1.0 - 0.85 / high, wspace=0.1, hspace=0.34)
+    for regions, panels in zip(every, rows, strict=True):
+        _regions_row(figure, panels, regions, models)
+    figure.suptitle(
+        f"{100 * FALSE_DISCOVERY_RATE:.0f} % of the outlined cells may be by chance",
+        y=1.0 - 0.2 / high,
+        fontsize=11,
+    )
+    return figure
+
+
+def _regions_row(
+    figure: Figure, panels: Sequence[Axes], regions: FailingRegions, models: Sequence[str]
+) -> None:
+    """The plane of one axis, with its colour bar."""
+    torques = np.concatenate([np.abs(flight.torque_Nm) for flight in regions.before.flights])
+    most = 1e3 * float(np.quantile(torques, 0.98)) or 1.0
+    (fx, x_unit), (fy, y_unit) = _shown(regions.x), _shown(regions.y)
     points = None
-    for panel, test, when in zip(panels, (regions.before, regions.after), ("before", "after"), strict=True):
+    for panel, test, model in zip(panels, (regions.before, regions.after), models, strict=False):
         for flight in test.flights:
-            (fx, _), (fy, _) = _shown(regions.x), _shown(regions.y)
-            panel.plot(fx * flight.x, fy * flight.y, color="#d7dbe0", lw=0.4, zorder=1)
+            panel.plot(fx * flight.x, fy * flight.y, color="#d7dbe0", lw=0.4, zorder=1, rasterized=True)
             points = panel.scatter(
                 fx * flight.x,
                 fy * flight.y,
@@ -91,22 +116,43 @@ def figure_of_failing_regions(regions: FailingRegions) -> Figure:
                 lw=0,
             )
         _outline(panel, regions, test)
-        caption = (
-            f"fails in the outlined region, {100 * test.share:.0f} % of the time"
-            if test.fails.any()
-            else "fails in no cell"
-        )
-        panel.set_title(f"{when}: {caption}; {_mNm(test.rms_Nm)} mN m rms", fontsize=10)
-        panel.set_xlabel(f"{regions.x.replace('_', ' ')} [{_shown(regions.x)[1]}]")
+        panel.set_title(f"{regions.axis}: {model}", fontsize=10, loc="left")
+        panel.set_xlabel(f"{regions.x.replace('_', ' ')} [{x_unit}]")
         panel.grid(alpha=0.2)
-    panels[0].set_ylabel(f"{regions.y.replace('_', ' ')} [{_shown(regions.y)[1]}]")
+    panels[0].set_ylabel(f"{regions.y.replace('_', ' ')} [{y_unit}]")
     if points is not None:
-        bar = figure.colorbar(points, cax=figure.add_axes((0.915, 0.12, 0.015, 0.74)))
-        bar.set_label(f"torque about {regions.axis} that the model lacks [mN m]")
-    figure.suptitle(
-        f"where the model fails; {100 * FALSE_DISCOVERY_RATE:.0f} % of the outlined cells may be by chance",
-        fontsize=11,
+        box = panels[-1].get_position()
+        bar = figure.colorbar(points, cax=figure.add_axes((0.915, box.y0, 0.015, box.height)))
+        bar.set_label(f"missing torque about {regions.axis} [mN m]", fontsize=9)
+
+
+def figure_of_unknown_torque(regions: FailingRegions) -> Figure:
+    """Draw the torque about the axis of `regions` that the model after the extension lacks, over the first
+    quantity.
+    """
+    from matplotlib.figure import Figure
+
+    flights = regions.after.flights
+    factor, unit = _shown(regions.x)
+    quantity = factor * np.concatenate([flight.x for flight in flights])
+    torque_mNm = 1e3 * np.concatenate([flight.torque_Nm for flight in flights])
+    keep = slice(None, None, max(1, len(quantity) // _POINTS))
+    parts = np.array_split(np.argsort(quantity), _MEANS)
+    figure = Figure(figsize=(11, 3.6))
+    panel = figure.subplots()
+    figure.subplots_adjust(0.08, 0.16, 0.98, 0.9)
+    panel.plot(quantity[keep], torque_mNm[keep], ".", ms=2.5, color="#b4b9bf", rasterized=True)
+    means = [(quantity[part].mean(), torque_mNm[part].mean()) for part in parts]
+    panel.plot(*zip(*means, strict=True), "o", ms=5, color=_OUTLINE, label="means")
+    panel.set_title(
+        f"unknown: torque about {regions.axis} that the model with all named causes lacks",
+        fontsize=10.5,
+        loc="left",
     )
+    panel.set_xlabel(f"{regions.x.replace('_', ' ')} [{unit}]")
+    panel.set_ylabel(f"torque about {regions.axis} [mN m]")
+    panel.grid(alpha=0.25)
+    panel.legend(loc="best", fontsize=9)
     return figure
 
 
@@ -120,10 +166,6 @@ def _outline(panel: Axes, regions: FailingRegions, test: RegionTest) -> None:
                 panel.plot([x[i], x[i]], [y[j], y[j + 1]], color=_OUTLINE, lw=1.8, zorder=3)
             if i + 1 < len(x) and fails[i + 1, j] != fails[i + 1, j + 1]:
                 panel.plot([x[i], x[i + 1]], [y[j], y[j]], color=_OUTLINE, lw=1.8, zorder=3)
-
-
-def _mNm(torque_Nm: float) -> str:
-    return f"{1e3 * torque_Nm:.0f}" if torque_Nm >= 0.01 else f"{1e3 * torque_Nm:.1f}"
 
 
 def _shown(quantity: str) -> tuple[float, str]:

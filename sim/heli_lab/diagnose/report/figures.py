@@ -36,7 +36,7 @@ def figure_of_flight(before: Fit, after: Fit) -> Figure:
     """Draw the flight of the fits `before` and `after`: measured and simulated angles, and their errors."""
     from matplotlib.figure import Figure
 
-    old, new = trace(before), trace(after)
+    old, runs = trace(before), _runs(before, after)
     figure = Figure(figsize=(11, 9))
     panels = figure.subplots(6, 1, sharex=True, height_ratios=[2, 1.2, 2, 1.2, 2, 1.2])
     figure.subplots_adjust(0.075, 0.06, 0.87, 0.95, hspace=0.12)
@@ -46,10 +46,9 @@ def figure_of_flight(before: Fit, after: Fit) -> Figure:
         above.plot(
             old.t_s[keep], _deg(old.measured_rad, axis, keep), ".", ms=1.8, color=MEASURED, label="measured"
         )
-        above.plot(*_broken(old, axis), color=BEFORE, lw=1.0, label="simulated before")
-        above.plot(*_broken(new, axis), color=AFTER, lw=1.0, label="simulated after")
         above.set_ylabel(f"{AXES[axis]} [deg]")
-        for drawn, color in ((old, BEFORE), (new, AFTER)):
+        for drawn, color, label in runs:
+            above.plot(*_broken(drawn, axis), color=color, lw=1.0, label=label)
             error = np.rad2deg(drawn.residual[:, axis] * drawn.sigma_rad[axis])
             below.plot(drawn.t_s[keep], error[keep], color=color, lw=0.7, label=f"rms {_rms(error):.3g}")
         below.set_ylabel("error [deg]")
@@ -68,7 +67,7 @@ def figure_of_windows(before: Fit, after: Fit) -> Figure:
     """
     from matplotlib.figure import Figure
 
-    old, new = trace(before), trace(after)
+    old, runs = trace(before), _runs(before, after)
     figure = Figure(figsize=(11, 3.4))
     panels = figure.subplots(1, 3)
     figure.subplots_adjust(0.06, 0.22, 0.98, 0.92, wspace=0.18)
@@ -78,13 +77,12 @@ def figure_of_windows(before: Fit, after: Fit) -> Figure:
         panel.plot(
             t_s, np.rad2deg(old.measured_rad[worst, axis]), ".", ms=3, color=MEASURED, label="measured"
         )
-        panel.plot(t_s, np.rad2deg(old.predicted_rad[worst, axis]), color=BEFORE, lw=1.3, label="before")
-        panel.plot(t_s, np.rad2deg(new.predicted_rad[worst, axis]), color=AFTER, lw=1.3, label="after")
-        errors_deg = [
-            np.rad2deg(_rms(drawn.residual[worst, axis]) * drawn.sigma_rad[axis]) for drawn in (old, new)
-        ]
-        title = f"{AXES[axis]}: rms {errors_deg[0]:.3g} deg before, {errors_deg[1]:.3g} after"
-        panel.set_title(title, fontsize=9)
+        sizes = []
+        for drawn, color, label in runs:
+            panel.plot(t_s, np.rad2deg(drawn.predicted_rad[worst, axis]), color=color, lw=1.3, label=label)
+            error_deg = np.rad2deg(_rms(drawn.residual[worst, axis]) * drawn.sigma_rad[axis])
+            sizes.append(f"{error_deg:.3g} deg {label}")
+        panel.set_title(f"{AXES[axis]}: rms {', '.join(sizes)}", fontsize=9)
         panel.set_xlabel("time [s]")
         panel.grid(alpha=0.25)
     panels[0].set_ylabel("angle [deg]")
@@ -93,19 +91,26 @@ def figure_of_windows(before: Fit, after: Fit) -> Figure:
     return figure
 
 
+def _runs(before: Fit, after: Fit) -> list[tuple[Trace, str, str]]:
+    """Free runs of the baseline and of the extended model, if there is one, with colours and names."""
+    every = [(trace(before), BEFORE, "baseline")]
+    return every if after is before else [*every, (trace(after), AFTER, "extended")]
+
+
 def figure_of_torque(diagnosis: Diagnosis) -> Figure:
-    """Draw the missing torque about each axis before and after, over time and as a spectrum."""
+    """Draw the missing torque about each axis of the baseline and of the model with all named causes, over
+    time and as a spectrum.
+    """
     from matplotlib.figure import Figure
 
-    before, after = (
-        _torque(prediction.estimate)
-        for prediction in (diagnosis.search.baseline, diagnosis.assessment.extended)
-    )
+    drawn = [(_torque(diagnosis.search.baseline.estimate), BEFORE, "baseline")]
+    if diagnosis.assessment.extended.candidates:
+        drawn.append((_torque(diagnosis.assessment.extended.estimate), AFTER, "with all named causes"))
     figure = Figure(figsize=(11, 6.5))
     panels = figure.subplots(3, 2, width_ratios=[2.4, 1])
     figure.subplots_adjust(0.07, 0.08, 0.98, 0.91, wspace=0.12, hspace=0.35)
     for axis in range(3):
-        for (t_s, torque_Nm), color, label in ((before, BEFORE, "before"), (after, AFTER, "after")):
+        for (t_s, torque_Nm), color, label in drawn:
             value_mNm = 1e3 * torque_Nm[:, axis]
             text = f"{label}: rms {_rms(value_mNm):.3g} mN m"
             panels[axis, 0].plot(*_with_gaps(t_s, value_mNm), color=color, lw=0.7, label=text)

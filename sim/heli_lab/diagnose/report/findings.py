@@ -158,14 +158,13 @@ def unexplained(result: Diagnosis) -> dict[str, Any] | None:
     """Describe what no effect explains: axis, dependences, share of the variance; None if everything is
     explained.
     """
-    if result.label != "unexplained":
+    if result.missing is None:
         return None
+    axis, on = result.missing
     residual = result.assessment.residual_analysis
     if not result.verdict.unlisted:
         # The same quantity may be listed as a spline and as a linear term.
         named = list(dict.fromkeys(dependence.what for dependence in residual.dependences))
-        channel = named[0].split(" on ")[0].rpartition(".")[2]
-        axis = channel if channel in AXES else residual.axis
         return {
             "axis": axis,
             "correlates_with": named,
@@ -173,11 +172,9 @@ def unexplained(result: Diagnosis) -> dict[str, Any] | None:
             "log_likelihood_gain": residual.dependences[0].log_likelihood_gain,
         }
     strongest = result.verdict.unlisted[0]
-    _, channel, on = strongest.candidate.id.split(":")
+    channel = strongest.candidate.id.split(":")[1]
     first = next(r for r in result.search.rounds if r.accepted_id == strongest.candidate.id)
     others = [name for name in correlates(first.splines) if name != f"{channel} on {on}"]
-    where = channel.rpartition(".")[2]
-    axis = where if where in AXES else ("pitch" if where == "difference" else "elevation")
     reductions = result.held_out.splines
     return {
         "axis": axis,

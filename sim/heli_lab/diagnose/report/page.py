@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.discover import MissingTerm, missing_term
 from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
 from heli_lab.diagnose.report import equation_figures, figures
+from heli_lab.diagnose.report.cause_sections import Kept, capital, cause_section, plus_minus, shown_unit
+from heli_lab.diagnose.report.missing_section import missing_section
+from heli_lab.diagnose.report.regions_section import regions_section, unknown_torque
 from heli_lab.diagnose.report.result_figures import (
     figure_of_gain,
-    figure_of_missing_terms,
     figure_of_prediction,
 )
 from heli_lab.diagnose.report.sentences import (
@@ -26,23 +29,19 @@ from heli_lab.diagnose.report.sentences import (
 )
 from heli_lab.diagnose.report.serialize import proposal_json, to_json
 from heli_lab.diagnose.result import Diagnosis
-from heli_lab.diagnose.wording import SHOWN, dependence_in_words, evidence_in_words, readable_id
-from heli_lab.identify import trace
-from heli_lab.identify.result import rounded
+from heli_lab.diagnose.thresholds import MIN_MARGIN
+from heli_lab.diagnose.wording import dependence_in_words, evidence_in_words, nats_in_words, readable_id
+from heli_lab.identify import Fit, trace
+from heli_lab.identify.thresholds import UNINFORMED
 from heli_lab.page import folder_with, write_page
 from heli_lab.page.drawing import Drawing, Picture
 
 _WHEN: Final = ("before", "after")
-_Kept = Callable[[str, Any], Picture | None]
 _PAGE: Final = Path(__file__).with_name("report.html")
-_DOTS: Final = (
-    "Each grey dot is 40 ms of the fitted flights; black dots are means. A Kalman smoother estimates the "
-    "missing torque after the cause was removed from the model, with all other parameters unchanged. The "
-    "equation of the cause has no part in that estimate."
-)
-_POINTS: Final = (
-    "Points are a smooth curve that is estimated in the place of the cause, with two standard errors. The "
-    "equation of the cause has no part in that estimate."
+_EQUATION_SYMBOLS: Final = (
+    "The angles θ, φ, ψ are elevation, pitch and travel, and a dot is a rate. F is a thrust (f front, b "
+    "back), and τ a torque. A number as a subscript is a time constant in s: the quantity after a "
+    "first-order lag. washout(x, T) is the lagged quantity less the quantity itself."
 )
 _NOTHING_FLEW: Final = Path(__file__).with_name("insufficient_excitation.html")
 
@@ -71,8 +70,11 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
     before, after = held_out.before[0].fit, held_out.after[0].fit
     size = figures.figure_of_size(diagnosis)
     terms = missing_terms(diagnosis)
+    unknown_terms = [term for term in terms if readable_id(term.id) != term.id]
     curves = diagnosis.curves
     extended = before is not after
+    model = diagnosis.assessment.after.fit.problem.model
+    meanings = {quantity.name: quantity.meaning for quantity in model.parameters}
 
     def kept(name: str, figure: Any) -> Picture | None:
         return None if figure is None else drawing.add(figure, folder / f"{name}.png")
@@ -84,11 +86,13 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
         _PAGE,
         title=title(diagnosis),
         label=diagnosis.label,
+        heading=_heading(numbers),
         extended=extended,
         sentence=numbers["sentence"],
-        next_step=_capital(next_step(diagnosis)),
+        next_step=capital(next_step(diagnosis)),
         cautions=[_sentence(caution) for caution in numbers["cautions"]],
-        cause=_cause(terms, kept),
+        unknown_cause=missing_section("unknown", unknown_terms, kept),
+        cause=missing_section("cause", [term for term in terms if term not in unknown_terms], kept),
         judged="a flight that no fit used"
         if diagnosis.assessment.after.held_out_fit
         else "the fitted flight",
@@ -96,16 +100,21 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
             "prediction", figure_of_prediction(before, after, _axis(diagnosis, terms), _outside_s(diagnosis))
         ),
         gain={
-            "address": kept("gain", figure_of_gain(held_out.horizons, extended)),
+            "address": kept("gain", figure_of_gain(held_out.horizons, extended, _rounding_rad(before))),
             "rows": _gain(numbers["gain"]["axis"]),
         },
-        causes=[_cause_rows(cause, kept) for cause in numbers["causes"]],
+        causes=[
+            cause_section(cause, meanings, diagnosis.label != "unexplained", kept)
+            for cause in numbers["causes"]
+        ],
         small=[_sentence(line) for line in small_effect_lines(diagnosis)],
         unknown=_unknown(numbers["unexplained"]),
         curves=kept("curves", figures.figure_of_curves(curves)) if curves else None,
+        unknown_torque=unknown_torque(diagnosis, kept),
         disturbances=_disturbances(diagnosis, numbers),
         equation=_equation(diagnosis, kept),
-        regions=kept("regions", equation_figures.figure_of_failing_regions(diagnosis.failing)),
+        uninformed=_uninformed(numbers["rig"]["numbers"], meanings),
+        regions=regions_section(diagnosis, kept),
         torque=kept("torque", figures.figure_of_torque(diagnosis)),
         ranking={
             "address": kept("ranking", figures.figure_of_ranking(diagnosis.search.rounds)),
@@ -184,27 +193,36 @@ def _outside_s(diagnosis: Diagnosis) -> tuple[tuple[float, float], ...]:
     return diagnosis.extrapolations[0].spans_s if diagnosis.extrapolations else ()
 
 
-def _cause(terms: Sequence[MissingTerm], kept: _Kept) -> dict[str, Any] | None:
-    if not terms:
-        return None
-    return {
-        "address": kept("cause", figure_of_missing_terms(terms)),
-        "meaning": "; ".join(f"missing {term.what} about {term.axis} over {term.on}" for term in terms),
-        "caption": " ".join(
-            [
-                *(_caption(term) for term in terms),
-                _DOTS if any(term.what == "torque" for term in terms) else _POINTS,
-            ]
-        ),
-    }
+def _heading(numbers: Mapping[str, Any]) -> str:
+    """Rig and flights in a line."""
+    by_role: dict[str, list[str]] = {"train": [], "held_out": []}
+    for flight in numbers["flights"]:
+        by_role[flight["role"]].append(f"{flight['flight']} ({flight['seconds_used']:.0f} s used)")
+    validated = ", ".join(by_role["held_out"]) or "no flight"
+    return f"Rig {numbers['rig']['name']}. Fitted: {', '.join(by_role['train'])}. Validated on: {validated}."
 
 
-def _caption(term: MissingTerm) -> str:
-    name = readable_id(term.id)
-    return f"{name}: its equation explains {100 * max(term.share, 0.0):.0f} % of the variance."
+def _uninformed(parameters: Mapping[str, Mapping[str, Any]], meanings: Mapping[str, str]) -> list[list[str]]:
+    """Parameters whose estimate is nearly as uncertain as their prior."""
+    return [
+        [
+            name,
+            plus_minus(number["prior"], number["unit"]),
+            plus_minus(number, number["unit"]),
+            shown_unit(number["unit"]),
+            meanings.get(name, ""),
+        ]
+        for name, number in parameters.items()
+        if number["std"] > UNINFORMED * number["prior"]["std"]
+    ]
 
 
-def _equation(diagnosis: Diagnosis, kept: _Kept) -> dict[str, Any] | None:
+def _rounding_rad(fit: Fit) -> Floats:
+    """Root mean square of each encoder's rounding."""
+    return fit.problem.records[0].sigma_rad
+
+
+def _equation(diagnosis: Diagnosis, kept: Kept) -> dict[str, Any] | None:
     """The proposed equation with its figure."""
     if diagnosis.proposal is None:
         return None
@@ -220,11 +238,13 @@ def _equation(diagnosis: Diagnosis, kept: _Kept) -> dict[str, Any] | None:
         "evidence": f"Confidence {proposed.confidence:.2f}: {evidence_in_words(discovery.train)} "
         f"on the fitted flights, {confirmed}, the best of {discovery.tried} terms.",
         "address": kept("equation", equation_figures.figure_of_equation(proposed)),
+        "axis": proposed.trace.axis,
+        "symbols": _EQUATION_SYMBOLS,
         "rows": [
             # A dimensionless parameter is shown as it is, not in per cent.
             [name, f"{number['value']:g}", ""]
             if number["unit"] == "1" and not number["std"]
-            else [name, _plus_minus(number, number["unit"]), _shown_unit(number["unit"])]
+            else [name, plus_minus(number, number["unit"]), shown_unit(number["unit"])]
             for name, number in numbers["numbers"].items()
         ],
         "rivals": [[rival.key, f"{rival.log_likelihood_ratio:.0f}"] for rival in discovery.rivals],
@@ -253,11 +273,11 @@ def _calibration(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 [
                     name,
                     *(
-                        _plus_minus(n, n["unit"])
+                        plus_minus(n, n["unit"])
                         for m in (flight["before"], flight["after"])
                         for n in _pair(m[name])
                     ),
-                    _shown_unit(number["unit"]),
+                    shown_unit(number["unit"]),
                 ]
                 for name, number in flight["after"].items()
             ],
@@ -272,60 +292,6 @@ def _calibration(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def _pair(number: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     return {**number["prior"], "unit": number["unit"]}, number
-
-
-def _plus_minus(number: Mapping[str, Any], unit: str) -> str:
-    factor, _ = SHOWN.get(unit, (1.0, unit))
-    value, std = factor * number["value"], factor * number["std"]
-    return f"{rounded(value, std)} ± {rounded(std, std) if std else 'fixed'}"
-
-
-def _shown_unit(unit: str) -> str:
-    return SHOWN.get(unit, (1.0, unit))[1]
-
-
-def _cause_rows(cause: dict[str, Any], kept: _Kept) -> dict[str, Any]:
-    others = ", ".join(cause["ambiguous_with"])
-    evidence = ", ".join(
-        evidence_in_words(value)
-        if name == "log_likelihood_ratio"
-        else f"{name.replace('_', ' ')} {value:.3g}"
-        for name, value in cause["evidence"].items()
-        if isinstance(value, float)
-    )
-    equation = figures.figure_of_latex(cause["equation"])
-    return {
-        "effect": cause["effect"],
-        "confidence": f"{cause['confidence']:.2f}",
-        "sentence": _capital(cause["sentence"]),
-        "unclear": f" These flights do not distinguish it from {others}." if others else "",
-        "confirmed": _confirmation(cause),
-        "latex": cause["equation"],
-        "equation": kept(f"equation-{cause['effect']}", equation),
-        "rows": [
-            [name, _plus_minus(n, n["unit"]), _shown_unit(n["unit"])]
-            for name, n in cause["parameters"].items()
-        ],
-        "evidence": f"Evidence: {evidence}.",
-    }
-
-
-def _confirmation(cause: Mapping[str, Any]) -> str:
-    """Whether a cause holds in both directions, in sentences; empty for one that was not tested."""
-    if "confirmed" not in cause:
-        return ""
-    ratios = cause["replication"]["log_likelihood_ratio"]
-    both = ", ".join(
-        f"{evidence_in_words(nats)} {where}"
-        for nats, where in (
-            (ratios["forward"], "on the validation flights"),
-            (ratios["reverse"], "in the reverse direction"),
-        )
-        if nats is not None
-    )
-    if cause["confirmed"]:
-        return f"Confirmed: {both}."
-    return f"Not confirmed, and not in the extended rig: {cause['replication']['why_not']}."
 
 
 def _residual(residual: dict[str, Any]) -> dict[str, Any]:
@@ -364,7 +330,7 @@ def _unknown(missing: dict[str, Any] | None) -> dict[str, Any] | None:
         "said": f"No effect of the catalogue explains a part of the motion about {missing['axis']} that can "
         f"be predicted, with {evidence_in_words(missing['log_likelihood_gain'])}. It may be, the most "
         "likely first:",
-        "depends": [_capital(dependence_in_words(dependence)) for dependence in missing["correlates_with"]],
+        "depends": [capital(dependence_in_words(dependence)) for dependence in missing["correlates_with"]],
         "gain": _gain(missing.get("gain_with_splines", {})),
     }
 
@@ -378,8 +344,10 @@ def _disturbances(diagnosis: Diagnosis, numbers: dict[str, Any]) -> dict[str, An
                 f"{1e3 * values['fast_std_Nm']:.2g}",
                 f"{values['correlation_time_s']:.2g}",
                 f"{1e3 * values['slow_std_Nm']:.2g}",
-                f"{values['log_likelihood_ratio']:.0f}",
+                nats_in_words(values["log_likelihood_ratio"]),
             ]
+            if values["log_likelihood_ratio"] > MIN_MARGIN
+            else [axis, "none", "", "", nats_in_words(values["log_likelihood_ratio"])]
             for axis, values in numbers["disturbances"].items()
         ],
     }
@@ -424,9 +392,5 @@ def _used(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return used
 
 
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
-
-
 def _sentence(text: str) -> str:
-    return f"{_capital(text)}."
+    return f"{capital(text)}."

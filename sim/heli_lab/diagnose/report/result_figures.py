@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
-from heli_lab.diagnose.discover import MissingTerm
+from heli_lab.diagnose.discover import TIME, MissingTerm
 from heli_lab.diagnose.evaluate import ErrorReduction
 from heli_lab.diagnose.report.figures import AFTER, BEFORE, MEASURED
+from heli_lab.diagnose.wording import readable_id
 from heli_lab.identify import Fit, Trace, trace
 
 if TYPE_CHECKING:
@@ -24,6 +26,8 @@ _TAIL: Final = 0.003
 """Share of the dots at each end that may be outside the picture, so that outliers do not flatten the rest."""
 _EXCERPT_s: Final = 40.0
 """Longest part of a prediction that is drawn: in a longer one, runs of 2 s are not visible."""
+_BUSY_s: Final = 12.0
+"""Length of the part that is drawn of a term over time: in a longer part, lines overlap."""
 _MAX_DOTS: Final = 4000
 
 
@@ -38,20 +42,28 @@ def figure_of_missing_terms(terms: Sequence[MissingTerm]) -> Figure:
     figure = Figure(figsize=(11, 4.1 * rows))
     panels = figure.subplots(rows, 2, sharey="row", squeeze=False)
     high = 4.1 * rows
-    figure.subplots_adjust(0.085, 0.62 / high, 0.985, 1.0 - 0.42 / high, wspace=0.05, hspace=0.42)
-    for term, (before, after) in zip(terms, panels, strict=True):
+    figure.subplots_adjust(0.085, 0.62 / high, 0.985, 1.0 - 0.6 / high, wspace=0.05, hspace=0.48)
+    for whole, (before, after) in zip(terms, panels, strict=True):
+        along_time = whole.on == TIME
+        term = _busy_part(whole) if along_time else whole
         noun = f"torque about {term.axis}" if term.what == "torque" else f"angle of the {term.axis} encoder"
+        name, whose = readable_id(term.id), "cause"
+        if name != term.id:
+            name, whose = f"curve in place of the unknown: {name.removeprefix('any ')}", "curve"
         _dots(before, term.missing, term)
         _dots(after, term.remaining, term)
         quantity, value = (
             _binned(term.quantity, term.contribution, 4 * _BINS)
-            if term.what == "torque"
+            if term.what == "torque" and not along_time
             else (term.quantity, term.contribution)
         )
-        before.plot(quantity, value, color=AFTER, lw=2.2, label="equation of the cause")
-        before.set_title(f"before: {noun} that the model lacks", fontsize=10.5, color=BEFORE, loc="left")
+        label = f"smooth {whose}" if whose == "curve" else "equation of the cause"
+        before.plot(quantity, value, color=AFTER, lw=1.4 if along_time else 2.2, label=label)
+        before.set_title(
+            f"{name}\nbefore: {noun} that the model lacks", fontsize=10.5, color=BEFORE, loc="left"
+        )
         after.set_title(
-            "after: what remains with the cause in the model", fontsize=10.5, color=AFTER, loc="left"
+            f"after: what remains with the {whose} in the model", fontsize=10.5, color=AFTER, loc="left"
         )
         before.set_ylabel(f"{noun} [{term.unit}]", fontsize=10)
         for panel in (before, after):
@@ -70,8 +82,28 @@ def figure_of_missing_terms(terms: Sequence[MissingTerm]) -> Figure:
     return figure
 
 
+def _busy_part(term: MissingTerm) -> MissingTerm:
+    """The part of one flight in which a term contributes most, short enough for distinct lines."""
+    t_s = term.quantity
+    # The times of several flights follow each other, so that time steps back between them.
+    ends = np.append(np.flatnonzero(np.diff(t_s) < 0.0) + 1, len(t_s))
+    starts = np.append(0, ends[:-1])
+    squares = np.append(0.0, np.cumsum(np.square(term.contribution)))
+    parts = []
+    for start, end in zip(starts, ends, strict=True):
+        stops = start + np.searchsorted(t_s[start:end], t_s[start:end] + _BUSY_s)
+        first = start + int(np.argmax(squares[stops] - squares[start:end]))
+        parts.append(slice(first, int(stops[first - start])))
+    part = max(parts, key=lambda part: float(squares[part.stop] - squares[part.start]))
+    names = ("quantity", "missing", "std", "remaining", "contribution")
+    return replace(term, **{name: getattr(term, name)[part] for name in names})
+
+
 def _dots(panel: Axes, value: Floats, term: MissingTerm) -> None:
     quantity = term.quantity
+    if term.on == TIME:
+        panel.plot(quantity, value, ".", ms=3.5, color=MEASURED, label="from the flights")
+        return
     if term.what == "angle":
         panel.errorbar(
             quantity,
@@ -100,7 +132,8 @@ def _binned(quantity: Floats, value: Floats, bins: int) -> tuple[Floats, Floats]
 def figure_of_prediction(
     before: Fit, after: Fit, first: str, outside_s: Sequence[tuple[float, float]] = ()
 ) -> Figure:
-    """Draw free runs of 2 s: the angle of an axis, and the errors of all three axes.
+    """Draw free runs of 2 s: the angle of an axis, and the errors of all three axes. A circle is the start of
+    a run, and a band the rounding of the encoder.
 
     Parameters
     ----------
@@ -135,6 +168,8 @@ def figure_of_prediction(
                 lw=1.1,
                 label=name,
             )
+            begin = (run.t_s[window.start], np.rad2deg(run.predicted_rad[window.start, order[0]]))
+            angle.plot(*begin, "o", ms=4.5, mfc="white", mec=color, mew=1.1, zorder=4)
             for panel, axis in zip(panels[1:], order, strict=True):
                 error_deg = np.rad2deg(run.predicted_rad[window, axis] - run.measured_rad[window, axis])
                 panel.plot(run.t_s[window], error_deg, color=color, lw=0.9)
@@ -146,6 +181,8 @@ def figure_of_prediction(
     angle.set_ylabel(f"{AXES[order[0]]} [deg]", fontsize=10)
     for panel, axis in zip(panels[1:], order, strict=True):
         panel.axhline(0.0, color="#9aa0a6", lw=0.8, zorder=0)
+        half_deg = _half_count_deg(old)[axis]
+        panel.axhspan(-half_deg, half_deg, color="#c9ced4", lw=0.0, zorder=0.5)
         panel.set_ylabel(f"{AXES[axis]}\nerror [deg]", fontsize=9)
     for panel in panels:
         panel.grid(alpha=0.25)
@@ -158,9 +195,15 @@ def figure_of_prediction(
         frameon=False,
         markerscale=4,
     )
-    angle.set_title(f"{old.label}, predicted in runs of 2 s", fontsize=10.5, loc="left")
+    angle.set_title(f"{old.label}, simulated in runs of 2 s", fontsize=10.5, loc="left")
     panels[-1].set_xlabel("time of the flight [s]", fontsize=10)
     return figure
+
+
+def _half_count_deg(drawn: Trace) -> Floats:
+    """Half a count of each encoder: the largest error that rounding makes."""
+    result: Floats = np.rad2deg(np.sqrt(3.0) * drawn.sigma_rad)
+    return result
 
 
 def _excerpt(drawn: Trace, axis: int) -> slice:
@@ -177,9 +220,11 @@ def _excerpt(drawn: Trace, axis: int) -> slice:
     return slice(*max(fits, key=lambda span: float(squares[span[1]] - squares[span[0]])))
 
 
-def figure_of_gain(horizons: Mapping[str, Mapping[str, ErrorReduction]], extended: bool) -> Figure:
+def figure_of_gain(
+    horizons: Mapping[str, Mapping[str, ErrorReduction]], extended: bool, rounding_rad: Floats
+) -> Figure:
     """Draw free-run errors before and after by horizon, one panel per axis, with 95 % intervals of their
-    ratio.
+    ratio, and the rms error that the encoders' rounding makes.
 
     Parameters
     ----------
@@ -187,25 +232,29 @@ def figure_of_gain(horizons: Mapping[str, Mapping[str, ErrorReduction]], extende
         Error reductions by horizon and axis.
     extended : bool
         Whether there is an extended model; otherwise only errors of the baseline are drawn.
+    rounding_rad : ndarray (3,)
+        Root mean square of each encoder's rounding.
     """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 3.5))
     panels = figure.subplots(1, 3)
-    figure.subplots_adjust(0.065, 0.155, 0.985, 0.86, wspace=0.18)
+    figure.subplots_adjust(0.065, 0.155, 0.985, 0.83, wspace=0.18)
     place = np.arange(len(horizons))
-    for axis, panel in zip(AXES, panels, strict=True):
+    for axis, panel, rounding_deg in zip(AXES, panels, np.rad2deg(rounding_rad), strict=True):
         measured = [horizon[axis] for horizon in horizons.values()]
         before = np.array([reduction.before_deg for reduction in measured])
         after = np.array([reduction.after_deg for reduction in measured])
         ends = before * np.array([reduction.interval95 for reduction in measured]).T
         panel.bar(place - (0.18 if extended else 0.0), before, 0.32, color=BEFORE, label="baseline")
         panel.set_xticks(place, [f"{key} s" for key in horizons])
-        panel.set_title(axis, fontsize=10.5)
+        panel.axhline(rounding_deg, color=MEASURED, lw=1.0, ls="--", label="rounding of the encoder alone")
+        panel.set_title(axis, fontsize=10.5, loc="left")
         panel.set_xlabel("length of the free run", fontsize=9)
         panel.grid(axis="y", alpha=0.25)
         panel.set_axisbelow(True)
         if not extended:
+            panel.set_ylim(0.0, 1.5 * float(max(before.max(), rounding_deg)) or 1.0)
             continue
         panel.bar(place + 0.18, after, 0.32, color=AFTER, label="extended")
         whiskers = np.abs(ends - after)
@@ -225,6 +274,6 @@ def figure_of_gain(horizons: Mapping[str, Mapping[str, ErrorReduction]], extende
         panel.set_ylim(0.0, 1.2 * highest or 1.0)
     panels[0].set_ylabel("rms error [deg]", fontsize=10)
     figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="upper right", ncols=2, fontsize=9, frameon=False
+        *panels[0].get_legend_handles_labels(), loc="upper right", ncols=3, fontsize=9, frameon=False
     )
     return figure

@@ -10,7 +10,13 @@ from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
 from heli_lab.diagnose.report import findings
 from heli_lab.diagnose.report.cautions import cautions
 from heli_lab.diagnose.result import Diagnosis, Proposal
-from heli_lab.diagnose.thresholds import CONFIDENCE_NATS, MATTERS_COUNTS, MIN_MARGIN, REPORT_RATIO
+from heli_lab.diagnose.thresholds import (
+    CONFIDENCE_NATS,
+    CONFIDENCE_RANDOM_TORQUE,
+    MATTERS_COUNTS,
+    MIN_MARGIN,
+    REPORT_RATIO,
+)
 from heli_lab.diagnose.wording import dependence_in_words, evidence_in_words
 
 METRIC: Final = "2 s free-run rms on the validation flights, deg"
@@ -19,11 +25,15 @@ METRIC: Final = "2 s free-run rms on the validation flights, deg"
 
 def title(result: Diagnosis) -> str:
     """Write the verdict as a headline that claims no more than `summary` does."""
-    named = [cause["effect"] for cause in findings.causes(result)]
+    causes = findings.causes(result)
+    named = [cause["effect"] for cause in causes]
+    plural = "s" * (len(named) > 1)
+    certain = all(cause["confidence"] >= CONFIDENCE_RANDOM_TORQUE for cause in causes)
+    found = f"Cause{plural} found" if certain else f"Probable cause{plural}"
     return {
         "explained": "Nothing is missing that these flights show",
-        "cause_found": f"Cause{'s' if len(named) > 1 else ''} found: {', '.join(named)}",
-        "ambiguous": "Cause found, but not distinguished from others",
+        "cause_found": f"{found}: {', '.join(named)}",
+        "ambiguous": "Something is missing; these flights do not distinguish its possible causes",
         "unexplained": "Something unknown is missing" + (", perhaps with known causes" if named else ""),
     }[result.label]
 
@@ -50,7 +60,7 @@ def _verdict(result: Diagnosis) -> str:
             f"{where} cannot be predicted.{remaining}"
         )
     if label in ("cause_found", "ambiguous"):
-        text = "; ".join(cause["sentence"] for cause in causes)
+        text = "; ".join(stated(cause) for cause in causes)
         others = sorted({other for cause in causes for other in cause["ambiguous_with"]})
         unclear = f" These flights do not distinguish it from {', '.join(others)}." if others else ""
         for cause in causes:
@@ -68,6 +78,15 @@ def _verdict(result: Diagnosis) -> str:
         perhaps = "; ".join(f"{cause['sentence']} (confidence {cause['confidence']:.2f})" for cause in causes)
         text += f" Together with it, perhaps: {perhaps}."
     return text
+
+
+def stated(cause: Mapping[str, Any], certain: bool = True) -> str:
+    """Write the sentence of a `cause`: as a fact, or with "perhaps" and its confidence if that is low or if
+    not even the verdict is `certain`.
+    """
+    if certain and cause["confidence"] >= CONFIDENCE_RANDOM_TORQUE:
+        return str(cause["sentence"])
+    return f"perhaps {cause['sentence']} (confidence {cause['confidence']:.2f})"
 
 
 def disturbances_in_words(result: Diagnosis) -> str:

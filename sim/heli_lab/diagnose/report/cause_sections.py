@@ -1,0 +1,102 @@
+"""Section of the page about each cause: its sentence, evidence, equation, symbols and parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from heli_lab.diagnose.report import figures
+from heli_lab.diagnose.report.sentences import stated
+from heli_lab.diagnose.report.symbols import legend
+from heli_lab.diagnose.wording import SHOWN, evidence_in_words
+from heli_lab.identify.result import rounded
+from heli_lab.page.drawing import Picture
+
+Kept = Callable[[str, Any], Picture | None]
+"""Adds a figure, if there is one, to the page by the name of its file."""
+
+
+def cause_section(
+    cause: dict[str, Any], meanings: Mapping[str, str], certain: bool, kept: Kept
+) -> dict[str, Any]:
+    """Write a `cause` for the template.
+
+    Parameters
+    ----------
+    cause : dict
+        The cause as JSON.
+    meanings : Mapping[str, str]
+        Meanings of parameters by full name.
+    certain : bool
+        Whether the verdict is certain, so that a cause may be stated as a fact.
+    kept : callable
+        Keeps the figure of the equation.
+    """
+    others = ", ".join(cause["ambiguous_with"])
+    equation = figures.figure_of_latex(cause["equation"])
+    parameters = cause["parameters"]
+    known = [meanings.get(name, "") for name in parameters]
+    return {
+        "effect": cause["effect"],
+        "confidence": f"{cause['confidence']:.2f}",
+        "sentence": capital(stated(cause, certain)),
+        "unclear": f" These flights do not distinguish it from {others}." if others else "",
+        "confirmed": _confirmation(cause),
+        "latex": cause["equation"],
+        "equation": kept(f"equation-{cause['effect']}", equation),
+        "symbols": legend(cause["effect"], cause["equation"], known),
+        "rows": [
+            [name, plus_minus(number, number["unit"]), shown_unit(number["unit"]), meaning]
+            for (name, number), meaning in zip(parameters.items(), known, strict=True)
+        ],
+        "evidence": _evidence(cause["evidence"]),
+    }
+
+
+def _evidence(evidence: Mapping[str, Any]) -> str:
+    """Evidence for a cause in sentences."""
+    if "standard_errors_from_zero" in evidence:
+        return (
+            f"The estimate of the term is {evidence['standard_errors_from_zero']:.1f} standard errors from "
+            f"zero, and {evidence['standard_errors_from_rig']:.1f} from the value in the rig file."
+        )
+    if "log_likelihood_ratio" in evidence:
+        return f"On the fitted flights: {evidence_in_words(evidence['log_likelihood_ratio'])}."
+    held_out = evidence["log_likelihood_ratio_held_out"]
+    return (
+        f"On the fitted flights: {evidence_in_words(evidence['log_likelihood_ratio_train'])}, of which "
+        f"{evidence['penalty']:.0f} nats are needed to outweigh the number of parameters and of candidates"
+        f"{f'; on the validation flights: {evidence_in_words(held_out)}' if held_out is not None else ''}."
+    )
+
+
+def _confirmation(cause: Mapping[str, Any]) -> str:
+    """Whether a cause holds in both directions, in sentences; empty for one that was not tested."""
+    if "confirmed" not in cause:
+        return ""
+    if not cause["confirmed"]:
+        return f"Not confirmed, and not in the extended rig: {cause['replication']['why_not']}."
+    reverse = cause["replication"]["log_likelihood_ratio"]["reverse"]
+    if reverse is None:
+        return "Confirmed on the validation flights."
+    return (
+        "Confirmed: it also holds if the fitted and the validation flights are exchanged, with "
+        f"{evidence_in_words(reverse)}."
+    )
+
+
+def plus_minus(number: Mapping[str, Any], unit: str) -> str:
+    """Write a `number` in its display unit with its standard error."""
+    factor, _ = SHOWN.get(unit, (1.0, unit))
+    value, std = factor * number["value"], factor * number["std"]
+    return f"{rounded(value, std)} ± {rounded(std, std)}" if std else f"{rounded(value, std)} (fixed)"
+
+
+def shown_unit(unit: str) -> str:
+    """Return the display unit of an SI `unit`."""
+    return SHOWN.get(unit, (1.0, unit))[1]
+
+
+def capital(text: str) -> str:
+    """Begin a `text` with a capital."""
+    return text[:1].upper() + text[1:]

@@ -1,0 +1,60 @@
+"""Section of the page about the torques and angles that a model lacks, with and without a cause."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+from heli_lab.diagnose.discover import TIME, MissingTerm
+from heli_lab.diagnose.report.cause_sections import Kept, capital
+from heli_lab.diagnose.report.result_figures import figure_of_missing_terms
+from heli_lab.diagnose.wording import readable_id
+
+_DOTS: Final = "Each grey dot is 40 ms of the fitted flights; black dots are means."
+_OVER_TIME: Final = "Each dot is 40 ms; the seconds are drawn in which the cause acts most."
+_SMOOTHED: Final = (
+    "A Kalman smoother estimates the missing torque after the {0} was removed from the model, with all other "
+    "parameters unchanged: the {1} has no part in that estimate. Means are subtracted, because a constant "
+    "torque is a parameter."
+)
+_STEADY: Final = "A cause that also changes the steady thrust shows that change too."
+_POINTS: Final = (
+    "Points are a smooth curve that is estimated in the place of the cause, with two standard errors. The "
+    "equation of the cause has no part in that estimate."
+)
+_FAINT: Final = 0.3
+"""Share of the variance below which a caption says that the dots hardly show a term."""
+
+
+def missing_section(file: str, terms: Sequence[MissingTerm], kept: Kept) -> dict[str, Any] | None:
+    """Draw missing `terms` into a `file` and describe the figure; None if there are no terms."""
+    if not terms:
+        return None
+    return {
+        "address": kept(file, figure_of_missing_terms(terms)),
+        "meaning": "; ".join(f"missing {term.what} about {term.axis} over {term.on}" for term in terms),
+        "caption": " ".join([*(_caption(term) for term in terms), *_how_drawn(terms)]),
+    }
+
+
+def _how_drawn(terms: Sequence[MissingTerm]) -> list[str]:
+    """How the terms of a figure were estimated and drawn, in sentences."""
+    torques = [term for term in terms if term.what == "torque"]
+    if not torques:
+        return [_POINTS]
+    lines = []
+    if any(term.on != TIME for term in torques):
+        lines.append(_DOTS)
+    if any(term.on == TIME for term in torques):
+        lines.append(_OVER_TIME)
+    if any(readable_id(term.id) != term.id for term in torques):
+        return [*lines, _SMOOTHED.format("curve", "curve")]
+    return [*lines, _SMOOTHED.format("cause", "equation of the cause"), _STEADY]
+
+
+def _caption(term: MissingTerm) -> str:
+    name, what = term.id, "equation"
+    if readable_id(name) != name:
+        name, what = capital(readable_id(name)), "curve"
+    faint = " Disturbances hide it in these dots." if term.share < _FAINT else ""
+    return f"{name}: the {what} explains {100 * max(term.share, 0.0):.0f} % of the variance.{faint}"
