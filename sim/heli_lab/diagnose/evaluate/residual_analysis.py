@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -169,11 +169,10 @@ def disturbance_gains(screening: Screening) -> Floats:
     """
     disturbances, filtered = screening.estimate.disturbances, screening.filtered
     less = [
-        DisturbanceModel(
-            np.where(gone, _NO_TORQUE_Nm, disturbances.fast_std),
-            disturbances.correlation_time_s,
-            np.where(gone, _NO_TORQUE_Nm, disturbances.slow_std),
-            disturbances.quantisation,
+        replace(
+            disturbances,
+            fast_std=np.where(gone, _NO_TORQUE_Nm, disturbances.fast_std),
+            slow_std=np.where(gone, _NO_TORQUE_Nm, disturbances.slow_std),
         )
         for gone in np.eye(3, dtype=bool)
     ]
