@@ -13,7 +13,7 @@ import numpy as np
 from heli_host.flight import Flight
 from typing_extensions import override
 
-from heli_benchmark.cases.disturbed import LAG, MAKERS, PAPER_RIG, RATES_Hz, SIZES
+from heli_benchmark.cases.disturbed import LAG, MAKERS, PAPER_RIG, SIZES, RATES_Hz
 from heli_benchmark.cases.disturbed_case import DisturbedCase
 from heli_benchmark.cases.shocks import UNDISTURBED
 from heli_benchmark.effects.noise import NOISE

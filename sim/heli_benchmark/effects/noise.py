@@ -53,7 +53,8 @@ class _Supply(HiddenEffect):
 
 
 def _gusts_Nm(memory_s: float, chance: np.random.Generator) -> Floats:
-    return wander(memory_s, _STEPS, chance) * _GUSTS_Nm
+    torque_Nm: Floats = wander(memory_s, _STEPS, chance) * _GUSTS_Nm
+    return torque_Nm
 
 
 def _bursts(chance: np.random.Generator) -> list[HiddenEffect]:

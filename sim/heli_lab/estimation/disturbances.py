@@ -166,7 +166,9 @@ class _Likelihood:
         """Rows of a point that are differentiated together, and how many of their numbers count."""
         for row in range(outputs, outputs + gains):
             self.low = np.vstack((self.low, np.log([_MIN_GAIN_STD, _MIN_CORRELATION_TIME_s, 1.0, 1.0])))
-            self.high = np.vstack((self.high, np.log([_MAX_GAIN_STD, _MAX_GAIN_CORRELATION_TIME_s, 1.0, 1.0])))
+            self.high = np.vstack(
+                (self.high, np.log([_MAX_GAIN_STD, _MAX_GAIN_CORRELATION_TIME_s, 1.0, 1.0]))
+            )
             self._groups.append((slice(row, row + 1), 2))
 
     def at(self, *points: Floats) -> Floats:
