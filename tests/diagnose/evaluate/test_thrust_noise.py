@@ -1,4 +1,4 @@
-"""A thrust that varies at random is a disturbance with a size, estimated only where torques do not suffice."""
+"""A thrust that varies at random is a disturbance with a size, estimated only if torques do not suffice."""
 
 from __future__ import annotations
 
