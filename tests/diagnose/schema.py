@@ -36,7 +36,7 @@ def conforms(numbers: dict[str, Any], silent: bool = False) -> None:
 
     noise = numbers["thrust_noise"] if not silent else None
     if noise is not None:
-        assert noise.keys() == {"together", "difference"}
+        assert noise.keys() == {"supply", "difference"}
         for one in noise.values():
             assert one.keys() == {"std", "correlation_time_s", "log_likelihood_ratio"}
 

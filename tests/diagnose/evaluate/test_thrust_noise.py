@@ -27,15 +27,15 @@ from tests.identify.made import flown, thinned
 from tests.running.kept import FLOWN, KEPT
 
 pytestmark = pytest.mark.diagnosis
-STD, CORRELATION_s = 0.04, 1.5
+STD, CORRELATION_s = 0.03, 1.5
 
 
-class _WanderingThrust(Effect):
-    """The thrust of both rotors varies by an Ornstein-Uhlenbeck process."""
+class _WanderingSupply(Effect):
+    """The voltage of both motors varies by an Ornstein-Uhlenbeck process."""
 
     @override
-    def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        return thrust_N * (1 + self.own(at, "now"))
+    def voltage_V(self, at: Operands, volts_V: ca.SX) -> ca.SX:
+        return volts_V * (1 + self.own(at, "now"))
 
     @override
     def state_rates(self, at: Operands) -> ca.SX:
@@ -48,15 +48,15 @@ class _WanderingThrust(Effect):
 
 def _flown() -> Flight:
     gusts = parse_effects([f"random_torque.{axis}={size / 3}" for axis, size in GUST_Nm.items()])
-    state = (Quantity("wandering_now", "1", "relative change of the thrust"),)
-    wander = _WanderingThrust("wandering", states=state, stage=Stage.TORQUE, noise_inputs=1)
+    state = (Quantity("wandering_now", "1", "relative change of the voltage"),)
+    wander = _WanderingSupply("wandering", states=state, stage=Stage.TORQUE, noise_inputs=1)
     return thinned(flown(TRUE_RIG, 21, 34.0, MultibodyModel((*gusts, wander))), 2)
 
 
 @cache
 def wandering() -> ModelComparison:
-    """A flight whose thrust wanders, in weak gusts."""
-    flight = KEPT("wandering thrust", _flown, made_by=(Path(__file__), Path(made.__file__)), rooms=FLOWN)
+    """A flight whose supply wanders, in weak gusts."""
+    flight = KEPT("wandering supply", _flown, made_by=(Path(__file__), Path(made.__file__)), rooms=FLOWN)
     return ModelComparison(MultibodyModel(), RIG, [prepare(flight, RIG, "wandering")], [])
 
 
@@ -69,12 +69,12 @@ def _justified(comparison: ModelComparison, verdict: str, gain_nats: float = 20.
     return justified_thrust_noise(comparison, search, assessment)
 
 
-def test_a_wandering_thrust_is_estimated_with_its_size_and_time() -> None:
+def test_a_wandering_supply_is_estimated_with_its_size_and_time() -> None:
     noisy = _justified(wandering(), "unexplained")
     assert noisy is not None
     estimate = noisy.filtering_baseline.estimate
-    together, difference = estimate.disturbances.gain_std
-    assert together == pytest.approx(STD, rel=0.4)
+    supply, difference = estimate.disturbances.gain_std
+    assert supply == pytest.approx(STD, rel=0.4)
     assert 0.4 * CORRELATION_s < estimate.disturbances.gain_correlation_time_s[0] < 2.5 * CORRELATION_s
     assert difference < 0.3 * STD
     assert gain_ratios(Screening(estimate))[0] > 100.0
@@ -87,9 +87,9 @@ def test_no_thrust_noise_without_need_or_evidence() -> None:
     assert _justified(gusts_alone, "unexplained") is None
 
 
-def test_a_thrust_that_varies_is_stated_in_words() -> None:
+def test_a_supply_that_varies_is_stated_in_words() -> None:
     noise = {
-        "together": {"std": 0.021, "correlation_time_s": 2.1, "log_likelihood_ratio": 80.0},
+        "supply": {"std": 0.021, "correlation_time_s": 2.1, "log_likelihood_ratio": 80.0},
         "difference": {"std": 0.004, "correlation_time_s": 0.3, "log_likelihood_ratio": 1.0},
     }
-    assert thrust_noise_in_words(noise) == ["thrust varies by 2 % with a correlation time of 2 s"]
+    assert thrust_noise_in_words(noise) == ["the supply varies by 2 % with a correlation time of 2 s"]

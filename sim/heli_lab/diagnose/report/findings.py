@@ -209,8 +209,8 @@ def disturbances(analysis: ResidualAnalysis) -> dict[str, dict[str, float]]:
 
 
 def thrust_noise(analysis: ResidualAnalysis) -> dict[str, dict[str, float]] | None:
-    """Write how much the thrust of both rotors varies at random, together and against each other, as a share
-    of it, with the log-likelihood ratio; None if torques suffice as disturbances.
+    """Write how much the supply, and the rotors' thrusts against each other, vary at random, as a share, with
+    the log-likelihood ratio; None if torques suffice as disturbances.
     """
     estimated = analysis.disturbances
     if not len(estimated.gain_std):
@@ -221,7 +221,7 @@ def thrust_noise(analysis: ResidualAnalysis) -> dict[str, dict[str, float]] | No
             "correlation_time_s": float(estimated.gain_correlation_time_s[i]),
             "log_likelihood_ratio": float(analysis.thrust_gains[i]),
         }
-        for i, name in enumerate(("together", "difference"))
+        for i, name in enumerate(("supply", "difference"))
     }
 
 
