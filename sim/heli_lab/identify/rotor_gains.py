@@ -15,9 +15,9 @@ class RotorGains(Effect):
     back rotor 1 - d times, after all other effects on it.
 
     Both gains are 0: the estimation core adds random disturbances to them, as to the torques. A supply that
-    wanders is s. If the wash of the rotors varies each thrust by itself, s and d vary. With a wandering
-    supply, s adds more to the log-likelihood than a common gain of the thrusts: behind a dead zone, a share of
-    the voltage is no constant share of the thrust (38 and 52 nats, development seeds 8004, 8009, 2026-11).
+    wanders is s. If the wash of the rotors varies each thrust by itself, s and d vary. Behind a dead zone, a
+    share of the voltage is no constant share of the thrust. For a wandering supply, a gain of the voltages
+    therefore adds more to the log-likelihood than one of the thrusts: 38 and 52 nats in two flights, 2026-11.
     """
 
     @override
