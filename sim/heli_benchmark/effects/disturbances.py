@@ -61,7 +61,7 @@ class DisturbanceTorques(HiddenEffect):
 
 
 def wander(correlation_time_s: float, steps: int, chance: np.random.Generator) -> Floats:
-    """Three stationary Ornstein-Uhlenbeck processes of unit variance, (steps, 3)."""
+    """Draw three stationary Ornstein-Uhlenbeck processes of unit variance by `chance`, shape (`steps`, 3)."""
     from scipy.signal import lfilter
 
     keep = np.exp(-STEP_S / correlation_time_s)

@@ -17,7 +17,23 @@ from heli_benchmark.runs.ask import diagnosis_json
 
 @dataclass
 class NoiseCounts:
-    """Counts of one kind of noise."""
+    """Counts of one kind of noise.
+
+    Parameters
+    ----------
+    nothing, explained : int
+        Cases with nothing hidden, and those of them that are ``explained``.
+    hidden, named : int
+        Hidden causes, and those of them that are named.
+    false_names : int
+        Names of causes that are not hidden.
+    named_but_unexplained : int
+        Cases that are ``unexplained`` although every hidden cause is named.
+    cases : int
+        All cases.
+    spent_s : float
+        Their processor time.
+    """
 
     nothing: int = 0
     explained: int = 0

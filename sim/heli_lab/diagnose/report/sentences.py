@@ -87,7 +87,7 @@ def disturbances_in_words(result: Diagnosis) -> str:
 
 
 def thrust_noise_in_words(noise: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """State how much supply and thrust vary at random, if that is significant."""
+    """State how much supply and thrust vary at random, if that is significant; `noise` is as in the JSON."""
     whose = {
         "supply": "the supply varies by",
         "difference": "the two rotors' thrusts vary against each other by",
