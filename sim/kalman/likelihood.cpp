@@ -53,7 +53,8 @@ HELI_LANES(/)
 
 // Sizes that are known let the compiler keep sums in registers.
 constexpr std::size_t kMaxOutputs = 3;
-constexpr std::size_t kMaxDisturbances = 2 * kMaxOutputs;
+constexpr std::size_t kMaxGains = 2;
+constexpr std::size_t kMaxDisturbances = 2 * (kMaxOutputs + kMaxGains);
 
 struct FourModels {
   Lanes memory[kMaxDisturbances];  // of a part
@@ -98,10 +99,10 @@ HELI_INLINE void combine(const Weight* weights, std::size_t count, const Lanes* 
 }
 
 // The filter of kalman.cpp for one column and four models of the disturbances at once; a fast and a
-// slow one for each output. The innovations are not kept.
-template <std::size_t kOutputs, std::size_t kStates>
+// slow one for each output and gain. The innovations are not kept.
+template <std::size_t kOutputs, std::size_t kStates, std::size_t kGains>
 HELI_INLINE void follow(const LinearSystem& system, const FourModels& models, Lanes* values) {
-  constexpr std::size_t kDisturbances = 2 * kOutputs;
+  constexpr std::size_t kDisturbances = 2 * (kOutputs + kGains);
   constexpr std::size_t kOrder = kStates + kDisturbances;
   const std::size_t kind = system.kind;
   Lanes mean[kOrder];
@@ -238,11 +239,13 @@ HELI_INLINE void follow(const LinearSystem& system, const FourModels& models, La
 constexpr std::size_t kFollowed = 2 * kMaxOutputs;
 constexpr std::size_t kMaxExtra = 6;
 
-HELI_WIDE void follow_any(const LinearSystem& system, const FourModels& models, Lanes* values) {
+template <std::size_t kGains>
+HELI_INLINE void follow_states(const LinearSystem& system, const FourModels& models,
+                               Lanes* values) {
   switch (system.states - kFollowed) {
-#define HELI_EXTRA(extra)                                           \
-  case extra:                                                       \
-    follow<kMaxOutputs, kFollowed + extra>(system, models, values); \
+#define HELI_EXTRA(extra)                                                   \
+  case extra:                                                               \
+    follow<kMaxOutputs, kFollowed + extra, kGains>(system, models, values); \
     break;
     HELI_EXTRA(0)
     HELI_EXTRA(1)
@@ -257,8 +260,17 @@ HELI_WIDE void follow_any(const LinearSystem& system, const FourModels& models, 
   }
 }
 
+HELI_WIDE void follow_any(const LinearSystem& system, const FourModels& models, Lanes* values) {
+  if (system.disturbances == kMaxDisturbances) {
+    follow_states<kMaxGains>(system, models, values);
+  } else {
+    follow_states<0>(system, models, values);
+  }
+}
+
 bool is_compiled(const LinearSystem& system) {
-  return system.outputs == kMaxOutputs && system.disturbances == kMaxDisturbances &&
+  return system.outputs == kMaxOutputs &&
+         (system.disturbances == 2 * kMaxOutputs || system.disturbances == kMaxDisturbances) &&
          system.states >= kFollowed && system.states <= kFollowed + kMaxExtra;
 }
 

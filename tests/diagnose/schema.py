@@ -34,6 +34,12 @@ def conforms(numbers: dict[str, Any], silent: bool = False) -> None:
         assert all(_number(one[when], silent) for when in ("before", "after"))
     assert isinstance(residual["white"], dict)
 
+    noise = numbers["thrust_noise"] if not silent else None
+    if noise is not None:
+        assert noise.keys() == {"supply", "difference"}
+        for one in noise.values():
+            assert one.keys() == {"std", "correlation_time_s", "log_likelihood_ratio"}
+
     gain = numbers["gain"]
     assert gain["metric"] in (
         "2 s free-run rms on the validation flights, deg",

@@ -183,13 +183,14 @@ def test_midpoint_rule_is_that_of_dense_algebra() -> None:
 
 @pytest.mark.parametrize("states", [4, 6, 8, 12, 13])
 @pytest.mark.parametrize("disturbance_models", [1, 4, 6])
+@pytest.mark.parametrize("inputs", [3, 5])
 def test_several_disturbance_models_together_are_as_likely_as_each_alone(
-    states: int, disturbance_models: int
+    states: int, disturbance_models: int, inputs: int
 ) -> None:
     random = np.random.default_rng(100 * states + disturbance_models)
-    steps, torques = 41, 6
+    steps, torques = 41, 2 * inputs
     transition = 0.9 * np.eye(states) + random.normal(0.0, 0.05, (steps, states, states))
-    part_input = random.normal(0.0, 0.5, (4, steps, states, 3))
+    part_input = random.normal(0.0, 0.5, (4, steps, states, inputs))
     measurement = random.normal(0.0, 1.0, (steps, 3, states)) * (random.random((steps, 3, states)) < 0.6)
     variance = random.uniform(0.2, 0.6, (steps, 3))
     variance[5, 1] = 0.0

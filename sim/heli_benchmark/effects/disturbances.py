@@ -13,7 +13,7 @@ STRENGTHS_Nm = ((0.006, 0.002, 0.004), (0.012, 0.004, 0.008), (0.02, 0.006, 0.01
 """Standard deviations about elevation, pitch and travel: weak, moderate, strong."""
 MEMORIES_s = (0.3, 0.6, 1.2)
 """Correlation times of the gusts; on measured flights they are 0.1 to 1.2 s."""
-_LONGEST_s = 130.0
+LONGEST_s = 130.0
 
 
 @dataclass(frozen=True)
@@ -51,17 +51,17 @@ class DisturbanceTorques(HiddenEffect):
 
     def __init__(self, disturbances: DisturbanceModel, chance: np.random.Generator) -> None:
         super().__init__(1.0, chance)
-        steps = round(_LONGEST_s / STEP_S)
-        gusts = _wander(disturbances.correlation_time_s, steps, chance) * disturbances.gusts_Nm
-        drift = _wander(disturbances.drift_s, steps, chance) * disturbances.slow_std_Nm
+        steps = round(LONGEST_s / STEP_S)
+        gusts = wander(disturbances.correlation_time_s, steps, chance) * disturbances.gusts_Nm
+        drift = wander(disturbances.drift_s, steps, chance) * disturbances.slow_std_Nm
         self._torque_Nm = gusts + drift
 
     def torque(self, at: Moment) -> None:
         at.torque_Nm += self._torque_Nm[round(at.flight_s / STEP_S)]
 
 
-def _wander(correlation_time_s: float, steps: int, chance: np.random.Generator) -> Floats:
-    """Three stationary Ornstein-Uhlenbeck processes of unit variance, (steps, 3)."""
+def wander(correlation_time_s: float, steps: int, chance: np.random.Generator) -> Floats:
+    """Draw three stationary Ornstein-Uhlenbeck processes of unit variance by `chance`, shape (`steps`, 3)."""
     from scipy.signal import lfilter
 
     keep = np.exp(-STEP_S / correlation_time_s)

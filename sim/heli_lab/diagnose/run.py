@@ -24,6 +24,7 @@ from heli_lab.diagnose.evaluate import (
     calibration_s,
     evaluate_held_out,
     evaluate_hypothesis,
+    justified_thrust_noise,
     replicate,
     undetectable_effects,
     unidentifiable_parameters,
@@ -134,6 +135,11 @@ def diagnose(
         known = {effect.name for effect in model.effects}
         tried = {id_: kind for id_, kind in every.items() if _is_candidate(kind, model, known, every)}
         result, assessment = _search_and_assess(comparison, tried, every, report, refits)
+        noisy = justified_thrust_noise(comparison, result, assessment)
+        if noisy is not None:
+            again = _search_and_assess(noisy, tried, every, report, refits)
+            if again[1].verdict.label != "unexplained":
+                comparison, (result, assessment) = noisy, again
         undetectable = undetectable_effects(result.rounds[-1].screened, every)
         evaluation = evaluate_held_out(comparison, result, assessment, calibrate_s)
         report("judging the causes in the reverse direction", 0.91)

@@ -100,14 +100,15 @@ def auxiliary_residuals(
         times, scores, information = [], [], []
         for blocks, (drive, measured) in zip(linearised.blocks, signals, strict=True):
             system = list(filtered.system(linearised, blocks, disturbances))
-            system[4] = np.concatenate((system[4], np.repeat((_LEVEL, _IMPULSE), outputs)))
-            system[5] = np.concatenate((system[5], np.zeros(2 * outputs)))
+            inputs = blocks.part_input.shape[3]
+            system[4] = np.concatenate((system[4], np.repeat((_LEVEL, _IMPULSE), inputs)))
+            system[5] = np.concatenate((system[5], np.zeros(2 * inputs)))
             state_scores, state_information = _kalman.shock_scores(*system, drive, measured)
             times.append(linearised.nodes.t_s[blocks.rows])
-            scores.append(state_scores[:, -2 * outputs :])
-            information.append(state_information[:, -2 * outputs :])
+            scores.append(state_scores[:, -2 * inputs :])
+            information.append(state_information[:, -2 * inputs :])
         score, weight = np.concatenate(scores), np.concatenate(information)
-        level, impulse = slice(0, outputs), slice(outputs, 2 * outputs)
+        level, impulse = slice(0, outputs), slice(inputs, inputs + outputs)
         results.append(
             AuxiliaryResiduals(
                 np.concatenate(times),

@@ -106,7 +106,8 @@ class GreyBoxModel:
         Their names; `m` is the number of outputs.
     disturbed : tuple of str
         For each output the parameter to which its disturbance is added: mainly this output must respond to
-        it.
+        it. Then any number of gains, which are 0: parameters whose disturbances are relative, and move any
+        output.
     dynamics : callable
         Rates of the states, shape (states, 1).
     measurement : callable
@@ -144,7 +145,7 @@ class GreyBoxModel:
     source: Any = None
 
     def __post_init__(self) -> None:
-        if len(self.disturbed) != len(self.outputs) or len(self.states) < self.followed:
+        if len(self.disturbed) < len(self.outputs) or len(self.states) < self.followed:
             raise ValueError("a model needs a position, a rate and a disturbance for each of its outputs")
 
     @property

@@ -139,7 +139,7 @@ class Derivatives:
     rates : ndarray (n, states, 1 + f)
         First the model's error: its rates minus those of the trajectory. Then by how much a unit of each free
         parameter reduces it.
-    by_disturbance : ndarray (n, states, m)
+    by_disturbance : ndarray (n, states, m + g)
         Derivatives of the rates by the disturbances.
     C : ndarray (n, m, states)
         Derivatives of the outputs by the state.
@@ -166,7 +166,7 @@ class Blocks:
         First step of each block.
     transition : ndarray (b, states, states)
         Transition matrix of the deviation over a block.
-    part_input : ndarray (steps of a block, b, states, m)
+    part_input : ndarray (steps of a block, b, states, m + g)
         Change of the deviation at the end of a block by a disturbance of 1 during one of its steps.
     measurement : ndarray (b, m, states)
         Derivatives of the outputs by the state.
@@ -300,7 +300,7 @@ class LinearisedFlight:
             blocks = Blocks(
                 firsts,
                 np.empty((count, states, states)),
-                np.empty((n, count, states, m)),
+                np.empty((n, count, states, len(self.model.disturbed))),
                 np.empty((count, m, states)),
                 self.variance[firsts],
                 np.empty((count, states, size)),
@@ -337,9 +337,9 @@ class LinearisedFlight:
     @cached_property
     def steps(self) -> Steps:
         """The model in every step, kept until `release`."""
-        n, nx, m = self.rows, self.states, len(self.model.outputs)
+        n, nx, m, inputs = self.rows, self.states, len(self.model.outputs), len(self.model.disturbed)
         kept = Steps(
-            *(np.empty((n, *shape)) for shape in ((nx, nx), (nx, nx), (nx, m), (m, nx), (nx, 1), (m, 1)))
+            *(np.empty((n, *shape)) for shape in ((nx, nx), (nx, nx), (nx, inputs), (m, nx), (nx, 1), (m, 1)))
         )
         for low in range(0, n, _CHUNK_STEPS):
             rows = slice(low, min(low + _CHUNK_STEPS, n))
@@ -370,7 +370,7 @@ class LinearisedFlight:
             Accelerations of the positions in each step, in the outputs' unit per s2.
         """
         m = len(self.model.outputs)
-        inverse = np.linalg.pinv(self.steps.by_disturbance[:, m : 2 * m], rcond=_HELD)
+        inverse = np.linalg.pinv(self.steps.by_disturbance[:, m : 2 * m, :m], rcond=_HELD)
         return np.asarray(inverse @ accelerations[:, :, None], float)[:, :, 0]
 
     def over_blocks(self, rates: Floats) -> list[Floats]:

@@ -38,8 +38,9 @@ def smoothed_disturbances(
             system = filtered.system(linearised, blocks, disturbances)
             mean, variance = _kalman.smooth(*system, drive, measured)
             times.append(linearised.nodes.t_s[blocks.rows])
-            values.append(mean[:, nx : nx + m] + mean[:, nx + m :])
-            errors.append(np.sqrt(variance[:, nx : nx + m] + variance[:, nx + m :]))
+            slow = nx + blocks.part_input.shape[3]
+            values.append(mean[:, nx : nx + m] + mean[:, slow : slow + m])
+            errors.append(np.sqrt(variance[:, nx : nx + m] + variance[:, slow : slow + m]))
         result.append((np.concatenate(times), np.concatenate(values), np.concatenate(errors)))
     return result
 

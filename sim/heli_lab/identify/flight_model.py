@@ -30,6 +30,7 @@ from heli_lab.estimation import (
 from heli_lab.identify.free import PER_FLIGHT, free_parameters, rig_prior
 from heli_lab.identify.grid import make_grid
 from heli_lab.identify.record import Record
+from heli_lab.identify.rotor_gains import GAINS, ROTOR_GAINS
 
 TORQUES: Final = tuple(f"torque_{axis}" for axis in AXES)
 
@@ -104,12 +105,13 @@ def grey_box(model: Model) -> GreyBoxModel:
     """Describe a helicopter's `model`, in flights whose angles were measured, to the estimation core."""
     model = with_measured_angles(model)
     rigid = 2 * len(AXES)
+    gains = GAINS if ROTOR_GAINS in model.effects else ()
     return GreyBoxModel(
         states=tuple(state.name for state in model.states),
         inputs=tuple(quantity.name for quantity in model.inputs),
         outputs=AXES,
         parameters=tuple(quantity.name for quantity in model.parameters),
-        disturbed=TORQUES,
+        disturbed=(*TORQUES, *gains),
         dynamics=_Equations(model, "dynamics"),
         measurement=_Equations(model, "measurement"),
         reset_map=_Equations(model, "reset_map"),
@@ -119,7 +121,7 @@ def grey_box(model: Model) -> GreyBoxModel:
                 np.full(len(model.states) - rigid, _EFFECT_STATE_STD),
             )
         ),
-        disturbance_start=DISTURBANCE_START,
+        disturbance_start=DISTURBANCE_START.with_gains(len(gains)) if gains else DISTURBANCE_START,
         disturbance_std_range=_DISTURBANCE_RANGE_Nm,
         acting_inputs=_Voltages(model),
         known_directions=known_directions(model.effects),

@@ -28,6 +28,7 @@ from heli_lab.diagnose.evaluate.replication import (
 )
 from heli_lab.diagnose.evaluate.reported import CauseParameter, cause_parameters, reported_std
 from heli_lab.diagnose.evaluate.residual_analysis import ResidualAnalysis, correlates
+from heli_lab.diagnose.evaluate.thrust_noise import justified_thrust_noise
 from heli_lab.diagnose.evaluate.verdict import NamedCause, SmallEffect, Verdict, confidence
 
 __all__ = [
@@ -63,6 +64,7 @@ __all__ = [
     "extrapolations",
     "failing_regions",
     "free_runs",
+    "justified_thrust_noise",
     "predict",
     "prior_conflicts",
     "replicate",

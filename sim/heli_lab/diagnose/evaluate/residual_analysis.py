@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -27,7 +27,7 @@ from heli_lab.diagnose.search import (
     score_of,
     spline_candidates,
 )
-from heli_lab.estimation import BLOCK_s, DisturbanceModel, LinearisedFlight
+from heli_lab.estimation import BLOCK_s, DisturbanceModel, InnovationsModel, LinearisedFlight
 
 _MAX_CORRELATES: Final = 4
 """Longest list that a report shows."""
@@ -54,6 +54,7 @@ _TORQUE_STD_Nm: Final = (0.1, 0.03, 0.05)
 _TEST_SPLINES: Final = 99
 """A number above those of a model's own spline terms, so that parameter names differ."""
 _NO_TORQUE_Nm: Final = 2e-5
+_NO_GAIN: Final = 1e-6
 """Practically zero; covariances stay regular."""
 _WHITE_LAGS: Final = (1, 2, 5, 12)
 """Lags at which the autocorrelation of the innovations is reported, in steps of 40 ms: up to half a
@@ -101,6 +102,9 @@ class ResidualAnalysis:
         Significant regressors of the innovations, the strongest first; empty if the innovations are white.
     kicks : Mapping[str, Kicks]
         Kicks by axis; empty if there are none.
+    thrust_gains : ndarray (g,)
+        Log-likelihood ratio of each random variation of the thrust over none, nats; empty if the model has
+        none.
     """
 
     disturbances: DisturbanceModel
@@ -111,6 +115,7 @@ class ResidualAnalysis:
     measurements: int
     dependences: tuple[Dependence, ...]
     kicks: Mapping[str, Kicks] = field(default_factory=dict)
+    thrust_gains: Floats = field(default_factory=lambda: np.zeros(0))
 
     @property
     def predictable_share(self) -> float:
@@ -140,7 +145,7 @@ def residual_analysis(screenings: Sequence[Screening]) -> ResidualAnalysis:
         if dependence.log_likelihood_gain > dependence.penalty
     ]
     autocorrelation, bound = _autocorrelation(first)
-    gains = disturbance_gains(first)
+    gains, thrust_gains = disturbance_gains(first), gain_ratios(first)
     short = kicks(first.filtered, first.estimate.disturbances)
     for screening in screenings:
         screening.release()
@@ -153,6 +158,7 @@ def residual_analysis(screenings: Sequence[Screening]) -> ResidualAnalysis:
         sum(screening.measurements for screening in screenings),
         tuple(significant[:_MAX_CORRELATES]),
         short,
+        thrust_gains,
     )
 
 
@@ -169,16 +175,33 @@ def disturbance_gains(screening: Screening) -> Floats:
     """
     disturbances, filtered = screening.estimate.disturbances, screening.filtered
     less = [
-        DisturbanceModel(
-            np.where(gone, _NO_TORQUE_Nm, disturbances.fast_std),
-            disturbances.correlation_time_s,
-            np.where(gone, _NO_TORQUE_Nm, disturbances.slow_std),
-            disturbances.quantisation,
+        replace(
+            disturbances,
+            fast_std=np.where(gone, _NO_TORQUE_Nm, disturbances.fast_std),
+            slow_std=np.where(gone, _NO_TORQUE_Nm, disturbances.slow_std),
         )
         for gone in np.eye(3, dtype=bool)
     ]
-    error = filtered.perturbed_residual()
-    values = filtered.log_likelihoods([disturbances, *less], error).sum(axis=1)
+    return _ratios(filtered, disturbances, less)
+
+
+def gain_ratios(screening: Screening) -> Floats:
+    """Log-likelihood ratio of each gain's random variation over none, nats, shape (g,)."""
+    disturbances = screening.estimate.disturbances
+    less = [
+        replace(disturbances, gain_std=np.where(gone, _NO_GAIN, disturbances.gain_std))
+        for gone in np.eye(len(disturbances.gain_std), dtype=bool)
+    ]
+    return _ratios(screening.filtered, disturbances, less)
+
+
+def _ratios(
+    filtered: InnovationsModel, disturbances: DisturbanceModel, others: Sequence[DisturbanceModel]
+) -> Floats:
+    """Log-likelihood ratios of the disturbances over each of some `others`, nats."""
+    if not others:
+        return np.zeros(0)
+    values = filtered.log_likelihoods([disturbances, *others], filtered.perturbed_residual()).sum(axis=1)
     result: Floats = values[0] - values[1:]
     return result
 

@@ -187,13 +187,14 @@ def _flights_in_words(effect: Effect) -> str:
 
 def has_random_torque(residual: ResidualAnalysis, kinds: Mapping[str, EffectSpec]) -> bool:
     """Whether the fast disturbance is significant about one axis only, and of notable size and correlation
-    time; `kinds` is the catalogue, which has its typical size.
+    time; `kinds` is the catalogue, which has its typical size. A thrust that varies disturbs all axes.
     """
     order, axis = np.sort(residual.gains), AXES.index(residual.axis)
     kind = kinds.get(f"random_torque.{residual.axis}")
     min_Nm = thresholds.RANDOM_TORQUE_MIN_SHARE * kind.typical[kind.size[0]] if kind else math.inf
     return bool(
-        order[-1] > thresholds.RANDOM_TORQUE_NATS > order[-2]
+        not residual.thrust_gains.size
+        and order[-1] > thresholds.RANDOM_TORQUE_NATS > order[-2]
         and residual.disturbances.fast_std[axis] > min_Nm
         and residual.disturbances.correlation_time_s[axis] > thresholds.RANDOM_TORQUE_MIN_CORRELATION_s
     )

@@ -205,6 +205,23 @@ def disturbances(analysis: ResidualAnalysis) -> dict[str, dict[str, float]]:
     }
 
 
+def thrust_noise(analysis: ResidualAnalysis) -> dict[str, dict[str, float]] | None:
+    """Write how much the supply, and the rotors' thrusts against each other, vary at random, as a share, with
+    the log-likelihood ratio; None if torques suffice as disturbances.
+    """
+    estimated = analysis.disturbances
+    if not len(estimated.gain_std):
+        return None
+    return {
+        name: {
+            "std": float(estimated.gain_std[i]),
+            "correlation_time_s": float(estimated.gain_correlation_time_s[i]),
+            "log_likelihood_ratio": float(analysis.thrust_gains[i]),
+        }
+        for i, name in enumerate(("supply", "difference"))
+    }
+
+
 def gains(reductions: Mapping[str, ErrorReduction]) -> dict[str, dict[str, Any]]:
     """Write error `reductions` by axis: errors before and after in degrees, ratio and its 95 % interval."""
     return {

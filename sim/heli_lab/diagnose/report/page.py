@@ -337,7 +337,7 @@ def _unknown(missing: dict[str, Any] | None) -> dict[str, Any] | None:
 
 def _disturbances(diagnosis: Diagnosis, numbers: dict[str, Any]) -> dict[str, Any]:
     return {
-        "said": f"Disturbances, torques that no model predicts: {disturbances_in_words(diagnosis)}.",
+        "said": f"Disturbances that no model predicts: {disturbances_in_words(diagnosis)}.",
         "rows": [
             [
                 axis,

@@ -97,11 +97,26 @@ def disturbances_in_words(result: Diagnosis) -> str:
         for axis, values in findings.disturbances(result.assessment.residual_analysis).items()
         if values["log_likelihood_ratio"] > MIN_MARGIN
     ]
+    parts += thrust_noise_in_words(findings.thrust_noise(result.assessment.residual_analysis) or {})
     parts += [
         f"{kick.count} kick{'s' * (kick.count > 1)} of up to {1e3 * kick.largest_Nms:.2g} mN m s about {axis}"
         for axis, kick in result.assessment.residual_analysis.kicks.items()
     ]
     return ", ".join(parts) or "none that is significant"
+
+
+def thrust_noise_in_words(noise: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """State how much supply and thrust vary at random, if that is significant; `noise` is as in the JSON."""
+    whose = {
+        "supply": "the supply varies by",
+        "difference": "the two rotors' thrusts vary against each other by",
+    }
+    return [
+        f"{whose[name]} {100.0 * values['std']:.1g} % with a correlation time of "
+        f"{values['correlation_time_s']:.1g} s"
+        for name, values in noise.items()
+        if values["log_likelihood_ratio"] > MIN_MARGIN
+    ]
 
 
 def lines(result: Diagnosis | InsufficientExcitation) -> list[str]:

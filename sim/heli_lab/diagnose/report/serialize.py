@@ -18,7 +18,14 @@ from heli_lab.diagnose.evaluate import (
 )
 from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
 from heli_lab.diagnose.report.cautions import cautions
-from heli_lab.diagnose.report.findings import causes, disturbances, gains, too_small_effects, unexplained
+from heli_lab.diagnose.report.findings import (
+    causes,
+    disturbances,
+    gains,
+    thrust_noise,
+    too_small_effects,
+    unexplained,
+)
 from heli_lab.diagnose.report.sentences import METRIC, metric, summary
 from heli_lab.diagnose.result import Diagnosis, Proposal
 from heli_lab.diagnose.search import QUANTITIES
@@ -41,6 +48,7 @@ def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
         "rig": rig_numbers(result),
         "residual": _residual(result),
         "disturbances": disturbances(result.assessment.residual_analysis),
+        "thrust_noise": thrust_noise(result.assessment.residual_analysis),
         "gain": _gain(result),
         "unexplained": unexplained(result),
         "proposed_term": proposal_json(result.proposal) if result.proposal else None,

@@ -27,7 +27,10 @@ from heli_lab.identify.flight_model import RigParameters
 
 _ESTIMATED_BY: Final = ("heli_sim.model", "heli_lab.identify", "heli_lab.estimation")
 """Packages whose code, compiled code included, an estimate depends on."""
-_DISTURBANCES: Final = ("fast_std", "correlation_time_s", "slow_std", "quantisation", "curvature")
+_DISTURBANCES: Final = (
+    *("fast_std", "correlation_time_s", "slow_std", "quantisation", "curvature"),
+    *("gain_std", "gain_correlation_time_s"),
+)
 
 
 class EstimateCache:

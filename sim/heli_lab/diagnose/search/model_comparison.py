@@ -29,6 +29,7 @@ from heli_lab.estimation import (
 )
 from heli_lab.identify import Record
 from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
+from heli_lab.identify.rotor_gains import GAINS, ROTOR_GAINS
 
 _FILTERED: Final = 2
 """How often the reference trajectory is filtered again with the baseline's own estimate. After the second
@@ -117,6 +118,33 @@ class ModelComparison:
         )
         other._filtered_train, other._filtered_held_out = self._filtered_held_out, self._filtered_train
         return other
+
+    def with_thrust_noise(self) -> ModelComparison:
+        """Let the thrust of each rotor vary at random too; the flights stay filtered as they are, so that
+        likelihoods can be compared.
+        """
+        model = type(self.model)((*self.model.effects, ROTOR_GAINS))
+        other = ModelComparison(
+            model,
+            self.rig,
+            self.train,
+            self.held_out,
+            seed=self.seed,
+            kept=self._kept,
+            side=f"{self.side}thrust noise ",
+        )
+        other.fits = self.fits
+        other._filtered_train = _with_gains(model, self.rig, self.train, *self._filtered_train)
+        if self.held_out:
+            other._filtered_held_out = _with_gains(model, self.rig, self.held_out, *self._filtered_held_out)
+        return other
+
+    def with_gains(self, hypothesis: Hypothesis) -> Hypothesis:
+        """Estimate a `hypothesis` of a comparison without thrust noise again with it."""
+        if not hypothesis.candidates:
+            return self.filtering_baseline
+        disturbances = hypothesis.estimate.disturbances.with_gains(len(GAINS))
+        return self.refit_from(hypothesis.candidates, hypothesis.values, disturbances)
 
     def folds(self) -> ModelComparison | None:
         """Divide the fitted flights into two folds where no flight is held out: the first is fitted, the
@@ -306,6 +334,20 @@ def reference_trajectories(
         disturbances, theta = estimate_.disturbances, estimate_.theta
         references = tuple(refiltered(estimate_.filtered(), disturbances))
     return references, estimate_
+
+
+def _with_gains(
+    model: Model,
+    rig: Rig,
+    records: Sequence[Record],
+    references: tuple[ReferenceTrajectory, ...],
+    baseline: Estimate,
+) -> tuple[tuple[ReferenceTrajectory, ...], Estimate]:
+    """Estimate a `model` with gains from its `baseline` without them, on the flights as they are filtered."""
+    vector = RigParameters(model, rig, records)
+    functions = model_functions(model, vector.quantities)
+    start = baseline.disturbances.with_gains(len(GAINS))
+    return references, estimate(vector, references, functions, baseline.theta, start)
 
 
 def _estimated(

@@ -1,0 +1,90 @@
+"""`python -m heli_benchmark.runs.noise [SEED...]`: verdicts under five kinds of noise."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from heli_host.errors import FlightAborted
+from heli_sim.rig import load_rig
+
+from heli_benchmark.cases.noise import KINDS, NoiseCase, noise_case
+from heli_benchmark.runs.ask import diagnosis_json
+
+
+@dataclass
+class NoiseCounts:
+    """Counts of one kind of noise.
+
+    Parameters
+    ----------
+    nothing, explained : int
+        Cases with nothing hidden, and those of them that are ``explained``.
+    hidden, named : int
+        Hidden causes, and those of them that are named.
+    false_names : int
+        Names of causes that are not hidden.
+    named_but_unexplained : int
+        Cases that are ``unexplained`` although every hidden cause is named.
+    cases : int
+        All cases.
+    spent_s : float
+        Their processor time.
+    """
+
+    nothing: int = 0
+    explained: int = 0
+    hidden: int = 0
+    named: int = 0
+    false_names: int = 0
+    named_but_unexplained: int = 0
+    cases: int = 0
+    spent_s: float = 0.0
+
+    def add(self, case: NoiseCase, result: Mapping[str, Any], spent_s: float) -> None:
+        """Count the `result` of a `case`, which took `spent_s` of processor time."""
+        causes = {cause["effect"] for cause in result["causes"]}
+        hidden = {id_ for id_, _ in case.effects}
+        self.cases, self.spent_s = self.cases + 1, self.spent_s + spent_s
+        self.nothing += not hidden
+        self.explained += not hidden and result["verdict"] == "explained"
+        self.hidden += len(hidden)
+        self.named += len(hidden & causes)
+        self.false_names += len(causes - hidden)
+        self.named_but_unexplained += hidden <= causes and result["verdict"] == "unexplained"
+
+    def __str__(self) -> str:
+        return (
+            f"explained {self.explained} of {self.nothing}, causes named {self.named} of {self.hidden}, "
+            f"false names {self.false_names}, all named but unexplained {self.named_but_unexplained} of "
+            f"{self.cases}, {self.spent_s / max(self.cases, 1):.1f} s"
+        )
+
+
+def main() -> None:
+    """Diagnose the cases of all seeds, and print one row per case and one per kind."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("seeds", nargs="*", type=int, default=list(range(8000, 8020)))
+    options = parser.parse_args()
+    counts = {kind: NoiseCounts() for kind in KINDS}
+    for case in map(noise_case, options.seeds):
+        try:
+            flights = case.both_flights()
+        except FlightAborted as error:
+            print(f"{case.name:55} not flown: {error}", flush=True)
+            continue
+        started_s = time.process_time()
+        result = diagnosis_json(load_rig(case.rig_name), flights)
+        spent_s = time.process_time() - started_s
+        counts[case.kind].add(case, result, spent_s)
+        causes = ", ".join(f"{cause['effect']} ({cause['confidence']:.2f})" for cause in result["causes"])
+        print(f"{case.name:55} {result['verdict']:12} {spent_s:5.1f} s  {causes}", flush=True)
+    for kind, count in counts.items():
+        print(f"{kind:10} {count}")
+
+
+if __name__ == "__main__":
+    main()
