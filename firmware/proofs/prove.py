@@ -105,9 +105,10 @@ class ProofError(Exception):
 
 
 def claims() -> list[Claim]:
-    """All claims, by their number."""
+    """All claims, by their number and name."""
     return sorted(
-        (Claim.read(file.parent) for file in HERE.glob("*/claim.toml")), key=lambda claim: claim.number
+        (Claim.read(file.parent) for file in HERE.glob("*/claim.toml")),
+        key=lambda claim: (claim.number, claim.name),
     )
 
 

@@ -16,6 +16,7 @@ from heli_test_native import proofs
         ("flying", "upload"),
         ("parameters", "interpreter"),
         ("max_duty", "duty"),
+        ("differential", "mixer"),
         ("slew", "setpoints"),
         ("path", "setpoints"),
     ],
