@@ -14,7 +14,9 @@ T value_of(const std::atomic<T>& shared) {
 
 #include "duty/invariant.hpp"
 #include "interpreter/invariant.hpp"
+#include "mixer/invariant.hpp"
 #include "parser/invariant.hpp"
+#include "setpoints/invariant.hpp"
 #include "supervisor/invariant.hpp"
 #include "upload/invariant.hpp"
 
@@ -28,6 +30,9 @@ const char* broken_invariant(const heli::FlightCode& code, std::int32_t duty_ful
   if (!holds(core.uploaded_.tape_)) return "upload";
   if (!heli::proofs::holds_verified(core.uploaded_.tape_)) return "interpreter";
   const auto bank = core.active_.load(std::memory_order_relaxed);
+  const bool bounded = holds(core.derived_[bank].bounds) && holds(core.supervisor_.setpoints_);
+  if (!bounded) return "setpoints";
+  if (!holds(code.cascade.constants_[bank].mixer)) return "mixer";
   const heli::Conversion& conversion = core.derived_[bank].conversion;
   const bool within = holds(conversion.front, duty_full) && holds(conversion.back, duty_full);
   return within ? nullptr : "duty";

@@ -32,6 +32,13 @@ std::string broken_by(const std::string& member) {
   } else if (member == "parameters") {
     core.uploaded_.tape_.stored_ = heli::law::LawState::ready;
     core.uploaded_.tape_.shape_.parameters = heli::law::Tape::kCells;
+  } else if (member == "slew") {
+    core.derived_[core.active_].bounds.step_max_rad[0] = heli::flight::Step::from_raw(-1);
+  } else if (member == "path") {
+    core.supervisor_.setpoints_.axes_[0].path.raw_ = std::int64_t{1} << 44;
+  } else if (member == "differential") {
+    code->cascade.constants_[core.active_].mixer.differential_max_V =
+        heli::control::Quantity::from_raw(INT32_MAX);
   } else if (member == "max_duty") {
     core.derived_[core.active_].conversion.back.max_duty = board.kDutyFull + 1;
   }

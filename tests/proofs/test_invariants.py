@@ -16,6 +16,9 @@ from heli_test_native import proofs
         ("flying", "upload"),
         ("parameters", "interpreter"),
         ("max_duty", "duty"),
+        ("differential", "mixer"),
+        ("slew", "setpoints"),
+        ("path", "setpoints"),
     ],
 )
 def test_a_broken_invariant_is_noticed(member: str, claim: str) -> None:

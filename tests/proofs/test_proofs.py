@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import sys
 from pathlib import Path
@@ -72,6 +73,13 @@ def test_a_function_without_a_body_is_no_proof() -> None:
     assert prove.verdict_of(proved, 0.0).failed == ()
     with pytest.raises(prove.ProofError, match="crc32"):
         prove.verdict_of(said, 0.0)
+
+
+@pytest.mark.medium
+def test_a_bound_of_a_function_without_loops_is_an_error(prover: str) -> None:
+    claim = dataclasses.replace(CLAIMS["parser"], loops={"nowhere": 2})
+    with pytest.raises(prove.ProofError, match="nowhere"):
+        prove.prove(prover, claim, claim.steps[0])
 
 
 @pytest.mark.parametrize(
