@@ -7,6 +7,15 @@ import sys
 from contextlib import suppress
 
 
+def can_limit() -> bool:
+    """Whether this system can limit processes; Windows cannot."""
+    try:
+        import resource  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
 def limit_process(kind: str, soft: int, hard: int | None = None) -> None:
     """Set a limit of this process, as far as its present hard limit permits.
 
@@ -23,7 +32,7 @@ def limit_process(kind: str, soft: int, hard: int | None = None) -> None:
     hard : int, optional
         Where it ends the process, and the most that `soft` can be raised to later; stays where not given.
     """
-    if sys.platform == "win32":
+    if sys.platform == "win32" or not can_limit():
         return
     import resource
 

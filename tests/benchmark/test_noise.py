@@ -6,7 +6,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from heli_benchmark.cases.noise import KINDS, noise_case
+from heli_benchmark.cases.noise import NOISE_KINDS, noise_case
 from heli_benchmark.effects.noise import NOISE
 from heli_benchmark.engine.plant import Moment
 from heli_benchmark.runs.noise import NoiseCounts
@@ -17,7 +17,9 @@ def test_twenty_seeds_give_each_kind_twice_alone_and_with_one_and_two_causes() -
     for first in (8000, 8100):
         cases = [noise_case(seed) for seed in range(first, first + 20)]
         counts = Counter((case.kind, len(case.effects)) for case in cases)
-        assert counts == {(kind, causes): 2 if causes == 0 else 1 for kind in KINDS for causes in range(3)}
+        assert counts == {
+            (kind, causes): 2 if causes == 0 else 1 for kind in NOISE_KINDS for causes in range(3)
+        }
     assert noise_case(8003) == noise_case(8003)
 
 

@@ -64,6 +64,7 @@ STARTED = {
 ENDED = {
     *(
         "benchmark",
+        "calibrate",
         "class",
         "course",
         "diagnose",

@@ -18,6 +18,7 @@ pytestmark = pytest.mark.medium
 
 LAW = str(Path(__file__).resolve().parents[2] / "docs/laws/lqr.py")
 WORDS = {
+    "calibrate": ("--rig", "makki2024"),
     "dashboard": (),
     "fly": ("hover",),
     "law compare": (LAW,),

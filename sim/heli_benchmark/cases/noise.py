@@ -21,7 +21,7 @@ from heli_benchmark.engine.plant import HiddenEffect
 from heli_benchmark.simulation.tracking import CONTROLLERS
 
 NOISE_DURATIONS_s: Final = (60.0, 40.0)
-KINDS: Final = tuple(NOISE)
+NOISE_KINDS: Final = tuple(NOISE)
 _ALONE: Final = (LAG, "thrust_asymmetry", "coulomb_friction.travel", "cable_spring.travel", "axis_tilt")
 _WITH_LAG: Final = ("coulomb_friction.elevation", "thrust_asymmetry", "cable_spring.travel", "axis_tilt")
 """Causes that are plain under moderate disturbances."""
@@ -34,7 +34,7 @@ class NoiseCase(DisturbedCase):
     Parameters
     ----------
     kind : str
-        Kind of noise, of `KINDS`.
+        Kind of noise, of `NOISE_KINDS`.
     """
 
     kind: str = ""
@@ -52,7 +52,7 @@ class NoiseCase(DisturbedCase):
 def noise_case(seed: int) -> NoiseCase:
     """Draw the case of a `seed`."""
     rng = np.random.default_rng([seed, 13])
-    kind, causes = KINDS[seed % len(KINDS)], max(0, seed // len(KINDS) % 4 - 1)
+    kind, causes = NOISE_KINDS[seed % len(NOISE_KINDS)], max(0, seed // len(NOISE_KINDS) % 4 - 1)
     names: tuple[str, ...] = ()
     if causes == 1:
         names = (str(rng.choice(_ALONE)),)

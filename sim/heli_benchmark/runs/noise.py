@@ -11,7 +11,7 @@ from typing import Any
 from heli_host.errors import FlightAborted
 from heli_sim.rig import load_rig
 
-from heli_benchmark.cases.noise import KINDS, NoiseCase, noise_case
+from heli_benchmark.cases.noise import NOISE_KINDS, NoiseCase, noise_case
 from heli_benchmark.runs.ask import diagnosis_json
 
 
@@ -69,7 +69,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("seeds", nargs="*", type=int, default=list(range(8000, 8020)))
     options = parser.parse_args()
-    counts = {kind: NoiseCounts() for kind in KINDS}
+    counts = {kind: NoiseCounts() for kind in NOISE_KINDS}
     for case in map(noise_case, options.seeds):
         try:
             flights = case.both_flights()

@@ -29,12 +29,7 @@ def write_commitments(split_folder: Path, truth_folder: Path, names: list[str]) 
 
 
 def read_commitments(split_folder: Path) -> Mapping[str, str]:
-    """Read the commitments of a sealed split: a digest by case.
-
-    Parameters
-    ----------
-    split_folder : Path
-        Folder of the split.
+    """Read the commitments in a `split_folder`: a digest by case.
 
     Raises
     ------

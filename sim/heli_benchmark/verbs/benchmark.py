@@ -130,7 +130,7 @@ def score(
     """Score runs on a split against its truth.
 
     Prints each score with its 95 % interval over cases, and compares each two methods. Nothing is written
-    without --json. A sealed split needs --truth; each truth must agree with its digest in the split.
+    without --json. A sealed split needs --truth. Each truth must agree with its digest in the split.
 
     Example: `heli-host benchmark score public runs/ours runs/base_rates --json scores.json`
     """

@@ -25,7 +25,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import IO, Any, Final, Self
 
-from heli_host.process_limits import limit_process
+from heli_host.process_limits import can_limit, limit_process
 
 from heli_lab.campaign.case import Case, JobResult
 
@@ -178,8 +178,9 @@ def serve_jobs(jobs: IO[bytes], replies: IO[bytes]) -> None:
         # The worker has ended: nothing reads the result of the present case.
         os._exit(0)
 
-    threading.Thread(target=read, daemon=True).start()
+    # Before the thread: an error would wait for ever at the end of the process, for the lock of its pipe.
     allow_cpu = _cpu_limit()
+    threading.Thread(target=read, daemon=True).start()
     while True:
         job = json.loads(waiting.get())
         before_s = time.process_time()
@@ -249,7 +250,7 @@ def _cpu_limit() -> Callable[[float], None]:
     """Return a function that sets the CPU time, in s, after which this process is ended; the kernel counts it
     if it can.
     """
-    if sys.platform == "win32":
+    if not can_limit():
         return _own_cpu_limit()
     limit_process("CORE", 0)
     return lambda until_s: limit_process("CPU", max(1, int(until_s) + 1))

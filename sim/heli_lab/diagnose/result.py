@@ -157,7 +157,7 @@ class Diagnosis:
         return self.failing_about(axis, on)
 
     def failing_about(self, axis: str, on: str = "") -> FailingRegions:
-        """Regions in which these two models fail about one axis; `on` is one of the two quantities."""
+        """Regions in which these two models fail about one `axis`; `on` is one of the two quantities."""
         term = self.proposed_term
         before, after = (
             (term.discovery.base, term.discovery.hypothesis)

@@ -54,6 +54,8 @@ _NUMBER: Final = 98
 class MissingTerm:
     """Missing torque or angle on one axis at each measurement of the filter, in display units.
 
+    The mean of a torque is subtracted, because a constant torque is a parameter of every model.
+
     Parameters
     ----------
     id : str
@@ -73,8 +75,6 @@ class MissingTerm:
         Torque or angle that the model lacks with the cause.
     contribution : ndarray (n,)
         Torque or angle by the equation of the cause.
-
-    Torques are less their means: a constant torque is a parameter of every model.
     """
 
     id: str

@@ -86,7 +86,7 @@ def _confirmation(cause: Mapping[str, Any]) -> str:
 
 
 def plus_minus(number: Mapping[str, Any], unit: str) -> str:
-    """Write a `number` in its display unit with its standard error."""
+    """Write a `number` in SI `unit` as its display unit demands, with its standard error."""
     factor, _ = SHOWN.get(unit, (1.0, unit))
     value, std = factor * number["value"], factor * number["std"]
     return f"{rounded(value, std)} ± {rounded(std, std)}" if std else f"{rounded(value, std)} (fixed)"

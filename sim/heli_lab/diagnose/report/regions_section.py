@@ -14,7 +14,9 @@ from heli_lab.page.drawing import Picture
 
 
 def regions_section(diagnosis: Diagnosis, kept: Kept) -> dict[str, Any]:
-    """Where the models fail, about each axis, in a figure and in words; the axis of the verdict first."""
+    """Where the models fail about each axis, in words and in a figure, which `kept` writes. The axis of the
+    verdict is the first.
+    """
     first = diagnosis.failing
     every = [first, *(diagnosis.failing_about(axis) for axis in AXES if axis != first.axis)]
     models = ["baseline", "model with all named causes"]
@@ -60,7 +62,7 @@ def _regions_note(diagnosis: Diagnosis, two: bool) -> str:
 
 
 def unknown_torque(diagnosis: Diagnosis, kept: Kept) -> Picture | None:
-    """The figure of an unknown for which no curve was estimated, if it depends on a quantity of a plane."""
+    """Draw an unknown without a curve, if it depends on a quantity of a plane; `kept` writes the figure."""
     if diagnosis.missing is None or diagnosis.verdict.unlisted or diagnosis.proposal is not None:
         return None
     if (diagnosis.failing.axis, diagnosis.failing.x) != diagnosis.missing:
