@@ -27,7 +27,7 @@ _FAINT: Final = 0.3
 
 
 def missing_section(file: str, terms: Sequence[MissingTerm], kept: Kept) -> dict[str, Any] | None:
-    """Draw missing `terms` into a `file`, which `kept` writes, and describe the figure, if there are terms."""
+    """Draw missing `terms` into a `file`, which `kept` writes, and describe the figure. None: no terms."""
     if not terms:
         return None
     return {
