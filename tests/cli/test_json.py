@@ -50,7 +50,10 @@ def test_every_verb_with_a_result_takes_a_json_file() -> None:
         (("record", *SIL, "--duration", "1", "-o", "a.mcap"), "ticks_logged"),
         (("setpoint", *SIL, "--take-off", "--elevation-deg", "2", "--duration", "1"), "elevation_deg"),
         (("fly", "short.toml", *SIL, "--log", "b.mcap"), "outcome"),
-        (("law", "fly", LAW, *SIL, "--duration", "2", "--log", "c.mcap"), "trial"),
+        pytest.param(
+            *(("law", "fly", LAW, *SIL, "--duration", "2", "--log", "c.mcap"), "trial"),
+            marks=pytest.mark.slow,
+        ),
         (("rig", "check", "makki2024"), "rigs"),
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(value[:2]),

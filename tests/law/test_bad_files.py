@@ -167,6 +167,7 @@ def test_a_file_that_crashes_python_is_one_line(terminal: Terminal) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_law_of_another_process_has_the_same_tape_and_may_print(tmp_path: Path) -> None:
     for path in sorted(LAWS.glob("*.py"))[::4]:
         assert load_law(path).program.words == law_of(path).program.words

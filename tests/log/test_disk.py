@@ -16,6 +16,7 @@ from heli_host.errors import LogWriteError
 from heli_host.log import disk
 from heli_host.log.disk import BackgroundFile, DirectFile, check_free_space, check_new
 from heli_host.log.reader import read_log
+from heli_host.log.records import last_record
 from heli_host.log.summary import summarise
 from heli_host.log.writer import CHUNK_TICKS, LogWriter
 
@@ -251,9 +252,10 @@ def files_up_to(size_bytes: int) -> Iterator[None]:
 
 @pytest.mark.parametrize("background", [True, False])
 def test_a_log_that_meets_a_limit_of_size_names_it(tmp_path: Path, background: bool) -> None:
+    limit_bytes = 50_000
     tick, raw = make_samples(6000)
     writer = open_log(tmp_path / "a.mcap", background=background)
-    with files_up_to(50_000):
+    with files_up_to(limit_bytes):
         with pytest.raises(LogWriteError, match=r"cannot write the log .*File too large; raise the limit"):
             write_all(writer, tick, raw)
             writer.close()
@@ -262,7 +264,10 @@ def test_a_log_that_meets_a_limit_of_size_names_it(tmp_path: Path, background: b
     log = read_log(tmp_path / "a.mcap")
     assert 0 < len(log.ticks) < 6000 and not log.complete
     np.testing.assert_array_equal(log.raw, raw[: len(log.ticks)])
-    assert summarise(log).outcome == "not closed: the log could not be written further (File too large)"
+    # A thread decides how large the writes are. One time in fifty, the last leaves no room for the reason.
+    room_bytes = limit_bytes - (tmp_path / "a.mcap").stat().st_size
+    if room_bytes >= len(last_record("File too large")) or "File too large" in summarise(log).outcome:
+        assert summarise(log).outcome == "not closed: the log could not be written further (File too large)"
 
 
 def test_a_reason_without_room_is_left_out_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
