@@ -10,6 +10,7 @@ import numpy as np
 from heli_host.arrays import Floats
 from heli_host.declaration import AXES
 from heli_host.heli import Heli
+from heli_host.samples import Sample
 
 from heli_lab.calibrate.errors import CalibrationError
 from heli_lab.calibrate.operator import HandAction, Operator
@@ -79,7 +80,11 @@ def calibrate_encoders(heli: Heli, operator: Operator) -> EncoderResult:
 def angles_deg(heli: Heli) -> Floats:
     """Return the angles of the newest sample after a moment [deg], shape (3,)."""
     heli.wait(_SETTLE_S)
-    sample = heli.latest
+    return sample_angles_deg(heli.latest)
+
+
+def sample_angles_deg(sample: Sample) -> Floats:
+    """Return the angles of a `sample` [deg], shape (3,)."""
     return np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg])
 
 

@@ -8,14 +8,15 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-from heli_host.declaration import Axes, Excitation, Fault, State
+from heli_host.declaration import AXES, Axes, Excitation, Fault, State
 from heli_host.errors import CommandRefused, FlightAborted, HeliError, fault_text
 from heli_host.heli import Heli
+from heli_host.link.clock import TICK_S
 from heli_host.samples import Samples
 from heli_host.vehicle import Vehicle
 from heli_sim.rig import Rig
 
-from heli_lab.calibrate.encoders import angles_deg
+from heli_lab.calibrate.encoders import angles_deg, sample_angles_deg
 from heli_lab.calibrate.errors import CalibrationError
 from heli_lab.calibrate.operator import HandAction, Operator
 from heli_lab.calibrate.thrust import (
@@ -45,7 +46,6 @@ _QUIET_counts: Final = 3.0
 _QUIET_s: Final = 1.0
 """Time over which pitch must stay. Shorter: the turning point of a slow swing looks quiet."""
 _QUIET_WITHIN_s: Final = 5.0
-_TICK_s: Final = 0.001
 _LOOK_s: Final = 0.02
 _TRIES: Final = 3
 _ARM_TRIES: Final = 20
@@ -268,11 +268,10 @@ class _Pulser:
                     "the board stopped hearing the host and switched the motors off",
                     "check the USB cable, then calibrate again",
                 )
-            moved_deg = np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg]) - before_deg
-            if np.max(np.abs(moved_deg)) > self._limits.max_angle_deg:
-                axis = ("elevation", "pitch", "travel")[int(np.argmax(np.abs(moved_deg)))]
+            moved_deg = np.abs(sample_angles_deg(sample) - before_deg)
+            if moved_deg.max() > self._limits.max_angle_deg:
                 raise FlightAborted(
-                    f"{axis} moved by {np.max(np.abs(moved_deg)):.1f} degrees, more than "
+                    f"{AXES[int(moved_deg.argmax())]} moved by {moved_deg.max():.1f} degrees, more than "
                     f"{self._limits.max_angle_deg:g}; the motors are off; block the arm, or lower --max-V"
                 )
             if self._operator.wants_stop():
@@ -304,8 +303,8 @@ def _cut(samples: Samples, output: str, volts_V: float) -> Pulse:
         raise CalibrationError(
             f"the board gave no voltage to the {output} output", "check the limits of its parameters"
         )
-    step = round(PULSE_GRID_s / _TICK_s)
-    first = driven[0] - round(BEFORE_s / _TICK_s)
+    step = round(PULSE_GRID_s / TICK_S)
+    first = driven[0] - round(BEFORE_s / TICK_S)
     count = round((BEFORE_s + PULSE_s + AFTER_s) / PULSE_GRID_s)
     index = first + step * np.arange(count)
     if index[0] < 0 or index[-1] >= len(samples) or np.any(np.diff(samples.tick) != 1):

@@ -12,6 +12,8 @@ from heli_host.arrays import Floats
 from heli_sim.rig import Rig
 from heli_sim.rig.inertia import inertias_kg_m2
 
+from heli_lab.matrix_exponential import matrix_exponentials
+
 PULSE_GRID_s: Final = 0.005
 """Step of the times at which the response is compared."""
 BEFORE_s: Final = 0.3
@@ -81,7 +83,7 @@ def response_design(stiffness: float, damping: float, lag_s: float) -> Floats:
     )
     before, during, after = (round(span / PULSE_GRID_s) for span in (BEFORE_s, PULSE_s, AFTER_s))
     count = before + during + after
-    powers = _powers(_exponential(rates * PULSE_GRID_s), count)
+    powers = _powers(matrix_exponentials(rates[np.newaxis] * PULSE_GRID_s)[0], count)
     # States are angle, rate, acceleration by thrust, and the voltage, which only the pulse sets.
     end = powers[during] @ (0.0, 0.0, 0.0, 1.0)
     end[3] = 0.0
@@ -196,19 +198,6 @@ def _pitch_inertia(rig: Rig) -> float:
 
 def _solve(design: Floats, measured: Floats) -> Floats:
     return np.asarray(np.linalg.lstsq(design, measured, rcond=1e-10)[0])
-
-
-def _exponential(matrix: Floats) -> Floats:
-    # scipy.linalg.expm takes 10 ms for these four rows, and a fit needs hundreds.
-    squarings = max(int(np.ceil(np.log2(max(np.abs(matrix).sum(axis=1).max(), 1e-9)))) + 1, 0)
-    scaled, term = matrix / 2.0**squarings, np.eye(len(matrix))
-    total = term
-    for order in range(1, 12):
-        term = term @ scaled / order
-        total = total + term
-    for _ in range(squarings):
-        total = total @ total
-    return total
 
 
 def _powers(matrix: Floats, count: int) -> Floats:
