@@ -4,18 +4,30 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Collection
-from typing import Any, Final
+from collections.abc import Collection, Iterable, Iterator
+from typing import Any, Final, Protocol, TypeVar
 
+from heli_host.errors import FlightAborted
 from heli_host.flight import Flight
 from heli_lab.diagnose import Diagnosis, diagnose, to_json
 from heli_sim.errors import SimError
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
-from heli_sim.rig import Rig
+from heli_sim.rig import Rig, load_rig
 
 REFITS: Final = 80
 """Refits of a search, the default of the command line."""
+
+
+class _Flown(Protocol):
+    @property
+    def name(self) -> str: ...
+    @property
+    def rig_name(self) -> str: ...
+    def both_flights(self) -> tuple[Flight, Flight]: ...
+
+
+_Case = TypeVar("_Case", bound=_Flown)
 
 
 def run_diagnosis(
@@ -43,6 +55,22 @@ def run_diagnosis(
 def diagnosis_json(rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS) -> dict[str, Any]:
     """Return the result of `run_diagnosis`, with at most `refits` refits, as JSON."""
     return to_json(run_diagnosis(rig, flights, refits))
+
+
+def diagnosed_cases(cases: Iterable[_Case]) -> Iterator[tuple[_Case, dict[str, Any], float]]:
+    """Fly and diagnose `cases`: yield each with its result as JSON and the processor time in s.
+
+    A case that cannot be flown is printed and left out.
+    """
+    for case in cases:
+        try:
+            flights = case.both_flights()
+        except FlightAborted as error:
+            print(f"{case.name:55} not flown: {error}", flush=True)
+            continue
+        started_s = time.process_time()
+        result = diagnosis_json(load_rig(case.rig_name), flights)
+        yield case, result, time.process_time() - started_s
 
 
 def timed_diagnosis(rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS) -> dict[str, Any]:

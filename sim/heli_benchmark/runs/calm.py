@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import time
 from typing import Any
 
-from heli_host.errors import FlightAborted
-from heli_sim.rig import load_rig
-
 from heli_benchmark.cases.calm import CalmCase, calm_case
-from heli_benchmark.runs.ask import diagnosis_json
+from heli_benchmark.runs.ask import diagnosed_cases
 
 
 def false_names(case: CalmCase, result: dict[str, Any]) -> list[str]:
@@ -31,15 +27,7 @@ def main() -> None:
     parser.add_argument("seeds", nargs="*", type=int, default=list(range(7000, 7004)))
     options = parser.parse_args()
     total = quiet = reported = 0
-    for case in map(calm_case, options.seeds):
-        try:
-            flights = case.both_flights()
-        except FlightAborted as error:
-            print(f"{case.name:45} not flown: {error}", flush=True)
-            continue
-        started_s = time.process_time()
-        result = diagnosis_json(load_rig(case.rig_name), flights)
-        spent_s = time.process_time() - started_s
+    for case, result, spent_s in diagnosed_cases(map(calm_case, options.seeds)):
         wrong, missed = false_names(case, result), unreported(case, result)
         total, quiet, reported = total + 1, quiet + (not wrong), reported + (not missed)
         word = "WRONG" if wrong else "MISSED" if missed else "right"

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from heli_host.errors import FlightAborted
-from heli_sim.rig import load_rig
-
 from heli_benchmark.cases.noise import NOISE_KINDS, NoiseCase, noise_case
-from heli_benchmark.runs.ask import diagnosis_json
+from heli_benchmark.runs.ask import diagnosed_cases
 
 
 @dataclass
@@ -70,15 +66,7 @@ def main() -> None:
     parser.add_argument("seeds", nargs="*", type=int, default=list(range(8000, 8020)))
     options = parser.parse_args()
     counts = {kind: NoiseCounts() for kind in NOISE_KINDS}
-    for case in map(noise_case, options.seeds):
-        try:
-            flights = case.both_flights()
-        except FlightAborted as error:
-            print(f"{case.name:55} not flown: {error}", flush=True)
-            continue
-        started_s = time.process_time()
-        result = diagnosis_json(load_rig(case.rig_name), flights)
-        spent_s = time.process_time() - started_s
+    for case, result, spent_s in diagnosed_cases(map(noise_case, options.seeds)):
         counts[case.kind].add(case, result, spent_s)
         causes = ", ".join(f"{cause['effect']} ({cause['confidence']:.2f})" for cause in result["causes"])
         print(f"{case.name:55} {result['verdict']:12} {spent_s:5.1f} s  {causes}", flush=True)
