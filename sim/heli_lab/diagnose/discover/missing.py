@@ -123,7 +123,12 @@ def missing_term(estimate: Estimate, cause: Candidate) -> MissingTerm:
         {name: block.mean(value) for name, value in _quantities(linear).items()}
         for block, linear in zip(blocks, with_, strict=True)
     ]
-    place, on, on_unit = _best_place(places, equation[:, axis], cause, t_s)
+    place, on, on_unit = t_s, TIME, "s"
+    quantity = _best_quantity(places, equation[:, axis], cause)
+    if quantity is not None:
+        on_factor, on_unit = SHOWN.get(_unit(quantity), (1.0, _unit(quantity)))
+        place = on_factor * np.concatenate([values[quantity] for values in places])
+        on = quantity_in_words(quantity)
     factor, unit = SHOWN["N m"]
     return MissingTerm(
         cause.id,
@@ -253,22 +258,14 @@ def _lagged(values: Floats, step: float) -> Floats:
     return np.fromiter(lagged, float)
 
 
-def _best_place(
-    places: Sequence[Mapping[str, Floats]], equation: Floats, cause: Candidate, t_s: Floats
-) -> tuple[Floats, str, str]:
-    """Quantity over which a contribution is best drawn: its values, its name in words and its unit. It is
-    the time if the contribution follows no single quantity: over itself, any contribution is a straight line.
-    """
-    together = {name: np.concatenate([place[name] for place in places]) for name in places[0]}
+def _best_quantity(places: Sequence[Mapping[str, Floats]], equation: Floats, cause: Candidate) -> str | None:
+    """Name of the quantity over which a contribution is best drawn; None if it follows no single quantity."""
     if isinstance(cause.effect, SplineTerm):
-        name = cause.effect.on
-    else:
-        followed = {name: _followed(value, equation) for name, value in together.items()}
-        name = max(followed, key=lambda candidate: followed[candidate])
-        if followed[name] < CURVE_SHARE:
-            return t_s, TIME, "s"
-    factor, unit = SHOWN.get(_unit(name), (1.0, _unit(name)))
-    return factor * together[name], quantity_in_words(name), unit
+        return cause.effect.on
+    together = {name: np.concatenate([place[name] for place in places]) for name in places[0]}
+    followed = {name: _followed(value, equation) for name, value in together.items()}
+    name = max(followed, key=lambda candidate: followed[candidate])
+    return name if followed[name] >= CURVE_SHARE else None
 
 
 def _unit(name: str) -> str:
@@ -296,8 +293,7 @@ def _missing_angle(estimate: Estimate, less: Estimate, cause: Candidate) -> Miss
     equation = np.concatenate(equations)
     axis = int(np.argmax(equation.std(axis=0)))
     places = [quantity_values(linear.model.source, linear.nodes) for linear in linearised_flights]
-    place, on, on_unit = _best_place(places, equation[:, axis], cause, np.empty(0))
-    name = next((n for n in places[0] if quantity_in_words(n) == on), AXES[axis])
+    name = _best_quantity(places, equation[:, axis], cause) or AXES[axis]
     place = np.concatenate([quantities[name] for quantities in places])
     low, step = knot_span(place)
     term = spline_term(f"measurement.{AXES[axis]}", name, low, step, _NUMBER)
