@@ -62,12 +62,14 @@ def test_a_supply_that_wanders_changes_both_voltages_alike() -> None:
 
 
 def test_counts_are_of_explained_flights_named_causes_and_false_names() -> None:
-    nothing, one = noise_case(8000), noise_case(8010)
+    nothing, one_cause = noise_case(8000), noise_case(8010)
     counts = NoiseCounts()
     counts.add(nothing, {"verdict": "explained", "causes": []}, 4.0)
     counts.add(nothing, {"verdict": "unexplained", "causes": []}, 4.0)
-    hidden = one.effects[0][0]
-    counts.add(one, {"verdict": "cause_found", "causes": [{"effect": hidden}, {"effect": "other"}]}, 10.0)
+    hidden = one_cause.effects[0][0]
+    counts.add(
+        one_cause, {"verdict": "cause_found", "causes": [{"effect": hidden}, {"effect": "other"}]}, 10.0
+    )
     assert str(counts) == (
         "explained 1 of 2, causes named 1 of 1, false names 1, all named but unexplained 1 of 3, 6.0 s"
     )

@@ -35,15 +35,15 @@ def main() -> int:
             for wires in ALL:
                 try:
                     result = calibrated(Path(folder), name, wires)
-                    found: Wires | str = wires_found(result)
+                    outcome: Wires | str = wires_found(result)
                     gain, zero_V = errors_of(result, name)
                 except HeliError as error:
-                    found, gain, zero_V = str(error), 1.0, 1.0
+                    outcome, gain, zero_V = str(error), 1.0, 1.0
                 gains.append(abs(gain))
                 zeros.append(abs(zero_V))
-                if found != wires or abs(gain) > GAIN_SHARE or abs(zero_V) > DEAD_ZONE_V:
+                if outcome != wires or abs(gain) > GAIN_SHARE or abs(zero_V) > DEAD_ZONE_V:
                     bad += 1
-                    print(f"{name}: {wires}: {found}, thrust {gain:+.1%}, dead zone {zero_V:+.3f} V")
+                    print(f"{name}: {wires}: {outcome}, thrust {gain:+.1%}, dead zone {zero_V:+.3f} V")
             print(
                 f"{name}: {len(ALL)} combinations; largest error of thrust {max(gains):.1%}, "
                 f"of the dead zone {max(zeros):.3f} V",

@@ -91,7 +91,7 @@ def test_a_verb_takes_its_target_from_the_environment(
 
 
 def test_every_verb_that_takes_a_port_is_tested_here() -> None:
-    found = set()
+    with_port = set()
     left = list(command_line().commands.items())  # type: ignore[attr-defined]
     while left:
         name, command = left.pop()
@@ -99,9 +99,9 @@ def test_every_verb_that_takes_a_port_is_tested_here() -> None:
         options = {option for parameter in command.params for option in parameter.opts}
         if "--port" in options and not command.hidden:
             assert "--sil" in options or name in ("class", "flash"), name
-            found.add(name)
+            with_port.add(name)
     # `class` flies in simulation first, and asks before each flight on the rig.
-    assert found == {*WORDS, "class", "flash"}
+    assert with_port == {*WORDS, "class", "flash"}
 
 
 def test_a_verb_for_a_real_board_offers_no_simulation() -> None:

@@ -66,24 +66,10 @@ class CommandSlot:
         return self._request
 
     def preempt(self, command: Command, now_s: float, timeout_s: float) -> Request:
-        """Start a command ahead of all others, used for the stop.
+        """Start a `command` ahead of all others, used for the stop.
 
         A command in progress is given up with an error. While `preempted` is true the caller must not start
-        another command.
-
-        Parameters
-        ----------
-        command : Command
-            Any message with a reply; its request number is replaced.
-        now_s : float
-            Host time [s].
-        timeout_s : float
-            Time after which the command is given up [s].
-
-        Returns
-        -------
-        Request
-            Done when the command was answered or given up.
+        another command. `now_s`, `timeout_s` and the returned request are those of `ask`.
         """
         if self._request is not None and not self._request.done:
             name = self._request.command.ID.name.lower()

@@ -97,8 +97,8 @@ class FlightRequests:
         mapping
             ``outcome`` of the flight.
         """
-        asked = arguments.get("plans")
-        names = [str(name) for name in (asked if isinstance(asked, list) else [asked])]
+        plans = arguments.get("plans")
+        names = [str(name) for name in (plans if isinstance(plans, list) else [plans])]
         if not names:
             raise ParameterError("no plan is named", f"choose from {', '.join(self.plans)}")
         for name in names:

@@ -200,8 +200,8 @@ def _address(rig: str | None, miswired: str) -> str:
         "motor_sign": ",".join(f"{wire}:-1" for wire in wires if wire in _WIRES[3:5]),
         "motors_swapped": "1" if "swapped" in wires else "",
     }
-    told = urlencode({key: value for key, value in faults.items() if value})
-    return "&".join(filter(None, (sil_address(rig=rig, speed=MAX_SPEED), told)))
+    query = urlencode({key: value for key, value in faults.items() if value})
+    return "&".join(filter(None, (sil_address(rig=rig, speed=MAX_SPEED), query)))
 
 
 def _operator(heli: Heli, *, simulated: bool) -> Operator:

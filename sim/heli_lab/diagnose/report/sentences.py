@@ -29,10 +29,10 @@ def title(result: Diagnosis) -> str:
     named = [cause["effect"] for cause in causes]
     plural = "s" * (len(named) > 1)
     certain = all(cause["confidence"] >= CONFIDENCE_RANDOM_TORQUE for cause in causes)
-    found = f"Cause{plural} found" if certain else f"Probable cause{plural}"
+    heading = f"Cause{plural} found" if certain else f"Probable cause{plural}"
     return {
         "explained": "Nothing is missing that these flights show",
-        "cause_found": f"{found}: {', '.join(named)}",
+        "cause_found": f"{heading}: {', '.join(named)}",
         "ambiguous": "Something is missing; these flights do not distinguish its possible causes",
         "unexplained": "Something unknown is missing" + (", perhaps with known causes" if named else ""),
     }[result.label]
