@@ -97,7 +97,7 @@ def parts(
     Raises
     ------
     IdentifyError
-        When the number of times is another one.
+        When the number of times is another one, or a part ends before it begins.
     """
     ends = []
     for option, times in (("--from", from_s), ("--to", to_s)):
@@ -108,7 +108,13 @@ def parts(
             )
         limits: list[float | None] = list(times) if len(times) != 1 else [*times] * fitted
         ends.append(limits + [None] * (fitted + validated - len(limits)))
-    return list(zip(*ends, strict=True))
+    spans = list(zip(*ends, strict=True))
+    for start_s, stop_s in spans:
+        if start_s is not None and stop_s is not None and stop_s <= start_s:
+            raise IdentifyError(
+                f"--from {start_s:g} is not before --to {stop_s:g}", "give an earlier --from, or a later --to"
+            )
+    return spans
 
 
 def part_of(flight: Flight, rig: Rig, label: str, part: tuple[float | None, float | None]) -> Flight | Record:

@@ -60,9 +60,9 @@ def test_a_case_is_another_when_a_setting_or_the_code_is(tmp_path: Path) -> None
     [
         ("[cases]", "[cases", "is not TOML"),
         ('work = "fly"', 'work = "swim"', "work = 'swim' is unknown"),
-        ('work = "fly"', "", "work = None is unknown"),
+        ('work = "fly"', "", "work is missing"),
         ('work = "fly"', 'work = "module:"', "work = 'module:' is unknown"),
-        ("seed =", "sead =", r"\[cases\] has sead"),
+        ("seed =", "sead =", r"\[cases\] has the unknown name sead"),
         ("to = 5", "to = 1", r"\[cases\] seed is not a range"),
         ("to = 5", "to = 900000", "seed has 899998 values"),
         ("{ from = 3, to = 5 }", "[]", "seed has no value"),
@@ -72,8 +72,8 @@ def test_a_case_is_another_when_a_setting_or_the_code_is(tmp_path: Path) -> None
         ("share = 0.03", "share = 3", "share = 3 is invalid"),
         ("share = 0.03", "part = 3", "needs exactly one of share, factor, range"),
         ("cpu_s = 20", "cpu_s = 0", "cpu_s = 0 is invalid"),
-        ("cpu_s = 20", "cpus = 2", r"\[limits\] has cpus"),
-        ("[draw]", "[drew]", "the top has drew"),
+        ("cpu_s = 20", "cpus = 2", r"\[limits\] has the unknown name cpus"),
+        ("[draw]", "[drew]", "the file has the unknown name drew"),
     ],
 )
 def test_what_is_wrong_is_said(tmp_path: Path, old: str, new: str, said: str) -> None:

@@ -9,8 +9,10 @@ import socket
 import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
 from heli_host.errors import file_remedy
+from heli_host.log.records import McapBytes
 from serial.tools import list_ports
 
 from tests.cli.terminal import Terminal, refusal
@@ -206,6 +208,16 @@ def test_export_wants_one_format(terminal: Terminal, tmp_path: Path) -> None:
     refusal(terminal("export", tmp_path / "flight.mcap", "--csv", "--mat"), code=ASKED)
 
 
+def test_export_does_not_write_one_format_under_the_ending_of_another(
+    terminal: Terminal, tmp_path: Path
+) -> None:
+    table = tmp_path / "flight.csv"
+    table.write_text("kept")
+    line = refusal(terminal("export", "flight.mcap", "--parquet", "--output", table), code=ASKED)
+    assert "give a name that ends in .parquet" in line
+    assert table.read_text() == "kept"
+
+
 def test_sil_wants_one_endpoint(terminal: Terminal, tmp_path: Path) -> None:
     refusal(terminal("sil"), code=ASKED)
     refusal(terminal("sil", "--pty", tmp_path / "due", "--tcp", "127.0.0.1:5000"), code=ASKED)
@@ -256,3 +268,40 @@ def test_the_remedy_of_a_file_follows_from_the_reason(number: int, remedy: str) 
 def test_a_missing_image_does_not_ask_for_disk_space(terminal: Terminal) -> None:
     line = refusal(terminal("flash", "nofile.bin", "--port", "/dev/ttyACM0"), code=FILE)
     assert line.endswith("No such file or directory; check the path")
+
+
+def test_a_log_of_heli_host_is_not_imported_but_used_directly(terminal: Terminal, tmp_path: Path) -> None:
+    log = tmp_path / "own.mcap"
+    log.write_bytes(McapBytes(0, np.ones(3), level=1).head())
+    line = refusal(terminal("import", log, "--guess", "-o", tmp_path / "out"), code=FILE)
+    assert "own.mcap is a log of heli-host and needs no import" in line
+
+
+def test_a_missing_rig_file_is_named_and_not_called_an_unknown_rig(terminal: Terminal) -> None:
+    line = refusal(terminal("rig", "check", "lab-7.toml"), code=ASKED)
+    assert "cannot read rig file lab-7.toml: No such file or directory; check the path" in line
+
+
+@pytest.mark.parametrize("verb", ["identify", "diagnose"])
+def test_a_part_that_ends_before_it_begins_is_refused(terminal: Terminal, tmp_path: Path, verb: str) -> None:
+    flight = tmp_path / "flight.csv"
+    flight.write_text(
+        "t_s,front_V,back_V,elevation_rad,pitch_rad,travel_rad\n"
+        + "".join(f"{0.01 * row:.2f},1,1,0,0,0\n" for row in range(1000))
+    )
+    line = refusal(terminal(verb, flight, "--rig", "makki2024", "--from", "9", "--to", "5"), code=ASKED)
+    assert "--from 9 is not before --to 5" in line
+
+
+@pytest.mark.slow
+def test_a_class_with_an_unknown_rig_marks_nothing(terminal: Terminal, tmp_path: Path) -> None:
+    (tmp_path / "ann").mkdir()
+    line = refusal(terminal("class", tmp_path, "--rig", "nosuch"), code=ASKED)
+    assert "unknown rig 'nosuch'" in line
+    assert not (tmp_path / "marks.csv").exists()
+
+
+def test_a_report_in_the_place_of_a_file_asks_for_a_folder(terminal: Terminal, tmp_path: Path) -> None:
+    (tmp_path / "why").touch()
+    line = refusal(terminal("identify", tmp_path / "a.csv", "--report", tmp_path / "why"), code=ASKED)
+    assert "is a file; give the name of a folder" in line

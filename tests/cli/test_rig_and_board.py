@@ -95,7 +95,7 @@ def test_on_a_port_a_name_that_no_rig_has_is_a_label(terminal: Terminal, tmp_pat
         missing = terminal(*f"fly short.toml --port {sil.url} --rig lab-7.toml --log b.mcap".split())
     assert ended.code == 0, ended.err
     assert "rig lab-7 is a label, not a rig file" in ended.out
-    assert missing.code == 2 and "unknown rig 'lab-7.toml'" in missing.err
+    assert missing.code == 2 and "cannot read rig file lab-7.toml" in missing.err
 
 
 @pytest.mark.slow

@@ -107,7 +107,7 @@ def test_answers_are_asked_again_until_they_can_be(
         (("--set", "M_f=heavy"), "is not a number"),
         (("--set", "M_f=1 lb"), "give it in kg or g"),
         (("--set", "M_f=-1"), "M_f"),
-        (("--table", "none.csv"), "cannot be read"),
+        (("--table", "none.csv"), "cannot read none.csv: No such file or directory; check the path"),
         (("--table", "odd.csv"), "must have the columns"),
         (("--table", "twice.csv"), "twice"),
         (("--like", "nobodys", "--set", "M_f=1"), "unknown rig 'nobodys'"),

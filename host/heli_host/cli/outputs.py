@@ -51,4 +51,6 @@ def check_result_places(*files: Path | None, figure: Path | None = None, report:
         if target is not None and str(target) != STDOUT:
             check_place(target)
     if report is not None:
+        if report.exists() and not report.is_dir():
+            raise typer.BadParameter(f"--report {report} is a file; give the name of a folder")
         check_place(report / "index.html")

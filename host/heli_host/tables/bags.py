@@ -17,6 +17,8 @@ from heli_host.tables.table import Column, Table
 _MAX_VALUES: Final = 64
 """Longest array of a message whose elements become columns; scans and images have more."""
 _DEEPEST: Final = 6
+_LOG_LIBRARY: Final = b"heli_host (link"
+"""Library named in the header of a log (`heli_host.log.records`); ROS 2 exports name `heli_host` alone."""
 
 
 def read_bag(path: Path) -> Table:
@@ -34,6 +36,10 @@ def read_bag(path: Path) -> Table:
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         raise FlightDataError(f"reading {path} needs rosbags", "pip install 'heli-host[import]'") from error
+    if _is_log(path):
+        raise FlightDataError(
+            f"{path} is a log of heli-host and needs no import", "give the log itself to the other commands"
+        )
     series: dict[str, tuple[array[float], array[float]]] = {}
     folder = path.parent if path.suffix == ".db3" else path
     with within_memory(path):
@@ -65,6 +71,14 @@ def read_bag(path: Path) -> Table:
                 "record the flight again",
             ) from error
         return _table(path, series)
+
+
+def _is_log(path: Path) -> bool:
+    """Whether the header of an MCAP file says that `heli_host.log.writer` wrote it."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return _LOG_LIBRARY in file.read(64)
 
 
 def _table(path: Path, series: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> Table:

@@ -49,8 +49,10 @@ def load_campaign(path: Path) -> Campaign:
 
 
 def _campaign(path: Path, table: Mapping[str, Any]) -> Campaign:
-    _known(table, _TOP, "the top")
-    work = table.get("work")
+    _known(table, _TOP, "the file")
+    if "work" not in table:
+        raise CampaignError("work is missing", f"write work = one of {', '.join(WORKS)}")
+    work = table["work"]
     if not isinstance(work, str) or (work not in WORKS and not _OWN_WORK.fullmatch(work)):
         raise CampaignError(
             f"work = {work!r} is unknown",
@@ -89,7 +91,9 @@ def _campaign(path: Path, table: Mapping[str, Any]) -> Campaign:
 def _known(table: Mapping[str, Any], names: Sequence[str], where: str) -> None:
     unknown = [name for name in table if name not in names]
     if unknown:
-        raise CampaignError(f"{where} has {', '.join(unknown)}", f"choose from {', '.join(names)}")
+        raise CampaignError(
+            f"{where} has the unknown name {', '.join(unknown)}", f"choose from {', '.join(names)}"
+        )
 
 
 def _values(name: str, given: Any, folder: Path) -> list[Any]:

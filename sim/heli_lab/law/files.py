@@ -218,7 +218,7 @@ def run_law(path: Path) -> Law:
         return law
     variable = next((name for name, value in held.items() if isinstance(value, Law)), "")
     if law is not None:
-        raise BadLaw(f"the LAW of {path.name} is a {type(law).__name__}", _remedy(variable))
+        raise BadLaw(f"the LAW of {path.name} has the type {type(law).__name__}", _remedy(variable))
     raise BadLaw(f"{path.name} does not define LAW", _remedy(variable))
 
 

@@ -272,7 +272,7 @@ def _symbol(value: Any, place: int, name: str) -> ca.SX:
     # CasADi says of some types that they are not implemented, which is a RuntimeError.
     except (TypeError, RuntimeError) as error:
         raise BadLaw(
-            f"output {place} of the law {name} is a {type(value).__name__}",
+            f"output {place} of the law {name} has the type {type(value).__name__}",
             "give a number, or an expression of now, state and parameter",
         ) from error
 
@@ -298,6 +298,9 @@ def _explained(error: Exception, name: str) -> BadLaw:
             f"{where} uses a symbol as a condition ({source})",
             "write if_else(condition, a, b), fmin, fmax or saturated(x, least, most) of heli_lab.law",
         )
+    if isinstance(error, AttributeError) and isinstance(error.obj, SimpleNamespace):
+        names = ", ".join(vars(error.obj)) or "none, because the law declares none"
+        return BadLaw(f"{where} reads {error.name}, which does not exist ({source})", f"names are: {names}")
     text = str(error).split("\n")[0]
     if isinstance(error, TypeError | RuntimeError) and "math." in source:
         return BadLaw(
@@ -310,4 +313,4 @@ def _explained(error: Exception, name: str) -> BadLaw:
 def _kind(value: object) -> str:
     if isinstance(value, tuple | list):
         return f"{len(value)} values"
-    return f"a {type(value).__name__}"
+    return f"a value of type {type(value).__name__}"

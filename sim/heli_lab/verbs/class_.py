@@ -81,6 +81,7 @@ def class_(
     """
     from heli_host.cli.outputs import check_result_places
     from heli_host.fly.plan import load_plan
+    from heli_sim.rig import load_rig
 
     from heli_lab.classroom.marking import MARK, Answer, Marking
     from heli_lab.classroom.rig_flights import fly_on_rig
@@ -93,7 +94,9 @@ def class_(
     data_on_stdout(json)
     class_plan = load_plan(plan) if plan is not None else trial_plan(duration_s)
     options = FlightOptions(sil=True, rig=rig, effect=effect, speed=MAX_SPEED)
-    options.address()  # refuse invalid options before the first flight
+    # Refuse invalid options before the first flight.
+    load_rig(rig or DEFAULT_RIG)
+    options.address()
     marking = Marking(options, class_plan, range(1, seeds + 1), FileLimits(load_timeout))
     answers: list[Answer] = []
     try:

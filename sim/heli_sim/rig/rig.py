@@ -9,6 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
+from heli_host.errors import file_remedy
 from heli_host.files import TOML_BYTES, parse_toml, read_file
 
 from heli_sim.errors import RigError
@@ -214,7 +215,9 @@ def load_rig(name_or_path: str | Path) -> Rig:
         path = Path(name_or_path)
     try:
         text = read_file(path, TOML_BYTES).decode("utf-8")
-    except (OSError, UnicodeDecodeError):
+    except (OSError, UnicodeDecodeError) as error:
+        if isinstance(error, OSError) and path.suffix == ".toml":
+            raise RigError(f"cannot read rig file {path}: {error.strerror}", file_remedy(error)) from None
         known = ", ".join(rig_names())
         raise RigError(f"unknown rig '{name_or_path}'", f"give a TOML file or one of: {known}") from None
     try:

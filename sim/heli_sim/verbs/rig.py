@@ -547,14 +547,17 @@ def _export_fmu(rig: str, effects: list[str], model: str, seed: int, out: Path |
 
 def read_text(path: Path) -> str:
     """Read the text at `path`, a RigError where there is none."""
+    from heli_host.errors import file_remedy
     from heli_host.files import TOML_BYTES, read_file
 
     from heli_sim.errors import RigError
 
     try:
         return read_file(path, TOML_BYTES).decode("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise RigError(f"{path} cannot be read: {error}", "give a text file") from None
+    except OSError as error:
+        raise RigError(f"cannot read {path}: {error.strerror}", file_remedy(error)) from None
+    except UnicodeDecodeError:
+        raise RigError(f"{path} is not text in UTF-8", "save it as UTF-8") from None
 
 
 def _compared(one: Difference) -> dict[str, Any]:

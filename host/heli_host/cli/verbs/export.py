@@ -14,6 +14,8 @@ from heli_host.cli.verb import Verb
 if TYPE_CHECKING:
     from heli_host.flight import Flight
 
+_ENDS = (".csv", ".mat", ".parquet", ".mcap")
+
 
 def export(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="Read this .mcap, .csv or .csv.gz file.")],
@@ -59,6 +61,10 @@ def export(
     from heli_host.log.table import notes_path, write_csv
 
     write, suffix = _format(csv, mat, parquet)
+    if output is not None and output.suffix in _ENDS and not suffix.endswith(output.suffix):
+        raise typer.BadParameter(
+            f"--output {output} has the ending of another format; give a name that ends in {suffix}"
+        )
     flight = read_flight(log, allow_gaps=True)
     if blind:
         flight = _blind(flight, log)

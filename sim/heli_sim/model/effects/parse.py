@@ -181,6 +181,6 @@ def _values(kind: EffectSpec, rest: str, text: str) -> dict[str, float]:
             values[kind.full(what)] = float(value)
         except ValueError:
             raise EffectError(
-                f"--effect {text}: {what} = '{value}' is not a number", "give a number"
+                f"--effect {text}: {kind.full(what)} = '{value}' is not a number", "give a number"
             ) from None
     return values
