@@ -1,4 +1,4 @@
-"""The simulated rig: numbers, equations, the board it flies with and the serial port it shows."""
+"""The simulated rig: its parameters and equations, the board that flies it, and a serial port for hosts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The user's cache of compiled functions: complete, and made by this user only.
+"""The user's cache of compiled functions. It holds complete files of this user only.
 
 A library is kept with a digest of its own bytes behind it, which loaders ignore. If a power cut left the file
 short or full of zeros, the digest does not match: loading such a file could end the process by SIGBUS.
@@ -22,13 +22,13 @@ _DIGEST_BYTES: Final = 32
 
 
 def place() -> Path:
-    """Where compiled functions are kept: heli_sim under $XDG_CACHE_HOME, or under ~/.cache."""
+    """Folder of compiled functions: heli_sim under $XDG_CACHE_HOME, or under ~/.cache."""
     root = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     return Path(root).expanduser() / "heli_sim"
 
 
 def cache_folder() -> Path:
-    """Make the folder of compiled functions.
+    """Create the folder of compiled functions.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def cache_folder() -> Path:
 
 
 def open_to_others(path: Path) -> str:
-    """Return a description of the other users who could have put code there.
+    """Describe the other users who could have put code there; empty for none.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def open_to_others(path: Path) -> str:
 
 
 def is_whole(library: Path) -> bool:
-    """Whether a library is in the cache, byte for byte as it was put there by this user.
+    """Whether a library in the cache is byte for byte the one that this user stored.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def is_whole(library: Path) -> bool:
 
 
 def keep(built: Path, library: Path) -> None:
-    """Put a library into the cache: whole, or not at all, wherever the power goes.
+    """Store a library in the cache, completely or not at all, even if the power fails.
 
     Parameters
     ----------

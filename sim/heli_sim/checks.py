@@ -11,7 +11,7 @@ from heli_host.cli.finding import Finding, Verdict
 
 
 def examine() -> Iterator[Finding]:
-    """Look at everything, one finding at a time, in the order in which things depend on each other."""
+    """Run all checks and yield one finding at a time, basic ones first."""
     yield check_core()
     yield check_compiler()
     yield check_cache()
@@ -19,9 +19,7 @@ def examine() -> Iterator[Finding]:
 
 
 def check_core() -> Finding:
-    """Check that the flight code was compiled for this machine; bad when it cannot be loaded: nothing can be
-    simulated.
-    """
+    """Check that the flight code is compiled for this machine. Without it nothing can be simulated."""
     try:
         import heli_sim._native  # noqa: F401  -- whether it loads is the question
     except ImportError as error:
@@ -30,7 +28,9 @@ def check_core() -> Finding:
 
 
 def check_compiler() -> Finding:
-    """Check for a C compiler. Without one everything works, but a rig's equations run 50 times slower."""
+    """Check for a C compiler. Without one all functions work, but the equations of a rig take 50 times as
+    long.
+    """
     wanted = [name for name in (os.environ.get("CC"), "cc", "gcc", "clang") if name]
     for name in wanted:
         path = shutil.which(name)
@@ -44,9 +44,7 @@ def check_compiler() -> Finding:
 
 
 def check_cache() -> Finding:
-    """Check that compiled equations can be kept between runs; bad when the folder cannot be written, or
-    others can write to it.
-    """
+    """Check that the cache of compiled equations can be written, and by this user only."""
     from heli_sim.cache import open_to_others, place
 
     base = os.environ.get("XDG_CACHE_HOME")
@@ -68,8 +66,8 @@ def check_cache() -> Finding:
 
 
 def check_pseudo_terminal() -> Finding:
-    """Check pseudo-terminals and, through one, that the system takes the link's odd baud rate; bad when the
-    simulated board could not be reached, a note on systems without pseudo-terminals.
+    """Check that pseudo-terminals exist and accept the unusual baud rate of the link. On systems without
+    pseudo-terminals the finding is a note.
     """
     from heli_host.declaration import BAUD
 

@@ -26,7 +26,7 @@ LIBRARIES: Final = () if _WINDOWS else ("-lm",)
 
 
 def compiler() -> str | None:
-    """Path of $CC, cc, gcc or clang, whichever exists first; None without a C compiler."""
+    """Path of the first compiler that exists: $CC, cc, gcc or clang; None without a C compiler."""
     for name in (os.environ.get("CC", ""), "cc", "gcc", "clang"):
         path = shutil.which(name) if name else None
         if path:
@@ -35,8 +35,8 @@ def compiler() -> str | None:
 
 
 def compile_function(function: ca.Function) -> Path | None:
-    """Compile a `function` to a shared library with its name as the symbol, or find the one of an earlier
-    call; None when there is no C compiler. A PlantError when that fails.
+    """Compile a `function` to a shared library with its name as the symbol, or return the library of an
+    earlier call; None without a C compiler. A PlantError when compilation fails.
     """
     return compile_source(function.name(), c_source(function))
 
@@ -51,8 +51,8 @@ def c_source(*functions: ca.Function) -> str:
 
 
 def compile_source(name: str, source: str) -> Path | None:
-    """Compile a C file, `source`, to a shared library called `name` in the cache, or find the one of an
-    earlier call; None when there is no C compiler. A PlantError when that fails, or others can write to the
+    """Compile a C file, `source`, to a shared library `name` in the cache, or return the library of an
+    earlier call; None without a C compiler. A PlantError when compilation fails, or others can write to the
     cache.
     """
     key = hashlib.sha256("\n".join([source, *FLAGS, platform.machine(), platform.system()]).encode())

@@ -18,15 +18,15 @@ from heli_host.errors import HeliError
 
 
 class SimError(HeliError):
-    """Anything that goes wrong in the simulation."""
+    """An error of the simulation."""
 
 
 class RigError(SimError):
-    """A rig file is missing, incomplete or holds something it may not."""
+    """A rig file is missing, incomplete or invalid."""
 
 
 class PlantError(SimError):
-    """The plant cannot be put together, compiled or loaded."""
+    """The plant cannot be made, compiled or loaded."""
 
 
 class EndpointError(SimError):
@@ -38,4 +38,4 @@ class OptionError(SimError):
 
 
 class EffectError(SimError):
-    """An effect that is unknown, badly written or has a value it may not have."""
+    """An effect is unknown, its file is wrong, or a value is out of range."""

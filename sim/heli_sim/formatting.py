@@ -1,4 +1,4 @@
-"""How rigs and their numbers are written for people."""
+"""Rigs and their parameters as text for people."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Found:
 
 
 def found_of(rig: Rig) -> Found:
-    """Return what the numbers of a `rig` give together."""
+    """Return the results that the parameters of a `rig` give together."""
     from heli_sim.errors import PlantError
     from heli_sim.model import MultibodyModel
     from heli_sim.model.linear import trim
@@ -68,7 +68,7 @@ def with_tolerance(number: Number | None) -> str:
 
 
 def signed(tolerances: float) -> str:
-    """Write a difference in `tolerances`, starred beyond one."""
+    """Write a difference in `tolerances`, with a star if it is above one."""
     if math.isinf(tolerances):
         return "no tolerance"
     return f"{tolerances:+.1f}{' *' if abs(tolerances) > 1.0 else ''}"

@@ -1,4 +1,4 @@
-"""Numbers from the symbols: one compiled millisecond of the rig, mechanical limits included."""
+"""The compiled plant: one millisecond of the rig, with its mechanical limits."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _MODULUS: Final = 2**31 - 1
 
 @dataclass(frozen=True)
 class Extras:
-    """States that a simulation has behind those of its model.
+    """States that a simulation has in addition to those of its model.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def extras(model: Model, late_s: float = 0.0) -> Extras:
 
 
 def step_function(model: Model, late_s: float = 0.0) -> ca.Function:
-    """One millisecond: Runge-Kutta of fourth order, then table, stops and locks.
+    """Make the function of one millisecond: a fourth-order Runge-Kutta step, then table, stops and locks.
 
     A stop is inelastic: the angle stays at it and the rate outwards becomes 0. The table is the lower stop of
     the elevation; while the arm rests on it, pitch and travel rates die out with table_damping. A locked axis
@@ -113,8 +113,8 @@ def step_function(model: Model, late_s: float = 0.0) -> ca.Function:
 def end_of_step(
     model: Model, after: ca.SX, u: ca.SX, p: ca.SX, t_after: ca.SX, chance: ca.SX, locked: ca.SX
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Apply what rates do not describe at the end of a millisecond: table, stops, locks, and the resets and
-    random inputs of effects.
+    """Apply what the rates do not describe at the end of a millisecond: table, stops, locks, and the resets
+    and random inputs of effects.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def _drawn(chance: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
 
 
 class Plant:
-    """A model with the numbers of a rig; what effects leave to chance is drawn from the `seed`."""
+    """A model with the parameters of a rig. Random effects draw from the `seed`."""
 
     def __init__(self, model: Model, rig: Rig, seed: int = 1) -> None:
         self.model = model
@@ -219,8 +219,8 @@ class Plant:
         volts_V: npt.ArrayLike,
         locked: tuple[bool, bool, bool] = (False, False, False),
     ) -> tuple[Floats, Floats]:
-        """State a millisecond later and the angles that the encoders see [rad], shape (3,), computed in
-        Python; the compiled twin is `native_step`.
+        """Return the state a millisecond later and the angles that the encoders see [rad], shape (3,),
+        computed in Python. `native_step` is the same step, compiled.
 
         Parameters
         ----------
@@ -236,9 +236,9 @@ class Plant:
         return np.asarray(after).ravel(), np.asarray(measured).ravel()
 
     def native_step(self) -> _native.PlantStep:
-        """The step for the C++ world, compiled by the system's C compiler, or, where there is none, CasADi's
-        virtual machine called back from C++, which is about 50 times slower. A PlantError when the compiler
-        fails.
+        """Return the step for the C++ world, compiled by the system's C compiler. Without a compiler,
+        CasADi's virtual machine is called from C++, which takes about 50 times as long. A PlantError when the
+        compiler fails.
         """
         library = compile_function(self.function)
         if library is not None:

@@ -1,4 +1,4 @@
-"""Bench tests as a TOML table, and one to fill in."""
+"""Bench tests as a TOML table, and a template to fill in."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ tolerance_deg = 0.5
 
 
 def bench_tests_from(table: Mapping[str, Any]) -> tuple[Thrust | None, Balance | None, list[Swing]]:
-    """Read bench tests from a TOML `table`, as docs/how-to/describe-your-rig.md shows them.
+    """Read bench tests from a TOML `table`; docs/how-to/describe-your-rig.md shows one.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def bench_tests_from(table: Mapping[str, Any]) -> tuple[Thrust | None, Balance |
 
 
 def _refuse_blanks(table: Mapping[str, Any]) -> None:
-    """Refuse a table in which a reading of the template is still blank."""
+    """Refuse a table in which a reading of the template is still empty."""
     for name, value in table.items():
         where = f"[[{name}]]" if isinstance(value, list) else f"[{name}]"
         for one in value if isinstance(value, list) else [value]:

@@ -1,4 +1,4 @@
-"""Thrust against voltage, from a scale under each rotor, and the straight line through the readings."""
+"""Thrust against voltage from a scale under each rotor, and the straight line through the readings."""
 
 from __future__ import annotations
 
@@ -42,8 +42,9 @@ class ThrustCurve:
     thrust_N: Floats
 
     def line(self) -> Line:
-        """Fit the straight line to the readings above zero, with intervals from the scatter of the readings,
-        or from the scale's step where that is larger; fewer than three are an RigError.
+        """Fit the straight line to the readings above zero. The intervals come from the scatter of the
+        readings, or from the step of the scale if that is larger. A RigError when there are fewer than three
+        readings.
         """
         above = self.thrust_N > 0.0
         volts, thrust = self.volts_V[above], self.thrust_N[above]

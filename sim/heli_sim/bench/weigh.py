@@ -53,7 +53,7 @@ class Thrust:
 
 @dataclass(frozen=True)
 class Balance:
-    """Where the arm stays with the motors off and the short arm level, held by nothing.
+    """Angle at which the free arm rests, with the motors off and the short arm level.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Balance:
 
 @dataclass(frozen=True)
 class Swing:
-    """Free swings of one axis about its rest, motors off, the other two held.
+    """Free swings of one axis about its rest position, with the motors off and the other two axes held.
 
     Parameters
     ----------
@@ -96,19 +96,21 @@ class Swing:
 
     @property
     def decrement(self) -> float:
-        """Logarithm of the ratio of one amplitude to that a period later."""
+        """Logarithmic decrement: the logarithm of the ratio of an amplitude to the amplitude one period
+        later.
+        """
         return float(np.log(self.from_deg / self.to_deg) / self.swings)
 
     @property
     def decrement_tolerance(self) -> float:
-        """Half the width that holds it with 95 %."""
+        """Half the width of the 95 % interval of the decrement."""
         relative = np.hypot(self.tolerance_deg / self.from_deg, self.tolerance_deg / self.to_deg)
         return float(relative / self.swings)
 
 
 @dataclass(frozen=True)
 class Tested:
-    """One reading, and its prediction by the model of the rig.
+    """A reading, and its prediction by the model of the rig.
 
     Parameters
     ----------
@@ -129,7 +131,7 @@ class Tested:
 
     @property
     def off(self) -> float:
-        """Difference between the fitted rig's prediction and the reading, in tolerances."""
+        """Prediction by the fitted rig minus the reading, in tolerances."""
         return abs(self.after - self.read) / self.tolerance
 
 
@@ -212,7 +214,7 @@ def _number(rig: Rig, name: str, value: float, tolerance: float, source: str) ->
 
 
 class _Axes:
-    """What the model gives in the place of each reading."""
+    """Predictions of the readings by the model."""
 
     def __init__(self, rig: Rig) -> None:
         model = MultibodyModel()
@@ -223,7 +225,7 @@ class _Axes:
         self.values: Floats = model.parameter_values(rig)
 
     def _at(self, p: Floats, axis: int, angles_rad: Floats) -> tuple[float, float, float]:
-        """Acceleration of an axis at rest, the others held, and its derivatives by angle and rate."""
+        """Acceleration of an axis at rest with the others held, and its derivatives by angle and rate."""
         held = np.ones(3)
         held[axis] = 0.0
         state = np.concatenate((angles_rad, np.zeros(3)))
@@ -231,7 +233,7 @@ class _Axes:
         return float(acceleration[axis, 0]), float(by_state[axis, axis]), float(by_state[axis, 3 + axis])
 
     def balance_deg(self, p: Floats, near_deg: float) -> float:
-        """Where the arm stays, the one that is nearest."""
+        """Angle of equilibrium that is nearest to the reading."""
         angles = np.array([np.deg2rad(near_deg), 0.0, 0.0])
         for _ in range(_NEWTON):
             value, slope, _ = self._at(p, 0, angles)
@@ -246,7 +248,7 @@ class _Axes:
         return float(np.rad2deg(angles[0]))
 
     def swing(self, p: Floats, swing: Swing) -> tuple[float, float]:
-        """Time that all swings take, s, and the decrement."""
+        """Time of all swings [s], and the logarithmic decrement."""
         axis = AXES.index(swing.axis)
         rest_deg = self.balance_deg(p, -20.0) if axis == 0 else 0.0
         angles_rad = np.deg2rad([rest_deg if axis == 0 else swing.elevation_deg, 0.0, 0.0])

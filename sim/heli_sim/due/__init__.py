@@ -1,1 +1,1 @@
-"""The flight code on the emulated Due, as a board that a simulated world flies."""
+"""The flight code on the emulated Due, as a board for a simulated world."""

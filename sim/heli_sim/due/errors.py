@@ -15,12 +15,12 @@ from heli_sim.errors import SimError
 
 
 class DueError(SimError):
-    """Anything that goes wrong with the emulated board."""
+    """An error of the emulated board."""
 
 
 class FirmwareError(DueError):
-    """The flight code's ELF is missing, unreadable, or for another version of the link."""
+    """The ELF of the flight code is missing, unreadable, or for another version of the link."""
 
 
 class BoardStopped(DueError):
-    """The emulator stopped the firmware: it does what the chip does not promise."""
+    """The emulator stopped the firmware, because it relies on behaviour that the chip does not promise."""

@@ -1,4 +1,4 @@
-"""The flight code's own ELF: where it is, whether this host understands it, and an emulated board with it."""
+"""The ELF of the flight code: where it is, whether this host supports it, and an emulated board with it."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _MAKE: Final = "make firmware"
 
 
 def candidates() -> list[Path]:
-    """Every ELF of the flight code, newest first: what the package ships, when it was built where a
-    cross-compiler is, and, in a checkout, what was built since.
+    """All ELF files of the flight code, newest first: the one in the package, if it was built with a
+    cross-compiler, and in a checkout those built since.
     """
     import heli_sim
 
@@ -33,8 +33,8 @@ def candidates() -> list[Path]:
 
 
 def new_board(image: Image) -> DueBoard:
-    """An emulated Due for the simulated world, powered off. Its flash holds a program that ticks like our
-    firmware.
+    """Return an emulated Due for the simulated world, powered off. Its flash holds a program with the timing
+    of our firmware.
     """
     from due_emulator import load_image
 
@@ -59,9 +59,9 @@ def read_firmware(path: Path | str) -> Image:
 
 
 def check_firmware(path: Path) -> Image:
-    """Read an ELF at `path` that speaks this host's link; it is asked on an emulated board of its own. A
-    FirmwareError when it is none for the Due, and, with both versions, when it does not answer or speaks
-    another version of the link.
+    """Read an ELF at `path` and ask it on a separate emulated board for its version of the link. A
+    FirmwareError, which states both versions, when it is not a program for the Due, does not answer, or has
+    another version.
     """
     from due_emulator import Stop
 
@@ -85,8 +85,8 @@ def check_firmware(path: Path) -> Image:
 
 
 def find_firmware() -> Path:
-    """The newest of `candidates` that speaks this host's link; a FirmwareError says why the newest will not
-    do, and what to do.
+    """Return the newest of `candidates` with this host's version of the link. A FirmwareError states why the
+    newest is unsuitable, and what to do.
     """
     found = candidates()
     reason: FirmwareError | None = None

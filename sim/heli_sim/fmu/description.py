@@ -1,4 +1,4 @@
-"""The model description of an FMU: what it has, in the standard's XML."""
+"""The model description of an FMU: its variables and capabilities, in the standard's XML."""
 
 from __future__ import annotations
 
@@ -71,7 +71,9 @@ class Variable:
 
 
 def variables(plant: Plant) -> list[Variable]:
-    """List what an importer sees of a plant: time, voltages, measured angles, states, rates, numbers."""
+    """List the variables of a plant that an importer sees: time, voltages, measured angles, states, rates,
+    parameters.
+    """
     return list(_variables(plant))
 
 

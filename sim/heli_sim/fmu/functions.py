@@ -27,7 +27,7 @@ class Generated:
 
 
 def generate(plant: Plant, token: str) -> Generated:
-    """Write the C files that hold a plant's equations and numbers.
+    """Write the C files with a plant's equations and parameters.
 
     Parameters
     ----------

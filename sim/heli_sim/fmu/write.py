@@ -73,7 +73,7 @@ def write_fmu(plant: Plant, path: str | Path) -> str:
 
 
 def _token(plant: Plant) -> str:
-    """What tells this FMU from others: a digest of its variables and equations."""
+    """Identify this FMU: a digest of its variables and equations."""
     text = "\n".join([*(repr(one) for one in variables(plant)), *generate(plant, "").files.values()])
     return "{" + hashlib.sha256(text.encode()).hexdigest()[:32] + "}"
 

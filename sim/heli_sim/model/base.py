@@ -91,7 +91,8 @@ class Model(ABC):
         """Name of the parameter by which the voltages act late, or empty."""
 
     def values_in(self, label: str, values: Floats) -> Floats:
-        """Values of all parameters as they are in the flight `label`: moments belong to one flight.
+        """Return the values of all parameters in the flight `label`: the moment of an event belongs to one
+        flight.
 
         Parameters
         ----------
@@ -130,7 +131,7 @@ class Model(ABC):
 
     @abstractmethod
     def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
-        """Angular acceleration of elevation, pitch and travel [rad/s2], shape (3, 1), under given thrust and
+        """Angular acceleration of elevation, pitch and travel [rad/s2], shape (3, 1), for a given thrust and
         torque.
 
         A locked axis (`Operands.locked`) has none, and the lock gives whatever torque that takes: where axes
@@ -148,7 +149,7 @@ class Model(ABC):
     def operands(
         self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None, locked: ca.SX | None = None
     ) -> Operands:
-        """Name the entries of the three vectors.
+        """Split the three vectors into operands by name.
 
         Parameters
         ----------
@@ -174,8 +175,8 @@ class Model(ABC):
     def dynamics(
         self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None, locked: ca.SX | None = None
     ) -> ca.SX:
-        """Rate of each state in its unit per second, of `x`, `u`, `p`, `time_s` and `locked` as in
-        `operands`; `u` are the voltages that act. A locked axis does not accelerate.
+        """Rate of each state in its unit per second. `x`, `u`, `p`, `time_s` and `locked` are those of
+        `operands`; `u` are the voltages that act, after any delay. A locked axis does not accelerate.
         """
         at, rates = self._driven(x, u, p, time_s, locked)
         p_at, thrust = at.parameter, at.thrust_N
@@ -186,15 +187,15 @@ class Model(ABC):
         return ca.vertcat(x[3:6], (1 - at.locked) * acceleration, *rates)
 
     def driven(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None) -> Operands:
-        """Operands of the torques, with the voltages and the thrust that act in the end, of `x`, `u`, `p` and
-        `time_s` as in `operands`.
+        """Operands of the torques with the final voltages and thrust. `x`, `u`, `p` and `time_s` are those of
+        `operands`.
         """
         return self._driven(x, u, p, time_s, None)[0]
 
     def _driven(
         self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None, locked: ca.SX | None
     ) -> tuple[Operands, list[ca.SX]]:
-        """Operands of the torques, and the rates of the effects' own states."""
+        """Operands of the torques, and the rates of the states that the effects add."""
         at = self._with_modified_parameters(self.operands(x, u, p, time_s, locked))
         for effect in self.effects:
             at = replace(at, volts_V=effect.voltage_V(at, at.volts_V))
@@ -209,7 +210,9 @@ class Model(ABC):
         return replace(at, thrust_N=thrust), rates
 
     def _with_friction(self, at: Operands, thrust: ca.SX, acceleration: ca.SX) -> ca.SX:
-        """Acceleration with the torques that depend on it; every model's is linear in the torque."""
+        """Acceleration with the torques that depend on the acceleration itself; in each model it is linear in
+        the torque.
+        """
         frictional = [effect for effect in self.effects if effect.has_friction]
         if not frictional:
             return acceleration
@@ -220,16 +223,16 @@ class Model(ABC):
         return acceleration + mobility @ sum(friction, ca.SX.zeros(3))
 
     def reset_map(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None) -> ca.SX:
-        """Reset the state after each step of an integration, for effects that no rate describes; `x` itself
-        where no effect resets any. State `x` and time `time_s` are those after the step, `u` and `p` as in
-        `operands`.
+        """Reset the state after each step of an integration, for effects that rates do not describe. Returns
+        `x` itself if no effect resets a state. State `x` and time `time_s` are those after the step; `u` and
+        `p` are those of `operands`.
         """
         at = self._with_modified_parameters(self.operands(x, u, p, time_s))
         return ca.vertcat(x[:6], *(effect.reset_map(at) for effect in self.effects if effect.states))
 
     def diffusion(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX, step_s: float, normal: ca.SX) -> ca.SX:
-        """Increment of the state by the effects' driving noise in one step of a simulation, in the order of
-        `states`.
+        """Increment of the state in one step of a simulation by the noise that drives the effects, in the
+        order of `states`.
 
         Parameters
         ----------
@@ -256,7 +259,7 @@ class Model(ABC):
 
     @property
     def noise_inputs(self) -> int:
-        """Dimension of the white noise that drives the states of its effects in a simulation."""
+        """Dimension of the white noise that drives the states of the effects in a simulation."""
         return sum(effect.noise_inputs for effect in self.effects)
 
     def _with_modified_parameters(self, at: Operands) -> Operands:
@@ -265,8 +268,9 @@ class Model(ABC):
         return at
 
     def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None) -> ca.SX:
-        """Elevation, pitch and travel [rad], shape (3, 1), that encoders without quantisation would measure:
-        the angles of the state, zero offsets, effects; of `x`, `u`, `p` and `time_s` as in `operands`.
+        """Angles of elevation, pitch and travel [rad], shape (3, 1), that encoders without quantisation would
+        measure: the angles of the state with zero offsets and effects. `x`, `u`, `p` and `time_s` are those
+        of `operands`.
         """
         at = self._with_modified_parameters(self.operands(x, u, p, time_s))
         offsets_deg = ca.vertcat(at.parameter["offset_elevation"], at.parameter["offset_pitch"], 0)
@@ -276,8 +280,6 @@ class Model(ABC):
         return angles
 
     def parameter_values(self, rig: Rig) -> Floats:
-        """Numbers for the symbols of `parameters`, in their units, shape (len(parameters),): those of the
-        `rig` and of the effects.
-        """
+        """Values of `parameters` in their units, shape (len(parameters),), from the `rig` and the effects."""
         own = {name: value for effect in self.effects for name, value in effect.values.items()}
         return np.array([rig[q.name].value if q.name in rig else own[q.name] for q in self.parameters])

@@ -46,7 +46,9 @@ NEVER_s: Final = 1e6
 
 
 class Stage(IntEnum):
-    """Where an effect acts in the chain; a model sorts by it, and within one the order must not matter."""
+    """Place in the chain from voltage to angle where an effect acts. A model sorts its effects by it; effects
+    of the same stage must give the same result in any order.
+    """
 
     SUPPLY = 0
     """The supply without load."""
@@ -131,36 +133,40 @@ class Effect:
 
     @property
     def prefix(self) -> str:
-        """First part of the names of its parameters and states: its own name with underscores for dots."""
+        """First part of the names of its parameters and states: the effect's name with underscores for
+        dots.
+        """
         return self.name.replace(".", "_")
 
     @property
     def place(self) -> str:
-        """Axis or rotor: what its name has after the last dot."""
+        """Axis or rotor: the last part of the effect's name, after the last dot."""
         return self.name.rpartition(".")[2]
 
     @property
     def moment(self) -> str:
-        """Name of the parameter at which it happens; empty if it has none."""
+        """Name of the parameter that is the moment of the event; empty if the effect has none."""
         name = f"{self.prefix}_at_s"
         return name if any(quantity.name == name for quantity in self.parameters) else ""
 
     def values_in(self, label: str, values: Mapping[str, float]) -> dict[str, float]:
-        """Parameter `values` as they are in the flight `label`: a moment belongs to one flight."""
+        """Return the parameter `values` in the flight `label`: the moment of an event belongs to one
+        flight.
+        """
         result = {**values}
         if self.flight and label != self.flight and self.moment:
             result[self.moment] = self.other_moments_s.get(label, NEVER_s)
         return result
 
     def own(self, at: Operands, what: str) -> ca.SX:
-        """Look up a parameter or a state of the effect, in its own unit; `what` is its name after the prefix,
-        such as ``share`` of ``thrust_step_front_share``.
+        """Return a parameter or a state of the effect in its unit. `what` is its name after the prefix, such
+        as ``share`` of ``thrust_step_front_share``.
         """
         name = f"{self.prefix}_{what}"
         return at.parameter[name] if name in at.parameter else at.state[name]
 
     def modified_parameters(self, at: Operands) -> Mapping[str, ca.SX]:
-        """Rig parameters by name, as the effect modifies them before anything is computed with them."""
+        """Rig parameters by name, after the effect has modified them and before they are used."""
         return {}
 
     def voltage_V(self, at: Operands, volts_V: ca.SX) -> ca.SX:
@@ -180,8 +186,8 @@ class Effect:
         return ca.SX.zeros(3)
 
     def friction_Nm(self, at: Operands, acceleration_rad_s2: ca.SX, inertia_kg_m2: ca.SX) -> ca.SX:
-        """Add a torque, shape (3, 1), that depends on the acceleration without it, as dry friction does at
-        standstill.
+        """Add a torque, shape (3, 1), that depends on the acceleration without this torque, as dry friction
+        does at standstill.
 
         Parameters
         ----------
@@ -196,36 +202,39 @@ class Effect:
 
     @property
     def pushes_below_dead_zone(self) -> bool:
-        """Whether rotors may push at voltages within the rig's dead zone."""
+        """Whether rotors may give thrust at voltages within the rig's dead zone."""
         return False
 
     @property
     def has_friction(self) -> bool:
-        """Whether it has a `friction_Nm` of its own."""
+        """Whether the effect overrides `friction_Nm`."""
         return type(self).friction_Nm is not Effect.friction_Nm
 
     def energy_J(self, at: Operands) -> ca.SX:
-        """Potential energy of a torque that has one, such as a spring's."""
+        """Potential energy of the effect's torque, such as a spring's; 0 if it has none."""
         return ca.SX(0)
 
     def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
-        """Change the angles `angles_rad` of elevation, pitch and travel, shape (3, 1), that the
-        encoders see.
+        """Change the angles `angles_rad` of elevation, pitch and travel, shape (3, 1), that the encoders
+        measure.
         """
         return angles_rad
 
     def state_rates(self, at: Operands) -> ca.SX:
-        """Time derivatives of the effect's own states: one for each of `states`, in its unit per second."""
+        """Time derivatives of the states that the effect adds: one for each of `states`, in its unit per
+        second.
+        """
         return ca.SX.zeros(len(self.states))
 
     def with_measured_angles(self) -> Effect:
-        """The same effect where the angles of a flight have been measured; one that such angles make simpler
-        returns another effect with the same parameters.
+        """The same effect for flights whose angles were measured. If measured angles make the effect simpler,
+        this is another effect with the same parameters.
         """
         return self
 
     def alternative_starts(self, parameters: Mapping[str, float]) -> tuple[Mapping[str, float], ...]:
-        """Other initial states from which a prediction may have to start, if angles do not determine them.
+        """Other initial states from which a prediction may have to start, if the angles do not determine
+        them.
 
         Each is a mapping from names of states to offsets from the values that the measured angles suggest,
         computed with the values of all `parameters` of the model.
@@ -233,14 +242,15 @@ class Effect:
         return ()
 
     def reset_map(self, at: Operands) -> ca.SX:
-        """Reset own states, in the order of `states`, after a step of whatever length, for what no rate
-        describes, such as backlash; `at` holds the state after the step, voltages and parameters.
+        """Reset the states that the effect adds, in the order of `states`, after a step of any length, for
+        changes that rates do not describe, such as backlash. `at` holds voltages, parameters and the state
+        after the step.
         """
         return ca.vertcat(*(at.state[state.name] for state in self.states))
 
     def diffusion(self, at: Operands, step_s: float, normal: ca.SX) -> ca.SX:
-        """Increment of own states, in the order of `states`, by their driving noise in one step of a
-        simulation; a fit leaves it out.
+        """Increment of the states that the effect adds, in the order of `states`, by their driving noise in
+        one step of a simulation. A fit leaves it out.
 
         Parameters
         ----------

@@ -56,8 +56,8 @@ class Equation:
 
 
 def symbol(name: str) -> str:
-    """Spell the `name` of a state, a parameter or an input of a `Model`: the paper's letter where it has one,
-    else upright.
+    """Return the LaTeX symbol of a state, a parameter or an input of a `Model`, by its `name`: the paper's
+    letter if there is one, otherwise the name in upright letters.
     """
     if name in _NAMES:
         return _NAMES[name]
@@ -143,7 +143,7 @@ def _multibody(
 
 
 def _accelerations(acceleration: ca.SX, writer: _Writer) -> list[Equation]:
-    """Torque over inertia as inertia times acceleration; anything else as it is."""
+    """Write torque over inertia as inertia times acceleration; leave anything else unchanged."""
     parts = [acceleration[row] for row in range(3)]
     if not all(part.is_op(ca.OP_DIV) for part in parts):
         return writer.lines(_ACCELERATIONS, acceleration)
@@ -156,7 +156,7 @@ def _accelerations(acceleration: ca.SX, writer: _Writer) -> list[Equation]:
 
 
 def _effect(name: str, torque: ca.SX, thrust: ca.SX, F: ca.SX, writer: _Writer) -> list[Equation]:
-    """What an effect adds to the torques, and what it makes of the thrusts."""
+    """Return what an effect adds to the torques, and how it changes the thrusts."""
     upright = symbol(name)
     out = []
     for row, angle in enumerate(_ANGLES):
@@ -186,7 +186,7 @@ _HALF: Final = 0.5
 
 
 class _Writer:
-    """Turns expressions into LaTeX, remembering what it has named."""
+    """Converts expressions to LaTeX, and keeps the names that it has given."""
 
     def __init__(self) -> None:
         self._named: dict[int, str] = {}
@@ -194,7 +194,7 @@ class _Writer:
         self._again: set[int] = set()
 
     def lines(self, lefts: Sequence[str], rights: ca.SX) -> list[Equation]:
-        """Write each expression, and before it what it is the first to share."""
+        """Write each expression, and before it the subexpressions that it uses first."""
         parts = [ca.SX(rights[row]) for row in range(rights.numel())]
         self._cached += parts
         self._again |= _shared(parts)
@@ -237,7 +237,7 @@ class _Writer:
         return write(self, of)
 
     def within(self, of: ca.SX, least: int) -> str:
-        """An operand, in brackets where it binds less than it has to."""
+        """Write an operand, in brackets if it binds less strongly than required."""
         text, binds = self._text(of)
         return text if binds >= least else rf"\left({text}\right)"
 
@@ -336,7 +336,7 @@ def _below(of: ca.SX) -> Iterable[ca.SX]:
 
 
 def _shared(roots: Iterable[ca.SX]) -> set[int]:
-    """Hashes of parts, large enough for a name, that come up in more than one place."""
+    """Hashes of subexpressions that occur more than once and are large enough for a name."""
     parents: dict[int, int] = {}
     size: dict[int, int] = {}
     signs: set[int] = set()  # a sign or a factor of 2 deserves no name

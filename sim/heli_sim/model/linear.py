@@ -26,8 +26,8 @@ _ITERATIONS: Final = 50
 
 @dataclass(frozen=True)
 class Trim:
-    """A state that stays as it is: `state` in the order of the model's, shape (n,), and `volts_V`, front and
-    back, shape (2,).
+    """An equilibrium: `state` in the order of the model's states, shape (n,), and `volts_V`, front and back,
+    shape (2,).
     """
 
     state: Floats
@@ -59,7 +59,7 @@ class Derivatives:
 @functools.lru_cache(maxsize=32)
 def derivative_function(model: Model) -> ca.Function:
     """Exact Jacobians ``derivatives(x, u, p) -> (f, A, B, P, C, D)`` of a model, as in `Derivatives`, by
-    differentiation of its symbols; the function is made once for each.
+    symbolic differentiation. Each model's function is made once.
     """
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", len(model.inputs))
     p = ca.SX.sym("p", len(model.parameters))
@@ -84,9 +84,9 @@ def derivatives(model: Model, rig: Rig, state: npt.ArrayLike, volts_V: npt.Array
 
 
 def trim(model: Model, rig: Rig, elevation_rad: float = 0.0) -> Trim:
-    """Find the voltages and the pitch that hold `elevation_rad` with every rate zero and travel at 0, by
-    Newton's method on the exact Jacobians. A PlantError when no voltage holds it, as when a counterweight is
-    so heavy that the arm rises by itself.
+    """Find the voltages and the pitch that hold `elevation_rad` with all rates zero and travel at 0, by
+    Newton's method on the exact Jacobians. A PlantError when no voltage holds it, for example because a heavy
+    counterweight lifts the arm.
     """
     count = len(model.states)
     # Unknown: pitch, the states of effects, both voltages. Known to be zero: travel and the three rates.

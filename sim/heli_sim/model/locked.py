@@ -1,4 +1,4 @@
-"""A model with locked axes: what a bench test is fitted with."""
+"""A model with locked axes, to which bench tests are fitted."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from heli_sim.rig import Rig
 
 
 class Locked(Model):
-    """A model with axes locked, `locked` saying which of elevation, pitch and travel: they do not accelerate,
-    and the others feel the reactions of the locks.
+    """A model with locked axes; `locked` states which of elevation, pitch and travel are. They do not
+    accelerate, and the others feel the reactions of the locks.
     """
 
     def __init__(self, model: Model, locked: tuple[bool, bool, bool]) -> None:

@@ -1,4 +1,4 @@
-"""The rig as point masses on three rigid links: the full Lagrangian, nothing left out.
+"""The rig as point masses on three rigid links: the complete Lagrangian equations.
 
 Generalised coordinates q = (elevation, pitch, travel). From the kinetic energy T = q'' M(q) q' / 2 and the
 potential energy V(q),
@@ -69,8 +69,8 @@ class MultibodyModel(Model):
         return self._inertia_kg_m2(at, _angles(at))
 
     def energy_J(self, at: Operands) -> ca.SX:
-        """Kinetic and potential energy, effects' included; zero at rest with every mass at the
-        axes' height.
+        """Kinetic and potential energy, with that of effects; zero at rest with all masses at the height of
+        the axes.
         """
         rates = _rates(at)
         potential_J = self._potential_J(at, _angles(at)) + sum(e.energy_J(at) for e in self.effects)
@@ -162,8 +162,8 @@ class MultibodyModel(Model):
 
 @cache
 def _mechanics(kind: type[MultibodyModel]) -> ca.Function:
-    """Accelerations by angles, rates, thrusts, torques, locks and `rig_parameters`: derived once, because
-    derivatives take longer than all else about a model, and the same whatever effects it has.
+    """Accelerations from angles, rates, thrusts, torques, locks and `rig_parameters`. They are derived once,
+    because differentiation takes most of the time, and no effect changes them.
     """
     model = kind()
     q, rates, thrust_N = ca.SX.sym("q", 3), ca.SX.sym("rates", 3), ca.SX.sym("thrust", 2)
@@ -188,7 +188,9 @@ def _rates(at: Operands) -> ca.SX:
 
 
 def _with_locks(matrix: ca.SX, right: ca.SX, locked: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Keep the free axes' block of the equations; a locked axis has 1 times its acceleration = 0."""
+    """Keep the block of the free axes in the equations; for a locked axis, set 1 times its acceleration
+    = 0.
+    """
     free = 1 - locked
     return free @ free.T * matrix + ca.diag(locked), free * right
 

@@ -1,4 +1,4 @@
-"""Models by name, for command lines and files."""
+"""Models by their names on command lines and in files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MODELS: Final[Mapping[str, type[Model]]] = MappingProxyType(
 
 
 def model_named(name: str, effects: tuple[Effect, ...] = ()) -> Model:
-    """Make the model `name`, a key of `MODELS`; a PlantError when there is no such one."""
+    """Make the model `name`, a key of `MODELS`. A PlantError when the name is unknown."""
     if name not in MODELS:
         close = difflib.get_close_matches(name, MODELS, n=1)
         hint = f"did you mean {close[0]}? " if close else ""

@@ -1,4 +1,4 @@
-"""The equations of motion of Makki et al. exactly as printed, (14), (19) and (25), slips included.
+"""The equations of motion of Makki et al. exactly as printed, (14), (19) and (25), with their misprints.
 
 They are for comparison with `paper`, where they are corrected, and with `multibody`. The list gives every
 slip. If an equation cannot be evaluated as printed, the list also gives the reading that is used here:

@@ -1,4 +1,4 @@
-"""Parts that every model of the rig shares."""
+"""Equations that all models of the rig share."""
 
 from __future__ import annotations
 
@@ -73,8 +73,8 @@ def rotor_climb_m_s(state: Mapping[str, ca.SX], parameter: Mapping[str, ca.SX]) 
 
 
 def rotor_height_m(state: Mapping[str, ca.SX], parameter: Mapping[str, ca.SX]) -> ca.SX:
-    """Height of the front and the back rotor's centre above the elevation axis, shape (2, 1), by the angles
-    in `state` and the numbers in `parameter`: L_a, L_h and L_theta in m.
+    """Height of the centres of the front and the back rotor above the elevation axis, shape (2, 1), from the
+    angles in `state` and L_a, L_h and L_theta [m] in `parameter`.
     """
     c, s = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
     middle = parameter["L_a"] * s - parameter["L_theta"] * c
@@ -83,22 +83,22 @@ def rotor_height_m(state: Mapping[str, ca.SX], parameter: Mapping[str, ca.SX]) -
 
 
 def upright_torque_Nm(state: Mapping[str, ca.SX], torque_Nm: ca.SX) -> ca.SX:
-    """Torque about the three axes, shape (3, 1), of a torque `torque_Nm` [N m] about the short arm's upright,
-    by the angles in `state`.
+    """Torque about the three axes, shape (3, 1), of a torque `torque_Nm` [N m] about the upright of the short
+    arm, from the angles in `state`.
     """
     pitch, elevation = state["pitch_rad"], state["elevation_rad"]
     return torque_Nm * ca.vertcat(-ca.sin(pitch), 0, ca.cos(pitch) * ca.cos(elevation))
 
 
 def smooth_step(time_s: ca.SX, moment_s: ca.SX) -> ca.SX:
-    """Unit step at `moment_s` [s] of the time `time_s` [s], 0 before and 1 after, smoothed over some 20 ms so
-    that it has a derivative to the moment.
+    """Unit step at `moment_s` [s] as a function of the time `time_s` [s], smoothed over about 20 ms so that
+    it has a derivative by the moment.
     """
     return 0.5 * (1 + ca.tanh((time_s - moment_s) / _ABRUPT_s))
 
 
 def on_axis(axis: str, value: ca.SX) -> ca.SX:
-    """Put a scalar `value` at the place of an `axis`, elevation, pitch or travel, shape (3, 1), 0 at the
-    other two.
+    """Vector of shape (3, 1) with a scalar `value` at the place of an `axis`, elevation, pitch or travel, and
+    0 otherwise.
     """
     return ca.vertcat(*(value if axis == one else ca.SX(0) for one in AXES))

@@ -1,4 +1,4 @@
-"""Rigs as data: every number with its unit, tolerance and source."""
+"""Rigs as data: each parameter with its unit, tolerance and source."""
 
 from __future__ import annotations
 

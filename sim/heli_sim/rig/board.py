@@ -30,8 +30,8 @@ _OF_BOARD: Final = {"elevation_rest_deg": "elevation_min", "supply_V": "supply",
 
 
 def parameters_of(rig: Rig) -> dict[str, float]:
-    """Return the parameters that a rig determines: counts per turn with their direction, rest angle, supply,
-    and upper limits. An encoder whose direction is not known counts up.
+    """Return the board parameters that a rig determines: counts per turn with their direction, rest angle,
+    supply, and upper limits. If the direction of an encoder is not known, it counts up.
 
     Raises
     ------
@@ -163,8 +163,8 @@ def rig_parameters(name_or_path: str) -> RigParameters:
 
 
 def set_from_rig_text(rig: str, values: Mapping[str, float]) -> str:
-    """Say in one line which parameters, `values` by name, a simulated board took from the `rig` of this name;
-    empty for none.
+    """State in one line which parameters, `values` by name, a simulated board took from the `rig` of this
+    name; return an empty text for none.
     """
     if not values:
         return ""

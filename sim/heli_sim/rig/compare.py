@@ -1,4 +1,4 @@
-"""Two rigs side by side: where they differ, measured in what is known of each number."""
+"""Comparison of two rigs: the differences of their parameters, in units of their tolerances."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ _SAME = 1e-6
 
 @dataclass(frozen=True)
 class Difference:
-    """A number of two rigs: its `name`, or ``effect.name`` for an effect's; None in `left` or `right` where
-    that rig does not have it.
+    """A parameter of two rigs: its `name`, or ``effect.name`` for an effect's parameter. `left` or `right` is
+    None if that rig does not have it.
     """
 
     name: str
@@ -31,7 +31,7 @@ class Difference:
 
     @property
     def tolerances(self) -> float:
-        """Right less left, in the two tolerances together (their root sum of squares).
+        """Right minus left, divided by the root sum of squares of the two tolerances.
 
         Within 1 the two can be the same rig. Infinite where neither allows any difference, and where one rig
         does not have the number.
@@ -46,8 +46,8 @@ class Difference:
 
 
 def compare_rigs(left: Rig, right: Rig) -> list[Difference]:
-    """Compare two rigs by every number of either, the largest difference in tolerances first, then in the
-    rigs' order.
+    """Compare all parameters of two rigs. The largest difference in tolerances comes first; equal ones are in
+    the order of the rigs.
     """
     sides = dict(_numbers(left)), dict(_numbers(right))
     names = dict.fromkeys([*sides[0], *sides[1]])

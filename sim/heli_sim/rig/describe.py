@@ -1,4 +1,4 @@
-"""A rig from what its builder states: some numbers with units and tolerances, the rest as another rig's."""
+"""Makes a rig from what its builder states; the other parameters come from another rig."""
 
 from __future__ import annotations
 
@@ -59,7 +59,8 @@ _WRITTEN: Final = re.compile(
 
 
 def described(name: str, description: str, like: Rig, given: Mapping[str, Number]) -> Rig:
-    """Make a rig of the numbers `given` and, with wider tolerances, of those of a rig that it is `like`.
+    """Make a rig of the parameters `given`; the others, with wider tolerances, come from the rig that it is
+    `like`.
 
     Parameters
     ----------
@@ -88,7 +89,8 @@ def described(name: str, description: str, like: Rig, given: Mapping[str, Number
 
 
 def number_from(name: str, text: str, source: str = "stated by its builder") -> Number:
-    """Read a number as people write it: ``355 g``, ``0.64 +- 0.005 m``, ``12 V; data sheet``.
+    """Read a number with unit, tolerance and source, such as ``355 g``, ``0.64 +- 0.005 m`` or ``12 V; data
+    sheet``.
 
     Parameters
     ----------

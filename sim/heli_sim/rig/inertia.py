@@ -1,4 +1,4 @@
-"""Inertias that the masses of a rig give, and stated ones that they cannot give."""
+"""Inertias that follow from a rig's masses, and a check of stated inertias against them."""
 
 from __future__ import annotations
 
@@ -34,9 +34,8 @@ def inertias_kg_m2(values: Mapping[str, float]) -> dict[str, float]:
 def inertia_range_kg_m2(
     values: Mapping[str, float], tolerances: Mapping[str, float]
 ) -> dict[str, tuple[float, float]]:
-    """Least and greatest J_theta, J_phi and J_psi of all arrangements within the tolerances. Every inertia
-    grows with every mass and with the size of every length, so the ends are reached where all are at their
-    ends.
+    """Smallest and largest J_theta, J_phi and J_psi of all arrangements within the tolerances. Each inertia
+    grows with each mass and each length, so that the extremes are at the ends of the tolerances.
 
     Parameters
     ----------

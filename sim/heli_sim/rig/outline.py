@@ -1,4 +1,4 @@
-"""Outline of a rig for pictures of it; the entry point ``heli_host.rigs``."""
+"""Outline of a rig for its picture; the entry point ``heli_host.rigs``."""
 
 from __future__ import annotations
 

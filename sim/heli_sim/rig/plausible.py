@@ -1,4 +1,4 @@
-"""How large the numbers of a rig can be: beyond what calculation bears, and beyond what stands on a table."""
+"""Limits of a rig's parameters: what calculation tolerates, and what fits on a table."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ often wrong: 64 for 64 cm. A wider range misses that; a narrower one refuses rea
 
 
 def check_size(where: str, name: str, value: float, tolerance: float, unit: str) -> None:
-    """Refuse a number of a rig that is too large or too small to calculate with.
+    """Refuse a parameter that is too large or too small to calculate with.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def check_size(where: str, name: str, value: float, tolerance: float, unit: str)
 
 
 def beyond_a_table(values: Mapping[str, float]) -> list[str]:
-    """Name those of a rig's `values`, in rig files' units, that no rig on a table has, a line for each."""
+    """List those of a rig's `values`, in the units of rig files, that no table-top rig has, one line each."""
     units = {quantity.name: quantity.unit for quantity in RIG_QUANTITIES}
     return [
         f"{name} = {values[name]:g} {units[name]} is outside {low:g} to {high:g} {units[name]}, "

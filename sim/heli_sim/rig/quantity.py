@@ -27,7 +27,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of a number before a flight: a normal distribution, and what it cannot be.
+    """Knowledge of a parameter before a flight: a normal distribution within bounds.
 
     Parameters
     ----------

@@ -55,7 +55,7 @@ _MAY_BE_NEGATIVE: Final = frozenset(
 
 @dataclass(frozen=True)
 class Number:
-    """One number of a rig.
+    """A parameter's value with tolerance and source.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def counts_by_encoder(rig: str, numbers: Mapping[str, Number]) -> dict[str, Numb
 
 
 def rig_names() -> list[str]:
-    """Sorted names of the rigs that come with the package, each good for `load_rig`."""
+    """Sorted names of the rigs that come with the package; `load_rig` accepts each."""
     return sorted(path.stem for path in _FOLDER.glob("*.toml"))
 
 
@@ -294,7 +294,7 @@ def _unknown(rig: str, name: str) -> RigError:
 
 
 def _check_inertias(rig: Rig, stated: Mapping[str, Number]) -> None:
-    """Refuse a stated inertia that the rig's masses cannot give, however they lie within the tolerances."""
+    """Refuse a stated inertia that no arrangement of the rig's masses within their tolerances gives."""
     units = {quantity.name: quantity.unit for quantity in STATED_INERTIAS}
     values = {name: number.value for name, number in rig.items()}
     possible = inertia_range_kg_m2(values, {name: number.tolerance for name, number in rig.items()})

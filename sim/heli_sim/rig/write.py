@@ -1,4 +1,4 @@
-"""Rigs written as the files that `load_rig` reads."""
+"""Writes rigs as files that `load_rig` reads."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ _DIGITS = 7
 
 
 def rig_text(rig: Rig, comment: str = "", digits: int = _DIGITS) -> str:
-    """Spell a rig as TOML under a `comment`, numbers with so many `digits`; 17 keep every number exactly."""
+    """Return a rig as TOML after a `comment`, with `digits` significant digits; 17 keep each number
+    exactly.
+    """
     lines = [f"# {line}" for line in textwrap.wrap(comment, 108)]
     lines += [f"name = {_quoted(rig.name)}", f"description = {_quoted(rig.description)}"]
     if rig.model:

@@ -18,9 +18,9 @@ _TOUCH_RAD: Final = np.deg2rad(0.2)
 
 
 def support_arm(plant: Plant, native: _native.World) -> None:
-    """Lock the elevation of the arm in a world, `native`, while the arm is on its table and the motors are
-    off; the condition is checked every 5 ms. Nothing is done for a `plant` whose arm rests by itself, and
-    for axes that have been locked otherwise.
+    """Lock the elevation of a world's arm, `native`, while the arm is on its table and the motors are off.
+    The condition is checked every 5 ms. If the arm of the `plant` rests by itself, or the axis is locked for
+    another reason, nothing changes.
     """
     rest = plant.rest_state()
     after, _ = plant.step(rest, (0.0, 0.0))

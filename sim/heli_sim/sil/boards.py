@@ -1,4 +1,4 @@
-"""Boards that a simulated world can fly: the flight code compiled for this machine, or an emulated Due."""
+"""The two boards of a simulation: the flight code compiled for this machine, and the emulated Due."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FILE_BYTES: Final = 2048
 
 @dataclass(frozen=True)
 class Choice:
-    """Which board is flown.
+    """The board that is flown, and why.
 
     Parameters
     ----------
@@ -77,14 +77,16 @@ def choose(board: str, elf: str = "") -> Choice:
 
 
 def resolved(options: SilOptions) -> SilOptions:
-    """Options that name their board, ``native`` or ``due``, and its ELF; raises as `choose` does."""
+    """Return options that name the board, ``native`` or ``due``, and its ELF file. Raises as `choose`
+    does.
+    """
     choice = choose(options.board, options.elf)
     return replace(options, board=choice.name, elf=choice.elf)
 
 
 class NativeBoard:
-    """The flight code compiled for this machine; its flash pages are kept in `flash_file`, or forgotten if it
-    is empty. Every start has a boot id of its own, from `boot_seed`.
+    """The flight code compiled for this machine. Its flash pages are kept in `flash_file`; without a file
+    they are lost at the end. Each start has a separate boot id, derived from `boot_seed`.
     """
 
     stops: tuple[type[Exception], ...] = ()
@@ -95,19 +97,21 @@ class NativeBoard:
 
     @property
     def bytes_lost(self) -> int:
-        """Bytes from the host that the board had no room for."""
+        """Bytes from the host that were lost because the board's buffer was full."""
         return self.sim.rx_overflow
 
     def keep_flash(self) -> None:
         """Do nothing: this board writes its file by itself."""
 
     def fill_flash(self, flash: bytes) -> None:
-        """Put `flash`, as `heli_sim.sil.flash_pages.saved` makes it, in before the board's first start."""
+        """Write `flash`, as `heli_sim.sil.flash_pages.saved` makes it, into the board before its first
+        start.
+        """
         self.sim.flash = flash
 
 
 class EmulatedDue:
-    """The ELF that is flashed, on an emulated Due.
+    """An emulated Due that runs the ELF file of the real firmware.
 
     Parameters
     ----------
@@ -148,11 +152,13 @@ class EmulatedDue:
 
     @property
     def bytes_lost(self) -> int:
-        """Bytes from the host that the board had no room for."""
+        """Bytes from the host that were lost because the board's buffer was full."""
         return self.sim.due.uart_overruns
 
     def fill_flash(self, flash: bytes) -> None:
-        """Put `flash`, as `heli_sim.sil.flash_pages.saved` makes it, in before the board's first start."""
+        """Write `flash`, as `heli_sim.sil.flash_pages.saved` makes it, into the board before its first
+        start.
+        """
         self.sim.due.load(_PAGES_AT, flash[:_PAGES_BYTES])
 
     def keep_flash(self) -> None:
@@ -169,8 +175,9 @@ SimBoard = NativeBoard | EmulatedDue
 
 
 def make_board(options: SilOptions, boot_seed: int = 1) -> SimBoard:
-    """Make the board of a simulation by `resolved` options, powered off; a SimError when the ELF or the flash
-    file cannot be used. `boot_seed` (0 to 2^64 - 1) distinguishes this power supply's boots from others.
+    """Make the board that `resolved` options name, powered off. A SimError is raised when the ELF or the
+    flash file cannot be used. `boot_seed` (0 to 2^64 - 1) gives the boots of this board ids that no other
+    board has.
     """
     if options.board == DUE:
         return EmulatedDue(options.elf, options.flash_file, boot_seed)

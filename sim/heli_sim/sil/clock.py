@@ -1,4 +1,6 @@
-"""How fast simulated time may pass. Nothing here looks at a clock: callers say what time it is."""
+"""How much simulated time may pass. Callers pass in the present time; nothing in this module reads a
+clock.
+"""
 
 from __future__ import annotations
 
@@ -27,16 +29,18 @@ class Clock(Protocol):
         ...
 
     def wait_s(self, now_s: float, tick: int) -> float:
-        """Seconds until `due` is worth asking again, from `now_s` and `tick` as it takes them."""
+        """Seconds until `due` can return more than 0, from the same `now_s` and `tick`."""
         ...
 
     def heard(self, now_s: float, tick: int) -> None:
-        """Note that bytes came from the host at `now_s`, after `tick` milliseconds simulated."""
+        """Record that bytes came from the host at `now_s`, after `tick` simulated milliseconds."""
         ...
 
 
 class TimedClock(Clock):
-    """Real time, or `speed` times it, on an absolute schedule: what one slice is late, the next is not."""
+    """Real time, or `speed` times as fast, on an absolute schedule: a late slice does not delay the
+    next one.
+    """
 
     follows_host = False
 
@@ -113,7 +117,7 @@ class LockstepClock(Clock):
 
 
 def make_clock(speed: float | None) -> Clock:
-    """A fresh pace of `speed` simulated seconds a second, or as fast as the host keeps up if None; its
-    schedule starts when it is first asked.
+    """Make a clock that passes `speed` simulated seconds per second, or as fast as the host keeps up if
+    `speed` is None. Its schedule starts with the first call of `due`.
     """
     return LockstepClock() if speed is None else TimedClock(speed)

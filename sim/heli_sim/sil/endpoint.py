@@ -1,4 +1,4 @@
-"""Interface of a serial port for the server, the same for all kinds of ports."""
+"""The interface that pseudo-terminal, TCP and RFC 2217 ports share, for the server."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Protocol
 
 @dataclass(frozen=True)
 class LineChange:
-    """The host has changed DTR.
+    """A change of the line DTR by the host.
 
     Parameters
     ----------
@@ -23,42 +23,44 @@ class LineChange:
 
 
 class Endpoint(Protocol):
-    """The board's side of a port that a host may open, close and open again. Nothing here waits."""
+    """The board's side of a port that a host may open, close and open again. No method blocks."""
 
     url: str
     """Address that a host opens."""
 
     def receive(self) -> bytes:
-        """Take the bytes that the host wrote; empty if there are none. Also notes opening and closing."""
+        """Return the bytes that the host wrote, or empty bytes. The call also notices that the host opened or
+        closed the port.
+        """
         ...
 
     def send(self, data: bytes) -> None:
-        """Give `data` to the host; what does not fit is kept for later, or lost when the port is closed.
-        Empty data tries again with what was kept.
+        """Send `data` to the host. Bytes that do not fit are kept for the next call, or lost when the port is
+        closed. Call it with empty data to send kept bytes only.
         """
         ...
 
     @property
     def ready(self) -> bool:
-        """Whether a host has the port open and takes its bytes."""
+        """Whether a host has the port open and reads from it."""
         ...
 
     def take_lines(self) -> list[LineChange]:
-        """Changes of DTR since the last call, in order."""
+        """Return the changes of DTR since the last call, oldest first."""
         ...
 
     def fileno(self) -> int:
-        """File descriptor to watch for bytes or for the next host; -1 when there is none to watch."""
+        """File descriptor that becomes readable when bytes or a host arrive; -1 if there is none."""
         ...
 
     def unplug(self) -> None:
-        """Take the port away, as pulling the cable does."""
+        """Remove the port, as pulling the cable does."""
         ...
 
     def plug(self) -> None:
-        """Bring the port back under the same address; raises EndpointError if that is impossible."""
+        """Restore the port under the same address; an EndpointError if that is impossible."""
         ...
 
     def close(self) -> None:
-        """Take the port away for good; twice does nothing."""
+        """Remove the port for good. Further calls do nothing."""
         ...

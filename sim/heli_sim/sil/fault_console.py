@@ -1,4 +1,4 @@
-"""Faults of the rig, and a hand on it, at a person's word, while a simulated board is served."""
+"""Faults of the rig, and movements by hand, which a person types while a simulated board runs."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ HELP: Final = (
 
 
 class FaultConsole:
-    """Does to a world what a person types, a line a fault; it lasts until another line ends it.
+    """Applies typed faults to a simulated world. Each line is one fault; it lasts until another line ends it.
 
     Parameters
     ----------
@@ -45,16 +45,16 @@ class FaultConsole:
         self._ended = False
 
     def watched(self) -> list[int]:
-        """File descriptors to wait for: where the lines come from, as long as they may be read."""
+        """File descriptors to wait for: the input of the lines, while this process may read it."""
         return [] if self._ended or self._in_background() else [self._fd]
 
     def listen(self, ready: list[int]) -> None:
-        """Obey the lines that are there.
+        """Read all lines that have arrived, and apply each.
 
         Parameters
         ----------
         ready : list of int
-            File descriptors that can be read without waiting; none of ours does nothing.
+            File descriptors that can be read without waiting; others than the input of the lines are ignored.
         """
         if self._fd not in ready:
             return
@@ -71,7 +71,7 @@ class FaultConsole:
                 self._say(f"{self._world.time_s:.1f} s: {self.obey(words)}")
 
     def obey(self, words: list[str]) -> str:
-        """Do what a line says, from the next tick on.
+        """Apply a line from the next tick on.
 
         Parameters
         ----------
@@ -142,7 +142,9 @@ class FaultConsole:
         return (*others, *((axis, interval) for interval in self._until_now(mine)))
 
     def _in_background(self) -> bool:
-        """Whether a read would stop this process: started with ``&``, it leaves the terminal to the shell."""
+        """Whether a read would suspend this process, because a shell started it with ``&`` and owns the
+        terminal.
+        """
         try:
             return os.tcgetpgrp(self._fd) != os.getpgrp()
         except OSError:

@@ -1,4 +1,6 @@
-"""Faults of the link, repeatable: the same seed spoils the same bytes, however they arrive in pieces."""
+"""Random faults of the link. The same seed damages the same bytes, whatever the sizes of the pieces in which
+they arrive.
+"""
 
 from __future__ import annotations
 
@@ -47,8 +49,8 @@ class FaultPlan:
                 raise OptionError(f"{name}={value} is not a probability", "give a number from 0 to 1")
 
     def next_edge(self, tick: int) -> int:
-        """First tick after `tick` at which a stall or an unplugging begins or ends; far away when there is
-        none.
+        """First tick after `tick` at which a stall or an unplugging begins or ends; a very large number if
+        there is none.
         """
         return next_edge(self._edges, tick)
 
@@ -61,13 +63,13 @@ class FaultPlan:
         return any(span.holds(tick) for span in self.stalls)
 
     def unplugged(self, tick: int) -> bool:
-        """Whether the cable is out at a `tick`, inside one of `unplugs`."""
+        """Whether the cable is unplugged at a `tick`, inside one of `unplugs`."""
         return any(span.holds(tick) for span in self.unplugs)
 
 
 @dataclass
 class FaultCounters:
-    """Faults that happened so far.
+    """Number of faults so far, by kind.
 
     Parameters
     ----------
@@ -88,8 +90,8 @@ class FaultCounters:
 
 
 class FaultyStream:
-    """One direction of a link, 0 towards the board, 1 towards the host, with random faults of the `seed`,
-    different ones by `direction`.
+    """One direction of a link with random faults: `direction` is 0 to the board, 1 to the host. Each
+    direction draws other faults from the `seed`.
     """
 
     def __init__(self, plan: FaultPlan, seed: int, direction: int) -> None:
@@ -100,7 +102,7 @@ class FaultyStream:
         self._clean = plan.flip == plan.drop == plan.double == 0.0
 
     def pass_through(self, data: bytes) -> bytes:
-        """Let bytes, `data`, through, with the faults that are due."""
+        """Return the bytes of `data` after the faults that are due."""
         self.counters.bytes_seen += len(data)
         if self._clean or not data:
             return data
@@ -123,7 +125,7 @@ class FaultyStream:
 
 
 class _Gaps:
-    """Positions of rare events in a long row of trials, drawn gap by gap."""
+    """Positions of rare events in a long sequence of trials, drawn gap by gap."""
 
     def __init__(self, probability: float, *seed: int) -> None:
         self._probability = probability
@@ -136,7 +138,7 @@ class _Gaps:
         return int(self._random.geometric(self._probability)) - 1
 
     def within(self, trials: int) -> list[int]:
-        """Positions among the next `trials` trials."""
+        """Positions of the events among the next `trials` trials."""
         hits = []
         while self._next < trials:
             hits.append(self._next)

@@ -1,4 +1,4 @@
-"""The flash pages of a board whose parameters were saved, as firmware/core/params/README.md lays them out."""
+"""The flash pages of a board with saved parameters, in the layout of firmware/core/params/README.md."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ _FLASH_BYTES: Final = 2048
 
 
 def saved(values: Mapping[str, float]) -> bytes:
-    """Return the flash of a board on which these `values` were saved once, and else the declared defaults."""
+    """Return the flash of a board that saved these `values` once; other parameters have the declared
+    defaults.
+    """
     head = struct.pack("<HBBII", _MAGIC, _FORMAT, len(PARAMS), PARAMS_HASH, 1)
     entries = (struct.pack("<Hf", spec.id, values.get(spec.name, spec.default)) for spec in PARAMS)
     page = (head + b"".join(entries)).ljust(_SET_BYTES - 4, b"\xff")

@@ -70,7 +70,7 @@ class InProcessTransport:
         self._start_s = time.monotonic() - (world.time_s / self._speed if self._speed else 0.0)
 
     def read(self, timeout_s: float) -> bytes:
-        """Let simulated time pass until bytes arrive; empty after `timeout_s`.
+        """Advance simulated time until bytes arrive, by `timeout_s` at most; return them, or empty bytes.
 
         Parameters
         ----------
@@ -96,8 +96,8 @@ class InProcessTransport:
         return received
 
     def write(self, data: bytes) -> None:
-        """Hand `data` to the line; it starts to travel at the next `read`. LinkLost when the transport is
-        closed, or the plan of faults has the cable out.
+        """Pass `data` to the serial line, which begins to carry it at the next `read`. Raises LinkLost when
+        the transport is closed, or while the plan of faults has the cable unplugged.
         """
         self._check()
         self._written += data
@@ -107,16 +107,16 @@ class InProcessTransport:
         return self.world.time_s
 
     def wall_ns(self) -> int:
-        """Date and time of the simulation in nanoseconds since 1970, a fixed epoch plus simulated time."""
+        """Date and time of the simulation in nanoseconds since 1970: a fixed date plus simulated time."""
         return EPOCH_ns + self.world.tick * 1_000_000
 
     def close(self) -> None:
-        """Close the transport; the world stays as it is. Closing twice does nothing."""
+        """Close the transport; the simulated world does not change. Further calls do nothing."""
         self._closed = True
 
     def reopen(self) -> InProcessTransport:
-        """Open the port of the same board again by another transport; this one stays closed. A PortError when
-        the plan of faults has the cable out; 0.1 s of simulated time passes.
+        """Open the port of the same board by a new transport, after 0.1 s of simulated time; this transport
+        stays closed. A PortError while the plan of faults has the cable unplugged.
         """
         return InProcessTransport(self.world, self.url, self.label, self.note, self.recipe)
 

@@ -1,4 +1,4 @@
-"""Stretches of simulated time in which something is wrong."""
+"""Intervals of simulated time in which a fault acts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _TICKS_PER_S: Final = 1000
 
 @dataclass(frozen=True)
 class Interval:
-    """A stretch of simulated time that may have no end.
+    """An interval of simulated time that may have no end.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class Interval:
         return OptionError(f"'{self.start_s}:{self.duration_s}' is not an interval of time", remedy)
 
     def edges(self) -> tuple[int, int]:
-        """First tick of the stretch, and first tick after it, ms since the simulation started."""
+        """First tick of the interval, and first tick after it, in ms since the simulation started."""
         end_s = self.start_s + self.duration_s
         end_tick = round(_TICKS_PER_S * end_s) if end_s <= LATEST_S else NEVER
         return round(_TICKS_PER_S * self.start_s), end_tick
@@ -63,7 +63,7 @@ class Interval:
 
 
 class Span(Interval):
-    """A stretch of simulated time that ends: `duration_s` is finite; an OptionError when it is not."""
+    """An interval of simulated time that ends: `duration_s` is finite, otherwise an OptionError is raised."""
 
     def __post_init__(self) -> None:
         if not (self.duration_s <= LATEST_S and self._possible()):
@@ -71,10 +71,10 @@ class Span(Interval):
 
 
 def edges_of(spans: Iterable[Interval]) -> tuple[int, ...]:
-    """Ticks at which one of the `spans` begins or ends, in order, and `NEVER` behind them."""
+    """Ticks at which one of the `spans` begins or ends, sorted, with `NEVER` as the last element."""
     return (*sorted(edge for span in spans for edge in span.edges() if edge < NEVER), NEVER)
 
 
 def next_edge(edges: Sequence[int], tick: int) -> int:
-    """First of some `edges`, as `edges_of` gives them, after a `tick`; `NEVER` when there is none."""
+    """First of the `edges` that `edges_of` returned that is after a `tick`; `NEVER` if there is none."""
     return edges[bisect_right(edges, tick)]

@@ -1,4 +1,4 @@
-"""Options of a simulated board, and how a `sil://` address spells them."""
+"""Options of a simulated board, and their form in a `sil://` address."""
 
 from __future__ import annotations
 
@@ -98,8 +98,8 @@ class SilOptions:
 
 
 def parse_url(url: str) -> SilOptions:
-    """Read the options of an address such as ``sil://?rig=makki2024&seed=1&speed=max&flip=1e-4&stall=5:0.5``;
-    what it does not name has its default.
+    """Read the options of an address such as ``sil://?rig=makki2024&seed=1&speed=max&flip=1e-4&stall=5:0.5``.
+    Options that the address does not contain have their defaults.
 
     Parameters
     ----------
@@ -133,8 +133,8 @@ def parse_url(url: str) -> SilOptions:
 
 
 def parse_options(values: dict[str, str]) -> SilOptions:
-    """Read options from `values`, texts by key as in a ``sil://`` address; what is not named has its default.
-    An OptionError when a key is unknown or a value cannot be read.
+    """Read options from `values`, texts by key as in a ``sil://`` address. Options without a value have their
+    defaults. An OptionError is raised for an unknown key or an unreadable value.
     """
     unknown = sorted(set(values) - set(_KEYS))
     if unknown:
@@ -220,7 +220,7 @@ def _spans(key: str, text: str) -> tuple[Span, ...]:
 
 
 def parse_times(key: str, texts: Sequence[str]) -> tuple[Interval, ...]:
-    """Read stretches of time that may have no end.
+    """Read intervals of time that may have no end.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Which plant the options of a simulated board ask for: rig, model and effects."""
+"""Makes the plant of a simulation from its options: rig, model and effects."""
 
 from __future__ import annotations
 

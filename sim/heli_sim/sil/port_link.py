@@ -1,4 +1,4 @@
-"""The symbolic link by which hosts find a pseudo-terminal: its path belongs to one server at a time."""
+"""The symbolic link to a pseudo-terminal, by which hosts find it. One server at a time owns its path."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class PortLink:
         _, self._terminal_before = self._recorded()
 
     def point_to(self, terminal: str) -> None:
-        """Make the link, in the place of a link that a killed server left.
+        """Make the link; it replaces a link that a killed server left.
 
         Parameters
         ----------
@@ -72,7 +72,7 @@ class PortLink:
                 self.path.unlink()
 
     def release(self) -> None:
-        """Remove the link, and let another server have the path; twice does nothing."""
+        """Remove the link, so that another server can use the path. Further calls do nothing."""
         self.remove()
         if self._lock >= 0:
             with contextlib.suppress(OSError):

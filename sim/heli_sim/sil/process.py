@@ -1,4 +1,4 @@
-"""A simulated board in a process of its own, for hosts that want to talk to it as to hardware."""
+"""A simulated board in a separate process, which hosts reach through a port as they reach hardware."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class SilProcess:
         return self._process.pid
 
     def stop(self) -> None:
-        """End the child and take the port away; twice does nothing."""
+        """End the child process and remove the port. Further calls do nothing."""
         if self._process.poll() is None:
             try:
                 output, _ = self._process.communicate(timeout=_STOP_s)

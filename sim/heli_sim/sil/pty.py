@@ -1,4 +1,4 @@
-"""A pseudo-terminal as serial port, with a symbolic link as its lasting name."""
+"""A pseudo-terminal as a serial port, with a symbolic link as its permanent name."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class PtyEndpoint(Endpoint):
     @override
     @property
     def ready(self) -> bool:
-        """Whether a host has the port open and takes its bytes."""
+        """Whether a host has the port open and reads from it."""
         return self._open and not self._kept
 
     @override

@@ -1,4 +1,4 @@
-"""Everything that a simulated flight needs in order to be repeated, as text for the log."""
+"""All that is needed to repeat a simulated flight, as text for the log."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ _EXACT_DIGITS = 17
 
 
 def recipe_of(url: str, options: SilOptions, rig: Rig, choice: Choice) -> dict[str, str]:
-    """Return what repeats a simulation: its address, the whole rig, and digests of files that run.
+    """Return what a repetition needs: the address of the simulation, the whole rig, and digests of the files
+    that it executes.
 
     The host's `heli_host.cli.again` reads it from a log. Code is not in it: a log from another person must
     not bring code that runs.

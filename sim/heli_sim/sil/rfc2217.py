@@ -1,4 +1,4 @@
-"""A TCP port that carries the control lines and the rate as well, for pyserial's ``rfc2217://HOST:PORT``.
+"""A TCP port that also carries control lines and baud rate, for pyserial's ``rfc2217://HOST:PORT``.
 
 The protocol is pyserial's own `serial.rfc2217.PortManager`; here is what it needs of a serial port and of a
 connection. DTR is low until the host raises it, and falls when the host goes.
@@ -19,7 +19,7 @@ from heli_sim.sil.tcp import TcpEndpoint
 
 
 class Lines:
-    """The serial port as pyserial's server sees it: settings that the 16U2 receives, and lines; every change
+    """The serial port that pyserial's server controls: settings for the 16U2, and control lines. Each change
     of DTR is appended to `changes`.
     """
 
@@ -37,7 +37,7 @@ class Lines:
 
     @property
     def dtr(self) -> bool:
-        """The line; setting it to what it is changes nothing."""
+        """The line DTR. Setting it to its present value is no change."""
         return self._dtr
 
     @dtr.setter
@@ -47,14 +47,14 @@ class Lines:
             self._changes.append(LineChange(on, self.baudrate))
 
     def reset_input_buffer(self) -> None:
-        """Do nothing: nothing waits on this side."""
+        """Do nothing: this side has no buffer."""
 
     def reset_output_buffer(self) -> None:
-        """Do nothing: nothing waits on this side."""
+        """Do nothing: this side has no buffer."""
 
 
 class Rfc2217Endpoint(TcpEndpoint):
-    """The board's side of an RFC 2217 connection; one host at a time, the next one waits.
+    """The board's side of an RFC 2217 connection. One host is connected at a time; the next one waits.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class Rfc2217Endpoint(TcpEndpoint):
     @override
     @property
     def ready(self) -> bool:
-        """Whether a host is connected, has raised DTR, and takes its bytes."""
+        """Whether a host is connected, has raised DTR, and reads."""
         return super().ready and self._lines is not None and self._lines.dtr
 
     @override
@@ -99,7 +99,7 @@ class Rfc2217Endpoint(TcpEndpoint):
         super().send(escaped)
 
     def write(self, data: bytes) -> None:
-        """Send `data` that the protocol has to say as it is, not for the board's escaping."""
+        """Send `data` of the protocol itself without escaping; the board's bytes are escaped elsewhere."""
         super().send(data)
 
     @override

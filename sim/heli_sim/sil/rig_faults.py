@@ -1,4 +1,4 @@
-"""Faults of the rig: an unplugged or wrong encoder, the stop switch, a supply that is off."""
+"""Faults of the rig: an unplugged or wrong encoder, a pressed stop switch, a supply that is switched off."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class _SimBoard(Protocol):
 
 @dataclass(frozen=True)
 class RigFaults:
-    """Faults of the rig, and their times.
+    """Faults of the rig with their times.
 
     Parameters
     ----------
@@ -70,13 +70,15 @@ class RigFaults:
 
     @property
     def uncompared_signs(self) -> dict[str, float]:
-        """Signs of motors with wrong wires as 0: no sign of the board then contradicts the rig."""
+        """Return 0 as the sign of each motor with wrong wires, so that no sign of the board contradicts the
+        rig.
+        """
         wrong = (self.motors_swapped or sign < 0 for sign in self.motor_signs)
         names = ("motor_front_sign", "motor_back_sign")
         return {name: 0.0 for name, is_wrong in zip(names, wrong, strict=True) if is_wrong}
 
     def next_edge(self, tick: int) -> int:
-        """First tick after `tick` at which something begins or ends.
+        """First tick after `tick` at which a fault begins or ends.
 
         Parameters
         ----------
@@ -96,7 +98,7 @@ class RigFaults:
         return edges_of((*encoders_out, *self.stop_switch, *self.supply_out))
 
     def apply(self, tick: int, native: _native.World, board: _SimBoard) -> None:
-        """Put the rig into the state of a tick.
+        """Set the rig's faults to those of a tick.
 
         Parameters
         ----------

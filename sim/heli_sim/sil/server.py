@@ -34,8 +34,8 @@ from heli_sim.sil.world import SilWorld
 
 
 class SilServer:
-    """Moves bytes between a port and a world, and lets the world's time pass by a `clock` and the machine's
-    monotonic one, `now_s`.
+    """Moves bytes between a port and a simulated world, and advances the world by its `clock` and the
+    machine's monotonic time `now_s`.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class SilServer:
 
     def turn(self) -> float:
         """Move the available bytes and simulate the time that is due, without waiting. Return the seconds
-        until the next turn has something to do, 0 for immediately.
+        until the next call is needed; 0 means immediately.
         """
         endpoint, world, now_s = self._endpoint, self._world, self._now_s()
         self._follow_cable()
@@ -79,9 +79,7 @@ class SilServer:
         return self._clock.wait_s(now_s, world.tick)
 
     def watched(self) -> list[int]:
-        """File descriptors whose bytes are worth waking up for: the port, where the clock follows the host;
-        else none.
-        """
+        """File descriptors to wait for: the port if simulated time follows the host, otherwise none."""
         fd = self._endpoint.fileno()
         return [fd] if self._clock.follows_host and fd >= 0 else []
 
@@ -137,8 +135,8 @@ def run_server(
     answer: Callable[[str], None] = print,
     on_ready: Callable[[str], None] = lambda url: None,
 ) -> dict[str, int]:
-    """Build a world and serve it until `stop_fd`, SIGINT, SIGTERM, SIGHUP or an error ends it; return the
-    counters of the link, as `SilWorld.counters` gives them, and the ticks simulated.
+    """Build a world and serve it until `stop_fd`, SIGINT, SIGTERM, SIGHUP or an error ends it. Return the
+    counters of the link (see `SilWorld.counters`) and the simulated ticks.
 
     Parameters
     ----------
@@ -198,7 +196,7 @@ def _pseudo_terminal(path: str | Path | None) -> Endpoint:
 
 
 def end_of_input() -> int:
-    """File descriptor that can be read from once standard input is at its end.
+    """File descriptor that becomes readable when standard input ends.
 
     Windows waits for sockets only: there a thread reads, and closes one end of a pair of them.
     """
@@ -217,7 +215,7 @@ def end_of_input() -> int:
 
 
 def is_local(url: str) -> bool:
-    """Whether only this machine can reach a port.
+    """Whether only programs on this machine can reach a port.
 
     Parameters
     ----------
@@ -248,7 +246,7 @@ def _say(**values: Any) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the server as a program of its own.
+    """Run the server as a separate program.
 
     The first line of its standard output is ``{"url": ...}`` once the port can be opened, the last one
     ``{"counters": ...}``.

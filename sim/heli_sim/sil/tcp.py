@@ -1,4 +1,4 @@
-"""A TCP port as serial port, for pyserial's ``socket://HOST:PORT`` on systems without pseudo-terminals."""
+"""A TCP port as a serial port, for pyserial's ``socket://HOST:PORT`` on systems without pseudo-terminals."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ PATIENCE_S: Final = 1.0
 
 
 class TcpEndpoint(Endpoint):
-    """The board's side of a TCP connection; one host at a time. The next host waits, and receives a line that
-    names the connected host.
+    """The board's side of a TCP connection. One host is connected at a time. The next host waits, and
+    receives a line that names the connected host.
 
     A connection carries no DTR: its beginning stands for a rise of the line, its end for a fall.
 
@@ -70,7 +70,7 @@ class TcpEndpoint(Endpoint):
     @override
     @property
     def ready(self) -> bool:
-        """Whether a host is connected and takes its bytes."""
+        """Whether a host is connected and reads."""
         return self._peer is not None and not self._kept
 
     @override
@@ -145,7 +145,9 @@ class TcpEndpoint(Endpoint):
         self.unplug()
 
     def _attend_to_next(self) -> None:
-        """Take up the next host once the board is free; until then tell it for whom it waits."""
+        """Connect the waiting host if the board is free; otherwise send it the line that names the connected
+        host.
+        """
         if self._next is None:
             self._accept()
         if self._next is None:
@@ -177,7 +179,7 @@ class TcpEndpoint(Endpoint):
             self._next, self._next_since_s, self._next_told = peer, self._now_s(), False
 
     def _drop_gone(self) -> None:
-        """Forget a waiting host that has closed its connection: another one may wait behind it."""
+        """Remove a waiting host that has closed its connection, because another one may wait behind it."""
         if self._next is None:
             return
         try:

@@ -22,7 +22,7 @@ from heli_sim.sil.world import SilWorld, set_from_rig
 
 
 class ProcessTransport(SerialTransport):
-    """Transport to a simulated board in a process of its own, behind a pseudo-terminal.
+    """Transport to a simulated board in a separate process, behind a pseudo-terminal.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""One simulated rig with its board and link, on its own clock."""
+"""One simulated rig with its board and link, with simulated time."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ ERASING_BAUD: Final = 1200
 
 
 def set_from_rig(options: SilOptions, rig: Rig) -> dict[str, float]:
-    """Parameters that a simulated board takes from its rig instead of the defaults; none if `options` name a
-    flash file that exists, whose parameters hold.
+    """Return the parameters that a simulated board takes from its rig instead of the defaults. Return none if
+    `options` name an existing flash file: then its parameters are used.
     """
     if options.flash_file and Path(options.flash_file).exists():
         return {}
@@ -114,12 +114,12 @@ class SilWorld:
 
     @property
     def unplugged(self) -> bool:
-        """Whether the plan of faults has the cable out now."""
+        """Whether the plan of faults has the cable unplugged now."""
         return self.options.faults.unplugged(self.native.tick)
 
     @property
     def state(self) -> Floats:
-        """True state of the plant, as ``plant.rest_state()`` has it; may be set, to push the arm."""
+        """True state of the plant, in the order of ``plant.rest_state()``. Set it to push the arm."""
         return np.array(self.native.state)
 
     @state.setter
@@ -127,7 +127,7 @@ class SilWorld:
         self.native.state = [float(value) for value in state]
 
     def advance(self, ticks: int, rx: bytes = b"", *, until_output: bool = False, least: int = 1) -> bytes:
-        """Let time pass and return the bytes that reached the host.
+        """Simulate some time and return the bytes that reached the host.
 
         Parameters
         ----------
@@ -170,16 +170,18 @@ class SilWorld:
         return self.to_host.pass_through(received)
 
     def reset_board(self) -> None:
-        """Pulse the board's reset line: motors off immediately, the flight code starts 205 ms later."""
+        """Pulse the board's reset line: the motors go off immediately, and the flight code starts 205 ms
+        later.
+        """
         self.board.sim.reset()
 
     def cycle_power(self) -> None:
-        """Cut the board's supply and bring it back: all but its flash is forgotten; the line stays."""
+        """Switch the board's supply off and on: only the content of its flash and the line remain."""
         self.board.sim.power_cycle()
 
     def control_lines(self, *, dtr: bool, baud: int) -> None:
-        """Act as the 16U2 when the host changes DTR to `dtr`. A rising line resets the board. At a `baud` of
-        1200 any change erases the flash, and the board then waits for a program.
+        """Act as the Due's USB interface (16U2) when the host changes DTR to `dtr`. A rising line resets the
+        board. At a `baud` of 1200 any change erases the flash, and the board then waits for a program.
         """
         if baud == ERASING_BAUD:
             self.board.sim.erase()
@@ -187,8 +189,8 @@ class SilWorld:
             self.reset_board()
 
     def counters(self) -> dict[str, int]:
-        """Bytes carried, lost and spoiled so far: the line's own counters, and flipped_bits, dropped_bytes
-        and doubled_bytes of both directions.
+        """Bytes carried, lost and damaged so far: the line's counters, and flipped_bits, dropped_bytes and
+        doubled_bytes of both directions.
         """
         both = (self.to_board.counters, self.to_host.counters)
         line = self.native.line_counters()

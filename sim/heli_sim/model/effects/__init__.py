@@ -1,4 +1,4 @@
-"""Effects that a model may be extended by, one file each, and the catalogue of them all."""
+"""Effects that extend a model, one file each, and the catalogue of all effects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""All effects: those of the files in this folder, found by themselves, and those of users' files."""
+"""The catalogue of effects: those of the files in this folder, which it finds by itself, and those of users'
+files.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +27,8 @@ from heli_sim.rig import load_rig
 
 
 def catalogue(extra: Sequence[str | Path] = ()) -> dict[str, EffectSpec]:
-    """All effects by their ids: those that come with the package first, by `EffectSpec.rank`; then the
-    users', in the order given.
+    """All effects by their ids: first those of the package, sorted by `EffectSpec.rank`, then the users', in
+    the order given.
 
     Parameters
     ----------
@@ -49,7 +51,7 @@ def catalogue(extra: Sequence[str | Path] = ()) -> dict[str, EffectSpec]:
 
 @functools.cache
 def _built_in() -> tuple[EffectSpec, ...]:
-    """Kinds of all modules of this folder; the sort is stable, so that a file's own order holds."""
+    """Effects of all modules of this folder. The sort is stable, so that the order within a file is kept."""
     package = importlib.import_module(__name__.rpartition(".")[0])
     names = sorted(f"{package.__name__}.{info.name}" for info in pkgutil.iter_modules(package.__path__))
     modules = [importlib.import_module(name) for name in names if name != __name__]
@@ -96,7 +98,7 @@ def _kinds_in(module: ModuleType) -> Iterator[EffectSpec]:
 
 
 def _try(path: Path, kind: EffectSpec) -> None:
-    """Evaluate a model with the effect, so that what is wrong with it shows here and not during a fit."""
+    """Evaluate a model with the effect, so that its errors appear here and not during a fit."""
     where = f"effect file {path}: '{kind.id}'"
     if not (inspect.isclass(kind.effect) and issubclass(kind.effect, Effect)):
         raise EffectError(
@@ -128,7 +130,7 @@ def _try(path: Path, kind: EffectSpec) -> None:
 
 
 def _not_finite(model: Model) -> str:
-    """Name what of a model with an effect is not finite; empty when all of it is."""
+    """Name the values of a model with an effect that are not finite; empty if all are finite."""
     x, u, t = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2), ca.SX.sym("t")
     p = ca.SX.sym("p", len(model.parameters))
     results = {

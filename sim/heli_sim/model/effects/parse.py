@@ -1,4 +1,4 @@
-"""Effects as they are spelled on command lines and in rig files."""
+"""Effects as text, on command lines and in rig files."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def parse_effects(texts: Sequence[str], extra: Sequence[str | Path] = ()) -> tup
 
 
 def effects_of(rig: Rig, extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]:
-    """Effects that a rig's file states.
+    """Effects that a rig file states.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def effects_of(rig: Rig, extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]
 
 
 def effects_with(rig: Rig, texts: Sequence[str], extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]:
-    """Effects that a rig's file states, then those of `texts`, which replace stated ones of the same name.
+    """Effects that a rig file states, then those of `texts`, which replace stated ones of the same name.
 
     Parameters
     ----------
@@ -93,8 +93,8 @@ def effects_with(rig: Rig, texts: Sequence[str], extra: Sequence[str | Path] = (
 
 
 def _stated_priors(kind: EffectSpec, numbers: Mapping[str, Number]) -> dict[str, Prior]:
-    """Priors by full name of the numbers whose tolerance a rig's file states: normal, with half of it as the
-    standard deviation, as of the rig's own numbers, within the effect's bounds.
+    """Priors, by full name, of the parameters whose tolerance a rig file states: normal within the effect's
+    bounds, with half the tolerance as standard deviation, as for the rig's parameters.
     """
     return {
         name: replace(prior, mean=numbers[what].value, std=0.5 * numbers[what].tolerance)
@@ -107,7 +107,7 @@ def _stated_priors(kind: EffectSpec, numbers: Mapping[str, Number]) -> dict[str,
 def effect_numbers(
     kind: EffectSpec, values: Mapping[str, float], tolerances: Mapping[str, float], source: str
 ) -> dict[str, Number]:
-    """Numbers of an effect by short name, as a rig holds them in ``rig.effects``.
+    """Parameters of an effect by short name, as in ``rig.effects``.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def _known(kinds: Mapping[str, EffectSpec], name: str, where: str) -> EffectSpec
 
 
 def _in_proportion(kind: EffectSpec, value: str) -> dict[str, str]:
-    """Texts of the other sizes for one of the first, where that is a number."""
+    """Return the texts of the other sizes in proportion to the first one, if that is a number."""
     first, *others = (one for one in kind.numbers if one.size)
     try:
         factor = float(value) / first.typical

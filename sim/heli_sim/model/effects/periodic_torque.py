@@ -28,7 +28,7 @@ class PeriodicTorque(Effect):
 
 
 def _frequencies_Hz(seconds: float) -> tuple[float, ...]:
-    """Half the spacing at which a flight of this length tells two frequencies apart."""
+    """Half the spacing at which a flight of this length distinguishes two frequencies."""
     return tuple(np.arange(0.05, _HIGHEST_Hz, 0.5 / seconds).tolist())
 
 

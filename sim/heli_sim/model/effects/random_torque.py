@@ -1,4 +1,4 @@
-"""Gusts: a torque that chance makes, with a size and a time over which it forgets itself."""
+"""Gusts: a random torque with a size and a correlation time."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ down to 3.6 ms."""
 
 
 class RotorLag(Effect):
-    """First-order lag of each rotor's thrust behind the thrust that its voltage asks for.
+    """First-order lag of each rotor's thrust behind the thrust that its voltage commands.
 
     A lag T below 4 ms cannot be integrated in steps of 10 ms. The thrust is then a weighted mean of a thrust
     that lags by 4 ms and one that does not lag. The weights make the mean delay T. At T = 0 the effect does

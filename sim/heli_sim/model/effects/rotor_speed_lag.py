@@ -33,7 +33,7 @@ class RotorSpeedLag(Effect):
         return self.values[f"{self.prefix}_s"]
 
     def with_lag(self, lag_s: float) -> RotorSpeedLag:
-        """Make the same effect with another time constant `lag_s`, s."""
+        """Return the same effect with another time constant `lag_s`, s."""
         return replace(self, values={**self.values, f"{self.prefix}_s": lag_s})
 
     @override

@@ -1,4 +1,4 @@
-"""What is known of an effect before a flight: its parameters, their priors, and how to make one."""
+"""The description of an effect before any flight: parameters, priors, and how to make it."""
 
 from __future__ import annotations
 
@@ -66,7 +66,9 @@ class Parameter:
 
     @property
     def neutral_value(self) -> float:
-        """Value at which the effect does nothing, or where it is no size the one to start from."""
+        """Value at which the effect does nothing; for a parameter that is no size, the value to start
+        from.
+        """
         if self.neutral is not None:
             return self.neutral
         return 0.0 if self.size else self.typical
@@ -74,7 +76,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class ChangeSpec:
-    """An effect as a sudden change of a rig, which a twin can detect in flight.
+    """An effect as a sudden change of a rig, which the twin can detect in flight.
 
     Parameters
     ----------
@@ -98,7 +100,7 @@ class ChangeSpec:
 
 @dataclass(frozen=True)
 class EffectFamily:
-    """Effects that replace each other after small changes of the flights, with one number that all have.
+    """Effects that flights hardly distinguish, with one parameter that all have in common.
 
     Parameters
     ----------
@@ -204,27 +206,27 @@ class EffectSpec:
 
     @property
     def parameters(self) -> tuple[Quantity, ...]:
-        """Its numbers by their full names, as a model with the effect has them."""
+        """The effect's parameters by their full names, as in a model with the effect."""
         return tuple(Quantity(self.full(one.name), one.unit, one.meaning) for one in self.numbers)
 
     @property
     def priors(self) -> dict[str, Prior]:
-        """What is known before a flight of each number that a flight may find, by full name."""
+        """Prior of each parameter that flights may estimate, by full name."""
         return {self.full(one.name): one.prior for one in self.numbers if one.prior is not None}
 
     @property
     def neutral(self) -> dict[str, float]:
-        """Values of all numbers at which the effect does nothing, by full name."""
+        """Values of all parameters at which the effect does nothing, by full name."""
         return {self.full(one.name): one.neutral_value for one in self.numbers}
 
     @property
     def typical(self) -> dict[str, float]:
-        """Values of all parameters at which the effect shows clearly, by full name."""
+        """Values of all parameters at which the effect is clearly visible, by full name."""
         return {self.full(one.name): one.typical for one in self.numbers}
 
     @property
     def size(self) -> tuple[str, ...]:
-        """Full names of the numbers that enter about linearly and measure the size."""
+        """Full names of the parameters that enter almost linearly and measure the size."""
         return tuple(self.full(one.name) for one in self.numbers if one.size)
 
     @property
@@ -234,17 +236,17 @@ class EffectSpec:
 
     @property
     def is_one_sided(self) -> bool:
-        """Whether the first number cannot be negative, as a friction."""
+        """Whether the first parameter cannot be negative, as for a friction."""
         prior = self.numbers[0].prior
         return prior is not None and prior.low >= 0.0
 
     def full(self, name: str) -> str:
-        """Full name of a number, such as ``thrust_step_front_share``, whose last part is `name`."""
+        """Full name of a parameter, such as ``thrust_step_front_share``, whose last part is `name`."""
         return f"{self.prefix}_{name}"
 
     def suits(self, model: Model) -> bool:
-        """Whether a model has what the effect changes: the numbers that the effect needs, or the term that it
-        takes away.
+        """Whether a model has what the effect changes: the parameters that the effect needs, or the term that
+        it removes.
         """
         if self.models and model.name not in self.models:
             return False
@@ -262,7 +264,7 @@ class EffectSpec:
         return other.id != self.id and not (nested or excluded or same_role)
 
     def from_contained(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Values by full name at which this effect is the effects that it contains.
+        """Values by full name at which this effect equals the effects that it contains.
 
         Parameters
         ----------
@@ -309,8 +311,8 @@ class EffectSpec:
         )
 
     def grid_values(self, seconds: float) -> dict[str, tuple[float, ...]]:
-        """Values to start from on a flight of `seconds`, for each parameter of `grid`, those outside the
-        range of its prior left out.
+        """Start values on a flight of `seconds`, for each parameter of `grid`; values outside the range of
+        the prior are left out.
         """
         return {
             name: self._in_range(name, one(seconds) if callable(one) else one)
@@ -318,8 +320,8 @@ class EffectSpec:
         }
 
     def describe(self, values: Mapping[str, float], stds: Mapping[str, float] | None = None) -> str:
-        """Describe the effect with its numbers in one sentence without its full stop; angles in degrees,
-        torques in mN m, shares in per cent.
+        """Describe the effect with its values in one sentence without a full stop: angles in degrees, torques
+        in mN m, shares in per cent.
 
         Parameters
         ----------
@@ -338,7 +340,9 @@ class EffectSpec:
         return self.sentence.format(**texts)
 
     def _in_range(self, name: str, values: tuple[float, ...]) -> tuple[float, ...]:
-        """A grid scales with the flight's length: in a very short flight values may be out of range."""
+        """Leave out values outside the range of the prior: a grid scales with the length of the flight, and a
+        very short flight gives such values.
+        """
         prior = self.priors.get(name)
         if prior is None:
             return values
@@ -356,8 +360,8 @@ class EffectSpec:
 
 
 def format_estimate(value: float, std: float | None, unit: str) -> str:
-    """Format an estimate with its standard error as people read it, such as ``0.12 ± 0.01 s``: two digits of
-    the error, three of a number without one.
+    """Format an estimate with its standard error, such as ``0.12 ± 0.01 s``: two digits of the error; three
+    digits of a number without an error.
 
     Parameters
     ----------

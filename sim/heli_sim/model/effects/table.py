@@ -16,12 +16,14 @@ _HEAD: Final = "| effect | in words | equation | numbers: unit, range, typical |
 
 
 def table() -> str:
-    """Write the table in Markdown, one row an effect."""
+    """Return the table in Markdown, one row per effect."""
     return "\n".join([_HEAD, *(_row(kind) for kind in catalogue().values())])
 
 
 def with_table(text: str) -> str:
-    """Put today's table between its marks in a document's `text`; a ValueError when one is missing."""
+    """Replace the table between its marks in a document's `text` by the present one. A ValueError when a mark
+    is missing.
+    """
     before, _, rest = text.partition(BEGIN)
     _, mark, after = rest.partition(END)
     if not mark:

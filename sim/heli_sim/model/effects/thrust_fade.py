@@ -21,8 +21,8 @@ class ThrustFade(Effect):
 
 
 def share_left(time_s: ca.SX, per_s: ca.SX, bend_per_s: ca.SX) -> ca.SX:
-    """What is left at `time_s` [s] of something that loses a share `per_s` [1/s] of itself at first, and
-    levels off at the rate `bend_per_s` [1/s]: in a straight line at 0.
+    """Share that remains at `time_s` [s] of a quantity that at first loses the share `per_s` [1/s], and
+    levels off at the rate `bend_per_s` [1/s]: a straight line at 0.
     """
     bent = bend_per_s * time_s
     straight = ca.fabs(bent) < 1e-3  # there the quotient below is 0 / 0
@@ -32,7 +32,9 @@ def share_left(time_s: ca.SX, per_s: ca.SX, bend_per_s: ca.SX) -> ca.SX:
 
 
 def bends_per_s(seconds: float) -> tuple[float, ...]:
-    """Straight, and levelling off after twice, once and a third of a flight of `seconds`, 1/s."""
+    """Rates of levelling off to start from [1/s]: none, and after twice, once and a third of a flight of
+    `seconds`.
+    """
     return (0.0, 0.5 / seconds, 1.0 / seconds, 3.0 / seconds)
 
 

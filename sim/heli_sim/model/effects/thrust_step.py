@@ -23,7 +23,7 @@ class ThrustStep(Effect):
 
 
 def moments_s(seconds: float) -> tuple[float, ...]:
-    """Moments [s] at which something may happen: every second of a flight of `seconds`."""
+    """Moments [s] to start from: each second of a flight of `seconds`."""
     return tuple(float(second) for second in range(1, max(2, int(seconds))))
 
 

@@ -14,7 +14,7 @@ from heli_sim.rig.quantity import Prior
 
 
 class ZeroOffset(Effect):
-    """Constant error of one encoder, larger than the count or two that every flight's zeroing has."""
+    """Constant error of one encoder, larger than the one or two counts that remain after each zeroing."""
 
     @override
     def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
