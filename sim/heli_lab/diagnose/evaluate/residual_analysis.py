@@ -188,9 +188,10 @@ def disturbance_gains(screening: Screening) -> Floats:
 def gain_ratios(screening: Screening) -> Floats:
     """Log-likelihood ratio of each gain's random variation over none, nats, shape (g,)."""
     disturbances = screening.estimate.disturbances
+    gains = disturbances.gains
     less = [
-        replace(disturbances, gain_std=np.where(gone, _NO_GAIN, disturbances.gain_std))
-        for gone in np.eye(len(disturbances.gain_std), dtype=bool)
+        replace(disturbances, gains=(*gains[:i], replace(gains[i], std=_NO_GAIN), *gains[i + 1 :]))
+        for i in range(len(gains))
     ]
     return _ratios(screening.filtered, disturbances, less)
 
