@@ -75,7 +75,7 @@ def test_estimates_and_scores_are_the_same_with_one_thread_and_with_two() -> Non
             )
         return [
             estimate.theta,
-            estimate.disturbances.point,
+            estimate.disturbances.logarithms,
             np.array(gains),
             *(one for one, _ in information),
         ]

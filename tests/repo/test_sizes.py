@@ -13,7 +13,7 @@ pytestmark = pytest.mark.medium
 ROOT = Path(__file__).resolve().parents[2]
 LONGEST = 200
 """Lines of a class without docstrings, comments and blank lines."""
-MAX_JUDGEMENTS = 81
+MAX_JUDGEMENTS = 78
 """Constants that no record of a measurement and no theory supports. The goal is 80."""
 
 

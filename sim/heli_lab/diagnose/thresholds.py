@@ -109,10 +109,11 @@ holds an axis describes more friction, not less (Hauck and Donner, J. Am. Stat. 
 standard errors if both tests are valid. Lower: sizes are named whose interval contains nothing. Higher: held
 axes are missed."""
 
-ALTERNATIVES: Final[Annotated[int, "effects", JUDGEMENT]] = 2
-"""Other effects that are refitted in the place of a cause, and effects on a spline's channel that are
-refitted over their grids before the spline may displace them. Fewer: confidences are too high, and a smooth
-curve displaces the listed effect that it imitates. More: time."""
+ALTERNATIVES: Final[Annotated[int, "effects, groups of terms", JUDGEMENT]] = 2
+"""Rivals for one place that are refitted: effects in the place of a cause, effects on a spline's channel
+before the spline may displace them, and groups of an equation's terms with the same channel and quantities.
+Fewer: confidences are too high, and a smooth curve displaces the listed effect that it imitates. More: time,
+and shapes of one dependence displace another quantity that is the true one."""
 
 SPLINE_MARGIN: Final[Annotated[float, "1", JUDGEMENT]] = 0.2
 """Share of its own margin by which a spline must beat the best effect to be accepted instead: a spline also
@@ -279,10 +280,6 @@ EQUATION_MAX_TERMS: Final[Annotated[int, "terms", JUDGEMENT]] = 3
 EQUATION_FINALISTS: Final[Annotated[int, "groups of terms", JUDGEMENT]] = 4
 """Groups of terms that are refitted in a round. Fewer: one first-order score decides. More: time."""
 
-EQUATION_MAX_ALIKE: Final[Annotated[int, "groups of terms", JUDGEMENT]] = 2
-"""Finalists with the same channel and quantities. More: shapes of one dependence displace another quantity
-that is the true one."""
-
 EQUATION_MIN_SPLINE_SHARE: Final[Annotated[float, "1", JUDGEMENT]] = 0.5
 """Share of the gain of spline terms that an equation in their place must gain. Lower: an equation is
 proposed that explains the smaller part of what is missing. Higher: equations that the grammar only
@@ -336,20 +333,14 @@ flights justify."""
 
 # What a report shows.
 
-FEW_WINDOWS: Final[Annotated[int, "windows of 2 s", JUDGEMENT]] = 5
-"""Held-out windows below which a caution is given: quantiles of the resampled ratio are meaningless then."""
-
 SHORT_s: Final[Annotated[float, "s", JUDGEMENT]] = 15.0
-"""Free flight below which another experiment is proposed, and residuals are not tested on held-out flights:
-fewer than eight windows of 2 s. Lower: short flights get no proposal. Higher: time, an experiment is
-simulated."""
+"""Free flight below which another experiment is proposed, residuals are not tested on held-out flights, and a
+caution is given: fewer than eight windows of 2 s, whose resampled ratio has no meaningful quantiles. Lower:
+short flights get no proposal. Higher: time, an experiment is simulated."""
 
 MANY_UNDETECTABLE: Final[Annotated[int, "effects", JUDGEMENT]] = 12
 """Undetectable effects above which another experiment is proposed: a third of the catalogue. A flight of
 `heli-host fly identify` leaves 2."""
-
-REPORT_RATIO: Final[Annotated[float, "1", JUDGEMENT]] = 0.9
-"""Error ratio below which the gain of spline terms or of an equation gets a line of its own."""
 
 CURVE_SHARE: Final[Annotated[float, "1", JUDGEMENT]] = 0.8
 """Share of a term's variance that a smooth curve of one quantity must follow for the term to be drawn over

@@ -5,7 +5,7 @@ from heli_lab.estimation.auxiliary_residuals import (
     ShockScores,
     auxiliary_residuals,
 )
-from heli_lab.estimation.disturbances import DisturbanceModel
+from heli_lab.estimation.disturbances import DisturbanceModel, GainDisturbance
 from heli_lab.estimation.estimate import Estimate, estimate, estimate_disturbances
 from heli_lab.estimation.grey_box import ActingInputs, GreyBoxModel, Recording
 from heli_lab.estimation.innovations import Innovations
@@ -41,6 +41,7 @@ __all__ = [
     "EffectStates",
     "Estimate",
     "FreeParameter",
+    "GainDisturbance",
     "GreyBoxModel",
     "Innovations",
     "InnovationsModel",

@@ -18,7 +18,8 @@ import numpy as np
 from heli_host.arrays import Floats
 from typing_extensions import TypeVar
 
-from heli_lab.estimation.disturbances import DisturbanceModel, maximise
+from heli_lab.estimation.disturbance_search import maximise
+from heli_lab.estimation.disturbances import DisturbanceModel
 from heli_lab.estimation.innovations_model import InnovationsModel
 from heli_lab.estimation.linearised_flight import LinearisedFlight, ModelFunctions
 from heli_lab.estimation.parameter_vector import ParameterVector

@@ -105,17 +105,13 @@ def explain(
     rows : ndarray of bool (n,)
         Rows to use.
     """
-    y = acceleration[rows][::_DECIMATION] - stiffness[0] * axis_terms[0][rows][::_DECIMATION]
+    deflection, rate, driven, driving = (
+        signal[rows][::_DECIMATION] for signal in (*axis_terms, acceleration, cause)
+    )
+    y = driven - stiffness[0] * deflection
     if len(y) < 20:
         return RegressionFit(0.0, 0.0)
-    columns = np.column_stack(
-        [
-            axis_terms[0][rows][::_DECIMATION],
-            axis_terms[1][rows][::_DECIMATION],
-            np.ones(len(y)),
-            cause[rows][::_DECIMATION],
-        ]
-    )
+    columns = np.column_stack([deflection, rate, np.ones(len(y)), driving])
     spread = np.maximum(columns.std(axis=0), 1e-12)
     spread[2] = 1.0
     columns = columns / spread
@@ -259,21 +255,16 @@ def _log_likelihood_table(
 
 def _name_scores(columns: list[str], known: Mapping[str, str]) -> dict[str, Floats]:
     """Score of each column's name for each role [nats], shape (columns,) per role."""
-    stated = {}
-    for role in names.ROLES:
-        scores = np.zeros(len(columns))
-        for index, name in enumerate(columns):
-            named_role = names.role_of(name)
-            if name in known or role in known.values():
-                scores[index] = thresholds.KNOWN_NATS * (1.0 if known.get(name) == role else -1.0)
-            elif named_role == role:
-                scores[index] = thresholds.NAME_NATS
-            elif named_role:
-                scores[index] = -thresholds.NAME_NATS
-            elif names.is_derived_signal(name):
-                scores[index] = -thresholds.DERIVED_SIGNAL_NATS
-        stated[role] = scores
-    return stated
+
+    def score(name: str, role: str) -> float:
+        named_role = names.role_of(name)
+        if name in known or role in known.values():
+            return thresholds.KNOWN_NATS * (1.0 if known.get(name) == role else -1.0)
+        if named_role:
+            return thresholds.NAME_NATS * (1.0 if named_role == role else -1.0)
+        return -thresholds.DERIVED_SIGNAL_NATS if names.is_derived_signal(name) else 0.0
+
+    return {role: np.array([score(name, role) for name in columns]) for role in names.ROLES}
 
 
 def _best(
@@ -285,9 +276,7 @@ def _best(
     polarity: Floats,
 ) -> list[ColumnAssignment]:
     """Return the three most likely choices of angles for a pair of voltages."""
-    words = (
-        stated["elevation"][:, None, None] + stated["pitch"][None, :, None] + stated["travel"][None, None, :]
-    )
+    words = np.add.outer(np.add.outer(stated["elevation"], stated["pitch"]), stated["travel"])
     i, j = pair
     if summed:
         words = words + stated["sum"][i] + stated["difference"][j]
@@ -302,21 +291,20 @@ def _best(
     total[(e == p) | (e == t) | (p == t)] = -np.inf
     for column in pair:
         total[(e == column) | (p == column) | (t == column)] = -np.inf
-    ranked = []
-    for flat in np.argsort(total.ravel())[::-1][:3]:
-        a, b, c = (int(x) for x in np.unravel_index(flat, total.shape))
-        if np.isfinite(total[a, b, c]):
-            signs = (float(polarity[i]), 1.0 if summed else float(polarity[j]))
-            ranked.append(
-                ColumnAssignment(
-                    columns[a],
-                    columns[b],
-                    columns[c],
-                    (columns[i], columns[j]),
-                    summed,
-                    signs,
-                    float(total[a, b, c]),
-                    float(physics[a, b, c]),
-                )
-            )
-    return ranked
+    voltages = (columns[i], columns[j])
+    signs = (float(polarity[i]), 1.0 if summed else float(polarity[j]))
+    best = zip(*np.unravel_index(np.argsort(total.ravel())[::-1][:3], total.shape), strict=True)
+    return [
+        ColumnAssignment(
+            columns[angles[0]],
+            columns[angles[1]],
+            columns[angles[2]],
+            voltages,
+            summed,
+            signs,
+            float(total[angles]),
+            float(physics[angles]),
+        )
+        for angles in best
+        if np.isfinite(total[angles])
+    ]

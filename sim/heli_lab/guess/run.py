@@ -118,19 +118,19 @@ def propose(
     ambiguities += sign_ambiguities(explained, signs, assignment, torque_nats, mirrored, rig)
     unit_deg = float(np.degrees(signs.elevation * rad["elevation"]))
     offset_deg, zero_ambiguities = elevation_zero(_rest(files, assignment, unit_deg), reference)
-    ambiguities += zero_ambiguities
     timing_ambiguities, lag_sentence = lag_ambiguities(explained)
-    ambiguities += timing_ambiguities
-    profile = Profile(
-        _angles(assignment, scale, signs, reference, offset_deg),
-        _voltages(assignment, scale, signs, reference),
-        "" if rate_Hz else clock.column,
-        clock.unit,
-        rate_Hz or 0.0,
-        about=f"guessed from {Path(first.table.source).name}",
-        mirrored=mirrored,
+    ambiguities += zero_ambiguities + timing_ambiguities
+    profile = known.applied(
+        Profile(
+            _angles(assignment, scale, signs, reference, offset_deg),
+            _voltages(assignment, scale, signs, reference),
+            "" if rate_Hz else clock.column,
+            clock.unit,
+            rate_Hz or 0.0,
+            about=f"guessed from {Path(first.table.source).name}",
+            mirrored=mirrored,
+        )
     )
-    profile = known.applied(profile)
     if dropped:
         evidence.append("left out: " + ", ".join(f"{name} ({reason})" for name, reason in dropped.items()))
     evidence += [_regression_sentence(axis, explained[axis]) for axis in AXES] + [lag_sentence]
@@ -143,9 +143,8 @@ def propose(
         profile, clip_ambiguities = _limit_to_supply(parts, profile, reference)
         ambiguities += clip_ambiguities
     ambiguities = [ambiguity for ambiguity in ambiguities if not known.states(ambiguity)]
-    return Guess(
-        profile, tuple(ambiguities), tuple(evidence), log_likelihood=assignment.log_likelihood
-    ), parts
+    likelihood = assignment.log_likelihood
+    return Guess(profile, tuple(ambiguities), tuple(evidence), log_likelihood=likelihood), parts
 
 
 def _feedback(

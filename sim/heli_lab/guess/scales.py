@@ -160,62 +160,80 @@ def scales(motion: MeasuredMotion, reference: Reference) -> list[Scale]:
     """List all choices of units, the most likely first."""
     ranked = []
     for choice in voltage_scales(motion.summed):
-        unit, full, factor, biased = choice.unit, choice.full_scale, choice.factor, choice.bias_removed
-        volts = choice.volts(reference)
-        limited = motion.limited.get(choice)
-        gain = motion.gain if limited is None else limited.gain
-        mean_sum = motion.mean_sum if limited is None else limited.mean_sum
-        hover = 0.0 if biased else _deviation_std(mean_sum * volts, reference.hover_V, thresholds.HOVER_STD)
-        base = (
-            -0.5 * hover**2
-            - (_MISSING_BIAS_NATS if biased else 0.0)
-            + _unit_score(motion.stated_units.get("voltage", ""), unit)
-        )
-        if motion.summed and motion.halved != (factor != 1.0):
-            base -= _HALVED_SUM_NATS
-        highest = _PLAUSIBLE_PEAK_SHARES[1] if unit in VOLTAGE_UNITS else _MAX_SHARE
-        # A sum without its bias lacks half the bias in each motor.
-        peak_V = motion.peak * volts + (0.5 * reference.hover_V if biased else 0.0)
-        peak = peak_V / reference.supply_V
-        if peak <= _PLAUSIBLE_PEAK_SHARES[0] or (peak >= highest and limited is None):
-            base -= _IMPLAUSIBLE_PEAK_NATS
-        if limited is not None:
-            # Any limit removes peaks of noise: a better fit outweighs the penalty, and proves no more.
-            base += min(limited.log_likelihood_ratio, _SATURATION_NATS)
-            base -= 0.0 if motion.stated_units.get("voltage", "") else _SATURATION_NATS
-        if biased and limited is None and abs(motion.mean_sum * volts) > 0.5 * reference.hover_V:
+        mean_V = abs(motion.mean_sum * choice.volts(reference))
+        if choice.bias_removed and choice not in motion.limited and mean_V > 0.5 * reference.hover_V:
             continue
+        hover_std = _hover_std(choice, motion, reference)
+        voltage_nats = _voltage_score(choice, motion, reference) - 0.5 * hover_std**2
         for units in itertools.product(_ANGLE_UNITS, repeat=3):
             angles = dict(zip(AXES, units, strict=True))
-            rad = {axis: rad_of(angles[axis], axis, reference) for axis in AXES}
-            off = {
-                "hover": hover,
-                "elevation": _deviation_std(
-                    gain["elevation"] * rad["elevation"] / volts,
-                    reference.gain["elevation"],
-                    thresholds.GAIN_STD["elevation"],
-                ),
-                "pitch": _deviation_std(
-                    gain["pitch"] * rad["pitch"] / volts,
-                    reference.gain["pitch"],
-                    thresholds.GAIN_STD["pitch"],
-                ),
-                "travel": _deviation_std(
-                    motion.gain["travel"] * rad["travel"] / rad["pitch"],
-                    reference.gain["travel"],
-                    thresholds.GAIN_STD["travel"],
-                ),
-            }
-            nats = base - 0.5 * sum(off[axis] ** 2 for axis in AXES)
-            for axis in AXES:
-                stated = motion.stated_units.get(axis, "")
-                nats += _unit_score(stated, angles[axis]) + _quantisation_score(
-                    motion, axis, angles[axis], rad[axis], reference
+            deviation_std = _gain_deviations(angles, choice, motion, reference)
+            nats = voltage_nats - 0.5 * sum(deviation**2 for deviation in deviation_std.values())
+            nats += sum(_angle_score(angles, axis, motion, reference) for axis in AXES)
+            ranked.append(
+                Scale(
+                    angles,
+                    choice.unit,
+                    choice.full_scale,
+                    choice.factor,
+                    choice.bias_removed,
+                    nats,
+                    {"hover": hover_std, **deviation_std},
                 )
-                if not stated and angles[axis] != angles["elevation"]:
-                    nats -= _MIXED_UNITS_NATS
-            ranked.append(Scale(angles, unit, full, factor, biased, nats, off))
+            )
     return sorted(ranked, key=lambda scale: -scale.log_likelihood)
+
+
+def _hover_std(choice: VoltageScale, motion: MeasuredMotion, reference: Reference) -> float:
+    """Deviation of the voltage at hover from the rig file's; 0 if it was logged without its bias."""
+    if choice.bias_removed:
+        return 0.0
+    mean_sum = motion.limited.get(choice, motion).mean_sum
+    return _deviation_std(mean_sum * choice.volts(reference), reference.hover_V, thresholds.HOVER_STD)
+
+
+def _voltage_score(choice: VoltageScale, motion: MeasuredMotion, reference: Reference) -> float:
+    """Log-likelihood of a choice of the voltages' unit [nats], by all but the motion."""
+    stated, limited = motion.stated_units.get("voltage", ""), motion.limited.get(choice)
+    nats = _unit_score(stated, choice.unit)
+    if choice.bias_removed:
+        nats -= _MISSING_BIAS_NATS
+    if motion.summed and motion.halved != (choice.factor != 1.0):
+        nats -= _HALVED_SUM_NATS
+    highest = _PLAUSIBLE_PEAK_SHARES[1] if choice.unit in VOLTAGE_UNITS else _MAX_SHARE
+    # A sum without its bias lacks half the bias in each motor.
+    bias_V = 0.5 * reference.hover_V if choice.bias_removed else 0.0
+    peak = (motion.peak * choice.volts(reference) + bias_V) / reference.supply_V
+    if peak <= _PLAUSIBLE_PEAK_SHARES[0] or (peak >= highest and limited is None):
+        nats -= _IMPLAUSIBLE_PEAK_NATS
+    if limited is not None:
+        # Any limit removes peaks of noise: a better fit outweighs the penalty, and proves no more.
+        nats += min(limited.log_likelihood_ratio, _SATURATION_NATS)
+        nats -= 0.0 if stated else _SATURATION_NATS
+    return nats
+
+
+def _gain_deviations(
+    angles: Mapping[str, str], choice: VoltageScale, motion: MeasuredMotion, reference: Reference
+) -> dict[str, float]:
+    """Deviation of each axis' gain from the rig file's, in standard deviations."""
+    volts, gain = choice.volts(reference), motion.limited.get(choice, motion).gain
+    rad = {axis: rad_of(angles[axis], axis, reference) for axis in AXES}
+    measured = {
+        "elevation": gain["elevation"] * rad["elevation"] / volts,
+        "pitch": gain["pitch"] * rad["pitch"] / volts,
+        "travel": motion.gain["travel"] * rad["travel"] / rad["pitch"],
+    }
+    return {
+        axis: _deviation_std(measured[axis], reference.gain[axis], thresholds.GAIN_STD[axis]) for axis in AXES
+    }
+
+
+def _angle_score(angles: Mapping[str, str], axis: str, motion: MeasuredMotion, reference: Reference) -> float:
+    """Log-likelihood of the unit of an axis [nats], by its name and its quantisation."""
+    stated, unit = motion.stated_units.get(axis, ""), angles[axis]
+    nats = _unit_score(stated, unit) + _quantisation_score(motion, axis, unit, reference)
+    return nats - (_MIXED_UNITS_NATS if not stated and unit != angles["elevation"] else 0.0)
 
 
 def voltage_scales(summed: bool) -> list[VoltageScale]:
@@ -248,14 +266,12 @@ def _unit_score(stated: str, unit: str) -> float:
     return -_RARE_UNIT_NATS.get(unit, 0.0)
 
 
-def _quantisation_score(
-    motion: MeasuredMotion, axis: str, unit: str, rad: float, reference: Reference
-) -> float:
+def _quantisation_score(motion: MeasuredMotion, axis: str, unit: str, reference: Reference) -> float:
     if motion.integer_valued[axis]:
         return 0.0 if unit == COUNT else -_QUANTISATION_NATS
     if unit == COUNT:
         return -_QUANTISATION_NATS
-    step = motion.quantisation_step[axis] * rad
+    step = motion.quantisation_step[axis] * rad_of(unit, axis, reference)
     turn = 2.0 * math.pi / step if step > 0.0 else 0.0
     return _QUANTISATION_NATS if turn and abs(turn / reference.counts[axis] - 1.0) < 0.01 else 0.0
 

@@ -121,7 +121,7 @@ def grey_box(model: Model) -> GreyBoxModel:
                 np.full(len(model.states) - rigid, _EFFECT_STATE_STD),
             )
         ),
-        disturbance_start=DISTURBANCE_START.with_gains(len(gains)) if gains else DISTURBANCE_START,
+        disturbance_start=DISTURBANCE_START.with_gains(len(gains)),
         disturbance_std_range=_DISTURBANCE_RANGE_Nm,
         acting_inputs=_Voltages(model),
         known_directions=known_directions(model.effects),

@@ -85,17 +85,13 @@ def solve(
         # While amplitudes are still wrong, a frequency or a moment would leave its basin of attraction.
         rough = number < thresholds.ROUGH_ROUNDS
         shooting.is_fixed[:] = [rough and parameter.quantity in multimodal for parameter in problem.free]
-        share = (0.6 * number / rounds, 0.6 * (number + 1) / rounds)
+        words, share = f"coarse fit, round {number + 1}", (0.6 * number / rounds, 0.6 * (number + 1) / rounds)
         # Far from the solution the weights are rough: only later rounds need small steps.
         most = _ROUGH_STEPS if rough else _COARSE_STEPS
-        iterate, finished = shooting.descend(iterate, f"coarse fit, round {number + 1}", share, most)
-        converged = finished
-        restarted = number in (2, 3) and finished and restart_outliers(cost, iterate)
-        cost.update_state_prior(iterate)
-        change = cost.reweight(iterate)
+        iterate, converged, settled = _round(shooting, iterate, words, share, most, number in (2, 3))
         shooting.damping = 0.0
         enough = number >= thresholds.ROUGH_ROUNDS - 1 + bool(multimodal)
-        if warm_start or not finished or (enough and change < thresholds.SETTLED_CHANGE and not restarted):
+        if warm_start or not converged or (enough and settled):
             break
     if fine and not shooting.is_out_of_budget():
         cost.fine = True
@@ -103,14 +99,32 @@ def solve(
         cost.reweight(iterate)
         for number in range(thresholds.FINE_ROUNDS):
             share = (0.6 + 0.4 * number / thresholds.FINE_ROUNDS, 1.0)
-            iterate, finished = shooting.descend(iterate, "every sample", share, _FINE_STEPS)
+            iterate, finished, settled = _round(
+                shooting, iterate, "every sample", share, _FINE_STEPS, number < 2
+            )
             converged = converged and finished
-            restarted = number < 2 and finished and restart_outliers(cost, iterate)
-            cost.update_state_prior(iterate)
-            change = cost.reweight(iterate)
-            if not finished or not (restarted or change >= thresholds.SETTLED_CHANGE):
+            if settled or not finished:
                 break
     return _result(shooting, iterate, converged, scatter)
+
+
+def _round(
+    shooting: MultipleShooting,
+    iterate: Iterate,
+    words: str,
+    share: tuple[float, float],
+    most_steps: int,
+    restart: bool,
+) -> tuple[Iterate, bool, bool]:
+    """Search the minimum, and estimate the weights again: the iterate, whether the search finished, and
+    whether the weights stay. `words` and `share` report the progress; `restart` allows other initial states.
+    """
+    cost = shooting.cost
+    iterate, finished = shooting.descend(iterate, words, share, most_steps)
+    restarted = restart and finished and restart_outliers(cost, iterate)
+    cost.update_state_prior(iterate)
+    change = cost.reweight(iterate)
+    return iterate, finished, change < thresholds.SETTLED_CHANGE and not restarted
 
 
 def _start(cost: ShootingCost, start: Fit | Mapping[str, float] | None) -> tuple[Floats, list[Floats]]:

@@ -119,7 +119,7 @@ def parse_calibration(data: Mapping[str, Any], name: str) -> Calibration:
     TwinError
         A key is missing, or a value is invalid.
     """
-    numbers = {}
+    numbers: dict[str, Any] = {}
     for key, unit in (
         ("fast_std", "_Nm"),
         ("correlation_time_s", ""),

@@ -73,10 +73,10 @@ def test_a_wandering_supply_is_estimated_with_its_size_and_time() -> None:
     noisy = _justified(wandering(), "unexplained")
     assert noisy is not None
     estimate = noisy.filtering_baseline.estimate
-    supply, difference = estimate.disturbances.gain_std
-    assert supply == pytest.approx(STD, rel=0.4)
-    assert 0.4 * CORRELATION_s < estimate.disturbances.gain_correlation_time_s[0] < 2.5 * CORRELATION_s
-    assert difference < 0.3 * STD
+    supply, difference = estimate.disturbances.gains
+    assert supply.std == pytest.approx(STD, rel=0.4)
+    assert 0.4 * CORRELATION_s < supply.correlation_time_s < 2.5 * CORRELATION_s
+    assert difference.std < 0.3 * STD
     assert gain_ratios(Screening(estimate))[0] > 100.0
 
 

@@ -26,8 +26,8 @@ from heli_lab.diagnose.discover.listed_effects import ListedEffects
 from heli_lab.diagnose.discover.scoring import ScoredGroup, TermSignals, score
 from heli_lab.diagnose.search import Hypothesis, ModelComparison, Screening
 from heli_lab.diagnose.thresholds import (
+    ALTERNATIVES,
     EQUATION_FINALISTS,
-    EQUATION_MAX_ALIKE,
     EQUATION_MAX_TERMS,
     EQUATION_MIN_SPLINE_SHARE,
     EXPECTED_REFIT_GAIN,
@@ -152,11 +152,11 @@ class EquationSearch:
         )
         acting = [group for group in every if not group.terms[0].channel.startswith("measurement")]
         scored = score(Screening(replace(warm_start.estimate, disturbances=still)), signals, acting)
-        return self.finalists(scored)[:EQUATION_MAX_ALIKE]
+        return self.finalists(scored)[:ALTERNATIVES]
 
     def finalists(self, scored: Sequence[ScoredGroup]) -> list[ScoredGroup]:
         """Choose the groups of the largest score less penalty: twice `EQUATION_FINALISTS`, because not every
-        score is confirmed, and at most `EQUATION_MAX_ALIKE` of the same channel and quantities.
+        score is confirmed, and at most `ALTERNATIVES` of the same channel and quantities.
         """
 
         def penalty(scored_group: ScoredGroup) -> float:
@@ -172,7 +172,7 @@ class EquationSearch:
             if EXPECTED_REFIT_GAIN * gain <= paid + MIN_MARGIN or len(chosen) >= 2 * EQUATION_FINALISTS:
                 continue
             like = [other for other in chosen if _place(other.group) == _place(scored_group.group)]
-            if len(like) < EQUATION_MAX_ALIKE:
+            if len(like) < ALTERNATIVES:
                 chosen.append(scored_group)
         return chosen
 

@@ -118,8 +118,7 @@ def free_run(
     horizons : sequence of str
         Keys of `HORIZONS` to predict; the fit of the result is that of the last.
     """
-    names = [quantity.name for quantity in model.parameters]
-    known = {**dict(zip(names, map(float, model.parameter_values(rig)), strict=True)), **values}
+    known = {**_mean_by_name(model, [model.parameter_values(rig)]), **values}
     first, rest = split(record, calibrate_s)
     priors = flight_constants(model, rig, known)
     calibrated: dict[str, tuple[float, float]] = {}
@@ -169,9 +168,8 @@ def estimated_free_runs(
         Keys of `HORIZONS` to predict.
     """
     vector = estimate.parameter_vector
-    names = [quantity.name for quantity in vector.model.parameters]
-    parameters = [vector.parameters(estimate.theta, index) for index in range(len(estimate.references))]
-    values = dict(zip(names, map(float, np.mean(parameters, axis=0)), strict=True))
+    every = [vector.parameters(estimate.theta, index) for index in range(len(estimate.references))]
+    values = _mean_by_name(vector.model, every)
     return tuple(
         free_run(
             vector.model,
@@ -201,14 +199,13 @@ def free_runs(
         Duration to calibrate on, limited by `calibration_s`.
     """
     problem = fit.problem
-    names = [quantity.name for quantity in problem.model.parameters]
     parameters = [problem.parameters(fit.theta, index) for index in range(len(problem.records))]
     if not validation:
         return tuple(
             free_run(
                 problem.model,
                 problem.rig,
-                dict(zip(names, map(float, flight_values), strict=True)),
+                _mean_by_name(problem.model, [flight_values]),
                 record,
                 0.0,
                 problem.threads,
@@ -216,7 +213,7 @@ def free_runs(
             for flight_values, record in zip(parameters, problem.records, strict=True)
         )
     # The prior mean of a constant of another flight is its mean over the fitted flights.
-    values = dict(zip(names, map(float, np.mean(parameters, axis=0)), strict=True))
+    values = _mean_by_name(problem.model, parameters)
     return tuple(
         free_run(
             problem.model, problem.rig, values, record, calibration_s(record, calibrate_s), problem.threads
@@ -250,6 +247,12 @@ def calibration_s(record: Record, requested_s: float | None = None) -> float:
             f"give {most_s:.2g} or less to --calibrate, or a longer flight to --validate",
         )
     return min(requested_s, most_s)
+
+
+def _mean_by_name(model: Model, parameters: Sequence[Floats]) -> dict[str, float]:
+    """Mean of parameters, each an array of all of a model's, by name."""
+    names = (quantity.name for quantity in model.parameters)
+    return dict(zip(names, np.mean(parameters, axis=0).tolist(), strict=True))
 
 
 def _problem(

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 from heli_host.arrays import Floats
 
+from heli_lab.diagnose.search import shared_values
 from heli_lab.estimation import Estimate
 from heli_lab.identify import Fit, Problem, Record, solve
 
@@ -113,11 +114,6 @@ def _free_run(estimate: Estimate, records: Sequence[Record], own_calibration: bo
         for parameter in parameter_vector.free
         if parameter.record is not None
     }
-    shared = {
-        parameter.quantity: float(value)
-        for parameter, value in zip(parameter_vector.free, estimate.theta, strict=True)
-        if parameter.record is None
-    }
     problem = Problem(
         parameter_vector.model,
         parameter_vector.rig,
@@ -127,34 +123,32 @@ def _free_run(estimate: Estimate, records: Sequence[Record], own_calibration: bo
         window_s=_WINDOW_s,
         step_s=_STEP_s,
         priors=local,
-        values=shared,
+        values=shared_values(estimate),
     )
     fit = solve(problem, robust=False, scatter=False, warm_start=True)
-    if not own_calibration:
-        return fit
-    values = {
-        (parameter.quantity, parameter.record): float(v)
-        for parameter, v in zip(problem.free, fit.theta, strict=True)
+    return _with_estimate(fit, estimate) if own_calibration else fit
+
+
+def _with_estimate(fit: Fit, estimate: Estimate) -> Fit:
+    """Put parameters and covariance of an `estimate` into a `fit` of the same flights, which keeps its zeros
+    and torques.
+    """
+    vector = estimate.parameter_vector
+    calibrated = {
+        (parameter.quantity, parameter.record): value
+        for parameter, value in zip(fit.problem.free, fit.theta, strict=True)
     }
-    theta = np.array(
-        [
-            v if parameter.record is None else values[parameter.quantity, parameter.record]
-            for parameter, v in zip(parameter_vector.free, estimate.theta, strict=True)
-        ]
-    )
-    low, high = parameter_vector.bounds
-    at_bound = tuple(
-        name
-        for name, v, a, b in zip(parameter_vector.names, estimate.theta, low, high, strict=True)
-        if v <= a or v >= b
-    )
+    low, high = vector.bounds
     return replace(
         fit,
-        problem=problem.with_free(parameter_vector.free),
-        theta=theta,
-        covariance=estimate.covariance,
-        information=np.asarray(
-            np.linalg.inv(estimate.covariance) - np.diag(parameter_vector.std**-2.0), float
+        problem=fit.problem.with_free(vector.free),
+        theta=np.array(
+            [
+                value if parameter.record is None else calibrated[parameter.quantity, parameter.record]
+                for parameter, value in zip(vector.free, estimate.theta, strict=True)
+            ]
         ),
-        at_bound=at_bound,
+        covariance=estimate.covariance,
+        information=np.asarray(np.linalg.inv(estimate.covariance) - np.diag(vector.std**-2.0), float),
+        at_bound=tuple(np.array(vector.names)[(estimate.theta <= low) | (estimate.theta >= high)].tolist()),
     )

@@ -119,10 +119,10 @@ def failing_regions(before: Estimate, after: Estimate, axis: str, first: str = "
     screening = Screening(replace(before, disturbances=after.disturbances))
     values = _values(screening)
     if first not in _PLANES:
-        lines = {name: _gain(screening, axis, [_cell(values[name]), None]) for name in _MOTION}
+        lines = {name: _gain(screening, axis, _cells(values[name]), _CELLS) for name in _MOTION}
         first = max(lines, key=lambda name: lines[name])
     gains = {
-        name: _gain(screening, axis, [_cell(values[first]), _cell(values[name])])
+        name: _gain(screening, axis, _cells(values[first]) * _CELLS + _cells(values[name]), _CELLS**2)
         for name in _MOTION
         if name != first
     }
@@ -147,20 +147,16 @@ def _edges(values: Floats) -> Floats:
     return np.linspace(low, max(high, low + 1e-9), _CELLS + 1)
 
 
-def _cell(values: Floats) -> tuple[Floats, Floats]:
-    return values, _edges(values)
+def _cells(values: Floats) -> Integers:
+    """Number of the cell of each value, if the cells divide their range."""
+    return _number(values, _edges(values))
 
 
-def _gain(screening: Screening, axis: str, by: list[tuple[Floats, Floats] | None]) -> float:
-    """Evidence that a model fails in some of the cells: mean square of their scores less 1, by the root of
-    their number.
+def _gain(screening: Screening, axis: str, place: Integers, count: int) -> float:
+    """Evidence that a model fails in some of `count` cells, `place` being that of each step: mean square of
+    their scores less 1, by the root of their number.
     """
-    first, second = by
-    assert first is not None
-    place = _number(*first)
-    if second is not None:
-        place = place * _CELLS + _number(*second)
-    z = _scores(screening, axis, place, _CELLS if second is None else _CELLS**2)
+    z = _scores(screening, axis, place, count)
     return float(np.nansum(z**2 - 1.0) / np.sqrt(max(1, np.isfinite(z).sum())))
 
 

@@ -188,9 +188,10 @@ def disturbance_gains(screening: Screening) -> Floats:
 def gain_ratios(screening: Screening) -> Floats:
     """Log-likelihood ratio of each gain's random variation over none, nats, shape (g,)."""
     disturbances = screening.estimate.disturbances
+    gains = disturbances.gains
     less = [
-        replace(disturbances, gain_std=np.where(gone, _NO_GAIN, disturbances.gain_std))
-        for gone in np.eye(len(disturbances.gain_std), dtype=bool)
+        replace(disturbances, gains=(*gains[:i], replace(gains[i], std=_NO_GAIN), *gains[i + 1 :]))
+        for i in range(len(gains))
     ]
     return _ratios(screening.filtered, disturbances, less)
 
@@ -252,30 +253,37 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
             names.append((f"torque.{name} on {what}", size))
             priors.append(np.full(size, _TORQUE_STD_Nm[axis]))
     first = 0
-    for number, screening in enumerate(screenings):
-        flight_linears = screening.filtered.linearised_flights
-        flights = range(first, first + len(flight_linears))
-        for group in _groups(functions, screening.batch):
-            sizes = [curves[0].shape[1] for curves in group]
-            torques_Nm = [np.hstack([curves[place] for curves in group]) for place in flights]
-            by_axis = [
-                screening.projected(
-                    screening.filtered.disturbance_regressors(
-                        screening.estimate.disturbances, axis, torques_Nm
-                    ),
-                    sizes,
-                )
-                for axis in range(len(AXES))
-            ]
-            parts[number] += [parts_by_axis[k] for k in range(len(group)) for parts_by_axis in by_axis]
-        first += len(flight_linears)
+    for screening, part in zip(screenings, parts, strict=True):
+        last = first + len(screening.filtered.linearised_flights)
+        own = {name: curves[first:last] for name, curves in functions.items()}
+        part.extend(_function_information(screening, own))
+        first = last
     result = []
     for (what, size), std, *each in zip(names, priors, *parts, strict=True):
-        information = np.sum([information_ for information_, _ in each], axis=0)
-        gain, _, _ = score_of(information, np.sum([score_ for _, score_ in each], axis=0), std)
+        information, score = (np.sum(values, axis=0) for values in zip(*each, strict=True))
+        gain, _, _ = score_of(information, score, std)
         more = thresholds.NEAR_REST_NATS if what.endswith("near rest") or _on_own_rate(what) else 0.0
         result.append(Dependence(what, gain, penalty(size) + more))
     return sorted(result, key=lambda dependence: -dependence.log_likelihood_gain)
+
+
+def _function_information(
+    screening: Screening, functions: Mapping[str, list[Floats]]
+) -> list[tuple[Floats, Floats]]:
+    """Fisher information and score of a torque about each axis in turn, for each of the `functions`."""
+    result = []
+    for group in _groups(functions, screening.batch):
+        sizes = [curves[0].shape[1] for curves in group]
+        torques_Nm = [np.hstack(of_flight) for of_flight in zip(*group, strict=True)]
+        by_axis = [
+            screening.projected(
+                screening.filtered.disturbance_regressors(screening.estimate.disturbances, axis, torques_Nm),
+                sizes,
+            )
+            for axis in range(len(AXES))
+        ]
+        result += [part for of_function in zip(*by_axis, strict=True) for part in of_function]
+    return result
 
 
 def _groups(functions: Mapping[str, list[Floats]], batch: int) -> Iterator[list[list[Floats]]]:
@@ -341,19 +349,27 @@ def _functions(linearised_flights: Sequence[LinearisedFlight]) -> dict[str, list
 
 
 def _past(signal: Floats, step_s: float) -> Floats:
-    columns = []
-    for time_s in _LOWPASS_s:
-        rho = math.exp(-step_s / time_s)
-        smooth, place = np.empty_like(signal), float(signal[0])
-        for i, value in enumerate(signal.tolist()):
-            place += (1.0 - rho) * (value - place)
-            smooth[i] = place
-        columns.append(smooth - signal)
-    for width in _PLAY_WIDTHS:
-        follows = np.empty_like(signal)
-        place = signal[0]
-        for i, value in enumerate(signal):
-            place = min(max(place, value - width / 2.0), value + width / 2.0)
-            follows[i] = place
-        columns.append(follows - signal)
-    return np.column_stack(columns)
+    """What lags and plays would change in a signal: shape (n, s)."""
+    values = signal.tolist()
+    followed = [_lowpass(values, math.exp(-step_s / time_s)) for time_s in _LOWPASS_s]
+    followed += [_play(values, width) for width in _PLAY_WIDTHS]
+    result: Floats = np.column_stack(followed) - signal[:, None]
+    return result
+
+
+def _lowpass(values: Sequence[float], memory: float) -> list[float]:
+    """A first-order lag with the autocorrelation `memory` over a step, at rest at first."""
+
+    def step(place: float, value: float) -> float:
+        return place + (1.0 - memory) * (value - place)
+
+    return list(itertools.accumulate(values, step))
+
+
+def _play(values: Sequence[float], width: float) -> list[float]:
+    """What follows the values within half a `width` on either side."""
+
+    def step(place: float, value: float) -> float:
+        return min(max(place, value - width / 2.0), value + width / 2.0)
+
+    return list(itertools.accumulate(values, step))

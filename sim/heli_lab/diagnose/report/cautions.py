@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from heli_lab.diagnose.evaluate import Extrapolation, PriorConflict, worse_axis_sentence
 from heli_lab.diagnose.result import Diagnosis
-from heli_lab.diagnose.thresholds import FEW_WINDOWS
+from heli_lab.diagnose.thresholds import SHORT_s
 from heli_lab.diagnose.wording import evidence_in_words
 
 
@@ -45,7 +45,7 @@ def _held_out(result: Diagnosis, seconds: float) -> list[str]:
     requested_s = result.held_out.requested_s
     runs = result.held_out.extension.after
     lines = []
-    if sum(len(run.errors["2"].rows) for run in runs) < FEW_WINDOWS:
+    if seconds < SHORT_s:
         lines.append(f"only {seconds:.0f} s were held out: too few for the intervals of the ratios")
     lines += [
         f"{run.label} is short: its zeros and torques are calibrated on {run.calibrated_s:.1f} s of it, "

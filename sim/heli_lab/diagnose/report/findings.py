@@ -210,15 +210,17 @@ def thrust_noise(analysis: ResidualAnalysis) -> dict[str, dict[str, float]] | No
     the log-likelihood ratio; None if torques suffice as disturbances.
     """
     estimated = analysis.disturbances
-    if not len(estimated.gain_std):
+    if not estimated.gains:
         return None
     return {
         name: {
-            "std": float(estimated.gain_std[i]),
-            "correlation_time_s": float(estimated.gain_correlation_time_s[i]),
-            "log_likelihood_ratio": float(analysis.thrust_gains[i]),
+            "std": gain.std,
+            "correlation_time_s": gain.correlation_time_s,
+            "log_likelihood_ratio": float(ratio),
         }
-        for i, name in enumerate(("supply", "difference"))
+        for name, gain, ratio in zip(
+            ("supply", "difference"), estimated.gains, analysis.thrust_gains, strict=True
+        )
     }
 
 

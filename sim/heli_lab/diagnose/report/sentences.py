@@ -15,7 +15,6 @@ from heli_lab.diagnose.thresholds import (
     CONFIDENCE_RANDOM_TORQUE,
     MATTERS_COUNTS,
     MIN_MARGIN,
-    REPORT_RATIO,
 )
 from heli_lab.diagnose.wording import dependence_in_words, evidence_in_words
 
@@ -215,8 +214,9 @@ def proposal_lines(proposal: Proposal) -> list[str]:
 
 
 def _reductions(reductions: Mapping[str, ErrorReduction]) -> list[str]:
+    """Describe the errors that became smaller: those whose 95 % interval of the ratio is below 1."""
     return [
         f"  with it {axis} has an error of {reduction.after_deg:.3g} deg, ratio {reduction.ratio:.2f}"
         for axis, reduction in reductions.items()
-        if reduction.ratio < REPORT_RATIO
+        if reduction.interval95[1] < 1.0
     ]

@@ -11,6 +11,7 @@ import inspect
 import json
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,16 +22,20 @@ from heli_sim.rig import Rig
 from heli_lab.code_digest import code_digest
 from heli_lab.diagnose.search.candidate import Candidate
 from heli_lab.errors import IdentifyError
-from heli_lab.estimation import DisturbanceModel, Estimate, ModelFunctions, ReferenceTrajectory
+from heli_lab.estimation import (
+    DisturbanceModel,
+    Estimate,
+    GainDisturbance,
+    ModelFunctions,
+    ReferenceTrajectory,
+)
 from heli_lab.identify import Record
 from heli_lab.identify.flight_model import RigParameters
 
 _ESTIMATED_BY: Final = ("heli_sim.model", "heli_lab.identify", "heli_lab.estimation")
 """Packages whose code, compiled code included, an estimate depends on."""
-_DISTURBANCES: Final = (
-    *("fast_std", "correlation_time_s", "slow_std", "quantisation", "curvature"),
-    *("gain_std", "gain_correlation_time_s"),
-)
+_DISTURBANCES: Final = ("fast_std", "correlation_time_s", "slow_std", "quantisation", "curvature")
+"""Arrays of a disturbance model."""
 
 
 class EstimateCache:
@@ -107,16 +112,12 @@ class EstimateCache:
         self.used_keys.add(key)
         known = self._known.get(key)
         if known is not None:
-            disturbances: dict[str, Any] = {
-                name: None if value is None else np.array(value)
-                for name, value in known["disturbances"].items()
-            }
             return Estimate(
                 parameter_vector,
                 np.array(known["theta"]),
                 np.array(known["covariance"]),
                 known["log_likelihood"],
-                DisturbanceModel(**disturbances),
+                _read_disturbances(known["disturbances"]),
                 known["converged"],
                 tuple(references),
                 functions,
@@ -127,7 +128,7 @@ class EstimateCache:
             "theta": estimate.theta.tolist(),
             "covariance": estimate.covariance.tolist(),
             "log_likelihood": float(estimate.log_likelihood),
-            "disturbances": {name: _listed(getattr(estimate.disturbances, name)) for name in _DISTURBANCES},
+            "disturbances": _written(estimate.disturbances),
             "converged": bool(estimate.converged),
         }
         if self._path is not None:
@@ -136,8 +137,19 @@ class EstimateCache:
         return estimate
 
 
-def _listed(value: Any) -> Any:
-    return None if value is None else np.asarray(value).tolist()
+def _written(disturbances: DisturbanceModel) -> dict[str, Any]:
+    arrays = {name: getattr(disturbances, name) for name in _DISTURBANCES}
+    return {
+        **{name: None if array is None else array.tolist() for name, array in arrays.items()},
+        "gains": [astuple(gain) for gain in disturbances.gains],
+    }
+
+
+def _read_disturbances(written: Mapping[str, Any]) -> DisturbanceModel:
+    arrays: dict[str, Any] = {
+        name: None if written[name] is None else np.array(written[name]) for name in _DISTURBANCES
+    }
+    return DisturbanceModel(**arrays, gains=tuple(GainDisturbance(*gain) for gain in written["gains"]))
 
 
 def cache_key(
@@ -173,9 +185,7 @@ def cache_key(
         digest.update(np.ascontiguousarray(warm_start.theta).tobytes())
         disturbances = warm_start.disturbances
     if disturbances is not None:
-        for name in _DISTURBANCES:
-            value = getattr(disturbances, name)
-            digest.update(b"none" if value is None else np.ascontiguousarray(value).tobytes())
+        digest.update(json.dumps(_written(disturbances)).encode())
     return digest.hexdigest()
 
 

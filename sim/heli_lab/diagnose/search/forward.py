@@ -99,19 +99,34 @@ class ForwardSelection:
             ):
                 refits.append(self._refit_without(base, term))
         best = self._best(refits)
-        spline = splines[0] if splines else None
-        needed = max(thresholds.SPLINE_MIN, best.margin if best else 0.0)
-        promised = thresholds.EXPECTED_REFIT_GAIN * spline.log_likelihood_gain if spline else 0.0
-        if spline is not None and promised > needed and self.progress.refits_left():
-            spline_refit = self._refit(base, spline)
-            if spline_refit.margin > needed:
-                refits += self._refit_same_channel(base, spline, screened, likely)
-                best = self._best(refits)
-            refits.append(spline_refit)
-            lead = spline_refit.margin - (best.margin if best else 0.0)
-            if lead > max(thresholds.SPLINE_MIN, thresholds.SPLINE_MARGIN * spline_refit.margin):
-                best = spline_refit
+        if splines:
+            more, best = self._try_spline(base, splines[0], best, screened, likely, refits)
+            refits += more
         return sorted(refits, key=lambda refit: -refit.margin), best
+
+    def _try_spline(
+        self,
+        base: Hypothesis,
+        spline: Scored,
+        best: Refit | None,
+        screened: Sequence[Scored],
+        likely: Sequence[Scored],
+        refits: Sequence[Refit],
+    ) -> tuple[list[Refit], Refit | None]:
+        """Let the best `spline` compete with the `best` effect: further refits, and the one to accept."""
+        needed = max(thresholds.SPLINE_MIN, best.margin if best else 0.0)
+        promised = thresholds.EXPECTED_REFIT_GAIN * spline.log_likelihood_gain
+        if promised <= needed or not self.progress.refits_left():
+            return [], best
+        spline_refit = self._refit(base, spline)
+        more: list[Refit] = []
+        if spline_refit.margin > needed:
+            more = self._refit_same_channel(base, spline, screened, likely)
+            best = self._best([*refits, *more])
+        lead = spline_refit.margin - (best.margin if best else 0.0)
+        if lead > max(thresholds.SPLINE_MIN, thresholds.SPLINE_MARGIN * spline_refit.margin):
+            best = spline_refit
+        return [*more, spline_refit], best
 
     def _best(self, refits: Sequence[Refit]) -> Refit | None:
         accepted = [refit for refit in refits if self.acceptance.accepts(refit)]

@@ -107,15 +107,7 @@ class ModelComparison:
 
     def exchanged(self) -> ModelComparison:
         """Exchange the fitted and the held-out flights, which stay filtered."""
-        other = ModelComparison(
-            self.model,
-            self.rig,
-            self.held_out,
-            self.train,
-            seed=self.seed,
-            kept=self._kept,
-            side=f"{self.side}exchanged ",
-        )
+        other = self._like("exchanged", self.model, self.held_out, self.train)
         other._filtered_train, other._filtered_held_out = self._filtered_held_out, self._filtered_train
         return other
 
@@ -124,15 +116,7 @@ class ModelComparison:
         likelihoods can be compared.
         """
         model = type(self.model)((*self.model.effects, ROTOR_GAINS))
-        other = ModelComparison(
-            model,
-            self.rig,
-            self.train,
-            self.held_out,
-            seed=self.seed,
-            kept=self._kept,
-            side=f"{self.side}thrust noise ",
-        )
+        other = self._like("thrust noise", model, self.train, self.held_out)
         other.fits = self.fits
         other._filtered_train = _with_gains(model, self.rig, self.train, *self._filtered_train)
         if self.held_out:
@@ -153,9 +137,14 @@ class ModelComparison:
         folds = two_folds(self.train)
         if any(sum(record.used_s for record in fold) < SHORT_s for fold in folds):
             return None
-        return ModelComparison(
-            self.model, self.rig, *folds, seed=self.seed, kept=self._kept, side=f"{self.side}fold "
-        )
+        return self._like("fold", self.model, *folds)
+
+    def _like(
+        self, side: str, model: Model, train: Sequence[Record], held_out: Sequence[Record]
+    ) -> ModelComparison:
+        """Another comparison with the same rig, seed and cache; `side` distinguishes its estimates there."""
+        side = f"{self.side}{side} "
+        return ModelComparison(model, self.rig, train, held_out, seed=self.seed, kept=self._kept, side=side)
 
     @cached_property
     def rows(self) -> int:
@@ -183,34 +172,42 @@ class ModelComparison:
             neutral values.
         """
         used_count = len(self._kept.used_keys)
-        hypothesis = self._estimate(candidates, start or {}, warm_start)
-        if warm_start is not None and not set(warm_start.ids) <= {candidate.id for candidate in candidates}:
-            # A smaller model: an earlier estimate of a part of it may be a better start.
-            known = self._remembered(candidates)
-            if known is not None and known.log_likelihood > hypothesis.log_likelihood + _WORSE_NATS:
-                again = self._estimate(candidates, start or {}, known)
-                hypothesis = max(
-                    hypothesis, again, key=lambda candidate_hypothesis: candidate_hypothesis.log_likelihood
-                )
-        elif warm_start is not None and hypothesis.log_likelihood < warm_start.log_likelihood - _WORSE_NATS:
-            neutral: dict[str, float] = {}
-            for candidate in candidates:
-                if candidate.id not in warm_start.ids:
-                    neutral |= candidate.neutral
-            again = self._estimate(candidates, neutral, warm_start)
-            hypothesis = max(
-                hypothesis, again, key=lambda candidate_hypothesis: candidate_hypothesis.log_likelihood
-            )
+        result = self._estimate(candidates, start or {}, warm_start)
+        if warm_start is not None:
+            result = self._from_better_start(result, candidates, start or {}, warm_start)
         self.fits += len(self._kept.used_keys) > used_count
         key = frozenset(candidate.id for candidate in candidates)
         best = self._best.get(key)
         if (
             best is None
-            or hypothesis.log_likelihood > best.log_likelihood
+            or result.log_likelihood > best.log_likelihood
             or _grids(best.candidates) != _grids(candidates)
         ):
-            best = self._best[key] = Hypothesis(tuple(candidates), hypothesis)
+            best = self._best[key] = Hypothesis(tuple(candidates), result)
         return best
+
+    def _from_better_start(
+        self,
+        result: Estimate,
+        candidates: Sequence[Candidate],
+        start: Mapping[str, float],
+        warm_start: Hypothesis,
+    ) -> Estimate:
+        """Return the `result` of a refit, or a more likely one from another start, if that is worth a try."""
+        likelihood = result.log_likelihood
+        if not set(warm_start.ids) <= {candidate.id for candidate in candidates}:
+            # A smaller model: an earlier estimate of a part of it may be a better start.
+            known = self._remembered(candidates)
+            if known is None or known.log_likelihood <= likelihood + _WORSE_NATS:
+                return result
+            again = self._estimate(candidates, start, known)
+        elif likelihood < warm_start.log_likelihood - _WORSE_NATS:
+            added = [candidate for candidate in candidates if candidate.id not in warm_start.ids]
+            neutral = {name: value for candidate in added for name, value in candidate.neutral.items()}
+            again = self._estimate(candidates, neutral, warm_start)
+        else:
+            return result
+        return again if again.log_likelihood > likelihood else result
 
     def in_flight(self, hypothesis: Hypothesis) -> bool:
         """Whether the moments at which effects of a `hypothesis` change are within the free flight that they
@@ -239,9 +236,8 @@ class ModelComparison:
         start: Mapping[str, float],
         warm_start: Hypothesis | None,
     ) -> Estimate:
-        model = type(self.model)((*self.model.effects, *(candidate.effect for candidate in candidates)))
-        parameter_vector = RigParameters(model, self.rig, self.train)
-        functions = model_functions(model, parameter_vector.quantities)
+        parameter_vector = self._vector(candidates)
+        functions = model_functions(parameter_vector.model, parameter_vector.quantities)
         known = {**(warm_start.values if warm_start else {}), **start}
         theta = parameter_vector.started_from(known)
         return self._kept.estimate(
@@ -256,9 +252,13 @@ class ModelComparison:
         """Return a `hypothesis` with other `candidates` that act alike in the fitted flights: the estimate is
         the same.
         """
-        model = type(self.model)((*self.model.effects, *(candidate.effect for candidate in candidates)))
-        vector = RigParameters(model, self.rig, self.train)
-        return Hypothesis(tuple(candidates), replace(hypothesis.estimate, parameter_vector=vector))
+        estimate_ = replace(hypothesis.estimate, parameter_vector=self._vector(candidates))
+        return Hypothesis(tuple(candidates), estimate_)
+
+    def _vector(self, candidates: Sequence[Candidate]) -> RigParameters:
+        """Free parameters of the model with some `candidates` in the fitted flights."""
+        effects = (candidate.effect for candidate in candidates)
+        return RigParameters(type(self.model)((*self.model.effects, *effects)), self.rig, self.train)
 
     def refit_from(
         self, candidates: Sequence[Candidate], start: Mapping[str, float], disturbances: DisturbanceModel
@@ -266,9 +266,8 @@ class ModelComparison:
         """Estimate the model with some `candidates` from `start`, values by name, and from `disturbances` of
         a similar model, perhaps of other flights.
         """
-        model = type(self.model)((*self.model.effects, *(candidate.effect for candidate in candidates)))
-        vector = RigParameters(model, self.rig, self.train)
-        functions = model_functions(model, vector.quantities)
+        vector = self._vector(candidates)
+        functions = model_functions(vector.model, vector.quantities)
         theta, disturbances = vector.started_from(start), replace(disturbances, curvature=None)
         result = self._kept.estimate(
             cache_key(f"{self.side}from", candidates, start, None, disturbances),
