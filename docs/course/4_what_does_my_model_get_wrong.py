@@ -67,7 +67,7 @@ plt.close()
 print(f"correlation {correlation:+.2f}")
 
 # %% [markdown] tags=["solution"]
-# The error grows with travel, in proportion: the points are on a line. Noise does not know where the arm is. A torque is missing that depends on
+# The error grows with travel, in proportion: the points are on a line. Noise would not depend on the position. A torque is missing that depends on
 # travel.
 
 # %% [markdown]

@@ -1,8 +1,8 @@
 # %% [markdown]
 # # 5. Hide an effect for your neighbour to find
 #
-# **Goals.** You run a blind experiment. You seal the truth before the analysis. The data do not reveal it. The rule of judgement is fixed
-# beforehand.
+# **Goals.** You run a blind experiment: you seal the truth, hand over data that do not reveal it, and judge the answer by a rule that was
+# agreed beforehand.
 #
 # **Before.** Choose an effect from [Effects](../reference/effects.md).
 

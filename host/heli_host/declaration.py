@@ -190,7 +190,7 @@ class Event(IntEnum):
 
 
 class Probe(IntEnum):
-    """Result of a tilt that checks a travel encoder without counts for a long time."""
+    """Result of the tilt that checks a silent travel encoder."""
 
     NONE = 0  # nothing
     ASKED = 1  # the tilt begins
@@ -203,7 +203,7 @@ class Probe(IntEnum):
 
 
 class Trigger(IntEnum):
-    """Supervisor events: rows of its state table, and the cause in state events and telemetry."""
+    """Event that changes the supervisor's state; state events and telemetry report it as the cause."""
 
     ARM = 0  # arm command
     STOP = 1  # stop command

@@ -25,8 +25,8 @@ def flight(tmp_path: Path) -> Path:
 
 
 def test_what_is_listed_is_json_where_asked(terminal: Terminal, flight: Path) -> None:
-    told = json.loads(terminal("info", flight, "--json", "-").out)
-    assert (told["rows"], told["notes"]) == (100, {"rig": "mine"})
+    summary = json.loads(terminal("info", flight, "--json", "-").out)
+    assert (summary["rows"], summary["notes"]) == (100, {"rig": "mine"})
     assert isinstance(json.loads(terminal("ports", "--json", "-").out)["ports"], list)
     params = json.loads(terminal("params", "list", "hover", "--sil", "--json", "-").out)
     assert params["parameters"]["hover_V"]["unit"] == "V"
@@ -37,7 +37,7 @@ def test_what_is_listed_is_json_where_asked(terminal: Terminal, flight: Path) ->
 
 def test_rigs_are_json_where_asked(terminal: Terminal) -> None:
     listed = json.loads(terminal("rig", "list", "--json", "-").out)["rigs"]
-    assert "makki2024" in [one["name"] for one in listed]
+    assert "makki2024" in [rig["name"] for rig in listed]
     (checked,) = json.loads(terminal("rig", "check", "makki2024", "--json", "-").out)["rigs"]
     assert checked["can_be"]
     compared = json.loads(terminal("rig", "diff", "makki2024", "quanser-course", "--json", "-").out)
@@ -47,30 +47,30 @@ def test_rigs_are_json_where_asked(terminal: Terminal) -> None:
 def test_rig_that_cannot_be_is_json_and_an_error(terminal: Terminal) -> None:
     shown = terminal("rig", "check", "nobodys", "--json", "-")
     assert shown.code != 0
-    (told,) = json.loads(shown.out)["rigs"]
-    assert not told["can_be"]
-    assert told["why"] in shown.err
+    (checked,) = json.loads(shown.out)["rigs"]
+    assert not checked["can_be"]
+    assert checked["why"] in shown.err
 
 
 def test_one_parameter_is_json_with_its_unit(terminal: Terminal) -> None:
-    told = json.loads(terminal("params", "get", "hover_V", "--sil", "--json", "-").out)
-    assert (told["name"], told["unit"]) == ("hover_V", "V")
+    parameter = json.loads(terminal("params", "get", "hover_V", "--sil", "--json", "-").out)
+    assert (parameter["name"], parameter["unit"]) == ("hover_V", "V")
 
 
 def leaves(command: object) -> dict[str, object]:
     """Every command behind a word, or two, of the command line."""
-    found: dict[str, object] = {}
-    for name, one in getattr(command, "commands", {}).items():
-        below = leaves(one)
-        found |= {f"{name} {behind}": leaf for behind, leaf in below.items()} or {name: one}
-    return found
+    commands: dict[str, object] = {}
+    for name, subcommand in getattr(command, "commands", {}).items():
+        below = leaves(subcommand)
+        commands |= {f"{name} {behind}": leaf for behind, leaf in below.items()} or {name: subcommand}
+    return commands
 
 
 def test_every_verb_can_be_quiet_and_has_short_help() -> None:
     every = leaves(command_line())
     assert len(every) > 25
     for name, leaf in every.items():
-        given = [option for one in leaf.params for option in one.opts]  # type: ignore[attr-defined]
+        given = [option for parameter in leaf.params for option in parameter.opts]  # type: ignore[attr-defined]
         assert given.count("--quiet") == 1, name
         assert leaf.context_settings.get("help_option_names", ["-h"]) is not None, name  # type: ignore[attr-defined]
 
@@ -89,23 +89,23 @@ def test_quiet_leaves_results_and_takes_progress(terminal: Terminal) -> None:
 
 
 def test_shell_completes_verbs(tmp_path: Path) -> None:
-    asked = {"_HELI_HOST_COMPLETE": "complete_bash", "COMP_WORDS": "heli-host pl", "COMP_CWORD": "1"}
-    with process(tmp_path, prepare=lambda: os.environ.update(asked)) as running:
+    completion = {"_HELI_HOST_COMPLETE": "complete_bash", "COMP_WORDS": "heli-host pl", "COMP_CWORD": "1"}
+    with process(tmp_path, prepare=lambda: os.environ.update(completion)) as running:
         out, _ = running.communicate(timeout=60)
     assert out.split() == ["plot"]
 
 
 def test_setpoint_for_a_board_that_does_not_fly_is_an_error(terminal: Terminal) -> None:
-    said = refusal(terminal("setpoint", "--sil", "--speed", "max", "--elevation-deg", "5"), code=2)
-    assert "not flying" in said
-    assert "--take-off" in said
+    message = refusal(terminal("setpoint", "--sil", "--speed", "max", "--elevation-deg", "5"), code=2)
+    assert "not flying" in message
+    assert "--take-off" in message
 
 
 def test_doctor_ends_alike_in_both_forms(terminal: Terminal) -> None:
     ended = terminal("doctor", "--json", "-")
-    told = json.loads(ended.out)
-    assert told["ready"] == (ended.code == 0)
-    assert {one["verdict"] for one in told["findings"]} <= {"good", "note", "bad"}
+    report = json.loads(ended.out)
+    assert report["ready"] == (ended.code == 0)
+    assert {finding["verdict"] for finding in report["findings"]} <= {"good", "note", "bad"}
 
 
 def test_a_table_goes_to_standard_output(flight: Path) -> None:

@@ -84,16 +84,16 @@ def by_casadi(function: ca.Function, along: Trajectory) -> list[np.ndarray]:
     """The same, a row after the other."""
     outputs = []
     for row in range(ROWS):
-        found = function(along.state[row], along.inputs[row], along.t_s[row], along.parameters)
-        found = found if isinstance(found, tuple | list) else [found]
-        outputs.append([np.array(one) for one in found])
-    return [np.array(one) for one in zip(*outputs, strict=True)]
+        values = function(along.state[row], along.inputs[row], along.t_s[row], along.parameters)
+        values = values if isinstance(values, tuple | list) else [values]
+        outputs.append([np.array(value) for value in values])
+    return [np.array(value) for value in zip(*outputs, strict=True)]
 
 
 def same(function: ca.Function, along: Trajectory) -> None:
-    for found, expected in zip(AlongTrajectory(function)(along), by_casadi(function, along), strict=True):
-        assert found.shape == expected.shape
-        assert np.allclose(found, expected, rtol=1e-12, atol=1e-300)
+    for actual, expected in zip(AlongTrajectory(function)(along), by_casadi(function, along), strict=True):
+        assert actual.shape == expected.shape
+        assert np.allclose(actual, expected, rtol=1e-12, atol=1e-300)
 
 
 @pytest.mark.parametrize("name", [*UNARY, *BINARY])
@@ -101,15 +101,15 @@ def test_each_operation_of_rows_and_of_shared_numbers(name: str) -> None:
     x, u, t, p = ca.SX.sym("x", 2), ca.SX.sym("u", 2), ca.SX.sym("t"), ca.SX.sym("p", 3)
     values = [x[0], p[0], t]
     if name in UNARY:
-        found = [UNARY[name](one) for one in values]
+        results = [UNARY[name](value) for value in values]
     else:
-        found = [BINARY[name](one, other) for one in values for other in (x[1], p[1])]
-    same(ca.Function("f", [x, u, t, p], [ca.vertcat(*found)]), reference(2, 3))
+        results = [BINARY[name](value, other) for value in values for other in (x[1], p[1])]
+    same(ca.Function("f", [x, u, t, p], [ca.vertcat(*results)]), reference(2, 3))
 
 
 def test_no_operation_of_the_table_is_left_untried() -> None:
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    made = [one(x) for one in UNARY.values()] + [one(x, y) for one in BINARY.values()]
+    made = [operation(x) for operation in UNARY.values()] + [operation(x, y) for operation in BINARY.values()]
     function = ca.Function("f", [x, y], [ca.vertcat(*made)])
     codes = {function.instruction_id(k) for k in range(function.n_instructions())}
     missing = {name for name in _expression_vm.OPERATIONS if getattr(ca, f"OP_{name}") not in codes}
@@ -156,9 +156,9 @@ def test_a_models_derivatives() -> None:
     rates = model.dynamics(x, u, p, t)
     function = ca.Function("f", [x, u, t, p], [ca.densify(rates), ca.densify(ca.jacobian(rates, p))])
     along = reference(len(model.states), len(model.parameters))
-    for found, expected in zip(AlongTrajectory(function)(along), by_casadi(function, along), strict=True):
+    for actual, expected in zip(AlongTrajectory(function)(along), by_casadi(function, along), strict=True):
         scale = np.abs(expected).max()
-        assert np.allclose(found, expected, rtol=1e-9, atol=1e-12 * scale)
+        assert np.allclose(actual, expected, rtol=1e-9, atol=1e-12 * scale)
 
 
 @pytest.mark.parametrize("seen", [None, 1])
@@ -171,7 +171,7 @@ def test_own_states_follow_the_rule_of_runge_and_kutta(seen: int | None) -> None
     rates, resets = ca.Function("f", inputs, [rate]), ca.Function("r", inputs, [reset])
     along = reference(2, 3)
     substeps = 4
-    found = EffectStates(rates, resets).integrate(
+    integrated = EffectStates(rates, resets).integrate(
         [along.state, along.inputs], along.t_s, along.parameters, along.step_s, substeps, seen
     )
     h, state = along.step_s / substeps, np.zeros(2)
@@ -185,7 +185,7 @@ def test_own_states_follow_the_rule_of_runge_and_kutta(seen: int | None) -> None
             k4 = np.array(rates(state + h * k3, now, *rest)).ravel()
             state = np.array(resets(state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), now + h, *rest)).ravel()
             if sub == (substeps - 1 if seen is None else seen):
-                assert np.allclose(found[row], state, rtol=1e-10, atol=1e-12)
+                assert np.allclose(integrated[row], state, rtol=1e-10, atol=1e-12)
 
 
 def test_what_is_no_program_is_refused() -> None:

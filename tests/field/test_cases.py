@@ -46,46 +46,46 @@ BOTH = {"rotor_lag_s": (0.091, 0.001), "cable_spring_elevation_Nm_per_rad": (0.5
 
 
 def test_a_truth_file_gives_causes_and_their_numbers(tmp_path: Path) -> None:
-    one = case(tmp_path)
-    assert (one.name, one.verdict) == ("field/one", "cause_found")
-    assert one.numbers() == {"rotor_lag_s": 0.09, "cable_spring_elevation_Nm_per_rad": 0.6}
+    field_case = case(tmp_path)
+    assert (field_case.name, field_case.verdict) == ("field/one", "cause_found")
+    assert field_case.numbers() == {"rotor_lag_s": 0.09, "cable_spring_elevation_Nm_per_rad": 0.6}
 
 
 def test_a_step_has_its_moment(tmp_path: Path) -> None:
-    one = case(tmp_path, "hidden = ['thrust_step.front']\n# thrust_step.front: 0.1\n# at: 25.0\n")
-    assert one.numbers() == {"thrust_step_front_share": 0.1, "thrust_step_front_at_s": 25.0}
+    field_case = case(tmp_path, "hidden = ['thrust_step.front']\n# thrust_step.front: 0.1\n# at: 25.0\n")
+    assert field_case.numbers() == {"thrust_step_front_share": 0.1, "thrust_step_front_at_s": 25.0}
 
 
 def test_all_causes_with_their_sizes_and_nothing_else_is_right(tmp_path: Path) -> None:
-    one = case(tmp_path)
-    assert judged(one, answer("cause_found", **BOTH)).right
-    assert judged(one, answer("cause_found", **BOTH, **{"random_torque.pitch": (0.01, 0.001)})).right
-    assert not judged(one, answer("unexplained", **BOTH)).right
-    assert judged(one, answer("cause_found", **{**BOTH, "axis_tilt": (0.0, 1.0)})).false_names == (
+    field_case = case(tmp_path)
+    assert judged(field_case, answer("cause_found", **BOTH)).right
+    assert judged(field_case, answer("cause_found", **BOTH, **{"random_torque.pitch": (0.01, 0.001)})).right
+    assert not judged(field_case, answer("unexplained", **BOTH)).right
+    assert judged(field_case, answer("cause_found", **{**BOTH, "axis_tilt": (0.0, 1.0)})).false_names == (
         "axis_tilt",
     )
-    assert judged(one, answer("cause_found", rotor_lag_s=(0.091, 0.001))).missed == (SPRING,)
+    assert judged(field_case, answer("cause_found", rotor_lag_s=(0.091, 0.001))).missed == (SPRING,)
 
 
 def test_a_size_is_wrong_from_three_standard_errors_on(tmp_path: Path) -> None:
-    one = case(tmp_path)
+    field_case = case(tmp_path)
     near, far = ({**BOTH, "rotor_lag_s": (0.09 + off, 0.001)} for off in (0.0029, 0.0031))
-    assert judged(one, answer("cause_found", **near)).right
-    assert not judged(one, answer("cause_found", **far)).right
-    assert "2.9 standard errors off" in judged(one, answer("cause_found", **near)).line()
+    assert judged(field_case, answer("cause_found", **near)).right
+    assert not judged(field_case, answer("cause_found", **far)).right
+    assert "2.9 standard errors off" in judged(field_case, answer("cause_found", **near)).line()
 
 
 @pytest.mark.parametrize(("hidden", "verdict"), [("[]", "explained"), ("['unknown']", "unexplained")])
 def test_nothing_is_explained_and_an_unknown_law_is_not(tmp_path: Path, hidden: str, verdict: str) -> None:
-    one = case(tmp_path, f"hidden = {hidden}\n# unknown: 0.06\n")
-    assert judged(one, answer(verdict)).right
-    assert not judged(one, answer("cause_found")).right
+    field_case = case(tmp_path, f"hidden = {hidden}\n# unknown: 0.06\n")
+    assert judged(field_case, answer(verdict)).right
+    assert not judged(field_case, answer("cause_found")).right
 
 
 def test_a_diagnosis_that_dies_is_wrong_and_says_why(tmp_path: Path) -> None:
-    found = judged(case(tmp_path), {"result": None, "failure": "boom", "cpu_seconds": 1.0})
-    assert not found.right
-    assert "boom" in found.line()
+    judgement = judged(case(tmp_path), {"result": None, "failure": "boom", "cpu_seconds": 1.0})
+    assert not judgement.right
+    assert "boom" in judgement.line()
 
 
 def test_without_the_cases_it_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -99,13 +99,15 @@ def test_the_cases_are_all_there_and_each_number_is_understood() -> None:
     assert len(there) == len(list(DATA.glob("practice/*/truth.toml"))) + len(
         list(DATA.glob("field/*/truth.toml"))
     )
-    for one in there:
-        assert set(one.listed) <= set(one.sizes)
-        assert len(one.numbers()) >= len(set(one.listed) - LAW_UNTOLD)
+    for listed_case in there:
+        assert set(listed_case.listed) <= set(listed_case.sizes)
+        assert len(listed_case.numbers()) >= len(set(listed_case.listed) - LAW_UNTOLD)
 
 
 @needs_data
 @pytest.mark.medium
 def test_a_field_case_s_flights_can_be_read() -> None:
-    first, second = next(one for one in cases() if one.name.startswith("field/")).flights()
+    first, second = next(
+        listed_case for listed_case in cases() if listed_case.name.startswith("field/")
+    ).flights()
     assert len(first) > len(second) > 1000

@@ -10,8 +10,8 @@ import numpy as np
 from heli_host.declaration import LAW_INPUTS, OPERATIONS
 from heli_host.law_program import Instruction, LawProgram, Term
 
-NAME: Final = {one.code: one.name for one in OPERATIONS}
-CODE: Final = {one.name: one.code for one in OPERATIONS}
+NAME: Final = {operation.code: operation.name for operation in OPERATIONS}
+CODE: Final = {operation.name: operation.code for operation in OPERATIONS}
 POISON: Final = "poison"
 HEALTHY, POISONED = 1.0, 0.0
 
@@ -34,26 +34,27 @@ class Poisoned:
 
 def poisoned(program: LawProgram) -> Iterator[Poisoned]:
     """Yield a program for each instruction: its result is multiplied by 1, and in the end by 0 / 0."""
-    own = len(LAW_INPUTS) + len(program.constants) + len(program.parameters)
+    first_own_cell = len(LAW_INPUTS) + len(program.constants) + len(program.parameters)
 
     def cell(place: int) -> int:
-        return place + 1 if place >= own else place
+        return place + 1 if place >= first_own_cell else place
 
     moved = [
         Instruction(
-            one.code, cell(one.target), cell(one.first) if not one.terms else 0,
-            cell(one.second) if OPERATIONS[one.code].operands == 2 else 0,
-            tuple(Term(cell(term.first), cell(term.second), term.negative) for term in one.terms),
+            instruction.code, cell(instruction.target),
+            cell(instruction.first) if not instruction.terms else 0,
+            cell(instruction.second) if OPERATIONS[instruction.code].operands == 2 else 0,
+            tuple(Term(cell(term.first), cell(term.second), term.negative) for term in instruction.terms),
         )
-        for one in program.instructions
+        for instruction in program.instructions
     ]  # fmt: skip
     parameters = (*program.parameters, (POISON, HEALTHY))
     outputs = tuple(cell(place) for place in program.outputs)
     ratio = program.cells + 1
-    for k, one in enumerate(moved):
+    for k, instruction in enumerate(moved):
         poison = (
-            Instruction(CODE["divide"], ratio, own, own),
-            Instruction(CODE["multiply"], one.target, one.target, ratio),
+            Instruction(CODE["divide"], ratio, first_own_cell, first_own_cell),
+            Instruction(CODE["multiply"], instruction.target, instruction.target, ratio),
         )
         instructions = (*moved[: k + 1], *poison, *moved[k + 1 :])
         yield Poisoned(replace(program, parameters=parameters, outputs=outputs, instructions=instructions), k)
@@ -100,22 +101,22 @@ class Reference:
         """Run it once; all outputs, new states included."""
         self.cells[: len(LAW_INPUTS)] = inputs
         with np.errstate(all="ignore"):
-            for one in self.program.instructions:
-                self.cells[one.target] = self._result(one)
+            for instruction in self.program.instructions:
+                self.cells[instruction.target] = self._result(instruction)
         outputs = [float(self.cells[place]) for place in self.program.outputs]
         states = len(self.program.states)
         if states:
             self.cells[self._first_state : self._first_state + states] = outputs[-states:]
         return outputs
 
-    def _result(self, one: Instruction) -> float:
-        if one.terms:
-            signs = (-1.0 if term.negative else 1.0 for term in one.terms)
-            pairs = ((self.cells[term.first], self.cells[term.second]) for term in one.terms)
+    def _result(self, instruction: Instruction) -> float:
+        if instruction.terms:
+            signs = (-1.0 if term.negative else 1.0 for term in instruction.terms)
+            pairs = ((self.cells[term.first], self.cells[term.second]) for term in instruction.terms)
             return float(sum(sign * a * b for sign, (a, b) in zip(signs, pairs, strict=True)))
-        a, b = float(self.cells[one.first]), float(self.cells[one.second])
-        name = NAME[one.code]
+        a, b = float(self.cells[instruction.first]), float(self.cells[instruction.second])
+        name = NAME[instruction.code]
         if name == "select":
             return np.nan if np.isnan(a) else b if a else 0.0
-        counts = (a, b)[: OPERATIONS[one.code].operands]
+        counts = (a, b)[: OPERATIONS[instruction.code].operands]
         return np.nan if np.isnan(counts).any() else _MEANING[name](a, b)

@@ -46,9 +46,9 @@ def helpers(now: Any, state: Any, parameter: Any) -> Command:
     """Every limit and condition that there is."""
     a, b = now.pitch_rad, now.travel_rad
     either = if_else(logic_or(a < b, a >= 0.3), 1.7, 1.6)
-    one = if_else(logic_and(a != b, logic_not(b <= -0.2)), either, 1.5)
+    front_base_V = if_else(logic_and(a != b, logic_not(b <= -0.2)), either, 1.5)
     return Command(
-        saturated(one + a, 1.0, 2.0),
+        saturated(front_base_V + a, 1.0, 2.0),
         1.7 + fmin(a, b) + fmax(now.elevation_rad, 0.0) + 0.0 * if_else(a == b, 1.0, 2.0),
         states={"max_rad": fmax(state.max_rad, fabs(b))},
         signals={"floor": floor(a), "guarded": if_else(b > 0.0, sqrt(b), 0.0)},
@@ -69,12 +69,12 @@ def angles_of(replay: Any) -> Any:
     return replay
 
 
-def ends_after(one: Poisoned) -> tuple[int | None, int]:
+def ends_after(poisoned_law: Poisoned) -> tuple[int | None, int]:
     """Fly a tape on the board's own code and poison it before a call.
 
     In which of the ticks from there on it was taken over, and why.
     """
-    tape = one.program
+    tape = poisoned_law.program
     replay = angles_of(native_law.LawReplay([spec.default for spec in PARAMS], DUTY_FULL["native"]))
     assert replay.load(tape.words, tape.hash) == 0
     assert replay.engage(round(1000 * FRONT_V), round(1000 * BACK_V))
@@ -82,7 +82,7 @@ def ends_after(one: Poisoned) -> tuple[int | None, int]:
     for _ in range(CALLS_BEFORE * tape.divisor):
         replay.measure(COUNTS)
         assert replay.update(SETPOINTS) is not None, f"taken over before it was poisoned: {replay.news()}"
-    assert replay.set_parameter(one.index, POISONED)
+    assert replay.set_parameter(poisoned_law.index, POISONED)
     for tick in range(tape.divisor):
         replay.measure(COUNTS)
         if replay.update(SETPOINTS) is None:
@@ -90,9 +90,9 @@ def ends_after(one: Poisoned) -> tuple[int | None, int]:
     return None, -1
 
 
-def reaches(one: Poisoned) -> bool:
+def reaches(poisoned_law: Poisoned) -> bool:
     """Whether its NaN gets to an output, a signal or a state, by the reference."""
-    reference = Reference(one.program)
+    reference = Reference(poisoned_law.program)
     per_count = 2.0 * np.pi / np.array([one_axis_counts() for _ in AXES])
     inputs = dict.fromkeys(LAW_INPUTS, 0.0)
     for k, axis in enumerate(AXES):
@@ -117,14 +117,14 @@ def test_no_number_at_any_node_is_taken_over_in_that_very_tick(name: str) -> Non
     nodes = list(poisoned(tape))
     some = nodes if len(nodes) < 300 else nodes[:: samples(1, 7)]
     unseen = []
-    for one in some:
-        tick, reason = ends_after(one)
-        if not reaches(one):
-            assert tick is None, f"{name}, instruction {one.instruction}: taken over for what does not count"
-            unseen.append(one.instruction)
+    for node in some:
+        tick, reason = ends_after(node)
+        if not reaches(node):
+            assert tick is None, f"{name}, instruction {node.instruction}: taken over for what does not count"
+            unseen.append(node.instruction)
             continue
-        assert reason == Takeover.NOT_FINITE, f"{name}, instruction {one.instruction}: {reason}"
-        assert tick == one.program.ticks - 1, f"{name}, instruction {one.instruction}: in tick {tick}"
+        assert reason == Takeover.NOT_FINITE, f"{name}, instruction {node.instruction}: {reason}"
+        assert tick == node.program.ticks - 1, f"{name}, instruction {node.instruction}: in tick {tick}"
     # Branches that are not taken; a hostile law consists of two.
     assert len(unseen) <= (0.6 if name in HOSTILE else 0.3) * len(some), unseen
 
@@ -133,22 +133,22 @@ def test_no_number_at_any_node_is_taken_over_in_that_very_tick(name: str) -> Non
 @pytest.mark.parametrize("name", [path.stem for path in LAWS])
 def test_after_no_number_the_board_holds_the_arm(name: str) -> None:
     nodes = list(poisoned(law_of(next(path for path in LAWS if path.stem == name)).program))
-    for one in nodes[:: max(1, len(nodes) // samples(12, 2))]:
+    for node in nodes[:: max(1, len(nodes) // samples(12, 2))]:
         with heli_host.connect("sil://") as heli:
             heli.take_off()
             heli.setpoint(elevation_deg=15.0, travel_deg=5.0)
             heli.wait(4.0)
-            first = engage(heli, one.program)
+            first = engage(heli, node.program)
             heli.wait(1.0)
-            set_parameter(heli.session, one.program, POISON, POISONED)
+            set_parameter(heli.session, node.program, POISON, POISONED)
             heli.wait(4.0)
             since = heli.samples(last_s=6.0)
             assert heli.state is heli_host.State.CLOSED_LOOP
             flying = (np.asarray(since.flags) & heli_host.declaration.Flags.LAW) != 0
-            if not reaches(one):
+            if not reaches(node):
                 continue
             after = ~flying & (since.tick >= first)
-            assert after[-1], f"instruction {one.instruction}"
+            assert after[-1], f"instruction {node.instruction}"
             away_deg = np.abs(np.degrees(since.elevation_rad) - 15.0)
             assert away_deg[after].max() < away_deg[flying].max() + 1.5
             assert away_deg[-1] < 1.0
@@ -186,12 +186,12 @@ def test_operations_on_no_number_are_the_same_on_the_due() -> None:
     processor = Processor(built_elf())
     pairs = np.array(np.meshgrid(SPECIAL, SPECIAL), np.float32).reshape(2, -1).T
     pairs = np.ascontiguousarray(pairs[np.isnan(pairs).any(axis=1)][:: samples(1, 5)])
-    for one in OPERATIONS:
-        if one.operands == 0:
+    for operation in OPERATIONS:
+        if operation.operands == 0:
             continue
-        native = native_law.operate(one.code, pairs)[:, 0]
-        word = one.code << 27 | 400 << 18 | (1 if one.operands == 2 else 0)
+        native = native_law.operate(operation.code, pairs)[:, 0]
+        word = operation.code << 27 | 400 << 18 | (1 if operation.operands == 2 else 0)
         for pair, wanted in zip(pairs, native, strict=True):
             processor.cost(np.array([word], np.uint32), pair)
-            found = processor.read_cells()[400]
-            assert found.view(np.uint32) == wanted.view(np.uint32), (one.name, pair)
+            on_due = processor.read_cells()[400]
+            assert on_due.view(np.uint32) == wanted.view(np.uint32), (operation.name, pair)

@@ -54,14 +54,16 @@ def test_mcap_ros2_support_reads_every_number(bag: Path, flight: Flight) -> None
     decoder = pytest.importorskip("mcap_ros2.decoder", reason="skipped: no mcap-ros2-support")
     with bag.open("rb") as file:
         reader = make_reader(file, decoder_factories=[decoder.DecoderFactory()])
-        decoded = [(channel.topic, one) for _, channel, _, one in reader.iter_decoded_messages()]
-    ticks = [one for topic, one in decoded if topic == "/heli/tick"]
+        decoded = [(channel.topic, message) for _, channel, _, message in reader.iter_decoded_messages()]
+    ticks = [message for topic, message in decoded if topic == "/heli/tick"]
     for name, column in flight.columns().items():
         field = re.sub("_V$", "_volt", name)
         np.testing.assert_array_equal([getattr(tick, field) for tick in ticks], column)
-    events = [one for topic, one in decoded if topic == "/heli/event"]
-    assert [(one.name, one.msg) for one in events] == [(one.name, one.text) for one in flight.events]
-    parameters = {one.name: one.value for topic, one in decoded if topic == "/heli/parameter"}
+    events = [message for topic, message in decoded if topic == "/heli/event"]
+    assert [(message.name, message.msg) for message in events] == [
+        (event.name, event.text) for event in flight.events
+    ]
+    parameters = {message.name: message.value for topic, message in decoded if topic == "/heli/parameter"}
     assert parameters == flight.parameters
 
 
@@ -118,16 +120,16 @@ def test_mcap_core_and_foxgloves_parser_read_every_number(bag: Path, flight: Fli
     script.write_text(READ_BY_NODE)
     done = subprocess.run(["node", str(script), str(bag)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
-    found = json.loads(done.stdout)
-    assert found["profile"] == "ros2"
+    messages = json.loads(done.stdout)
+    assert messages["profile"] == "ros2"
     for name, column in flight.columns().items():
         field = re.sub("_V$", "_volt", name)
-        np.testing.assert_array_equal([tick[field] for tick in found["/heli/tick"]], column)
-    assert [one["msg"] for one in found["/heli/event"]] == [one.text for one in flight.events]
+        np.testing.assert_array_equal([tick[field] for tick in messages["/heli/tick"]], column)
+    assert [message["msg"] for message in messages["/heli/event"]] == [event.text for event in flight.events]
 
 
 def test_counts_are_whole_numbers_and_the_angles_are_their_multiples(bag: Path, flight: Flight) -> None:
-    schema = next(one for one in schemas(bag) if one.startswith("# One row"))
+    schema = next(text for text in schemas(bag) if text.startswith("# One row"))
     assert "int32 elevation_count" in schema and "float64 front_volt" in schema
     rad = 2.0 * np.pi / flight.parameters["elevation_counts_per_rev"]
     np.testing.assert_allclose(flight.extra["elevation_count"] * rad, flight.elevation_rad, atol=1e-12)
@@ -155,7 +157,7 @@ def test_any_name_of_a_column_becomes_one_that_ros_2_takes(
     extra = {name: t_s for name in names if name != "t_s"}
     path = tmp_path_factory.getbasetemp() / "named.mcap"
     export_ros2(Flight(t_s, t_s, t_s, t_s, t_s, t_s, extra=extra), path)
-    schema = next(one for one in schemas(path) if one.startswith("# One row"))
+    schema = next(text for text in schemas(path) if text.startswith("# One row"))
     fields = [line.split()[1] for line in schema.splitlines()[1:]]
     assert len(set(fields)) == len(fields) == 6 + len(extra)
     assert all(re.fullmatch(r"^(?!.*__)(?!.*_$)[a-z][a-z0-9_]*$", field) for field in fields), fields

@@ -37,11 +37,15 @@ def rates(
 
 
 def accelerations(
-    texts: list[str], own: npt.ArrayLike, volts_V: npt.ArrayLike, time_s: float = 0.0, rig: Rig = RIG
+    texts: list[str],
+    effect_states: npt.ArrayLike,
+    volts_V: npt.ArrayLike,
+    time_s: float = 0.0,
+    rig: Rig = RIG,
 ) -> Floats:
-    """Accelerations of a model with effects whose states are `own`, in rad/s2."""
+    """Accelerations of a model with effects whose states are `effect_states`, in rad/s2."""
     model = MultibodyModel(parse_effects(texts))
-    return rates(model, np.append(STATE, own), volts_V, time_s, rig)[3:6]
+    return rates(model, np.append(STATE, effect_states), volts_V, time_s, rig)[3:6]
 
 
 def under_N(thrust_N: Floats) -> Floats:
@@ -59,8 +63,8 @@ def under_N(thrust_N: Floats) -> Floats:
 )
 def test_thrust_is_the_square_of_the_speed_reached_whatever_the_voltage(form: str, thrust_N: Floats) -> None:
     for volts_V in ([0.0, 0.0], [3.0, 1.0]):
-        found = accelerations([f"rotor_speed_lag=s:0.1,{form}"], SPEED_V, volts_V)
-        np.testing.assert_allclose(found, under_N(thrust_N), rtol=1e-12)
+        actual_rad_s2 = accelerations([f"rotor_speed_lag=s:0.1,{form}"], SPEED_V, volts_V)
+        np.testing.assert_allclose(actual_rad_s2, under_N(thrust_N), rtol=1e-12)
 
 
 def test_the_square_touches_the_expression_vm_at_its_pivot() -> None:
@@ -76,9 +80,9 @@ def test_the_square_touches_the_expression_vm_at_its_pivot() -> None:
 
 def test_rotors_that_reverse_push_down_with_their_share_of_the_square() -> None:
     rig, speed_V = RIG.replace(reverse_thrust=0.5, dead_zone=0.0), np.array([-1.4, 2.2])
-    found = accelerations(["rotor_speed_lag"], speed_V, [2.0, 2.0], rig=rig)
+    actual_rad_s2 = accelerations(["rotor_speed_lag"], speed_V, [2.0, 2.0], rig=rig)
     straight_V = np.sign(speed_V) * speed_V**2 / 4.0
-    np.testing.assert_allclose(found, accelerations([], [], straight_V, rig=rig), rtol=1e-12)
+    np.testing.assert_allclose(actual_rad_s2, accelerations([], [], straight_V, rig=rig), rtol=1e-12)
 
 
 @pytest.mark.medium
@@ -96,8 +100,8 @@ def test_the_speed_reaches_63_percent_of_a_step_after_its_time_constant(T_s: flo
 def test_a_lag_too_short_to_be_integrated_is_so_much_of_the_shortest_that_is() -> None:
     volts_V = np.array([1.9, 2.1])
     half_N = 0.5 * GAIN_N_per_V * (volts_V - DEAD_V + SPEED_V**2 / 4.0)
-    found = accelerations(["rotor_speed_lag=0.002"], SPEED_V, volts_V)
-    np.testing.assert_allclose(found, under_N(half_N), rtol=1e-12)
+    actual_rad_s2 = accelerations(["rotor_speed_lag=0.002"], SPEED_V, volts_V)
+    np.testing.assert_allclose(actual_rad_s2, under_N(half_N), rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -112,8 +116,8 @@ def test_a_lag_too_short_to_be_integrated_is_so_much_of_the_shortest_that_is() -
 @pytest.mark.parametrize("swapped", [False, True])
 def test_other_thrust_effects_act_on_what_the_speed_gives(effect: str, factor: Floats, swapped: bool) -> None:
     texts = [effect, "rotor_speed_lag"][:: -1 if swapped else 1]
-    found = accelerations(texts, SPEED_V, [1.0, 1.0], time_s=10.0)
-    np.testing.assert_allclose(found, under_N(factor * GAIN_N_per_V * SPEED_V**2 / 4.0), rtol=1e-12)
+    actual_rad_s2 = accelerations(texts, SPEED_V, [1.0, 1.0], time_s=10.0)
+    np.testing.assert_allclose(actual_rad_s2, under_N(factor * GAIN_N_per_V * SPEED_V**2 / 4.0), rtol=1e-12)
 
 
 @pytest.mark.medium
@@ -128,16 +132,17 @@ def test_a_fit_keeps_voltages_in_the_dead_zone_where_the_rotors_push_there() -> 
     )
     first = slice(0, 100)
     low_V = [
-        one.grid(0, False, one.parameter_vector.start).inputs.mean_V[first, 0].min() for one in (lifted, kept)
+        problem.grid(0, False, problem.parameter_vector.start).inputs.mean_V[first, 0].min()
+        for problem in (lifted, kept)
     ]
     assert low_V == pytest.approx([1.0, 0.5])
 
 
 def test_a_supply_that_fades_takes_voltage_and_leaves_the_dead_zone() -> None:
     volts_V, t_s = np.array([1.9, 2.3]), 30.0
-    left = 1 - 0.002 * (1 - np.exp(-0.05 * t_s)) / 0.05
-    found = accelerations(["supply_fade=per_s:0.002,bend_per_s:0.05"], [], volts_V, t_s)
-    np.testing.assert_allclose(found, accelerations([], [], left * volts_V), rtol=1e-12)
+    remaining_share = 1 - 0.002 * (1 - np.exp(-0.05 * t_s)) / 0.05
+    actual_rad_s2 = accelerations(["supply_fade=per_s:0.002,bend_per_s:0.05"], [], volts_V, t_s)
+    np.testing.assert_allclose(actual_rad_s2, accelerations([], [], remaining_share * volts_V), rtol=1e-12)
     straight = accelerations(["supply_fade=0.002"], [], volts_V, t_s)
     np.testing.assert_allclose(straight, under_N(GAIN_N_per_V * (0.94 * volts_V - DEAD_V)), rtol=1e-12)
 
@@ -147,37 +152,39 @@ def test_a_supply_that_fades_takes_voltage_and_leaves_the_dead_zone() -> None:
 )
 def test_a_supply_sags_under_the_load_that_its_faded_voltage_makes(texts: list[str]) -> None:
     faded_V = 0.9 * np.array([1.9, 2.3])
-    found = accelerations(texts, [], [1.9, 2.3], time_s=10.0)
+    actual_rad_s2 = accelerations(texts, [], [1.9, 2.3], time_s=10.0)
     sagged_V = faded_V * (1 - 0.05 * faded_V.sum())
-    np.testing.assert_allclose(found, accelerations([], [], sagged_V), rtol=1e-12)
+    np.testing.assert_allclose(actual_rad_s2, accelerations([], [], sagged_V), rtol=1e-12)
 
 
 @pytest.mark.parametrize(("axis", "row"), [("elevation", 0), ("pitch", 1), ("travel", 2)])
 def test_drag_is_friction_that_grows_with_the_rate(axis: str, row: int) -> None:
     rate = abs(STATE[3 + row])
     stiffer = RIG.replace(**{f"friction_{axis}": RIG[f"friction_{axis}"].value + 0.3 * rate})
-    found = accelerations([f"{axis}_drag_quadratic=0.3"], [], [1.9, 2.3])
-    np.testing.assert_allclose(found, accelerations([], [], [1.9, 2.3], rig=stiffer), rtol=1e-12)
+    actual_rad_s2 = accelerations([f"{axis}_drag_quadratic=0.3"], [], [1.9, 2.3])
+    np.testing.assert_allclose(actual_rad_s2, accelerations([], [], [1.9, 2.3], rig=stiffer), rtol=1e-12)
 
 
 def test_a_flywheel_is_a_gyroscopic_torque_whose_momentum_goes_with_the_speed() -> None:
     volts_V, both_V = np.array([1.9, 2.3]), 3.1
     thrust_N = GAIN_N_per_V * (volts_V - DEAD_V).sum()
-    found = accelerations(["flywheel=0.02"], [both_V], volts_V)
+    actual_rad_s2 = accelerations(["flywheel=0.02"], [both_V], volts_V)
     same = accelerations([f"gyroscopic_torque={0.02 * both_V / thrust_N}"], [], volts_V)
-    np.testing.assert_allclose(found, same, rtol=1e-12)
-    assert np.abs(found - accelerations([], [], volts_V)).max() > 0.1
+    np.testing.assert_allclose(actual_rad_s2, same, rtol=1e-12)
+    assert np.abs(actual_rad_s2 - accelerations([], [], volts_V)).max() > 0.1
 
 
 def test_a_flywheel_that_speeds_up_turns_the_rig_the_other_way() -> None:
     volts_V, both_V, T_s = np.array([1.9, 2.3]), 3.1, 0.1
     reaction_Nm = -0.02 * (volts_V.sum() - both_V) / T_s
     arm_m = reaction_Nm / (GAIN_N_per_V * (volts_V - DEAD_V).sum())
-    told, untold = (
+    with_reaction, without_reaction = (
         accelerations([f"flywheel=Nms_per_V:0.02,spin_up:{spin_up}"], [both_V], volts_V) for spin_up in (1, 0)
     )
     reaction = accelerations([f"rotor_reaction_torque=front_m:{arm_m},back_m:{arm_m}"], [], volts_V)
-    np.testing.assert_allclose(told - untold, reaction - accelerations([], [], volts_V), rtol=1e-9)
+    np.testing.assert_allclose(
+        with_reaction - without_reaction, reaction - accelerations([], [], volts_V), rtol=1e-9
+    )
 
 
 @pytest.mark.parametrize("kind", SUPERSETS)
@@ -186,10 +193,12 @@ def test_an_effect_is_what_it_contains_where_its_other_numbers_are_neutral(kind:
         contained = KINDS[name]
         large = MultibodyModel((kind.make(kind.from_contained(contained.typical)),))
         small = MultibodyModel((contained.make(contained.typical),))
-        own = 0.3 * np.ones(len(kind.states))
-        x = np.append(STATE, own), np.append(STATE, own[: len(contained.states)])
-        found, expected = (rates(m, s, [1.9, 2.3], 7.0)[:6] for m, s in zip((large, small), x, strict=True))
-        np.testing.assert_allclose(found, expected, rtol=1e-12)
+        effect_states = 0.3 * np.ones(len(kind.states))
+        x = np.append(STATE, effect_states), np.append(STATE, effect_states[: len(contained.states)])
+        actual_rad_s2, expected = (
+            rates(m, s, [1.9, 2.3], 7.0)[:6] for m, s in zip((large, small), x, strict=True)
+        )
+        np.testing.assert_allclose(actual_rad_s2, expected, rtol=1e-12)
         assert late_s(large) == late_s(small)
 
 

@@ -31,8 +31,8 @@ def fed(values: np.ndarray, sensitivity: np.ndarray) -> LikelihoodRatio:
     """One onset before all innovations, (n, 3), with the same sensitivity, (n, 3, columns)."""
     ratio = LikelihoodRatio(CHANGES, COUNT_rad)
     ratio.begin_onset(0, np.zeros((4, COLUMNS, ONSETS)))
-    for value, one in zip(values, sensitivity, strict=True):
-        ratio.update(Innovation(value, np.repeat(one[:, :, None], ONSETS, axis=2)))
+    for value, derivative in zip(values, sensitivity, strict=True):
+        ratio.update(Innovation(value, np.repeat(derivative[:, :, None], ONSETS, axis=2)))
     return ratio
 
 
@@ -41,28 +41,28 @@ def test_evidence_is_the_ratio_of_two_gaussian_densities(name: str) -> None:
     rng = np.random.default_rng(1)
     values, sensitivity = rng.normal(size=(6, 3)), rng.normal(size=(6, 3, COLUMNS))
     ratio = fed(values, sensitivity)
-    (change,) = (one for one in CHANGES if one.id == name)
+    (change,) = (listed for listed in CHANGES if listed.id == name)
     low = column(name)
-    own = sensitivity[:, :, low : low + len(change.numbers)].reshape(18, -1)
+    response = sensitivity[:, :, low : low + len(change.numbers)].reshape(18, -1)
     # Marginalised over the size: white noise plus what a size of the prior adds.
-    covariance = np.eye(18) + own @ np.diag(np.square(change.sizes)) @ own.T
-    whole, none = (log_density(values.ravel(), one) for one in (covariance, np.eye(18)))
-    (found,) = (one for one in ratio.ranking() if one.change.id == name)
-    assert found.log_evidence == pytest.approx(whole - none)
+    covariance = np.eye(18) + response @ np.diag(np.square(change.sizes)) @ response.T
+    whole, none = (log_density(values.ravel(), matrix) for matrix in (covariance, np.eye(18)))
+    (candidate,) = (ranked for ranked in ratio.ranking() if ranked.change.id == name)
+    assert candidate.log_evidence == pytest.approx(whole - none)
 
 
 def test_a_change_that_cannot_be_negative_is_integrated_over_one_side() -> None:
     rng = np.random.default_rng(2)
     values, sensitivity = rng.normal(size=(5, 3)), rng.normal(size=(5, 3, COLUMNS))
     ratio = fed(values, sensitivity)
-    (change,) = (one for one in CHANGES if one.id == "coulomb_friction.pitch")
-    own = sensitivity[:, :, column(change.id)].ravel()
+    (change,) = (listed for listed in CHANGES if listed.id == "coulomb_friction.pitch")
+    response = sensitivity[:, :, column(change.id)].ravel()
     sizes = np.linspace(0, 8 * change.sizes[0], 20_001)
     density = 2 * np.exp(-0.5 * (sizes / change.sizes[0]) ** 2) / change.sizes[0] / math.sqrt(2 * np.pi)
-    gain = np.exp(sizes * (own @ values.ravel()) - 0.5 * sizes**2 * (own @ own))
+    gain = np.exp(sizes * (response @ values.ravel()) - 0.5 * sizes**2 * (response @ response))
     expected = math.log(float(np.trapezoid(density * gain, sizes)))
-    (found,) = (one for one in ratio.ranking() if one.change.id == change.id)
-    assert found.log_evidence == pytest.approx(expected, abs=1e-4)
+    (candidate,) = (ranked for ranked in ratio.ranking() if ranked.change.id == change.id)
+    assert candidate.log_evidence == pytest.approx(expected, abs=1e-4)
 
 
 def test_the_size_and_its_error_are_those_of_least_squares() -> None:
@@ -70,11 +70,11 @@ def test_the_size_and_its_error_are_those_of_least_squares() -> None:
     sensitivity = 30.0 * rng.normal(size=(40, 3, COLUMNS))
     low = column("thrust_step.back")
     values = 0.2 * sensitivity[:, :, low] + rng.normal(size=(40, 3))
-    found = fed(values, sensitivity).ranking()[0]
-    own = sensitivity[:, :, low].ravel()
-    assert found.change.id == "thrust_step.back"
-    assert found.size == pytest.approx(own @ values.ravel() / (own @ own), rel=2e-3)
-    assert found.std == pytest.approx((own @ own) ** -0.5, rel=2e-3)
+    best = fed(values, sensitivity).ranking()[0]
+    response = sensitivity[:, :, low].ravel()
+    assert best.change.id == "thrust_step.back"
+    assert best.size == pytest.approx(response @ values.ravel() / (response @ response), rel=2e-3)
+    assert best.std == pytest.approx((response @ response) ** -0.5, rel=2e-3)
 
 
 def test_the_window_keeps_the_most_likely_onset_of_each_half_second() -> None:
@@ -88,8 +88,8 @@ def test_the_window_keeps_the_most_likely_onset_of_each_half_second() -> None:
         jump = 2.0 if block > 2 * RECENT + 5 else 0.0
         ratio.update(Innovation(rng.normal(size=3) + jump, 5.0 * seen))
         ratio.begin_onset(block, moved)
-    (found,) = (one for one in ratio.ranking() if one.change.id == "thrust_step.front")
-    assert abs(found.onset_block - (2 * RECENT + 5)) <= 3
+    (candidate,) = (ranked for ranked in ratio.ranking() if ranked.change.id == "thrust_step.front")
+    assert abs(candidate.onset_block - (2 * RECENT + 5)) <= 3
     assert KEPT * RECENT * 0.04 > 14
 
 

@@ -51,7 +51,7 @@ class _Filter:
     predict = propagate_sensitivity = _nothing
 
 
-def said(
+def reported_events(
     monkeypatch: pytest.MonkeyPatch,
     evidence: list[float],
     *,
@@ -65,12 +65,12 @@ def said(
     """Report of the twin, and the number of measurements until then, for this evidence. The motors are off
     for a moment after the given number of measurements, or a landing begins there.
     """
-    told = iter(evidence)
+    remaining_evidence = iter(evidence)
     first = ChangeCandidate(change, 0, size, 0.01, THRESHOLD_nats)
     monkeypatch.setattr(twin_module, "CALIBRATION_s", calibration_s)
     monkeypatch.setattr(twin_module, "KalmanFilter", _Filter)
     monkeypatch.setattr(twin_module, "start_state", lambda *_: np.zeros(6))
-    monkeypatch.setattr(LikelihoodRatio, "update_cut", lambda *_: next(told, 0.0))
+    monkeypatch.setattr(LikelihoodRatio, "update_cut", lambda *_: next(remaining_evidence, 0.0))
     monkeypatch.setattr(LikelihoodRatio, "ranking", lambda _: [first, first])
     model: Any = SimpleNamespace(
         rig=load_rig("makki2024"),
@@ -104,7 +104,7 @@ def alarm_blocks(
     monkeypatch: pytest.MonkeyPatch, evidence: list[float], off_after: int | None = None
 ) -> list[int]:
     """Numbers of the measurements that are alarms."""
-    events = said(monkeypatch, evidence, off_after=off_after)
+    events = reported_events(monkeypatch, evidence, off_after=off_after)
     return [number for kind, number in events if kind == "alarm"]
 
 
@@ -127,53 +127,53 @@ def test_what_was_seen_in_one_flight_counts_for_nothing_in_the_next(monkeypatch:
 def test_a_landing_begins_no_alarm(monkeypatch: pytest.MonkeyPatch) -> None:
     """The motors run at the border of their dead zone, where nominal flights have raised alarms."""
     flown = 20 * LITTLE + 60 * MUCH
-    assert ("alarm", 20 + PERSISTENCE_BLOCKS) in said(monkeypatch, flown)
-    landed = said(monkeypatch, flown, lands_after=20)
+    assert ("alarm", 20 + PERSISTENCE_BLOCKS) in reported_events(monkeypatch, flown)
+    landed = reported_events(monkeypatch, flown, lands_after=20)
     assert [kind for kind, _ in landed] == ["free", "waits"] and landed[1][1] == 20
 
 
 def test_what_parts_before_a_landing_is_named_in_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    told = said(monkeypatch, 120 * MUCH, lands_after=PERSISTENCE_BLOCKS + 2)
+    events = reported_events(monkeypatch, 120 * MUCH, lands_after=PERSISTENCE_BLOCKS + 2)
     named = PERSISTENCE_BLOCKS + round(DIAGNOSIS_DELAY_s / BLOCK_s)
-    assert [kind for kind, _ in told] == ["free", "alarm", "diagnosed", "waits"]
-    assert [number for _, number in told[1:3]] == [PERSISTENCE_BLOCKS, named]
+    assert [kind for kind, _ in events] == ["free", "alarm", "diagnosed", "waits"]
+    assert [number for _, number in events[1:3]] == [PERSISTENCE_BLOCKS, named]
 
 
 def test_after_an_alarm_a_second_change_raises_another(monkeypatch: pytest.MonkeyPatch) -> None:
     named = PERSISTENCE_BLOCKS + round(DIAGNOSIS_DELAY_s / BLOCK_s)
-    told = said(monkeypatch, named * MUCH + 50 * LITTLE + named * MUCH)
-    assert [kind for kind, _ in told] == ["free", "alarm", "diagnosed", "alarm", "diagnosed"]
-    assert told[3][1] == named + 50 + PERSISTENCE_BLOCKS
+    events = reported_events(monkeypatch, named * MUCH + 50 * LITTLE + named * MUCH)
+    assert [kind for kind, _ in events] == ["free", "alarm", "diagnosed", "alarm", "diagnosed"]
+    assert events[3][1] == named + 50 + PERSISTENCE_BLOCKS
 
 
 def test_a_flight_that_contradicts_the_rig_at_once_names_no_change(monkeypatch: pytest.MonkeyPatch) -> None:
-    told = said(monkeypatch, 10 * LITTLE + 400 * MUCH, calibration_s=8.0)
-    assert [kind for kind, _ in told] == ["free", "contradicts"]
+    events = reported_events(monkeypatch, 10 * LITTLE + 400 * MUCH, calibration_s=8.0)
+    assert [kind for kind, _ in events] == ["free", "contradicts"]
 
 
 def test_evidence_after_the_first_seconds_is_a_change(monkeypatch: pytest.MonkeyPatch) -> None:
-    told = said(monkeypatch, 201 * LITTLE + 80 * MUCH, calibration_s=8.0)
-    assert [kind for kind, _ in told] == ["free", "alarm", "diagnosed"]
+    events = reported_events(monkeypatch, 201 * LITTLE + 80 * MUCH, calibration_s=8.0)
+    assert [kind for kind, _ in events] == ["free", "alarm", "diagnosed"]
 
 
 def test_a_decoder_that_counts_half_the_edges_is_named_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     (scale,) = (change for change in CHANGES if change.id == "encoder_scale.travel")
     kinds = []
     for size in (-0.5, -0.05):
-        told = said(monkeypatch, 100 * MUCH, calibration_s=8.0, change=scale, size=size)
-        kinds.append([kind for kind, _ in told][1])
+        events = reported_events(monkeypatch, 100 * MUCH, calibration_s=8.0, change=scale, size=size)
+        kinds.append([kind for kind, _ in events][1])
     assert kinds == ["alarm", "contradicts"]
 
 
 def test_innovations_twice_as_large_as_stated_contradict_the_rig(monkeypatch: pytest.MonkeyPatch) -> None:
     for value, expected in ((1.2, ["free"]), (2.0, ["free", "contradicts"])):
         monkeypatch.setattr(_Filter, "value", np.array([0.0, value, 0.0]))
-        told = said(monkeypatch, 300 * LITTLE, calibration_s=8.0)
-        assert [kind for kind, _ in told] == expected
+        events = reported_events(monkeypatch, 300 * LITTLE, calibration_s=8.0)
+        assert [kind for kind, _ in events] == expected
 
 
 def test_a_voltage_that_no_nominal_flight_had_carries_no_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_Filter, "value", np.array([0.0, 2.0, 0.0]))
     gentle = replace(EXACT, low_V=np.full(2, 1.5))
-    told = said(monkeypatch, 300 * LITTLE, calibration_s=8.0, uncertainty=gentle)
-    assert [kind for kind, _ in told] == ["free"]
+    events = reported_events(monkeypatch, 300 * LITTLE, calibration_s=8.0, uncertainty=gentle)
+    assert [kind for kind, _ in events] == ["free"]

@@ -156,7 +156,7 @@ enum class Event : std::uint8_t {
 };
 inline constexpr std::size_t kEventCount = 12;
 
-// Result of a tilt that checks a travel encoder without counts for a long time.
+// Result of the tilt that checks a silent travel encoder.
 enum class Probe : std::uint8_t {
   none = 0,  // nothing
   asked = 1,  // the tilt begins
@@ -166,7 +166,7 @@ enum class Probe : std::uint8_t {
 };
 inline constexpr std::size_t kProbeCount = 5;
 
-// Supervisor events: rows of its state table, and the cause in state events and telemetry.
+// Event that changes the supervisor's state; state events and telemetry report it as the cause.
 enum class Trigger : std::uint8_t {
   arm = 0,  // arm command
   stop = 1,  // stop command

@@ -137,7 +137,7 @@ def sil_address(
     effect: Sequence[str] | None = None,
     effect_files: Sequence[Path] | None = None,
 ) -> str:
-    """Spell a simulated board as an address that ``heli_host.connect`` takes.
+    """Return the address of a simulated board, for ``heli_host.connect``.
 
     Parameters
     ----------

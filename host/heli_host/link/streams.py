@@ -159,7 +159,7 @@ class StreamedValues:
         now : DeviceTime
             Present time.
         flies : bool
-            Whether the board flies on setpoints, so that the kept one is repeated.
+            Whether the board flies on setpoints; the last setpoint is then repeated.
         """
         now_s = now.now_s
         stale_s = now.since(self.setpoints.sent_s, self._setpoint_tick)

@@ -289,7 +289,7 @@ EQUATION_MAX_UNCONFIRMED: Final[Annotated[float, "1", THEORY]] = 0.5
 """Highest confidence in an equation that no other flight confirmed: as likely as not."""
 
 EQUATION_SUPPORT_SHARE: Final[Annotated[float, "1", THEORY]] = 0.5
-"""Share of its largest value at which an equation matters: its half width delimits the reported range of its
+"""An equation matters where it is above this share of its largest value. The report gives this range of its
 quantities."""
 
 # Evaluation on another flight.

@@ -68,8 +68,8 @@ class InnovationsModel:
         disturbances : DisturbanceModel
             Disturbances and quantisation.
         signals : iterable of (ndarray, ndarray or None)
-            For each flight changes of the rates, (n, states, s), and of the outputs, (n, m, s). An iterator
-            needs the memory of one flight.
+            Change of the rates, (n, states, s), and of the outputs, (n, m, s), for each flight. An iterator
+            needs the memory of one flight only.
         """
         for linearised, (rates, outputs) in zip(self.linearised_flights, signals, strict=True):
             parts = []

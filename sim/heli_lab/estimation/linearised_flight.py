@@ -60,7 +60,7 @@ class ModelFunctions:
         parameters, (n, states, 1 + f), and the derivatives of the rates by state, disturbances and inputs. It
         also returns the outputs and their derivatives by the free parameters, (n, m, 1 + f), and by state.
     extra_states : int
-        States after positions and rates.
+        Number of states beyond positions and rates.
     """
 
     def __init__(self, model: GreyBoxModel, free: Sequence[str]) -> None:

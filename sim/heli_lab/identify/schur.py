@@ -101,8 +101,8 @@ def eliminate_states(
         For each record: the step of the states with the parameters fixed, and minus the change of the states
         for each unit of the parameters that the record depends on.
     gain : float
-        Reduction of the sum of squares by the step of the states with the parameters fixed, if the sum is
-        quadratic as in the normal equations.
+        Predicted reduction of the sum of squares by the step of the states, with the parameters fixed. The
+        normal equations treat the sum as quadratic.
     """
     problem = cost.problem
     nx, count = problem.state_count, len(problem.free)

@@ -17,7 +17,7 @@ from heli_lab.law.sums import SUM, with_sums
 
 
 class LawSource(Protocol):
-    """Properties of a control law that its program needs; `heli_lab.law.Law` has and explains them."""
+    """Properties of a control law that the compiler reads. `heli_lab.law.Law` documents them."""
 
     @property
     def name(self) -> str:

@@ -41,7 +41,7 @@ class Tail:
     Parameters
     ----------
     level_nats : float
-        Evidence from which the tail holds [nats].
+        Lowest evidence that the tail describes [nats].
     per_hour : float
         Rate of excursions above the level, per hour of free flight.
     scale_nats : float

@@ -250,7 +250,7 @@ export class Controls {
     if (!this.flies) {
       const asked = control.asking === this.hello.you;
       box.replaceChildren(`You watch; ${control.pilot_name || "no page"} ${does}${control.present ? "" : ", but does not answer"}.${replay ? "" : " Stop works from here too."}`,
-        element("div", { className: "row" }, asked ? "You have asked; the pilot answers." : button("Ask for control", "ask")));
+        element("div", { className: "row" }, asked ? "You asked for control. The pilot has to agree." : button("Ask for control", "ask")));
     } else if (control.asking) {
       box.replaceChildren(element("strong", {}, `${control.asking_name} asks for control.`),
         element("div", { className: "row" }, button("Hand over", "grant"), button("Keep", "keep")));
@@ -292,7 +292,7 @@ export class Controls {
   refreshParameters() {
     for (const { spec, input, row, why } of this.rows.values()) {
       const value = this.hello.values[spec.name], idle = this.state === "idle";
-      const reason = !this.mayTune ? "the pilot changes parameters" : spec.idle_only && !idle ? "only while idle: it would change what flies" : "";
+      const reason = !this.mayTune ? "the pilot changes parameters" : spec.idle_only && !idle ? "only while idle: a change would act on the flight" : "";
       if (input.disabled !== Boolean(reason)) input.disabled = Boolean(reason);
       if (why.textContent !== reason) why.textContent = reason;
       if (document.activeElement !== input && (input.value === "" || Number(input.value) !== value)) input.value = value;

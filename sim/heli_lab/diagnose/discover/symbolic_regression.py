@@ -140,7 +140,7 @@ class EquationSearch:
         disturbances : DisturbanceModel
             Its disturbances; if about no axis the slow part is larger than the fast one, nothing is scored.
         signals : TermSignals
-            Terms along the flights.
+            Values of all terms along the flights.
         every : sequence of Group
             All groups; those on encoders are not scored.
         """

@@ -18,7 +18,7 @@ from heli_lab.diagnose.thresholds import MATTERS_COUNTS, SHORT_s
 
 @dataclass(frozen=True)
 class Assessment:
-    """Assessment of a search.
+    """Remaining errors and predictions of the model with the causes, and the verdict.
 
     Parameters
     ----------

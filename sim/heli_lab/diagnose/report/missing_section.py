@@ -11,7 +11,7 @@ from heli_lab.diagnose.report.result_figures import figure_of_missing_terms
 from heli_lab.diagnose.wording import readable_id
 
 _DOTS: Final = "Each grey dot is 40 ms of the fitted flights; black dots are means."
-_OVER_TIME: Final = "Each dot is 40 ms; the seconds are drawn in which the cause acts most."
+_OVER_TIME: Final = "Each dot is 40 ms of the seconds in which the cause acts most."
 _SMOOTHED: Final = (
     "A Kalman smoother estimates the missing torque after the {0} was removed from the model, with all other "
     "parameters unchanged: the {1} has no part in that estimate. Means are subtracted, because a constant "

@@ -327,9 +327,9 @@ def _unknown(missing: dict[str, Any] | None) -> dict[str, Any] | None:
     if missing is None:
         return None
     return {
-        "said": f"No effect of the catalogue explains a part of the motion about {missing['axis']} that can "
-        f"be predicted, with {evidence_in_words(missing['log_likelihood_gain'])}. It may be, the most "
-        "likely first:",
+        "said": f"A part of the motion about {missing['axis']} can be predicted, with "
+        f"{evidence_in_words(missing['log_likelihood_gain'])}, but no effect of the catalogue explains it. "
+        "Possible causes, the most likely first:",
         "depends": [capital(dependence_in_words(dependence)) for dependence in missing["correlates_with"]],
         "gain": _gain(missing.get("gain_with_splines", {})),
     }

@@ -55,8 +55,8 @@ def _regions_note(diagnosis: Diagnosis, two: bool) -> str:
         )
     if diagnosis.label != "unexplained" and test.fails.any():
         return (
-            "The verdict does not rest on these cells: no candidate explains what fails there, so that it is "
-            "small or by chance."
+            "The verdict does not depend on these cells: no candidate explains the missing torque there, "
+            "which is small or due to chance."
         )
     return ""
 

@@ -75,7 +75,7 @@ _DIFFERENT: Final[Mapping[str, Mapping[str, str]]] = {
     "flywheel": {"w": "speed of both rotors, as the sum of the voltages that hold it"},
     "inflow_damping": {
         "i": "number of the rotor, front or back",
-        "l": "1 if the loss is a share of the thrust, 0 if it is that of 1 N at any thrust",
+        "l": "1 if the loss is proportional to the thrust, 0 if it is the same at any thrust",
         "n": "unit vector along the rotors' axes",
         "r": "position of a rotor",
     },

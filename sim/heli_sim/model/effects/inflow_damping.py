@@ -48,7 +48,7 @@ SPEC: Final = EffectSpec(
         Parameter(
             "loaded",
             "1",
-            "1 where the loss goes with the thrust, 0 where it is that of 1 N at any thrust",
+            "1 if the loss is proportional to the thrust, 0 if it is the same at any thrust",
             1.0,
             grid=(1.0, 0.0),
         ),
