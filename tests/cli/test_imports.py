@@ -1,4 +1,4 @@
-"""What a part of the command line needs does not load what takes longer than its own work."""
+"""Parts of the command line import nothing that takes longer than their own work."""
 
 from __future__ import annotations
 
