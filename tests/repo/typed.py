@@ -96,6 +96,11 @@ def main() -> None:
     """Fork for each command, and in its process become it."""
     for name in LIBRARIES:
         importlib.import_module(name)
+    from heli_host.cli.entry import command_line
+    from heli_host.cli.verb import installed_verbs
+
+    for verb in installed_verbs():
+        command_line(verb)
     # What is there already is shared with each command; a collector that looks at it would copy it.
     gc.collect()
     gc.freeze()

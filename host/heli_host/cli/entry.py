@@ -92,7 +92,11 @@ def run(arguments: list[str] | None = None) -> int:
     exit code, as in the module's docstring.
     """
     try:
-        code = contextvars.copy_context().run(command_line(), arguments, "heli-host", standalone_mode=False)
+        words = sys.argv[1:] if arguments is None else arguments
+        verb = next((word for word in words if not word.startswith("-")), None)
+        code = contextvars.copy_context().run(
+            command_line(verb), arguments, "heli-host", standalone_mode=False
+        )
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
@@ -113,9 +117,20 @@ def run(arguments: list[str] | None = None) -> int:
 
 
 @functools.cache
-def command_line() -> Callable[..., object]:
-    """Make the whole command line, with ``--quiet`` behind each verb too."""
-    whole = typer.main.get_command(app)
+def command_line(verb: str | None = None) -> Callable[..., object]:
+    """Make the command line, with ``--quiet`` behind each verb too.
+
+    Parameters
+    ----------
+    verb : str, optional
+        The only verb that it needs: to make all takes as long as to import them. A name that is no verb
+        makes all verbs.
+    """
+    chosen = copy.copy(app)
+    chosen.registered_commands = [info for info in app.registered_commands if info.name == verb]
+    chosen.registered_groups = [info for info in app.registered_groups if info.name == verb]
+    is_verb = bool(chosen.registered_commands or chosen.registered_groups)
+    whole = typer.main.get_command(chosen if is_verb else app)
     quiet = next(one for one in whole.params if one.name == "quiet")
     behind = copy.copy(quiet)
     behind.expose_value = False
