@@ -170,6 +170,18 @@ def thrown(board: Board, laws: Laws) -> None:
         board.put_back()
 
 
+def law_rests(board: Board, laws: Laws) -> None:
+    """A law flies while friction holds travel; then the board's own controller does."""
+    board.upload(*laws["steady"])
+    take_off(board)
+    board.ask(d.LawFlyMessage, 1)
+    hover(board, 10.0, (0.0, 0.0, 0.0))
+    board.ask(d.LawFlyMessage, 0)
+    hover(board, 6.0, (0.0, 0.0, 0.0))
+    board.ask(d.ControlMessage, 3, 0.0, 0.0)
+    hover(board, 4.0, (0.0, 2.0, 0.0))
+
+
 def bad_tapes(board: Board, laws: Laws) -> None:
     """A law is uploaded with one bit wrong, with words missing, and twice."""
     words, crc = laws["steady"]
@@ -191,6 +203,7 @@ SCRIPTS: Final[dict[str, Script]] = {
     "operations": Script(parts.operations),
     "parameters in flash": Script(parts.parameters_in_flash),
     "line under load": Script(parts.line_under_load),
+    "tapes": Script(parts.tapes),
     "parameters that do not fit": Script(commands.inconsistent),
     "noise on the line": Script(commands.noise_on_the_line),
     "parameters at edges": Script(commands.parameters_at_edges),
@@ -215,6 +228,7 @@ SCRIPTS: Final[dict[str, Script]] = {
     "law that jumps": Script(partial(law, name="jumps")),
     "law without numbers": Script(partial(law, name="divides by zero")),
     "law with wishes": Script(partial(law, name="own setpoints")),
+    "law at rest": Script(law_rests, {"stir_rad_s2": 0.9, "friction_rad_s2": 0.03}),
     "elevation encoder dies often": Script(partial(encoders_die, axis=0), _ROUGH),
     "pitch encoder dies often": Script(partial(encoders_die, axis=1), _ROUGH),
     "travel encoder dies often": Script(partial(encoders_die, axis=2), _ROUGH),
@@ -224,5 +238,5 @@ SCRIPTS: Final[dict[str, Script]] = {
     "laws that throw often 2": Script(thrown, {"gust_rad_s2": 0.1}),
 }
 """The seed of a script is its place in this table."""
-PARTS: Final = tuple(list(SCRIPTS)[:4])
+PARTS: Final = tuple(list(SCRIPTS)[:5])
 """Those that need no whole board."""

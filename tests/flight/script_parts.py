@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 import random
 import struct
-from typing import Any
+import zlib
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
 
 import numpy as np
 from heli_host import declaration as d
@@ -14,7 +16,9 @@ from heli_test_native import control
 from heli_test_native import law as native_law
 from heli_test_native import link as core_link
 
-from tests.flight.scripts import Notes
+from tests.flight.scripts import Laws, Notes
+
+_SUM: Final = next(operation.code for operation in d.OPERATIONS if operation.name == "sum_of_products")
 
 
 def _bits(chance: random.Random, count: int) -> np.ndarray[Any, np.dtype[np.uint32]]:
@@ -24,6 +28,8 @@ def _bits(chance: random.Random, count: int) -> np.ndarray[Any, np.dtype[np.uint
         chance.choice((0, 1, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 0x3F800000, 0x7F800000)) for _ in words[::7]
     ]
     words[::3] = [0x3D000000 + word % 0x05000000 | word & 0x80000000 for word in words[::3]]
+    # The ends of each power of two, where ranges of arguments meet.
+    words[::5] = [chance.randrange(512) << 23 | chance.choice((0, 1, 0x7FFFFF)) for _ in words[::5]]
     return np.array(words, np.uint32)
 
 
@@ -175,3 +181,69 @@ def parameters_in_flash(notes: Notes, _laws: Any) -> None:
             board.flash = bytes(flash)
         if k % 20 == 19:
             board.flash = bytes(chance.choice((0, 0xFF, chance.randrange(256))) for _ in board.flash)
+
+
+def _changed_tapes(words: Sequence[int]) -> Iterator[list[int]]:
+    """A law with each bit changed, with each field at its ends, and with each length."""
+    for place, word in enumerate(words):
+        others = [word ^ 1 << bit for bit in range(32)]
+        for shift in (0, 9, 18):
+            rest = word & ~(0x1FF << shift)
+            ends = (0, 1, 16, 17, 18, len(words) - place - 1, len(words) - place, len(words) - place + 1, 511)
+            others += [rest | (end & 0x1FF) << shift for end in ends]
+        others += [word & 0x07FFFFFF | code << 27 for code in range(32)]
+        others += [
+            _SUM << 27 | word & 0x07FC0000 | min(len(words) - place + more, 511) % 512
+            for more in (-2, -1, 0, 1)
+        ]
+        yield from ([*words[:place], other, *words[place + 1 :]] for other in others)
+    yield from (list(words[:length]) for length in range(len(words)))
+
+
+def _program(chance: random.Random) -> list[int]:
+    """A program of any length, of operations on any cells that have a value."""
+    constants, parameters, states, signals = (chance.randrange(5) for _ in range(4))
+    numbers = [int(word) for word in _bits(chance, constants + parameters + states)]
+    first_written = len(d.LAW_INPUTS) + len(numbers)
+    instructions: list[int] = []
+    written = list(range(first_written))
+    length = chance.choice((1, 3, 30, 120, 250))
+    while len(instructions) < length:
+        target = chance.randrange(first_written, first_written + 40)
+        code = chance.randrange(len(d.OPERATIONS))
+        first, second = chance.choice(written), chance.choice(written)
+        if code == _SUM:
+            terms = chance.choice((1, 2, 7))
+            instructions.append(code << 27 | target << 18 | terms)
+            pairs = [(chance.choice(written), chance.choice(written)) for _ in range(terms)]
+            instructions += [chance.randrange(2) << 31 | a << 9 | b for a, b in pairs]
+        else:
+            binary = d.OPERATIONS[code].operands > 1
+            instructions.append(code << 27 | target << 18 | first << 9 | (second if binary else 0))
+        written.append(target)
+    old = range(first_written - states)
+    outputs = [chance.choice(written) for _ in range(5 + signals)]
+    outputs += [chance.choice([*old, *written[first_written:]]) for _ in range(states)]
+    head = d.LAW_FORMAT | chance.choice((1, 2, 4, 10, 40, 3)) << 8 | signals << 16 | parameters << 24
+    return [head, constants | states << 16, len(instructions), *numbers, *outputs, *instructions]
+
+
+def tapes(notes: Notes, laws: Laws) -> None:
+    """Laws with one mistake, and programs of any kind, are verified; those that are accepted run."""
+    chance = notes.chance
+    inputs = np.array([[chance.uniform(-1.0, 1.0) for _ in d.LAW_INPUTS] for _ in range(4)], np.float32)
+    programs = {name: _changed_tapes(words) for name, (words, _) in laws.items()}
+    programs |= {f"any {k}": (_program(chance) for _ in range(60)) for k in range(3)}
+    for name, changes in programs.items():
+        verdicts = bytearray()
+        for number, changed in enumerate(changes):
+            tape = native_law.Tape()
+            crc = zlib.crc32(struct.pack(f"<{len(changed)}I", *changed))
+            error, value, ticks = tape.load(changed, crc ^ (number % 50 == 49))
+            verdicts += struct.pack("<BII", error, value, ticks)
+            if error == d.LawError.NONE:
+                tape.restart()
+                verdicts.append(tape.set_parameter(number % 4, 1.25))
+                found = tape.run(inputs)
+                verdicts += np.where(np.isnan(found), np.float32(7.0), found).astype("<f4").tobytes()
+        notes.add(name, bytes(verdicts))
