@@ -17,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -55,7 +55,10 @@ class Mutant:
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim: what it says, assumes and leaves open, and how it is proved; the suite runs no dear one."""
+    """One claim: what it says, assumes and leaves open, and how it is proved.
+
+    `model` is the claim whose folder `model` replaces headers. The test suite runs no step that is `dear`.
+    """
 
     name: str
     number: int
@@ -66,7 +69,8 @@ class Claim:
     steps: tuple[str, ...]
     loops: dict[str, int]
     unchecked: tuple[str, ...]
-    dear: bool
+    model: str
+    dear: tuple[str, ...]
     solvers: dict[str, str]
     mutants: tuple[Mutant, ...]
 
@@ -85,10 +89,17 @@ class Claim:
             steps=tuple(text["steps"]),
             loops=text.get("loops", {}),
             unchecked=tuple(text.get("unchecked", ())),
-            dear=text.get("dear", False),
+            model=text.get("model", folder.name),
+            dear=tuple(text.get("dear", ())),
             solvers=text.get("solvers", {}),
             mutants=tuple(Mutant(**mutant) for mutant in text["mutants"]),
         )
+
+    def cheap(self) -> Claim:
+        """The claim without its dear steps and their mutants."""
+        steps = tuple(step for step in self.steps if step not in self.dear)
+        mutants = tuple(mutant for mutant in self.mutants if mutant.step in steps)
+        return replace(self, steps=steps, mutants=mutants)
 
 
 @dataclass(frozen=True)
@@ -136,7 +147,7 @@ def mutated(mutant: Mutant, folder: Path) -> Path:
 
 def arguments(claim: Claim, step: str, core: Path) -> list[str]:
     """How the prover is called."""
-    folders = (HERE / claim.name / "model", HERE / "model", core, core.parent / "due", HERE)
+    folders = (HERE / claim.model / "model", HERE / "model", core, core.parent / "due", HERE)
     return [
         *(str(HERE / claim.name / "harness.cpp"), "--function", step, "--std", "c++17"),
         *("-f", "no-access-control", "--no-abstracted-cpp-includes"),

@@ -19,6 +19,7 @@ T value_of(const std::atomic<T>& shared) {
 #include "setpoints/invariant.hpp"
 #include "supervisor/invariant.hpp"
 #include "upload/invariant.hpp"
+#include "verifier/invariant.hpp"
 
 namespace heli_sim {
 
@@ -29,6 +30,7 @@ const char* broken_invariant(const heli::FlightCode& code, std::int32_t duty_ful
   if (!holds(core.supervisor_)) return "supervisor";
   if (!holds(core.uploaded_.tape_)) return "upload";
   if (!heli::proofs::holds_verified(core.uploaded_.tape_)) return "interpreter";
+  if (!heli::proofs::holds_accepted(core.uploaded_.tape_)) return "verifier";
   const auto bank = core.active_.load(std::memory_order_relaxed);
   const bool bounded = holds(core.derived_[bank].bounds) && holds(core.supervisor_.setpoints_);
   if (!bounded) return "setpoints";

@@ -32,6 +32,10 @@ std::string broken_by(const std::string& member) {
   } else if (member == "parameters") {
     core.uploaded_.tape_.stored_ = heli::law::LawState::ready;
     core.uploaded_.tape_.shape_.parameters = heli::law::Tape::kCells;
+  } else if (member == "program_end") {
+    core.uploaded_.tape_.stored_ = heli::law::LawState::ready;
+    core.uploaded_.tape_.program_at_ = core.uploaded_.tape_.shape_.outputs();
+    core.uploaded_.tape_.ends_[0] = 1;
   } else if (member == "slew") {
     core.derived_[core.active_].bounds.step_max_rad[0] = heli::flight::Step::from_raw(-1);
   } else if (member == "path") {

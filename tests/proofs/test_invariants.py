@@ -15,6 +15,7 @@ from heli_test_native import proofs
         ("exciter", "supervisor"),
         ("flying", "upload"),
         ("parameters", "interpreter"),
+        ("program_end", "verifier"),
         ("max_duty", "duty"),
         ("differential", "mixer"),
         ("slew", "setpoints"),

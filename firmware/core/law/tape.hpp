@@ -90,8 +90,9 @@ class Tape {
   static constexpr std::size_t kWords = link::kLawWords;
 
   UploadCheck check();
+  UploadCheck read_shape();
   UploadCheck check_numbers() const;
-  UploadCheck check_instructions();
+  UploadCheck check_program();
   UploadCheck schedule();
   void prepare();
   void execute(const std::uint32_t* from, const std::uint32_t* to);

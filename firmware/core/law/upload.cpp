@@ -23,7 +23,7 @@ constexpr std::uint32_t words_of(std::uint32_t word) {
   return is_sum(word) ? 1U + (word & kCellMask) : 1U;
 }
 
-// Cells written so far.
+// Cells written so far, and the inputs that were read.
 class Cells {
  public:
   explicit Cells(std::uint32_t first_free) {
@@ -33,10 +33,84 @@ class Cells {
   }
   void add(std::uint32_t cell) { bits_[cell >> 5U] |= 1U << (cell & 31U); }
   bool has(std::uint32_t cell) const { return (bits_[cell >> 5U] >> (cell & 31U) & 1U) != 0U; }
+  // Notes a read; false if the cell has not been written.
+  bool read(std::uint32_t cell) {
+    inputs_read_ |= cell < link::kLawInputCount ? 1U << cell : 0U;
+    return has(cell);
+  }
+  std::uint32_t inputs_read() const { return inputs_read_; }
 
  private:
   std::uint32_t bits_[link::kLawCells / 32U] = {};
+  std::uint32_t inputs_read_ = 0;
 };
+
+// An instruction, and what follows it in the program.
+struct Rest {
+  const std::uint32_t* words;
+  std::uint32_t count;
+};
+
+UploadCheck check_sum(const Rest& rest, Cells& cells) {
+  const std::uint32_t word = rest.words[0];
+  const std::uint32_t terms = word & kCellMask;
+  if (((word >> 9U) & kCellMask) != 0U || terms == 0U || terms > link::kLawMaxTerms ||
+      terms >= rest.count) {
+    return {LawError::bad_sum, 0U};
+  }
+  for (std::uint32_t term = 1; term <= terms; ++term) {
+    const std::uint32_t pair = rest.words[term];
+    if ((pair & ~(kSign | kPairMask)) != 0U) {
+      return {LawError::bad_sum, term};
+    }
+    if (!cells.read((pair >> 9U) & kCellMask) || !cells.read(pair & kCellMask)) {
+      return {LawError::not_written, term};
+    }
+  }
+  return {};
+}
+
+// Checks the first instruction, and notes which cells it reads and writes. An error is at a word
+// that counts from the instruction.
+UploadCheck check_instruction(const Rest& rest, std::uint32_t first_written, Cells& cells) {
+  const std::uint32_t word = rest.words[0];
+  const std::uint32_t operation = word >> 27U;
+  if (operation >= link::kOperationCount) {
+    return {LawError::unknown_operation, 0U};
+  }
+  const std::uint32_t target = (word >> 18U) & kCellMask;
+  if (target < first_written || target >= link::kLawCells) {
+    return {LawError::bad_cell, 0U};
+  }
+  if (is_sum(word)) {
+    const UploadCheck sum = check_sum(rest, cells);
+    if (sum.error != LawError::none) {
+      return sum;
+    }
+  } else {
+    const std::uint32_t second = word & kCellMask;
+    const bool binary = (link::kBinaryOperations >> operation & 1U) != 0U;
+    if (!cells.read((word >> 9U) & kCellMask) || (binary ? !cells.read(second) : second != 0U)) {
+      return {LawError::not_written, 0U};
+    }
+  }
+  cells.add(target);
+  return {};
+}
+
+// Checks the cell that the law gives as its output `k`. A new state is no state, because states
+// change one by one.
+UploadCheck check_output(const Shape& shape, std::uint32_t k, std::uint32_t cell, Cells& cells) {
+  const std::uint32_t place = shape.instructions + k;
+  const bool is_state = cell >= shape.first_state() && cell < shape.first_written();
+  if (cell >= link::kLawCells || (k >= Shape::kFirstSignal + shape.signals && is_state)) {
+    return {LawError::bad_cell, place};
+  }
+  if (!cells.read(cell)) {
+    return {LawError::not_written, place};
+  }
+  return {};
+}
 
 // Cost of a call in addition to its operations.
 struct Overhead {
@@ -58,6 +132,46 @@ Overhead overhead_of(const Shape& shape, std::uint32_t inputs_read) {
   }
   return cost;
 }
+
+std::uint32_t cost_of(std::uint32_t word) {
+  return link::kOperationCost[word >> 27U] + (words_of(word) - 1U) * link::kLawTermCost;
+}
+
+// Division of a call into ticks, and its cost. Each tick has room to be the last.
+class Schedule {
+ public:
+  Schedule(const Overhead& around, std::uint16_t* ends)
+      : around_(around),
+        ends_(ends),
+        in_tick_(around.begin + around.every),
+        cost_(around.begin + around.every + around.end) {}
+  // Adds the instruction that begins at word `k`.
+  void add(std::uint32_t k, std::uint32_t cost) {
+    if (in_tick_ + cost + around_.end > link::kLawTickCost) {
+      end_tick(k);
+      ++ticks_;
+      in_tick_ = around_.every;
+      cost_ += around_.every;
+    }
+    in_tick_ += cost;
+    cost_ += cost;
+  }
+  // The last tick so far ends before word `k`.
+  void end_tick(std::uint32_t k) {
+    if (ticks_ <= link::kLawMaxTicks) {
+      ends_[ticks_ - 1U] = static_cast<std::uint16_t>(k);
+    }
+  }
+  std::uint32_t ticks() const { return ticks_; }
+  std::uint32_t cost() const { return cost_; }
+
+ private:
+  Overhead around_;
+  std::uint16_t* ends_;
+  std::uint32_t in_tick_;  // without the end
+  std::uint32_t cost_;     // of the call, if this tick is the last
+  std::uint32_t ticks_ = 1;
+};
 
 }  // namespace
 
@@ -124,6 +238,27 @@ UploadCheck Tape::check() {
   if (crc != hash_) {
     return {LawError::wrong_hash, 0U};
   }
+  const UploadCheck shape = read_shape();
+  if (shape.error != LawError::none) {
+    return shape;
+  }
+  const UploadCheck numbers = check_numbers();
+  if (numbers.error != LawError::none) {
+    return numbers;
+  }
+  const UploadCheck program = check_program();
+  if (program.error != LawError::none) {
+    return program;
+  }
+  const UploadCheck division = schedule();
+  if (division.error == LawError::none) {
+    prepare();
+  }
+  return division;
+}
+
+// Where everything is on the tape.
+UploadCheck Tape::read_shape() {
   if (expected_ < Shape::kHeadWords || (image_[0] & 0xffU) != link::kLawFormat) {
     return {LawError::wrong_format, Shape::kHeadWords};
   }
@@ -146,19 +281,7 @@ UploadCheck Tape::check() {
   }
   outputs_at_ = Shape::kHeadWords + shape_.constants + shape_.parameters + shape_.states;
   program_at_ = outputs_at_ + shape_.outputs();
-  const UploadCheck numbers = check_numbers();
-  if (numbers.error != LawError::none) {
-    return numbers;
-  }
-  const UploadCheck program = check_instructions();
-  if (program.error != LawError::none) {
-    return program;
-  }
-  const UploadCheck division = schedule();
-  if (division.error == LawError::none) {
-    prepare();
-  }
-  return division;
+  return {};
 }
 
 UploadCheck Tape::check_numbers() const {
@@ -171,92 +294,39 @@ UploadCheck Tape::check_numbers() const {
   return {};
 }
 
-UploadCheck Tape::check_instructions() {
+UploadCheck Tape::check_program() {
   const std::uint32_t first_written = shape_.first_written();
-  Cells written(first_written);
-  inputs_read_ = 0;
-  const auto may_read = [this, &written](std::uint32_t cell) {
-    inputs_read_ |= cell < link::kLawInputCount ? 1U << cell : 0U;
-    return written.has(cell);
-  };
-  std::uint32_t words = 0;
-  for (std::uint32_t k = 0; k < shape_.instructions; k += words) {
-    const std::uint32_t word = image_[program_at_ + k];
-    const std::uint32_t operation = word >> 27U;
-    if (operation >= link::kOperationCount) {
-      return {LawError::unknown_operation, k};
+  const std::uint32_t* const program = image_ + program_at_;
+  Cells cells(first_written);
+  for (std::uint32_t k = 0; k < shape_.instructions; k += words_of(program[k])) {
+    const UploadCheck instruction =
+        check_instruction({program + k, shape_.instructions - k}, first_written, cells);
+    if (instruction.error != LawError::none) {
+      return {instruction.error, k + instruction.value};
     }
-    const std::uint32_t target = (word >> 18U) & kCellMask;
-    if (target < first_written || target >= kCells) {
-      return {LawError::bad_cell, k};
-    }
-    words = words_of(word);
-    const std::uint32_t first = (word >> 9U) & kCellMask;
-    const std::uint32_t second = word & kCellMask;
-    if (is_sum(word)) {
-      if (first != 0U || second == 0U || second > link::kLawMaxTerms ||
-          second >= shape_.instructions - k) {
-        return {LawError::bad_sum, k};
-      }
-      for (std::uint32_t term = k + 1U; term < k + words; ++term) {
-        const std::uint32_t pair = image_[program_at_ + term];
-        if ((pair & ~(kSign | kPairMask)) != 0U) {
-          return {LawError::bad_sum, term};
-        }
-        if (!may_read((pair >> 9U) & kCellMask) || !may_read(pair & kCellMask)) {
-          return {LawError::not_written, term};
-        }
-      }
-    } else {
-      const bool binary = (link::kBinaryOperations >> operation & 1U) != 0U;
-      if (!may_read(first) || (binary ? !may_read(second) : second != 0U)) {
-        return {LawError::not_written, k};
-      }
-    }
-    written.add(target);
   }
-  const std::uint32_t first_new_state = Shape::kFirstSignal + shape_.signals;
   for (std::uint32_t k = 0; k < shape_.outputs(); ++k) {
-    const std::uint32_t cell = image_[outputs_at_ + k];
-    const std::uint32_t place = shape_.instructions + k;
-    const bool own = cell >= shape_.first_state() && cell < first_written;
-    if (cell >= kCells || (k >= first_new_state && own)) {
-      return {LawError::bad_cell, place};
-    }
-    if (!may_read(cell)) {
-      return {LawError::not_written, place};
+    const UploadCheck output = check_output(shape_, k, image_[outputs_at_ + k], cells);
+    if (output.error != LawError::none) {
+      return output;
     }
   }
+  inputs_read_ = cells.inputs_read();
   return {};
 }
 
-// Over how many ticks a call is spread, and what it costs. Each tick has room to be the last.
 UploadCheck Tape::schedule() {
-  const Overhead around = overhead_of(shape_, inputs_read_);
-  std::uint32_t in_tick = around.begin + around.every;
-  cost_ = in_tick + around.end;
-  ticks_ = 1;
-  std::uint32_t words = 0;
-  for (std::uint32_t k = 0; k < shape_.instructions; k += words) {
-    const std::uint32_t word = image_[program_at_ + k];
-    words = words_of(word);
-    const std::uint32_t cost =
-        link::kOperationCost[word >> 27U] + (words - 1U) * link::kLawTermCost;
-    if (in_tick + cost + around.end > link::kLawTickCost) {
-      if (ticks_ <= link::kLawMaxTicks) {
-        ends_[ticks_ - 1U] = static_cast<std::uint16_t>(k);
-      }
-      ++ticks_;
-      in_tick = around.every;
-      cost_ += around.every;
-    }
-    in_tick += cost;
-    cost_ += cost;
+  Schedule schedule(overhead_of(shape_, inputs_read_), ends_);
+  const std::uint32_t* const program = image_ + program_at_;
+  for (std::uint32_t k = 0; k < shape_.instructions; k += words_of(program[k])) {
+    schedule.add(k, cost_of(program[k]));
   }
+  schedule.end_tick(shape_.instructions);
+  cost_ = schedule.cost();
+  ticks_ = schedule.ticks();
   if (ticks_ > shape_.divisor || ticks_ > link::kLawMaxTicks) {
     return {LawError::too_costly, ticks_};
   }
-  ends_[ticks_ - 1U] = static_cast<std::uint16_t>(shape_.instructions);
   return {};
 }
 
