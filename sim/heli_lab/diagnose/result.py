@@ -28,6 +28,7 @@ from heli_lab.diagnose.evaluate import (
     failing_regions,
     prior_conflicts,
     tried_without,
+    with_confirmation,
 )
 from heli_lab.diagnose.experiment import ExperimentDesign
 from heli_lab.diagnose.extended_rig import extended_rig
@@ -103,10 +104,10 @@ class Diagnosis:
     proposal: Proposal | None
     effort: Effort
 
-    @property
+    @cached_property
     def verdict(self) -> Verdict:
-        """Verdict with its causes."""
-        return self.assessment.verdict
+        """Verdict with its causes; a cause that is not confirmed has a lower confidence."""
+        return with_confirmation(self.assessment.verdict, self.replication.unconfirmed)
 
     @property
     def label(self) -> str:

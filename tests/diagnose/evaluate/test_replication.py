@@ -9,7 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 from heli_lab.diagnose import Diagnosis, to_json
-from heli_lab.diagnose.evaluate import Replication, extrapolations, replicate, replication
+from heli_lab.diagnose.evaluate import (
+    Replication,
+    extrapolations,
+    replicate,
+    replication,
+    unconfirmed_confidence,
+)
 from heli_lab.diagnose.evaluate.error_reduction import ErrorReduction
 from heli_lab.diagnose.report import lines
 from heli_lab.diagnose.search import Direction
@@ -84,6 +90,11 @@ def test_cause_that_fails_in_reverse_enters_the_rig_on_request_only(
     assert why in cause["replication"]["why_not"]
     said = "\n".join(lines(refuted))
     assert f"not confirmed: {cause['replication']['why_not']}" in said
+    # Name and verdict stay; the confidence is lower, and the same on the terminal and in the JSON.
+    assert (refuted.label, cause["effect"]) == (found.label, found.verdict.causes[0].effect)
+    lowered = unconfirmed_confidence(found.verdict.causes[0].confidence)
+    assert cause["confidence"] == round(lowered, 3) < found.verdict.causes[0].confidence
+    assert f"(confidence {cause['confidence']:.2f}; not confirmed" in said
     assert ("predicts pitch of" in said) == (interval[0] > 1.0)
 
 

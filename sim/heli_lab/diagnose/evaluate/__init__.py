@@ -29,7 +29,14 @@ from heli_lab.diagnose.evaluate.replication import (
 from heli_lab.diagnose.evaluate.reported import CauseParameter, cause_parameters, reported_std
 from heli_lab.diagnose.evaluate.residual_analysis import ResidualAnalysis, correlates
 from heli_lab.diagnose.evaluate.thrust_noise import justified_thrust_noise
-from heli_lab.diagnose.evaluate.verdict import NamedCause, SmallEffect, Verdict, confidence
+from heli_lab.diagnose.evaluate.verdict import (
+    NamedCause,
+    SmallEffect,
+    Verdict,
+    confidence,
+    unconfirmed_confidence,
+    with_confirmation,
+)
 
 __all__ = [
     "HORIZONS",
@@ -70,7 +77,9 @@ __all__ = [
     "replicate",
     "reported_std",
     "tried_without",
+    "unconfirmed_confidence",
     "undetectable_effects",
     "unidentifiable_parameters",
+    "with_confirmation",
     "worse_axis_sentence",
 ]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from heli_sim.model.effect import Effect
@@ -133,6 +133,25 @@ def judge(
     return Verdict("cause_found" if random or absent else "explained", (), (), random, small)
 
 
+def with_confirmation(verdict: Verdict, unconfirmed: Collection[str]) -> Verdict:
+    """Lower the confidence of causes that are not confirmed; names and label stay.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        Verdict of `judge`, which does not depend on the confirmation.
+    unconfirmed : collection of str
+        Ids of the causes that are not confirmed.
+    """
+    causes = tuple(
+        replace(cause, confidence=unconfirmed_confidence(cause.confidence))
+        if cause.effect in unconfirmed
+        else cause
+        for cause in verdict.causes
+    )
+    return replace(verdict, causes=causes)
+
+
 def small_effects(
     search: Search, changes: Mapping[str, float], kinds: Mapping[str, EffectSpec], fit: Fit
 ) -> tuple[SmallEffect, ...]:
@@ -223,3 +242,17 @@ def confidence(cause: Cause, unexplained: bool = False) -> float:
         probability *= 1.0 / (1.0 + math.exp(-cause.held_out / thresholds.HELD_OUT_NATS))
     factor = thresholds.CONFIDENCE_FACTOR_UNEXPLAINED if unexplained else 1.0
     return float(min(thresholds.MAX_CONFIDENCE, probability) * factor)
+
+
+def unconfirmed_confidence(probability: float) -> float:
+    """Return the confidence of a cause that is not confirmed: logistic calibration (Platt) on development
+    cases.
+
+    Parameters
+    ----------
+    probability : float
+        Its confidence if it were confirmed, 0 to 1; the result grows with it, and is never higher.
+    """
+    logit = math.log(probability / (1.0 - probability))
+    scaled = thresholds.UNCONFIRMED_LOGIT + thresholds.UNCONFIRMED_LOGIT_SLOPE * logit
+    return min(probability, 1.0 / (1.0 + math.exp(-scaled)))

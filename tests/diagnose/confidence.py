@@ -1,0 +1,278 @@
+"""Is a confidence a frequency? ``python -m tests.diagnose.confidence [SEED...]`` measures it.
+
+Each seed gives a rig within its tolerances, random torques about all axes, and two flights of 18 s and 14 s.
+One or two effects of random size are hidden, or an effect that the catalogue lacks, or an event that happens
+in the first flight only. Without a hidden effect, hardly any cause is named. Each seed is diagnosed with the
+second flight held out, and from the first flight alone; with ``--reverse`` also with the first held out.
+
+The calibration of causes that are not confirmed, in `heli_lab.diagnose.thresholds`, was fitted to
+`DEVELOPMENT`; seeds from 9400 on judge it. Results are appended to a file, and a run continues where the last
+one stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+from unittest.mock import patch
+
+import numpy as np
+from heli_benchmark.reference.truth import PARTS
+from heli_host.arrays import Floats
+
+from tests.running.alone import one_thread_each
+
+ROOT: Final = Path(__file__).resolve().parents[2]
+DURATIONS_s: Final = (18.0, 14.0)
+KINDS: Final = ("event", "one", "lacking", "two", "lacking and one")
+LISTED: Final = (
+    "rotor_lag",
+    "input_delay",
+    "thrust_asymmetry",
+    "supply_sag",
+    "inflow_damping",
+    "coulomb_friction.elevation",
+    "coulomb_friction.travel",
+    "cable_spring.elevation",
+    "cable_spring.travel",
+    "travel_drag_quadratic",
+    "gyroscopic_torque",
+    "rotor_reaction_torque",
+    "backlash.pitch",
+    "edgewise_flow",
+    "zero_offset.pitch",
+    "supply_fade",
+)
+LACKING: Final = (
+    "cable_spring.travel",
+    "thrust_asymmetry",
+    "travel_drag_quadratic",
+    "gyroscopic_torque",
+    "axis_tilt",
+    "coulomb_friction.travel",
+    "backlash.elevation",
+    "encoder_eccentricity.travel",
+    "periodic_torque.elevation",
+    "inflow_damping",
+)
+EVENTS: Final = ("thrust_step.front", "thrust_step.back", "counterweight_shift")
+STRENGTHS_Nm: Final = ((0.006, 0.002, 0.004), (0.012, 0.004, 0.008), (0.02, 0.006, 0.012))
+"""Standard deviations about elevation, pitch and travel, as in `heli_benchmark`."""
+CORRELATION_TIMES_s: Final = (0.3, 0.6, 1.2, 5.0)
+SIZES: Final = (0.7, 3.0)
+"""Range of the factor on the typical size, drawn log-uniformly: smaller effects are not named."""
+DEVELOPMENT: Final = range(9300, 9330)
+BINS: Final = (0.0, 0.5, 0.7, 0.85, 0.95, 1.0)
+"""Bounds of the bins of confidence."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """Two flights in which effects are hidden.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of rig, effects and flights.
+    kind : str
+        One of `KINDS`.
+    hidden : Mapping of str to Mapping of str to float
+        Values of each hidden effect's parameters, by id.
+    removed : str
+        Effect that the catalogue lacks; empty for none.
+    disturbances : Mapping of str to Mapping of str to float
+        The same of the random torques.
+    """
+
+    seed: int
+    kind: str
+    hidden: Mapping[str, Mapping[str, float]]
+    removed: str
+    disturbances: Mapping[str, Mapping[str, float]]
+
+
+def case(seed: int) -> Case:
+    """Draw a case."""
+    from heli_sim.model.effects import catalogue
+    from heli_sim.model.parts import AXES
+
+    kinds, rng, kind = catalogue(), np.random.default_rng([seed, 20]), KINDS[seed % len(KINDS)]
+    strength, time_s = STRENGTHS_Nm[int(rng.integers(3))], float(rng.choice(CORRELATION_TIMES_s))
+    removed = str(rng.choice(LACKING)) if "lacking" in kind else ""
+    others = [name for name in LISTED if name != removed]
+    count = 2 if kind == "two" else int(kind in ("one", "lacking and one"))
+    names = [str(name) for name in rng.choice(others, count, replace=False)]
+    if removed:
+        names.append(removed)
+    if kind == "event":
+        names.append(str(rng.choice(EVENTS)))
+
+    def sized(name: str) -> dict[str, float]:
+        low, high = np.log(SIZES)
+        factor = float(np.exp(rng.uniform(low, high)))
+        spec = kinds[name]
+        values = {**spec.typical, **{size: factor * spec.typical[size] for size in spec.size}}
+        return values | {key: float(rng.uniform(8.0, 12.0)) for key in values if key.endswith("_at_s")}
+
+    torques = {
+        f"random_torque.{axis}": {f"random_torque_{axis}_Nm": size, f"random_torque_{axis}_s": time_s}
+        for axis, size in zip(AXES, strength, strict=True)
+    }
+    return Case(seed, kind, {name: sized(name) for name in names}, removed, torques)
+
+
+def diagnosed(this: Case, reverse: bool) -> dict[str, Any]:
+    """Simulate a case and diagnose it: by direction, the verdict and the causes with their evidence."""
+    from heli_lab.diagnose import diagnose, run
+    from heli_sim.model import MultibodyModel
+    from heli_sim.model.effects import catalogue
+    from heli_sim.rig import load_rig
+
+    from tests.identify.made import flown, perturbed, thinned
+
+    kinds, rig = dict(catalogue()), perturbed(this.seed)
+
+    def model(flight: int) -> MultibodyModel:
+        hidden = {} if this.kind == "event" and flight else this.hidden
+        return MultibodyModel(
+            tuple(
+                kinds[id_].make({**kinds[id_].typical, **v})
+                for id_, v in {**hidden, **this.disturbances}.items()
+            )
+        )
+
+    a, b = (
+        thinned(flown(rig, 2 * this.seed + i, duration_s, model(i)), 4)
+        for i, duration_s in enumerate(DURATIONS_s)
+    )
+    offered = {id_: kind for id_, kind in kinds.items() if id_ != this.removed}
+    roles = {"forward": ([a], [b]), "alone": ([a], []), **({"reverse": ([b], [a])} if reverse else {})}
+    results = {}
+    # Equation and next flight take three quarters of the time, and do not enter the confidence of a cause.
+    with (
+        patch.object(run, "propose_experiment", return_value=None),
+        patch.object(run, "_propose", return_value=None),
+    ):
+        for role, flights in roles.items():
+            result = diagnose(MultibodyModel(), load_rig("makki2024"), *flights, kinds=offered, refits=80)
+            before = {cause.effect: cause.confidence for cause in result.assessment.verdict.causes}
+            results[role] = [
+                {
+                    "effect": cause.effect,
+                    "ambiguous_with": cause.ambiguous_with,
+                    "verdict": result.label,
+                    "confirmed": cause.effect not in result.replication.unconfirmed,
+                    "why_not": result.replication.causes[cause.effect].why_not,
+                    "if_confirmed": before[cause.effect],
+                    "confidence": cause.confidence,
+                }
+                for cause in result.verdict.causes
+            ]
+    return results
+
+
+def is_right(this: Case, effect: str, ambiguous_with: Sequence[str]) -> bool:
+    """Whether a named cause is hidden, or is one of two of which one is hidden."""
+    parts = PARTS.get(effect, ())
+    among = {effect, *ambiguous_with}
+    return (
+        effect in this.hidden
+        or bool(parts and {*parts} <= {*this.hidden})
+        or (len(among) == 2 and bool(among & {*this.hidden}))
+    )
+
+
+def platt(logits: Floats, right: Floats) -> tuple[float, float]:
+    """Fit intercept and slope of a logistic calibration, with the smoothed targets of Platt (1999)."""
+    from scipy.optimize import minimize
+
+    positive, negative = float(right.sum()), float((1.0 - right).sum())
+    target = np.where(right > 0.0, (positive + 1.0) / (positive + 2.0), 1.0 / (negative + 2.0))
+
+    def loss(of: Floats) -> float:
+        scaled = of[0] + of[1] * logits
+        return float(np.sum(np.logaddexp(0.0, scaled) - target * scaled))
+
+    # A slope below zero would give less evidence a higher confidence.
+    fitted = minimize(loss, [0.0, 1.0], method="L-BFGS-B", bounds=[(None, None), (0.0, None)])
+    return float(fitted.x[0]), float(fitted.x[1])
+
+
+def table(answers: Sequence[tuple[float, bool]]) -> Iterator[str]:
+    """Compare confidences with the share that is right, bin by bin, with its 95 % interval (Clopper and
+    Pearson).
+    """
+    from scipy.stats import binomtest
+
+    for low, high in pairwise(BINS):
+        inside = [(sure, right) for sure, right in answers if low <= sure < high]
+        if inside:
+            right = sum(right for _, right in inside)
+            interval = binomtest(right, len(inside)).proportion_ci(0.95, method="exact")
+            yield (
+                f"{low:.2f} to {high:.2f}: mean {np.mean([sure for sure, _ in inside]):.2f}, "
+                f"{right} of {len(inside)} right, {right / len(inside):.2f} "
+                f"({interval.low:.2f} to {interval.high:.2f})"
+            )
+
+
+def measure(path: Path, seeds: Sequence[int], reverse: bool) -> Iterator[tuple[Case, dict[str, Any]]]:
+    """Yield each case and its results; those in the file at `path` are not measured again."""
+    lines = path.read_text().splitlines() if path.exists() else []
+    known = dict(json.loads(line) for line in lines)
+    with path.open("a") as file:
+        for seed in seeds:
+            results = known.get(seed) or diagnosed(case(seed), reverse)
+            if seed not in known:
+                print(json.dumps([seed, results]), file=file, flush=True)
+            yield case(seed), results
+
+
+def main(arguments: Sequence[str]) -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "seeds", nargs="*", type=int, help="seeds of the cases; those of development if none is given"
+    )
+    parser.add_argument("--reverse", action="store_true", help="also exchange the two flights")
+    parser.add_argument("--output", "-o", type=Path, default=ROOT / "build" / "confidence.jsonl")
+    chosen = parser.parse_args(arguments)
+    one_thread_each()
+    chosen.output.parent.mkdir(parents=True, exist_ok=True)
+    answers: list[tuple[float, bool, bool]] = []
+    unconfirmed: list[tuple[float, bool]] = []
+    for this, results in measure(chosen.output, chosen.seeds or list(DEVELOPMENT), chosen.reverse):
+        for role, causes in results.items():
+            for cause in causes:
+                right = is_right(this, cause["effect"], cause["ambiguous_with"])
+                answers.append((cause["confidence"], right, cause["confirmed"]))
+                if not cause["confirmed"]:
+                    unconfirmed.append((cause["if_confirmed"], right))
+                print(
+                    f"{this.seed} {this.kind:15} {role:8} {cause['effect']:28} {cause['confidence']:.3f} "
+                    f"{'right' if right else 'wrong'}  {cause['why_not'] or 'confirmed'}",
+                    flush=True,
+                )
+    for confirmed in (True, False):
+        print("confirmed" if confirmed else "not confirmed")
+        print(
+            *table([(sure, right) for sure, right, is_confirmed in answers if is_confirmed is confirmed]),
+            sep="\n",
+        )
+    if unconfirmed:
+        before = np.clip([sure for sure, _ in unconfirmed], 1e-6, 1.0 - 1e-6)
+        logits = np.log(before / (1.0 - before))
+        intercept, slope = platt(logits, np.array([float(right) for _, right in unconfirmed]))
+        print(f"calibration of causes that are not confirmed: logit {intercept:.2f}, slope {slope:.2f}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
