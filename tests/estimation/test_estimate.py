@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 
 import numpy as np
@@ -119,3 +120,19 @@ def test_what_acts_while_an_axis_turns_back_has_its_size(id_: str, parameter: st
     place = found.estimate.parameter_vector.names.index(parameter)
     assert np.sqrt(found.estimate.covariance[place, place]) < 0.1 * size
     assert found.values[parameter] == pytest.approx(size, rel=0.1)
+
+
+def test_a_play_of_three_degrees_does_not_pass_for_disturbances() -> None:
+    size_rad = math.radians(3.0)
+    comparison = ModelComparison(
+        MultibodyModel(), RIG, [flown_with(f"backlash.elevation={size_rad:.6f}")], []
+    )
+    kind = KINDS["backlash.elevation"]
+    candidate = Candidate(kind.id, kind.make({**kind.typical, **kind.neutral}), kind.size)
+    estimate = comparison.refit([candidate], None, comparison.refit([])).estimate
+    place = estimate.parameter_vector.names.index("backlash_elevation_rad")
+    std_rad = math.sqrt(estimate.covariance[place, place])
+    assert std_rad < 0.02 * size_rad
+    assert abs(estimate.theta[place] - size_rad) < 3.0 * std_rad
+    # In the flight it is a third of that. With exact measurements within the play it is fifty times as much.
+    assert estimate.disturbances.fast_std[0] < 2.0 * GUST_Nm["elevation"]

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from heli_lab.estimation import Derivatives, LinearisedFlight, ModelFunctions, ReferenceTrajectory
+from heli_lab.estimation import BLOCK_s, Derivatives, LinearisedFlight, ModelFunctions, ReferenceTrajectory
 from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
@@ -132,6 +132,29 @@ def test_directions_say_where_in_a_play_an_axis_is(play_counts: float) -> None:
     # Straight from one side to the other, the places would be off by a quarter.
     assert np.sqrt(np.mean((reference.directions[:, 0] - place)[20:] ** 2)) < 0.15
     assert not reference.directions[:, 1:].any()
+    # An axis that never moves may be anywhere in its play.
+    assert np.allclose(reference.direction_variance[:, 1:], 1.0 / 3.0)
+    inside = reference.direction_variance[:, 0] > 0.0
+    assert 0.1 < inside.mean() < 0.6
+    errors = (reference.directions[:, 0] - place)[inside]
+    assert np.mean(errors**2) < np.mean(reference.direction_variance[inside, 0])
+
+
+def test_all_measurements_of_one_crossing_of_a_play_are_worth_one() -> None:
+    effect = "backlash.pitch=0.01"
+    linear = changed(effect, "backlash_pitch_rad", 0.0)
+    half_rad = 0.5 * linear.trajectory.parameters[parts(effect)[1].names.index("backlash_pitch_rad")]
+    reference = linear.reference
+    for blocks, window in zip(linear.blocks, linear.windows, strict=True):
+        rows = blocks.rows + reference.windows[0].start - window.start
+        added = blocks.variance - reference.variance[rows]
+        assert not added[:, [0, 2]].any()
+        at_a_side = np.abs(reference.directions[rows, 1]) > 1.0 - 1e-9
+        assert not added[at_a_side, 1].any()
+        measurements = np.maximum(reference.pause_s[rows, 1] / BLOCK_s, 1.0)
+        expected = half_rad**2 * reference.direction_variance[rows, 1] * measurements
+        assert np.allclose(added[:, 1], expected, rtol=1e-9, atol=0.0)
+        assert added[:, 1].any()
 
 
 def test_an_axis_that_friction_holds_needs_no_torque_and_the_others_theirs() -> None:

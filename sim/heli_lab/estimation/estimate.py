@@ -150,6 +150,9 @@ class _GaussNewton:
         functions: ModelFunctions,
     ) -> None:
         self.parameter_vector, self.references, self.functions = parameter_vector, references, functions
+        # The size of a play changes the variance of measurements too, which a step leaves out: it may fail
+        # under the disturbances of a model without the play, and succeed under better ones.
+        self.retries = bool(functions.model.known_directions)
 
     def linearised(self, theta: Floats) -> InnovationsModel:
         return _linearised(self.parameter_vector, self.references, self.functions, theta)
@@ -205,7 +208,11 @@ class _GaussNewton:
             if iterate.step.promised_nats > _CONVERGED_NATS:
                 after = self.with_next_parameters(iterate)
                 if after is None:
-                    return self.with_next_disturbances(iterate, _CONVERGED_NATS), False
+                    other = self.with_next_disturbances(iterate, _CONVERGED_NATS)
+                    if not self.retries or other.value < iterate.value + _TURN_NATS:
+                        return other, False
+                    iterate = other
+                    continue
                 iterate = after
             # While parameters still move far the disturbances follow roughly; then to convergence.
             enough_nats = max(_CONVERGED_NATS, _DISTURBANCE_SHARE * iterate.step.promised_nats)

@@ -51,10 +51,10 @@ class InnovationsModel:
         flights, total = [], np.zeros(self._outputs)
         for linearised in self.linearised_flights:
             values = []
-            for _ in linearised.blocks:
+            for blocks in linearised.blocks:
                 value, log_variances = next(parts)
                 values.append(value)
-                total += log_variances
+                total += log_variances - 2.0 * _repeated_nats(linearised, blocks)
             flights.append(np.concatenate(values))
         return Innovations(tuple(flights), self.columns, self.size, total)
 
@@ -162,8 +162,8 @@ class InnovationsModel:
         parts = parallel_map(
             lambda part: self._log_likelihoods(*part[:3], disturbance_models[part[3]]), every
         )
-        for (*_, some), values in zip(every, parts, strict=True):
-            total[some] += values
+        for (linearised, blocks, _, some), values in zip(every, parts, strict=True):
+            total[some] += values + _repeated_nats(linearised, blocks)
         return total
 
     def _log_likelihoods(
@@ -187,3 +187,15 @@ class InnovationsModel:
             *signal,
         )
         return values
+
+
+def _repeated_nats(linearised: LinearisedFlight, blocks: Blocks) -> Floats:
+    """Log-density of repeated measurements that the filter's lacks, nats, for each output of a window.
+
+    The N measurements while an axis crosses its play have the same error, of variance v. For the filter they
+    are N measurements with independent errors of variance N v, which add the same information. But together
+    they have one normal density, not N: the other N - 1 have the density of a sensor without play.
+    """
+    factor = blocks.variance / linearised.variance[blocks.rows]
+    nats: Floats = 0.5 * (np.log(factor) * (1.0 - 1.0 / linearised.repeats[blocks.rows])).sum(axis=0)
+    return nats

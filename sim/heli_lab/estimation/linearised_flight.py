@@ -146,6 +146,9 @@ class Derivatives:
     outputs : ndarray (n, m, 1 + f)
         First the measured outputs minus the model's at the trajectory, then by how much a unit of each free
         parameter reduces that.
+    variance : ndarray (n, m)
+        Variance of a measurement, of which there is one per block: by quantisation, and by the unknown place
+        of an output within a play.
     """
 
     Phi: Floats
@@ -154,6 +157,7 @@ class Derivatives:
     by_disturbance: Floats
     C: Floats
     outputs: Floats
+    variance: Floats
 
 
 @dataclass(frozen=True)
@@ -171,7 +175,7 @@ class Blocks:
     measurement : ndarray (b, m, states)
         Derivatives of the outputs by the state.
     variance : ndarray (b, m)
-        Variance of each measurement by quantisation.
+        Variance of each measurement, as in `Derivatives`.
     drive : ndarray (b, states, 1 + f)
         Change of the deviation over a block. Column 0: the change by the model's error. Further columns: by
         how much a unit of each free parameter reduces it.
@@ -229,6 +233,8 @@ class LinearisedFlight:
         Steps from one measurement of the filter to the next.
     variance : ndarray (n, m)
         Variance of the quantisation errors.
+    repeats : ndarray (n, m)
+        Number of measurements, 1 at least, for which the count of each output stays the same.
     """
 
     def __init__(self, reference: ReferenceTrajectory, functions: ModelFunctions, parameters: Floats) -> None:
@@ -264,6 +270,8 @@ class LinearisedFlight:
         self._correction: Floats = (reference.predicted - reference.filtered)[rows]
         self._measured: Floats = reference.measured[rows]
         self.variance: Floats = reference.variance[rows]
+        self._direction_variance: Floats = reference.direction_variance[rows]
+        self.repeats: Floats = np.maximum(reference.pause_s[rows] / (self.block * h), 1.0)
         self._shaped_by = [
             (functions.free.index(name), by[rows]) for name, by in acting.shaped_by if name in functions.free
         ]
@@ -275,8 +283,11 @@ class LinearisedFlight:
         for place, mean in self._shaped_by:
             rates[:, :, 1 + place] -= np.einsum("nij,nj->ni", by_inputs, mean[rows])
         rates[:, :followed, 0] -= self._change[rows]
-        # A known direction is not corrected by the filter.
-        for place, _ in self.model.known_directions:
+        variance = self.variance[rows]
+        # A known direction is not corrected by the filter; its error is one of the measurement.
+        for place, output in self.model.known_directions:
+            noise = self._direction_variance[rows, output] * self.repeats[rows, output]
+            variance = variance + c[:, :, followed + place] ** 2 * noise[:, None]
             c[:, :, followed + place] = 0.0
         # Extra states are integrated more finely than by the midpoint rule: they have no error in a step.
         rates[:, followed:, 0] = 0.0
@@ -284,7 +295,7 @@ class LinearisedFlight:
         ahead = self.nodes.state[rows] - here.state
         at_node = outputs[:, :, 0] + np.einsum("nij,nj->ni", c, ahead)
         outputs[:, :, 0] = self._measured[rows] - at_node
-        return Derivatives(*_kalman.midpoint(a, h), rates, by_disturbance, c, outputs)
+        return Derivatives(*_kalman.midpoint(a, h), rates, by_disturbance, c, outputs, variance)
 
     @cached_property
     def blocks(self) -> list[Blocks]:
@@ -302,7 +313,7 @@ class LinearisedFlight:
                 np.empty((count, states, states)),
                 np.empty((n, count, states, len(self.model.disturbed))),
                 np.empty((count, m, states)),
-                self.variance[firsts],
+                np.empty((count, m)),
                 np.empty((count, states, size)),
                 np.empty((count, m, size)),
             )
@@ -323,6 +334,7 @@ class LinearisedFlight:
             derivatives.Phi, derivatives.Phi, self._corrections(rows), n
         )
         blocks.measured[into], blocks.measurement[into] = derivatives.outputs[::n], derivatives.C[::n]
+        blocks.variance[into] = derivatives.variance[::n]
         over, parts = _kalman.block_response(
             derivatives.Phi, derivatives.Gamma, derivatives.by_disturbance, n
         )
