@@ -110,10 +110,10 @@ standard errors if both tests are valid. Lower: sizes are named whose interval c
 axes are missed."""
 
 ALTERNATIVES: Final[Annotated[int, "effects, groups of terms", JUDGEMENT]] = 2
-"""Rivals for one place that are refitted: effects in the place of a cause, effects on a spline's channel
-before the spline may displace them, and groups of an equation's terms with the same channel and quantities.
-Fewer: confidences are too high, and a smooth curve displaces the listed effect that it imitates. More: time,
-and shapes of one dependence displace another quantity that is the true one."""
+"""Rivals for one place that are refitted. They are other effects in the place of a cause, effects on a
+spline's channel before the spline may displace them, and groups of terms with the same channel and
+quantities. Fewer: confidences are too high, and a smooth curve displaces the listed effect that it imitates.
+More: time, and shapes of one dependence displace another quantity that is the true one."""
 
 SPLINE_MARGIN: Final[Annotated[float, "1", JUDGEMENT]] = 0.2
 """Share of its own margin by which a spline must beat the best effect to be accepted instead: a spline also

@@ -174,6 +174,20 @@ class ParameterVector:
         result: Floats = np.clip(self.values[self._place], *self.bounds)
         return result
 
+    def by_name(self, theta: Floats) -> dict[str, float]:
+        """Return the free parameters `theta`, shape (f,), by name."""
+        return dict(zip(self.names, theta.tolist(), strict=True))
+
+    def shared_by_name(self, theta: Floats) -> dict[str, float]:
+        """Return those of the free parameters `theta`, shape (f,), that all flights share, by name in the
+        model.
+        """
+        return {
+            parameter.quantity: value
+            for parameter, value in zip(self.free, theta.tolist(), strict=True)
+            if parameter.record is None
+        }
+
     def started_from(self, values: Mapping[str, float]) -> Floats:
         """Start with some `values` by name of the free parameter, within the bounds; shape (f,)."""
         start = [values.get(name, value) for name, value in zip(self.names, self.start, strict=True)]

@@ -126,11 +126,7 @@ def validate(fit: Fit, flights: Sequence[Flight | Record]) -> Fit:
     encoders' zeros, which are set each time the board starts.
     """
     problem = fit.problem
-    shared = {
-        parameter.quantity: float(v)
-        for parameter, v in zip(problem.free, fit.theta, strict=True)
-        if parameter.record is None
-    }
+    shared = problem.parameter_vector.shared_by_name(fit.theta)
     local = {
         parameter.quantity: parameter.prior for parameter in problem.free if parameter.record is not None
     }

@@ -85,12 +85,12 @@ class Fit:
     @property
     def values(self) -> dict[str, float]:
         """Free parameters by name."""
-        return dict(zip(self.problem.names, map(float, self.theta), strict=True))
+        return self.problem.parameter_vector.by_name(self.theta)
 
     @property
     def std(self) -> dict[str, float]:
         """Standard errors by name."""
-        return dict(zip(self.problem.names, map(float, np.sqrt(np.diag(self.covariance))), strict=True))
+        return self.problem.parameter_vector.by_name(np.sqrt(np.diag(self.covariance)))
 
     @property
     def correlation(self) -> Floats:

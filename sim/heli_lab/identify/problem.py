@@ -56,8 +56,6 @@ class Problem:
         tolerance, gravity excepted, and every parameter of the model's effects that has a prior.
     per_flight : sequence of str
         Free parameters that each flight has its own value of.
-    labels : sequence of str, optional
-        Name of each flight, for messages.
     window_s : float
         Length of the windows, nearly.
     step_s : float
@@ -86,7 +84,6 @@ class Problem:
         *,
         free: Sequence[str] | None = None,
         per_flight: Sequence[str] = PER_FLIGHT,
-        labels: Sequence[str] | None = None,
         window_s: float = 2.0,
         step_s: float = 0.01,
         priors: Mapping[str, Prior] | None = None,
@@ -97,7 +94,7 @@ class Problem:
         self.model = model
         self.rig = rig
         wanted = free_parameters(model, rig, free, priors or {})
-        self.records = _prepared(flights, rig, labels)
+        self.records = _prepared(flights, rig)
         shared = [parameter for parameter in wanted if parameter.quantity not in per_flight]
         local = [parameter for parameter in wanted if parameter.quantity in per_flight]
         names = [quantity.name for quantity in model.parameters]
@@ -239,14 +236,10 @@ class Problem:
         return delay, self.model.dead_zone_V(parameters, self.names)
 
 
-def _prepared(
-    flights: Sequence[Flight | Record], rig: Rig, labels: Sequence[str] | None
-) -> tuple[Record, ...]:
+def _prepared(flights: Sequence[Flight | Record], rig: Rig) -> tuple[Record, ...]:
     """Find the free flight in each log that is not prepared yet."""
     records = tuple(
-        flight
-        if isinstance(flight, Record)
-        else prepare(flight, rig, labels[i] if labels is not None else f"flight {i + 1}")
+        flight if isinstance(flight, Record) else prepare(flight, rig, f"flight {i + 1}")
         for i, flight in enumerate(flights)
     )
     if not records:

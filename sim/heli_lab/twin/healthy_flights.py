@@ -119,10 +119,9 @@ def _renamed(gusts: Effect, name: str, std_Nm: float, correlation_time_s: float)
     )
 
 
-def fly_simulated(
-    model: Model, rig: Rig, plans: Plan | Sequence[Plan], seed: int, *, torques: bool = True
-) -> Flight:
-    """Simulate a flight of plans with the flight code on the simulated board.
+def fly_simulated(model: Model, rig: Rig, plans: Plan | Sequence[Plan], seed: int) -> Flight:
+    """Simulate a flight of plans with the flight code on the simulated board, with a random constant torque
+    about each axis.
 
     Parameters
     ----------
@@ -134,8 +133,6 @@ def fly_simulated(
         Plans in the order of the flight.
     seed : int
         Seed of the disturbances, the encoders' start and the constant torques.
-    torques : bool
-        True adds a random constant torque about each axis.
 
     Raises
     ------
@@ -143,13 +140,9 @@ def fly_simulated(
         The motors never turned, because gusts moved the arm on the table and the board did not arm.
     """
     rng = np.random.default_rng(seed)
-    if torques:
-        constant_torques = {
-            name: rig[name].value + _TORQUE_SHARE * std * rng.normal() for name, std in TORQUE_STD_Nm.items()
-        }
-        flown = rig.replace(**constant_torques)
-    else:
-        flown = rig
+    flown = rig.replace(
+        **{name: rig[name].value + _TORQUE_SHARE * std * rng.normal() for name, std in TORQUE_STD_Nm.items()}
+    )
     calm = type(model)(tuple(effect for effect in model.effects if not effect.noise_inputs))
     volts_V = trim(type(calm)(), rig).volts_V
     world = SilWorld(SilOptions(seed=seed), Plant(model, flown, seed))

@@ -305,16 +305,22 @@ class KalmanFilter:
         if twin.resets is not None:
             (reset,) = twin.resets(twin.at(t_s + h, after, volts_V, h))
             self.mean[:nx] = reset[0, :, 0]
-        rows = np.vstack(((transition @ self._root).T, self._noise))
-        outside_V = twin.uncertainty.outside_V(volts_V)
-        if np.any(outside_V > 0.0):
-            unknown = np.zeros((2, self._order))
-            unknown[:, :nx] = (gamma @ by_volts[0] * (outside_V * (_HELD_s / h) ** 0.5)).T
-            rows = np.vstack((rows, unknown))
-        self._root = np.asarray(np.linalg.qr(rows, mode="r")).T
+        self._propagate_root(transition, gamma @ by_volts[0], volts_V)
         self._drive = transition @ self._drive
         self._drive[:nx] += drive
         self._transition = transition @ self._transition
+
+    def _propagate_root(self, transition: Floats, by_volts: Floats, volts_V: Floats) -> None:
+        """Propagate the root of the covariance. Voltages that no nominal flight shows add noise, by the
+        derivatives `by_volts` of the state, (n, 2).
+        """
+        rows = np.vstack(((transition @ self._root).T, self._noise))
+        outside_V = self.twin.uncertainty.outside_V(volts_V)
+        if np.any(outside_V > 0.0):
+            unknown = np.zeros((2, self._order))
+            unknown[:, : self._nx] = (by_volts * (outside_V * (_HELD_s / self.step_s) ** 0.5)).T
+            rows = np.vstack((rows, unknown))
+        self._root = np.asarray(np.linalg.qr(rows, mode="r")).T
 
     def propagate_sensitivity(self, ages_s: Floats, is_ramp: npt.NDArray[np.bool_]) -> None:
         """Propagate the sensitivities over the steps since the last call.
@@ -334,6 +340,16 @@ class KalmanFilter:
         self.state_sensitivity += (self._drive @ self.twin.weights)[:, :, None] * amount
         self._transition = np.eye(order)
         self._drive = np.zeros_like(self._drive)
+
+    def _measurement_variance(self, samples: int) -> Floats:
+        """Variance of the mean of so many `samples` of each angle, (3,)."""
+        speed = np.abs(self.mean[3:6])
+        crossings = np.minimum(speed * self.step_s / self._count_rad, 1.0)
+        # Repeated measurements of an angle within one count carry no new information.
+        passed_s = self._count_rad / np.maximum(speed, 1e-6)
+        repeats = np.clip(passed_s / self._block_s, 1.0, _REPEATS)
+        result: Floats = self._variance_rad2 * repeats / (1.0 + (samples - 1) * crossings)
+        return result
 
     def update(
         self,
@@ -374,12 +390,7 @@ class KalmanFilter:
             axis: (column, (self.mean[axis] - onset_rad[row]) * amount[column])
             for row, (column, axis) in enumerate(twin.scales)
         }
-        speed = np.abs(self.mean[3:6])
-        crossings = np.minimum(speed * self.step_s / self._count_rad, 1.0)
-        # Repeated measurements of an angle within one count carry no new information.
-        passed_s = self._count_rad / np.maximum(speed, 1e-6)
-        repeats = np.clip(passed_s / self._block_s, 1.0, _REPEATS)
-        variance = self._variance_rad2 * repeats / (1.0 + (samples - 1) * crossings)
+        variance = self._measurement_variance(samples)
         residual = measured_rad - predicted
         value = np.zeros(3)
         sensitivity = np.empty((3, *self.state_sensitivity.shape[1:]))

@@ -190,7 +190,7 @@ def _without(estimate: Estimate, name: str) -> Estimate:
 def _held(estimate: Estimate, names: Iterable[str]) -> Estimate:
     """The same estimate with the parameters `names` no longer free."""
     full = estimate.parameter_vector
-    values = dict(zip(full.names, map(float, estimate.theta), strict=True))
+    values = full.by_name(estimate.theta)
     known = {name: values[name] for name in names if name in values}
     records = [reference.record for reference in estimate.references]
     parameter_vector = RigParameters(full.model, full.rig, records, fixed=known)

@@ -11,7 +11,6 @@ from typing import Final
 import numpy as np
 from heli_host.arrays import Floats
 
-from heli_lab.diagnose.search import shared_values
 from heli_lab.estimation import Estimate
 from heli_lab.identify import Fit, Problem, Record, solve
 
@@ -123,7 +122,7 @@ def _free_run(estimate: Estimate, records: Sequence[Record], own_calibration: bo
         window_s=_WINDOW_s,
         step_s=_STEP_s,
         priors=local,
-        values=shared_values(estimate),
+        values=parameter_vector.shared_by_name(estimate.theta),
     )
     fit = solve(problem, robust=False, scatter=False, warm_start=True)
     return _with_estimate(fit, estimate) if own_calibration else fit

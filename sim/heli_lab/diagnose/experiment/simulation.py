@@ -29,8 +29,11 @@ from heli_lab.identify import Record, prepare
 _DECIMATION: Final = 2
 """The board logs every millisecond; fits of every second sample are equally good and take half the time."""
 
+_SEED: Final = 0
+"""Seed of the encoders' start positions."""
 
-def simulate_experiment(estimate: Estimate, plan: str, seed: int = 0) -> Record | None:
+
+def simulate_experiment(estimate: Estimate, plan: str) -> Record | None:
     """Fly a plan on the simulated rig.
 
     Parameters
@@ -39,8 +42,6 @@ def simulate_experiment(estimate: Estimate, plan: str, seed: int = 0) -> Record 
         Model, effects and parameters of the rig.
     plan : str
         The plan as TOML.
-    seed : int
-        Seed of the encoders' start positions.
 
     Returns
     -------
@@ -49,11 +50,7 @@ def simulate_experiment(estimate: Estimate, plan: str, seed: int = 0) -> Record 
     """
     parameter_vector = estimate.parameter_vector
     model = parameter_vector.model
-    values = {
-        parameter.quantity: float(value)
-        for parameter, value in zip(parameter_vector.free, estimate.theta, strict=True)
-        if parameter.record is None
-    }
+    values = parameter_vector.shared_by_name(estimate.theta)
     rig = parameter_vector.rig.replace(
         **{name: value for name, value in values.items() if name in parameter_vector.rig}
     )
@@ -62,9 +59,9 @@ def simulate_experiment(estimate: Estimate, plan: str, seed: int = 0) -> Record 
         for effect in model.effects
     )
     try:
-        plant = Plant(type(model)(effects), rig, seed)
+        plant = Plant(type(model)(effects), rig, seed=_SEED)
         volts_V = trim(type(model)(), rig).volts_V
-        world = SilWorld(SilOptions(seed=seed), plant)
+        world = SilWorld(SilOptions(seed=_SEED), plant)
         session = Session(InProcessTransport(world))
         session.connect()
         with tempfile.TemporaryDirectory() as folder, Heli(session) as heli:
@@ -83,7 +80,7 @@ def simulate_experiment(estimate: Estimate, plan: str, seed: int = 0) -> Record 
 
 
 def expected_log_likelihood_ratio(
-    truth: Hypothesis, alternative: Hypothesis, comparison: ModelComparison, plan: str, seed: int = 0
+    truth: Hypothesis, alternative: Hypothesis, comparison: ModelComparison, plan: str
 ) -> float | None:
     """Simulate a plan under one hypothesis, and compare both hypotheses on that flight.
 
@@ -96,8 +93,6 @@ def expected_log_likelihood_ratio(
         Model, rig and seed.
     plan : str
         The plan as TOML.
-    seed : int
-        Seed of the encoders' start positions.
 
     Returns
     -------
@@ -105,7 +100,7 @@ def expected_log_likelihood_ratio(
         Log-likelihood ratio of the truth over the alternative, nats; None if the plan cannot be flown or
         fitted.
     """
-    record = simulate_experiment(truth.estimate, plan, seed)
+    record = simulate_experiment(truth.estimate, plan)
     if record is None:
         return None
     new = ModelComparison(comparison.model, comparison.rig, [record], (), seed=comparison.seed)

@@ -4,7 +4,7 @@ from heli_lab.diagnose.search.candidate import Candidate, Scored, may_join, typi
 from heli_lab.diagnose.search.estimate_cache import EstimateCache, fingerprint
 from heli_lab.diagnose.search.folds import split
 from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, Refit, Round
-from heli_lab.diagnose.search.model_comparison import ModelComparison, shared_values
+from heli_lab.diagnose.search.model_comparison import ModelComparison
 from heli_lab.diagnose.search.regressors import ExtendedModel, spline_candidates
 from heli_lab.diagnose.search.replication import Direction, direction
 from heli_lab.diagnose.search.screening import Screening, coefficient_std, score_of
@@ -45,7 +45,6 @@ __all__ = [
     "quantity_values",
     "score_of",
     "search",
-    "shared_values",
     "spline_candidates",
     "spline_term",
     "split",

@@ -37,7 +37,8 @@ class Hypothesis:
     @property
     def values(self) -> dict[str, float]:
         """Estimates of the free parameters by name."""
-        return dict(zip(self.estimate.parameter_vector.names, map(float, self.estimate.theta), strict=True))
+        values: dict[str, float] = self.estimate.parameter_vector.by_name(self.estimate.theta)
+        return values
 
 
 @dataclass(frozen=True, eq=False)

@@ -283,14 +283,12 @@ class ModelComparison:
         constants of each flight and the disturbances are estimated, from an estimate `near` them if given.
         """
         trained = hypothesis.estimate
-        shared = shared_values(trained)
+        shared = trained.parameter_vector.shared_by_name(trained.theta)
         parameter_vector = RigParameters(
             trained.parameter_vector.model, self.rig, self.held_out, fixed=shared
         )
         functions = model_functions(trained.parameter_vector.model, parameter_vector.quantities)
-        known: dict[str, float] = {}
-        if near is not None:
-            known = dict(zip(near.parameter_vector.names, map(float, near.theta), strict=True))
+        known = near.parameter_vector.by_name(near.theta) if near else {}
         theta = parameter_vector.started_from(known)
         disturbances = replace((near or trained).disturbances, curvature=None)
         return self._kept.estimate(
@@ -300,15 +298,6 @@ class ModelComparison:
             functions,
             lambda: estimate(parameter_vector, self.held_out_references, functions, theta, disturbances),
         )
-
-
-def shared_values(estimate_: Estimate) -> dict[str, float]:
-    """Values of an estimate that all its flights share, by name in the model."""
-    return {
-        parameter.quantity: float(value)
-        for parameter, value in zip(estimate_.parameter_vector.free, estimate_.theta, strict=True)
-        if parameter.record is None
-    }
 
 
 def event_is_inside(record: Record, moment_s: float) -> bool:

@@ -8,8 +8,8 @@ from typing import Final
 
 from heli_lab.diagnose.search.candidate import Candidate
 from heli_lab.diagnose.search.hypothesis import Hypothesis
-from heli_lab.diagnose.search.model_comparison import ModelComparison, shared_values
-from heli_lab.estimation import DisturbanceModel, Estimate
+from heli_lab.diagnose.search.model_comparison import ModelComparison
+from heli_lab.estimation import Estimate
 from heli_lab.threads import parallel_map
 
 _NO_FLIGHT: Final = "\0"
@@ -55,12 +55,12 @@ def direction(
     """
     candidates = with_fixed_moments(final)
     baseline = comparison.filtering_baseline
-    whole = _fitted(comparison, candidates, shared_values(final.estimate), near)
+    whole = _fitted(comparison, candidates, final.estimate, near)
     likelihood = comparison.held_out_estimate(whole, judged_near).log_likelihood
 
     def ratio(candidate: Candidate) -> float:
         rest = tuple(other for other in candidates if other is not candidate)
-        less = _fitted(comparison, rest, shared_values(whole.estimate), whole.estimate) if rest else baseline
+        less = _fitted(comparison, rest, whole.estimate, whole.estimate) if rest else baseline
         return likelihood - comparison.held_out_estimate(less, judged_near).log_likelihood
 
     ratios = parallel_map(ratio, candidates)
@@ -69,14 +69,12 @@ def direction(
 
 
 def _fitted(
-    comparison: ModelComparison,
-    candidates: tuple[Candidate, ...],
-    shared: Mapping[str, float],
-    near: Estimate,
+    comparison: ModelComparison, candidates: tuple[Candidate, ...], shared: Estimate, near: Estimate
 ) -> Hypothesis:
-    constants = dict(zip(near.parameter_vector.names, map(float, near.theta), strict=True))
-    disturbances: DisturbanceModel = near.disturbances
-    return comparison.refit_from(candidates, {**constants, **shared}, disturbances)
+    """Fit from what all flights of the estimate `shared` share, and the other numbers of `near`."""
+    start = near.parameter_vector.by_name(near.theta)
+    start |= shared.parameter_vector.shared_by_name(shared.theta)
+    return comparison.refit_from(candidates, start, near.disturbances)
 
 
 def with_fixed_moments(hypothesis: Hypothesis) -> tuple[Candidate, ...]:

@@ -40,11 +40,9 @@ class Screening:
     ----------
     estimate : Estimate
         The model, estimated on the flights.
-    threads : int, optional
-        Number of threads; `default_thread_count` by default. Scores do not depend on it.
     """
 
-    def __init__(self, estimate: Estimate, threads: int | None = None) -> None:
+    def __init__(self, estimate: Estimate) -> None:
         self.estimate = estimate
         self.filtered = filtered = estimate.filtered()
         disturbances = estimate.disturbances
@@ -53,12 +51,11 @@ class Screening:
         self.seconds = max(float(model.trajectory.t_s[-1]) for model in filtered.linearised_flights)
         self._grids = EffectGrids(filtered, disturbances, self.seconds)
         rows = max(model.rows for model in filtered.linearised_flights)
-        threads = default_thread_count() if threads is None else threads
         batch = _BATCH_NUMBERS // (rows * filtered.linearised_flights[0].states)
         self.batch = max(KNOTS, batch)
         """Number of regressors that are filtered together, one flight after the other."""
         # On a long flight, a single batch needs more memory than that.
-        self.threads = threads if batch >= KNOTS else 1
+        self.threads = default_thread_count() if batch >= KNOTS else 1
         self._innovations = innovations = filtered.innovations(disturbances)
         parameter_vector = estimate.parameter_vector
         self.measurements = sum(len(flight) for flight in innovations.flights)
