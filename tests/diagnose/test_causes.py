@@ -44,13 +44,13 @@ def diagnosed(*effects: str, unlisted: bool = False) -> Diagnosis:
 
 
 def test_answer_has_the_keys_and_units_that_were_promised_whatever_the_verdict() -> None:
-    for found in (diagnosed(), diagnosed("rotor_lag=0.06"), diagnosed(unlisted=True)):
-        conforms(to_json(found))
+    for diagnosis in (diagnosed(), diagnosed("rotor_lag=0.06"), diagnosed(unlisted=True)):
+        conforms(to_json(diagnosis))
 
 
 def test_a_cause_has_attributes_of_the_names_that_its_json_has() -> None:
-    found = diagnosed("rotor_lag=0.06")
-    (written,), (cause,) = to_json(found)["causes"], found.verdict.causes
+    diagnosis = diagnosed("rotor_lag=0.06")
+    (written,), (cause,) = to_json(diagnosis)["causes"], diagnosis.verdict.causes
     for name in ("effect", "sentence", "equation"):
         assert getattr(cause, name) == written[name]
     assert cause.id == cause.effect == "rotor_lag"
@@ -66,8 +66,8 @@ def test_a_cause_has_attributes_of_the_names_that_its_json_has() -> None:
 
 
 def test_seed_settles_the_intervals() -> None:
-    found = diagnosed("rotor_lag=0.06")
-    extension = found.held_out.extension
+    diagnosis = diagnosed("rotor_lag=0.06")
+    extension = diagnosis.held_out.extension
     runs = extension.before, extension.after
     drawn = [compare_free_runs(*runs, seed).horizons["2"]["pitch"] for seed in (1, 1, 2)]
     assert drawn[0] == drawn[1]
@@ -77,12 +77,12 @@ def test_seed_settles_the_intervals() -> None:
 
 def test_work_that_runs_out_is_said_where_the_verdict_is() -> None:
     fit, held_out = flights("rotor_lag=0.06")
-    found = diagnose(MultibodyModel(), load_rig("makki2024"), [fit], [held_out], refits=0)
-    numbers = to_json(found)
+    diagnosis = diagnose(MultibodyModel(), load_rig("makki2024"), [fit], [held_out], refits=0)
+    numbers = to_json(diagnosis)
     conforms(numbers)
     assert numbers["complete"] is False
     assert numbers["causes"] == []
-    assert "The limit of refits ended the search before everything was tried" in summary(found)
+    assert "The limit of refits ended the search before everything was tried" in summary(diagnosis)
     assert any("--budget" in caution for caution in numbers["cautions"])
 
 
@@ -91,12 +91,12 @@ def test_search_that_is_resumed_ends_as_one_that_never_stopped(tmp_path: Path) -
     fit, held_out = flights("rotor_lag=0.06")
     begun: list[str] = []
 
-    def told(what: str, share: float) -> None:
+    def interrupt_at_third_refit(what: str, share: float) -> None:
         begun.append(what)
-        if len([one for one in begun if one.startswith("trying")]) == 3:
+        if len([step for step in begun if step.startswith("trying")]) == 3:
             raise KeyboardInterrupt
 
-    def asked(say: Callable[[str, float], None] | None = None) -> Diagnosis:
+    def run(say: Callable[[str, float], None] | None = None) -> Diagnosis:
         return diagnose(
             MultibodyModel(),
             load_rig("makki2024"),
@@ -108,17 +108,17 @@ def test_search_that_is_resumed_ends_as_one_that_never_stopped(tmp_path: Path) -
         )
 
     with pytest.raises(KeyboardInterrupt):
-        asked(told)
+        run(interrupt_at_third_refit)
     kept = (tmp_path / "search").read_bytes()
     # The file that it was writing when it was killed.
     (tmp_path / "search").write_bytes(kept[:-200])
-    everything = to_json(asked())
+    everything = to_json(run())
     assert {**everything, "seconds_taken": 0.0} == {**whole, "seconds_taken": 0.0}
 
 
 def test_nothing_hidden_is_explained_without_a_cause() -> None:
-    found = diagnosed()
-    numbers = to_json(found)
+    diagnosis = diagnosed()
+    numbers = to_json(diagnosis)
     assert numbers["verdict"] == "explained"
     assert numbers["causes"] == []
     assert numbers["unexplained"] is None
@@ -138,10 +138,10 @@ def test_hidden_effect_is_named_measured_and_halves_the_error(effect: str, name:
     first, *others = numbers["causes"]
     assert first["effect"] == effect.partition("=")[0]
     assert others == []
-    found = first["parameters"][name]
-    assert abs(found["value"] - truth) < 3.0 * found["std"]
+    estimate = first["parameters"][name]
+    assert abs(estimate["value"] - truth) < 3.0 * estimate["std"]
     assert first["confidence"] > 0.9
-    best = min(numbers["gain"]["axis"].values(), key=lambda one: one["ratio"])
+    best = min(numbers["gain"]["axis"].values(), key=lambda reduction: reduction["ratio"])
     assert best["ratio"] < best["interval95"][1] < 0.5
 
 
@@ -156,25 +156,25 @@ def test_effect_that_no_catalogue_has_is_unexplained_and_said_to_go_with_elevati
 
 
 def test_curve_in_the_place_of_an_unknown_cause_is_the_cause_and_in_no_rig(tmp_path: Path) -> None:
-    found = diagnosed(unlisted=True)
-    (curve,) = found.curves
+    diagnosis = diagnosed(unlisted=True)
+    (curve,) = diagnosis.curves
     # 0.05 N m a radian was hidden, in mN m against degrees, and a constant belongs to the trim.
     slope = np.polyfit(curve.quantity, curve.value, 1)[0]
     assert slope == pytest.approx(50.0 * np.pi / 180.0, rel=0.1)
-    assert found.held_out.splines["pitch"].ratio < 0.2
-    assert found.error_reductions["pitch"].ratio == pytest.approx(1.0)
-    assert found.rig("extended").effects == {}
-    page = write_report(found, tmp_path).read_text(encoding="utf-8")
-    said = html.unescape(page)
-    assert "<h1>Something unknown is missing</h1>" in said
+    assert diagnosis.held_out.splines["pitch"].ratio < 0.2
+    assert diagnosis.error_reductions["pitch"].ratio == pytest.approx(1.0)
+    assert diagnosis.rig("extended").effects == {}
+    page = write_report(diagnosis, tmp_path).read_text(encoding="utf-8")
+    text = html.unescape(page)
+    assert "<h1>Something unknown is missing</h1>" in text
     # The same sentence on the page, on a terminal and in the numbers.
-    assert said.count(summary(found)) == 1
-    assert to_json(found)["sentence"] == summary(found)
-    assert "a torque about pitch that depends on elevation predicts" in said
+    assert text.count(summary(diagnosis)) == 1
+    assert to_json(diagnosis)["sentence"] == summary(diagnosis)
+    assert "a torque about pitch that depends on elevation predicts" in text
     # The first part after the verdict is about what the headline names.
-    assert said.index("<h2>The unexplained part") == said.index("<h2>")
+    assert text.index("<h2>The unexplained part") == text.index("<h2>")
     for axis in ("pitch", "elevation", "travel"):
-        assert f"<li>About {axis}: the model with all named causes lacks " in said
+        assert f"<li>About {axis}: the model with all named causes lacks " in text
     assert (tmp_path / "curves.png").exists()
 
 
@@ -186,8 +186,8 @@ def test_curve_in_the_place_of_an_unknown_cause_is_the_cause_and_in_no_rig(tmp_p
 def test_missing_torque_follows_what_was_hidden_without_the_equation(
     hidden: str, on: str, slope_mNm_per_deg: float
 ) -> None:
-    found = diagnosed(hidden) if hidden else diagnosed(unlisted=True)
-    (term,) = missing_terms(found)
+    diagnosis = diagnosed(hidden) if hidden else diagnosed(unlisted=True)
+    (term,) = missing_terms(diagnosis)
     assert (term.what, term.unit, term.on, term.on_unit) == ("torque", "mN m", on, "deg")
     hidden_slope = slope_mNm_per_deg * np.pi / 180.0
     assert np.polyfit(term.quantity, term.missing, 1)[0] == pytest.approx(hidden_slope, rel=0.1)
@@ -196,11 +196,11 @@ def test_missing_torque_follows_what_was_hidden_without_the_equation(
 
 
 def test_a_page_says_why_no_region_fails_although_something_is_missing() -> None:
-    found = diagnosed(unlisted=True)
-    quiet = replace(found.failing.after, fails=np.zeros_like(found.failing.after.fails))
-    found = replace(found)
-    found.__dict__["failing"] = replace(found.failing, after=quiet)
-    section = regions_section(found, lambda *_: None)
+    diagnosis = diagnosed(unlisted=True)
+    quiet = replace(diagnosis.failing.after, fails=np.zeros_like(diagnosis.failing.after.fails))
+    diagnosis = replace(diagnosis)
+    diagnosis.__dict__["failing"] = replace(diagnosis.failing, after=quiet)
+    section = regions_section(diagnosis, lambda *_: None)
     assert "although something is missing there" in section["note"]
 
 
@@ -226,14 +226,14 @@ def test_each_run_of_a_prediction_shows_where_it_starts() -> None:
 
 
 def test_causes_next_to_something_unknown_are_never_stated_as_facts() -> None:
-    found = diagnosed("rotor_lag=0.06")
+    diagnosis = diagnosed("rotor_lag=0.06")
     other = diagnosed(unlisted=True)
-    verdict = replace(found.verdict, label="unexplained", unlisted=other.verdict.unlisted)
+    verdict = replace(diagnosis.verdict, label="unexplained", unlisted=other.verdict.unlisted)
     unsure = replace(
-        found,
-        assessment=replace(found.assessment, verdict=verdict),
+        diagnosis,
+        assessment=replace(diagnosis.assessment, verdict=verdict),
         search=other.search,
-        replication=replace(found.replication, evaluation=other.held_out),
+        replication=replace(diagnosis.replication, evaluation=other.held_out),
     )
     fact, perhaps = summary(unsure).split(" Together with it, perhaps: ")
     assert fact.startswith("Something is missing that no effect of the catalogue explains")
@@ -243,15 +243,15 @@ def test_causes_next_to_something_unknown_are_never_stated_as_facts() -> None:
 
 
 def test_parameter_far_from_its_prior_is_reported() -> None:
-    found = diagnosed()
-    assert found.prior_conflicts == ()
-    after = found.assessment.after
+    diagnosis = diagnosed()
+    assert diagnosis.prior_conflicts == ()
+    after = diagnosis.assessment.after
     place = [parameter.name for parameter in after.fit.problem.free].index("offset_pitch")
     parameter = after.fit.problem.free[place]
     theta = after.fit.theta.copy()
     theta[place] = parameter.prior.mean + 4.1 * parameter.prior.std
     moved = replace(after, fit=replace(after.fit, theta=theta))
-    conflicting = replace(found, assessment=replace(found.assessment, after=moved))
+    conflicting = replace(diagnosis, assessment=replace(diagnosis.assessment, after=moved))
     (conflict,) = conflicting.prior_conflicts
     assert conflict.deviations == pytest.approx(4.1)
     (written,) = to_json(conflicting)["prior_conflicts"]
@@ -261,41 +261,43 @@ def test_parameter_far_from_its_prior_is_reported() -> None:
 
 
 def test_extended_rig_is_read_back_with_the_cause_and_its_size(tmp_path: Path) -> None:
-    found = diagnosed("rotor_lag=0.06")
-    write_rig(found.rig("extended"), tmp_path / "extended.toml")
+    diagnosis = diagnosed("rotor_lag=0.06")
+    write_rig(diagnosis.rig("extended"), tmp_path / "extended.toml")
     (effect,) = effects_of(load_rig(tmp_path / "extended.toml"))
     assert effect.name == "rotor_lag"
     assert effect.values["rotor_lag_s"] == pytest.approx(0.06, abs=0.003)
 
 
-def uninformed(found: Diagnosis) -> set[str]:
+def uninformed(diagnosis: Diagnosis) -> set[str]:
     """Parameters whose standard error is above 0.9 of their prior's."""
-    fit = found.replication.prediction.fit
+    fit = diagnosis.replication.prediction.fit
     priors = dict(zip(fit.problem.names, fit.problem.parameter_vector.std, strict=True))
     return {name for name, error in fit.std.items() if error > 0.9 * priors[name]}
 
 
 def test_rig_states_which_parameters_the_flights_do_not_inform() -> None:
-    found = diagnosed("rotor_lag=0.06")
-    rig = found.rig("extended")
-    sources = {name: rig[name].source for name in found.replication.prediction.fit.std if name in rig.numbers}
+    diagnosis = diagnosed("rotor_lag=0.06")
+    rig = diagnosis.rig("extended")
+    sources = {
+        name: rig[name].source for name in diagnosis.replication.prediction.fit.std if name in rig.numbers
+    }
     marked = {name for name, source in sources.items() if source.startswith("not informed by fit;")}
-    assert marked == uninformed(found)
+    assert marked == uninformed(diagnosis)
     assert marked
     assert any(source.startswith("identified from fit;") for source in sources.values())
 
 
 def test_report_needs_nothing_else_and_says_the_cause_with_its_number(tmp_path: Path) -> None:
-    found = diagnosed("rotor_lag=0.06")
-    page = write_report(found, tmp_path).read_text(encoding="utf-8")
-    said = html.unescape(page)
-    assert "The rotors' thrust lags their voltage by 0.0" in said
-    assert "Rig makki2024. Fitted: fit (" in said.partition('class="verdict')[0]
-    assert "<i>F</i><sub>i</sub> thrust of rotor i" in said
-    assert "time constant T</td>" in said
-    table = said.partition("Parameters that these flights do not inform")[2].partition("</table>")[0]
-    names = found.replication.prediction.fit.problem.names
-    assert {name for name in names if f"<td>{name}</td>" in table} == uninformed(found)
+    diagnosis = diagnosed("rotor_lag=0.06")
+    page = write_report(diagnosis, tmp_path).read_text(encoding="utf-8")
+    text = html.unescape(page)
+    assert "The rotors' thrust lags their voltage by 0.0" in text
+    assert "Rig makki2024. Fitted: fit (" in text.partition('class="verdict')[0]
+    assert "<i>F</i><sub>i</sub> thrust of rotor i" in text
+    assert "time constant T</td>" in text
+    table = text.partition("Parameters that these flights do not inform")[2].partition("</table>")[0]
+    names = diagnosis.replication.prediction.fit.problem.names
+    assert {name for name in names if f"<td>{name}</td>" in table} == uninformed(diagnosis)
     assert not any(scheme in page for scheme in ("http:", "https:"))
     assert {
         "cause.png",

@@ -95,6 +95,14 @@ def judged(plan: str, seed: int, axis: int = 0, scale: float = 1.0) -> Flown | N
     return Flown(outcome, estimates, wrong_scale(estimates))
 
 
+def distance_from_one(estimate: ScaleEstimate) -> float:
+    """Distance of a scale from 1, in standard errors, or by its likelihood if that is less.
+
+    A scale near 0 has a small error, and is not more likely than 1.
+    """
+    return min(estimate.sigmas, math.sqrt(2.0 * max(estimate.nats, 0.0)))
+
+
 def healthy_lines(rigs: int) -> list[str]:
     """Warnings on healthy flights, by plan, and how far the estimates are from 1 in standard errors."""
     lines = [
@@ -102,15 +110,17 @@ def healthy_lines(rigs: int) -> list[str]:
     ]
     lines.append("|---|---|---|---|---|")
     for plan in plan_names():
-        flown = [one for seed in range(HEALTHY_FROM, HEALTHY_FROM + rigs) if (one := judged(plan, seed))]
-        warned = sum(one.warned is not None for one in flown)
-        said = [one for one in flown if one.estimates]
+        flown = [
+            flight for seed in range(HEALTHY_FROM, HEALTHY_FROM + rigs) if (flight := judged(plan, seed))
+        ]
+        warned = sum(flight.warned is not None for flight in flown)
+        with_estimates = [flight for flight in flown if flight.estimates]
         cells = []
         for place, axis in enumerate(AXES):
-            mine = [one.estimates[place] for one in said]
-            # A scale near 0 has a small error, and is not more likely than 1: that is no difference.
-            most = max((min(one.sigmas, math.sqrt(2.0 * max(one.nats, 0.0))) for one in mine), default=0.0)
-            error = float(np.median([one.standard_error for one in mine])) if mine else np.nan
+            of_axis = [flight.estimates[place] for flight in with_estimates]
+            most = max(map(distance_from_one, of_axis), default=0.0)
+            errors = [estimate.standard_error for estimate in of_axis]
+            error = float(np.median(errors)) if errors else np.nan
             shown = f"{error:.3f}" if np.isfinite(error) else "not visible"
             cells.append((f"{axis} {most:.1f}", f"{axis} {shown}"))
         lines.append(
@@ -129,13 +139,13 @@ def wrong_lines(rigs: int) -> list[str]:
             cells = []
             for scale in SCALES:
                 flown = [
-                    one
+                    flight
                     for seed in range(WRONG_FROM, WRONG_FROM + rigs)
-                    if (one := judged(plan, seed, place, scale))
+                    if (flight := judged(plan, seed, place, scale))
                 ]
-                named = sum(one.warned is not None and one.warned.axis == axis for one in flown)
-                other = sum(one.warned is not None and one.warned.axis != axis for one in flown)
-                faults = sum("fault" in one.outcome for one in flown)
+                named = sum(flight.warned is not None and flight.warned.axis == axis for flight in flown)
+                other = sum(flight.warned is not None and flight.warned.axis != axis for flight in flown)
+                faults = sum("fault" in flight.outcome for flight in flown)
                 cells.append(
                     f"{named}/{len(flown)}"
                     + (f", {other} other" if other else "")
@@ -165,9 +175,9 @@ def other_lines(flights: int) -> list[str]:
                 if np.any(flight.voltages_V):
                     estimates = scales_of(flight, rig, model)
                     flown.append(Flown(outcome, estimates, wrong_scale(estimates)))
-        warned = sum(one.warned is not None for one in flown)
-        every = [one for each in flown for one in each.estimates]
-        most = max((min(one.sigmas, math.sqrt(2.0 * max(one.nats, 0.0))) for one in every), default=0.0)
+        warned = sum(judged_flight.warned is not None for judged_flight in flown)
+        estimates_of_rig = [estimate for judged_flight in flown for estimate in judged_flight.estimates]
+        most = max(map(distance_from_one, estimates_of_rig), default=0.0)
         lines.append(
             f"{name}: {len(flown)} flights, {warned} warnings, at most {most:.1f} standard errors from 1"
         )
@@ -183,12 +193,12 @@ def main() -> None:
         "--others", type=int, default=3, help="flights of each plan on each other shipped rig"
     )
     parser.add_argument("--wrong", type=int, default=3, help="flights of each plan, axis and scale")
-    asked = parser.parse_args()
+    options = parser.parse_args()
     print(f"a warning needs {MAX_SIGMAS:g} standard errors; healthy flights:")
-    healthy_lines(asked.healthy)
-    other_lines(asked.others)
+    healthy_lines(options.healthy)
+    other_lines(options.others)
     print("flights with one wrong encoder, by its scale: warnings that name it, of how many:")
-    wrong_lines(asked.wrong)
+    wrong_lines(options.wrong)
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ ROWS = WINDOWS[-1].stop
 
 
 @cache
-def found(*free: str) -> Identification:
+def identified(*free: str) -> Identification:
     rig = load_rig("makki2024")
     return identify(MultibodyModel(), rig, [flown(rig, 3, 25.0)], free=free or None)
 
@@ -41,47 +41,50 @@ def coloured(share: float) -> Floats:
 
 
 def test_a_sum_that_is_identified_leaves_a_difference_that_is_not() -> None:
-    seen = 1e4 * np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-    told = combinations(("a", "b", "c"), seen, np.ones(3))
-    assert len(told) == 1 and told[0].std_over_prior == pytest.approx(1.0)
-    assert set(told[0].change) == {"a", "b"}
-    assert told[0].change["a"] == pytest.approx(-told[0].change["b"])
+    information = 1e4 * np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    unidentifiable = combinations(("a", "b", "c"), information, np.ones(3))
+    assert len(unidentifiable) == 1 and unidentifiable[0].std_over_prior == pytest.approx(1.0)
+    assert set(unidentifiable[0].change) == {"a", "b"}
+    assert unidentifiable[0].change["a"] == pytest.approx(-unidentifiable[0].change["b"])
     assert combinations(("a", "b"), 1e4 * np.eye(2), np.ones(2)) == []
 
 
 def test_counterweight_and_constant_torque_are_inseparable_near_level() -> None:
-    both = found("M_w", "torque_elevation", "friction_elevation")
+    both = identified("M_w", "torque_elevation", "friction_elevation")
     (first, second, value), *others = both.strong_correlations
     assert {first, second} == {"M_w", "torque_elevation"} and value < -0.99 and not others
-    assert [set(one.change) for one in both.combinations] in ([], [{"M_w", "torque_elevation"}])
-    alone = found("M_w", "friction_elevation")
+    assert [set(combination.change) for combination in both.combinations] in (
+        [],
+        [{"M_w", "torque_elevation"}],
+    )
+    alone = identified("M_w", "friction_elevation")
     assert alone.strong_correlations == []
     assert alone.fit.std["M_w"] < 0.3 * both.fit.std["M_w"]
 
 
 def test_correlations_are_those_of_the_covariance() -> None:
-    told = found()
-    names = told.fit.problem.names
-    matrix = np.array([[told.json()["correlations"][a][b] for b in names] for a in names])
+    result = identified()
+    names = result.fit.problem.names
+    matrix = np.array([[result.json()["correlations"][a][b] for b in names] for a in names])
     np.testing.assert_allclose(np.diag(matrix), 1.0)
     np.testing.assert_allclose(matrix, matrix.T)
-    assert np.linalg.eigvalsh(told.fit.covariance).min() > 0.0
-    std = np.array(list(told.fit.std.values()))
-    np.testing.assert_allclose(matrix * np.outer(std, std), told.fit.covariance, atol=1e-4 * std.max() ** 2)
+    assert np.linalg.eigvalsh(result.fit.covariance).min() > 0.0
+    std = np.array(list(result.fit.std.values()))
+    np.testing.assert_allclose(matrix * np.outer(std, std), result.fit.covariance, atol=1e-4 * std.max() ** 2)
 
 
 def test_parameters_that_a_flight_does_not_inform_are_named() -> None:
-    told = found()
-    assert "M_l" in told.uninformed_parameters and "thrust_gain" not in told.uninformed_parameters
+    result = identified()
+    assert "M_l" in result.uninformed_parameters and "thrust_gain" not in result.uninformed_parameters
     assert uninformed_parameters(("a", "b"), np.diag([0.99, 0.01]), np.ones(2)) == ["a"]
-    assert told.json()["uninformed_parameters"] == told.uninformed_parameters
+    assert result.json()["uninformed_parameters"] == result.uninformed_parameters
 
 
 def test_no_estimate_is_less_sure_than_before_the_flight() -> None:
-    told = found()
-    for one, std in zip(told.fit.problem.free, told.fit.std.values(), strict=True):
+    result = identified()
+    for parameter, std in zip(result.fit.problem.free, result.fit.std.values(), strict=True):
         # The scatter of quantisation adds to what the prior holds: 2 % of it where a flight informs nothing.
-        assert std <= 1.03 * one.prior.std, one.name
+        assert std <= 1.03 * parameter.prior.std, parameter.name
 
 
 def test_no_delay_is_more_certain_than_the_tick_of_a_voltage() -> None:

@@ -34,8 +34,8 @@ pytestmark = [pytest.mark.slow, pytest.mark.xdist_group(REAL_TIME)]
 
 @pytest.fixture
 def served(tmp_path: Path) -> Iterator[Served]:
-    with patient_page(tmp_path) as one:
-        yield one
+    with patient_page(tmp_path) as server:
+        yield server
 
 
 def fetched(url: str, method: str = "GET", **headers: str) -> tuple[int, str]:
@@ -167,15 +167,15 @@ def test_what_a_page_shows_is_what_the_log_holds(served: Served) -> None:
         page.until(
             lambda: int(page.rows[-1].tick[-1] if len(page.rows[-1].tick) else 0) > int(log.ticks["tick"][-1])
         )
-        rows = [one for one in page.rows if len(one.tick)]
-        tick = np.concatenate([one.tick for one in rows])
-        raw = np.concatenate([one.raw for one in rows])
+        rows = [batch for batch in page.rows if len(batch.tick)]
+        tick = np.concatenate([batch.tick for batch in rows])
+        raw = np.concatenate([batch.raw for batch in rows])
         logged = log.ticks["tick"].astype(np.int64)
         start = int(np.searchsorted(tick, logged[0]))
         shown = slice(start, start + len(logged))
         np.testing.assert_array_equal(tick[shown], logged)
         np.testing.assert_array_equal(raw[shown], log.raw)
-        assert not any(one.flags & THINNED for one in rows[1:])
+        assert not any(batch.flags & THINNED for batch in rows[1:])
         assert log.metadata["result"]["outcome"] == "completed"
         assert "hold" in log.metadata["plan"]["short"]
 
@@ -189,7 +189,7 @@ def test_a_client_that_does_not_keep_up_gets_fewer_rows_and_holds_nobody_up(serv
         held = len(slow.rows)
         quick.until(lambda: quick.rows[-1].number > start + 200)
         assert len(slow.rows) == held <= begin + 10
-        tick = np.concatenate([one.tick for one in quick.rows[1:]])
+        tick = np.concatenate([batch.tick for batch in quick.rows[1:]])
         assert (np.diff(tick) == 1).all()
         slow.answers.set()
         slow.socket.send(slow.rows[-1].number.to_bytes(4, "little"))
@@ -205,7 +205,9 @@ def test_parameters_change_in_flight_where_the_declaration_lets_them(served: Ser
         before = first.known["hello"]["values"]["travel_kp"]
         first.ask("take_off")
         assert first.ask("set", name="travel_kp", value=0.7)["value"] == 0.7
-        second.until(lambda: any(one.get("values", {}).get("travel_kp") == 0.7 for one in list(second.words)))
+        second.until(
+            lambda: any(message.get("values", {}).get("travel_kp") == 0.7 for message in list(second.words))
+        )
         assert (
             "idle"
             in first.ask("set", name="supply_V", value=11.0)["error"]
@@ -235,7 +237,7 @@ def test_the_pilot_chooses_a_law_and_a_plan_is_flown_under_it(tmp_path: Path) ->
         SocketPage(served.address) as second,
     ):
         offered = first.known["hello"]["laws"]
-        assert [(one["name"], one["signals"]) for one in offered] == [
+        assert [(law["name"], law["signals"]) for law in offered] == [
             ("steady", ["wanted_pitch", "kp"]),
             ("tired", ["wanted_pitch", "kp"]),
         ]
@@ -250,8 +252,8 @@ def test_the_pilot_chooses_a_law_and_a_plan_is_flown_under_it(tmp_path: Path) ->
         second.until(lambda: second.known["status"]["law"]["values"] == {"kp": 17.0})
         assert first.answer(plan)["outcome"] == "completed"
         assert "steady kp: 16 -> 17" in [event["message"] for event in read_log(served.logs()[0]).events]
-        renamed = [one["channels"] for one in list(second.words) if "channels" in one][-1]
-        assert "wanted_pitch" in [one["signal"] for one in renamed]
+        renamed = [message["channels"] for message in list(second.words) if "channels" in message][-1]
+        assert "wanted_pitch" in [channel["signal"] for channel in renamed]
         log = read_log(served.logs()[0])
         assert log.metadata["law"]["signal_1"] == "wanted_pitch"
         flew = log.raw[:, Channel.FLAGS] & Flags.LAW != 0
@@ -304,9 +306,9 @@ def test_recording_goes_on_and_off_with_marks_and_setpoints_by_hand(served: Serv
         page.ask("record", on=False)
         page.stop()
         log = read_log(served.logs()[0])
-        said = [(event["name"], event["message"]) for event in log.events]
-        assert ("mark", "mark 1") in said
-        assert ("parameter", "travel_kp: 0.6 -> 0.65") in said
+        logged_events = [(event["name"], event["message"]) for event in log.events]
+        assert ("mark", "mark 1") in logged_events
+        assert ("parameter", "travel_kp: 0.6 -> 0.65") in logged_events
         assert log.metadata["parameters_changed"] == {"travel_kp": "0.65"}
 
 
@@ -333,7 +335,7 @@ def test_a_second_program_joins_tunes_and_flies_once_it_is_let(served: Served) -
         page.ask("take_off")
         program.wait_for_state(State.CLOSED_LOOP)
         program.signal("error", 1.5)
-        page.until(lambda: any(one.get("signal", {}).get("value") == 1.5 for one in list(page.words)))
+        page.until(lambda: any(message.get("signal", {}).get("value") == 1.5 for message in list(page.words)))
         flown = program.samples(last_s=1.0)
         assert len(flown) == 1000
         assert (np.diff(flown.tick) == 1).all()
@@ -379,7 +381,7 @@ def test_ctrl_c_at_the_server_lands(tmp_path: Path) -> None:
             server.send_signal(signal.SIGINT)
             page.until_state("landing")
             assert server.stdout is not None
-            said = server.stdout.read()
-    assert "landing; Ctrl-C stops the motors" in said
-    assert "landed" in said
+            output = server.stdout.read()
+    assert "landing; Ctrl-C stops the motors" in output
+    assert "landed" in output
     assert server.returncode == 0

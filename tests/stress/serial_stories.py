@@ -84,10 +84,11 @@ class Story:
     troubles: tuple[Trouble, ...]
 
     def __str__(self) -> str:
-        told = ", ".join(
-            f"{one.kind} at {one.at_s:.2f} s for {one.duration_s:.2f} s" for one in self.troubles
+        troubles = ", ".join(
+            f"{trouble.kind} at {trouble.at_s:.2f} s for {trouble.duration_s:.2f} s"
+            for trouble in self.troubles
         )
-        return f"story {self.number} ({told})"
+        return f"story {self.number} ({troubles})"
 
 
 def story(number: int) -> Story:
@@ -100,7 +101,7 @@ def story(number: int) -> Story:
         longest_s = 20.0 if chance.random() < 0.125 else 3.0
         duration_s = 0.2 * (longest_s / 0.2) ** chance.random()
         troubles.append(Trouble(kind, round(at_s, 3), round(duration_s, 3)))
-    return Story(number, tuple(sorted(troubles, key=lambda one: one.at_s)))
+    return Story(number, tuple(sorted(troubles, key=lambda trouble: trouble.at_s)))
 
 
 @dataclass
@@ -138,15 +139,15 @@ def live(which: Story, folder: Path, speed: float = SPEED) -> Lived:
 
 def _live(which: Story, folder: Path, board: SerialBoard, speed: float) -> Lived:
     inside = [
-        PortTrouble(one.kind, one.at_s / speed, (one.at_s + one.duration_s) / speed)
-        for one in which.troubles
-        if one.kind in (SLOW, READ_FAILS, WRITE_FAILS, CUT_WRITE)
+        PortTrouble(trouble.kind, trouble.at_s / speed, (trouble.at_s + trouble.duration_s) / speed)
+        for trouble in which.troubles
+        if trouble.kind in (SLOW, READ_FAILS, WRITE_FAILS, CUT_WRITE)
     ]
-    cuts_s = [one.duration_s for one in which.troubles if one.kind == CUT_WRITE]
-    outside = [one for one in which.troubles if one.kind in (SUSPENDED, UNPLUGGED, *PROGRAMS)]
+    cuts_s = [trouble.duration_s for trouble in which.troubles if trouble.kind == CUT_WRITE]
+    outside = [trouble for trouble in which.troubles if trouble.kind in (SUSPENDED, UNPLUGGED, *PROGRAMS)]
     words = ["fly", "short.toml", "--port", "due", "--log", "a.mcap", "--json", "a.json"]
     host = start_host(words, folder, inside)
-    lived = Lived(which.number, kinds=[one.kind for one in which.troubles])
+    lived = Lived(which.number, kinds=[trouble.kind for trouble in which.troubles])
     acts: list[tuple[float, SecondProgram | None]] = []
     second: list[SecondProgram] = []
     give_up_s = time.monotonic() + _PATIENCE_S
@@ -159,15 +160,15 @@ def _live(which: Story, folder: Path, board: SerialBoard, speed: float) -> Lived
                     board.unplug(cuts_s.pop(0))
                     os.write(host.answers, b"x")
             while outside and outside[0].at_s <= now_s:
-                one = outside.pop(0)
-                if one.kind == SUSPENDED:
+                trouble = outside.pop(0)
+                if trouble.kind == SUSPENDED:
                     os.kill(host.pid, signal.SIGSTOP)
-                    acts.append((now_s + one.duration_s, None))
-                elif one.kind == UNPLUGGED:
-                    board.unplug(one.duration_s)
+                    acts.append((now_s + trouble.duration_s, None))
+                elif trouble.kind == UNPLUGGED:
+                    board.unplug(trouble.duration_s)
                 else:
-                    second.append(SecondProgram(one.kind, board))
-                    acts.append((now_s + one.duration_s, second[-1]))
+                    second.append(SecondProgram(trouble.kind, board))
+                    acts.append((now_s + trouble.duration_s, second[-1]))
             for end_s, program in [act for act in acts if act[0] <= now_s]:
                 acts.remove((end_s, program))
                 if program is not None:
@@ -222,7 +223,9 @@ def _judge(which: Story, lived: Lived, board: SerialBoard, second: list[SecondPr
     lived.landed_s = 1e-3 * (truth.last_on_tick - truth.fresh_tick) if _landed_itself(truth) else 0.0
     if summary:
         lived.complaints += _wrong_log(folder / "a.mcap", board, summary)
-    broken = any(one.kind not in PROGRAMS and one.kind not in (SUSPENDED, SLOW) for one in which.troubles)
+    broken = any(
+        trouble.kind not in PROGRAMS and trouble.kind not in (SUSPENDED, SLOW) for trouble in which.troubles
+    )
     for program in second:
         refused = "in use by another program" in program.told
         # Before the host has opened the port, and after its end, it is free.
@@ -282,8 +285,8 @@ def _untrue(which: Story, lived: Lived, board: SerialBoard) -> str:
         return "the board landed by itself" if surely else ""
     if "while landing: the board did not answer" in outcome:
         # Whether the board answered is not seen here; its answers may have been taken away.
-        taken = kinds & {TAKES_BYTES, CHANGES_SETTINGS}
-        return "the board heard it" if truth.land_tick >= 0 and not taken else ""
+        answers_lost = kinds & {TAKES_BYTES, CHANGES_SETTINGS}
+        return "the board heard it" if truth.land_tick >= 0 and not answers_lost else ""
     if truth.closed_tick >= 0 and itself and "link lost" not in outcome and "lost" not in outcome:
         return "the board landed by itself"
     if "lost" in outcome and "setpoint" not in outcome:

@@ -44,34 +44,34 @@ def main() -> None:
     parser.add_argument("--drawn", type=int, default=12, help="minutes of evidence that set each alarm")
     parser.add_argument("--out", type=Path, default=Path("twin.json"))
     parser.add_argument("--read", action="store_true", help="only print what the file holds")
-    asked = parser.parse_args()
-    results: dict[str, Any] = json.loads(asked.out.read_text()) if asked.out.exists() else {}
-    if not asked.read:
-        fly_missing(asked, results)
+    options = parser.parse_args()
+    results: dict[str, Any] = json.loads(options.out.read_text()) if options.out.exists() else {}
+    if not options.read:
+        fly_missing(options, results)
     print("\n".join(healthy_table(results)))
     print("\n".join(changed_table(results)))
 
 
-def fly_missing(asked: argparse.Namespace, results: dict[str, Any]) -> None:
+def fly_missing(options: argparse.Namespace, results: dict[str, Any]) -> None:
     """Fly all rigs healthy, then each change and size, again and again on other rigs; write what comes."""
-    seeds = range(1, asked.rigs + 1)
-    rig_of = cache(partial(known, drawn=asked.drawn))
+    seeds = range(1, options.rigs + 1)
+    rig_of = cache(partial(known, drawn=options.drawn))
 
     def keep(text: str) -> None:
-        asked.out.write_text(json.dumps(results, indent=1))
+        options.out.write_text(json.dumps(results, indent=1))
         print(text, flush=True)
 
     for seed in seeds:
         if str(seed) not in results:
-            results[str(seed)] = of_healthy(rig_of(seed), asked.healthy, asked.seconds)
+            results[str(seed)] = of_healthy(rig_of(seed), options.healthy, options.seconds)
             keep(f"rig {seed} flown healthy")
     cases = [(name, size) for name, sizes in SIZES.items() for size in sizes]
-    for repeat in range(asked.changed):
+    for repeat in range(options.changed):
         for number, (name, size) in enumerate(cases):
             # Each change and size flies on different rigs.
-            seed = 1 + (number + repeat * max(1, asked.rigs // asked.changed)) % asked.rigs
+            seed = 1 + (number + repeat * max(1, options.rigs // options.changed)) % options.rigs
             done = results[str(seed)]["changed"]
-            if not any(one["number"] == [repeat, number] for one in done):
+            if not any(entry["number"] == [repeat, number] for entry in done):
                 flown = 2_000 + 20 * number + repeat
                 done.append(of_changed(rig_of(seed), name, size, flown) | {"number": [repeat, number]})
                 keep(f"rig {seed} flown with {name} of {size:g}")
@@ -80,7 +80,7 @@ def fly_missing(asked: argparse.Namespace, results: dict[str, Any]) -> None:
 def of_healthy(rig: Known, count: int, seconds: float = 60.0) -> dict[str, Any]:
     """Fly one rig so many times, so many `seconds` each, with nothing changed."""
     tail = rig.twin.calibration.tail
-    found: dict[str, Any] = {
+    results: dict[str, Any] = {
         "tail": [
             tail.level_nats,
             tail.per_hour,
@@ -94,15 +94,15 @@ def of_healthy(rig: Known, count: int, seconds: float = 60.0) -> dict[str, Any]:
     }
     for flight in flights(rig.model, rig.rig, 10_000 * rig.seed + 1_000, count, seconds):
         seen = monitor_flight(rig.twin, flight, "healthy", HOURS)
-        found["healthy"].append(
+        results["healthy"].append(
             {
                 "max_evidence_nats": seen.max_evidence_nats,
                 "free_s": seen.free_s,
                 "alarms": len(seen.alarms),
-                "maxima": [round(one, 2) for one in segment_maxima(seen.evidence_nats)],
+                "maxima": [round(maximum_nats, 2) for maximum_nats in segment_maxima(seen.evidence_nats)],
             }
         )
-    return found
+    return results
 
 
 def of_changed(rig: Known, name: str, size: float, seed: int) -> dict[str, Any]:
@@ -124,7 +124,9 @@ def of_changed(rig: Known, name: str, size: float, seed: int) -> dict[str, Any]:
         "name": first.change.id,
         "said": first.size,
         "std": first.std,
-        "ranking": [[one.change.id, round(one.log_evidence, 1)] for one in words[0].ranking[:4]],
+        "ranking": [
+            [candidate.change.id, round(candidate.log_evidence, 1)] for candidate in words[0].ranking[:4]
+        ],
     }
 
 
@@ -148,18 +150,18 @@ def motors_on_s(flight: Flight) -> float:
 
 def healthy_table(results: dict[str, Any]) -> list[str]:
     """Alarms in healthy flights against what was stated."""
-    flown = [one for rig in results.values() for one in rig["healthy"]]
-    hours = sum(one["free_s"] for one in flown) / 3600.0
+    flown = [entry for rig in results.values() for entry in rig["healthy"]]
+    hours = sum(entry["free_s"] for entry in flown) / 3600.0
     lines = [f"{len(flown)} healthy flights of {len(results)} rigs, {hours:.2f} h free"]
     for stated in (HOURS, 1.0, 0.2):
         expected = alarms = 0.0
         chance = []
         for rig in results.values():
             threshold = max(tail.threshold_nats(stated) for tail in (Tail(*rig["tail"]), IDEAL))
-            for one in rig["healthy"]:
-                chance.append(1.0 - math.exp(-one["free_s"] / 3600.0 / stated))
+            for entry in rig["healthy"]:
+                chance.append(1.0 - math.exp(-entry["free_s"] / 3600.0 / stated))
                 expected += chance[-1]
-                alarms += one["max_evidence_nats"] > threshold
+                alarms += entry["max_evidence_nats"] > threshold
         mean = float(np.mean(chance)) if chance else 0.0
         p = float(binom.sf(alarms - 1, len(chance), mean)) if chance else 1.0
         lines.append(
@@ -171,23 +173,23 @@ def healthy_table(results: dict[str, Any]) -> list[str]:
 
 def changed_table(results: dict[str, Any]) -> list[str]:
     """Found, delay and name for each change and size, and how strongly those showed that were not found."""
-    flown = [one for rig in results.values() for one in rig["changed"]]
+    flown = [entry for rig in results.values() for entry in rig["changed"]]
     lines = ["| change | size | found | delay, s | named first | missed |", "|---|---|---|---|---|---|"]
     right = total = 0
     for name, sizes in SIZES.items():
         for size in sizes:
-            here = [one for one in flown if one["change"] == name and one["size"] == size]
-            found = [one for one in here if one["delay_s"] is not None]
-            missed = [one["sigmas"] for one in here if one["delay_s"] is None]
-            named = [one for one in found if one["name"] == name]
-            right, total = right + len(named), total + len(found)
-            delay = f"{np.median([one['delay_s'] for one in found]):.1f}" if found else ""
-            share = f"{len(named)} of {len(found)}" if found else ""
-            shown = ", ".join(f"{one:.1f}" for one in sorted(missed))
+            here = [entry for entry in flown if entry["change"] == name and entry["size"] == size]
+            detected = [entry for entry in here if entry["delay_s"] is not None]
+            missed = [entry["sigmas"] for entry in here if entry["delay_s"] is None]
+            named = [entry for entry in detected if entry["name"] == name]
+            right, total = right + len(named), total + len(detected)
+            delay = f"{np.median([entry['delay_s'] for entry in detected]):.1f}" if detected else ""
+            share = f"{len(named)} of {len(detected)}" if detected else ""
+            shown = ", ".join(f"{sigma:.1f}" for sigma in sorted(missed))
             lines.append(
-                f"| `{name}` | {size:g} | {len(found)} of {len(here)} | {delay} | {share} | {shown} |"
+                f"| `{name}` | {size:g} | {len(detected)} of {len(here)} | {delay} | {share} | {shown} |"
             )
-    early = sum(one["early"] for one in flown)
+    early = sum(entry["early"] for entry in flown)
     lines.append(
         f"named first {right} of {total} found; {early} alarms before the change; missed: how many standard "
         f"errors the change was {SEEN_s:g} s after it, for who knows what and when"

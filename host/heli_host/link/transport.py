@@ -459,7 +459,7 @@ def transport_note(transport: Transport) -> str:
     Parameters
     ----------
     transport : Transport
-        Any transport; its attribute ``note``, if present, is the note.
+        Any transport. Its optional attribute ``note`` holds the text.
     """
     return str(getattr(transport, "note", ""))
 

@@ -40,9 +40,9 @@ draught. By judgement, of the order of the disturbances. Smaller: a rig whose ba
 flight distorts its other parameters. Larger: elevation's cannot be distinguished from the masses."""
 
 DISTURBANCE_START: Final = DisturbanceModel.start((1e-2, 3e-3, 6e-3), (1e-3, 5e-4, 5e-4))
-"""Disturbance torques (N m) from which a search starts, about the middle of what flights show."""
+"""Disturbance torques (N m) at the start of a search: about the middle of those of recorded flights."""
 _DISTURBANCE_RANGE_Nm: Final = (2e-5, 1.0)
-"""Bounds of the search: far outside of what flights show."""
+"""Bounds of the search: far outside of those of recorded flights."""
 
 # Standard deviation of the state at the beginning of a window about the reference: angles and rates are known
 # to a count or so; an effect's state starts as a run from rest has it.

@@ -54,7 +54,7 @@ def identify(
     start_s, stop_s : float, optional
         Fit only this part of each flight.
     window_s : float
-        Length of the windows that are predicted freely.
+        Length of the windows of the open-loop simulation.
     seconds : float
         Most time for the fit.
     threads : int, optional

@@ -148,7 +148,7 @@ class LikelihoodRatio:
         block : int
             Number of the block after which a change may have begun.
         state_sensitivity : ndarray (order, columns, onsets)
-            Array of the filter, whose columns of the replaced onsets are overwritten.
+            Array of the filter. The columns of the replaced onsets are overwritten.
         """
         place = block % RECENT
         if place == 0 and np.isfinite(self._onset[:, :RECENT]).all():

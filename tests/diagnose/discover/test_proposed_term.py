@@ -39,18 +39,18 @@ HIDDEN_Nm_per_rad = 0.05
 
 
 def test_equation_is_found_with_its_coefficient_and_confirmed() -> None:
-    found = diagnosed(unlisted=True)
-    assert found.label == "unexplained"
-    proposed = found.proposed_term
+    diagnosis = diagnosed(unlisted=True)
+    assert diagnosis.label == "unexplained"
+    proposed = diagnosis.proposed_term
     assert proposed is not None
-    assert [one.key for one in proposed.equation.terms] == ["torque.pitch: elevation"]
+    assert [term.key for term in proposed.equation.terms] == ["torque.pitch: elevation"]
     ((value, std, unit),) = proposed.discovery.values.values()
     assert unit == "N m/rad"
     assert abs(value - HIDDEN_Nm_per_rad) < 3.0 * std < 0.1 * HIDDEN_Nm_per_rad
     assert proposed.discovery.held_out is not None
     assert proposed.discovery.held_out > 50.0
-    assert found.proposal is not None
-    assert found.proposal.evaluation.reductions["pitch"].ratio < 0.2
+    assert diagnosis.proposal is not None
+    assert diagnosis.proposal.evaluation.reductions["pitch"].ratio < 0.2
     assert np.corrcoef(proposed.trace.term_Nm, proposed.trace.missing_Nm)[0, 1] > 0.9
 
 
@@ -61,7 +61,7 @@ def test_the_json_has_the_keys_that_were_promised() -> None:
     assert equation["expression"] == "c1_Nm_per_rad*elevation"
     assert equation["symbols"] == {"elevation": "rad"}
     assert equation["numbers"].keys() == {"c1_Nm_per_rad"}
-    assert equation["rivals"] == sorted(equation["rivals"], key=lambda one: one["log_likelihood_ratio"])
+    assert equation["rivals"] == sorted(equation["rivals"], key=lambda rival: rival["log_likelihood_ratio"])
     assert 0.5 < equation["confidence"] < 1.0
     (matters,) = equation["matters"]
     assert 0.0 < matters["rms"] < matters["largest"]
@@ -76,20 +76,20 @@ def test_the_json_has_the_keys_that_were_promised() -> None:
 
 
 def test_nothing_hidden_and_a_listed_cause_have_no_equation() -> None:
-    for found in (diagnosed(), diagnosed("rotor_lag=0.06")):
-        assert to_json(found)["proposed_term"] is None
+    for diagnosis in (diagnosed(), diagnosed("rotor_lag=0.06")):
+        assert to_json(diagnosis)["proposed_term"] is None
 
 
 def test_rig_has_the_equation_on_request_and_flies_with_its_effect_file(
     terminal: Terminal, tmp_path: Path
 ) -> None:
-    found = diagnosed(unlisted=True)
-    proposed = found.proposed_term
+    diagnosis = diagnosed(unlisted=True)
+    proposed = diagnosis.proposed_term
     assert proposed is not None
-    assert found.rig("extended").effects == {}
+    assert diagnosis.rig("extended").effects == {}
     path = tmp_path / "proposed.py"
     path.write_text(proposed.effect_file("From a test."), encoding="utf-8")
-    write_rig(found.rig("with_term", with_term=True), tmp_path / "with_term.toml")
+    write_rig(diagnosis.rig("with_term", with_term=True), tmp_path / "with_term.toml")
     (effect,) = effects_of(load_rig(tmp_path / "with_term.toml"), (path,))
     assert list(effect.values.values()) == pytest.approx(list(proposed.numbers.values()))
     plan = "title = 'Up'\n[[segment]]\nkind = 'hold'\nduration_s = 1.0\n"
@@ -143,7 +143,7 @@ def test_encoder_errors_leave_finalists_for_a_torque_of_less_score() -> None:
     search = equation_search(cast(Hypothesis, SimpleNamespace(ids=())))
     on_encoders = [scored_as(f"measurement.{axis}", axis, 80.0 + i) for i, axis in enumerate(AXES)]
     chosen = search.finalists([*on_encoders, scored_as("torque.pitch", "travel", 40.0)])
-    channels = [one.group.terms[0].channel for one in chosen]
+    channels = [finalist.group.terms[0].channel for finalist in chosen]
     assert channels == ["measurement.travel", "measurement.pitch", "torque.pitch"]
 
 
@@ -180,9 +180,9 @@ def test_scores_of_all_channels_are_those_of_the_effect_itself() -> None:
         EquationTerm("voltage.both", Term((Factor("square", "own_voltage"),))),
         EquationTerm("measurement.pitch", Term((Factor("linear", "travel"),))),
     ]
-    for one in every:
-        (scored,) = score(screening, signals, [Group((one,), 1)])
-        equation = Equation((one,))
+    for term in every:
+        (scored,) = score(screening, signals, [Group((term,), 1)])
+        equation = Equation((term,))
         effect = equation_effect(equation, dict(zip(equation.coefficients, scored.prior_std, strict=True)))
         linear = tuple(f"proposed_term_{name}" for name in equation.coefficients)
         extended = ExtendedModel(MultibodyModel(), effect, linear)
@@ -191,7 +191,7 @@ def test_scores_of_all_channels_are_those_of_the_effect_itself() -> None:
         _, angles = extended.run(flight.nodes, effect.values)
         parts = screening.information([(rates, angles if np.any(angles) else None)], [1])
         gain, coefficients, _ = score_of(*parts[0], np.array(scored.prior_std))
-        assert scored.log_likelihood_gain == pytest.approx(gain, rel=1e-6), one.key
+        assert scored.log_likelihood_gain == pytest.approx(gain, rel=1e-6), term.key
         assert scored.coefficients == pytest.approx(coefficients, rel=1e-6)
 
 
@@ -202,13 +202,13 @@ def test_a_right_model_fails_nowhere_in_95_percent_of_all_cases() -> None:
     # Where the model is right its innovations are white: all but their drawing is as it is in a diagnosis.
     rows = screening.measurements
     inside = [
-        (one.trajectory.state[:, 0] > low) & (one.trajectory.state[:, 0] <= low + 0.04)
-        for one in screening.filtered.linearised_flights
+        (flight.trajectory.state[:, 0] > low) & (flight.trajectory.state[:, 0] <= low + 0.04)
+        for flight in screening.filtered.linearised_flights
         for low in np.arange(-0.16, 0.16, 0.04)
     ]
-    cells = np.column_stack([one for one in inside if one.sum() > 60]).astype(float)
+    cells = np.column_stack([cell for cell in inside if cell.sum() > 60]).astype(float)
     only = list(screening.filtered.disturbance_regressors(estimate.disturbances, 1, [cells]))
-    (nuisance,) = (one[:, 1:] for one in screening._innovations.flights)
+    (nuisance,) = (innovations[:, 1:] for innovations in screening._innovations.flights)
     alarms = 0
     for _ in range(200):
         white = rng.standard_normal(rows)
@@ -222,8 +222,8 @@ def test_a_right_model_fails_nowhere_in_95_percent_of_all_cases() -> None:
 
 
 def test_a_region_in_which_nothing_is_missing_is_not_outlined() -> None:
-    found = diagnosed(unlisted=True)
-    proposed = found.proposed_term
+    diagnosis = diagnosed(unlisted=True)
+    proposed = diagnosis.proposed_term
     assert proposed is not None
     equation = proposed.discovery
     regimes = failing_regions(equation.base.estimate, equation.hypothesis.estimate, "travel")
@@ -234,8 +234,8 @@ def test_command_writes_equation_and_effect_file(
     terminal: Terminal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The search itself is what the tests above have done.
-    found = diagnosed(unlisted=True)
-    monkeypatch.setattr("heli_lab.diagnose.diagnose", lambda *_args, **_more: found)
+    diagnosis = diagnosed(unlisted=True)
+    monkeypatch.setattr("heli_lab.diagnose.diagnose", lambda *_args, **_more: diagnosis)
     paths = tmp_path / "a.csv.gz", tmp_path / "b.csv.gz"
     for flight, path in zip(flights(unlisted=True), paths, strict=True):
         write_csv(flight, path)
@@ -267,7 +267,7 @@ def test_sine_and_cosine_of_a_wave_share_their_whole_number(monkeypatch: pytest.
         theta=theta,
         covariance=np.diag([1e-6, 1e-6, 0.02**2, 0.4**2]),
     )
-    found = SimpleNamespace(
+    refitted_hypothesis = SimpleNamespace(
         candidates=[SimpleNamespace(effect=effect)],
         estimate=estimate,
         values=dict(zip(names, theta, strict=True)),
@@ -282,7 +282,9 @@ def test_sine_and_cosine_of_a_wave_share_their_whole_number(monkeypatch: pytest.
         "refit",
         lambda equation, signals, start, *rest: SimpleNamespace(log_likelihood=99.0, start=start),
     )
-    refitted = RefittedEquation(equation, cast(Hypothesis, found), 20.0, Group(equation.terms, 2))
+    refitted = RefittedEquation(
+        equation, cast(Hypothesis, refitted_hypothesis), 20.0, Group(equation.terms, 2)
+    )
     whole = refits.with_whole_periods(refitted, cast(TermSignals, None))
     assert whole.held == {"k1", "k2"}
     start = whole.hypothesis.start  # type: ignore[attr-defined]
