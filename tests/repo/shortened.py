@@ -7,13 +7,16 @@ them at full length.
 from __future__ import annotations
 
 import functools
+import hashlib
+import pickle
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any, Final
 
 PLANS: Final = "plans"
 """Fly only the first seconds of a plan."""
 WORK: Final = "work"
-"""Use less of each flight, fewer refits, fewer iterations and coarser figures."""
+"""Use less of each flight, fewer refits, fewer iterations, coarser figures; diagnose equal flights once."""
 SEGMENTS_s: Final = 20.0
 """Of a plan's segments, s: at 16 s the sine of the plan `identify` is refused, because it is too short."""
 USED_s: Final = 16.0
@@ -29,6 +32,7 @@ DPI: Final = 20
 def shorten(parts: Iterable[str]) -> None:
     """Shorten `parts`, `PLANS` or `WORK`, of what this process does from now on."""
     import heli_host.fly.plan
+    import heli_lab.diagnose
     import heli_lab.diagnose.run
     import scipy.optimize
     from matplotlib.figure import Figure
@@ -36,6 +40,7 @@ def shorten(parts: Iterable[str]) -> None:
     if PLANS in parts:
         _wrap(heli_host.fly.plan, "parse_toml", _short_plan)
     if WORK in parts:
+        _wrap(heli_lab.diagnose, "diagnose", _diagnosed_once)
         _wrap(heli_lab.diagnose.run, "prepare", _short_record)
         _wrap(heli_lab.diagnose.run, "search", _small_search)
         _wrap(scipy.optimize, "minimize", _few_iterations)
@@ -67,6 +72,23 @@ def _short_plan(parse: Callable[[str], dict[str, Any]], text: str) -> dict[str, 
         kept.append({**row, "duration_s": left_s} if duration_s > left_s and "points" not in row else row)
         left_s -= duration_s
     return {**values, "segment": kept}
+
+
+def _diagnosed_once(diagnose: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+    """Return the result of an earlier call with equal arguments, which a second run of a notebook makes."""
+    if options:
+        return diagnose(*arguments, **options)
+    model, rig, flights, validation = arguments
+    given = [
+        [(f.t_s, f.angles_rad, f.voltages_V, f.parameters) for f in some] for some in (flights, validation)
+    ]
+    effects = [(effect.name, sorted(effect.values.items())) for effect in model.effects]
+    key = hashlib.sha256(pickle.dumps((model.name, effects, rig, given))).hexdigest()
+    # Next to the folder of the document, in which a test looks for what the document writes.
+    kept = Path.cwd().with_name(f"diagnosis-{key}.pickle")
+    if not kept.exists():
+        kept.write_bytes(pickle.dumps(diagnose(*arguments)))
+    return pickle.loads(kept.read_bytes())
 
 
 def _short_record(prepare: Callable[..., Any], flight: Any, *arguments: Any, **options: Any) -> Any:
