@@ -182,6 +182,18 @@ def law_rests(board: Board, laws: Laws) -> None:
     hover(board, 4.0, (0.0, 2.0, 0.0))
 
 
+def law_sinks(board: Board, laws: Laws) -> None:
+    """A law follows a setpoint down to the table, three times."""
+    board.upload(*laws["steady"])
+    take_off(board, 12.0, 3.5)
+    # Slow braking: the guard foresees the table from far above.
+    board.set(elevation_acceleration_deg_s2=6.0)
+    for low_deg in (-25.5, -20.0, -25.5):
+        board.ask(d.LawFlyMessage, 1)
+        hover(board, 3.0, (low_deg, 0.0, 0.0))
+        hover(board, 4.0, (18.0, 0.0, 0.0))
+
+
 def bad_tapes(board: Board, laws: Laws) -> None:
     """A law is uploaded with one bit wrong, with words missing, and twice."""
     words, crc = laws["steady"]
@@ -229,6 +241,7 @@ SCRIPTS: Final[dict[str, Script]] = {
     "law without numbers": Script(partial(law, name="divides by zero")),
     "law with wishes": Script(partial(law, name="own setpoints")),
     "law at rest": Script(law_rests, {"stir_rad_s2": 0.9, "friction_rad_s2": 0.03}),
+    "law that sinks": Script(law_sinks, {"gain": 0.8}),
     "elevation encoder dies often": Script(partial(encoders_die, axis=0), _ROUGH),
     "pitch encoder dies often": Script(partial(encoders_die, axis=1), _ROUGH),
     "travel encoder dies often": Script(partial(encoders_die, axis=2), _ROUGH),

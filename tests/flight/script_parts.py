@@ -207,7 +207,7 @@ def _program(chance: random.Random) -> list[int]:
     first_written = len(d.LAW_INPUTS) + len(numbers)
     instructions: list[int] = []
     written = list(range(first_written))
-    length = chance.choice((1, 3, 30, 120, 250))
+    length = chance.choice((1, 3, 30, 250, 900))
     while len(instructions) < length:
         target = chance.randrange(first_written, first_written + 40)
         code = chance.randrange(len(d.OPERATIONS))

@@ -146,8 +146,9 @@ class Board(Notes):
         self.core.tick(20)
         self.send(d.HelloMessage(1, d.LINK_HASH, 7))
         self.core.tick(5)
-        # The welcome contains versions, which change with each release.
-        self.core.sent()
+        # The welcome contains versions, which change with each release: of what is sent here, events count.
+        for frame in self.parser.feed(self.core.sent()):
+            self._note(frame)
 
     def send(self, message: Any) -> None:
         """A message of the host, as it is."""
