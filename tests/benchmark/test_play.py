@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from heli_benchmark.cases.play import PLAY_AXES, PLAYS_deg, play_case
 
 
@@ -9,7 +10,9 @@ def test_nine_consecutive_seeds_have_each_axis_with_each_size_once() -> None:
     for first in (9000, 9108):
         cases = [play_case(seed) for seed in range(first, first + 9)]
         causes = [case.effects[0] for case in cases]
-        nearest_deg = [min(PLAYS_deg, key=lambda size, deg=deg: abs(size / deg - 1.0)) for _, deg in causes]
+        nearest_deg = [
+            PLAYS_deg[int(np.argmin(np.abs(np.divide(PLAYS_deg, deg) - 1.0)))] for _, deg in causes
+        ]
         expected = {(f"backlash.{axis}", size) for axis in PLAY_AXES for size in PLAYS_deg}
         assert set(zip((name for name, _ in causes), nearest_deg, strict=True)) == expected
         strengths = [case.disturbances.gusts_Nm for case in cases]

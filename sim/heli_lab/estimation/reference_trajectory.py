@@ -33,7 +33,7 @@ slows down unseen. A third of it: friction comes out up to 6 standard errors too
 RETURN_s: Final = 0.2
 """Time over which the count of an axis must stay the same for the axis to have moved into its play and back.
 Set on six simulated flights with plays of 0.5 to 3 degrees (2026-11). Longer, 0.3 s: the likelihoods of
-plays of pitch lose 190 and 230 nats. Shorter, 0.15 s: the likelihoods gain up to 26 nats, but an axis that
+plays of pitch lose 190 and 230 nats. Shorter, 0.15 s: the likelihoods gain up to 27 nats, but an axis that
 moves slowly passes for one within its play."""
 
 _BACK: Final = 0.75
