@@ -6,8 +6,8 @@ in the first flight only. Without a hidden effect, hardly any cause is named. Ea
 second flight held out, and from the first flight alone; with ``--reverse`` also with the first held out.
 
 The calibration of causes that are not confirmed, in `heli_lab.diagnose.thresholds`, was fitted to
-`DEVELOPMENT`; seeds from 9400 on judge it. Results are appended to a file, and a run continues where the last
-one stopped.
+`DEVELOPMENT`; the seeds `JUDGING` judge it. Results are appended to a file, and a run continues where the
+last one stopped.
 """
 
 from __future__ import annotations
@@ -67,7 +67,9 @@ STRENGTHS_Nm: Final = ((0.006, 0.002, 0.004), (0.012, 0.004, 0.008), (0.02, 0.00
 CORRELATION_TIMES_s: Final = (0.3, 0.6, 1.2, 5.0)
 SIZES: Final = (0.7, 3.0)
 """Range of the factor on the typical size, drawn log-uniformly: smaller effects are not named."""
-DEVELOPMENT: Final = range(9300, 9330)
+DEVELOPMENT: Final = (9300, 9301, 9302, 9304, 9305, 9307, 9309, 9310, 9312, 9314, 9315)
+"""Seeds of the calibration, the first three with ``--reverse``."""
+JUDGING: Final = range(9400, 9500)
 BINS: Final = (0.0, 0.5, 0.7, 0.85, 0.95, 1.0)
 """Bounds of the bins of confidence."""
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from heli_lab.diagnose.evaluate import unconfirmed_confidence
 
-from tests.diagnose.confidence import DEVELOPMENT, KINDS, case, is_right, main, platt
+from tests.diagnose.confidence import DEVELOPMENT, JUDGING, KINDS, case, is_right, main, platt
 
 LEVELS = np.linspace(0.01, 0.99, 99)
 
@@ -37,7 +37,7 @@ def test_logistic_calibration_never_gives_less_evidence_a_higher_confidence() ->
 
 
 def test_kinds_of_cases_alternate_and_an_event_has_a_moment_in_flight() -> None:
-    some = [case(seed) for seed in DEVELOPMENT]
+    some = [case(seed) for seed in JUDGING]
     assert {this.kind for this in some} == set(KINDS)
     for this in some:
         assert bool(this.removed) == ("lacking" in this.kind)
@@ -46,8 +46,12 @@ def test_kinds_of_cases_alternate_and_an_event_has_a_moment_in_flight() -> None:
             assert all(8.0 <= value <= 12.0 for name, value in values.items() if name.endswith("_at_s"))
 
 
+def test_no_seed_of_the_calibration_judges_it() -> None:
+    assert not {*DEVELOPMENT} & {*JUDGING}
+
+
 def test_only_a_hidden_effect_or_one_of_two_is_right() -> None:
-    this = next(this for this in map(case, DEVELOPMENT) if this.kind == "one")
+    this = next(this for this in map(case, JUDGING) if this.kind == "one")
     (hidden,) = this.hidden
     assert is_right(this, hidden, ())
     assert is_right(this, "flywheel", (hidden,))
