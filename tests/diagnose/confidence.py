@@ -5,9 +5,9 @@ One or two effects of random size are hidden, or an effect that the catalogue la
 in the first flight only. Without a hidden effect, hardly any cause is named. Each seed is diagnosed with the
 second flight held out, and from the first flight alone; with ``--reverse`` also with the first held out.
 
-The calibration of causes that are not confirmed, in `heli_lab.diagnose.thresholds`, was fitted to
-`DEVELOPMENT`; seeds from 9400 on judge it. Results are appended to a file, and a run continues where the last
-one stopped.
+The limit for causes that are not confirmed, in `heli_lab.diagnose.thresholds`, comes from `DEVELOPMENT`; the
+seeds `JUDGING` judge it. Results are appended to a file, and a run continues where the
+last one stopped.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from unittest.mock import patch
 
 import numpy as np
 from heli_benchmark.reference.truth import PARTS
-from heli_host.arrays import Floats
 
 from tests.running.alone import one_thread_each
 
@@ -67,7 +66,9 @@ STRENGTHS_Nm: Final = ((0.006, 0.002, 0.004), (0.012, 0.004, 0.008), (0.02, 0.00
 CORRELATION_TIMES_s: Final = (0.3, 0.6, 1.2, 5.0)
 SIZES: Final = (0.7, 3.0)
 """Range of the factor on the typical size, drawn log-uniformly: smaller effects are not named."""
-DEVELOPMENT: Final = range(9300, 9330)
+DEVELOPMENT: Final = (9300, 9301, 9302, 9304, 9305, 9307, 9309, 9310, 9312, 9314, 9315)
+"""Seeds of the calibration, the first three with ``--reverse``."""
+JUDGING: Final = range(9400, 9500)
 BINS: Final = (0.0, 0.5, 0.7, 0.85, 0.95, 1.0)
 """Bounds of the bins of confidence."""
 
@@ -188,22 +189,6 @@ def is_right(this: Case, effect: str, ambiguous_with: Sequence[str]) -> bool:
     )
 
 
-def platt(logits: Floats, right: Floats) -> tuple[float, float]:
-    """Fit intercept and slope of a logistic calibration, with the smoothed targets of Platt (1999)."""
-    from scipy.optimize import minimize
-
-    positive, negative = float(right.sum()), float((1.0 - right).sum())
-    target = np.where(right > 0.0, (positive + 1.0) / (positive + 2.0), 1.0 / (negative + 2.0))
-
-    def loss(of: Floats) -> float:
-        scaled = of[0] + of[1] * logits
-        return float(np.sum(np.logaddexp(0.0, scaled) - target * scaled))
-
-    # A slope below zero would give less evidence a higher confidence.
-    fitted = minimize(loss, [0.0, 1.0], method="L-BFGS-B", bounds=[(None, None), (0.0, None)])
-    return float(fitted.x[0]), float(fitted.x[1])
-
-
 def table(answers: Sequence[tuple[float, bool]]) -> Iterator[str]:
     """Compare confidences with the share that is right, bin by bin, with its 95 % interval (Clopper and
     Pearson).
@@ -266,11 +251,8 @@ def main(arguments: Sequence[str]) -> int:
             *table([(sure, right) for sure, right, is_confirmed in answers if is_confirmed is confirmed]),
             sep="\n",
         )
-    if unconfirmed:
-        before = np.clip([sure for sure, _ in unconfirmed], 1e-6, 1.0 - 1e-6)
-        logits = np.log(before / (1.0 - before))
-        intercept, slope = platt(logits, np.array([float(right) for _, right in unconfirmed]))
-        print(f"calibration of causes that are not confirmed: logit {intercept:.2f}, slope {slope:.2f}")
+    print("not confirmed, by the confidence with confirmation")
+    print(*table(unconfirmed), sep="\n")
     return 0
 
 

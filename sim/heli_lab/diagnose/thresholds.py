@@ -272,13 +272,10 @@ catalogue lacks, three of four names are true (`python -m tests.diagnose.calibra
 2026-11): too few for a measured value. 1: false causes pass with high confidence. Lower: true causes are not
 believed."""
 
-UNCONFIRMED_LOGIT: Final[Annotated[float, "1", MEASUREMENT]] = -0.09
-"""Log-odds of a cause that is not confirmed, if they were 0 with confirmation: logistic calibration (Platt,
-1999) on cases of `tests/diagnose/confidence.py` (2026-11). Lower: right causes of a single flight are not
-believed. Higher: others are stated as facts."""
-
-UNCONFIRMED_LOGIT_SLOPE: Final[Annotated[float, "1", MEASUREMENT]] = 0.26
-"""Change of these log-odds per change of those with confirmation, by the same fit. 0: evidence is ignored."""
+MAX_CONFIDENCE_UNCONFIRMED: Final[Annotated[float, "1", MEASUREMENT]] = 0.875
+"""Largest confidence of a cause that is not confirmed: the rule of succession for six of six right names
+among the most confident ones of `tests/diagnose/confidence.py` (2026-11). Lower: right causes of a single
+flight are not believed. Higher: six cases cannot show it, and a false step of thrust had 0.99."""
 
 # Equations of what the catalogue lacks.
 

@@ -245,14 +245,11 @@ def confidence(cause: Cause, unexplained: bool = False) -> float:
 
 
 def unconfirmed_confidence(probability: float) -> float:
-    """Return the confidence of a cause that is not confirmed: logistic calibration (Platt) on development
-    cases.
+    """Return the confidence of a cause that is not confirmed: limited, because one direction is the evidence.
 
     Parameters
     ----------
     probability : float
-        Its confidence if it were confirmed, 0 to 1; the result grows with it, and is never higher.
+        Its confidence if it were confirmed, 0 to 1.
     """
-    logit = math.log(probability / (1.0 - probability))
-    scaled = thresholds.UNCONFIRMED_LOGIT + thresholds.UNCONFIRMED_LOGIT_SLOPE * logit
-    return min(probability, 1.0 / (1.0 + math.exp(-scaled)))
+    return min(probability, thresholds.MAX_CONFIDENCE_UNCONFIRMED)
