@@ -15,15 +15,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats, Integers
+from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_host.flight.flown import flown_rows
 from heli_sim.model.base import Model
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
+from scipy.optimize import least_squares
 
 from heli_lab.encoder_scale.weak_form import TestFunctions, parts_of
 from heli_lab.estimation import Trajectory
@@ -59,8 +61,6 @@ _SMALL_GAIN: Final = 1e-5
 is farther from its estimate than a tenth of its standard error."""
 _MAX_EVALUATIONS: Final = 60
 """Evaluations of a search after which its best point is taken."""
-_FIRST_DAMPING: Final = 1e-3
-"""Damping of the first step, relative to the information: usual (Madsen, Nielsen and Tingleff 2004)."""
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,7 @@ class _Fit:
     residuals: list[Floats]
 
 
-def scales_of(flight: Flight, rig: Rig, model: Model, *, min_nats: float = 0.0) -> tuple[ScaleEstimate, ...]:
+def scales_of(flight: Flight, rig: Rig, model: Model) -> tuple[ScaleEstimate, ...]:
     """Estimate the scale of each encoder, the other two taken as right; empty where too little was flown.
 
     Parameters
@@ -203,9 +203,6 @@ def scales_of(flight: Flight, rig: Rig, model: Model, *, min_nats: float = 0.0) 
         Numbers and tolerances: what is known beforehand.
     model : Model
         Its equations.
-    min_nats : float
-        Log-likelihood ratio to a scale of 1 that is of interest, nats. If all three scales together gain
-        less, none of them gains as much, and the result is empty.
 
     Returns
     -------
@@ -217,10 +214,6 @@ def scales_of(flight: Flight, rig: Rig, model: Model, *, min_nats: float = 0.0) 
         return ()
     noise, joint = _noise(known)
     without = _fit(known, noise, (), known.mean)
-    if min_nats > 0.0:
-        together = _fit(known, noise, (0, 1, 2), joint.unknowns)
-        if 0.5 * (without.cost - together.cost) < min_nats:
-            return ()
     return tuple(_estimate(known, noise, axis, (joint, without)) for axis in range(3))
 
 
@@ -267,77 +260,35 @@ def _noise(known: FlightInWeakForm) -> tuple[Floats, _Fit]:
     return noise, fit
 
 
-@dataclass(frozen=True)
-class _Iterate:
-    """Values of the free unknowns, with the weighted residuals and their derivatives."""
-
-    point: Floats
-    weighted: Floats
-    jacobian: Floats
-
-    @property
-    def cost(self) -> float:
-        """Weighted sum of squares, priors included."""
-        return float(self.weighted @ self.weighted)
-
-
-@dataclass(frozen=True)
-class _ScaleFit:
-    """The least-squares problem of some unknowns; the others stay as in `start`."""
-
-    known: FlightInWeakForm
-    noise: Floats
-    start: Floats
-    free: Integers
-
-    def unknowns(self, point: Floats) -> Floats:
-        """All unknowns, from the values of the free ones."""
-        unknowns = self.start.copy()
-        unknowns[self.free] = point
-        return unknowns
-
-    def at(self, point: Floats) -> _Iterate:
-        """Evaluate the residuals; priors are the last rows."""
-        residuals, derivatives = self.known.residuals(self.unknowns(point))
-        weight = 1.0 / self.known.std[self.free]
-        away = weight * (point - self.known.mean[self.free])
-        weighted = [values / std for values, std in zip(residuals, self.noise, strict=True)]
-        rows = [values[:, self.free] / std for values, std in zip(derivatives, self.noise, strict=True)]
-        return _Iterate(point, np.concatenate([*weighted, away]), np.vstack([*rows, np.diag(weight)]))
-
-    def minimum(self) -> _Iterate:
-        """Search from `start` on by the method of Levenberg and Marquardt. SciPy's takes as many steps, but
-        its import takes longer than all fits of a flight.
-        """
-        best, damping, growth = self.at(self.start[self.free]), _FIRST_DAMPING, 2.0
-        # A lag near zero has no derivative: what it had before limits its steps (More 1978).
-        scale = np.zeros(len(self.free))
-        for _ in range(_MAX_EVALUATIONS):
-            information = best.jacobian.T @ best.jacobian
-            scale = np.maximum(scale, np.diag(information))
-            damped = information + damping * np.diag(scale)
-            move = -np.linalg.solve(damped, best.jacobian.T @ best.weighted)
-            promised = float(move @ (2.0 * damped - information) @ move)
-            trial = self.at(best.point + move)
-            gain = best.cost - trial.cost
-            ends = max(promised, gain) < _SMALL_GAIN * max(best.cost, 1.0)
-            if gain > 0.0:
-                # Nielsen's rule (1999): less damping the better the promise was kept.
-                best, growth = trial, 2.0
-                damping *= max(0.1, 1.0 - (2.0 * gain / promised - 1.0) ** 3)
-            else:
-                damping, growth = damping * growth, 2.0 * growth
-            if ends:
-                break
-        return best
-
-
 def _fit(known: FlightInWeakForm, noise: Floats, axes: Sequence[int], start: Floats) -> _Fit:
-    """Fit the scales of some axes and everything else, with priors, from `start` on."""
+    """Fit the scales of some axes and everything else, with priors, from `start` on, by SciPy's
+    Levenberg-Marquardt method.
+    """
     free = np.array([*axes, *range(3, len(known.mean))], int)
-    problem = _ScaleFit(known, noise, start, free)
-    best = problem.minimum()
-    covariance = np.asarray(np.linalg.inv(best.jacobian.T @ best.jacobian), np.float64)
+    weight = 1.0 / known.std[free]
+
+    @lru_cache(maxsize=1)
+    def evaluated(point: bytes) -> tuple[list[Floats], list[Floats]]:
+        unknowns = start.copy()
+        unknowns[free] = np.frombuffer(point)
+        return known.residuals(unknowns)
+
+    def errors(point: Floats) -> Floats:
+        residuals, _ = evaluated(point.tobytes())
+        away = weight * (point - known.mean[free])
+        return np.concatenate([*(values / std for values, std in zip(residuals, noise, strict=True)), away])
+
+    def jacobian(point: Floats) -> Floats:
+        _, derivatives = evaluated(point.tobytes())
+        rows = [values[:, free] / std for values, std in zip(derivatives, noise, strict=True)]
+        return np.vstack([*rows, np.diag(weight)])
+
+    fitted = least_squares(
+        errors, start[free], jacobian, method="lm", x_scale="jac", ftol=_SMALL_GAIN, max_nfev=_MAX_EVALUATIONS
+    )
+    unknowns = start.copy()
+    unknowns[free] = fitted.x
+    covariance = np.asarray(np.linalg.inv(fitted.jac.T @ fitted.jac), np.float64)
     counts = np.cumsum([len(known.shown(axis)) for axis in range(3)])
-    residuals = [std * values for std, values in zip(noise, np.split(best.weighted, counts), strict=False)]
-    return _Fit(problem.unknowns(best.point), covariance, best.cost, residuals)
+    residuals = [std * values for std, values in zip(noise, np.split(fitted.fun, counts), strict=False)]
+    return _Fit(unknowns, covariance, 2.0 * float(fitted.cost), residuals)

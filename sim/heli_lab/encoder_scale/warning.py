@@ -54,7 +54,7 @@ def check_flight(flight: Flight, rig: str) -> list[FlightFinding]:
     """
     numbers = load_rig(rig)
     model = model_named(numbers.model or "multibody", effects_of(numbers))
-    wrong = wrong_scale(scales_of(flight, numbers, model, min_nats=MAX_NATS))
+    wrong = wrong_scale(scales_of(flight, numbers, model))
     if wrong is None:
         return []
     name = f"{wrong.axis}_encoder_scale"

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from heli_host.arrays import Flags, Floats, Integers
 from heli_host.flight import Flight
+from scipy.signal import lfilter
 
 GRID_s: Final = 0.02
 """Step of the grid, s. Twice as long: blurred rates put scales off by 2 %, twice as much. Half: twice the
@@ -19,9 +20,6 @@ its inverse square. Longer: the sines of a flight average out."""
 _OVERLAP: Final = 0.5
 _MIN_LAG_s: Final = 1e-3
 """Lag below which there is none, s."""
-_REMEMBERED_LAGS: Final = 37.0
-"""Time in time constants after which a lag has forgotten an input: a share of 1e-16 remains, the rounding of
-a number."""
 _SMOOTH_s: Final = 0.1
 """Standard deviation of the bell over which rates are smoothed, s."""
 
@@ -59,12 +57,9 @@ class Part:
         """
         lag_s = max(lag_s, _MIN_LAG_s)
         keep = math.exp(-self.step_s / lag_s)
-        # A recursion would need scipy.signal, whose import takes longer than all fits of a flight.
-        count = min(len(self.volts_V), math.ceil(_REMEMBERED_LAGS * lag_s / self.step_s))
-        response = (1.0 - keep) * keep ** np.arange(count)
-        start = self.volts_V[:1]
-        changes = [np.convolve(column, response)[: len(column) - 1] for column in (self.volts_V - start).T]
-        before = np.vstack((start, start + np.column_stack(changes)))
+        start = keep * self.volts_V[:1]
+        after, _ = lfilter([1.0 - keep], [1.0, -keep], self.volts_V, axis=0, zi=start)
+        before = np.vstack((self.volts_V[:1], after[:-1]))
         # Within a step the lag goes on from its value before it towards that of the step's voltage.
         share = lag_s / self.step_s * (1.0 - keep)
         return np.asarray(self.volts_V + share * (before - self.volts_V))
