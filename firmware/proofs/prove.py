@@ -23,7 +23,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 CORE = HERE.parent / "core"
 DUE = HERE.parent / "due"
-DOCUMENT = HERE.parents[1] / "docs" / "validation" / "proofs.md"
+DOCUMENT = HERE.parents[1] / "docs" / "reference" / "proved-claims.md"
 TABLE = re.compile(r"(<!-- claims -->\n).*?(<!-- end of claims -->)", re.DOTALL)
 
 CHECKS = ("--overflow-check", "--ub-shift-check", "--struct-fields-check")
@@ -248,7 +248,7 @@ def table() -> str:
     """The claims, as the document lists them."""
     lines: list[str] = []
     for claim in claims():
-        lines += [f"### {claim.number}. {claim.title[0].upper()}{claim.title[1:]}", "", claim.sentence, ""]
+        lines += [f"## {claim.number}. {claim.title[0].upper()}{claim.title[1:]}", "", claim.sentence, ""]
         for title, texts in (("Assumptions", claim.assumptions), ("Not proved", claim.open)):
             lines += [f"{title}:", "", *(f"- {text}" for text in texts), ""]
         lines += ["Refuted changes:", "", *(f"- {mutant}" for mutant in claim.mutants), ""]
@@ -265,7 +265,7 @@ def main(words: list[str]) -> int:
     parser = argparse.ArgumentParser(description="Prove claims about the flight code for all inputs.")
     parser.add_argument("claims", nargs="*", metavar="CLAIM", help="folder of firmware/proofs [default: all]")
     parser.add_argument("--list", action="store_true", help="list the claims")
-    parser.add_argument("--document", action="store_true", help="update docs/validation/proofs.md")
+    parser.add_argument("--document", action="store_true", help="update docs/reference/proved-claims.md")
     options = parser.parse_args(words)
     known = {claim.name: claim for claim in claims()}
     for name in options.claims:
