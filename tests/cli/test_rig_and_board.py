@@ -60,6 +60,7 @@ def test_fly_warns_of_another_supply_and_flies(terminal: Terminal, tmp_path: Pat
     assert "warning: supply_V is 13 V, but the rig has 12 V" in ended.out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words",
     ["fly short.toml", "setpoint --take-off --travel-deg 5", f"law fly {LAW}"],

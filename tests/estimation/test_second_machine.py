@@ -21,6 +21,7 @@ pytestmark = pytest.mark.medium
 KINEMATICS = KinematicModel(20.0, 0.1, 2.0, 0.1)
 
 
+@pytest.mark.slow
 def test_a_cart_with_a_pendulum_is_identified_within_its_standard_errors() -> None:
     runs = [run(1), run(2)]
     guess = {name: 1.3 * value for name, value in TRUE.items()}

@@ -125,7 +125,7 @@ def test_any_number_of_flights_is_drawn_and_the_first_is_in_each_figure(
     assert all(file.exists() for file in files)
 
 
-@pytest.mark.medium
+@pytest.mark.slow
 def test_the_command_fails_if_a_law_was_taken_over_and_still_writes_all(terminal: Terminal) -> None:
     Path("good.py").write_text(law_text())
     Path("wild.py").write_text(law_text(front_V="if_else(late, 20.0, front_V)"))

@@ -110,7 +110,7 @@ def one_axis_counts() -> float:
     return 4096.0
 
 
-@pytest.mark.medium
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(shipped()))
 def test_no_number_at_any_node_is_taken_over_in_that_very_tick(name: str) -> None:
     tape = shipped()[name].program

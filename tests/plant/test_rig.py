@@ -74,7 +74,7 @@ def test_a_missing_number_is_named(tmp_path: Path) -> None:
         load_rig(path)
 
 
-@pytest.mark.parametrize("name", ["nosuchrig", "/no/such/file.toml", "", "../rig/schema"])
+@pytest.mark.parametrize("name", ["nosuchrig", "/no/such/file", "", "../rig/schema"])
 def test_an_unknown_rig_is_refused_with_the_known_ones(name: str) -> None:
     with pytest.raises(RigError, match="makki2024"):
         load_rig(name)

@@ -97,6 +97,7 @@ def first_words(path: Path) -> str:
     return text.partition("\n")[0].removeprefix("//") if text.startswith("//") else ""
 
 
+@pytest.mark.slow
 def test_a_source_file_says_first_what_it_is() -> None:
     sources = [
         path for path in tracked() if path.suffix in (".py", ".hpp", ".js") and "vendor" not in path.parts

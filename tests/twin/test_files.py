@@ -107,7 +107,7 @@ def test_words_that_cannot_be_are_refused_in_one_line(
     assert "Traceback" not in shown.err
 
 
-@pytest.mark.medium
+@pytest.mark.slow
 def test_learning_from_a_healthy_flight_writes_a_file_that_the_twin_takes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -95,7 +95,15 @@ class DisturbanceModel:
         return result
 
     def with_logarithms(self, logarithms: Floats, curvature: Floats | None = None) -> DisturbanceModel:
-        """Return disturbances of the same outputs and gains with other parameters, given as `logarithms`."""
+        """Return disturbances of the same outputs and gains with other parameters.
+
+        Parameters
+        ----------
+        logarithms : ndarray (4 m + 2 g,)
+            Logarithms of the parameters, in the order of the property `logarithms`.
+        curvature : ndarray (4 m + 2 g, 4 m + 2 g), optional
+            Curvature of the log-likelihood at these parameters.
+        """
         values = np.exp(logarithms)
         outputs, gains = np.split(values, [4 * len(self.fast_std)])
         fast_std, correlation_time_s, slow_std, quantisation = outputs.reshape(-1, 4).T

@@ -22,6 +22,7 @@ def figure(number: int, points: int = 2) -> Figure:
     return drawn
 
 
+@pytest.mark.medium
 def test_a_second_process_draws_the_same_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     expected = [png_of(figure(number)) for number in range(3)]
     with Drawing(use_process=True) as some:
