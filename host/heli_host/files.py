@@ -16,6 +16,8 @@ from typing import Any, Final
 
 RESULT_SCHEMA: Final = 1
 """Number of the layout of results as JSON; it grows when a key is renamed or removed."""
+LOG_WRITER: Final = "heli_host (link"
+"""Begin of the library's name in the header of a log; a ROS 2 export names ``heli_host`` alone."""
 TOML_BYTES = 1 << 20
 """A plan with a thousand segments has 100 kB."""
 

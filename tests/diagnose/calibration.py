@@ -15,10 +15,10 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from tests.running.alone import one_thread_each
 
@@ -42,6 +42,9 @@ RANDOM: Final = {"elevation": 0.03, "pitch": 0.005, "travel": 0.02}
 """Typical random torque about each axis, N m."""
 FRICTION_Nm: Final = {"elevation": 0.03, "pitch": 0.01, "travel": 0.02}
 """Typical dry friction about each axis."""
+
+
+_Key = TypeVar("_Key", str, int)
 
 
 @dataclass(frozen=True)
@@ -133,16 +136,23 @@ def names_in_unexplained(rows: Mapping[str, Mapping[str, Any]]) -> tuple[int, in
     return right, every
 
 
-def measure(path: Path, names: Sequence[str]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the row of each case; those in the file at `path` are not measured again."""
+def kept_rows(
+    path: Path, keys: Iterable[_Key], measured: Callable[[_Key], dict[str, Any]]
+) -> Iterator[tuple[_Key, dict[str, Any]]]:
+    """Yield each key with its row; rows in the file at `path` are not measured again, others are appended."""
     lines = path.read_text().splitlines() if path.exists() else []
     known = dict(json.loads(line) for line in lines)
     with path.open("a") as file:
-        for name in names:
-            row = known.get(name) or diagnosed(cases()[name])
-            if name not in known:
-                print(json.dumps([name, row]), file=file, flush=True)
-            yield name, row
+        for key in keys:
+            row = known.get(key) or measured(key)
+            if key not in known:
+                print(json.dumps([key, row]), file=file, flush=True)
+            yield key, row
+
+
+def measure(path: Path, names: Sequence[str]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the row of each case; those in the file at `path` are not measured again."""
+    return kept_rows(path, names, lambda name: diagnosed(cases()[name]))
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -13,7 +13,6 @@ last one stopped.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,12 +22,14 @@ from typing import Any, Final
 from unittest.mock import patch
 
 import numpy as np
+from heli_benchmark.effects.disturbances import STRENGTHS_Nm
 from heli_benchmark.reference.truth import PARTS
+from heli_benchmark.scoring.reliability import BINS
 
+from tests.diagnose.calibration import LACKING, DURATIONS_s, kept_rows
 from tests.running.alone import one_thread_each
 
 ROOT: Final = Path(__file__).resolve().parents[2]
-DURATIONS_s: Final = (18.0, 14.0)
 KINDS: Final = ("event", "one", "lacking", "two", "lacking and one")
 LISTED: Final = (
     "rotor_lag",
@@ -48,29 +49,15 @@ LISTED: Final = (
     "zero_offset.pitch",
     "supply_fade",
 )
-LACKING: Final = (
-    "cable_spring.travel",
-    "thrust_asymmetry",
-    "travel_drag_quadratic",
-    "gyroscopic_torque",
-    "axis_tilt",
-    "coulomb_friction.travel",
-    "backlash.elevation",
-    "encoder_eccentricity.travel",
-    "periodic_torque.elevation",
-    "inflow_damping",
-)
+UNLISTED: Final = tuple(effect.partition("=")[0] for effect in LACKING if "rotor_lag" not in effect)
+"""Effects of which the catalogue may lack one: those of the calibration, without the rotors' lag."""
 EVENTS: Final = ("thrust_step.front", "thrust_step.back", "counterweight_shift")
-STRENGTHS_Nm: Final = ((0.006, 0.002, 0.004), (0.012, 0.004, 0.008), (0.02, 0.006, 0.012))
-"""Standard deviations about elevation, pitch and travel, as in `heli_benchmark`."""
 CORRELATION_TIMES_s: Final = (0.3, 0.6, 1.2, 5.0)
 SIZES: Final = (0.7, 3.0)
 """Range of the factor on the typical size, drawn log-uniformly: smaller effects are not named."""
 DEVELOPMENT: Final = (9300, 9301, 9302, 9304, 9305, 9307, 9309, 9310, 9312, 9314, 9315)
 """Seeds of the calibration, the first three with ``--reverse``."""
 JUDGING: Final = range(9400, 9500)
-BINS: Final = (0.0, 0.5, 0.7, 0.85, 0.95, 1.0)
-"""Bounds of the bins of confidence."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +92,7 @@ def case(seed: int) -> Case:
 
     kinds, rng, kind = catalogue(), np.random.default_rng([seed, 20]), KINDS[seed % len(KINDS)]
     strength, time_s = STRENGTHS_Nm[int(rng.integers(3))], float(rng.choice(CORRELATION_TIMES_s))
-    removed = str(rng.choice(LACKING)) if "lacking" in kind else ""
+    removed = str(rng.choice(UNLISTED)) if "lacking" in kind else ""
     others = [name for name in LISTED if name != removed]
     count = 2 if kind == "two" else int(kind in ("one", "lacking and one"))
     names = [str(name) for name in rng.choice(others, count, replace=False)]
@@ -209,14 +196,8 @@ def table(answers: Sequence[tuple[float, bool]]) -> Iterator[str]:
 
 def measure(path: Path, seeds: Sequence[int], reverse: bool) -> Iterator[tuple[Case, dict[str, Any]]]:
     """Yield each case and its results; those in the file at `path` are not measured again."""
-    lines = path.read_text().splitlines() if path.exists() else []
-    known = dict(json.loads(line) for line in lines)
-    with path.open("a") as file:
-        for seed in seeds:
-            results = known.get(seed) or diagnosed(case(seed), reverse)
-            if seed not in known:
-                print(json.dumps([seed, results]), file=file, flush=True)
-            yield case(seed), results
+    for seed, results in kept_rows(path, seeds, lambda seed: diagnosed(case(seed), reverse)):
+        yield case(seed), results
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -40,14 +40,15 @@ def operations(notes: Notes, _laws: Any) -> None:
     angles = np.array(
         [[chance.uniform(-9000.0, 9000.0), chance.uniform(-2.0, 2.0)] for _ in range(1500)], np.float32
     )
-    some = np.ascontiguousarray(np.vstack([pairs, angles]))
+    operands = np.ascontiguousarray(np.vstack([pairs, angles]))
     for operation in d.OPERATIONS:
         if operation.name not in ("select", "sum_of_products"):
-            found = native_law.operate(operation.code, some)
-            # The sign and payload of "no number" may differ between processors.
-            notes.add(
-                operation.name, np.where(np.isnan(found), np.float32(7.0), found).astype("<f4").tobytes()
-            )
+            notes.add(operation.name, _recorded(native_law.operate(operation.code, operands)))
+
+
+def _recorded(results: Any) -> bytes:
+    """Bytes of numbers; the sign and payload of "no number" may differ between processors."""
+    return np.where(np.isnan(results), np.float32(7.0), results).astype("<f4").tobytes()
 
 
 def fixed_point(notes: Notes, _laws: Any) -> None:
@@ -244,6 +245,5 @@ def tapes(notes: Notes, laws: Laws) -> None:
             if error == d.LawError.NONE:
                 tape.restart()
                 verdicts.append(tape.set_parameter(number % 4, 1.25))
-                found = tape.run(inputs)
-                verdicts += np.where(np.isnan(found), np.float32(7.0), found).astype("<f4").tobytes()
+                verdicts += _recorded(tape.run(inputs))
         notes.add(name, bytes(verdicts))

@@ -46,7 +46,7 @@ def flown(scale: str) -> Path:
     folder = Path(mkdtemp())
     (folder / "short.toml").write_text(PLAN)
     plan, log, summary = (str(folder / name) for name in ("short.toml", "flight.mcap", "summary.json"))
-    with (folder / "said.txt").open("w") as said, contextlib.redirect_stdout(said):
+    with (folder / "output.txt").open("w") as output, contextlib.redirect_stdout(output):
         run(["fly", plan, "--port", f"sil://?encoder_scale={scale}", "--log", log, "--json", summary])
     return folder
 
@@ -65,9 +65,9 @@ def test_a_wrong_scale_is_measured_and_named(axis: str, scale: float) -> None:
 
 def test_the_summary_and_the_last_lines_have_the_warning() -> None:
     folder = flown("travel:0.5")
-    said = (folder / "said.txt").read_text()
+    output = (folder / "output.txt").read_text()
     (finding,) = json.loads((folder / "summary.json").read_text())["findings"]
-    assert f"warning: {finding['text']}" in said
+    assert f"warning: {finding['text']}" in output
     assert finding["text"].startswith(f"travel encoder: it counts {finding['value']:.2f}"[:-1])
     assert set(finding) == {"name", "value", "standard_error", "text"}
 

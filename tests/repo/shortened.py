@@ -80,7 +80,7 @@ def _diagnosed_once(diagnose: Callable[..., Any], *arguments: Any, **options: An
         return diagnose(*arguments, **options)
     model, rig, flights, validation = arguments
     given = [
-        [(f.t_s, f.angles_rad, f.voltages_V, f.parameters) for f in some] for some in (flights, validation)
+        [(f.t_s, f.angles_rad, f.voltages_V, f.parameters) for f in role] for role in (flights, validation)
     ]
     effects = [(effect.name, sorted(effect.values.items())) for effect in model.effects]
     key = hashlib.sha256(pickle.dumps((model.name, effects, rig, given))).hexdigest()

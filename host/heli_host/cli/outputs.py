@@ -14,12 +14,15 @@ FIGURE_ENDS: Final = (".png", ".pdf", ".svg")
 
 
 def check_place(path: Path) -> None:
-    """Make the folder of a file to be written later; a typer.BadParameter when `path` is a folder, or may not
-    be written, or is an option behind one that lacks its file.
+    """Make the folder of a file to be written later. A typer.BadParameter when `path` is a folder, is below a
+    file, may not be written, or is an option behind one that lacks its file.
     """
     if str(path).startswith("--"):
         raise typer.BadParameter(f"{path} is an option, but a file name is needed there; give a file")
     folder = path.absolute().parent
+    for part in (folder, *folder.parents):
+        if part.is_file():
+            raise typer.BadParameter(f"cannot write {path}: {part} is a file; give the name of a folder")
     folder.mkdir(parents=True, exist_ok=True)
     if path.is_dir() or not os.access(path if path.exists() else folder, os.W_OK):
         reason = "it is a folder" if path.is_dir() else "you have no permission to write there"
@@ -51,6 +54,4 @@ def check_result_places(*files: Path | None, figure: Path | None = None, report:
         if target is not None and str(target) != STDOUT:
             check_place(target)
     if report is not None:
-        if report.exists() and not report.is_dir():
-            raise typer.BadParameter(f"--report {report} is a file; give the name of a folder")
         check_place(report / "index.html")

@@ -34,6 +34,7 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from heli_host.declaration import LINK_VERSION
+from heli_host.files import LOG_WRITER
 from heli_host.log.integrity import HEAD, RECORD_CRC, head_values, metadata_crc
 from heli_host.log.schema import (
     CDR_LITTLE_ENDIAN,
@@ -172,7 +173,7 @@ class McapBytes:
         all these.
         """
         builder = _Records()
-        Header(profile="", library=f"heli_host (link {LINK_VERSION})").write(builder)
+        Header(profile="", library=f"{LOG_WRITER} {LINK_VERSION})").write(builder)
         for record in (*_SCHEMAS, *_CHANNELS):
             record.write(builder)
         head = bytes(MCAP0_MAGIC) + builder.data()

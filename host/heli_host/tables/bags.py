@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from heli_host.errors import FlightDataError
+from heli_host.files import LOG_WRITER
 from heli_host.tables.limits import MAX_NUMBERS, MAX_ROWS, too_large, within_memory
 from heli_host.tables.sizes import check_bag
 from heli_host.tables.table import Column, Table
@@ -17,8 +18,6 @@ from heli_host.tables.table import Column, Table
 _MAX_VALUES: Final = 64
 """Longest array of a message whose elements become columns; scans and images have more."""
 _DEEPEST: Final = 6
-_LOG_LIBRARY: Final = b"heli_host (link"
-"""Library named in the header of a log (`heli_host.log.records`); ROS 2 exports name `heli_host` alone."""
 
 
 def read_bag(path: Path) -> Table:
@@ -78,7 +77,7 @@ def _is_log(path: Path) -> bool:
     if not path.is_file():
         return False
     with path.open("rb") as file:
-        return _LOG_LIBRARY in file.read(64)
+        return LOG_WRITER.encode() in file.read(64)
 
 
 def _table(path: Path, series: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> Table:

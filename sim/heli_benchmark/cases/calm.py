@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from heli_host.flight import Flight
 
 from heli_benchmark.cases.disturbed import PAPER_RIG, RATES_Hz
 from heli_benchmark.cases.disturbed_case import DisturbedCase
@@ -18,7 +17,6 @@ from heli_benchmark.cases.shocks import UNDISTURBED
 from heli_benchmark.effects.listed import LISTED
 from heli_benchmark.simulation.tracking import CONTROLLERS
 
-CALM_DURATIONS_s: Final = (60.0, 40.0)
 CALM_EFFECTS: Final = (
     (),
     (("supply_sag", 0.01),),
@@ -32,11 +30,6 @@ rotors' mean: twice the catalogue's share per volt of their sum."""
 @dataclass(frozen=True)
 class CalmCase(DisturbedCase):
     """Small effects in a rig of slightly different parameters."""
-
-    def both_flights(self) -> tuple[Flight, Flight]:
-        """Fly both flights, and return their logs."""
-        first, second = (self.fly(number, CALM_DURATIONS_s[number])[0] for number in (0, 1))
-        return first, second
 
 
 def calm_case(seed: int) -> CalmCase:

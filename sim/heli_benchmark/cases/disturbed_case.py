@@ -118,6 +118,10 @@ class DisturbedCase(Case):
             excitation_V * (0.4 if self.gentle else 1.0),
         )
 
+    def both_flights(self) -> tuple[Flight, Flight]:
+        """Fly both flights, and return their logs."""
+        return self.fly(0, TRAIN_S)[0], self.fly(1, VALIDATE_S)[0]
+
     def flights(
         self, folder: Path, durations_s: tuple[float, float] = (TRAIN_S, VALIDATE_S)
     ) -> tuple[Path, Path]:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from heli_host.flight import Flight
 from typing_extensions import override
 
 from heli_benchmark.cases.disturbed import LAG, MAKERS, PAPER_RIG, SIZES, RATES_Hz
@@ -20,7 +19,6 @@ from heli_benchmark.effects.noise import NOISE
 from heli_benchmark.engine.plant import HiddenEffect
 from heli_benchmark.simulation.tracking import CONTROLLERS
 
-NOISE_DURATIONS_s: Final = (60.0, 40.0)
 NOISE_KINDS: Final = tuple(NOISE)
 _ALONE: Final = (LAG, "thrust_asymmetry", "coulomb_friction.travel", "cable_spring.travel", "axis_tilt")
 _WITH_LAG: Final = ("coulomb_friction.elevation", "thrust_asymmetry", "cable_spring.travel", "axis_tilt")
@@ -42,11 +40,6 @@ class NoiseCase(DisturbedCase):
     @override
     def hidden(self, flight: int = 0) -> list[HiddenEffect]:
         return [*super().hidden(flight), *NOISE[self.kind](np.random.default_rng([self.seed, 14, flight]))]
-
-    def both_flights(self) -> tuple[Flight, Flight]:
-        """Fly both flights, and return their logs."""
-        first, second = (self.fly(number, NOISE_DURATIONS_s[number])[0] for number in (0, 1))
-        return first, second
 
 
 def noise_case(seed: int) -> NoiseCase:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from heli_host.flight import Flight
 
 from heli_benchmark.cases.disturbed import MAKERS, PAPER_RIG, RATES_Hz
 from heli_benchmark.cases.disturbed_case import DisturbedCase
@@ -18,7 +17,6 @@ from heli_benchmark.cases.shocks import UNDISTURBED
 from heli_benchmark.effects.disturbances import DisturbanceModel, MEMORIES_s, STRENGTHS_Nm
 from heli_benchmark.simulation.tracking import CONTROLLERS
 
-PLAY_DURATIONS_s: Final = (60.0, 40.0)
 PLAY_AXES: Final = ("elevation", "pitch", "travel")
 PLAYS_deg: Final = (0.5, 1.5, 3.0)
 _GUSTS_Nm: Final = (UNDISTURBED.gusts_Nm, STRENGTHS_Nm[1], STRENGTHS_Nm[2])
@@ -28,11 +26,6 @@ _GUSTS_Nm: Final = (UNDISTURBED.gusts_Nm, STRENGTHS_Nm[1], STRENGTHS_Nm[2])
 @dataclass(frozen=True)
 class PlayCase(DisturbedCase):
     """A play of one encoder."""
-
-    def both_flights(self) -> tuple[Flight, Flight]:
-        """Fly both flights, and return their logs."""
-        first, second = (self.fly(number, PLAY_DURATIONS_s[number])[0] for number in (0, 1))
-        return first, second
 
 
 def play_case(seed: int) -> PlayCase:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from heli_host.flight import Flight
 from typing_extensions import override
 
 from heli_benchmark.cases.disturbed import PAPER_RIG, RATES_Hz
@@ -21,7 +20,6 @@ from heli_benchmark.effects.disturbances import DisturbanceModel, MEMORIES_s, ST
 from heli_benchmark.engine.plant import HiddenEffect, Moment
 from heli_benchmark.simulation.tracking import CONTROLLERS
 
-SHOCK_DURATIONS_s: Final = (60.0, 40.0)
 SHOCK_LAYOUTS: Final = ("fit", "both", "second")
 """The slip happens in the fitted flight alone; in the fitted and the validation flight, at different moments;
 or in the second of two fitted flights, without a validation flight."""
@@ -68,11 +66,6 @@ class ShockCase(DisturbedCase):
     @override
     def hidden(self, flight: int = 0) -> list[HiddenEffect]:
         return [Slip(self.slip_m, self.moments_s[flight]), *super().hidden(flight)]
-
-    def both_flights(self) -> tuple[Flight, Flight]:
-        """Fly both flights, and return their logs."""
-        first, second = (self.fly(number, SHOCK_DURATIONS_s[number])[0] for number in (0, 1))
-        return first, second
 
 
 def shock_cases(seed: int) -> Iterator[ShockCase]:

@@ -14,7 +14,8 @@ from heli_host.cli.verb import Verb
 if TYPE_CHECKING:
     from heli_host.flight import Flight
 
-_ENDS = (".csv", ".mat", ".parquet", ".mcap")
+_SUFFIXES = (".csv", ".mat", ".parquet", ".ros2.mcap")
+"""Ending of the files of each format, in the order of the options."""
 
 
 def export(
@@ -61,7 +62,8 @@ def export(
     from heli_host.log.table import notes_path, write_csv
 
     write, suffix = _format(csv, mat, parquet)
-    if output is not None and output.suffix in _ENDS and not suffix.endswith(output.suffix):
+    ending = output.suffix if output is not None else ""
+    if ending and any(other.endswith(ending) for other in _SUFFIXES if other != suffix):
         raise typer.BadParameter(
             f"--output {output} has the ending of another format; give a name that ends in {suffix}"
         )
@@ -87,11 +89,9 @@ def _format(csv: bool, mat: bool, parquet: bool) -> tuple[Callable[[Flight, Path
     from heli_host.log.ros2 import export_ros2
     from heli_host.log.table import write_csv
 
-    if csv:
-        return write_csv, ".csv"
-    if mat:
-        return export_mat, ".mat"
-    return (export_parquet, ".parquet") if parquet else (export_ros2, ".ros2.mcap")
+    writers = (write_csv, export_mat, export_parquet, export_ros2)
+    chosen = (csv, mat, parquet, True).index(True)
+    return writers[chosen], _SUFFIXES[chosen]
 
 
 def _blind(flight: Flight, log: Path) -> Flight:

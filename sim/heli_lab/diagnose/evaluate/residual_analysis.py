@@ -255,8 +255,8 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
     first = 0
     for screening, part in zip(screenings, parts, strict=True):
         last = first + len(screening.filtered.linearised_flights)
-        own = {name: curves[first:last] for name, curves in functions.items()}
-        part.extend(_function_information(screening, own))
+        in_flights = {name: curves[first:last] for name, curves in functions.items()}
+        part.extend(_function_information(screening, in_flights))
         first = last
     result = []
     for (what, size), std, *each in zip(names, priors, *parts, strict=True):
