@@ -81,6 +81,7 @@ def test_a_verb_with_two_targets_opens_nothing(
     assert not no_port_opens
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", WORDS)
 def test_a_verb_takes_its_target_from_the_environment(
     verb: str, terminal: Terminal, no_port_opens: list[str], monkeypatch: pytest.MonkeyPatch
