@@ -1,10 +1,14 @@
-"""An expensive test without a marker fails; shared fixtures are part of the cost of each test with them."""
+"""An expensive test without a marker is listed; shared fixtures are part of the cost of each test with them."""
 
 from __future__ import annotations
+
+import json
+from pathlib import Path
 
 import pytest
 
 from tests.running import clock, cost
+from tests.running.costs import save
 from tests.running.kept import KEPT
 
 pytestmark = pytest.mark.medium
@@ -24,18 +28,19 @@ def burn(seconds=0.4):
 """
 
 
-def outcomes(pytester: pytest.Pytester, tests: str) -> dict[str, str]:
-    """Run tests with the limits `LIMIT_S` and `MEDIUM_S`, and return the outcome of each."""
+def above_limit(pytester: pytest.Pytester, tests: str) -> set[str]:
+    """Run tests with the limits `LIMIT_S` and `MEDIUM_S`, and return the names that are listed as above them."""
     pytester.makeini(
         f"[pytest]\nunmarked_cpu_s = {LIMIT_S}\nmedium_cpu_s = {MEDIUM_S}\nmarkers =\n  medium\n  slow\n"
     )
     pytester.makepyfile(HEAD + tests)
-    result = pytester.runpytest_inprocess("-v", "-p", "tests.running.cost", "-p", "no:cacheprovider")
-    words = [line.split() for line in result.outlines if "::" in line and " [" in line]
-    return {line[0].partition("::")[2]: line[1] for line in words}
+    result = pytester.runpytest_inprocess("-p", "tests.running.cost", "-p", "no:cacheprovider")
+    assert result.ret == 0
+    listed = [line for line in result.outlines if line.startswith("above its limit: ")]
+    return {line.split("::")[1].partition(":")[0] for line in listed}
 
 
-def test_an_expensive_test_without_a_marker_fails(pytester: pytest.Pytester) -> None:
+def test_an_expensive_test_without_a_marker_is_listed(pytester: pytest.Pytester) -> None:
     tests = """
 def test_cheap(): pass
 
@@ -44,11 +49,7 @@ def test_expensive(): burn()
 @pytest.mark.slow
 def test_expensive_and_marked(): burn()
 """
-    assert outcomes(pytester, tests) == {
-        "test_cheap": "PASSED",
-        "test_expensive": "FAILED",
-        "test_expensive_and_marked": "PASSED",
-    }
+    assert above_limit(pytester, tests) == {"test_expensive"}
 
 
 def test_a_medium_test_has_another_limit(pytester: pytest.Pytester) -> None:
@@ -59,7 +60,7 @@ def test_medium(): burn(0.1)
 @pytest.mark.medium
 def test_expensive(): burn(1.0)
 """
-    assert outcomes(pytester, tests) == {"test_medium": "PASSED", "test_expensive": "FAILED"}
+    assert above_limit(pytester, tests) == {"test_expensive"}
 
 
 def test_the_message_names_limit_and_remedy(pytester: pytest.Pytester) -> None:
@@ -79,7 +80,7 @@ def test_child():
 
 def test_waiting(): time.sleep(0.3)
 """
-    assert outcomes(pytester, tests) == {"test_child": "FAILED", "test_waiting": "PASSED"}
+    assert above_limit(pytester, tests) == {"test_child"}
 
 
 def test_a_fixture_counts_for_each_test_that_uses_it(pytester: pytest.Pytester) -> None:
@@ -98,12 +99,7 @@ def test_with_unshared(board): pass
 
 def test_none(): pass
 """
-    assert outcomes(pytester, tests) == {
-        "test_first": "FAILED",
-        "test_second": "FAILED",
-        "test_with_unshared": "FAILED",
-        "test_none": "PASSED",
-    }
+    assert above_limit(pytester, tests) == {"test_first", "test_second", "test_with_unshared"}
 
 
 def test_a_kept_result_counts_for_each_test_that_uses_it(pytester: pytest.Pytester) -> None:
@@ -121,16 +117,28 @@ def test_second(): kept_flight()
 """
     folder = KEPT.folder
     try:
-        assert outcomes(pytester, tests) == {"test_first": "FAILED", "test_second": "FAILED"}
+        assert above_limit(pytester, tests) == {"test_first", "test_second"}
     finally:
         KEPT.folder = folder
+
+
+@pytest.mark.parametrize("above", [{}, {"tests/test_a.py::test_b": "make it cheaper"}])
+def test_only_a_run_within_the_limits_is_saved(tmp_path: Path, above: dict[str, str]) -> None:
+    table = tmp_path / "costs.json"
+    for key, value in ((cost.ABOVE_KEY, above), (cost.COSTS_KEY, {"cheap": 0.1, "expensive": 3.04})):
+        (tmp_path / key).parent.mkdir(exist_ok=True)
+        (tmp_path / key).write_text(json.dumps(value))
+    assert len(save(tmp_path, table)) == len(above)
+    assert table.exists() is not bool(above)
+    if not above:
+        assert json.loads(table.read_text()) == {"expensive": 3.0}
 
 
 def test_a_busy_machine_makes_no_test_expensive(
     pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cost, "slowness", lambda: 1000.0)
-    assert outcomes(pytester, "def test_expensive(): burn()\n") == {"test_expensive": "PASSED"}
+    assert above_limit(pytester, "def test_expensive(): burn()\n") == set()
 
 
 def test_no_machine_counts_as_faster_than_idle(monkeypatch: pytest.MonkeyPatch) -> None:
