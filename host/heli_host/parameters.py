@@ -229,5 +229,5 @@ def _range(spec: ParamSpec) -> str:
 
 
 def shortest_decimal(value: float) -> float:
-    """Shortest decimal number that is the same in single precision: 0.35, not 0.3499999940395355."""
+    """Return the shortest decimal number that equals `value` in single precision: 0.35, not 0.349999994."""
     return float(str(np.float32(value)))

@@ -1,8 +1,8 @@
 """Saved parameters of a board whose firmware was built from another declaration of the link.
 
 Framing, hello and welcome are the same in every version. The welcome states the hash of the board's
-declaration, and a hello with that hash opens a session. Values carry no names. Therefore they are used only if
-the board stored them under this host's schema of the parameters, as when only telemetry or messages differ.
+declaration, and a hello with that hash opens a session. Values carry no names. Therefore they are used only
+if the board stored them under this host's schema of the parameters: only telemetry or messages may differ.
 """
 
 from __future__ import annotations
@@ -92,7 +92,8 @@ class _Asker:
     def ask(self, command: Command, size: int = 0) -> bytes:
         """Send a request until it is answered; return the answer's payload, of at least `size` bytes."""
         request = self._numbers.take()
-        frame = encode_frame(command.ID, request, replace(command, request=request).pack())
+        numbered = replace(command, request=request)  # type: ignore[type-var]
+        frame = encode_frame(command.ID, request, numbered.pack())
         end_s, next_s = self._transport.now_s() + self._timeout_s, -1e9
         while (now_s := self._transport.now_s()) < end_s:
             if now_s >= next_s:

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Flags, Floats
+from heli_host.arrays import Booleans, Floats
 
 from heli_lab.guess import names, thresholds
 from heli_lab.guess.candidates import feedback_sign
@@ -88,7 +88,7 @@ def explain(
     axis_terms: tuple[Floats, Floats],
     cause: Floats,
     stiffness: tuple[float, float],
-    rows: Flags,
+    rows: Booleans,
 ) -> RegressionFit:
     """Regress an axis' acceleration on a cause, together with stiffness, damping and a constant.
 
@@ -137,7 +137,7 @@ def explain(
     )
 
 
-def free_rows(signals: Signals, name: str) -> Flags:
+def free_rows(signals: Signals, name: str) -> Booleans:
     """Select the rows in which the arm is off its table, if the column `name` is the elevation.
 
     Returns
@@ -152,7 +152,7 @@ def free_rows(signals: Signals, name: str) -> Flags:
     if span == 0.0 or np.ptp(raw[:rest]) > 0.01 * span or abs(typical - start) < 0.2 * span:
         return signals.inner
     off = (raw - start) * np.sign(typical - start) > 0.4 * abs(typical - start)
-    free: Flags = signals.inner & off
+    free: Booleans = signals.inner & off
     return free
 
 
@@ -231,7 +231,7 @@ def assignments(
 def _log_likelihood_table(
     causes: dict[tuple[int, ...], Floats],
     filtered: Sequence[Signal],
-    rows: list[Flags],
+    rows: list[Booleans],
     stiffness: tuple[float, float],
 ) -> dict[tuple[int, ...], Floats]:
     """Log-likelihood ratio [nats] of each column for each cause, at its best lag; 0 for its own column."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Flags, Floats
+from heli_host.arrays import Booleans, Floats
 from heli_host.errors import FlightDataError
 from heli_host.tables import Table
 from heli_host.tables.units import ANGLE_UNITS, COUNT, SHARES, VOLTAGE_UNITS, split_unit
@@ -236,7 +236,7 @@ def _limited_motions(
     signals: Signals,
     assignment: ColumnAssignment,
     reference: Reference,
-    rows: Flags,
+    rows: Booleans,
     first: dict[str, RegressionFit],
 ) -> dict[VoltageScale, LimitedMotion]:
     """Repeat the regressions with limited commands, for each unit in which some exceed the supply."""

@@ -8,7 +8,7 @@ from functools import cache
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Flags, Floats
+from heli_host.arrays import Booleans, Floats
 from heli_host.tables import Table
 from numpy.typing import NDArray
 
@@ -55,7 +55,7 @@ class Signals:
     t_s: Floats
     raw: Mapping[str, Floats]
     filtered: Mapping[str, Signal]
-    inner: Flags
+    inner: Booleans
     counts_per_turn: tuple[float, ...] = ()
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Flags, Floats, Integers
+from heli_host.arrays import Booleans, Floats, Integers
 
 from heli_lab.identify import thresholds
 from heli_lab.identify.problem import Evaluation
@@ -89,13 +89,13 @@ class _Windows:
         self.residual = evaluation.residual[self.rows].copy()
         self.cost = self._cost(self.states, self.normal_matrix)
 
-    def offer(self, states: Floats) -> Flags:
+    def offer(self, states: Floats) -> Booleans:
         """Replace states by other `states` if these are better; return for each window whether they are."""
         measured, sigma = self.grid.measured_rad, self.grid.record.sigma_rad
         kernel = self.problem.kernel
         angles, normal_matrix = kernel.products(self.grid.inputs, states, self.parameters, measured, sigma)
         cost = self._cost(states, normal_matrix)
-        better: Flags = cost < self.cost
+        better: Booleans = cost < self.cost
         self.states[better], self.normal_matrix[better], self.cost[better] = (
             states[better],
             normal_matrix[better],
