@@ -15,10 +15,10 @@ import numpy as np
 from heli_lab.estimation.levenberg_marquardt import DampedStep, minimise
 from heli_lab.estimation.posterior_step import posterior_step
 from heli_lab.identify import thresholds
-from heli_lab.identify.fit import Budget, FitProgress
-from heli_lab.identify.schur import eliminate_states
-from heli_lab.identify.shooting_cost import Iterate, ShootingCost
-from heli_lab.identify.window_recovery import recover_windows, reoptimise_states
+from heli_lab.identify.estimation_problem import Budget, FitProgress
+from heli_lab.identify.shooting.schur import eliminate_states
+from heli_lab.identify.shooting.shooting_cost import Iterate, ShootingCost
+from heli_lab.identify.shooting.window_recovery import recover_windows, reoptimise_states
 
 _FINE_IDLE_SHARE: Final = 0.2
 """Factor on every sample on the gain below which two steps end a search: the coarse fit is near."""

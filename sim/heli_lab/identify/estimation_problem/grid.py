@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from heli_host.arrays import Floats, Integers
 
-from heli_lab.identify.functions import Inputs
+from heli_lab.identify.free_run import Inputs
 from heli_lab.identify.record import Record
 from heli_lab.identify.thresholds import BLOCK_S
 

@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 from heli_host.arrays import Floats
 
-from heli_lab.identify.problem import Problem
-from heli_lab.identify.shooting_cost import Iterate, ShootingCost
+from heli_lab.identify.estimation_problem import Problem
+from heli_lab.identify.shooting.shooting_cost import Iterate, ShootingCost
 
 SINGULAR_GUARD: Final = 1e-12
 """Added to the diagonal of a block, as a share of its largest entry. It keeps the block regular if no data

@@ -8,8 +8,7 @@ import numpy as np
 from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
-from heli_lab.identify.check import Trace
-from heli_lab.identify.result import Identification
+from heli_lab.identify.results import Identification, Trace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

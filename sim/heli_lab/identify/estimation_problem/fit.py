@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from heli_host.arrays import Floats
 
-from heli_lab.identify.problem import Problem
+from heli_lab.identify.estimation_problem.problem import Problem
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from heli_sim.compiled import c_source
 from heli_sim.errors import PlantError
 from typing_extensions import override
 
-from heli_lab.identify.functions import Functions, Inputs
-from heli_lab.identify.kernel_interface import Kernel
+from heli_lab.identify.free_run.functions import Functions, Inputs
+from heli_lab.identify.free_run.interface import Kernel
 from heli_lab.threads import parallel_map
 
 _WORTH_THREADS_ROWS: Final = 500

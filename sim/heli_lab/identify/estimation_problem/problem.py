@@ -15,9 +15,9 @@ from heli_sim.rig import Rig
 from heli_lab.errors import IdentifyError
 from heli_lab.estimation.parameter_vector import FreeParameter, ParameterVector, Prior
 from heli_lab.identify import thresholds
+from heli_lab.identify.estimation_problem.grid import Grid, WindowGrids
 from heli_lab.identify.free import PER_FLIGHT, free_parameters
-from heli_lab.identify.grid import Grid, WindowGrids
-from heli_lab.identify.kernel import kernel
+from heli_lab.identify.free_run import kernel
 from heli_lab.identify.record import Record, prepare
 
 

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 
 from heli_host.arrays import Floats
 
-from heli_lab.identify.functions import Inputs
+from heli_lab.identify.free_run.functions import Inputs
 
 
 class Kernel(ABC):

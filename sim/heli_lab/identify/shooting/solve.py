@@ -12,13 +12,12 @@ from heli_host.arrays import Floats
 
 from heli_lab.errors import IdentifyError
 from heli_lab.identify import thresholds
-from heli_lab.identify.fit import Budget, Fit, FitProgress
-from heli_lab.identify.multiple_shooting import MultipleShooting
-from heli_lab.identify.problem import Problem
-from heli_lab.identify.schur import eliminate_states
-from heli_lab.identify.shooting_cost import Iterate, ShootingCost
-from heli_lab.identify.uncertainty import quantisation_scatter, timing_variance
-from heli_lab.identify.window_recovery import restart_outliers
+from heli_lab.identify.estimation_problem import Budget, Fit, FitProgress, Problem
+from heli_lab.identify.estimation_problem.uncertainty import quantisation_scatter, timing_variance
+from heli_lab.identify.shooting.multiple_shooting import MultipleShooting
+from heli_lab.identify.shooting.schur import eliminate_states
+from heli_lab.identify.shooting.shooting_cost import Iterate, ShootingCost
+from heli_lab.identify.shooting.window_recovery import restart_outliers
 
 _ROUGH_STEPS: Final = 4
 """Most steps of a rough round: more are lost when the weights change."""

@@ -13,13 +13,11 @@ from __future__ import annotations
 from heli_sim.compiled import compile_source
 from heli_sim.model.base import Model
 
-from heli_lab.identify.compiled_kernel import CompiledKernel, driver
-from heli_lab.identify.functions import Functions
-from heli_lab.identify.interpreted_kernel import InterpretedKernel
-from heli_lab.identify.kernel_interface import Kernel
+from heli_lab.identify.free_run.compiled import CompiledKernel, driver
+from heli_lab.identify.free_run.functions import Functions
+from heli_lab.identify.free_run.interface import Kernel
+from heli_lab.identify.free_run.interpreted import InterpretedKernel
 from heli_lab.threads import default_thread_count
-
-__all__ = ["Kernel", "kernel"]
 
 
 def kernel(model: Model, free: tuple[str, ...], threads: int | None = None) -> Kernel:

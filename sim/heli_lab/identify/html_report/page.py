@@ -7,11 +7,14 @@ from typing import Any
 
 from heli_sim.model.parts import AXES
 
-from heli_lab.identify.check import Check
-from heli_lab.identify.figures import figure_of_correlations, figure_of_parameters, identification_figure
-from heli_lab.identify.result import Identification, rounded
+from heli_lab.identify.estimation_problem import Combination
+from heli_lab.identify.html_report.figures import (
+    figure_of_correlations,
+    figure_of_parameters,
+    identification_figure,
+)
+from heli_lab.identify.results import Check, Identification, rounded
 from heli_lab.identify.thresholds import NOTHING_LEFT
-from heli_lab.identify.uncertainty import Combination
 from heli_lab.page import folder_with, write_page
 from heli_lab.page.drawing import Drawing
 

@@ -10,12 +10,11 @@ from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_sim.model.parts import AXES
 
-from heli_lab.identify.fit import Fit
+from heli_lab.identify.estimation_problem import Fit, Problem
+from heli_lab.identify.estimation_problem.residual_noise import correlation_at, normalised
 from heli_lab.identify.free import PER_FLIGHT
-from heli_lab.identify.problem import Problem
 from heli_lab.identify.record import Record
-from heli_lab.identify.residual_noise import correlation_at, normalised
-from heli_lab.identify.solve import solve
+from heli_lab.identify.shooting import solve
 from heli_lab.identify.thresholds import WHITE_LAG_S
 
 

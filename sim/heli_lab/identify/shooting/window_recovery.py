@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from heli_lab.identify import thresholds
-from heli_lab.identify.initial_states import alternative_states
-from heli_lab.identify.shooting_cost import Iterate, ShootingCost
-from heli_lab.identify.window_states import refine_states, restart_states
+from heli_lab.identify.estimation_problem.initial_states import alternative_states
+from heli_lab.identify.shooting.shooting_cost import Iterate, ShootingCost
+from heli_lab.identify.shooting.window_states import refine_states, restart_states
 
 
 def recover_windows(cost: ShootingCost, iterate: Iterate, before: Iterate) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 from heli_host.arrays import Floats, Integers
 from heli_sim.model.parts import AXES
 
-from heli_lab.identify.grid import make_grid
-from heli_lab.identify.problem import Problem
+from heli_lab.identify.estimation_problem.grid import make_grid
+from heli_lab.identify.estimation_problem.problem import Problem
 from heli_lab.identify.record import Record
 from heli_lab.identify.thresholds import SETTLED_S, SHORT_FIT_S, STATE_FIT_S
 

@@ -11,7 +11,7 @@ from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
 from heli_lab.errors import NotExcited
-from heli_lab.identify.check import Trace
+from heli_lab.identify.results.check import Trace
 from heli_lab.identify.thresholds import MIN_MOTION, UNEXPLAINED
 
 

@@ -12,11 +12,10 @@ import numpy as np
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Number, Rig
 
-from heli_lab.identify.check import Check, Trace
-from heli_lab.identify.fit import Fit
+from heli_lab.identify.estimation_problem import Combination, Fit, combinations, uninformed_parameters
 from heli_lab.identify.free import PER_FLIGHT
+from heli_lab.identify.results.check import Check, Trace
 from heli_lab.identify.thresholds import STRONG_CORRELATION
-from heli_lab.identify.uncertainty import Combination, combinations, uninformed_parameters
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from heli_host.arrays import Floats, Integers
 from typing_extensions import override
 
 from heli_lab.estimation.trajectory_functions import AlongTrajectory, Trajectory
-from heli_lab.identify.functions import Functions, Inputs
-from heli_lab.identify.kernel_interface import Kernel
+from heli_lab.identify.free_run.functions import Functions, Inputs
+from heli_lab.identify.free_run.interface import Kernel
 
 
 class InterpretedKernel(Kernel):

@@ -12,10 +12,10 @@ import numpy as np
 from heli_host.arrays import Floats
 
 from heli_lab.identify import thresholds
-from heli_lab.identify.grid import Grid
-from heli_lab.identify.initial_states import initial_state_guess
-from heli_lab.identify.problem import Evaluation, Problem
-from heli_lab.identify.residual_noise import floor_axes, long_run_variance, window_weights
+from heli_lab.identify.estimation_problem import Evaluation, Problem
+from heli_lab.identify.estimation_problem.grid import Grid
+from heli_lab.identify.estimation_problem.initial_states import initial_state_guess
+from heli_lab.identify.estimation_problem.residual_noise import floor_axes, long_run_variance, window_weights
 
 
 @dataclass

@@ -13,9 +13,9 @@ import numpy as np
 from heli_host.arrays import Booleans, Floats, Integers
 
 from heli_lab.identify import thresholds
-from heli_lab.identify.problem import Evaluation
-from heli_lab.identify.schur import SINGULAR_GUARD, add_state_prior, eliminate
-from heli_lab.identify.shooting_cost import Iterate, ShootingCost, window_cost
+from heli_lab.identify.estimation_problem import Evaluation
+from heli_lab.identify.shooting.schur import SINGULAR_GUARD, add_state_prior, eliminate
+from heli_lab.identify.shooting.shooting_cost import Iterate, ShootingCost, window_cost
 
 _DAMPING: Final = 1e-3
 """First damping of a window, as a share of its diagonal."""
