@@ -8,8 +8,8 @@ import numpy as np
 from heli_host.arrays import Booleans, Floats
 from heli_host.flight import Flight
 
+from heli_lab.guess.regression.signals import delay, filtered_signal
 from heli_lab.guess.result import Guess
-from heli_lab.guess.signals import delay, filtered_signal
 from heli_lab.guess.thresholds import EDGE_S, SAMPLE_STEP_s
 
 _LAG_S = 0.1

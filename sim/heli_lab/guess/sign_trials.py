@@ -14,8 +14,8 @@ from heli_sim.rig import Rig
 
 from heli_lab.errors import IdentifyError
 from heli_lab.guess import thresholds
+from heli_lab.guess.regression.scales import AXES
 from heli_lab.guess.result import SignChoice
-from heli_lab.guess.scales import AXES
 from heli_lab.identify.estimation_problem import Budget, Problem
 from heli_lab.identify.record import Record, prepare
 from heli_lab.identify.shooting import solve

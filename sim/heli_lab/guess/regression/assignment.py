@@ -12,9 +12,9 @@ import numpy as np
 from heli_host.arrays import Booleans, Floats
 
 from heli_lab.guess import names, thresholds
-from heli_lab.guess.candidates import feedback_sign
-from heli_lab.guess.reference import Reference
-from heli_lab.guess.signals import Signal, Signals, delay
+from heli_lab.guess.regression.candidates import feedback_sign
+from heli_lab.guess.regression.reference import Reference
+from heli_lab.guess.regression.signals import Signal, Signals, delay
 
 _DECIMATION: Final = 10
 """The regressions use every tenth row: 10 Hz samples all that the low-pass filter leaves."""

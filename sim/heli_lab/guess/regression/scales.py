@@ -13,7 +13,7 @@ from heli_host.arrays import Floats
 from heli_host.tables.units import ANGLE_UNITS, COUNT, SHARES, VOLTAGE_UNITS
 
 from heli_lab.guess import thresholds
-from heli_lab.guess.reference import Reference
+from heli_lab.guess.regression.reference import Reference
 
 AXES: Final = ("elevation", "pitch", "travel")
 _ANGLE_UNITS: Final = ("rad", "deg", COUNT, "turn", "mrad")

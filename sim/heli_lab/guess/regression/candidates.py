@@ -10,7 +10,7 @@ import numpy as np
 from heli_host.arrays import Floats
 
 from heli_lab.guess import names, thresholds
-from heli_lab.guess.signals import Signal, Signals
+from heli_lab.guess.regression.signals import Signal, Signals
 
 _MAX_COLUMNS: Final = 14
 _DUPLICATE_CORRELATION: Final = 0.99999

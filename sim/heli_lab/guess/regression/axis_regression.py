@@ -10,10 +10,10 @@ import numpy as np
 from heli_host.arrays import Floats
 
 from heli_lab.guess import thresholds
-from heli_lab.guess.assignment import ColumnAssignment, RegressionFit, explain, free_rows
-from heli_lab.guess.reference import Reference
-from heli_lab.guess.scales import AXES
-from heli_lab.guess.signals import Signals, delay, filtered_signal
+from heli_lab.guess.regression.assignment import ColumnAssignment, RegressionFit, explain, free_rows
+from heli_lab.guess.regression.reference import Reference
+from heli_lab.guess.regression.scales import AXES
+from heli_lab.guess.regression.signals import Signals, delay, filtered_signal
 
 
 def axis_regressions(
