@@ -11,7 +11,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +24,7 @@ from heli_host.link.telemetry import Ticks
 from heli_host.samples import Sample
 
 if TYPE_CHECKING:
-    from heli_host.vehicle import Vehicle
+    from heli_host.vehicle import AfterLaw, Vehicle
 
 ControlLaw = Callable[[Sample], tuple[float, float]]
 
@@ -36,8 +36,6 @@ class Following(Protocol):
     setpoints_rad: Mapping[str, float]
     """Angle of each axis that it follows, by the axis' name, at its last call [rad]."""
 
-
-After = Literal["hold", "land", "stop"]
 
 _READ_INTERVAL_S = 0.001
 _MIN_PERIOD_TICKS = int(PARAMS[Param.TELEMETRY_BATCH_TICKS].min)
@@ -118,7 +116,7 @@ def run_controller(
     rate_Hz: float = 200.0,
     duration_s: float,
     valid_s: float = 0.05,
-    after: After = "hold",
+    after: AfterLaw = "hold",
 ) -> ControllerReport:
     """Fly a control law over streamed voltages.
 

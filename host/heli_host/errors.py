@@ -181,6 +181,7 @@ class LinkVersionMismatch(LinkError):
         self.host_hash = host_hash
         self.board_version = board_version
         self.board_hash = board_hash
+        self.firmware_version = firmware_version
         super().__init__(
             f"the board (firmware {firmware_version}) speaks link {board_version} ({board_hash:08x}), "
             f"this host link {host_version} ({host_hash:08x})",

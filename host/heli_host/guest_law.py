@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final
 
 from heli_host.declaration import (
     Event,
@@ -22,15 +22,13 @@ from heli_host.declaration import (
 )
 from heli_host.errors import BadLaw, FlightAborted, fault_text
 from heli_host.law_program import LawProgram, check_number
-from heli_host.link.events import LAW_SIGNALS
+from heli_host.link.events import LAW_SIGNAL_NAMES
 from heli_host.samples import Sample
 
 if TYPE_CHECKING:
     from heli_host.link.events import LinkEvent
     from heli_host.link.session import Session
-    from heli_host.vehicle import Vehicle
-
-After = Literal["hold", "land", "stop"]
+    from heli_host.vehicle import AfterLaw, Vehicle
 
 PART_WORDS: Final = sum(name.startswith("word_") for name in LawPartMessage.__slots__)
 _ENGAGED_TIMEOUT_S: Final = 1.0
@@ -189,7 +187,9 @@ def engage(heli: Vehicle, program: LawProgram, parameters: Mapping[str, float] |
     upload(heli.session, program)
     named = ", ".join(program.signal_names) or "none"
     heli.session.tell(
-        LAW_SIGNALS, f"law {program.name} ({program.hash:08x}); its signals: {named}", program.signal_names
+        LAW_SIGNAL_NAMES,
+        f"law {program.name} ({program.hash:08x}); its signals: {named}",
+        program.signal_names,
     )
     for name, value in (parameters or {}).items():
         set_parameter(heli.session, program, name, value)
@@ -218,7 +218,7 @@ def fly_law(
     program: LawProgram,
     *,
     duration_s: float,
-    after: After = "hold",
+    after: AfterLaw = "hold",
     parameters: Mapping[str, float] | None = None,
 ) -> LawReport:
     """Fly a law on the board for a while.

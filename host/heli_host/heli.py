@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from heli_host.controller import After, ControlLaw, ControllerReport, run_controller
+from heli_host.controller import ControlLaw, ControllerReport, run_controller
 from heli_host.declaration import BAUD
 from heli_host.fly.runner import PlanLike, fly
 from heli_host.guest_law import LawReport, fly_law, set_parameter, upload
@@ -20,7 +20,7 @@ from heli_host.link.transport import (
 from heli_host.log.summary import FlightSummary
 from heli_host.rig_check import check_rig
 from heli_host.telemetry_view import HISTORY_S
-from heli_host.vehicle import Vehicle
+from heli_host.vehicle import AfterLaw, Vehicle
 
 
 class Heli(Vehicle):
@@ -64,7 +64,7 @@ class Heli(Vehicle):
         rate_Hz: float = 200.0,
         duration_s: float,
         valid_s: float = 0.05,
-        after: After = "hold",
+        after: AfterLaw = "hold",
     ) -> ControllerReport:
         """Fly a control law written in Python, over streamed voltages; see `heli_host.controller`.
 
@@ -124,7 +124,7 @@ class Heli(Vehicle):
         law: LawProgram | LawLike,
         *,
         duration_s: float,
-        after: After = "hold",
+        after: AfterLaw = "hold",
         parameters: Mapping[str, float] | None = None,
     ) -> LawReport:
         """Let the board run a control law at up to 1 kHz, with its own law running along as a fallback.

@@ -61,7 +61,7 @@ class Parameters(Mapping[str, float]):
 
     def refresh(self) -> None:
         """Read all parameters from the board again."""
-        self._values = [_plain(value) for value in self._session.read_params()]
+        self._values = [shortest_decimal(value) for value in self._session.read_params()]
         self._stale = False
         self.revision += 1
 
@@ -107,7 +107,7 @@ class Parameters(Mapping[str, float]):
                     f"the board refused {name} = {value:g}", f"give {_range(spec)}"
                 ) from error
             raise
-        in_force = _plain(ack.value)
+        in_force = shortest_decimal(ack.value)
         if not self._stale:
             self._values[spec.index] = in_force
             self.revision += 1
@@ -161,7 +161,7 @@ class Parameters(Mapping[str, float]):
         before = self.dump()
         changed: dict[str, float] = {}
         for name, value in values.items():
-            if _plain(value) == before[name]:
+            if shortest_decimal(value) == before[name]:
                 continue
             try:
                 changed[name] = self.set(name, value)
@@ -228,6 +228,6 @@ def _range(spec: ParamSpec) -> str:
     return range_text(Param(spec.index))
 
 
-def _plain(value: float) -> float:
-    """Shortest decimal number that is the same in single precision: 0.35, not 0.3499999940395355."""
+def shortest_decimal(value: float) -> float:
+    """Return the shortest decimal number that equals `value` in single precision: 0.35, not 0.349999994."""
     return float(str(np.float32(value)))

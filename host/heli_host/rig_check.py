@@ -50,7 +50,7 @@ _SUPPLY_V: Final = 0.3
 Smaller: a supply within the tolerance of a rig's file gives a warning."""
 
 
-class Part(Enum):
+class BoardProperty(Enum):
     """Property of the board that a difference concerns."""
 
     SCALE = "scale"
@@ -60,17 +60,17 @@ class Part(Enum):
     LIMIT = "limit"
 
 
-_PARTS: Final[Mapping[str, Part]] = {
-    "elevation_counts_per_rev": Part.SCALE,
-    "pitch_counts_per_rev": Part.SCALE,
-    "travel_counts_per_rev": Part.SCALE,
-    "elevation_rest_deg": Part.REST,
-    "supply_V": Part.SUPPLY,
-    "motor_max_V": Part.LIMIT,
-    "elevation_max_deg": Part.LIMIT,
-    "pitch_max_deg": Part.LIMIT,
-    "pitch_setpoint_max_deg": Part.LIMIT,
-    "travel_max_deg": Part.LIMIT,
+_PARTS: Final[Mapping[str, BoardProperty]] = {
+    "elevation_counts_per_rev": BoardProperty.SCALE,
+    "pitch_counts_per_rev": BoardProperty.SCALE,
+    "travel_counts_per_rev": BoardProperty.SCALE,
+    "elevation_rest_deg": BoardProperty.REST,
+    "supply_V": BoardProperty.SUPPLY,
+    "motor_max_V": BoardProperty.LIMIT,
+    "elevation_max_deg": BoardProperty.LIMIT,
+    "pitch_max_deg": BoardProperty.LIMIT,
+    "pitch_setpoint_max_deg": BoardProperty.LIMIT,
+    "travel_max_deg": BoardProperty.LIMIT,
 }
 _SIGNS: Final = ("motor_front_sign", "motor_back_sign")
 
@@ -85,19 +85,19 @@ class RigDifference:
         Name of the parameter.
     board, rig : float
         Its value on the board, and the value that the rig determines, in the parameter's unit.
-    part : Part
+    part : BoardProperty
         Property that the difference concerns.
     """
 
     parameter: str
     board: float
     rig: float
-    part: Part
+    part: BoardProperty
 
     @property
     def is_refused(self) -> bool:
         """Whether the difference forbids a flight, because the log and the limits would mean other angles."""
-        return self.part in (Part.SCALE, Part.DIRECTION)
+        return self.part in (BoardProperty.SCALE, BoardProperty.DIRECTION)
 
     def __str__(self) -> str:
         unit = spec_of(self.parameter).unit
@@ -172,18 +172,21 @@ def rig_differences(
         if name not in stated or name not in parameters:
             continue
         board, rig = parameters[name], stated[name]
-        if part is Part.SCALE:
+        if part is BoardProperty.SCALE:
             if abs(abs(board) - abs(rig)) > _SAME * abs(rig):
                 differences.append(RigDifference(name, board, rig, part))
             elif (simulated or name in directed) and board * rig < 0.0:
-                differences.append(RigDifference(name, board, rig, Part.DIRECTION))
+                differences.append(RigDifference(name, board, rig, BoardProperty.DIRECTION))
             continue
-        apart = {Part.REST: abs(board - rig) > _REST_deg, Part.SUPPLY: abs(board - rig) > _SUPPLY_V}
+        apart = {
+            BoardProperty.REST: abs(board - rig) > _REST_deg,
+            BoardProperty.SUPPLY: abs(board - rig) > _SUPPLY_V,
+        }
         if apart.get(part, board > rig + _SAME * abs(rig)):
             differences.append(RigDifference(name, board, rig, part))
     if simulated and stated:
         differences += [
-            RigDifference(name, parameters[name], 1.0, Part.DIRECTION)
+            RigDifference(name, parameters[name], 1.0, BoardProperty.DIRECTION)
             for name in _SIGNS
             if parameters.get(name, 1.0) * stated.get(name, 1.0) < 0.0
         ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from dataclasses import replace
 from types import TracebackType
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 
@@ -26,6 +26,8 @@ from heli_host.samples import Sample
 from heli_host.setpoints import check_setpoint, setpoint_bounds
 from heli_host.telemetry_view import HISTORY_S
 
+AfterLaw = Literal["hold", "land", "stop"]
+"""Action of the board when a control law of the host, or an uploaded one, has ended."""
 LEAD_S = 0.04
 MAX_LEAD_S = 0.5
 

@@ -69,7 +69,7 @@ def fit_inputs(
     from heli_sim.model.named import model_named
     from heli_sim.rig import load_rig
 
-    from heli_lab.identify.result import short_names
+    from heli_lab.identify.results import short_names
 
     chosen = load_rig(rig)
     all_effects = effects_with(chosen, effects, effect_files)

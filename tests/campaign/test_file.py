@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from heli_lab.campaign.campaign import Campaign
 from heli_lab.campaign.draw import drawn
 from heli_lab.campaign.file import load_campaign
-from heli_lab.campaign.run import Campaign
 from heli_lab.code_digest import code_digest
 from heli_lab.errors import CampaignError
 from heli_sim.rig import load_rig

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from heli_lab.diagnose import diagnose, to_json
 from heli_lab.identify import Problem, prepare, solve
-from heli_lab.identify.fit import Budget
+from heli_lab.identify.estimation_problem import Budget
 from heli_lab.identify.flight_model import model_functions
 from heli_lab.identify.run import identify
 from heli_sim.model import MultibodyModel

@@ -15,12 +15,13 @@ import pytest
 import serial
 from heli_host.cli.verbs import flash as flash_verb
 from heli_host.cli.verbs.flash import ANSWER_TIMEOUT_S
-from heli_host.declaration import BAUD, LINK_HASH
+from heli_host.declaration import BAUD, LINK_HASH, PARAMS_HASH
 from heli_host.errors import FlashError, ImageError, UploaderError
 from heli_host.flash import bossac as uploading
 from heli_host.flash.bossac import Bossac, find_bossac, write_image
 from heli_host.flash.image import FLASH_START, RAM_START, VECTORS, read_image
 from heli_host.flash.touch import ERASE_S, ERASING_BAUD, erase_chip, restart_chip
+from heli_host.parameter_file import read_parameter_set
 from heli_sim.sil.process import SilProcess
 from hypothesis import given
 from hypothesis import strategies as st
@@ -119,6 +120,60 @@ def test_parameters_that_were_changed_are_kept_in_a_file_that_restores_them(
     assert terminal("params", "set", "hover_V", "1.75", "--port", board.url).code == 0
     assert terminal("params", "restore", kept, "--port", board.url).code == 0
     assert terminal("params", "get", "hover_V", "--port", board.url).out.strip() == "1.25"
+
+
+@pytest.fixture
+def other_link(monkeypatch: pytest.MonkeyPatch) -> None:
+    """This host was built from another declaration of the link than the board."""
+    monkeypatch.setattr(flash_verb, "ANSWER_TIMEOUT_S", ANSWER_TIMEOUT_S)
+    monkeypatch.setattr("heli_host.link.handshake.LINK_HASH", LINK_HASH ^ 1)
+
+
+@pytest.mark.slow
+def test_parameters_of_a_board_with_another_link_version_are_kept(
+    terminal: Terminal, image: Path, board: SilProcess, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    assert terminal("params", "set", "hover_V", "1.25", "--save", "--port", board.url).code == 0
+    request.getfixturevalue("other_link")
+    uploader = Uploader(tmp_path / "bin")
+    ended = terminal("flash", image, "--port", board.url, "--yes", "--bossac", uploader.program)
+    [kept] = tmp_path.glob("parameters-*.toml")
+    assert read_parameter_set(kept).values["hover_V"] == 1.25
+    assert len(uploader.calls) == 1
+    # The simulated board is not really flashed, so that it still speaks the other link.
+    assert "speaks link" in refusal(ended, code=LINK)
+
+
+@pytest.mark.slow
+def test_a_board_with_another_link_version_and_no_saved_parameters_is_flashed(
+    terminal: Terminal, image: Path, board: SilProcess, tmp_path: Path, other_link: None
+) -> None:
+    uploader = Uploader(tmp_path / "bin")
+    ended = terminal("flash", image, "--port", board.url, "--yes", "--bossac", uploader.program)
+    assert "nothing to keep" in ended.out
+    assert len(uploader.calls) == 1
+
+
+@pytest.mark.slow
+def test_saved_parameters_of_another_schema_are_erased_only_on_demand(
+    terminal: Terminal,
+    image: Path,
+    board: SilProcess,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    request: pytest.FixtureRequest,
+) -> None:
+    assert terminal("params", "set", "hover_V", "1.25", "--save", "--port", board.url).code == 0
+    request.getfixturevalue("other_link")
+    monkeypatch.setattr("heli_host.flash.other_link.PARAMS_HASH", PARAMS_HASH ^ 1)
+    uploader = Uploader(tmp_path / "bin")
+    words = ("flash", image, "--port", board.url, "--yes", "--bossac", uploader.program)
+    line = refusal(terminal(*words), code=LINK)
+    assert f"{PARAMS_HASH:08x}" in line
+    assert "params dump" in line
+    assert uploader.calls == []
+    assert "discarded: " in terminal(*words, "--discard-parameters").out
+    assert len(uploader.calls) == 1
 
 
 @pytest.mark.medium

@@ -13,16 +13,16 @@ from heli_host.errors import FlightDataError
 from heli_host.tables import Angle, Column, Profile, Table, Voltage
 from heli_lab.guess import merge_tables
 from heli_lab.guess.ambiguities import SignChanges
-from heli_lab.guess.assignment import ColumnAssignment, RegressionFit
-from heli_lab.guess.candidates import candidates
 from heli_lab.guess.evidence import pooled_fits, prepare_file, rank
 from heli_lab.guess.known import NOTHING_KNOWN, read_known
 from heli_lab.guess.mirror import prefers_mirror, travel_torque_nats
-from heli_lab.guess.reference import reference_of
 from heli_lab.guess.refusals import too_few_columns
+from heli_lab.guess.regression.assignment import ColumnAssignment, RegressionFit
+from heli_lab.guess.regression.candidates import candidates
+from heli_lab.guess.regression.reference import reference_of
+from heli_lab.guess.regression.scales import AXES, scales
 from heli_lab.guess.result import Ambiguity
 from heli_lab.guess.run import fewest_sign_changes
-from heli_lab.guess.scales import AXES, scales
 from heli_lab.guess.times import longest_run
 from heli_sim.rig import load_rig
 

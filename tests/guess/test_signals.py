@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from heli_lab.guess.signals import filtered_signal
+from heli_lab.guess.regression.signals import filtered_signal
 from heli_lab.guess.thresholds import CUTOFF_Hz, SAMPLE_STEP_s
 
 pytestmark = pytest.mark.medium

@@ -12,8 +12,8 @@ import pytest
 from heli_host.flight import Flight
 from heli_host.log.flight_file import read_flight
 from heli_lab.identify import Budget, Problem, check, prepare, solve
-from heli_lab.identify.interpreted_kernel import InterpretedKernel
-from heli_lab.identify.result import Identification
+from heli_lab.identify.free_run.interpreted import InterpretedKernel
+from heli_lab.identify.results import Identification
 from heli_lab.identify.run import identify
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue

@@ -8,10 +8,9 @@ import heli_sim.compiled
 import numpy as np
 import pytest
 from heli_host.arrays import Floats
-from heli_lab.identify.compiled_kernel import CompiledKernel
-from heli_lab.identify.functions import Functions, Inputs
-from heli_lab.identify.interpreted_kernel import InterpretedKernel
-from heli_lab.identify.kernel import kernel
+from heli_lab.identify.free_run import Functions, Inputs, kernel
+from heli_lab.identify.free_run.compiled import CompiledKernel
+from heli_lab.identify.free_run.interpreted import InterpretedKernel
 from heli_sim.model import Model, MultibodyModel, PaperModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig

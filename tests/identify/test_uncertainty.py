@@ -9,10 +9,15 @@ import numpy as np
 import pytest
 from heli_host.arrays import Floats
 from heli_lab.identify import Problem, combinations, prepare, solve, uninformed_parameters
-from heli_lab.identify.residual_noise import correlation_at, floor_axes, long_run_variance, window_weights
-from heli_lab.identify.result import Identification
+from heli_lab.identify.estimation_problem.residual_noise import (
+    correlation_at,
+    floor_axes,
+    long_run_variance,
+    window_weights,
+)
+from heli_lab.identify.estimation_problem.uncertainty import timing_variance
+from heli_lab.identify.results import Identification
 from heli_lab.identify.run import identify
-from heli_lab.identify.uncertainty import timing_variance
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import RotorLag
 from heli_sim.rig import load_rig

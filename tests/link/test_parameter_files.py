@@ -11,7 +11,7 @@ from heli_host.declaration import PARAMS, PARAMS_HASH
 from heli_host.errors import ParameterError
 from heli_host.parameter_file import parameters_text, read_parameter_set
 from heli_lab.campaign import works
-from heli_lab.campaign.run import Campaign
+from heli_lab.campaign.campaign import Campaign
 
 DEFAULTS = {spec.name: spec.default for spec in PARAMS}
 

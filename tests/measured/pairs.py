@@ -16,8 +16,8 @@ from heli_lab.diagnose.evaluate import HORIZONS, ErrorReduction, FreeRun, compar
 from heli_lab.diagnose.evaluate.error_reduction import error_reduction
 from heli_lab.diagnose.evaluate.free_run import free_run
 from heli_lab.identify import Fit, Problem, Record, prepare, solve, trace
+from heli_lab.identify.estimation_problem.residual_noise import floor_axes
 from heli_lab.identify.free import flight_constants
-from heli_lab.identify.residual_noise import floor_axes
 from heli_lab.identify.thresholds import BLOCK_S
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue

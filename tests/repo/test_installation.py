@@ -97,7 +97,7 @@ def test_a_wheel_has_pages_rigs_and_plans_and_no_tests(tmp_path: Path) -> None:
         "heli_sim/rig/quanser-course.toml",
         "heli_sim/fmu/sources/rig.c",
         "heli_lab/diagnose/report/report.html",
-        "heli_lab/identify/report.html",
+        "heli_lab/identify/html_report/report.html",
     ):
         assert file in files
     assert not [file for file in files if Path(file).name.startswith(("test_", "conftest", "heli_test_"))]

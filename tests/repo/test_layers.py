@@ -86,9 +86,9 @@ WRONG = {
         "heli_sim.rig.compare -> heli_sim.plant",
     ),
     "laboratory": Wrong(
-        "sim/heli_lab/identify/kernel_interface.py",
+        "sim/heli_lab/identify/free_run/interface.py",
         "from heli_lab.tune import loops",
-        "heli_lab.identify.kernel_interface -> heli_lab.tune.loops",
+        "heli_lab.identify.free_run.interface -> heli_lab.tune.loops",
     ),
     "diagnosis: ": Wrong(
         "sim/heli_lab/diagnose/search/exchange.py",
@@ -141,9 +141,9 @@ WRONG = {
         "heli_lab.tune.shaping -> heli_host.cli.report",
     ),
     "identification knows": Wrong(
-        "sim/heli_lab/identify/grid.py",
+        "sim/heli_lab/identify/estimation_problem/grid.py",
         "from heli_host.link import frames",
-        "heli_lab.identify.grid -> heli_host.link.frames",
+        "heli_lab.identify.estimation_problem.grid -> heli_host.link.frames",
     ),
     "no circles": Wrong(
         "host/heli_host/fly/route.py",

@@ -26,15 +26,6 @@ INTERFACES = {
     "identify": "the same",
 }
 """Names that every implementation of an interface has, and why."""
-AMBIGUOUS = {
-    "heli_host": {
-        "After", "EVENT_TOPIC", "Excitation", "Flags", "LAW_SIGNALS", "LINE_EVERY_S",
-        "Part", "Request", "Rows", "TAKE_OFF",
-        "TICK_TOPIC", "Table",
-    },
-    "heli_lab": {"gains"},
-}  # fmt: skip
-"""Names that still mean two things; the list may only become shorter."""
 
 
 def names_of(path: Path) -> Iterator[str]:
@@ -60,10 +51,7 @@ def ambiguous(folder: Path) -> dict[str, set[str]]:
 @pytest.mark.medium
 @pytest.mark.parametrize("package", PACKAGES)
 def test_a_public_name_is_defined_in_one_module_of_a_package(package: str) -> None:
-    found = ambiguous(ROOT / PACKAGES[package] / package)
-    known = AMBIGUOUS.get(package, set())
-    assert {name: places for name, places in found.items() if name not in known} == {}
-    assert known <= set(found), "remove names from AMBIGUOUS that mean one thing now"
+    assert ambiguous(ROOT / PACKAGES[package] / package) == {}
 
 
 def test_the_same_name_in_two_modules_is_noticed(tmp_path: Path) -> None:

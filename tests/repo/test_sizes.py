@@ -1,4 +1,4 @@
-"""Classes stay small enough to be read at once, and the laboratory sets few constants by judgement."""
+"""Classes and chains of imports stay short, and the laboratory sets few constants by judgement."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ pytestmark = pytest.mark.medium
 ROOT = Path(__file__).resolve().parents[2]
 LONGEST = 200
 """Lines of a class without docstrings, comments and blank lines."""
+MAX_LEVELS = 6
+"""Files in the longest chain of imports in a package."""
 MAX_JUDGEMENTS = 78
 """Constants that no record of a measurement and no theory supports. The goal is 80."""
 
@@ -94,3 +96,42 @@ def test_judgement_is_read_from_type_and_text() -> None:
     ]
     source = "\n".join(constants)
     assert judgements(source, ast.parse(source)) == ["A", "B"]
+
+
+def import_levels(package: str) -> int:
+    """Count the files of the longest chain of imports in a package; a folder in it counts as one."""
+    folder = ROOT / "sim" / Path(*package.split("."))
+    imports: dict[str, set[str]] = {}
+    for path, _, tree in trees(folder):
+        parts = path.relative_to(folder.relative_to(ROOT)).with_suffix("").parts
+        if parts[0] != "__init__":
+            imports.setdefault(parts[0], set()).update(_imports_within(package, tree) - {parts[0]})
+
+    def levels(name: str) -> int:
+        return 1 + max((levels(lower) for lower in imports[name] & imports.keys()), default=0)
+
+    return max(map(levels, imports))
+
+
+def _imports_within(package: str, tree: ast.Module) -> set[str]:
+    """Files and folders directly in a package that a module imports."""
+    names = {
+        f"{node.module}.{alias.name}"
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module
+        for alias in node.names
+    }
+    return {
+        name.removeprefix(f"{package}.").split(".")[0] for name in names if name.startswith(f"{package}.")
+    }
+
+
+@pytest.mark.parametrize(
+    "package",
+    [
+        ".".join(path.parent.relative_to(ROOT / "sim").parts)
+        for path in sorted((ROOT / "sim" / "heli_lab").glob("*/**/__init__.py"))
+    ],
+)
+def test_a_package_of_the_laboratory_has_at_most_six_levels_of_imports(package: str) -> None:
+    assert import_levels(package) <= MAX_LEVELS

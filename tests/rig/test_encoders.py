@@ -11,7 +11,7 @@ import pytest
 from heli_host.declaration import AXES
 from heli_host.errors import RigMismatch
 from heli_host.parameter_file import parameters_text, read_parameter_set
-from heli_host.rig_check import Part, check_rig, rig_differences, rig_parameters
+from heli_host.rig_check import BoardProperty, check_rig, rig_differences, rig_parameters
 from heli_lab.diagnose import diagnose
 from heli_lab.identify import prepare
 from heli_lab.identify.run import identify
@@ -127,8 +127,8 @@ def test_on_hardware_only_a_stated_direction_is_compared(tmp_path: Path) -> None
     }
     differences = rig_differences(rig.values, board, simulated=False, directed=rig.directed)
     assert [(one.parameter, one.part) for one in differences] == [
-        ("elevation_counts_per_rev", Part.DIRECTION),
-        ("pitch_counts_per_rev", Part.SCALE),
+        ("elevation_counts_per_rev", BoardProperty.DIRECTION),
+        ("pitch_counts_per_rev", BoardProperty.SCALE),
     ]
     with pytest.raises(RigMismatch) as refused:
         check_rig(rig.values, board, simulated=False, directed=rig.directed)

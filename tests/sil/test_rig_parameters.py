@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from heli_host.errors import RigMismatch
 from heli_host.heli import Heli
-from heli_host.rig_check import Part, rig_differences, rig_parameters
+from heli_host.rig_check import BoardProperty, rig_differences, rig_parameters
 from heli_sim.due import firmware
 from heli_sim.errors import OptionError, RigError
 from heli_sim.rig import load_rig, write_rig
@@ -126,13 +126,13 @@ def test_on_hardware_a_sign_is_wiring_and_each_part_is_named() -> None:
     }
     found = {one.parameter: one.part for one in rig_differences(stated, board, simulated=False)}
     assert found == {
-        "travel_counts_per_rev": Part.SCALE,
-        "elevation_rest_deg": Part.REST,
-        "supply_V": Part.SUPPLY,
-        "elevation_max_deg": Part.LIMIT,
+        "travel_counts_per_rev": BoardProperty.SCALE,
+        "elevation_rest_deg": BoardProperty.REST,
+        "supply_V": BoardProperty.SUPPLY,
+        "elevation_max_deg": BoardProperty.LIMIT,
     }
     simulated = rig_differences(stated, board, simulated=True)
-    assert simulated[0].parameter == "pitch_counts_per_rev" and simulated[0].part is Part.DIRECTION
+    assert simulated[0].parameter == "pitch_counts_per_rev" and simulated[0].part is BoardProperty.DIRECTION
 
 
 @pytest.mark.medium

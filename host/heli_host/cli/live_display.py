@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.live import Live
 
+LINE_EVERY_S = 5.0
+"""When the output goes to a file or another program."""
 REFRESH_S = 0.25
 """On a terminal; four a second cost about 1 % of a core."""
 

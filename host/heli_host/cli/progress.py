@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from heli_host.cli.live_display import LiveDisplay
+from heli_host.cli.live_display import LINE_EVERY_S, LiveDisplay
 from heli_host.cli.live_table import numbers_table
 from heli_host.cli.say import QUIET
 from heli_host.errors import printable
@@ -13,9 +13,6 @@ from heli_host.errors import printable
 if TYPE_CHECKING:
     from heli_host.link.accounting import LinkCounters
     from heli_host.samples import Sample
-
-LINE_EVERY_S = 5.0
-"""When the output goes to a file or another program."""
 
 
 class LiveLine:

@@ -7,14 +7,13 @@ import time
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
+from heli_host.cli.live_display import LINE_EVERY_S
 from heli_host.cli.say import DATA_ONLY, QUIET, say_progress
 from heli_host.errors import printable
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-LINE_EVERY_S = 5.0
-"""When the output goes to a file or another program."""
 _MIN_TOLD = 0.01
 """Share of the work below which no remaining time is shown."""
 

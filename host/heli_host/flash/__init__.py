@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from heli_host.flash.bossac import Bossac, find_bossac, write_image
 from heli_host.flash.image import FirmwareImage, read_image
+from heli_host.flash.other_link import saved_parameters
 from heli_host.flash.touch import erase_chip, restart_chip
 
 __all__ = [
@@ -13,5 +14,6 @@ __all__ = [
     "find_bossac",
     "read_image",
     "restart_chip",
+    "saved_parameters",
     "write_image",
 ]

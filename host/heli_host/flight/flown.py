@@ -6,8 +6,8 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heli_host.arrays import Booleans
 from heli_host.declaration import Flags
 from heli_host.errors import FlightDataError
 from heli_host.flight.flight import MIN_ROWS, Flight
@@ -22,10 +22,8 @@ _STREAMED: Final = "streamed"
 # A tenth of an encoder's count, far above the rounding of a setpoint in the log.
 _TOLD_rad: Final = 1.5e-4
 
-Rows = NDArray[np.bool_]
 
-
-def flown_rows(flight: Flight) -> Rows:
+def flown_rows(flight: Flight) -> Booleans:
     """Return the rows in which a control law flew: the board's own, an uploaded law, or the host's.
 
     If the flight marks its phases, only rows after the take-off and before the landing count.
@@ -54,7 +52,7 @@ def flown_rows(flight: Flight) -> Rows:
     return rows
 
 
-def led_rows(flight: Flight, axis: str) -> Rows:
+def led_rows(flight: Flight, axis: str) -> Booleans:
     """Return the rows of `flown_rows` in which an axis followed a setpoint.
 
     Some control laws have no setpoint for an axis, on the host or on the board. The log then contains the
@@ -111,12 +109,12 @@ def of_its_law(flight: Flight) -> Flight:
     return replace(cut, events=tuple(event for event in cut.events if event.name != PHASE_EVENT))
 
 
-def _in_state(flight: Flight, name: str) -> Rows:
+def _in_state(flight: Flight, name: str) -> Booleans:
     numbers = [number for number, known in flight.state_names.items() if known == name]
     return np.zeros(len(flight), np.bool_) if flight.state is None else np.isin(flight.state, numbers)
 
 
-def _of_law(flight: Flight) -> Rows:
+def _of_law(flight: Flight) -> Booleans:
     if flight.flags is None:
         return np.zeros(len(flight), np.bool_)
     return np.asarray(flight.flags & Flags.LAW, np.bool_)

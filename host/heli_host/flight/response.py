@@ -13,11 +13,11 @@ from typing import Final
 
 import numpy as np
 
-from heli_host.arrays import Floats
+from heli_host.arrays import Booleans, Floats
 from heli_host.declaration import AXES
 from heli_host.flight.counts import count_rad
 from heli_host.flight.flight import Flight
-from heli_host.flight.flown import Rows, flown_rows, led_rows
+from heli_host.flight.flown import flown_rows, led_rows
 
 MIN_STEP_DEG: Final = 1.0
 """Move of a setpoint from one that was held to the next from which on it is a step. By judgement. Lower: what
@@ -234,7 +234,7 @@ def _response(flight: Flight, axis: str) -> Response:
     )
 
 
-def _moves(flight: Flight, wanted_deg: Floats, led: Rows) -> list[tuple[int, int]]:
+def _moves(flight: Flight, wanted_deg: Floats, led: Booleans) -> list[tuple[int, int]]:
     """Steps of a setpoint as rows: the first away from where it was held, and behind the next such place."""
     return [
         (first, stop)
@@ -243,7 +243,7 @@ def _moves(flight: Flight, wanted_deg: Floats, led: Rows) -> list[tuple[int, int
     ]
 
 
-def _held(flight: Flight, wanted_deg: Floats, led: Rows) -> list[tuple[int, int]]:
+def _held(flight: Flight, wanted_deg: Floats, led: Booleans) -> list[tuple[int, int]]:
     """Stretches of rows, first and behind the last, in which a setpoint is held."""
     rows = max(4, round(HELD_s / max(flight.step_s, 1e-9)))
     if len(wanted_deg) <= rows:

@@ -47,7 +47,7 @@ SEED = Number(0, 2**32 - 1, whole=True)
 TARGETS = {f"{axis}_deg": ANGLE for axis in AXES}
 
 
-class Table:
+class PlanTable:
     """One table of a plan, and its place in the file.
 
     Parameters

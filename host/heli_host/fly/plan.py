@@ -40,15 +40,13 @@ from heli_host.arrays import Floats
 from heli_host.declaration import AXES, Axis
 from heli_host.errors import PlanError
 from heli_host.files import TOML_BYTES, parse_toml, read_file
+from heli_host.flight.flown import TAKE_OFF
 from heli_host.fly import route as shapes
-from heli_host.fly.keys import ANGLE, PAUSE, RATE, Table
+from heli_host.fly.keys import ANGLE, PAUSE, RATE, PlanTable
 from heli_host.fly.limits import Limits, check_motion
 from heli_host.fly.route import Route
 from heli_host.fly.segments import Segment, read_segment
 from heli_host.fly.tracking import Tolerance
-
-TAKE_OFF = "take-off"
-"""Phase before the first plan."""
 
 MAX_SEGMENTS = 1000
 
@@ -140,7 +138,7 @@ class Plan:
             If it has an unknown key, lacks one, or holds a value that no board takes.
         """
         name = name or Path(source).stem
-        table = Table(values, source, ("title", "axes", "start", "tolerance", "segment"))
+        table = PlanTable(values, source, ("title", "axes", "start", "tolerance", "segment"))
         closed = _read_axes(table)
         commanded = tuple(axis for axis in closed if axis != "pitch" or "travel" not in closed)
         start = _read_start(values.get("start", {}), source)
@@ -344,7 +342,7 @@ def _end(segment: Segment, at_deg: Floats) -> Floats:
     return end_deg
 
 
-def _read_axes(table: Table) -> tuple[str, ...]:
+def _read_axes(table: PlanTable) -> tuple[str, ...]:
     given = table.values.get("axes", list(AXES))
     if (
         not isinstance(given, list)
@@ -363,7 +361,7 @@ def _read_axes(table: Table) -> tuple[str, ...]:
 def _read_start(values: Any, source: str) -> Start:
     if not isinstance(values, dict):
         raise PlanError(f"{source}: [start] is not a table", "write [start] above its keys")
-    table = Table(values, f"{source}, start", ("elevation_deg", "rate_deg_s", "settle_s"))
+    table = PlanTable(values, f"{source}, start", ("elevation_deg", "rate_deg_s", "settle_s"))
     usual = Start()
     return Start(
         table.number("elevation_deg", ANGLE, usual.elevation_deg),

@@ -15,7 +15,7 @@ from heli_host.declaration import LINK_HASH, LINK_VERSION, StatusMessage
 from heli_host.errors import HeliError, LogError
 from heli_host.flight.flown import PHASE_EVENT
 from heli_host.link.channels import rad_per_count
-from heli_host.link.events import BOARD_RESTARTED, LAW_SIGNALS, LINK_LOST, LINK_SILENT, LinkEvent
+from heli_host.link.events import BOARD_RESTARTED, LAW_SIGNAL_NAMES, LINK_LOST, LINK_SILENT, LinkEvent
 from heli_host.link.transport import transport_recipe
 from heli_host.log.blind import hide, said
 from heli_host.log.disk import check_free_space
@@ -242,7 +242,7 @@ class Recorder:
 
     def _name_signals(self, event: LinkEvent) -> None:
         """Keep the names of a law's signals; a channel that two laws name differently keeps its own."""
-        if event.kind != LAW_SIGNALS:
+        if event.kind != LAW_SIGNAL_NAMES:
             return
         for number, name in enumerate(event.names, 1):
             channel = f"signal_{number}"

@@ -15,7 +15,7 @@ Shape = Callable[[Floats], Floats]
 
 
 @dataclass(frozen=True)
-class Excitation:
+class PlannedExcitation:
     """An excitation that the board adds to the motor voltages during a piece.
 
     Parameters
@@ -62,7 +62,7 @@ class Piece:
     start_s: float
     duration_s: float
     shape: Shape
-    excitation: Excitation | None = None
+    excitation: PlannedExcitation | None = None
 
     @property
     def end_deg(self) -> Floats:
@@ -101,7 +101,12 @@ class Route:
         return np.array([piece.start_s for piece in self.pieces])
 
     def then(
-        self, phase: str, name: str, duration_s: float, shape: Shape, excitation: Excitation | None = None
+        self,
+        phase: str,
+        name: str,
+        duration_s: float,
+        shape: Shape,
+        excitation: PlannedExcitation | None = None,
     ) -> Route:
         """Return the route with one more piece.
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from heli_host.declaration import AXES, SetpointMessage
-from heli_host.fly.plan import TAKE_OFF
+from heli_host.flight.flown import TAKE_OFF
 from heli_host.fly.route import Piece, Route
 from heli_host.fly.ticks import newest_tick
 from heli_host.link.clock import TICK_S

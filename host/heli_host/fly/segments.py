@@ -23,9 +23,9 @@ from heli_host.fly.keys import (
     SEED,
     TARGETS,
     VOLTAGE,
-    Table,
+    PlanTable,
 )
-from heli_host.fly.route import Excitation, Shape
+from heli_host.fly.route import PlannedExcitation, Shape
 
 SIGNALS = tuple(signal.name.lower() for signal in Signal if signal is not Signal.NONE)
 _SHAPES_OF_PATH = ("smooth", "straight")
@@ -78,7 +78,7 @@ class Segment:
     motion: Callable[[Floats], Motion]
     limit_keys: tuple[str, ...] = tuple(TARGETS)
     rate_key: str = "duration_s"
-    excitation: Excitation | None = None
+    excitation: PlannedExcitation | None = None
 
 
 def read_segment(values: Mapping[str, Any], where: str, commanded: tuple[str, ...]) -> Segment:
@@ -98,7 +98,7 @@ def read_segment(values: Mapping[str, Any], where: str, commanded: tuple[str, ..
     PlanError
         If a key is unknown, missing, or holds what it cannot.
     """
-    kind_only = Table({key: values[key] for key in ("kind",) if key in values}, where, ("kind",))
+    kind_only = PlanTable({key: values[key] for key in ("kind",) if key in values}, where, ("kind",))
     kind = kind_only.choice("kind", _KINDS)
     where = f"{where} ({kind})"
     known, reader = _KINDS[kind]
@@ -109,7 +109,7 @@ def read_segment(values: Mapping[str, Any], where: str, commanded: tuple[str, ..
             kind_only.where = where
             remedy = 'set axes = ["elevation", "pitch"] to command pitch' if axis == "pitch" else "remove it"
             kind_only.fail(f"{key} has no effect: this plan {_why_not(axis)}", remedy)
-    return reader(Table(values, where, ("kind", *usable)), commanded)
+    return reader(PlanTable(values, where, ("kind", *usable)), commanded)
 
 
 def _axis_of(key: str) -> str | None:
@@ -128,7 +128,7 @@ def _motion(duration_s: float, shape: Shape, *points_deg: Floats, rate_deg_s: Fl
     return Motion(duration_s, shape, points.min(axis=0), points.max(axis=0), rate)
 
 
-def _targets(table: Table, commanded: tuple[str, ...]) -> Callable[[Floats], Floats]:
+def _targets(table: PlanTable, commanded: tuple[str, ...]) -> Callable[[Floats], Floats]:
     """Return what fills in the axes that the table names."""
     given = {axis: table.optional(f"{axis}_deg", ANGLE) for axis in AXES}
     if all(value is None for value in given.values()):
@@ -146,7 +146,7 @@ def _targets(table: Table, commanded: tuple[str, ...]) -> Callable[[Floats], Flo
     return fill
 
 
-def _read_hold(table: Table, commanded: tuple[str, ...]) -> Segment:
+def _read_hold(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
     duration_s = table.number("duration_s", DURATION)
     return Segment(
         "hold",
@@ -156,7 +156,7 @@ def _read_hold(table: Table, commanded: tuple[str, ...]) -> Segment:
     )
 
 
-def _read_step(table: Table, commanded: tuple[str, ...]) -> Segment:
+def _read_step(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
     duration_s = table.number("duration_s", DURATION)
     fill = _targets(table, commanded)
     return Segment(
@@ -167,7 +167,7 @@ def _read_step(table: Table, commanded: tuple[str, ...]) -> Segment:
     )
 
 
-def _read_ramp(table: Table, commanded: tuple[str, ...]) -> Segment:
+def _read_ramp(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
     given_s = table.optional("duration_s", DURATION)
     rate_deg_s = table.optional("rate_deg_s", RATE)
     if (given_s is None) == (rate_deg_s is None):
@@ -187,7 +187,7 @@ def _read_ramp(table: Table, commanded: tuple[str, ...]) -> Segment:
     return Segment("ramp", table.where, motion, rate_key=rate_key)
 
 
-def _read_sine(table: Table, commanded: tuple[str, ...]) -> Segment:
+def _read_sine(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
     duration_s = table.number("duration_s", DURATION)
     amplitude_deg = np.array([table.number(f"{axis}_amplitude_deg", ANGLE, 0.0) for axis in AXES])
     if not amplitude_deg.any():
@@ -219,7 +219,7 @@ def _read_sine(table: Table, commanded: tuple[str, ...]) -> Segment:
     return Segment("sine", table.where, motion, keys, "period_s", _meanwhile(table, duration_s))
 
 
-def _period(table: Table, prefix: str) -> float | None:
+def _period(table: PlanTable, prefix: str) -> float | None:
     period_s = table.optional(f"{prefix}period_s", PERIOD)
     frequency_Hz = table.optional(f"{prefix}frequency_Hz", FREQUENCY)
     if period_s is not None and frequency_Hz is not None:
@@ -227,7 +227,7 @@ def _period(table: Table, prefix: str) -> float | None:
     return 1.0 / frequency_Hz if frequency_Hz is not None else period_s
 
 
-def _read_waypoints(table: Table, commanded: tuple[str, ...]) -> Segment:
+def _read_waypoints(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
     smooth = table.choice("path", _SHAPES_OF_PATH, "smooth") == "smooth"
     rows = table.values.get("points")
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
@@ -236,7 +236,7 @@ def _read_waypoints(table: Table, commanded: tuple[str, ...]) -> Segment:
     usable = ("at_s", *(key for key in TARGETS if _axis_of(key) in commanded))
     last_s = -1.0
     for number, row in enumerate(rows, start=1):
-        point = Table(row, f"{table.where}, point {number}", usable)
+        point = PlanTable(row, f"{table.where}, point {number}", usable)
         at_s = point.number("at_s", PAUSE)
         if at_s <= last_s:
             point.fail(f"at_s is {at_s:g}, not behind the point before it", "sort the points by at_s")
@@ -277,7 +277,7 @@ def _read_waypoints(table: Table, commanded: tuple[str, ...]) -> Segment:
     )
 
 
-def _read_excite(table: Table, commanded: tuple[str, ...]) -> Segment:
+def _read_excite(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
     duration_s = table.number("duration_s", DURATION)
     return Segment(
         "excite",
@@ -287,7 +287,7 @@ def _read_excite(table: Table, commanded: tuple[str, ...]) -> Segment:
     )
 
 
-def _meanwhile(table: Table, duration_s: float) -> Excitation | None:
+def _meanwhile(table: PlanTable, duration_s: float) -> PlannedExcitation | None:
     """What the board adds to the voltages while a segment moves."""
     values = table.values.get("excite")
     if values is None:
@@ -297,10 +297,10 @@ def _meanwhile(table: Table, duration_s: float) -> Excitation | None:
             'excite = { signal = "multisine", front_V = 0.25, back_V = 0.25, start_Hz = 0.1, stop_Hz = 4 }'
         )
         table.fail("excite is not a table", f"write {example}")
-    return _excitation(Table(values, f"{table.where}, excite", _EXCITE_KEYS), duration_s)
+    return _excitation(PlanTable(values, f"{table.where}, excite", _EXCITE_KEYS), duration_s)
 
 
-def _excitation(table: Table, duration_s: float) -> Excitation:
+def _excitation(table: PlanTable, duration_s: float) -> PlannedExcitation:
     signal = table.choice("signal", SIGNALS)
     front_V = table.number("front_V", VOLTAGE, 0.0)
     back_V = table.number("back_V", VOLTAGE, 0.0)
@@ -319,10 +319,10 @@ def _excitation(table: Table, duration_s: float) -> Excitation:
     seed = int(table.number("seed", SEED, 1))
     if signal == "prbs" and seed == 0:
         table.fail("seed is 0", "give a whole number from 1")
-    return Excitation(signal, front_V, back_V, start_Hz, stop_Hz, duration_s, seed)
+    return PlannedExcitation(signal, front_V, back_V, start_Hz, stop_Hz, duration_s, seed)
 
 
-def _read_land(table: Table, commanded: tuple[str, ...]) -> Segment:
+def _read_land(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
     return Segment("land", table.where, lambda at: _motion(0.0, route.hold(at), at))
 
 
@@ -332,7 +332,7 @@ _SINE_KEYS = tuple(
 
 _EXCITE_KEYS = ("signal", "front_V", "back_V", "start_Hz", "stop_Hz", "seed")
 
-_KINDS: dict[str, tuple[tuple[str, ...], Callable[[Table, tuple[str, ...]], Segment]]] = {
+_KINDS: dict[str, tuple[tuple[str, ...], Callable[[PlanTable, tuple[str, ...]], Segment]]] = {
     "hold": (("duration_s", "excite"), _read_hold),
     "step": ((*TARGETS, "duration_s", "excite"), _read_step),
     "ramp": ((*TARGETS, "duration_s", "rate_deg_s"), _read_ramp),

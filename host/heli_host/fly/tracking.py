@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heli_host.declaration import AXES, CHANNELS, Channel, State
-from heli_host.fly.keys import Number, Table
+from heli_host.fly.keys import Number, PlanTable
 from heli_host.link.channels import ENCODERS, numbers
 from heli_host.link.clock import TICK_S
 from heli_host.link.telemetry import Ticks
@@ -61,7 +61,7 @@ class Tolerance:
         """
         default = Tolerance()
         bounds = {f"{axis}_deg": _BOUND for axis in AXES} | {"for_s": _LONGEST}
-        table = Table(values, where, bounds)
+        table = PlanTable(values, where, bounds)
         return Tolerance(
             **{key: table.number(key, spec, getattr(default, key)) for key, spec in bounds.items()}
         )

@@ -24,7 +24,7 @@ LINK_SILENT = "link_silent"
 LINK_RESTORED = "link_restored"
 BOARD_RESTARTED = "board_restarted"
 CALLBACK_FAILED = "callback_failed"
-LAW_SIGNALS = "law_signals"
+LAW_SIGNAL_NAMES = "law_signals"
 
 
 @dataclass(frozen=True)

@@ -23,10 +23,9 @@ from heli_host.declaration import CHANNELS
 from heli_host.errors import LogWriteError
 from heli_host.flight import Flight, FlightEvent
 from heli_host.link.channels import is_whole
+from heli_host.log.schema import EVENT_TOPIC, TICK_TOPIC
 
 PROFILE: Final = "ros2"
-TICK_TOPIC: Final = "/heli/tick"
-EVENT_TOPIC: Final = "/heli/event"
 PARAMETER_TOPIC: Final = "/heli/parameter"
 
 _CDR: Final = b"\x00\x01\x00\x00"

@@ -11,7 +11,7 @@ from heli_host.declaration import Channel
 from heli_host.errors import ParameterError
 from heli_host.fly.plan import Plan
 from heli_host.link.clock import TICK_S
-from heli_host.link.events import BOARD_RESTARTED, LAW_SIGNALS, LinkEvent
+from heli_host.link.events import BOARD_RESTARTED, LAW_SIGNAL_NAMES, LinkEvent
 from heli_host.link.transport import transport_label, transport_rig
 from heli_host.page.event_feed import EventFeed
 from heli_host.page.flight_requests import FlightRequests
@@ -297,7 +297,7 @@ class Cockpit:
             self.buffer.clear()
         self._law.take_event(event)
         self._feed.add(event.tick, event.kind, self._pilot.event_in_words(event.text))
-        if event.kind == LAW_SIGNALS:
+        if event.kind == LAW_SIGNAL_NAMES:
             self._signals = {f"signal_{number}": name for number, name in enumerate(event.names, 1)}
             self._feed.tell({"channels": channel_rows(self._parameters.values, self._signals)})
 

@@ -34,7 +34,7 @@ class BadRequest(ParameterError):
 
 
 @dataclass(frozen=True)
-class Request:
+class PageRequest:
     """A valid request: all its numbers are finite, and UTF-8 can encode all its texts.
 
     Parameters
@@ -49,7 +49,7 @@ class Request:
     message: Mapping[str, Any]
 
 
-def read_request(words: str) -> Request:
+def read_request(words: str) -> PageRequest:
     """Parse and validate a message.
 
     Parameters
@@ -81,7 +81,7 @@ def read_request(words: str) -> Request:
         usable[name] = value
     for name, value in message.items():
         _check(name, value, usable)
-    return Request(message["do"], message)
+    return PageRequest(message["do"], message)
 
 
 def _is_short(value: Any) -> bool:

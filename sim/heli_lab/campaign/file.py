@@ -11,9 +11,9 @@ from typing import Any, Final
 
 from heli_host.files import TOML_BYTES, parse_toml, read_file
 
+from heli_lab.campaign.campaign import Campaign
 from heli_lab.campaign.case import Case
 from heli_lab.campaign.draw import TOLERANCES, check_form
-from heli_lab.campaign.run import Campaign
 from heli_lab.campaign.worker_process import Limits
 from heli_lab.campaign.works import DEFAULTS, WORKS, WORST
 from heli_lab.errors import CampaignError

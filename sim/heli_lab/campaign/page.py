@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from heli_lab.campaign.run import Campaign
+from heli_lab.campaign.campaign import Campaign
 from heli_lab.campaign.store import TABLE
 from heli_lab.campaign.summary import Column, Row, Summary
 from heli_lab.page import write_page

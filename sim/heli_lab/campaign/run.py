@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 from heli_host.errors import HeliError
 
+from heli_lab.campaign.campaign import Campaign
 from heli_lab.campaign.case import Case, Cell, JobResult, natural_order
 from heli_lab.campaign.cluster import usable, workers_of
 from heli_lab.campaign.store import Store, row_of
 from heli_lab.campaign.worker import CodeMismatch, Job, release, run_job
-from heli_lab.campaign.worker_process import Limits
 from heli_lab.code_digest import code_digest
 from heli_lab.errors import CampaignError
 
@@ -28,47 +28,6 @@ of a campaign that was killed; nothing is lost."""
 _LOST_WORKERS: Final = 20
 """Workers that may die under one case before the case is given up."""
 _NO_WORKER_REMEDY: Final = "install this version of heli-host on the workers, and start them again"
-_USUAL: Final = Limits()
-
-
-@dataclass(frozen=True)
-class Campaign:
-    """Cases of a campaign, with the limits of each case.
-
-    Parameters
-    ----------
-    title : str
-        Title for readers.
-    cases : tuple of Case
-        The cases; their names are unique.
-    limits : Limits
-        Limits of time and threads for each case.
-    worst : str
-        Column of the table whose largest values are the worst. With a minus sign in front of the name, the
-        smallest values are the worst. Empty if the campaign ranks no column.
-    modules : str
-        Folder of modules that are not installed and that cases may use: the folder of the campaign file.
-    """
-
-    title: str
-    cases: tuple[Case, ...]
-    limits: Limits = _USUAL
-    worst: str = ""
-    modules: str = ""
-
-    def __post_init__(self) -> None:
-        if not self.cases:
-            raise CampaignError("the campaign has no case", "give each list at least one value")
-        seen: set[str] = set()
-        for case in self.cases:
-            if case.name in seen:
-                raise CampaignError(f"two cases have the name {case.name}", "change a setting of one of them")
-            seen.add(case.name)
-
-    @property
-    def works(self) -> tuple[str, ...]:
-        """Functions that run its cases."""
-        return tuple(sorted({case.work for case in self.cases}))
 
 
 @dataclass(frozen=True)

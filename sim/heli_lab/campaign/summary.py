@@ -12,8 +12,8 @@ from typing import Any, Final
 import numpy as np
 from heli_host.declaration import Fault
 
+from heli_lab.campaign.campaign import Campaign
 from heli_lab.campaign.draw import PREFIX
-from heli_lab.campaign.run import Campaign
 from heli_lab.campaign.store import OWN
 
 OUTCOME: Final = "outcome"

@@ -10,7 +10,7 @@ from heli_sim.rig import Number, Rig
 from heli_lab.diagnose.discover import ProposedTerm
 from heli_lab.diagnose.evaluate import CauseParameter
 from heli_lab.identify import Fit
-from heli_lab.identify.result import Identification
+from heli_lab.identify.results import Identification
 
 
 def extended_rig(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Flags, Floats, Integers
+from heli_host.arrays import Booleans, Floats, Integers
 from heli_host.flight import Flight
 from scipy.signal import lfilter
 
@@ -65,7 +65,7 @@ class Part:
         return np.asarray(self.volts_V + share * (before - self.volts_V))
 
 
-def parts_of(flight: Flight, rows: Flags, least_V: float) -> list[Part]:
+def parts_of(flight: Flight, rows: Booleans, least_V: float) -> list[Part]:
     """Cut the `rows` of a flight into parts without gaps, each longer than the longest test function;
     voltages below `least_V` act like it.
     """

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Flags, Floats, Integers
+from heli_host.arrays import Booleans, Floats, Integers
 
 from heli_lab.estimation.arrowhead import NO_BLOCKS, solve_arrowhead
 
@@ -37,7 +37,7 @@ def bounded_solve(
     ndarray (f,)
     """
 
-    def minimum(x: Floats, free: Flags) -> Floats:
+    def minimum(x: Floats, free: Booleans) -> Floats:
         """Minimum over the `free` unknowns; the others stay at `x`."""
         rest = np.where(free, right - matrix[:, ~free] @ x[~free], 0.0)
         decoupled = np.where(free[:, None] & free, matrix, np.diag(np.where(free, 0.0, 1.0)))

@@ -8,7 +8,7 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Flags, Floats, Integers
+from heli_host.arrays import Booleans, Floats, Integers
 
 from heli_lab.estimation.disturbances import DisturbanceModel, SLOW_CORRELATION_TIME_s
 
@@ -44,7 +44,7 @@ class _Group:
     """
 
     parameters: Integers
-    moved: Flags
+    moved: Booleans
 
     def likelihoods(self, values: Floats) -> Floats:
         """Log-likelihood of the innovations that each disturbance moves, shape (k,), from those of each

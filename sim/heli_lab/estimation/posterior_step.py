@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from heli_host.arrays import Flags, Floats, Integers
+from heli_host.arrays import Booleans, Floats, Integers
 
 from heli_lab.estimation.arrowhead import NO_BLOCKS, invert_arrowhead
 from heli_lab.estimation.bounded_solve import bounded_solve
@@ -44,7 +44,7 @@ def posterior_step(
     score: Floats,
     *,
     damping: float = 0.0,
-    is_fixed: Flags | None = None,
+    is_fixed: Booleans | None = None,
     per_flight: Integers = NO_BLOCKS,
 ) -> PosteriorStep:
     """Solve for the step to the maximum of the linearised posterior, within the bounds.

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Flags, Floats, Integers
+from heli_host.arrays import Booleans, Floats, Integers
 
 from heli_lab.estimation import _kalman
 from heli_lab.estimation.grey_box import Recording, quantisation_std
@@ -97,7 +97,7 @@ class ReferenceTrajectory:
     predicted: Floats
     filtered: Floats
     windows: tuple[slice, ...]
-    at_rest: Flags
+    at_rest: Booleans
     directions: Floats
     direction_variance: Floats
     pause_s: Floats
@@ -164,9 +164,9 @@ def kinematic_filter(record: Recording, kinematics: KinematicModel) -> Reference
     )
 
 
-def _changed(record: Recording) -> Flags:
+def _changed(record: Recording) -> Booleans:
     """Whether each output's count, shape (n - 1, m), changes from a row to the next."""
-    changed: Flags = np.abs(np.diff(record.outputs, axis=0)) > 0.5 * record.resolution
+    changed: Booleans = np.abs(np.diff(record.outputs, axis=0)) > 0.5 * record.resolution
     return changed
 
 
@@ -204,7 +204,7 @@ def _directions(record: Recording, nodes: Integers) -> tuple[Floats, Floats, Flo
     return directions, (1.0 - directions**2) / 3.0, pause_s
 
 
-def _at_rest(record: Recording, nodes: Integers) -> Flags:
+def _at_rest(record: Recording, nodes: Integers) -> Booleans:
     """Whether each output, shape (n, m), is at rest in these rows of a flight."""
     changed = _changed(record)
     at_rest = np.zeros((len(nodes), changed.shape[1]), bool)
@@ -218,7 +218,7 @@ def _at_rest(record: Recording, nodes: Integers) -> Flags:
     return at_rest
 
 
-def _held(states: Floats, at_rest: Flags) -> Floats:
+def _held(states: Floats, at_rest: Booleans) -> Floats:
     size = at_rest.shape[1]
     rates: Floats = np.where(at_rest, 0.0, states[:, size:])
     return np.hstack((states[:, :size], rates))

@@ -10,11 +10,11 @@ from heli_host.tables.units import SHARES
 from heli_sim.rig import Rig
 
 from heli_lab.guess import names, thresholds
-from heli_lab.guess.assignment import ColumnAssignment, RegressionFit
-from heli_lab.guess.axis_regression import RestElevation
-from heli_lab.guess.reference import Reference
+from heli_lab.guess.regression.assignment import ColumnAssignment, RegressionFit
+from heli_lab.guess.regression.axis_regression import RestElevation
+from heli_lab.guess.regression.reference import Reference
+from heli_lab.guess.regression.scales import AXES, MeasuredMotion, Scale
 from heli_lab.guess.result import Ambiguity
-from heli_lab.guess.scales import AXES, MeasuredMotion, Scale
 
 _MAX_ALTERNATIVES: Final = 4
 """Largest number of other units that a doubt lists."""

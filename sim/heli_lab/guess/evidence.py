@@ -7,18 +7,18 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Flags, Floats
+from heli_host.arrays import Booleans, Floats
 from heli_host.errors import FlightDataError
 from heli_host.tables import Table
 from heli_host.tables.units import ANGLE_UNITS, COUNT, SHARES, VOLTAGE_UNITS, split_unit
 
 from heli_lab.guess import names, thresholds
-from heli_lab.guess.assignment import ColumnAssignment, RegressionFit, assignments, free_rows
-from heli_lab.guess.axis_regression import axis_regressions, sum_and_difference, voltages
-from heli_lab.guess.candidates import candidates
 from heli_lab.guess.known import KnownEntries
-from heli_lab.guess.reference import Reference
-from heli_lab.guess.scales import (
+from heli_lab.guess.regression.assignment import ColumnAssignment, RegressionFit, assignments, free_rows
+from heli_lab.guess.regression.axis_regression import axis_regressions, sum_and_difference, voltages
+from heli_lab.guess.regression.candidates import candidates
+from heli_lab.guess.regression.reference import Reference
+from heli_lab.guess.regression.scales import (
     AXES,
     LimitedMotion,
     MeasuredMotion,
@@ -29,7 +29,7 @@ from heli_lab.guess.scales import (
     step_of,
     voltage_scales,
 )
-from heli_lab.guess.signals import Signals, column_signals
+from heli_lab.guess.regression.signals import Signals, column_signals
 from heli_lab.guess.times import NO_RATE, Clock, clock_of, longest_run, times_in_s
 
 _ANGLE_UNITS: Final = frozenset({*ANGLE_UNITS, COUNT})
@@ -236,7 +236,7 @@ def _limited_motions(
     signals: Signals,
     assignment: ColumnAssignment,
     reference: Reference,
-    rows: Flags,
+    rows: Booleans,
     first: dict[str, RegressionFit],
 ) -> dict[VoltageScale, LimitedMotion]:
     """Repeat the regressions with limited commands, for each unit in which some exceed the supply."""

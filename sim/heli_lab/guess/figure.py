@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from heli_host.arrays import Flags, Floats
+from heli_host.arrays import Booleans, Floats
 from heli_host.flight import Flight
 
+from heli_lab.guess.regression.signals import delay, filtered_signal
 from heli_lab.guess.result import Guess
-from heli_lab.guess.signals import delay, filtered_signal
 from heli_lab.guess.thresholds import EDGE_S, SAMPLE_STEP_s
 
 _LAG_S = 0.1
@@ -83,8 +83,8 @@ def _without_axis_terms(values: Floats, regressors: Floats) -> Floats:
     return rest
 
 
-def _rows_in_the_air(elevation_rad: Floats) -> Flags:
+def _rows_in_the_air(elevation_rad: Floats) -> Booleans:
     """Select the rows in which the arm is well above its lowest elevation, shape (n,)."""
     low, typical = float(elevation_rad.min()), float(np.median(elevation_rad))
-    up: Flags = elevation_rad > low + 0.4 * (typical - low)
+    up: Booleans = elevation_rad > low + 0.4 * (typical - low)
     return up

@@ -10,10 +10,10 @@ import numpy as np
 
 from heli_lab.guess import thresholds
 from heli_lab.guess.ambiguities import SignChanges
-from heli_lab.guess.assignment import ColumnAssignment
-from heli_lab.guess.axis_regression import sum_and_difference
-from heli_lab.guess.reference import Reference
-from heli_lab.guess.signals import Signals, filtered_signal
+from heli_lab.guess.regression.assignment import ColumnAssignment
+from heli_lab.guess.regression.axis_regression import sum_and_difference
+from heli_lab.guess.regression.reference import Reference
+from heli_lab.guess.regression.signals import Signals, filtered_signal
 
 _EVERY: Final = 10
 

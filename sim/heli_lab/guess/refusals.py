@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from heli_host.errors import FlightDataError
 
 from heli_lab.guess import names, thresholds
-from heli_lab.guess.assignment import ColumnAssignment, RegressionFit
+from heli_lab.guess.regression.assignment import ColumnAssignment, RegressionFit
 
 _FIX = "give a log with three angles and both motor voltages; if they are in two files, add --one-flight"
 

@@ -22,9 +22,6 @@ from heli_lab.guess.ambiguities import (
     sum_ambiguities,
     unit_ambiguities,
 )
-from heli_lab.guess.assignment import ColumnAssignment, RegressionFit
-from heli_lab.guess.axis_regression import RestElevation, axis_regressions, rest_elevation, sum_and_difference
-from heli_lab.guess.candidates import feedback_sign
 from heli_lab.guess.evidence import (
     PreparedFile,
     common_candidates,
@@ -35,12 +32,20 @@ from heli_lab.guess.evidence import (
 )
 from heli_lab.guess.known import NOTHING_KNOWN, KnownEntries
 from heli_lab.guess.mirror import prefers_mirror, travel_torque_nats
-from heli_lab.guess.reference import Reference, reference_of
 from heli_lab.guess.refusals import check_voltages, names_state_voltages, too_few_columns
+from heli_lab.guess.regression.assignment import ColumnAssignment, RegressionFit
+from heli_lab.guess.regression.axis_regression import (
+    RestElevation,
+    axis_regressions,
+    rest_elevation,
+    sum_and_difference,
+)
+from heli_lab.guess.regression.candidates import feedback_sign
+from heli_lab.guess.regression.reference import Reference, reference_of
+from heli_lab.guess.regression.scales import AXES, Scale, rad_of
+from heli_lab.guess.regression.signals import filtered_signal
 from heli_lab.guess.result import Ambiguity, Guess
-from heli_lab.guess.scales import AXES, Scale, rad_of
 from heli_lab.guess.sign_trials import try_sign_choices
-from heli_lab.guess.signals import filtered_signal
 from heli_lab.guess.times import NO_RATE, Clock
 
 

@@ -14,12 +14,11 @@ from heli_sim.rig import Rig
 
 from heli_lab.errors import IdentifyError
 from heli_lab.guess import thresholds
+from heli_lab.guess.regression.scales import AXES
 from heli_lab.guess.result import SignChoice
-from heli_lab.guess.scales import AXES
-from heli_lab.identify.fit import Budget
-from heli_lab.identify.problem import Problem
+from heli_lab.identify.estimation_problem import Budget, Problem
 from heli_lab.identify.record import Record, prepare
-from heli_lab.identify.solve import solve
+from heli_lab.identify.shooting import solve
 
 PIECE_S: Final = 2.0
 """Length of the pieces into which a flight is cut [s]; the most strongly excited ones are simulated."""

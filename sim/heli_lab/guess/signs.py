@@ -13,12 +13,12 @@ from heli_sim.rig import Rig
 
 from heli_lab.errors import IdentifyError
 from heli_lab.guess import thresholds
-from heli_lab.guess.assignment import ColumnAssignment, RegressionFit
-from heli_lab.guess.axis_regression import axis_regressions, rest_elevation
-from heli_lab.guess.reference import Reference, reference_of
-from heli_lab.guess.scales import AXES
+from heli_lab.guess.regression.assignment import ColumnAssignment, RegressionFit
+from heli_lab.guess.regression.axis_regression import axis_regressions, rest_elevation
+from heli_lab.guess.regression.reference import Reference, reference_of
+from heli_lab.guess.regression.scales import AXES
+from heli_lab.guess.regression.signals import column_signals
 from heli_lab.guess.sign_trials import try_sign_choices
-from heli_lab.guess.signals import column_signals
 
 MIN_DURATION_S: Final = 5.0
 """Shorter flights are not checked [s]: fewer than five independent samples do not decide a sign."""

@@ -12,8 +12,8 @@ from heli_host.tables import Column, Table
 from heli_host.tables.units import TIME_UNITS, split_unit
 
 from heli_lab.guess import names
-from heli_lab.guess.scales import step_of
-from heli_lab.guess.signals import unwrapped
+from heli_lab.guess.regression.scales import step_of
+from heli_lab.guess.regression.signals import unwrapped
 
 NO_RATE: Final = "give a column of times, or the sampling rate with --rate"
 """Fix of a file without times."""

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from heli_lab.identify.check import Check, Trace, check, trace, validate
-from heli_lab.identify.fit import Budget, Fit, FitProgress
-from heli_lab.identify.problem import Problem
+from heli_lab.identify.estimation_problem import (
+    Budget,
+    Combination,
+    Fit,
+    FitProgress,
+    Problem,
+    combinations,
+    uninformed_parameters,
+)
 from heli_lab.identify.record import Record, prepare
-from heli_lab.identify.solve import solve
-from heli_lab.identify.uncertainty import Combination, combinations, uninformed_parameters
+from heli_lab.identify.results import Check, Trace, check, trace, validate
+from heli_lab.identify.shooting import solve
 
 __all__ = [
     "Budget",

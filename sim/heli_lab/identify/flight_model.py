@@ -27,8 +27,8 @@ from heli_lab.estimation import (
     Recording,
     ReferenceTrajectory,
 )
+from heli_lab.identify.estimation_problem.grid import make_grid
 from heli_lab.identify.free import PER_FLIGHT, free_parameters, rig_prior
-from heli_lab.identify.grid import make_grid
 from heli_lab.identify.record import Record
 from heli_lab.identify.rotor_gains import GAINS, ROTOR_GAINS
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Flags, Floats
+from heli_host.arrays import Booleans, Floats
 from heli_host.flight import Flight
 from heli_host.flight.counts import count_rad
 from heli_sim.model.parts import AXES
@@ -132,7 +132,7 @@ def prepare(
     _refuse_dead_columns(flight, label, counts_rad)
     _refuse_duties(flight, label, rig)
 
-    reasons: list[tuple[Flags, str]] = []
+    reasons: list[tuple[Booleans, str]] = []
     if start_s is not None or stop_s is not None:
         low, high = -math.inf if start_s is None else start_s, math.inf if stop_s is None else stop_s
         reasons.append(((t_s < low) | (t_s >= high), "not asked for"))
@@ -246,7 +246,7 @@ def _refuse_dead_columns(flight: Flight, label: str, count_rad: Floats) -> None:
             )
 
 
-def _near_table(flight: Flight, rig: Rig, step_s: float) -> Flags:
+def _near_table(flight: Flight, rig: Rig, step_s: float) -> Booleans:
     """Rows on the table, taking off or landing."""
     elevation_deg = np.rad2deg(flight.elevation_rad)
     table_deg = rig["elevation_min"].value
@@ -286,7 +286,7 @@ def _near_table(flight: Flight, rig: Rig, step_s: float) -> Flags:
     return cut
 
 
-def _last_descent(flight: Flight, near_table: Flags, step_s: float) -> Flags:
+def _last_descent(flight: Flight, near_table: Booleans, step_s: float) -> Booleans:
     """Rows of the descent at the end of a flight whose voltages were taken back, whether or not the log goes
     on until the table.
     """
@@ -314,8 +314,8 @@ def _last_descent(flight: Flight, near_table: Flags, step_s: float) -> Flags:
     return descent
 
 
-def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> list[tuple[str, Flags, list[str]]]:
-    reasons: list[tuple[str, Flags, list[str]]] = []
+def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> list[tuple[str, Booleans, list[str]]]:
+    reasons: list[tuple[str, Booleans, list[str]]] = []
     around = round(thresholds.LAG_S / step_s)
     names = ("elevation_max", "pitch_max", "travel_max")
     for index, (axis, name) in enumerate(zip(AXES, names, strict=True)):
@@ -336,7 +336,7 @@ def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> list[tuple[str, Flags
 
 
 def _segments(
-    reasons: list[tuple[Flags, str]], gap: Flags, t_s: Floats, least: int
+    reasons: list[tuple[Booleans, str]], gap: Booleans, t_s: Floats, least: int
 ) -> tuple[tuple[tuple[int, int], ...], tuple[Cut, ...]]:
     code = np.zeros(len(t_s), int)  # 0: free; else 1 + index of the first reason
     for index in reversed(range(len(reasons))):

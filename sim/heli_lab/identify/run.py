@@ -11,15 +11,12 @@ from heli_sim.model.base import Model
 from heli_sim.rig import Rig
 
 from heli_lab.errors import IdentifyError
-from heli_lab.identify.check import check, trace, validate
-from heli_lab.identify.explained import refuse_unexplained
-from heli_lab.identify.fit import Budget, FitProgress
+from heli_lab.identify.estimation_problem import Budget, FitProgress, Problem
+from heli_lab.identify.estimation_problem.initial_states import initial_state_guess
 from heli_lab.identify.free import estimated_names
-from heli_lab.identify.initial_states import initial_state_guess
-from heli_lab.identify.problem import Problem
 from heli_lab.identify.record import Record, prepare
-from heli_lab.identify.result import Identification
-from heli_lab.identify.solve import solve
+from heli_lab.identify.results import Identification, check, refuse_unexplained, trace, validate
+from heli_lab.identify.shooting import solve
 from heli_lab.identify.thresholds import FAR_RAD, SHORT_WINDOW_S
 
 
@@ -69,7 +66,7 @@ def identify(
     IdentifyError
         When nothing can be identified from the flights.
     NotExcited
-        When the voltages do not explain a flight's motion; see `heli_lab.identify.explained`.
+        When the voltages do not explain a flight's motion; see `heli_lab.identify.results.explained`.
     """
     started_s = time.perf_counter()
     say = on_progress or (lambda _: None)

@@ -6,18 +6,15 @@ import json
 import os
 import pickle
 import queue
-import runpy
 import signal
 import subprocess
 import sys
 import threading
-import traceback
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, Final
 
-from heli_host.errors import BadLaw, HeliError
+from heli_host.errors import BadLaw
 from heli_host.law_program import LawProgram
 from heli_host.laws import FILE_LIMIT_s
 
@@ -186,42 +183,6 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     process.wait()
 
 
-def run_law(path: Path) -> Law:
-    """Run a file in this process and return its ``LAW``.
-
-    Raises
-    ------
-    BadLaw
-        It fails, or holds no law.
-    """
-    try:
-        with _importing_from(path.parent):
-            held = runpy.run_path(str(path))
-    except HeliError:
-        raise
-    except SyntaxError as error:
-        raise BadLaw(
-            f"{path.name} is not valid Python: {error.msg}{_at(error.lineno)}", "correct this line"
-        ) from error
-    # SystemExit: a file that ends the program would otherwise end with its own code, and no word.
-    except (Exception, SystemExit) as error:
-        text = str(error).split("\n")[0]
-        lines = [
-            frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)
-        ]
-        raise BadLaw(
-            f"{path.name} fails: {type(error).__name__}: {text}{_at(lines[-1] if lines else None)}",
-            "correct the file; python FILE shows details",
-        ) from error
-    law = held.get("LAW")
-    if isinstance(law, Law):
-        return law
-    variable = next((name for name, value in held.items() if isinstance(value, Law)), "")
-    if law is not None:
-        raise BadLaw(f"the LAW of {path.name} has the type {type(law).__name__}", _remedy(variable))
-    raise BadLaw(f"{path.name} does not define LAW", _remedy(variable))
-
-
 def load_program(path: Path) -> LawProgram:
     """Compile the ``LAW`` of a file; the entry point ``heli_host.laws``.
 
@@ -236,23 +197,3 @@ def load_program(path: Path) -> LawProgram:
         It is missing, fails, does not end, holds no law, or one that a board does not take.
     """
     return load_law(path).program
-
-
-def _remedy(name: str) -> str:
-    if name:
-        return f"end it with LAW = {name}"
-    return "end it with LAW = ..., what @control_law or from_gain of heli_lab.law makes"
-
-
-def _at(line: int | None) -> str:
-    return "" if line is None else f" (line {line})"
-
-
-@contextmanager
-def _importing_from(folder: Path) -> Iterator[None]:
-    where = str(folder.resolve())
-    sys.path.insert(0, where)
-    try:
-        yield
-    finally:
-        sys.path.remove(where)

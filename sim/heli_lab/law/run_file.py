@@ -9,14 +9,17 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import runpy
 import signal
 import sys
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-from heli_host.errors import HeliError
+from heli_host.errors import BadLaw, HeliError
 
-from heli_lab.law.files import run_law
 from heli_lab.law.law import Law
 from heli_lab.law.limits import FileLimits, fence_process
 from heli_lab.law.program_data import program_json
@@ -50,11 +53,67 @@ def program_or_error(path: Path) -> dict[str, str]:
         return {"cause": error.cause, "remedy": error.remedy}
 
 
+def run_law(path: Path) -> Law:
+    """Run a file in this process and return its ``LAW``.
+
+    Raises
+    ------
+    BadLaw
+        It fails, or holds no law.
+    """
+    try:
+        with _importing_from(path.parent):
+            held = runpy.run_path(str(path))
+    except HeliError:
+        raise
+    except SyntaxError as error:
+        raise BadLaw(
+            f"{path.name} is not valid Python: {error.msg}{_at(error.lineno)}", "correct this line"
+        ) from error
+    # SystemExit: a file that ends the program would otherwise end with its own code, and no word.
+    except (Exception, SystemExit) as error:
+        text = str(error).split("\n")[0]
+        lines = [
+            frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)
+        ]
+        raise BadLaw(
+            f"{path.name} fails: {type(error).__name__}: {text}{_at(lines[-1] if lines else None)}",
+            "correct the file; python FILE shows details",
+        ) from error
+    law = held.get("LAW")
+    if isinstance(law, Law):
+        return law
+    variable = next((name for name, value in held.items() if isinstance(value, Law)), "")
+    if law is not None:
+        raise BadLaw(f"the LAW of {path.name} has the type {type(law).__name__}", _remedy(variable))
+    raise BadLaw(f"{path.name} does not define LAW", _remedy(variable))
+
+
 def _answers() -> IO[bytes]:
     """Keep standard output for the answer; what the file prints goes to standard error."""
     kept = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     return kept
+
+
+def _remedy(name: str) -> str:
+    if name:
+        return f"end it with LAW = {name}"
+    return "end it with LAW = ..., what @control_law or from_gain of heli_lab.law makes"
+
+
+def _at(line: int | None) -> str:
+    return "" if line is None else f" (line {line})"
+
+
+@contextmanager
+def _importing_from(folder: Path) -> Iterator[None]:
+    where = str(folder.resolve())
+    sys.path.insert(0, where)
+    try:
+        yield
+    finally:
+        sys.path.remove(where)
 
 
 def main() -> None:

@@ -9,10 +9,10 @@ from heli_host.flight import Flight
 from heli_sim.model.base import Model
 from heli_sim.rig import Rig
 
-from heli_lab.identify.check import check
-from heli_lab.identify.problem import Problem
+from heli_lab.identify.estimation_problem import Problem
 from heli_lab.identify.record import prepare
-from heli_lab.identify.solve import solve
+from heli_lab.identify.results import check
+from heli_lab.identify.shooting import solve
 
 
 @dataclass(frozen=True)

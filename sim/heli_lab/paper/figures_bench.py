@@ -10,10 +10,10 @@ from heli_sim.bench.thrust_curve import ThrustCurve
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
-from heli_lab.identify.check import Trace, trace
-from heli_lab.identify.problem import Problem
+from heli_lab.identify.estimation_problem import Problem
 from heli_lab.identify.record import Record
-from heli_lab.identify.solve import solve
+from heli_lab.identify.results import Trace, trace
+from heli_lab.identify.shooting import solve
 from heli_lab.paper.bench_tests import ELEVATION_STEPS
 from heli_lab.paper.coefficients import analytic
 from heli_lab.paper.sensitivity import CASES, response_deg

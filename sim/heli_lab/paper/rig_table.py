@@ -13,10 +13,10 @@ from heli_sim.model.locked import Locked
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
+from heli_lab.identify.estimation_problem import Problem
 from heli_lab.identify.free import NOT_FREE
-from heli_lab.identify.problem import Problem
 from heli_lab.identify.record import Record
-from heli_lab.identify.solve import solve
+from heli_lab.identify.shooting import solve
 from heli_lab.paper.bench_tests import BenchTest
 from heli_lab.paper.coefficients import printed_inertias_kg_m2
 from heli_lab.paper.tables import TESTS_OF_TABLE, WINDOW_S, free_axes_normalised

@@ -17,11 +17,10 @@ from heli_sim.model.locked import Locked
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
-from heli_lab.identify.check import check
-from heli_lab.identify.fit import Fit
-from heli_lab.identify.problem import Problem
+from heli_lab.identify.estimation_problem import Fit, Problem
 from heli_lab.identify.record import Record
-from heli_lab.identify.solve import solve
+from heli_lab.identify.results import check
+from heli_lab.identify.shooting import solve
 from heli_lab.paper.bench_tests import ELEVATION_STEPS, PITCH_RELEASES, TRAVEL_STEPS, BenchTest
 from heli_lab.paper.coefficients import PRINTED, analytic
 from heli_lab.paper.lumped import Coefficients, LumpedModel

@@ -11,9 +11,9 @@ from typing import Any, Final
 from heli_lab.errors import PoolError
 
 MIN_CAUSE_CONFIDENCE: Final = 0.9
-"""Confidence from which on a cause counts as present, 0 to 1. At least nine of ten such causes are right on
-the blind set (docs/validation/diagnosis.md). A lower value counts causes that no rig has, a higher one misses
-causes that the flights show weakly."""
+"""Confidence from which on a cause counts as present, 0 to 1. By definition, at least nine of ten such causes
+are right. A lower value counts causes that no rig has, a higher one misses causes that the flights show
+weakly."""
 _MIN_INFORMATION_SHARE: Final = 0.05
 """Smallest precision from the flights over the prior's precision for which a parameter of a rig is used.
 Below it, the estimate without the prior is a difference of nearly equal numbers."""

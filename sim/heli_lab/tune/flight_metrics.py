@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from heli_host.arrays import Flags, Floats
+from heli_host.arrays import Booleans, Floats
 from heli_host.flight import Flight
 from heli_host.flight.counts import count_rad
 from heli_host.flight.response import StepMetrics, rms, step_metrics
@@ -101,7 +101,7 @@ def flight_metrics(
     )
 
 
-def _between(t_s: Floats, start_s: float, stop_s: float) -> Flags:
+def _between(t_s: Floats, start_s: float, stop_s: float) -> Booleans:
     return (t_s >= start_s) & (t_s < stop_s)
 
 

@@ -15,10 +15,10 @@ from typing_extensions import override
 from heli_lab.estimation import DisturbanceModel
 from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.flights import count_rad_of, samples_of
-from heli_lab.twin.kalman_filter import TwinModel
 from heli_lab.twin.likelihood_ratio import Innovation, LikelihoodRatio, WINDOW_s
 from heli_lab.twin.tail import Tail
 from heli_lab.twin.twin import CUT_OFF_STD, PERSISTENCE_BLOCKS, Twin
+from heli_lab.twin.twin_model import TwinModel
 
 PIECE: Final = 25
 """Length of the pieces of innovations, in measurements: 1 s. Longer: few different draws from half a minute

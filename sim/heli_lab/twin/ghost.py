@@ -8,7 +8,7 @@ import numpy as np
 from heli_host.arrays import Floats
 
 from heli_lab.estimation import _kalman
-from heli_lab.twin.kalman_filter import ZEROS, TwinModel
+from heli_lab.twin.twin_model import ZEROS, TwinModel
 
 FREE_RUN_s: Final = 2.0
 """Length of the open-loop simulation, s. A rotor that lost 5 % of its thrust moves the ghost by 5 degrees of

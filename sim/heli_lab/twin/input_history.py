@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 from heli_host.arrays import Floats
 
-from heli_lab.twin.kalman_filter import TwinModel
 from heli_lab.twin.samples import Step
+from heli_lab.twin.twin_model import TwinModel
 
 _HISTORY_s: Final = 2.0
 """Length of the flight before the filter begins from which the states of effects are integrated, s: far

@@ -31,10 +31,10 @@ from heli_lab.twin.calibration import DEFAULT_DISTURBANCES, Calibration
 from heli_lab.twin.draws import Draws, Followed, drawn_evidence, evidence
 from heli_lab.twin.flights import count_rad_of
 from heli_lab.twin.healthy_flights import fly_simulated, random_plan, with_process_noise
-from heli_lab.twin.kalman_filter import TwinModel
 from heli_lab.twin.parameter_uncertainty import SUPPLY_STD, ParameterUncertainty
 from heli_lab.twin.tail import fit_tail
 from heli_lab.twin.twin import FILTER_SETTLING_s
+from heli_lab.twin.twin_model import TwinModel
 
 DRAWN_s: Final = 720.0
 """Time of flight for which the evidence is drawn, s. It gives some 30 excursions, and a standard error of

@@ -16,8 +16,8 @@ from heli_host.twins import TwinNews
 from heli_lab.errors import TwinError
 from heli_lab.twin.files import TwinRig, open_rig
 from heli_lab.twin.flights import samples_of_ticks
-from heli_lab.twin.kalman_filter import TwinModel
 from heli_lab.twin.twin import Twin
+from heli_lab.twin.twin_model import TwinModel
 
 _WAITS: Final = "The twin waits for free flight."
 _COMPARES: Final = "The twin compares: no change of the rig."

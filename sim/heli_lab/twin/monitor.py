@@ -17,9 +17,9 @@ from heli_host.log.reader import read_log
 from heli_lab.errors import TwinError
 from heli_lab.twin.files import TwinRig
 from heli_lab.twin.flights import count_rad_of, samples_of, samples_of_log
-from heli_lab.twin.kalman_filter import TwinModel
 from heli_lab.twin.samples import Samples
 from heli_lab.twin.twin import Twin, TwinEvent
+from heli_lab.twin.twin_model import TwinModel
 
 
 @dataclass(frozen=True)

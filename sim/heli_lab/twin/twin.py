@@ -16,10 +16,11 @@ from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.free_flight import FreeFlight
 from heli_lab.twin.ghost import Ghost
 from heli_lab.twin.input_history import InputHistory
-from heli_lab.twin.kalman_filter import KalmanFilter, TwinModel, start_state
+from heli_lab.twin.kalman_filter import KalmanFilter
 from heli_lab.twin.likelihood_ratio import RECENT, WINDOW_BLOCKS, ChangeCandidate, Innovation, LikelihoodRatio
 from heli_lab.twin.model_check import ModelCheck
 from heli_lab.twin.samples import Samples, Step, Stepper
+from heli_lab.twin.twin_model import TwinModel, start_state
 
 DIAGNOSIS_DELAY_s: Final = 3.0
 """Time from the alarm to the final ranking of changes, s. Longer: the ranking is more certain but less

@@ -12,7 +12,8 @@ from heli_host.cli.say import data_on_stdout, say, say_dropped, say_files, write
 from heli_host.cli.verb import Verb
 
 if TYPE_CHECKING:
-    from heli_lab.campaign.run import Campaign, State
+    from heli_lab.campaign.campaign import Campaign
+    from heli_lab.campaign.run import State
     from heli_lab.campaign.summary import Summary
 
 

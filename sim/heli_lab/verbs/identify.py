@@ -14,7 +14,7 @@ from heli_host.cli.verb import Verb
 from heli_lab import fit_options as option
 
 if TYPE_CHECKING:
-    from heli_lab.identify.result import Identification
+    from heli_lab.identify.results import Identification
 
 
 def identify(
@@ -71,7 +71,7 @@ def identify(
     from heli_sim.rig import write_rig
 
     from heli_lab.fit_inputs import fit_inputs, part_of, parts, read_checked
-    from heli_lab.identify.report import verdict, write_identification_report
+    from heli_lab.identify.html_report import verdict, write_identification_report
     from heli_lab.identify.run import identify as find
     from heli_lab.page.drawing import Drawing
     from heli_lab.threads import default_thread_count
@@ -120,7 +120,7 @@ def _print(identification: Identification) -> None:
     """Print estimates and priors in a table, each with its standard error."""
     from heli_host.text_table import table_lines
 
-    from heli_lab.identify.result import rounded
+    from heli_lab.identify.results import rounded
 
     fit = identification.fit
     rows = [("parameter", "estimate", "±", "prior", "±", "unit", "")]

@@ -14,6 +14,7 @@ from heli_host.cli.say import say
 from heli_host.cli.verb import Verb
 
 if TYPE_CHECKING:
+    from heli_host.errors import LinkVersionMismatch
     from heli_host.flash import Bossac
 
 ANSWER_TIMEOUT_S = 5.0
@@ -26,6 +27,10 @@ def flash(
     ],
     port: PortOption = None,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Erase without a question.")] = False,
+    discard_parameters: Annotated[
+        bool,
+        typer.Option("--discard-parameters", help="Erase even saved parameters that this host cannot read."),
+    ] = False,
     bossac: Annotated[
         Path | None,
         typer.Option(
@@ -38,8 +43,8 @@ def flash(
     """Erase a Due, write a firmware image into it, and verify it.
 
     Checks the image first, and asks before it erases. Erasing deletes the board's saved parameters. They are
-    saved in parameters-TIME.toml first, for `heli-host params restore`. Afterwards the board must answer with
-    the new firmware.
+    saved in parameters-TIME.toml first, for `heli-host params restore`. If this host cannot read them, it
+    erases nothing. Afterwards the board must answer with the new firmware.
 
     This has been tested with a simulated uploader and board only.
 
@@ -66,7 +71,7 @@ def flash(
     if manager.verdict is Verdict.BAD:
         say(f"note: {manager.what}; {manager.remedy}")
 
-    kept = _keep_parameters(port)
+    kept = _keep_parameters(port, discard_parameters)
     if not yes:
         if not sys.stdin.isatty():
             raise typer.BadParameter(
@@ -93,18 +98,19 @@ def _doubt(uploader: Bossac) -> str:
     )
 
 
-def _keep_parameters(port: str) -> Path | None:
-    """Write the board's parameters into a file, where it has any that are not the defaults."""
+def _keep_parameters(port: str, discard: bool) -> Path | None:
+    """Write the board's parameters into a file, if it has any that are not the defaults."""
     import heli_host
     from heli_host.cli.board import board_text, board_versions
-    from heli_host.errors import FlashError, LinkError, PortError, WaitTimeout
-    from heli_host.parameter_file import parameters_text
-    from heli_host.parameters import spec_of
+    from heli_host.errors import FlashError, LinkError, LinkVersionMismatch, PortError, WaitTimeout
 
     try:
         heli = heli_host.connect(port, handshake_timeout_s=ANSWER_TIMEOUT_S)
     except PortError:
         raise
+    except LinkVersionMismatch as mismatch:
+        say(f"found: {mismatch.cause}")
+        return _keep_parameters_of_other_link(port, mismatch, discard)
     except (LinkError, WaitTimeout) as error:
         say(f"no parameters could be read: {error.cause}")
         return None
@@ -114,15 +120,39 @@ def _keep_parameters(port: str) -> Path | None:
                 f"the board on {port} is {heli.state.name.lower()}", "land first, or stop the motors"
             )
         say(f"found: {board_text(heli)}")
-        values = heli.params.dump()
-        if all(
-            abs(value - spec_of(name).default) <= 1e-6 * max(1.0, abs(value))
-            for name, value in values.items()
-        ):
-            print("its parameters are the defaults: there is nothing to keep")
-            return None
-        file = Path(time.strftime("parameters-%Y-%m-%d_%H-%M-%S.toml"))
-        file.write_text(parameters_text(values, board_versions(heli.info)), encoding="utf-8")
+        return _write_parameters(heli.params.dump(), board_versions(heli.info))
+
+
+def _keep_parameters_of_other_link(port: str, mismatch: LinkVersionMismatch, discard: bool) -> Path | None:
+    """Do the same for a board whose link version is not this host's."""
+    from heli_host.errors import FlashError
+    from heli_host.flash import saved_parameters
+    from heli_host.link.transport import open_transport
+
+    transport = open_transport(port)
+    try:
+        values = saved_parameters(transport, ANSWER_TIMEOUT_S)
+    except FlashError as error:
+        if not discard:
+            raise
+        say(f"discarded: {error.cause}")
+        return None
+    finally:
+        transport.close()
+    return _write_parameters(values, f"firmware {mismatch.firmware_version}, link {mismatch.board_version}")
+
+
+def _write_parameters(values: dict[str, float], origin: str) -> Path | None:
+    from heli_host.parameter_file import parameters_text
+    from heli_host.parameters import spec_of
+
+    if all(
+        abs(value - spec_of(name).default) <= 1e-6 * max(1.0, abs(value)) for name, value in values.items()
+    ):
+        print("its parameters are the defaults: there is nothing to keep")
+        return None
+    file = Path(time.strftime("parameters-%Y-%m-%d_%H-%M-%S.toml"))
+    file.write_text(parameters_text(values, origin), encoding="utf-8")
     say(f"its {len(values)} parameters -> {file}")
     return file
 

@@ -9,7 +9,7 @@ from heli_sim.model.effects import EffectSpec
 from heli_lab.diagnose.search import Scored
 from heli_lab.diagnose.thresholds import DETECTION_STD_ERRORS
 from heli_lab.estimation import Estimate
-from heli_lab.identify.uncertainty import uninformed_parameters
+from heli_lab.identify.estimation_problem import uninformed_parameters
 
 
 def undetectable_effects(screened: Sequence[Scored], kinds: Mapping[str, EffectSpec]) -> tuple[str, ...]:

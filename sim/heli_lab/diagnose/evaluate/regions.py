@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Flags, Floats, Integers
+from heli_host.arrays import Booleans, Floats, Integers
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.search import Screening, quantity_values
@@ -71,7 +71,7 @@ class RegionTest:
     """
 
     z: Floats
-    fails: Flags
+    fails: Booleans
     share: float
     rms_Nm: float
     flights: tuple[PlaneTrajectory, ...]

@@ -9,7 +9,7 @@ from heli_lab.diagnose.report import figures
 from heli_lab.diagnose.report.sentences import stated
 from heli_lab.diagnose.report.symbols import legend
 from heli_lab.diagnose.wording import SHOWN, evidence_in_words
-from heli_lab.identify.result import rounded
+from heli_lab.identify.results import rounded
 from heli_lab.page.drawing import Picture
 
 Kept = Callable[[str, Any], Picture | None]

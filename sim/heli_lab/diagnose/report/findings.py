@@ -183,7 +183,7 @@ def unexplained(result: Diagnosis) -> dict[str, Any] | None:
         "share_of_variance": round(max(0.0, 1.0 - reductions[axis].ratio ** 2), 4),
         "log_likelihood_gain": strongest.train,
         "splines": [cause.candidate.id.removeprefix("spline:") for cause in result.verdict.unlisted],
-        "gain_with_splines": gains(reductions),
+        "gain_with_splines": reductions_json(reductions),
     }
 
 
@@ -224,7 +224,7 @@ def thrust_noise(analysis: ResidualAnalysis) -> dict[str, dict[str, float]] | No
     }
 
 
-def gains(reductions: Mapping[str, ErrorReduction]) -> dict[str, dict[str, Any]]:
+def reductions_json(reductions: Mapping[str, ErrorReduction]) -> dict[str, dict[str, Any]]:
     """Write error `reductions` by axis: errors before and after in degrees, ratio and its 95 % interval."""
     return {
         axis: {

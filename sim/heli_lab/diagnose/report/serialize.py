@@ -21,7 +21,7 @@ from heli_lab.diagnose.report.cautions import cautions
 from heli_lab.diagnose.report.findings import (
     causes,
     disturbances,
-    gains,
+    reductions_json,
     thrust_noise,
     too_small_effects,
     unexplained,
@@ -160,7 +160,7 @@ def proposal_json(proposal: Proposal) -> dict[str, Any]:
             }
             for supported in term.supported
         ],
-        "gain": gains(proposal.evaluation.reductions),
+        "gain": reductions_json(proposal.evaluation.reductions),
     }
 
 
@@ -297,8 +297,8 @@ def _gain(result: Diagnosis) -> dict[str, Any]:
     extension = result.held_out.extension
     return {
         "metric": metric(result),
-        "axis": gains(result.error_reductions),
-        "horizons": {key: {"axis": gains(horizon)} for key, horizon in extension.horizons.items()},
+        "axis": reductions_json(result.error_reductions),
+        "horizons": {key: {"axis": reductions_json(horizon)} for key, horizon in extension.horizons.items()},
         "calibration": [
             {
                 "flight": after.label,

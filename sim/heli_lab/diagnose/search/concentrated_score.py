@@ -7,14 +7,13 @@ the event and of the disturbances is therefore maximised in turn, with all other
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
 
-from heli_lab.diagnose.search.acceptance import Acceptance
 from heli_lab.diagnose.search.candidate import Scored
 from heli_lab.diagnose.search.screening import Screening, coefficient_std, signals_of
 from heli_lab.diagnose.thresholds import CHANCE_NATS
@@ -27,7 +26,9 @@ _Error = list[list[tuple[Floats, Floats]]]
 
 
 def with_concentrated_scores(
-    screening: Screening, acceptance: Acceptance, screened: Sequence[Scored]
+    screening: Screening,
+    worth_a_refit: Callable[[Sequence[Scored]], Sequence[Scored]],
+    screened: Sequence[Scored],
 ) -> list[Scored]:
     """Replace the scores of effects that happen at a moment, if the plain score would not lead to a refit.
 
@@ -35,8 +36,8 @@ def with_concentrated_scores(
     ----------
     screening : Screening
         Scores about the present estimate.
-    acceptance : Acceptance
-        Decides which scores lead to a refit.
+    worth_a_refit : callable
+        Returns those of some effects whose scores lead to a refit.
     screened : sequence of Scored
         Effects with their scores.
 
@@ -50,7 +51,7 @@ def with_concentrated_scores(
         for scored in screened
         if scored.candidate.effect.moment and scored.log_likelihood_gain > CHANCE_NATS
     ]
-    enough = {scored.candidate.id for scored in acceptance.worth_a_refit(screened)}
+    enough = {scored.candidate.id for scored in worth_a_refit(screened)}
     hidden = [scored for scored in hidden if scored.candidate.id not in enough]
     if not hidden:
         return list(screened)

@@ -64,7 +64,9 @@ class ForwardSelection:
             remaining = [
                 kind for kind in self.kinds.values() if may_join(kind.id, hypothesis.ids, self.kinds)
             ]
-            screened = with_concentrated_scores(screening, self.acceptance, screening.effects(remaining))
+            screened = with_concentrated_scores(
+                screening, self.acceptance.worth_a_refit, screening.effects(remaining)
+            )
             splines = screening.splines(number)
             full = len(hypothesis.candidates) >= thresholds.MAX_CAUSES or not self.progress.refits_left()
             refits: list[Refit] = []

@@ -1,0 +1,138 @@
+"""Resample the columns of a table to even times, low-pass them and differentiate them twice."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Final
+
+import numpy as np
+from heli_host.arrays import Booleans, Floats
+from heli_host.tables import Table
+from numpy.typing import NDArray
+
+from heli_lab.guess.thresholds import EDGE_S, CUTOFF_Hz, SAMPLE_STEP_s
+
+_EXTENDED_ROWS: Final = 15
+"""Number of rows of padding at each end, reflected about the end value."""
+_COUNTER: Final = 65536.0
+"""Number at which a counter of 16 bits overflows."""
+_SETTLED_ROWS: Final = round(16.0 / (CUTOFF_Hz * SAMPLE_STEP_s))
+"""Number of rows after which the impulse response of the low-pass filter has decayed to 1e-16."""
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A low-passed column and its derivatives: `value`, `rate` and `acceleration`, each of shape (n,).
+
+    The unit is the column's, per s and per s^2.
+    """
+
+    value: Floats
+    rate: Floats
+    acceleration: Floats
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Columns of a table at even times, by name.
+
+    Parameters
+    ----------
+    t_s : ndarray (n,)
+        Even times [s].
+    raw : Mapping[str, ndarray (n,)]
+        Values at these times, unwrapped, without low-pass filter.
+    filtered : Mapping[str, Signal]
+        Low-passed values with their derivatives.
+    inner : ndarray of bool (n,)
+        False for rows near both ends, where the filter has transients.
+    counts_per_turn : tuple of float
+        Counts per turn of the encoders that a column may come from.
+    """
+
+    t_s: Floats
+    raw: Mapping[str, Floats]
+    filtered: Mapping[str, Signal]
+    inner: Booleans
+    counts_per_turn: tuple[float, ...] = ()
+
+
+def column_signals(
+    table: Table, t_s: Floats, names: list[str], counts_per_turn: Collection[float] = ()
+) -> Signals:
+    """Resample the columns `names` of a table with times `t_s` [s] to even times, and low-pass them; see
+    `unwrapped` for `counts_per_turn`.
+    """
+    usable = np.isfinite(t_s)
+    usable[usable] = np.concatenate(([True], np.diff(t_s[usable]) > 0.0))
+    even_s = np.arange(t_s[usable][0], t_s[usable][-1], SAMPLE_STEP_s)
+    raw = {}
+    for name in names:
+        values = table.columns[name].values
+        known = usable & np.isfinite(values)
+        if known.sum() > 10:
+            raw[name] = np.interp(even_s, t_s[known], unwrapped(values[known], counts_per_turn))
+    filtered = {name: filtered_signal(samples) for name, samples in raw.items()}
+    inner = (even_s > even_s[0] + EDGE_S) & (even_s < even_s[-1] - EDGE_S)
+    return Signals(even_s, raw, filtered, inner, tuple(counts_per_turn))
+
+
+def filtered_signal(values: Floats) -> Signal:
+    """Low-pass evenly sampled `values` with zero phase, and differentiate the result twice."""
+    extended = np.pad(values, _EXTENDED_ROWS, mode="reflect", reflect_type="odd")
+    low = _butterworth(_butterworth(extended)[::-1])[::-1][_EXTENDED_ROWS:-_EXTENDED_ROWS]
+    rate = np.gradient(low, SAMPLE_STEP_s)
+    return Signal(low, rate, np.gradient(rate, SAMPLE_STEP_s))
+
+
+def _butterworth(values: Floats) -> Floats:
+    """Apply a fourth-order Butterworth low-pass that is settled at the first value.
+
+    The result equals that of scipy.signal.sosfilt, but importing scipy.signal takes longer than a guess.
+    """
+    count = 1 << (values.size + _SETTLED_ROWS - 1).bit_length()
+    moved: Floats = np.fft.irfft(np.fft.rfft(values - values[0], count) * _response(count), count)
+    low: Floats = moved[: values.size] + values[0]
+    return low
+
+
+@cache
+def _response(count: int) -> NDArray[np.complex128]:
+    warped = np.tan(np.pi * np.fft.rfftfreq(count)) / np.tan(np.pi * CUTOFF_Hz * SAMPLE_STEP_s)
+    poles = np.exp(1j * np.pi * np.array([5.0, 7.0, 9.0, 11.0]) / 8.0)
+    response: NDArray[np.complex128] = 1.0 / np.prod(1j * warped[:, None] - poles, axis=1)
+    return response
+
+
+def unwrapped(values: Floats, counts_per_turn: Collection[float] = ()) -> Floats:
+    """Unwrap a column that jumps by one turn; return other columns unchanged.
+
+    Parameters
+    ----------
+    values : ndarray (n,)
+        The column, in any unit of an angle, or in counts of an encoder.
+    counts_per_turn : collection of float
+        Counts per turn of the encoders that it may come from.
+    """
+    jumps = np.abs(np.diff(values))
+    far = jumps[jumps > 0.5 * np.ptp(values)]
+    if not far.size or np.ptp(values) == 0.0 or far.size > 0.02 * values.size:
+        return values
+    for turn in (2.0 * np.pi, 360.0, 1.0, *sorted(set(counts_per_turn)), _COUNTER):
+        if np.all(np.abs(far / turn - 1.0) < 0.2) and np.ptp(values) < 1.05 * turn:
+            result: Floats = np.unwrap(values, period=turn)
+            return result
+    return values
+
+
+def delay(values: Floats, lag_s: float) -> Floats:
+    """Delay evenly sampled `values` by `lag_s` [s]; the end value fills the gap."""
+    rows = round(lag_s / SAMPLE_STEP_s)
+    result: Floats = np.roll(values, rows)
+    if rows > 0:
+        result[:rows] = values[0]
+    elif rows < 0:
+        result[rows:] = values[-1]
+    return result

@@ -1,0 +1,267 @@
+"""The estimation problem: a model with its free parameters, and the windows of the flights."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from heli_host.arrays import Floats, Integers
+from heli_host.flight import Flight
+from heli_sim.model.base import Model
+from heli_sim.rig import Rig
+
+from heli_lab.errors import IdentifyError
+from heli_lab.estimation.parameter_vector import FreeParameter, ParameterVector, Prior
+from heli_lab.identify import thresholds
+from heli_lab.identify.estimation_problem.grid import Grid, WindowGrids
+from heli_lab.identify.free import PER_FLIGHT, free_parameters
+from heli_lab.identify.free_run import kernel
+from heli_lab.identify.record import Record, prepare
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Residuals of one record for one guess, with the products of their derivatives.
+
+    Parameters
+    ----------
+    residual : ndarray (m, 3)
+        Measured minus predicted angle, in standard deviations of the quantisation.
+    normal_matrix : ndarray (w, 3, z + 1, z + 1) or None
+        For each window and axis, products of the columns of [Jacobian | residual], z being the number of
+        states and of the free parameters that the record depends on.
+    """
+
+    residual: Floats
+    normal_matrix: Floats | None
+
+
+class Problem:
+    """A model with free parameters, and windows of flights that it is to predict.
+
+    Each window is simulated from its own initial state, with nothing but the voltages. Residuals are in units
+    of the encoders' quantisation. Rig parameters have normal priors whose standard deviation is half their
+    tolerance.
+
+    Parameters
+    ----------
+    rig : Rig
+        Values of everything fixed, and priors of everything free.
+    flights : sequence of Flight or Record
+        Flights; prepared ones are taken as they are.
+    free : sequence of str, optional
+        Names of the free parameters. Without it: every number of the rig that the model uses and that has a
+        tolerance, gravity excepted, and every parameter of the model's effects that has a prior.
+    per_flight : sequence of str
+        Free parameters that each flight has its own value of.
+    window_s : float
+        Length of the windows, nearly.
+    step_s : float
+        Longest Runge-Kutta step, and distance of the samples compared, of the coarse grid.
+    priors : Mapping[str, Prior], optional
+        Instead of the rig's and the effects'.
+    values : Mapping[str, float], optional
+        Values of fixed parameters instead of the rig's and the effects'.
+    state_std : Mapping[str, float], optional
+        Prior standard deviation of an effect's state at the beginning of a window about what a free run over
+        the flight before it gives, in the state's unit; else that of `thresholds.STATE_STD`.
+    threads : int, optional
+        Threads of the predictions; `default_thread_count` where not given. The result does not depend on it.
+
+    Raises
+    ------
+    IdentifyError
+        When a parameter is unknown or lacks a prior, or a flight cannot be used.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        rig: Rig,
+        flights: Sequence[Flight | Record],
+        *,
+        free: Sequence[str] | None = None,
+        per_flight: Sequence[str] = PER_FLIGHT,
+        window_s: float = 2.0,
+        step_s: float = 0.01,
+        priors: Mapping[str, Prior] | None = None,
+        values: Mapping[str, float] | None = None,
+        state_std: Mapping[str, float] | None = None,
+        threads: int | None = None,
+    ) -> None:
+        self.model = model
+        self.rig = rig
+        wanted = free_parameters(model, rig, free, priors or {})
+        self.records = _prepared(flights, rig)
+        shared = [parameter for parameter in wanted if parameter.quantity not in per_flight]
+        local = [parameter for parameter in wanted if parameter.quantity in per_flight]
+        names = [quantity.name for quantity in model.parameters]
+        labels = [record.label for record in self.records]
+        self.parameter_vector = ParameterVector(
+            names, _values(model, rig, values or {}), shared, local, labels
+        )
+        self.grids = WindowGrids(self.records, window_s, step_s)
+        self.state_count = len(model.states)
+        self.state_std_by_name = _state_stds(model, rig) | dict(state_std or {})
+        """Prior standard deviation of each effect's state about what the flight before its window gives."""
+        self.state_std: Floats = np.array([self.state_std_by_name[s.name] for s in model.states[6:]])
+        self._delay = names.index(model.delay) if model.delay else None
+        self._kernel_free = self.parameter_vector.quantities
+        self.threads = threads
+        self.kernel = kernel(model, self._kernel_free, threads)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # The kernel is code of this machine.
+        return {**self.__dict__, "kernel": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.kernel = kernel(self.model, self._kernel_free, self.threads)
+
+    def _with(self, grids: WindowGrids) -> Problem:
+        """Pose the same problem with this kernel and other grids."""
+        # copy.copy uses the pickled state, and would build the kernel again.
+        other = Problem.__new__(Problem)
+        other.__dict__.update(self.__dict__, grids=grids)
+        return other
+
+    @property
+    def free(self) -> tuple[FreeParameter, ...]:
+        """Free parameters, those of one flight after the shared ones."""
+        return self.parameter_vector.free
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+        return self.parameter_vector.names
+
+    @property
+    def columns(self) -> tuple[Integers, ...]:
+        """For each record, which free parameters it depends on, in the order of the kernel."""
+        return self.parameter_vector.columns
+
+    def with_windows(self, window_s: float) -> Problem:
+        """Pose the same problem with windows of nearly `window_s`; it shares records, parameters and kernel
+        with this one.
+        """
+        return self._with(self.grids.copy(window_s=window_s))
+
+    def with_free(self, free: Sequence[FreeParameter]) -> Problem:
+        """Pose a problem of other free parameters for predictions alone: its kernel has no derivatives by
+        them. Parameters that a flight has of its own come after those that all flights share.
+        """
+        other = self._with(self.grids.copy())
+        other.parameter_vector = self.parameter_vector.with_free(free)
+        return other
+
+    def with_split_windows(self, parts: int) -> Problem:
+        """Pose the same problem with each window divided into `parts` of nearly equal length, each with its
+        own initial state: the same samples, predicted over a shorter horizon.
+        """
+        return self._with(self.grids.copy(parts=parts))
+
+    def parameters(self, theta: Floats, index: int = 0) -> Floats:
+        """Complete the free parameters `theta`, shape (f,), to all those of the model, shape (p,), for record
+        `index`.
+        """
+        values = self.parameter_vector.parameters(theta, index)
+        return self.model.values_in(self.records[index].label, values)
+
+    def grid(self, index: int, fine: bool, theta: Floats) -> Grid:
+        """Windows of a record, with their inputs; the coarse and the fine grid have the same windows.
+
+        Parameters
+        ----------
+        index : int
+            Which record.
+        fine : bool
+            Every sample, or steps of about `step_s`.
+        theta : ndarray (f,)
+            Free parameters; a delay among them shifts the voltages.
+        """
+        return self.grids.grid(index, fine, *self.input_shape(self.parameters(theta, index)))
+
+    def windows(self, index: int) -> list[tuple[int, int]]:
+        """First row and number of rows of each window of record `index`."""
+        return self.grids.windows(index)
+
+    def evaluation(
+        self, index: int, theta: Floats, states: Floats, *, fine: bool = False, derivatives: bool = True
+    ) -> Evaluation:
+        """Predict a record and compare: residuals, and what a Gauss-Newton step needs.
+
+        Parameters
+        ----------
+        index : int
+            Which record.
+        theta : ndarray (f,)
+            Free parameters.
+        states : ndarray (w, states)
+            Initial states of the windows.
+        fine : bool
+            Compare every sample.
+        derivatives : bool
+            Whether to compute the products of the Jacobian.
+        """
+        grid = self.grid(index, fine, theta)
+        sigma, parameters = grid.record.sigma_rad, self.parameters(theta, index)
+        normal_matrix: Floats | None = None
+        if derivatives:
+            angles, normal_matrix = self.kernel.products(
+                grid.inputs, states, parameters, grid.measured_rad, sigma
+            )
+        else:
+            angles, _ = self.kernel.run(grid.inputs, states, parameters, False)
+        return Evaluation((grid.measured_rad - angles) / sigma, normal_matrix)
+
+    def input_shape(self, parameters: Floats) -> tuple[tuple[str, float] | None, float | None]:
+        """Delay and dead zone, which shape the voltages before they act.
+
+        Parameters
+        ----------
+        parameters : ndarray (p,)
+            All parameters of the model.
+
+        Returns
+        -------
+        delay : (str, float) or None
+            Name and value in s of the parameter that delays the voltages.
+        dead_zone_V : float or None
+            Voltage below which there is no thrust; None where rotors push backwards too, or within the dead
+            zone.
+        """
+        delay = None if self._delay is None else (self.model.delay, float(parameters[self._delay]))
+        return delay, self.model.dead_zone_V(parameters, self.names)
+
+
+def _prepared(flights: Sequence[Flight | Record], rig: Rig) -> tuple[Record, ...]:
+    """Find the free flight in each log that is not prepared yet."""
+    records = tuple(
+        flight if isinstance(flight, Record) else prepare(flight, rig, f"flight {i + 1}")
+        for i, flight in enumerate(flights)
+    )
+    if not records:
+        raise IdentifyError("there is no flight to identify from", "give at least one")
+    if len({record.label for record in records}) < len(records):
+        raise IdentifyError("two flights have the same label", "give each flight a label of its own")
+    return records
+
+
+def _values(model: Model, rig: Rig, values: Mapping[str, float]) -> Floats:
+    """All parameters of a model, shape (p,), some of them replaced by `values`."""
+    names = [quantity.name for quantity in model.parameters]
+    result: Floats = model.parameter_values(rig)
+    for name, value in values.items():
+        if name not in names:
+            raise IdentifyError(f"the model has no parameter '{name}'", f"choose from: {', '.join(names)}")
+        result[names.index(name)] = value
+    return result
+
+
+def _state_stds(model: Model, rig: Rig) -> dict[str, float]:
+    """Prior standard deviations of effects' states at the beginning of a window, by name."""
+    thrust_N = thresholds.STATE_STD_V * rig["thrust_gain"].value
+    by_unit = {**thresholds.STATE_STD, "V": thresholds.STATE_STD_V, "N": thrust_N}
+    return {state.name: by_unit.get(state.unit, 1.0) for state in model.states[6:]}

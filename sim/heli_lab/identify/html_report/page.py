@@ -1,0 +1,129 @@
+"""A report for someone who looks before reading: one HTML page that needs nothing else, and its figures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from heli_sim.model.parts import AXES
+
+from heli_lab.identify.estimation_problem import Combination
+from heli_lab.identify.html_report.figures import (
+    figure_of_correlations,
+    figure_of_parameters,
+    identification_figure,
+)
+from heli_lab.identify.results import Check, Identification, rounded
+from heli_lab.identify.thresholds import NOTHING_LEFT
+from heli_lab.page import folder_with, write_page
+from heli_lab.page.drawing import Drawing
+
+
+def write_identification_report(
+    identification: Identification, folder: str | Path, drawing: Drawing | None = None
+) -> Path:
+    """Write index.html, result.json and the figures as PNG into a `folder`, made if it is missing; return the
+    page. If a `drawing` was begun earlier, its separate process is ready.
+    """
+    drawing = drawing or Drawing()
+    folder = folder_with(identification.json(), folder)
+    flights = [
+        {
+            "address": drawing.add(identification_figure(trace, role), folder / f"{role}-{number}.png"),
+            "meaning": f"{trace.label}, {role}",
+        }
+        for role, traces in (
+            ("train", identification.training_traces),
+            ("validation", identification.validation_traces),
+        )
+        for number, trace in enumerate(traces, 1)
+    ]
+    fit, problem = identification.fit, identification.fit.problem
+    end = "converged" if fit.converged else "stopped by its budget before it had converged"
+    return write_page(
+        folder,
+        Path(__file__).with_name("report.html"),
+        title=f"Identification of {problem.rig.name}: the {problem.model.name} model",
+        verdict=verdict(identification),
+        errors=_errors(identification),
+        flights=flights,
+        parameters=_parameters(identification),
+        parameters_figure=drawing.add(figure_of_parameters(identification), folder / "parameters.png"),
+        combinations=[_combination(combination) for combination in identification.combinations],
+        pairs=[[a, b, f"{value:.3f}"] for a, b, value in identification.strong_correlations],
+        correlations_figure=drawing.add(figure_of_correlations(identification), folder / "correlations.png"),
+        used=_used(identification),
+        ended=f"The fit {end} in {fit.seconds:.1f} s and {fit.evaluations} evaluations.",
+    )
+
+
+def verdict(identification: Identification) -> str:
+    """Summarise in two sentences how good the model is."""
+    numbers = identification.json()
+    residual = numbers["normalised_residual"]
+    judged = residual["train"] if residual["validation"] is None else residual["validation"]
+    held_out = residual["validation"] is not None
+    where = "flights that it never saw" if held_out else "the flights that it was fitted to"
+    window_s = identification.fit.problem.grids.window_s
+    errors = ", ".join(f"{axis} {numbers['free_run_rms_deg'][axis]:.3g}" for axis in AXES)
+    if judged <= NOTHING_LEFT:
+        first = f"Nothing but the encoders' quantisation is left on {where}: normalised error {judged:.3f}."
+    else:
+        first = (
+            f"The model is wrong by {judged:.3g} times the encoders' quantisation on {where}: something is "
+            "missing in it, and its parameters are biased."
+        )
+    return f"{first} Free-run error over {window_s:g} s, rms in degrees: {errors}."
+
+
+def _errors(identification: Identification) -> dict[str, Any]:
+    rows = [
+        [check.label, role, *_axis_cells(check), f"{check.normalised:.3f}"]
+        for role, checks in (("train", identification.training), ("validation", identification.validation))
+        for check in checks
+    ]
+    return {"heads": ["flight", "used for", *(f"{axis} [deg]" for axis in AXES), "normalised"], "rows": rows}
+
+
+def _axis_cells(check: Check) -> list[str]:
+    return [f"{check.rms_deg[axis]:.3g}{'' if check.white[axis] else '*'}" for axis in AXES]
+
+
+def _parameters(identification: Identification) -> dict[str, Any]:
+    fit, problem = identification.fit, identification.fit.problem
+    rows = []
+    for parameter, value, std in zip(problem.free, fit.theta, fit.std.values(), strict=True):
+        remark = identification.remark(parameter.name)
+        prior = f"{parameter.prior.mean:g} ± {parameter.prior.std:g}"
+        text = f"{rounded(value, std)} ± {rounded(std, std)}"
+        rows.append([parameter.name, text, parameter.unit, prior, f"{std / parameter.prior.std:.2g}", remark])
+    heads = [
+        "parameter",
+        "estimate ± 1 standard error",
+        "unit",
+        "prior ± 1 standard error",
+        "standard error over prior's",
+        "",
+    ]
+    return {"heads": heads, "rows": rows}
+
+
+def _combination(combination: Combination) -> str:
+    return ", ".join(f"{name} {change:+.2g}" for name, change in combination.change.items())
+
+
+def _used(identification: Identification) -> list[dict[str, Any]]:
+    used = []
+    for index, (record, check) in enumerate(
+        zip(identification.fit.problem.records, identification.training, strict=True)
+    ):
+        notes = "".join(f" {note}." for note in record.notes)
+        used.append(
+            {
+                "said": f"{record.label}: {check.seconds_used:.1f} s of free flight in windows of "
+                f"{check.window_s:.2f} s.{notes}",
+                "left_out": [[f"{cut.start_s:.2f}", f"{cut.stop_s:.2f}", cut.why] for cut in record.cuts],
+                "lowered": sum(1 for weight in identification.fit.weights[index] if weight < 1.0),
+            }
+        )
+    return used

@@ -1,0 +1,64 @@
+"""Test whether the voltages explain a flight: compare its motion with the fit's free run, window by window.
+
+A parabola is subtracted from both: initial states and constant torques make one of any voltages. The rest
+of a rig's motion follows its voltages, also under a model that is wrong by a factor; noise follows nothing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from heli_host.arrays import Floats
+from heli_sim.model.parts import AXES
+
+from heli_lab.errors import NotExcited
+from heli_lab.identify.results.check import Trace
+from heli_lab.identify.thresholds import MIN_MOTION, UNEXPLAINED
+
+
+def unexplained_shares(seen: Trace) -> tuple[Floats, Floats]:
+    """Compare motion and free run without their parabolas.
+
+    Returns
+    -------
+    ndarray (3,)
+        Share of each axis' motion that no multiple of the free run explains, rms: 0 for the same shape, 1 for
+        shapes that have nothing in common.
+    ndarray (3,)
+        The motion itself, rms, in standard deviations of the quantisation.
+    """
+    both, measured, predicted = (np.zeros(len(AXES)) for _ in range(3))
+    for window in seen.windows:
+        t = np.linspace(-1.0, 1.0, window.stop - window.start)
+        parabolas, _ = np.linalg.qr(np.column_stack((np.ones_like(t), t, t**2)))
+        residuals = [
+            angles[window] - parabolas @ (parabolas.T @ angles[window])
+            for angles in (seen.measured_rad, seen.predicted_rad)
+        ]
+        both += np.sum(residuals[0] * residuals[1], axis=0)
+        measured += np.sum(residuals[0] ** 2, axis=0)
+        predicted += np.sum(residuals[1] ** 2, axis=0)
+    alike = both / np.sqrt(np.maximum(measured * predicted, np.finfo(float).tiny))
+    # A free run that diverged to nan is like nothing.
+    alike = np.clip(np.nan_to_num(alike), 0.0, 1.0)
+    return np.sqrt(1.0 - alike**2), np.sqrt(measured / len(seen.t_s)) / seen.sigma_rad
+
+
+def refuse_unexplained(seen: Trace) -> None:
+    """Refuse a flight if the free run resembles its motion about no axis.
+
+    Raises
+    ------
+    NotExcited
+        When more than `UNEXPLAINED` is unexplained on each axis that moves.
+    """
+    shares, motion = unexplained_shares(seen)
+    moving = motion > MIN_MOTION
+    if not moving.any():
+        return
+    best = int(np.argmin(np.where(moving, shares, np.inf)))
+    if shares[best] > UNEXPLAINED:
+        raise NotExcited(
+            f"{seen.label}: the voltages do not explain the motion: {shares[best]:.2f} is left of that of "
+            f"{AXES[best]}, the best axis; a flight leaves {UNEXPLAINED:g} at most",
+            "check that angles and voltages are of one flight of this rig (or fit it --skip-sign-check)",
+        )

@@ -1,0 +1,130 @@
+"""Steps of multiple shooting: parameters together with the initial states of all windows (Bock, 1987).
+
+The normal equations have a block for each window's initial state, coupled only to the free parameters. Their
+Schur complement is a system of the free parameters alone.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from heli_lab.estimation.levenberg_marquardt import DampedStep, minimise
+from heli_lab.estimation.posterior_step import posterior_step
+from heli_lab.identify import thresholds
+from heli_lab.identify.estimation_problem import Budget, FitProgress
+from heli_lab.identify.shooting.schur import eliminate_states
+from heli_lab.identify.shooting.shooting_cost import Iterate, ShootingCost
+from heli_lab.identify.shooting.window_recovery import recover_windows, reoptimise_states
+
+_FINE_IDLE_SHARE: Final = 0.2
+"""Factor on every sample on the gain below which two steps end a search: the coarse fit is near."""
+
+
+class MultipleShooting:
+    """The least-squares problem of a fit, and the state of the search for its minimum.
+
+    Parameters
+    ----------
+    cost : ShootingCost
+        The cost of a guess.
+    budget : Budget
+        How much the fit may cost.
+    on_progress : callable or None
+        Called with the progress of the fit.
+
+    Attributes
+    ----------
+    damping : float
+        Damping of the next step.
+    is_fixed : ndarray of bool (f,)
+        Free parameters that keep their values for now.
+    """
+
+    def __init__(
+        self, cost: ShootingCost, budget: Budget, on_progress: Callable[[FitProgress], None] | None
+    ) -> None:
+        self.cost = cost
+        self.damping = 0.0
+        self.is_fixed = np.zeros(len(cost.problem.free), bool)
+        self.started_s = time.perf_counter()
+        self._budget = budget
+        self._on_progress = on_progress or (lambda progress: None)
+
+    def is_out_of_budget(self) -> bool:
+        """Whether the fit has cost as much as it may."""
+        seconds = time.perf_counter() - self.started_s
+        return self.cost.evaluations >= self._budget.evaluations or seconds >= self._budget.seconds
+
+    def step(self, iterate: Iterate, damping: float) -> DampedStep[Iterate]:
+        """Linearise at an `iterate` and solve for a step with this `damping`."""
+        cost, problem = self.cost, self.cost.problem
+        information, score, follow, gain = eliminate_states(cost, iterate, thresholds.STATE_DAMPING * damping)
+        step = posterior_step(
+            problem.parameter_vector,
+            iterate.theta,
+            information,
+            score,
+            damping=damping,
+            is_fixed=self.is_fixed,
+        )
+
+        def make() -> Iterate:
+            states = [
+                start + free - np.einsum("wsf,f->ws", by_parameter, step.move[columns])
+                for start, (free, by_parameter), columns in zip(
+                    iterate.states, follow, problem.columns, strict=True
+                )
+            ]
+            after = cost.evaluate(iterate.theta + step.move, states)
+            recover_windows(cost, after, iterate)
+            return after
+
+        # The cost is twice the negative log-posterior.
+        return DampedStep(step.move, step.std, gain + 2.0 * step.promised_nats, make)
+
+    def with_states_refined(self, iterate: Iterate) -> Iterate | None:
+        """Optimise the initial states of an `iterate` alone; None if they have converged."""
+        return reoptimise_states(self.cost, iterate)
+
+    def descend(
+        self, iterate: Iterate, stage: str, share: tuple[float, float], max_steps: int
+    ) -> tuple[Iterate, bool]:
+        """Reduce the cost until steps are small.
+
+        Parameters
+        ----------
+        iterate : Iterate
+            Where to start.
+        stage : str
+            Name of the stage for the progress, in a few words.
+        share : (float, float)
+            Shares of the work done before and after.
+        max_steps : int
+            Most steps.
+
+        Returns
+        -------
+        iterate : Iterate
+            The best.
+        converged : bool
+            False if the budget ran out first.
+        """
+
+        def report(number: int, cost: float) -> None:
+            done = share[0] + (share[1] - share[0]) * (1 - 0.5**number)
+            self._on_progress(FitProgress(stage, done, cost))
+
+        minimum = minimise(
+            self,
+            iterate,
+            damping=self.damping,
+            max_steps=max_steps,
+            idle_share=_FINE_IDLE_SHARE if self.cost.fine else 1.0,
+            on_step=report,
+        )
+        self.damping = minimum.damping
+        return minimum.iterate, minimum.converged

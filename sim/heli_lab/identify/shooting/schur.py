@@ -1,0 +1,122 @@
+"""Normal equations of multiple shooting: elimination of the initial states by the Schur complement."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from heli_host.arrays import Floats
+
+from heli_lab.identify.estimation_problem import Problem
+from heli_lab.identify.shooting.shooting_cost import Iterate, ShootingCost
+
+SINGULAR_GUARD: Final = 1e-12
+"""Added to the diagonal of a block, as a share of its largest entry. It keeps the block regular if no data
+show a state. It is far above the rounding of doubles, and far below any information."""
+
+
+def eliminate(matrices: Floats, count: int, guard: float = 0.0) -> tuple[Floats, Floats]:
+    """Eliminate the leading unknowns of symmetric systems [[A, B], [B', C]].
+
+    A right-hand side may be appended as the last row and column. The last column of the complement is then
+    the right-hand side of the remaining system. The last column of the gain is A^-1 times the eliminated
+    part of the right-hand side.
+
+    Parameters
+    ----------
+    matrices : ndarray (..., m, m)
+        The systems.
+    count : int
+        Number of leading unknowns, the order of A.
+    guard : float
+        Added to the diagonal of A, as a share of its largest entry, so that an unknown that no data show
+        does not make A singular.
+
+    Returns
+    -------
+    complement : ndarray (..., m - count, m - count)
+        C - B' A^-1 B.
+    gain : ndarray (..., count, m - count)
+        A^-1 B: minus the change of the eliminated unknowns for each unit of the others.
+    """
+    leading = matrices[..., :count, :count].copy()
+    coupling = matrices[..., :count, count:]
+    diagonal = np.arange(count)
+    if guard:
+        leading[..., diagonal, diagonal] += guard * leading[..., diagonal, diagonal].max(
+            axis=-1, keepdims=True
+        )
+    gain: Floats = np.linalg.solve(leading, coupling).astype(np.float64, copy=False)
+    return matrices[..., count:, count:] - np.swapaxes(coupling, -1, -2) @ gain, gain
+
+
+def add_state_prior(
+    problem: Problem, normal: Floats, states: Floats, reference: Floats, damping: float | Floats = 0.0
+) -> None:
+    """Add the prior of the effects' initial states to the windows' normal equations, and damp the states.
+
+    Parameters
+    ----------
+    normal : ndarray (w, m, m)
+        Normal matrices whose leading unknowns are the initial states and whose last column is the right-hand
+        side; changed in place.
+    states : ndarray (w, states)
+        Initial states.
+    reference : ndarray (w, states)
+        Prior means of the initial states of effects.
+    damping : float or ndarray (w,)
+        Increase of the diagonal of the states, as a share of itself.
+    """
+    nx = problem.state_count
+    diagonal, effect_rows = np.arange(nx), np.arange(6, nx)
+    precision = 1.0 / problem.state_std**2
+    normal[:, effect_rows, effect_rows] += precision
+    pull = precision * (reference - states)[:, 6:]
+    normal[:, 6:nx, -1] += pull
+    normal[:, -1, 6:nx] += pull
+    normal[:, diagonal, diagonal] *= 1.0 + np.reshape(damping, (-1, 1))
+
+
+def eliminate_states(
+    cost: ShootingCost, iterate: Iterate, damping: float = 0.0
+) -> tuple[Floats, Floats, list[tuple[Floats, Floats]], float]:
+    """Eliminate the windows' initial states from the normal equations.
+
+    Parameters
+    ----------
+    cost : ShootingCost
+        Variances and weights of the records, and prior means of the initial states of effects.
+    iterate : Iterate
+        Where the model is linearised.
+    damping : float
+        Increase of the diagonal of the states, as a share of itself.
+
+    Returns
+    -------
+    information : ndarray (f, f)
+        Normal matrix of the free parameters, without priors.
+    gradient : ndarray (f,)
+        Negative gradient of half the sum of squares, without priors.
+    follow : list of (ndarray (w, states), ndarray (w, states, k))
+        For each record: the step of the states with the parameters fixed, and minus the change of the states
+        for each unit of the parameters that the record depends on.
+    gain : float
+        Predicted reduction of the sum of squares by the step of the states, with the parameters fixed. The
+        normal equations treat the sum as quadratic.
+    """
+    problem = cost.problem
+    nx, count = problem.state_count, len(problem.free)
+    information, gradient, states_gain = np.zeros((count, count)), np.zeros(count), 0.0
+    follow = []
+    for index, evaluation in enumerate(iterate.evaluations):
+        assert evaluation.normal_matrix is not None
+        scale = cost.weights[index][:, None] / cost.variance[index]
+        normal = np.einsum("wa,waij->wij", scale, evaluation.normal_matrix)
+        add_state_prior(problem, normal, iterate.states[index], cost.state_prior[index], damping)
+        complement, gain = eliminate(normal, nx, SINGULAR_GUARD)
+        columns = problem.columns[index]
+        information[np.ix_(columns, columns)] += complement[:, :-1, :-1].sum(axis=0)
+        gradient[columns] += complement[:, :-1, -1].sum(axis=0)
+        states_gain += float(np.sum(normal[:, :nx, -1] * gain[:, :, -1]))
+        follow.append((gain[:, :, -1], gain[:, :, :-1]))
+    return information, gradient, follow, states_gain
