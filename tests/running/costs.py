@@ -3,7 +3,8 @@
 A fresh clone, such as a build server's, orders its tests by this table. A clone that has run them uses its
 pytest cache. An outdated number costs a little time and nothing else.
 
-Run the tests on an idle machine first. If a test was above its limit, nothing is saved and the exit code is 1.
+Run the tests on an idle machine first. If a test was above its limit, nothing is saved and the exit code is
+1.
 """
 
 from __future__ import annotations

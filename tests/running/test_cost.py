@@ -1,4 +1,4 @@
-"""An expensive test without a marker is listed; shared fixtures are part of the cost of each test with them."""
+"""An expensive test without a marker is listed; the cost of a shared fixture is part of each of its tests."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def burn(seconds=0.4):
 
 
 def above_limit(pytester: pytest.Pytester, tests: str) -> set[str]:
-    """Run tests with the limits `LIMIT_S` and `MEDIUM_S`, and return the names that are listed as above them."""
+    """Run tests with the limits `LIMIT_S` and `MEDIUM_S`, and return the names listed as above them."""
     pytester.makeini(
         f"[pytest]\nunmarked_cpu_s = {LIMIT_S}\nmedium_cpu_s = {MEDIUM_S}\nmarkers =\n  medium\n  slow\n"
     )
