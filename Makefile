@@ -18,57 +18,57 @@ PINS ?=
 MINUTES ?= 60
 HELI := .venv/bin/heli-host
 
-help: ## this list
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1@\2/p' $(MAKEFILE_LIST) | awk -F@ '{printf "%-14s %s\n", $$1, $$2}'
+help: ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1@\2/p' $(MAKEFILE_LIST) | awk -F@ '{printf "%-15s %s\n", $$1, $$2}'
 
-setup: ## everything that flying, testing and measuring need, into .venv
+setup: ## install everything for flying, tests and benchmarks into .venv
 	@.ci/setup bench
 
 fly: ## fly the simulated helicopter: make fly [SPEED=5|max] [PLANS="hover sine"] [BOARD=due|native]
 	@.ci/setup fly
 	@$(HELI) fly $(PLANS) --sil --board $(BOARD) --speed $(SPEED)
 
-docs: ## build the site: build/docs/index.html; any warning or broken link fails
+docs: ## build the site in build/docs/index.html; a warning or a broken link fails
 	@.ci/setup docs
 	@.venv/bin/python -m sphinx --quiet --fail-on-warning --keep-going --fresh-env --builder html docs build/docs
 	@echo "open build/docs/index.html"
 
-quick: ## the tests that are quick each: what one types after an edit
+quick: ## run the fast tests; use it after each edit
 	@.ci/test quick
 
-test: ## all tests, and beside them style, types, static analysis and a short fuzzing
+test: ## run all tests, style, types, static analysis and a short fuzzing
 	@.ci/test
 
-long: ## the same, with every claim about many samples at its full length
+long: ## run the same with the statistical tests at full length
 	@.ci/test long
 
-check: ## style, types and static analysis only
+check: ## run style, types and static analysis only
 	@.ci/setup test
 	@.ci/check
 
-bench: ## measure what the project promises: bench.json and a table; or some: make bench PARTS="due page"
+bench: ## measure speed and accuracy into bench.json, with a table: make bench [PARTS="due page"]
 	@.ci/setup bench
 	@.venv/bin/python -m tests.bench $(PARTS)
 
-blind: ## hide effects in flights, see whether diagnosis finds them: blind.json; goes on where it was stopped
+blind: ## score the diagnosis on flights with hidden effects, into blind.json; continues an interrupted run
 	@.ci/setup test
 	@.venv/bin/python -m heli_benchmark $(CASES)
 
-mutants: ## small changes in the flight code that no test notices: make mutants [FILES=upload.cpp] [SEED=1] [COUNT=150]
+mutants: ## list small changes of the flight code that no test notices: make mutants [FILES=upload.cpp] [SEED=1] [COUNT=150]
 	@.ci/setup test
 	@.venv/bin/python -m tests.mutants --files $(FILES) --seed $(SEED) --count $(COUNT)
 
-fuzz: ## fuzz the board, the host and its logs: make fuzz [FUZZ_S=60] [FRAMES=1000000] [LOGS=4000]; needs clang
+fuzz: ## fuzz board, host and logs: make fuzz [FUZZ_S=60] [FRAMES=1000000] [LOGS=4000]; needs clang
 	@.ci/setup test
 	@.ci/fuzz $(FUZZ_S)
 	@.venv/bin/python -m tests.link.fuzz_host $(FRAMES)
 	@.venv/bin/python -m tests.log.fuzz_log $(LOGS)
 
-soak: ## keep a live page busy, see what is lost, how memory grows, how old a status gets: make soak [MINUTES=60] [SEED=1]
+soak: ## keep a dashboard busy, and measure losses, memory and delays: make soak [MINUTES=60] [SEED=1]
 	@.ci/setup test
 	@.venv/bin/python -m tests.stress soak --minutes $(MINUTES) --seed $(SEED)
 
-attack: ## faulty links, serial trouble, damaged logs, hostile clients and laws: make attack [SEED=1] [COUNT=150]
+attack: ## attack with faulty links, serial trouble, damaged logs, hostile clients and laws: make attack [SEED=1] [COUNT=150]
 	@.ci/setup test
 	@.venv/bin/python -m tests.stress attack --seed $(SEED) --count $(COUNT)
 
@@ -76,11 +76,11 @@ prove: ## prove claims about the flight code for all inputs: make prove [CLAIMS=
 	@.ci/setup test
 	@.venv/bin/python firmware/proofs/prove.py $(CLAIMS)
 
-firmware: ## build what is flashed to the Due: make firmware [PINS=my.toml, for another wiring]
+firmware: ## build the firmware of the Due: make firmware [PINS=my.toml, for another wiring]
 	@.ci/setup firmware
 	@.venv/bin/python firmware/pio/build.py $(if $(PINS),--pins "$(PINS)") run -e due
 
-release: ## check what a release needs, build wheel and source archive into dist/; publishes nothing
+release: ## check what a release needs, and build wheel and source archive in dist/; publishes nothing
 	@.ci/setup test
 	@.venv/bin/python .ci/release.py
 

@@ -33,7 +33,7 @@ EXTENSIONS = (
 """Compiled parts that fly: the native board, the emulated Due and the filter of the laboratory."""
 
 SOURCES = ("pyproject.toml", "LICENSE", "CMakeLists.txt", "Makefile", ".ci/setup", "firmware/link.toml")
-"""What a source archive must contain, at least: these files make everything else."""
+"""Files that every source archive must contain: they make everything else."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,7 @@ def check_source_archive(archive: Path) -> Finding:
 
 
 def fly_from(command: Sequence[str], folder: Path, environment: dict[str, str]) -> Finding:
-    """Fly an installed ``heli-host`` where no program can be found, so no compiler either.
+    """Fly an installed ``heli-host`` without any program on its path, so without a compiler.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def fly_from(command: Sequence[str], folder: Path, environment: dict[str, str]) 
     folder : Path
         Where log and caches are written.
     environment : dict of str to str
-        Variables besides the search path, which is an empty folder.
+        Variables in addition to the search path, which is an empty folder.
     """
     nowhere = folder / "no-programs"
     nowhere.mkdir()

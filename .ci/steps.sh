@@ -1,4 +1,4 @@
-# Sourced by the scripts beside it: steps that say what they do, how long that takes and how long is left.
+# Sourced by the scripts of this folder: steps that print what they do, their duration and the remaining time.
 
 planned_steps=
 step_number=0

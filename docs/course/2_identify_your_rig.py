@@ -31,9 +31,9 @@ flight
 # know before the flight: the tolerance in the rig file is two standard deviations.
 
 # %% tags=["solution"]
-# found: result of the fit; mine: its rig; print the parameters that moved
-found = identify(MultibodyModel(), believed, [flight], stop_s=22.0)
-mine = found.rig("mine")
+# result: of the fit; mine: its rig; print the parameters that moved
+result = identify(MultibodyModel(), believed, [flight], stop_s=22.0)
+mine = result.rig("mine")
 for name, number in mine.items():
     prior = believed[name]
     if prior.tolerance and abs(number.value - prior.value) > 0.5 * prior.tolerance:
@@ -52,7 +52,7 @@ for name, number in mine.items():
 
 # %% tags=["solution"]
 # print the parameters without information
-print(found.uninformed_parameters)
+print(result.uninformed_parameters)
 
 # %% [markdown] tags=["solution"]
 # The angles depend on ratios only: a larger mass with a larger thrust gives the same flight. The priors keep such parameters at their values.

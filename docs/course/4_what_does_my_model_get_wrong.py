@@ -48,7 +48,7 @@ for start in range(100, len(flying) - RUN, RUN):
     errors_deg.append(np.rad2deg(np.asarray(run).T - flying.angles_rad[start + 1 : start + 1 + RUN]))
 
 # %%
-ends_deg = np.array([one[-1] for one in errors_deg])
+ends_deg = np.array([error_deg[-1] for error_deg in errors_deg])
 print(
     "rms error after 2 s [deg], elevation, pitch, travel:", np.round(np.sqrt(np.mean(ends_deg**2, axis=0)), 3)
 )
@@ -110,7 +110,9 @@ second = heli_host.read_flight(folder / "second.mcap")
 result = diagnose(MultibodyModel(), rig, [flight.between(12.0, 34.0)], [second])
 print(summary(result))
 for cause in result.verdict.causes:
-    sizes = {name: f"{one.value:.3g} ± {one.std:.1g} {one.unit}" for name, one in cause.parameters.items()}
+    sizes = {
+        name: f"{size.value:.3g} ± {size.std:.1g} {size.unit}" for name, size in cause.parameters.items()
+    }
     print(cause.effect, f"confidence {cause.confidence:.2f}", sizes, "ambiguous with", cause.ambiguous_with)
 assert [cause.effect for cause in result.verdict.causes] == ["cable_spring.travel"]
 

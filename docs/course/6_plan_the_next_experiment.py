@@ -44,7 +44,7 @@ def expected_errors(volts_V):
     # Counts that stay the same for a second are not a thousand samples: 20 of them count as one.
     J = np.column_stack(columns)
     errors = np.full(len(names), np.inf)
-    moves = np.linalg.norm(J, axis=0) > 1e-6  # a parameter that moves no angle is not told at all
+    moves = np.linalg.norm(J, axis=0) > 1e-6  # a parameter that moves no angle cannot be estimated
     information = J[:, moves].T @ J[:, moves] / (20.0 * NOISE_RAD**2)
     errors[moves] = np.sqrt(np.diag(np.linalg.inv(information)))
     return errors
@@ -55,7 +55,7 @@ def expected_errors(volts_V):
 # difference. Guess first: which parameters does each flight determine?
 
 # %% tags=["solution"]
-# flights: voltages (TICKS, 2) of "slow", "together" and "apart"; found: their expected errors by name
+# flights: voltages (TICKS, 2) of "slow", "together" and "apart"; expected: their errors by name
 slow = 0.02 * np.sin(2.0 * np.pi * 0.1 * t_s)
 together = 0.15 * np.sin(2.0 * np.pi * 0.4 * t_s)
 apart = 0.15 * np.sin(2.0 * np.pi * 0.25 * t_s) + 0.1 * np.sin(2.0 * np.pi * 0.55 * t_s)
@@ -64,10 +64,10 @@ flights = {
     "together": hover_V + np.column_stack((together, together)),
     "apart": hover_V + np.column_stack((together + apart, together - apart)),
 }
-found = {}
+expected = {}
 for name, volts_V in flights.items():
-    found[name] = expected_errors(volts_V)
-    print(name, dict(zip(names, np.round(100.0 * found[name], 4).tolist(), strict=True)), "%")
+    expected[name] = expected_errors(volts_V)
+    print(name, dict(zip(names, np.round(100.0 * expected[name], 4).tolist(), strict=True)), "%")
 
 # %% [markdown] tags=["solution"]
 # Rotors that act alike move neither pitch nor travel. Both frictions remain unknown in the first two flights. The third determines all three
@@ -80,7 +80,7 @@ for name, volts_V in flights.items():
 # %% tags=["solution"]
 # gain: expected errors at half the amplitude, divided by those of "apart"
 half = hover_V + 0.5 * (flights["apart"] - hover_V)
-gain = expected_errors(half) / found["apart"]
+gain = expected_errors(half) / expected["apart"]
 print("half the amplitude costs in error:", np.round(gain, 2))
 
 # %% [markdown] tags=["solution"]
@@ -100,8 +100,8 @@ print("elevation, pitch and travel go to [deg]:", np.round(reach_deg, 1))
 # **Check.**
 
 # %% tags=["check"]
-assert np.isinf(found["together"][1:]).all(), "both rotors alike pitch nothing, and nothing travels"
-assert np.isfinite(found["apart"]).all()
+assert np.isinf(expected["together"][1:]).all(), "both rotors alike pitch nothing, and nothing travels"
+assert np.isfinite(expected["apart"]).all()
 assert gain[0] < gain[1] and 1.5 < gain[1] < 3.0
 assert reach_deg[0] < rig["elevation_max"].value and reach_deg[1] < rig["pitch_max"].value
 

@@ -23,7 +23,7 @@ def at(elevation_rad):
     return control.lqr(A, B, np.diag([80.0, 4.0, 12.0, 8.0, 0.4, 12.0]), np.diag([1.0, 4.0]))[0]
 
 
-K = [at(one) for one in HEIGHTS_rad]
+K = [at(height_rad) for height_rad in HEIGHTS_rad]
 HOVER_V = float(np.sum(level.volts_V)) - 2.0 * rig["dead_zone"].value
 STEP_rad = HEIGHTS_rad[1] - HEIGHTS_rad[0]
 
@@ -43,7 +43,7 @@ def gain_scheduled(now, state, parameter):
     ]
 
     def gain(row, column):
-        low, middle, high = (float(one[row, column]) for one in K)
+        low, middle, high = (float(at_height[row, column]) for at_height in K)
         return middle + down * (low - middle) + up * (high - middle)
 
     def wanted(row, columns):

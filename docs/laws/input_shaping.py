@@ -19,7 +19,7 @@ def input_shaping(now, state, parameter):
     # The delay line moves at every fourth call: a quarter of the states.
     phase = state.phase + 0.25
     moves = phase >= 0.99
-    line = [getattr(state, one) for one in LINE]
+    line = [getattr(state, name) for name in LINE]
     moved = [now.travel_setpoint_rad, *line[:-1]]
     shaped_rad = parameter.share * now.travel_setpoint_rad + (1 - parameter.share) * line[-1]
     pitch_rad = saturated(
@@ -36,7 +36,7 @@ def input_shaping(now, state, parameter):
         - 6.0 * (now.elevation_rad_s - now.elevation_setpoint_rad_s)
         + state.elevation_V
     )
-    states = {one: moves * new + (1 - moves) * old for one, new, old in zip(LINE, moved, line, strict=True)}
+    states = {name: moves * new + (1 - moves) * old for name, new, old in zip(LINE, moved, line, strict=True)}
     return Command(
         *motor_volts(collective_V, saturated(differential_V, -1.4, 1.4)),
         states={

@@ -42,7 +42,7 @@ def dot(row, values):
 
 @control_law(rate_Hz=500, states=dict.fromkeys([*ELEVATION, *TILT, "collective_V", "differential_V"], 0.0))
 def lqg(now, state, parameter):
-    e, t = [getattr(state, one) for one in ELEVATION], [getattr(state, one) for one in TILT]
+    e, t = [getattr(state, name) for name in ELEVATION], [getattr(state, name) for name in TILT]
     # What is seen now corrects what was foreseen.
     gap_rad = now.elevation_rad - e[0]
     e = [x + float(g[0]) * gap_rad for x, g in zip(e, LE, strict=True)]

@@ -34,7 +34,7 @@ def mpc(now, state, parameter):
         now.elevation_rad_s - now.elevation_setpoint_rad_s,
     ]
     pull = [float(row[0]) * error[0] + float(row[1]) * error[1] for row in G]
-    plan_V = [getattr(state, one) for one in PLAN]
+    plan_V = [getattr(state, name) for name in PLAN]
     for _ in range(ITERATIONS):
         slope = [
             sum(float(h) * u for h, u in zip(row, plan_V, strict=True)) + g

@@ -27,10 +27,10 @@ def test_25_equations_and_more_come_in_two_sizes_with_unique_seeds() -> None:
     assert len(EQUATIONS) >= 25
     assert len(CASES) == 2 * len(EQUATIONS)
     others = [*clean_cases(), *disturbed_cases()]
-    assert len({one.seed for one in (*CASES, *others)}) == len(CASES) + len(others)
-    assert all(max(one.disturbances.gusts_Nm) > 0.0 for one in CASES)
-    assert 0.4 < np.mean([bool(one.effects) for one in CASES]) < 0.6
-    names = {one.name for one in CASES}
+    assert len({case.seed for case in (*CASES, *others)}) == len(CASES) + len(others)
+    assert all(max(case.disturbances.gusts_Nm) > 0.0 for case in CASES)
+    assert 0.4 < np.mean([bool(case.effects) for case in CASES]) < 0.6
+    names = {case.name for case in CASES}
     assert names == {f"law-{law}-{size}" for law in EQUATIONS for size in ("small", "large")}
 
 
@@ -68,14 +68,14 @@ _AXES = ("elevation", "pitch", "travel")
 def test_twelve_listed_effects_are_taken_off_the_list_one_by_one() -> None:
     cases = removed_effect_cases()
     assert len(cases) >= 12
-    assert len({one.seed for one in (*cases, *CASES, *clean_cases(), *disturbed_cases())}) == len(
+    assert len({case.seed for case in (*cases, *CASES, *clean_cases(), *disturbed_cases())}) == len(
         cases
     ) + len((*CASES, *clean_cases(), *disturbed_cases()))
     kinds = catalogue()
     for case in cases:
         name = case.effects[-1][0]
         assert {name, *REMOVED[name]} <= kinds.keys()
-        assert not {name, *REMOVED[name]} & {one for one, _ in case.effects[:-1]}
+        assert not {name, *REMOVED[name]} & {listed for listed, _ in case.effects[:-1]}
 
 
 def test_a_law_in_an_effects_place_counts_if_it_flies_and_takes_most_of_the_error() -> None:
@@ -87,9 +87,9 @@ def test_a_law_in_an_effects_place_counts_if_it_flies_and_takes_most_of_the_erro
         "none": {"expression": None, "share": 1.0},
         "died": {"failure": "died"},
     }
-    said = removed_effect_summary(rows)
-    assert said.startswith("effects removed: 4, equations proposed 3, flown 2")
-    assert said.endswith("of the effect 1")
+    summary = removed_effect_summary(rows)
+    assert summary.startswith("effects removed: 4, equations proposed 3, flown 2")
+    assert summary.endswith("of the effect 1")
 
 
 def test_only_visible_equations_count_and_a_proposal_without_one_is_counted() -> None:
@@ -100,6 +100,6 @@ def test_only_visible_equations_count_and_a_proposal_without_one_is_counted() ->
         "w-nothing-1": {"visibility": {}, "expression": "y"},
         "w-nothing-2": {"failure": "died"},
     }
-    said = equation_summary(rows)
-    assert "visible equations: 2, proposed 1" in said
-    assert "where none is hidden: 1 of 1" in said
+    summary = equation_summary(rows)
+    assert "visible equations: 2, proposed 1" in summary
+    assert "where none is hidden: 1 of 1" in summary

@@ -40,13 +40,15 @@ def test_every_value_meets_every_other(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").touch()
     campaign = read(tmp_path, GOOD)
     assert (campaign.title, campaign.worst, campaign.limits.cpu_s) == ("Lags", "-travel_rms_deg", 20.0)
-    found = [(one.settings["rig"], one.settings["effects"], one.settings["seed"]) for one in campaign.cases]
+    settings = [
+        (case.settings["rig"], case.settings["effects"], case.settings["seed"]) for case in campaign.cases
+    ]
     mine = str((tmp_path / "mine.toml").resolve())
     lags = ["rotor_lag=0.1", "input_delay=0.02"]
-    assert found == [(r, e, s) for r in ("makki2024", mine) for e in ([], lags) for s in (3, 4, 5)]
-    assert len({one.name for one in campaign.cases}) == 12
+    assert settings == [(r, e, s) for r in ("makki2024", mine) for e in ([], lags) for s in (3, 4, 5)]
+    assert len({case.name for case in campaign.cases}) == 12
     assert campaign.cases[-1].name == "mine rotor_lag=0.1+input_delay=0.02 seed 5"
-    assert all(one.settings["draw"] == {"M_*": {"share": 0.03}} for one in campaign.cases)
+    assert all(case.settings["draw"] == {"M_*": {"share": 0.03}} for case in campaign.cases)
 
 
 def test_a_case_is_another_when_a_setting_or_the_code_is(tmp_path: Path) -> None:
@@ -56,7 +58,7 @@ def test_a_case_is_another_when_a_setting_or_the_code_is(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("[cases]", "[cases", "is not TOML"),
         ('work = "fly"', 'work = "swim"', "work = 'swim' is unknown"),
@@ -76,9 +78,9 @@ def test_a_case_is_another_when_a_setting_or_the_code_is(tmp_path: Path) -> None
         ("[draw]", "[drew]", "the file has the unknown name drew"),
     ],
 )
-def test_what_is_wrong_is_said(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_what_is_wrong_is_said(tmp_path: Path, old: str, new: str, message: str) -> None:
     assert old in GOOD
-    with pytest.raises(CampaignError, match=said) as caught:
+    with pytest.raises(CampaignError, match=message) as caught:
         read(tmp_path, GOOD.replace(old, new))
     assert "\n" not in str(caught.value)
     assert caught.value.remedy

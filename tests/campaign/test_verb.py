@@ -32,9 +32,9 @@ def test_a_campaign_leaves_results_a_table_and_a_page(terminal: Terminal, tmp_pa
 
     file, out = tmp_path / "squares.toml", tmp_path / "out"
     file.write_text(SQUARES)
-    said = terminal("campaign", str(file), "--output", str(out), "--workers", "2")
-    assert said.code == 0, said.out
-    assert "12 of 12 cases have ended, 0 of them without a result" in said.out
+    result = terminal("campaign", str(file), "--output", str(out), "--workers", "2")
+    assert result.code == 0, result.out
+    assert "12 of 12 cases have ended, 0 of them without a result" in result.out
     table = pq.read_table(out / "cases.parquet").to_pylist()
     assert {row["number"]: row["square"] for row in table} == {n: n**2 for n in range(1, 13)}
     page = (out / "index.html").read_text()
@@ -47,10 +47,10 @@ def test_a_campaign_leaves_results_a_table_and_a_page(terminal: Terminal, tmp_pa
 def test_cases_that_fail_are_named_on_the_screen_and_on_the_page(terminal: Terminal, tmp_path: Path) -> None:
     file, out = tmp_path / "bad.toml", tmp_path / "out"
     file.write_text(BAD)
-    said = terminal("campaign", str(file), "--output", str(out))
-    assert said.code == 1
-    assert "crashes: its process crashed: SIGSEGV" in said.out
-    assert "raises: ValueError: seven lines of it" in said.out
+    result = terminal("campaign", str(file), "--output", str(out))
+    assert result.code == 1
+    assert "crashes: its process crashed: SIGSEGV" in result.out
+    assert "raises: ValueError: seven lines of it" in result.out
     page = (out / "index.html").read_text()
     assert "Cases without a result" in page
     assert "its process crashed: SIGSEGV" in page
@@ -71,17 +71,17 @@ def test_flights_that_are_not_completed_are_counted_and_end_with_4(
         'work = "fly"\n[cases]\nplan = "short.toml"\nseed = [1, 2, 10]\n'
         "[draw]\nthrust_gain = { range = [0.1, 1.1] }\nM_w = { share = 0.05 }\n"
     )
-    said = terminal("campaign", str(file), "--output", str(out))
+    result = terminal("campaign", str(file), "--output", str(out))
     rows = pq.read_table(out / "cases.parquet").to_pylist()
     assert [row["seed"] for row in rows] == [1, 2, 10]
     for number in ("thrust_gain", "M_w"):
         assert len({row[f"drawn_{number}"] for row in rows}) == 3
     ended = [row["outcome"] == "completed" for row in rows]
     assert 0 < sum(ended) < 3
-    assert said.code == 4, said
-    assert "0 of them without a result" in said.out
-    assert f"{3 - sum(ended)} of 3 cases did not end as completed: " in said.out
-    assert f"completed {sum(ended)}" in said.out and "aborted (landing_timeout) " in said.out
+    assert result.code == 4, result
+    assert "0 of them without a result" in result.out
+    assert f"{3 - sum(ended)} of 3 cases did not end as completed: " in result.out
+    assert f"completed {sum(ended)}" in result.out and "aborted (landing_timeout) " in result.out
     page = (out / "index.html").read_text()
     assert f"{3 - sum(ended)} cases did not end as completed" in page
     again = terminal("campaign", str(file), "--output", str(out))
@@ -125,8 +125,8 @@ def test_a_function_in_a_module_next_to_the_file_is_a_work(
     (study / "helper_of_mine.py").write_text("SCALE = 1.0\n")
     file, out = study / "roots.toml", tmp_path / "out"
     file.write_text('work = "roots_of_mine:root"\n[cases]\nnumber = [4, 9]\n')
-    said = terminal("campaign", str(file), "--output", str(out))
-    assert said.code == 0, said
+    result = terminal("campaign", str(file), "--output", str(out))
+    assert result.code == 0, result
     rows = pq.read_table(out / "cases.parquet").to_pylist()
     assert [row["root"] for row in rows] == [2.0, 3.0]
     # What is next to the module is part of the code, and other code gives other results.
@@ -152,8 +152,8 @@ def test_a_function_in_a_module_next_to_the_file_is_a_work(
 
 
 def test_a_file_that_is_no_campaign_is_one_line(terminal: Terminal, tmp_path: Path) -> None:
-    said = terminal("campaign", str(tmp_path / "none.toml"))
-    assert said.code != 0
-    assert "No such file" in said.err and said.err.count("\n") == 1
+    result = terminal("campaign", str(tmp_path / "none.toml"))
+    assert result.code != 0
+    assert "No such file" in result.err and result.err.count("\n") == 1
     both = terminal("campaign", "a.toml", "--scheduler", "tcp://a:1", "--workers", "2")
     assert both.code == 2

@@ -95,7 +95,7 @@ def test_a_blind_flight_gives_nothing_away_in_any_of_its_files(short: Terminal, 
     files = ("--log", "a.mcap", "--json", "a.json", "--figure", "a.svg")
     said = short("fly", *FLOWN, "--seed", SEED, "--blind", *files)
     assert said.code == 0, said
-    assert "truth, not for those who search: a.truth.json" in said.out
+    assert "truth (keep it, share only the other files): a.truth.json" in said.out
     assert not [word for word in SECRETS if word in said.out.replace("a.truth.json", "")]
     for name in ("a.mcap", "a.json", "a.svg"):
         assert given_away(tmp_path / name) == set(), name

@@ -30,15 +30,15 @@ def conforms(numbers: dict[str, Any], silent: bool = False) -> None:
 
     residual = numbers["residual"]
     assert residual["axis"].keys() == AXES
-    for one in (*residual["axis"].values(), residual["normalised"]):
-        assert all(_number(one[when], silent) for when in ("before", "after"))
+    for error in (*residual["axis"].values(), residual["normalised"]):
+        assert all(_number(error[when], silent) for when in ("before", "after"))
     assert isinstance(residual["white"], dict)
 
     noise = numbers["thrust_noise"] if not silent else None
     if noise is not None:
         assert noise.keys() == {"supply", "difference"}
-        for one in noise.values():
-            assert one.keys() == {"std", "correlation_time_s", "log_likelihood_ratio"}
+        for estimate in noise.values():
+            assert estimate.keys() == {"std", "correlation_time_s", "log_likelihood_ratio"}
 
     gain = numbers["gain"]
     assert gain["metric"] in (
@@ -48,22 +48,22 @@ def conforms(numbers: dict[str, Any], silent: bool = False) -> None:
     assert gain["axis"].keys() == AXES
     assert set(gain["horizons"]) == {"0.5", "1", "2"}
     assert gain["horizons"]["2"]["axis"] == gain["axis"]
-    for one in (one for horizon in gain["horizons"].values() for one in horizon["axis"].values()):
-        assert all(_number(one[key], silent) for key in ("before", "after", "ratio"))
+    for error in (error for horizon in gain["horizons"].values() for error in horizon["axis"].values()):
+        assert all(_number(error[key], silent) for key in ("before", "after", "ratio"))
         if not silent:
-            low, high = one["interval95"]
+            low, high = error["interval95"]
             assert low <= high
-            assert math.isclose(one["ratio"], one["after"] / one["before"] if one["before"] else 1.0)
+            assert math.isclose(error["ratio"], error["after"] / error["before"] if error["before"] else 1.0)
 
     for flight in gain["calibration"]:
         assert flight["before"].keys() == flight["after"].keys()
-        for one in (*flight["before"].values(), *flight["after"].values()):
-            assert one.keys() == {"value", "std", "prior", "unit"}
-            assert one["std"] <= one["prior"]["std"] * 1.001
+        for estimate in (*flight["before"].values(), *flight["after"].values()):
+            assert estimate.keys() == {"value", "std", "prior", "unit"}
+            assert estimate["std"] <= estimate["prior"]["std"] * 1.001
     missing = numbers["unexplained"]
     if missing is not None:
         assert missing["axis"] in AXES
-        assert all(isinstance(one, str) for one in missing["correlates_with"])
+        assert all(isinstance(effect, str) for effect in missing["correlates_with"])
         assert 0.0 <= missing["share_of_variance"] <= 1.0
     asked = numbers["next_flight"]
     if asked is not None:
@@ -75,11 +75,11 @@ def _cause(cause: dict[str, Any]) -> None:
     kind = catalogue()[cause["effect"]]
     units = {quantity.name: quantity.unit for quantity in kind.parameters}
     assert cause["parameters"].keys() == units.keys()
-    for name, one in cause["parameters"].items():
-        assert one.keys() == {"value", "std", "unit"}
-        assert one["unit"] == units[name]
-        assert _number(one["value"])
-        assert one["std"] >= 0.0
+    for name, estimate in cause["parameters"].items():
+        assert estimate.keys() == {"value", "std", "unit"}
+        assert estimate["unit"] == units[name]
+        assert _number(estimate["value"])
+        assert estimate["std"] >= 0.0
     assert 0.0 < cause["confidence"] < 1.0
     assert cause["evidence"]
     assert all(id_ in catalogue() and id_ != cause["effect"] for id_ in cause["ambiguous_with"])

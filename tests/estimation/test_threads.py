@@ -27,9 +27,9 @@ def test_results_come_in_the_order_of_the_items() -> None:
         time.sleep(0.05 if number == 0 else 0.0)
         return number, threading.current_thread().name
 
-    found = parallel_map(slow_at_first, range(6), 2)
-    assert [number for number, _ in found] == list(range(6))
-    assert len({name for _, name in found}) == 2
+    results = parallel_map(slow_at_first, range(6), 2)
+    assert [number for number, _ in results] == list(range(6))
+    assert len({name for _, name in results}) == 2
 
 
 def test_a_share_is_not_shared_out_again() -> None:
@@ -61,15 +61,15 @@ def _name_after_a_while(_: int) -> str:
 
 @pytest.mark.diagnosis
 def test_estimates_and_scores_are_the_same_with_one_thread_and_with_two() -> None:
-    def found(threads: int) -> list[np.ndarray]:
+    def estimates(threads: int) -> list[np.ndarray]:
         with using_threads(threads):
             estimate = ModelComparison(MultibodyModel(), RIG, [windy()], []).refit([]).estimate
             screening = Screening(estimate)
-            gains = [one.log_likelihood_gain for one in screening.splines()]
-            gains += [one.log_likelihood_gain for one in screening.effects(KINDS)]
+            gains = [candidate.log_likelihood_gain for candidate in screening.splines()]
+            gains += [candidate.log_likelihood_gain for candidate in screening.effects(KINDS)]
             references = TermSignals(screening)
             equations = score(screening, references, groups(references.spans)[:400])
-            gains += [one.log_likelihood_gain for one in equations]
+            gains += [candidate.log_likelihood_gain for candidate in equations]
             information = screening.spline_information(
                 spline_candidates(screening.filtered.linearised_flights)
             )
@@ -77,11 +77,11 @@ def test_estimates_and_scores_are_the_same_with_one_thread_and_with_two() -> Non
             estimate.theta,
             estimate.disturbances.logarithms,
             np.array(gains),
-            *(one for one, _ in information),
+            *(candidate for candidate, _ in information),
         ]
 
-    for one, two in zip(found(1), found(2), strict=True):
-        assert np.array_equal(one, two)
+    for single, double in zip(estimates(1), estimates(2), strict=True):
+        assert np.array_equal(single, double)
 
 
 HEAPS = """

@@ -203,13 +203,13 @@ def _address(case: Case, rig: Flown, path: Path, board: str, elf: str) -> str:
 
 def _flown(case: Case, rig: Flown, path: Path, board: str, elf: str) -> Seen:
     truth: list[list[float]] = []
-    told: list[npt.NDArray[np.float64]] = []
+    telemetry: list[npt.NDArray[np.float64]] = []
 
     def listen(samples: Samples) -> None:
         columns = (samples.tick, samples.state, samples.fault, *(
             getattr(samples, f"{axis}_setpoint_rad") for axis in AXES
         ))  # fmt: skip
-        told.append(np.column_stack(columns))
+        telemetry.append(np.column_stack(columns))
 
     with connect(_address(case, rig, path, board, elf)) as heli:
         world = world_of(heli)
@@ -228,17 +228,17 @@ def _flown(case: Case, rig: Flown, path: Path, board: str, elf: str) -> Seen:
         heli.on_ticks(listen)
         summary = fly(heli, PLANS[case.plan])
         stops = [world.rig[f"{name}_max"].value for name in AXES]
-    return _judged(case, summary.outcome, np.vstack(told), np.array(truth), stops)
+    return _judged(case, summary.outcome, np.vstack(telemetry), np.array(truth), stops)
 
 
 def _judged(
     case: Case,
     outcome: str,
-    told: npt.NDArray[np.float64],
+    telemetry: npt.NDArray[np.float64],
     truth: npt.NDArray[np.float64],
     stops_deg: Sequence[float],
 ) -> Seen:
-    tick, state, fault = told[:, 0], told[:, 1], told[:, 2]
+    tick, state, fault = telemetry[:, 0], telemetry[:, 1], telemetry[:, 2]
     closed = np.isin(state, _CLOSED)
     if not closed.any():
         return Seen(case, outcome, np.inf, 0.0, False)
@@ -251,7 +251,7 @@ def _judged(
         return Seen(case, outcome, acted_s, 0.0, False)
     true_deg = np.degrees(truth[during, 1:])
     axis = max(0, _KINDS[case.kind][0])
-    setpoint_deg = np.degrees(np.interp(truth[during, 0], tick, told[:, 3 + axis]))
+    setpoint_deg = np.degrees(np.interp(truth[during, 0], tick, telemetry[:, 3 + axis]))
     touched = np.abs(true_deg) > np.array(stops_deg) - _STOP_MARGIN_DEG
     touched[:, 0] = true_deg[:, 0] > stops_deg[0] - _STOP_MARGIN_DEG
     away_deg = float(np.max(np.abs(true_deg[:, axis] - setpoint_deg)))
@@ -266,11 +266,11 @@ HEAD: Final = (
 
 def row(kind: str, seen: Sequence[Seen]) -> str:
     """Return a row of the table, as Markdown."""
-    reported = [one for one in seen if one.reported]
-    silent = [one.away_deg for one in seen if not one.reported]
-    within_s = max((one.acted_s for one in reported), default=0.0)
-    off_deg = max((one.away_deg for one in reported), default=0.0)
-    stops = sum(one.stop for one in seen)
+    reported = [flight for flight in seen if flight.reported]
+    silent = [flight.away_deg for flight in seen if not flight.reported]
+    within_s = max((flight.acted_s for flight in reported), default=0.0)
+    off_deg = max((flight.away_deg for flight in reported), default=0.0)
+    stops = sum(flight.stop for flight in seen)
     unknown = f"{len(silent)}, {max(silent):.0f} degrees" if silent else "0"
     name = "the motors' supply" if kind == "supply" else f"the {kind} encoder"
     return (
@@ -304,11 +304,11 @@ def main() -> None:
     given = parser.parse_args()
     if given.what == "healthy":
         flights = alarms = 0
-        for one in false_alarms(round(given.share * _HEALTHY), given.seed):
+        for flight in false_alarms(round(given.share * _HEALTHY), given.seed):
             flights += 1
-            if one.tracking_fault:
+            if flight.tracking_fault:
                 alarms += 1
-                print(dataclasses.asdict(one), flush=True)
+                print(dataclasses.asdict(flight), flush=True)
         print(f"{flights} healthy flights, {alarms} false alarms")
         return
     print(f"{HEAD}\n|---|---|---|---|---|---|---|")
@@ -316,9 +316,11 @@ def main() -> None:
     for kind, (_, count) in _KINDS.items():
         seen = [flown(case) for case in swept(kind, round(given.share * count), given.seed)]
         print(row(kind, seen), flush=True)
-        late += [one for one in seen if one.stop or (kind == "travel" and one.away_deg > LEFT_DEG)]
-    for one in late:
-        print(dataclasses.asdict(one))
+        late += [
+            flight for flight in seen if flight.stop or (kind == "travel" and flight.away_deg > LEFT_DEG)
+        ]
+    for flight in late:
+        print(dataclasses.asdict(flight))
 
 
 if __name__ == "__main__":

@@ -89,8 +89,8 @@ def test_flights_from_python_are_checked_too(tmp_path: Path) -> None:
 def test_drawn_rigs_with_right_encoders_give_no_warning() -> None:
     for seed in range(901, 901 + samples(30, 1)):
         for plan in ("step", "sine"):
-            one = judged(plan, seed)
-            assert one is None or one.warned is None, (plan, seed)
+            finding = judged(plan, seed)
+            assert finding is None or finding.warned is None, (plan, seed)
 
 
 def test_gusts_that_the_law_answers_are_no_wrong_elevation() -> None:
@@ -113,15 +113,17 @@ duration_s = 8
 
 
 def test_the_most_likely_of_several_axes_is_named() -> None:
-    def one(axis: str, scale: float, error: float, nats: float) -> ScaleEstimate:
+    def estimate(axis: str, scale: float, error: float, nats: float) -> ScaleEstimate:
         return ScaleEstimate(axis, scale, error, nats)
 
-    found = wrong_scale([one("elevation", 0.8, 0.01, 20.0), one("travel", 0.5, 0.02, 90.0)])
-    assert found is not None and found.axis == "travel"
+    wrong = wrong_scale([estimate("elevation", 0.8, 0.01, 20.0), estimate("travel", 0.5, 0.02, 90.0)])
+    assert wrong is not None and wrong.axis == "travel"
     # One is far from 1 by its small error only; the other is not more likely than 1.
-    assert wrong_scale([one("pitch", 0.2, 0.3, 80.0), one("travel", 0.5, 0.02, 1.0)]) is None
-    assert "it counts 0.498 ± 0.008 (1 standard error)" in warning_text(one("travel", 0.4981, 0.0083, 90.0))
-    assert "it counts 0.50 ± 0.03 (1 standard error)" in warning_text(one("travel", 0.5, 0.03, 90.0))
+    assert wrong_scale([estimate("pitch", 0.2, 0.3, 80.0), estimate("travel", 0.5, 0.02, 1.0)]) is None
+    assert "it counts 0.498 ± 0.008 (1 standard error)" in warning_text(
+        estimate("travel", 0.4981, 0.0083, 90.0)
+    )
+    assert "it counts 0.50 ± 0.03 (1 standard error)" in warning_text(estimate("travel", 0.5, 0.03, 90.0))
 
 
 def test_test_functions_give_means_and_second_derivatives() -> None:
@@ -130,10 +132,10 @@ def test_test_functions_give_means_and_second_derivatives() -> None:
     angles = np.column_stack((0.5 * 0.3 * t_s**2, 1.0 + 2.0 * t_s, np.sin(0.5 * t_s)))
     part = Part(t_s, angles, np.zeros((500, 3)), np.ones((500, 2)), step_s)
     functions = TestFunctions(part)
-    found = functions.second_derivative(angles)
-    assert found[0] == pytest.approx(0.3, abs=1e-9)
-    assert found[1] == pytest.approx(0.0, abs=1e-9)
-    assert found[2] == pytest.approx(functions.mean(2, -0.25 * np.sin(0.5 * t_s)), abs=2e-4)
+    derivatives = functions.second_derivative(angles)
+    assert derivatives[0] == pytest.approx(0.3, abs=1e-9)
+    assert derivatives[1] == pytest.approx(0.0, abs=1e-9)
+    assert derivatives[2] == pytest.approx(functions.mean(2, -0.25 * np.sin(0.5 * t_s)), abs=2e-4)
     assert part.lagged_V(0.1) == pytest.approx(1.0)
 
 

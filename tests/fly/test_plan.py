@@ -68,7 +68,7 @@ def test_a_segment_may_be_excited_while_it_moves(motion: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("excite", "said"),
+    ("excite", "message"),
     [
         ('"prbs"', "excite is not a table"),
         ('{ signal = "prbs", front_V = 1 }', "stop_Hz is missing"),
@@ -76,8 +76,8 @@ def test_a_segment_may_be_excited_while_it_moves(motion: str) -> None:
         ('{ signal = "step" }', "it excites no motor"),
     ],
 )
-def test_a_wrong_excitation_of_a_moving_segment_is_named(excite: str, said: str) -> None:
-    with pytest.raises(PlanError, match=said) as caught:
+def test_a_wrong_excitation_of_a_moving_segment_is_named(excite: str, message: str) -> None:
+    with pytest.raises(PlanError, match=message) as caught:
         plan(f'kind = "hold"\nduration_s = 4\nexcite = {excite}')
     assert "segment 1 (hold)" in str(caught.value)
 
@@ -86,8 +86,8 @@ def test_one_time_and_many_times_give_the_same() -> None:
     sine = load_plan("sine")
     t_s = np.linspace(-1.0, sine.duration_s + 1.0, 333)
     many = np.column_stack(sine.evaluate(t_s))
-    one = np.array([sine.evaluate(float(moment)) for moment in t_s])
-    np.testing.assert_array_equal(many, one)
+    single = np.array([sine.evaluate(float(moment)) for moment in t_s])
+    np.testing.assert_array_equal(many, single)
     np.testing.assert_array_equal(many, np.column_stack(sine.evaluate(t_s)))
 
 
@@ -111,10 +111,10 @@ def test_a_sine_begins_and_ends_at_the_present_point_without_a_jump_in_rate() ->
 
 
 def test_a_frequency_is_the_inverse_of_a_period() -> None:
-    one = plan('kind = "sine"\nelevation_amplitude_deg = 3\nfrequency_Hz = 0.1\nduration_s = 30')
+    by_frequency = plan('kind = "sine"\nelevation_amplitude_deg = 3\nfrequency_Hz = 0.1\nduration_s = 30')
     other = plan('kind = "sine"\nelevation_amplitude_deg = 3\nelevation_period_s = 10\nduration_s = 30')
     t_s = np.linspace(0, 30, 100)
-    np.testing.assert_allclose(one.evaluate(t_s)[0], other.evaluate(t_s)[0])
+    np.testing.assert_allclose(by_frequency.evaluate(t_s)[0], other.evaluate(t_s)[0])
 
 
 def test_waypoints_are_reached_on_time_axis_by_axis() -> None:
@@ -153,7 +153,7 @@ HOLD = '[[segment]]\nkind = "hold"\nduration_s = 5\n'
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("title = ", "a.toml is not TOML"),
         ("", "a.toml: it has no segment"),
@@ -207,15 +207,15 @@ HOLD = '[[segment]]\nkind = "hold"\nduration_s = 5\n'
         ('[[segment]]\nkind = "land"\n' + HOLD, "segment 1 (land): a segment follows it"),
     ],
 )
-def test_a_mistake_is_named_with_its_segment_key_and_remedy(text: str, said: str) -> None:
+def test_a_mistake_is_named_with_its_segment_key_and_remedy(text: str, message: str) -> None:
     with pytest.raises(PlanError) as raised:
         Plan.parse(text, "a.toml")
-    assert said in str(raised.value), str(raised.value)
+    assert message in str(raised.value), str(raised.value)
     assert str(raised.value).startswith("a.toml") and "\n" not in str(raised.value) and raised.value.remedy
 
 
 @pytest.mark.parametrize(
-    ("segment", "said"),
+    ("segment", "message"),
     [
         (
             "kind='step'\ntravel_deg=171\nduration_s=2",
@@ -240,10 +240,10 @@ def test_a_mistake_is_named_with_its_segment_key_and_remedy(text: str, said: str
         ("kind='excite'\nsignal='step'\nfront_V=1\nduration_s=200", "keep it within 120 (excitation_max_s)"),
     ],
 )
-def test_what_the_board_would_refuse_is_refused_before(segment: str, said: str) -> None:
+def test_what_the_board_would_refuse_is_refused_before(segment: str, message: str) -> None:
     with pytest.raises(PlanError) as raised:
         plan('kind = "hold"\nduration_s = 1', segment).check(DEFAULTS)
-    assert said in str(raised.value), str(raised.value)
+    assert message in str(raised.value), str(raised.value)
     assert str(raised.value).startswith("a.toml, segment 2 (")
 
 
@@ -257,10 +257,10 @@ def test_limits_come_from_the_board_and_not_from_the_defaults() -> None:
 
 
 def test_plans_that_close_different_axes_do_not_fit_one_flight() -> None:
-    one = plan('kind = "hold"\nduration_s = 1')
+    first = plan('kind = "hold"\nduration_s = 1')
     other = plan('kind = "hold"\nduration_s = 1', head='axes = ["elevation", "pitch"]\n')
     with pytest.raises(PlanError, match="one after the other"):
-        take_off([one, other], DEFAULTS, np.zeros(3))
+        take_off([first, other], DEFAULTS, np.zeros(3))
 
 
 def test_a_plan_is_found_by_name_or_file(tmp_path: Path) -> None:

@@ -56,21 +56,21 @@ def test_from_a_flight_to_a_rig_that_flies(terminal: Terminal, tmp_path: Path) -
     assert "Nothing but the encoders' quantisation is left on flights that it never saw" in ended.out
     assert "thrust_gain" in ended.out
 
-    told = json.loads((tmp_path / "new.json").read_text())
+    result = json.loads((tmp_path / "new.json").read_text())
     for name, value in HIDDEN.items():
-        one = told["parameters"][name]
-        assert one["value"] == pytest.approx(value, abs=4 * one["std"]), name
-        assert set(one) >= {"value", "std", "prior", "unit"}
-    assert set(told["normalised_residual"]) == {"train", "validation"}
-    assert told["normalised_residual"]["validation"] <= 1.05
-    assert set(told["free_run_rms_deg"]) == {"elevation", "pitch", "travel"}
-    assert set(told["correlations"]) == set(told["parameters"])
-    assert 30.0 < told["seconds_used"] < 40.0
+        estimate = result["parameters"][name]
+        assert estimate["value"] == pytest.approx(value, abs=4 * estimate["std"]), name
+        assert set(estimate) >= {"value", "std", "prior", "unit"}
+    assert set(result["normalised_residual"]) == {"train", "validation"}
+    assert result["normalised_residual"]["validation"] <= 1.05
+    assert set(result["free_run_rms_deg"]) == {"elevation", "pitch", "travel"}
+    assert set(result["correlations"]) == set(result["parameters"])
+    assert 30.0 < result["seconds_used"] < 40.0
 
     rig = load_rig(tmp_path / "new.toml")
     assert rig.model == "multibody"
     for name in HIDDEN:
-        assert rig[name].value == pytest.approx(told["parameters"][name]["value"], rel=1e-6)
+        assert rig[name].value == pytest.approx(result["parameters"][name]["value"], rel=1e-6)
         assert "identified from a.mcap; before:" in rig[name].source
     assert terminal("rig", "check", "new.toml").code == 0
     hover = terminal("fly", "hover", "--sil", "--rig", "new.toml", "--speed", "max", "--log", "hover.mcap")
@@ -131,7 +131,7 @@ def test_a_second_flight_to_validate_on_is_not_fitted(terminal: Terminal, tmp_pa
     assert ended.code == 0, ended
     flights = json.loads(ended.out)["flights"]
     assert "thrust_gain" in ended.err
-    assert [(one["flight"], one["role"]) for one in flights] == [
+    assert [(flight["flight"], flight["role"]) for flight in flights] == [
         *(("a.csv", "train"), ("b.csv", "validation"), ("c.csv", "validation"))
     ]
 

@@ -47,20 +47,20 @@ def late_flight() -> Flight:
     return flown(known(), 5, 25.0, MultibodyModel((lag, late)))
 
 
-def assert_found(found: Identification, truth: dict[str, float], within: float = 3.0) -> None:
+def assert_estimates(result: Identification, truth: dict[str, float], within: float = 3.0) -> None:
     for name, value in truth.items():
-        assert found.fit.values[name] == pytest.approx(value, abs=within * found.fit.std[name]), name
+        assert result.fit.values[name] == pytest.approx(value, abs=within * result.fit.std[name]), name
 
 
 def test_what_the_identification_plan_flies_finds_the_rig_again() -> None:
     rig = known().replace(**CHANGED)
-    found = identify(MultibodyModel(), known(), [flown_by_plan(rig, 4)], validation=[changed_flight(3)])
-    truth = {name: rig[name].value for name in found.fit.values} | encoder_zeros_deg(rig, 4)
-    assert_found(found, truth)
-    residual = found.json()["normalised_residual"]
+    result = identify(MultibodyModel(), known(), [flown_by_plan(rig, 4)], validation=[changed_flight(3)])
+    truth = {name: rig[name].value for name in result.fit.values} | encoder_zeros_deg(rig, 4)
+    assert_estimates(result, truth)
+    residual = result.json()["normalised_residual"]
     assert residual["train"] <= 1.02
     assert residual["validation"] <= 1.05
-    assert all(found.training[0].white.values())
+    assert all(result.training[0].white.values())
 
 
 def test_standard_errors_cover_the_truth_on_flights_of_random_rigs() -> None:
@@ -74,10 +74,10 @@ def test_several_flights_share_the_rig_and_each_keeps_its_own_zeros() -> None:
     flights = [changed_flight(seed) for seed in (3, 4)]
     alone = identify(MultibodyModel(), known(), flights[:1], labels=["third"])
     both = identify(MultibodyModel(), known(), flights, labels=["third", "fourth"])
-    assert_found(both, CHANGED)
+    assert_estimates(both, CHANGED)
     for label, seed in (("third", 3), ("fourth", 4)):
         zeros = encoder_zeros_deg(rig, seed)
-        assert_found(both, {f"{name}[{label}]": zero for name, zero in zeros.items()})
+        assert_estimates(both, {f"{name}[{label}]": zero for name, zero in zeros.items()})
     for name in CHANGED:
         assert both.fit.std[name] < alone.fit.std[name]
     assert both.rig("new")["offset_pitch"] == known()["offset_pitch"]
@@ -91,25 +91,25 @@ def test_a_rig_file_that_is_far_off_is_no_obstacle() -> None:
     # Windows that a step leaves behind find their own way: so long ones alone do.
     alone = solve(Problem(MultibodyModel(), vague, [changed_flight(3)]), fine=False)
     assert check(alone).normalised <= 1.03
-    found = identify(MultibodyModel(), vague, [changed_flight(3)])
-    assert_found(found, CHANGED, within=4.0)
-    assert found.json()["normalised_residual"]["train"] <= 1.03
+    result = identify(MultibodyModel(), vague, [changed_flight(3)])
+    assert_estimates(result, CHANGED, within=4.0)
+    assert result.json()["normalised_residual"]["train"] <= 1.03
 
 
 def test_a_delay_and_a_lag_are_distinguished() -> None:
     effects = catalogue()
     model = MultibodyModel((effects["rotor_lag"].make({"rotor_lag_s": 0.04}), effects["input_delay"].make()))
-    found = identify(model, known(), [late_flight()])
-    assert_found(found, {"rotor_lag_s": 0.08, "input_delay_s": 0.02})
-    assert found.fit.std["rotor_lag_s"] < 1e-3 and found.fit.std["input_delay_s"] < 1e-3
-    assert found.json()["normalised_residual"]["train"] <= 1.03
-    assert found.rig("new").effects["rotor_lag"]["s"].value == found.fit.values["rotor_lag_s"]
+    result = identify(model, known(), [late_flight()])
+    assert_estimates(result, {"rotor_lag_s": 0.08, "input_delay_s": 0.02})
+    assert result.fit.std["rotor_lag_s"] < 1e-3 and result.fit.std["input_delay_s"] < 1e-3
+    assert result.json()["normalised_residual"]["train"] <= 1.03
+    assert result.rig("new").effects["rotor_lag"]["s"].value == result.fit.values["rotor_lag_s"]
 
 
 def test_a_model_that_lacks_something_says_so() -> None:
-    found = identify(MultibodyModel(), known(), [late_flight()])
-    assert found.training[0].normalised > 5.0
-    assert not any(found.training[0].white[axis] for axis in ("elevation", "pitch"))
+    result = identify(MultibodyModel(), known(), [late_flight()])
+    assert result.training[0].normalised > 5.0
+    assert not any(result.training[0].white[axis] for axis in ("elevation", "pitch"))
 
 
 def test_without_a_compiler_the_answer_is_the_same(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -175,7 +175,7 @@ def test_a_budget_that_runs_out_is_reported() -> None:
 def test_a_practice_flight_with_nothing_hidden_is_explained_down_to_the_encoder() -> None:
     flights = [read_flight(PRACTICE / name) for name in ("a.csv.gz", "b.csv.gz")]
     for train, held_out in (flights, flights[::-1])[: samples(2, 1)]:
-        found = identify(MultibodyModel(), known(), [train], validation=[held_out])
-        residual = found.json()["normalised_residual"]
+        result = identify(MultibodyModel(), known(), [train], validation=[held_out])
+        residual = result.json()["normalised_residual"]
         assert residual["train"] <= 1.02
         assert residual["validation"] <= 1.02

@@ -37,9 +37,9 @@ ROOT = Path(__file__).resolve().parents[2]
 LAWS = ROOT / "docs" / "laws"
 # Setting up and leaving the interpreter's loop.
 AROUND = 20
-ALL = tuple(sorted(one.stem for one in LAWS.glob("*.py")))
+ALL = tuple(sorted(path.stem for path in LAWS.glob("*.py")))
 EXECUTE = "_ZN4heli3law4Tape7execute"
-SUM = next(one for one in OPERATIONS if one.name == "sum_of_products")
+SUM = next(operation for operation in OPERATIONS if operation.name == "sum_of_products")
 MAX_TICK = 30_000
 # Square roots that fill a tick.
 ROOTS = 48
@@ -60,12 +60,12 @@ def processor() -> Processor:
 
 def test_no_operation_takes_longer_than_declared_nor_much_less(processor: Processor) -> None:
     operands = pairs(1, 100)
-    for one in OPERATIONS:
-        if one.operands == 0:
+    for operation in OPERATIONS:
+        if operation.operands == 0:
             continue
-        most = operation_cost(processor, one.code, operands, one.operands == 2)
-        assert most <= one.cost, one.name
-        assert most >= 0.9 * one.cost - 2, one.name
+        most = operation_cost(processor, operation.code, operands, operation.operands == 2)
+        assert most <= operation.cost, operation.name
+        assert most >= 0.9 * operation.cost - 2, operation.name
 
 
 def test_a_sum_takes_no_longer_than_declared_whatever_its_terms_are(processor: Processor) -> None:
@@ -83,33 +83,35 @@ def test_a_sum_takes_no_longer_than_declared_whatever_its_terms_are(processor: P
 def random_program(chance: np.random.Generator, inputs: int, written: int) -> tuple[list[int], int]:
     """Words of a program whose cells are written before they are read, and the bound on its cost."""
     words: list[int] = []
-    foretold = AROUND
+    declared = AROUND
     for k in range(int(chance.integers(1, 40))):
-        one = OPERATIONS[int(chance.integers(0, len(OPERATIONS)))]
+        operation = OPERATIONS[int(chance.integers(0, len(OPERATIONS)))]
         target, readable = inputs + k % (written - inputs), inputs + min(k, written - inputs)
-        foretold += one.cost
-        if one.operands == 0:
+        declared += operation.cost
+        if operation.operands == 0:
             count = int(chance.integers(1, 12))
             cells = chance.integers(0, readable, (count, 2)).tolist()
             signs = chance.integers(0, 2, count).tolist()
             words += sum_words(
                 target, [(a, b, bool(sign)) for (a, b), sign in zip(cells, signs, strict=True)]
             )
-            foretold += LAW_TERM_COST * count
+            declared += LAW_TERM_COST * count
             continue
         first, second = chance.integers(0, readable, 2).tolist()
-        words.append(one.code << 27 | target << 18 | first << 9 | (second if one.operands == 2 else 0))
-    return words, foretold
+        words.append(
+            operation.code << 27 | target << 18 | first << 9 | (second if operation.operands == 2 else 0)
+        )
+    return words, declared
 
 
 def test_random_tapes_never_take_longer_than_predicted(processor: Processor) -> None:
     chance = np.random.default_rng(2)
     inputs, written = len(LAW_INPUTS), 60
     for _ in range(TAPES):
-        words, foretold = random_program(chance, inputs, written)
+        words, declared = random_program(chance, inputs, written)
         cells = chance.integers(0, 1 << 32, written, np.uint64).astype(np.uint32).view(np.float32)
         cells = np.where(np.abs(cells) < 1.2e-38, np.float32(0.0), cells)
-        assert processor.cost(np.array(words, np.uint32), cells) <= foretold
+        assert processor.cost(np.array(words, np.uint32), cells) <= declared
 
 
 @pytest.mark.parametrize("name", ALL if LONG else ("lqi", "mpc"))
@@ -126,8 +128,8 @@ def test_states_and_signals_cost_no_more_than_declared() -> None:
     few, many = (flown(remembering(count).program).function(LAW_UPDATE)[2] for count in (1, 201))
     each = (many - few) / 200
     assert LAW_STATE_COST - 1 < each <= LAW_STATE_COST
-    told = flown(remembering(1, signals=4).program).function(LAW_UPDATE)[2]
-    assert (told - few) / 4 <= LAW_SIGNAL_COST
+    ticks = flown(remembering(1, signals=4).program).function(LAW_UPDATE)[2]
+    assert (ticks - few) / 4 <= LAW_SIGNAL_COST
 
 
 def test_a_tick_with_the_most_expensive_accepted_tape_is_within_its_bound() -> None:

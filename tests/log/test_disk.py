@@ -301,7 +301,7 @@ def test_a_flight_beyond_the_limit_of_size_does_not_begin(
 ) -> None:
     monkeypatch.setattr(disk, "most_file_bytes", lambda: 20_000_000)
     check_free_space(tmp_path / "a.mcap", 60.0)
-    with pytest.raises(LogWriteError, match=r"allows a file 20\.0 MB, .* can need 79\.2 MB; .*ulimit -f"):
+    with pytest.raises(LogWriteError, match=r"allows files of 20\.0 MB, .* can need 79\.2 MB; .*ulimit -f"):
         check_free_space(tmp_path / "a.mcap", 600.0)
 
 
@@ -330,7 +330,7 @@ def test_a_device_may_take_a_log() -> None:
 def test_a_flight_needs_the_space_of_its_length(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(disk, "free_bytes", lambda _: 20_000_000)
     check_free_space(tmp_path / "a.mcap", 60.0)
-    with pytest.raises(LogWriteError, match=r"has 20\.0 MB left, the flight can need 79\.2 MB"):
+    with pytest.raises(LogWriteError, match=r"has 20\.0 MB left, but the flight can need 79\.2 MB"):
         check_free_space(tmp_path / "a.mcap", 600.0)
 
 

@@ -35,13 +35,15 @@ def write(path: Path, *lines: str) -> Path:
     return path
 
 
-def told_rates_Hz(folder: Path) -> set[float]:
+def declared_rates_Hz(folder: Path) -> set[float]:
     """Rates from the README of a collection, and from that of another with the same format."""
     readme = next(at for at in (folder / "README.md", folder.parent / "README.md") if at.exists())
     text = readme.read_text()
     shared = [readme.parent / other / "README.md" for other in re.findall(r"`(\.\./\w+)`", text)]
     return {
-        float(rate) for told in (text, *map(Path.read_text, shared)) for rate in re.findall(r"(\d+) Hz", told)
+        float(rate)
+        for readme_text in (text, *map(Path.read_text, shared))
+        for rate in re.findall(r"(\d+) Hz", readme_text)
     }
 
 
@@ -50,7 +52,7 @@ def told_rates_Hz(folder: Path) -> set[float]:
 @pytest.mark.parametrize("path", SHARED_FILES, ids=lambda path: f"{path.parent.name}/{path.name}")
 def test_every_shared_flight_reads(path: Path) -> None:
     flight = read_flight(path)
-    rates_Hz = told_rates_Hz(path.parent)
+    rates_Hz = declared_rates_Hz(path.parent)
     assert rates_Hz and min(abs(flight.step_s * rate_Hz - 1.0) for rate_Hz in rates_Hz) < 1e-3
     assert len(flight) > 5000
     assert flight.meta and not flight.gaps.size
@@ -147,7 +149,7 @@ def replaced(line: int, column: int, value: str) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("lines", "said"),
+    ("lines", "message"),
     [
         ([], "the file is empty"),
         ([HEADER], "no rows below"),
@@ -170,12 +172,12 @@ def replaced(line: int, column: int, value: str) -> list[str]:
     ],
 )
 def test_what_cannot_be_trusted_is_refused_with_its_place(
-    tmp_path: Path, lines: list[str], said: str
+    tmp_path: Path, lines: list[str], message: str
 ) -> None:
     path = write(tmp_path / "a.csv", *lines)
     with pytest.raises(FlightDataError) as raised:
         read_flight(path)
-    assert said in str(raised.value) and str(path) in str(raised.value)
+    assert message in str(raised.value) and str(path) in str(raised.value)
     assert "\n" not in str(raised.value)
 
 
@@ -203,17 +205,19 @@ def test_gaps_are_taken_on_request(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "message"),
     [
         (lambda data: data[: len(data) // 2], "ends early"),
         (lambda data: b"plain text", "not a gzip file"),
         (lambda data: data[:40] + bytes(40) + data[80:], "damaged"),
     ],
 )
-def test_a_broken_archive_is_one_line(tmp_path: Path, content: Callable[[bytes], bytes], said: str) -> None:
+def test_a_broken_archive_is_one_line(
+    tmp_path: Path, content: Callable[[bytes], bytes], message: str
+) -> None:
     packed = gzip.compress("\n".join([HEADER, *rows(500)]).encode())
     (tmp_path / "a.csv.gz").write_bytes(content(packed))
-    with pytest.raises(FlightDataError, match=said):
+    with pytest.raises(FlightDataError, match=message):
         read_flight(tmp_path / "a.csv.gz")
 
 
@@ -250,9 +254,9 @@ def test_a_part_keeps_its_time_axis_and_its_events(tmp_path: Path) -> None:
 
 
 def test_columns_of_different_length_are_refused() -> None:
-    one, two = np.zeros(10), np.zeros(9)
+    ten, nine = np.zeros(10), np.zeros(9)
     with pytest.raises(FlightDataError, match="pitch_rad"):
-        Flight(np.linspace(0.0, 0.9, 10), one, one, one, two, one)
+        Flight(np.linspace(0.0, 0.9, 10), ten, ten, ten, nine, ten)
 
 
 @pytest.mark.medium

@@ -16,7 +16,7 @@ from heli_sim.rig import load_rig
 
 from tests.field.cases import NO_DATA
 from tests.measured.figures import figure_of_pair, figure_of_sizes
-from tests.measured.pairs import MEASURED, PAIRS, RIG, Told, add_pairs, cross_validated, flights, told
+from tests.measured.pairs import MEASURED, PAIRS, RIG, PairFit, add_pairs, cross_validated, fit_pair, flights
 
 FIGURES = Path(__file__).resolve().parents[2] / "docs" / "figures"
 _GROWN = 1.1
@@ -59,43 +59,43 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 grown += worse
         print(f"axes whose error at 1 s grows by more than 10 %, confirmed causes only: {grown}")
         return 0
-    last: list[tuple[str, Told]] = []
+    last: list[tuple[str, PairFit]] = []
     print("two seconds ahead, degrees rms (ratio to the baseline and its 95 % interval):")
     for pair in pairs:
-        there, back = told(pair), told(pair, back=True)
-        for one, other in zip(there, back, strict=True):
-            print(_row(pair, one), _row(pair + ", back", other), sep="\n", flush=True)
+        there, back = fit_pair(pair), fit_pair(pair, back=True)
+        for forward, backward in zip(there, back, strict=True):
+            print(_row(pair, forward), _row(pair + ", back", backward), sep="\n", flush=True)
         last += [(pair, there[-1]), (pair + ", back", back[-1])]
         title = f"{PAIRS[pair][1]}, predicted two seconds ahead from what {PAIRS[pair][0]} taught"
         figure_of_pair(there[0], there[-1], title).savefig(given.figures / f"measured-{pair}.png", dpi=90)
     print(f"ratios {', '.join(HORIZONS)} s ahead; over the same model taught by the judging flight, 2 s:")
-    for name, one in last:
-        print(_ahead(name, one), flush=True)
+    for name, pair_fit in last:
+        print(_ahead(name, pair_fit), flush=True)
     if pairs == list(PAIRS):
         sizes = {
-            label: [(one.fit.values[name], one.fit.std[name]) for _, one in last]
+            label: [(pair_fit.fit.values[name], pair_fit.fit.std[name]) for _, pair_fit in last]
             for name, label in SIZES.items()
         }
         figure_of_sizes(sizes, pairs).savefig(given.figures / "measured-sizes.png", dpi=90)
     return 0
 
 
-def _row(pair: str, one: Told) -> str:
+def _row(pair: str, pair_fit: PairFit) -> str:
     """A line of the first table: errors, ratios with their intervals, and the effects' numbers."""
-    fit = one.fit
-    cells = [pair, ", ".join(one.effects) or "baseline, refitted"]
+    fit = pair_fit.fit
+    cells = [pair, ", ".join(pair_fit.effects) or "baseline, refitted"]
     for axis in AXES:
-        of = one.gain["2"][axis]
+        of = pair_fit.gain["2"][axis]
         low, high = of.interval95
         cells.append(f"{of.after_deg:.2f} ({of.ratio:.2f}: {low:.2f} to {high:.2f})")
     cells.append(", ".join(f"{fit.values[n]:.4f} +- {fit.std[n]:.4f}" for n in SIZES if n in fit.values))
     return "| " + " | ".join(cells) + " |"
 
 
-def _ahead(pair: str, one: Told) -> str:
+def _ahead(pair: str, pair_fit: PairFit) -> str:
     """A line of the second table: ratios at each horizon, and over what the judging flight itself teaches."""
-    own = cross_validated(one)["2"]
-    ratios = [", ".join(f"{one.gain[key][axis].ratio:.2f}" for key in HORIZONS) for axis in AXES]
+    own = cross_validated(pair_fit)["2"]
+    ratios = [", ".join(f"{pair_fit.gain[key][axis].ratio:.2f}" for key in HORIZONS) for axis in AXES]
     return "| " + " | ".join([pair, *ratios, *(f"{own[axis].ratio:.2f}" for axis in AXES)]) + " |"
 
 
@@ -105,14 +105,14 @@ def _diagnosed(pair: str, exchanged: bool) -> tuple[str, int]:
     """
     train, held_out = flights(pair, exchanged)
     labels = list(reversed(PAIRS[pair])) if exchanged else list(PAIRS[pair])
-    found = diagnose(MultibodyModel(), load_rig(RIG), [train], [held_out], labels=labels)
-    answer = to_json(found)
+    diagnosis = diagnose(MultibodyModel(), load_rig(RIG), [train], [held_out], labels=labels)
+    answer = to_json(diagnosis)
     causes = [
-        f"{one['effect']} (confidence {one['confidence']:.2f}; "
-        + ", ".join(f"{n} {v['value']:.4f} +- {v['std']:.4f}" for n, v in one["parameters"].items())
+        f"{cause['effect']} (confidence {cause['confidence']:.2f}; "
+        + ", ".join(f"{n} {v['value']:.4f} +- {v['std']:.4f}" for n, v in cause["parameters"].items())
         + ")"
-        + _confirmed(one)
-        for one in answer["causes"]
+        + _confirmed(cause)
+        for cause in answer["causes"]
     ]
     gains = [
         f"{key} s: {axis} {of['before']:.3f} to {of['after']:.3f}, ratio {of['ratio']:.2f} "

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from heli_lab.identify import trace
 
-from tests.measured.pairs import Told
+from tests.measured.pairs import PairFit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 _MEASURED, _BEFORE, _AFTER = "#30343a", "#d1495b", "#0b5fa5"
 
 
-def figure_of_pair(before: Told, after: Told, title: str) -> Figure:
+def figure_of_pair(before: PairFit, after: PairFit, title: str) -> Figure:
     """Draw a flight that no fit saw: pitch and travel, measured and predicted in runs of two seconds.
 
     Parameters
     ----------
-    before, after : Told
+    before, after : PairFit
         Refitted baseline and extended model.
     title : str
         Title.
@@ -37,11 +37,11 @@ def figure_of_pair(before: Told, after: Told, title: str) -> Figure:
     angle, pitch, travel = figure.subplots(3, 1, sharex=True, height_ratios=[2, 1.3, 1.3])
     figure.subplots_adjust(0.085, 0.09, 0.985, 0.93, hspace=0.12)
     figure.suptitle(title, fontsize=10)
-    for told, colour, label in ((before, _BEFORE, "baseline"), (after, _AFTER, "extended")):
-        seen = trace(told.run.fit)
+    for fit_pair, colour, label in ((before, _BEFORE, "baseline"), (after, _AFTER, "extended")):
+        seen = trace(fit_pair.run.fit)
         t_s = seen.t_s - seen.t_s[0]
         error_deg = np.rad2deg(seen.measured_rad - seen.predicted_rad)
-        if told is before:
+        if fit_pair is before:
             angle.plot(
                 t_s, np.rad2deg(seen.measured_rad[:, 1]), ".", ms=1.5, color=_MEASURED, label="measured"
             )

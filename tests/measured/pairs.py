@@ -45,7 +45,7 @@ STEP_s: Final = 0.004
 """Longest step of the fits, as `diagnose` takes it."""
 _MIN_VARIANCE: Final = 0.05
 """Least mean square that quantisation leaves, in its variances: an axis at rest would decide alone."""
-TOLD: Final = (
+MODELS: Final = (
     (),
     ("rotor_lag",),
     ("rotor_lag", "gyroscopic_torque"),
@@ -55,7 +55,7 @@ TOLD: Final = (
 
 
 @dataclass(frozen=True)
-class Told:
+class PairFit:
     """A pair, fitted with given effects.
 
     Parameters
@@ -122,9 +122,9 @@ def flights(
     return first, second
 
 
-def told(
-    pair: str, models: Sequence[tuple[str, ...]] = TOLD, back: bool = False, *, once: bool = False
-) -> list[Told]:
+def fit_pair(
+    pair: str, models: Sequence[tuple[str, ...]] = MODELS, back: bool = False, *, once: bool = False
+) -> list[PairFit]:
     """Fit models with given effects, each from the rig's parameters and from the model before it.
 
     Parameters
@@ -140,18 +140,18 @@ def told(
 
     Returns
     -------
-    list of Told
-        One a model.
+    list of PairFit
+        One fit per model.
     """
     teaches, judges = flights(pair, back)
-    found: list[Told] = []
+    fits: list[PairFit] = []
     for effects in models:
-        starts = [None, found[-1].fit.values] if found and not once else [None]
+        starts = [None, fits[-1].fit.values] if fits and not once else [None]
         fit = fitted(effects, teaches, starts)
         (run,) = free_runs(fit, [judges])
-        before = found[0].run if found else run
-        found.append(Told(effects, fit, judges, run, compare_free_runs([before], [run]).horizons))
-    return found
+        before = fits[0].run if fits else run
+        fits.append(PairFit(effects, fit, judges, run, compare_free_runs([before], [run]).horizons))
+    return fits
 
 
 def fitted(
@@ -179,7 +179,7 @@ def fitted(
     return min((solve(problem, start=start) for start in starts), key=_unlikely)
 
 
-def cross_validated(one: Told) -> dict[str, dict[str, ErrorReduction]]:
+def cross_validated(pair: PairFit) -> dict[str, dict[str, ErrorReduction]]:
     """Compare a model taught by the other flight with the same model taught by the judging flight itself.
 
     The judged part is halved, and each half is predicted by a fit to the other half and to the first 8 s;
@@ -187,7 +187,7 @@ def cross_validated(one: Told) -> dict[str, dict[str, ErrorReduction]]:
 
     Parameters
     ----------
-    one : Told
+    pair : PairFit
         Estimate from the other flight.
 
     Returns
@@ -195,15 +195,15 @@ def cross_validated(one: Told) -> dict[str, dict[str, ErrorReduction]]:
     dict of dict of ErrorReduction
         By horizon and axis: `before` cross-validated, `after` taught by the other flight.
     """
-    windows = one.run.fit.problem.windows(0)
-    free = _rows(one.judges, [(start, stop - start) for start, stop in one.judges.segments])
+    windows = pair.run.fit.problem.windows(0)
+    free = _rows(pair.judges, [(start, stop - start) for start, stop in pair.judges.segments])
     errors = []
     for part in (windows[: len(windows) // 2], windows[len(windows) // 2 :]):
-        half = _rows(one.judges, part)
-        fit = fitted(one.effects, _only(one.judges, free & ~half), [None, one.fit.values])
+        half = _rows(pair.judges, part)
+        fit = fitted(pair.effects, _only(pair.judges, free & ~half), [None, pair.fit.values])
         problem = fit.problem
-        errors.append(free_run(problem.model, problem.rig, fit.values, _only(one.judges, half), 0.0).errors)
-    return {key: error_reduction([half[key] for half in errors], [one.run.errors[key]]) for key in HORIZONS}
+        errors.append(free_run(problem.model, problem.rig, fit.values, _only(pair.judges, half), 0.0).errors)
+    return {key: error_reduction([half[key] for half in errors], [pair.run.errors[key]]) for key in HORIZONS}
 
 
 def _rows(record: Record, windows: Sequence[tuple[int, int]]) -> npt.NDArray[np.bool_]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.measured.pairs import MEASURED, TOLD, Told, told
+from tests.measured.pairs import MEASURED, MODELS, PairFit, fit_pair
 from tests.running.long import LONG, samples
 
 HALF = 0.5
@@ -17,15 +17,15 @@ pytestmark = [
 
 
 @pytest.fixture(scope="module")
-def liveliest() -> list[Told]:
+def liveliest() -> list[PairFit]:
     """Baseline; lag, gyroscopic torque and edgewise flow. In `make long` from two starts each, and lag and
     gyroscopic torque alone between them.
     """
-    return told("rendellc", [TOLD[0], *TOLD[2:3][: samples(1, 0)], TOLD[3]], once=not LONG)
+    return fit_pair("rendellc", [MODELS[0], *MODELS[2:3][: samples(1, 0)], MODELS[3]], once=not LONG)
 
 
 def test_on_the_liveliest_pair_three_effects_halve_the_error_of_pitch_and_travel_ahead(
-    liveliest: list[Told],
+    liveliest: list[PairFit],
 ) -> None:
     all_three = liveliest[-1]
     for axis in ("pitch", "travel"):

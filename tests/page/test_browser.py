@@ -53,8 +53,8 @@ def chromium() -> Iterator[Browser]:
 
 @pytest.fixture
 def served(tmp_path: Path) -> Iterator[Served]:
-    with patient_page(tmp_path) as one:
-        yield one
+    with patient_page(tmp_path) as page_server:
+        yield page_server
 
 
 @pytest.fixture
@@ -327,8 +327,8 @@ def test_two_tabs_one_flies_and_hands_over_when_asked(served: Served, window: Ta
 
 @pytest.mark.parametrize("fate", ["closed", "crashed", "suspended"][: samples(3, 1)])
 def test_the_pilot_s_tab_is_lost_and_the_board_lands(served: Served, chromium: Browser, fate: str) -> None:
-    with tabs(chromium) as one, tabs(chromium) as other:
-        pilot, watcher = one.open(served.address.page), other.open(served.address.page)
+    with tabs(chromium) as first, tabs(chromium) as other:
+        pilot, watcher = first.open(served.address.page), other.open(served.address.page)
         click(pilot, "#take-off")
         until_state(watcher, "closed loop")
         if fate == "closed":
@@ -365,8 +365,8 @@ def test_a_page_that_hangs_is_there_for_a_moment_and_then_no_more(
     from_s, to_s = from_ms / 1e3, to_ms / 1e3
     early, late = (from_s + 0.3, from_s + 3.0), (from_s + 4.6, to_s)
     # Ten a second; a machine that stalls for a second has sent some of them.
-    assert sum(early[0] < one < early[1] for one in signs_s) >= 3
-    assert not any(late[0] < one < late[1] for one in signs_s)
+    assert sum(early[0] < sign_s < early[1] for sign_s in signs_s) >= 3
+    assert not any(late[0] < sign_s < late[1] for sign_s in signs_s)
 
 
 def test_a_law_is_chosen_its_signal_drawn_and_why_it_was_taken_over_said(
@@ -387,7 +387,7 @@ def test_a_law_is_chosen_its_signal_drawn_and_why_it_was_taken_over_said(
         )
         expect(page.locator("#strips")).to_contain_text("wanted_pitch")
         axe = Axe().run(page).response["violations"]
-        assert not [one["id"] for one in axe if one["impact"] in ("serious", "critical")]
+        assert not [issue["id"] for issue in axe if issue["impact"] in ("serious", "critical")]
         click(page, "#laws >> text=steady")
         expect(page.locator("#said")).to_contain_text("land first")
         click(page, "#laws >> text=board's own")
@@ -479,9 +479,11 @@ def test_everything_has_its_place_and_axe_finds_nothing_serious(
             page.wait_for_timeout(200)
             # Findings of axe depend on text and colours, which are the same at every size.
             if size == WIDE or name == TABS[0] or LONG:
-                found = axe.run(page).response["violations"]
-                serious = [one for one in found if one["impact"] in ("serious", "critical")]
-                assert not serious, [(one["id"], [node["html"] for node in one["nodes"]]) for one in serious]
+                violations = axe.run(page).response["violations"]
+                serious = [issue for issue in violations if issue["impact"] in ("serious", "critical")]
+                assert not serious, [
+                    (issue["id"], [node["html"] for node in issue["nodes"]]) for issue in serious
+                ]
             box = page.locator("#stop").bounding_box()
             assert box is not None
             assert box["x"] >= 0

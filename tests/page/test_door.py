@@ -41,8 +41,8 @@ NOT_FINITE = ("NaN", "Infinity", "-Infinity", "1e999", "9" * 400, "-" + "9" * 40
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    with page_of_a_simulated_board(tmp_path_factory.mktemp("door"), laws=[steady().program]) as one:
-        yield one
+    with page_of_a_simulated_board(tmp_path_factory.mktemp("door"), laws=[steady().program]) as page_server:
+        yield page_server
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def replayed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Address]:
         yield address
 
 
-def until_told_again(page: SocketPage) -> None:
+def until_next_status(page: SocketPage) -> None:
     """Wait for two more statuses: the first may have been on its way."""
     before = sum("status" in words for words in list(page.words))
     page.until(lambda: sum("status" in words for words in list(page.words)) >= before + 2)
@@ -66,14 +66,14 @@ def test_every_action_refuses_what_is_no_finite_number(served: Served) -> None:
             for argument in arguments or ("extra",):
                 for text in NOT_FINITE:
                     page.number += 1
-                    named = "".join(f'"{one}": "kp", ' for one in arguments if one != argument)
+                    named = "".join(f'"{name}": "kp", ' for name in arguments if name != argument)
                     page.socket.send(
                         f'{{"do": "{action}", "id": {page.number}, {named}"{argument}": {text}}}'
                     )
                     error = page.answer(page.number)["error"]
                     assert error.startswith(f"{argument} is ") and error.endswith("not a finite number")
-        until_told_again(page)
-        until_told_again(other)
+        until_next_status(page)
+        until_next_status(other)
     assert not traces(lines)
 
 
@@ -83,7 +83,7 @@ def test_an_id_that_cannot_be_answered_is_refused(served: Served) -> None:
             page.socket.send(f'{{"do": "hold", "id": {number}}}')
         page.until(lambda: sum("error" in words for words in page.words) == len(NOT_FINITE) + 3)
         assert all(words["answer"] is None for words in page.words if "error" in words)
-        until_told_again(page)
+        until_next_status(page)
 
 
 def test_a_program_that_signals_nan_gets_an_error_and_stops_no_page(served: Served) -> None:
@@ -92,14 +92,14 @@ def test_a_program_that_signals_nan_gets_an_error_and_stops_no_page(served: Serv
             with pytest.raises(PageError, match=f"value is {value}, not a finite number; give a finite"):
                 program.signal("my error", value)
         program.signal("my error", 1.0)
-        until_told_again(page)
+        until_next_status(page)
 
 
 def test_a_take_off_to_nowhere_arms_nothing(served: Served) -> None:
     with SocketPage(served.address, PILOT) as page:
         for elevation_deg in (90.0, -90.0, 1e308):
             assert "outside the board's limits" in page.ask("take_off", elevation_deg=elevation_deg)["error"]
-        until_told_again(page)
+        until_next_status(page)
         assert page.state == "idle"
 
 
@@ -123,7 +123,7 @@ def test_a_status_that_cannot_be_written_is_logged_once_and_sent_later(
         monkeypatch.setattr(Cockpit, "status", fails)
         page.until(lambda: len(lines) == 3)
         monkeypatch.setattr(Cockpit, "status", status)
-        until_told_again(page)
+        until_next_status(page)
     assert lines == [
         "page: status holds a number that is not finite; pages get null",
         "page: status cannot be sent: TypeError: Object of type object is not JSON serializable",
@@ -151,7 +151,7 @@ def test_a_client_whose_frames_cannot_be_sent_is_disconnected_and_the_others_go_
         first.until(lambda: first.socket.close_code is not None or second.socket.close_code is not None)
         gone, other = (first, second) if first.socket.close_code is not None else (second, first)
         assert gone.socket.close_code == 1011
-        until_told_again(other)
+        until_next_status(other)
         other.until(lambda: other.known["control"]["clients"] == 1)
     (line,) = lines
     assert line.startswith("page: page ") and line.endswith(" is disconnected: ValueError: a defect")
@@ -160,7 +160,7 @@ def test_a_client_whose_frames_cannot_be_sent_is_disconnected_and_the_others_go_
 def test_frames_carry_the_state_even_without_rows(served: Served) -> None:
     with SocketPage(served.address, PILOT) as page:
         page.until(lambda: bool(page.rows))
-        until_told_again(page)
+        until_next_status(page)
         assert page.rows[-1].state == page.known["status"]["state"] == 0
 
 

@@ -45,21 +45,21 @@ CALLS: dict[str, st.SearchStrategy[dict[str, Any]]] = {
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     with (
-        page_of_a_simulated_board(tmp_path_factory.mktemp("join")) as one,
-        SocketPage(one.address, "pilot") as pilot,
+        page_of_a_simulated_board(tmp_path_factory.mktemp("join")) as page_server,
+        SocketPage(page_server.address, "pilot") as pilot,
     ):
         # Otherwise the program would get control as soon as it asks.
         assert pilot.flies
-        yield one
+        yield page_server
 
 
 @pytest.fixture(scope="module")
 def program(served: Served) -> Iterator[PageClient]:
-    with heli_host.join(served.address.program) as one:
-        yield one
+    with heli_host.join(served.address.program) as client:
+        yield client
 
 
-def one_line(error: HeliError) -> bool:
+def is_one_line(error: HeliError) -> bool:
     return bool(str(error)) and "\n" not in str(error) and len(str(error)) < 1000
 
 
@@ -73,14 +73,15 @@ def test_every_call_with_any_value_is_done_or_an_error_of_one_line(
         try:
             getattr(program, name)(**arguments)
         except HeliError as error:
-            assert one_line(error)
+            assert is_one_line(error)
     assert not traces(lines)
     assert program.ask("mark", text="still here") is not None
 
 
 @settings(max_examples=samples(1000, 60), deadline=None)
 @given(
-    name=st.sampled_from([one for one in ARGUMENTS if one not in ("ask", "take_off")]) | st.text(max_size=20),
+    name=st.sampled_from([action for action in ARGUMENTS if action not in ("ask", "take_off")])
+    | st.text(max_size=20),
     more=st.dictionaries(st.sampled_from(["id", "do", "name", "value", "text", "on"]), VALUES, max_size=4),
 )
 def test_every_request_with_any_argument_is_answered(
@@ -91,7 +92,7 @@ def test_every_request_with_any_argument_is_answered(
     except LinkError as error:
         raise AssertionError(f"{name} {more} was not answered") from error
     except HeliError as error:
-        assert one_line(error)
+        assert is_one_line(error)
 
 
 @settings(max_examples=samples(2000, 100), deadline=None)
@@ -107,7 +108,7 @@ def test_every_request_with_any_argument_is_answered(
 def test_an_address_that_is_none_is_an_error_of_one_line(address: str) -> None:
     with pytest.raises((PortError, LinkError)) as raised:
         heli_host.join(address)
-    assert one_line(raised.value)
+    assert is_one_line(raised.value)
 
 
 def test_a_request_that_json_cannot_hold_is_an_error_of_one_line(program: PageClient) -> None:

@@ -61,6 +61,11 @@ def test_text_inside_of_python_is_read(source: str, tmp_path: Path) -> None:
     assert rules_broken(tmp_path, "host/heli_host/module.py", source) == ["word"]
 
 
+@pytest.mark.parametrize("line", ["# It tells.\nfly:\n", "fly: ## tell where it flies\n\t@tell\n"])
+def test_help_and_comments_of_a_script_are_read(line: str, tmp_path: Path) -> None:
+    assert rules_broken(tmp_path, "Makefile", line) == ["word"]
+
+
 def test_private_docstrings_and_code_are_not_read(tmp_path: Path) -> None:
     source = (
         'def _tell() -> None:\n    """Tell it."""\n\n\ndef fly(tell: bool) -> None:\n    """Fly `tell`."""\n'

@@ -82,8 +82,8 @@ def test_numbers_that_were_hidden_are_found_within_their_tolerances() -> None:
         assert "bench" in number.source
     assert weighed.rig["thrust_gain"].tolerance < 0.02
     # The tests together show more than any single number.
-    assert all(one.off < 0.5 for one in weighed.tested if "thrust" not in one.what)
-    before = {one.what: abs(one.before - one.read) / one.tolerance for one in weighed.tested}
+    assert all(test.off < 0.5 for test in weighed.tested if "thrust" not in test.what)
+    before = {test.what: abs(test.before - test.read) / test.tolerance for test in weighed.tested}
     assert before["elevation of balance"] > 1.0 and before["decrement of pitch"] > 1.0
 
 
@@ -132,13 +132,13 @@ def test_template_is_refused_until_it_is_filled_in(terminal: Terminal) -> None:
 
 def test_template_filled_in_is_read(terminal: Terminal) -> None:
     Path("bench.toml").write_text(filled())
-    told = json.loads(terminal("rig", "weigh", "makki2024", "bench.toml", "--json", "-").out)
-    assert told["numbers"]["thrust_gain"]["unit"] == "N/V"
-    assert {one["what"] for one in told["tests"]} >= {"elevation of balance", "5 swings of pitch"}
+    result = json.loads(terminal("rig", "weigh", "makki2024", "bench.toml", "--json", "-").out)
+    assert result["numbers"]["thrust_gain"]["unit"] == "N/V"
+    assert {test["what"] for test in result["tests"]} >= {"elevation of balance", "5 swings of pitch"}
 
 
 @pytest.mark.parametrize(
-    ("table", "said"),
+    ("table", "message"),
     [
         ("", "no bench test"),
         ("[trust]\n", "unknown bench test [trust]"),
@@ -160,9 +160,9 @@ def test_template_filled_in_is_read(terminal: Terminal) -> None:
         ("[balance", "is not TOML"),
     ],
 )
-def test_tests_that_cannot_be_are_refused_in_one_line(terminal: Terminal, table: str, said: str) -> None:
+def test_tests_that_cannot_be_are_refused_in_one_line(terminal: Terminal, table: str, message: str) -> None:
     Path("bench.toml").write_text(table)
-    assert said in refusal(terminal("rig", "weigh", "makki2024", "bench.toml"), code=2)
+    assert message in refusal(terminal("rig", "weigh", "makki2024", "bench.toml"), code=2)
 
 
 def test_arm_that_does_not_balance_is_said() -> None:

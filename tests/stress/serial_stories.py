@@ -350,12 +350,12 @@ def table(every: list[Lived]) -> list[str]:
     """Return lines about stories: by the kind of trouble, and by what the hosts reported."""
     lines = ["| trouble in a story | stories | untrue or damaged |", "|---|---|---|"]
     for kind in dict.fromkeys(KINDS):
-        with_it = [one for one in every if kind in one.kinds]
-        lines.append(f"| {kind} | {len(with_it)} | {sum(bool(one.complaints) for one in with_it)} |")
+        with_it = [lived for lived in every if kind in lived.kinds]
+        lines.append(f"| {kind} | {len(with_it)} | {sum(bool(lived.complaints) for lived in with_it)} |")
     lines += ["", "| the host reports | stories |", "|---|---|"]
-    said = Counter(re.sub(r"[-0-9.]+", "N", one.outcome)[:110] for one in every)
-    lines += [f"| {outcome} | {count} |" for outcome, count in said.most_common(40)]
-    worst_s = max((one.landed_s for one in every), default=0.0)
+    outcomes = Counter(re.sub(r"[-0-9.]+", "N", lived.outcome)[:110] for lived in every)
+    lines += [f"| {outcome} | {count} |" for outcome, count in outcomes.most_common(40)]
+    worst_s = max((lived.landed_s for lived in every), default=0.0)
     lines += [
         "",
         f"motors off at most {worst_s:.2f} s after the newest setpoint, where the board landed by itself",
@@ -389,7 +389,7 @@ def main(words: list[str] | None = None) -> int:
             with options.lines.open("a") as file:
                 file.write(json.dumps(asdict(lived)) + "\n")
     print("\n".join(table(every)))
-    bad = sum(bool(one.complaints) for one in every)
+    bad = sum(bool(lived.complaints) for lived in every)
     print(f"{len(every)} stories from number {options.first} on, {bad} with complaints")
     return int(bad > 0)
 

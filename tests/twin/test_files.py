@@ -55,7 +55,7 @@ def test_a_rig_alone_has_the_default_disturbances() -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [
         ("fast_std_Nm = [", "fast_std_Nm = [-", "disturbances.fast_std"),
         ("level_nats = 5", "level_nats = nan", "tail.level_nats"),
@@ -69,17 +69,17 @@ def test_a_rig_alone_has_the_default_disturbances() -> None:
         ("low_V = [1.5, -0.5]", "low_V = [1.5]", "parameters.low_V"),
     ],
 )
-def test_a_mistake_in_a_file_is_reported(tmp_path: Path, old: str, new: str, told: str) -> None:
+def test_a_mistake_in_a_file_is_reported(tmp_path: Path, old: str, new: str, message: str) -> None:
     path = tmp_path / "wrong.toml"
     write_calibration(path, CALIBRATION, "makki2024")
     path.write_text(path.read_text().replace(old, new))
-    with pytest.raises(HeliError, match=told) as error:
+    with pytest.raises(HeliError, match=message) as error:
         open_rig(str(path))
     assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         ("twin", "no flight is given; give one"),
         ("twin nowhere.mcap", "nowhere.mcap"),
@@ -97,11 +97,11 @@ def test_a_mistake_in_a_file_is_reported(tmp_path: Path, old: str, new: str, tol
     ],
 )
 def test_words_that_cannot_be_are_refused_in_one_line(
-    words: str, told: str, capsys: pytest.CaptureFixture[str]
+    words: str, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(words.split()) != 0
     shown = capsys.readouterr()
-    assert told in " ".join((shown.out + shown.err).split())
+    assert message in " ".join((shown.out + shown.err).split())
     # Before any board is opened.
     assert "firmware 0" not in shown.out + shown.err
     assert "Traceback" not in shown.err
@@ -118,8 +118,8 @@ def test_learning_from_a_healthy_flight_writes_a_file_that_the_twin_takes(
     monkeypatch.setattr(learn, "evidence", lambda *_: Followed(evidence, np.ones((1500, 3)), ()))
     monkeypatch.setattr(learn, "drawn_evidence", lambda *_: 12 * [evidence])
     assert run(["twin", "--rig", "makki2024", "--nominal", str(flown), "--learn", str(file)]) == 0
-    told = capsys.readouterr().out
-    assert f"files: {file}" in told and "almost no disturbances" in told
+    printed = capsys.readouterr().out
+    assert f"files: {file}" in printed and "almost no disturbances" in printed
     learned = open_rig(str(file))
     assert learned.rig.name == "makki2024"
     assert run(["twin", str(flown), "--rig", "quanser-course", "--to", "9"]) == 0
@@ -127,7 +127,7 @@ def test_learning_from_a_healthy_flight_writes_a_file_that_the_twin_takes(
     assert learned.calibration.source == "monday.mcap"
     # A minute of flight supports one false alarm in two hours.
     assert learned.calibration.tail.healthy_s == pytest.approx(60.0)
-    assert "one false alarm in 2 h in the air at best" in told
+    assert "one false alarm in 2 h in the air at best" in printed
     # Estimated disturbances of a flight without any are almost zero.
     fast_std_Nm = learned.calibration.disturbances.fast_std
     assert np.any(fast_std_Nm < DEFAULT_CALIBRATION.disturbances.fast_std)

@@ -292,7 +292,7 @@ def fly_plans(
     if watch is not None:
         lines.append(f"twin: {watch.words()}")
     if truth is not None:
-        lines += [f"sealed: {truth.digest}", f"truth, not for those who search: {key}"]
+        lines += [f"sealed: {truth.digest}", f"truth (keep it, share only the other files): {key}"]
     return FlownFlight(summary, log, tuple(lines), json, figure)
 
 

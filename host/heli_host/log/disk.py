@@ -431,14 +431,15 @@ def check_free_space(path: Path, duration_s: float) -> None:
     left = free_bytes(path.parent)
     if left is not None and left < needed:
         raise LogWriteError(
-            f"the disk of the log {path} has {_megabytes(left)} left, the flight can need "
+            f"the disk of the log {path} has {_megabytes(left)} left, but the flight can need "
             f"{_megabytes(needed)}",
             "free disk space, or choose another disk with --log",
         )
     most = most_file_bytes()
     if most is not None and most < needed:
         raise LogWriteError(
-            f"this system allows a file {_megabytes(most)}, the log {path} can need {_megabytes(needed)}",
+            f"this system allows files of {_megabytes(most)}, but the log {path} can need "
+            f"{_megabytes(needed)}",
             "raise the limit (ulimit -f), or fly for a shorter time",
         )
 

@@ -287,8 +287,8 @@ def _near_table(flight: Flight, rig: Rig, step_s: float) -> Booleans:
 
 
 def _last_descent(flight: Flight, near_table: Booleans, step_s: float) -> Booleans:
-    """Rows of the descent at the end of a flight whose voltages were taken back, whether or not the log goes
-    on until the table.
+    """Rows of the descent at the end of a flight whose voltages were reduced, whether or not the log
+    continues to the table.
     """
     descent = np.zeros(len(flight), bool)
     flying = ~near_table
@@ -297,14 +297,14 @@ def _last_descent(flight: Flight, near_table: Booleans, step_s: float) -> Boolea
         return descent
     total_V = flight.front_V + flight.back_V
     smooth_V = np.convolve(total_V, np.ones(tail) / tail, mode="same")
-    usual_V = float(np.median(total_V[flying]))
+    typical_V = float(np.median(total_V[flying]))
     below_rad = float(np.median(flight.elevation_rad[flying])) - math.radians(thresholds.LANDING_DEG)
     if (
-        float(total_V[-tail:].mean()) > thresholds.TAKEN_BACK * usual_V
+        float(total_V[-tail:].mean()) > thresholds.LANDING_VOLTAGE_SHARE * typical_V
         or flight.elevation_rad[-1] > below_rad
     ):
         return descent
-    held = np.flatnonzero(smooth_V >= thresholds.TAKEN_BACK_FROM * usual_V)
+    held = np.flatnonzero(smooth_V >= thresholds.DESCENT_VOLTAGE_SHARE * typical_V)
     above = np.flatnonzero(flight.elevation_rad > below_rad)
     if held.size and above.size:
         # A gust of voltage on the way down does not make it a flight again.

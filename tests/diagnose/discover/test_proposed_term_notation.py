@@ -27,12 +27,12 @@ from hypothesis import strategies as st
 SPANS = dict.fromkeys(SYMBOLS, (-1.0, 1.2))
 EVERY = groups(SPANS)
 FIRST_OF_FORM = {
-    factor.form: one for one in reversed(EVERY) for term in one.terms for factor in term.term.factors
+    factor.form: group for group in reversed(EVERY) for term in group.terms for factor in term.term.factors
 }
 OF_EACH_SORT = (
     *EVERY[::97],
     *FIRST_OF_FORM.values(),
-    *(one for one in EVERY if any(f.memory for term in one.terms for f in term.term.factors)),
+    *(group for group in EVERY if any(f.memory for term in group.terms for f in term.term.factors)),
 )[:76]
 
 
@@ -74,9 +74,9 @@ def test_every_function_is_tried() -> None:
 
 
 def test_thousands_of_terms_are_tried_on_every_kind_of_channel_and_none_twice() -> None:
-    keys = [one.key for one in EVERY]
+    keys = [group.key for group in EVERY]
     assert len(keys) == len(set(keys)) > 2000
-    assert {one.terms[0].channel.partition(".")[0] for one in EVERY} == {
+    assert {group.terms[0].channel.partition(".")[0] for group in EVERY} == {
         "torque",
         "thrust",
         "voltage",
@@ -85,7 +85,7 @@ def test_thousands_of_terms_are_tried_on_every_kind_of_channel_and_none_twice() 
     counts = tried_up_to(EVERY)
     assert list(counts.values()) == sorted(counts.values())
     assert max(counts.values()) == len(EVERY)
-    assert all(len(one.terms) <= 2 and len(one.terms[0].term.factors) <= 3 for one in EVERY)
+    assert all(len(group.terms) <= 2 and len(group.terms[0].term.factors) <= 3 for group in EVERY)
 
 
 @pytest.mark.medium
@@ -105,12 +105,12 @@ def test_what_sympy_reads_is_what_is_computed_along_a_flight() -> None:
         local = {**names, "lag": lambda x, _s: x, "washout": lambda _x, _s: sympy.Integer(0)}
         read = sympy.sympify(expression(equation, channel), locals=local).subs({**values, **known})
         wanted = 0.0
-        for one in equation.terms:
-            term = 0.7
-            for factor in one.term.factors:
+        for term in equation.terms:
+            value = 0.7
+            for factor in term.term.factors:
                 still = 0.0 if factor.memory == "washout" else values[factor.quantity]
-                term *= float(factor.value(np, still))
-            wanted += term
+                value *= float(factor.value(np, still))
+            wanted += value
         assert float(read) == pytest.approx(wanted, rel=1e-9, abs=1e-12), group.key
 
 
@@ -139,8 +139,8 @@ def test_what_the_written_file_flies_is_what_was_fitted(number: int, tmp_path: P
         p = [values.get(q.name, rig[q.name].value if q.name in rig else 0.1) for q in model.parameters]
         x, u = ca.SX(state_of(len(model.states), 3)), ca.SX([2.1, 2.4])
         both = (model.dynamics, model.measurement)
-        values_there = [ca.evalf(one(x, u, ca.SX(p), ca.SX(1.5))) for one in both]
-        results.append(np.concatenate([np.asarray(one).ravel() for one in values_there]))
+        values_there = [ca.evalf(function(x, u, ca.SX(p), ca.SX(1.5))) for function in both]
+        results.append(np.concatenate([np.asarray(value).ravel() for value in values_there]))
     np.testing.assert_allclose(results[0], results[1], rtol=1e-6, atol=1e-9)
     assert issubclass(type(lag.make()), RotorLag)
 

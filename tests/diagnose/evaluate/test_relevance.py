@@ -23,33 +23,36 @@ _NO_REFIT: Any = SimpleNamespace()
 
 
 def test_lag_changes_the_prediction_by_many_counts() -> None:
-    found = diagnosed("rotor_lag=0.06")
-    before, after = found.assessment.before, found.assessment.after
-    changes = prediction_changes(_NO_REFIT, found.search, found.assessment.extended, before, after)
+    diagnosis = diagnosed("rotor_lag=0.06")
+    before, after = diagnosis.assessment.before, diagnosis.assessment.after
+    changes = prediction_changes(_NO_REFIT, diagnosis.search, diagnosis.assessment.extended, before, after)
     assert changes.keys() == {"rotor_lag"}
     # As much as the baseline's error: 11 standard deviations of the quantisation and more, on pitch.
     assert changes["rotor_lag"] == pytest.approx(before.train.axes[1] / 12.0**0.5, rel=0.1)
     # A model compared with itself changes nothing.
-    same = prediction_changes(_NO_REFIT, found.search, found.assessment.extended, after, after)
+    same = prediction_changes(_NO_REFIT, diagnosis.search, diagnosis.assessment.extended, after, after)
     assert same == {"rotor_lag": 0.0}
 
 
 def test_every_significant_cause_matters_under_disturbances() -> None:
-    found = diagnosed("rotor_lag=0.06")
-    before, after = found.assessment.before, found.assessment.after
+    diagnosis = diagnosed("rotor_lag=0.06")
+    before, after = diagnosis.assessment.before, diagnosis.assessment.after
     disturbed = replace(after, train=replace(after.train, total=1.01 * DISTURBED_STD))
-    assert prediction_changes(_NO_REFIT, found.search, found.assessment.extended, before, disturbed) == {}
+    assert (
+        prediction_changes(_NO_REFIT, diagnosis.search, diagnosis.assessment.extended, before, disturbed)
+        == {}
+    )
 
 
 def test_effect_that_is_too_small_is_listed_and_is_no_cause() -> None:
-    found = diagnosed("rotor_lag=0.06")
-    assert found.verdict.small == ()
-    after, kinds = found.assessment.after, found.kinds
-    small = small_effects(found.search, {"rotor_lag": 0.11}, kinds, after.fit)
-    verdict = judge(found.search, found.assessment.residual_analysis, after, kinds, False, small)
+    diagnosis = diagnosed("rotor_lag=0.06")
+    assert diagnosis.verdict.small == ()
+    after, kinds = diagnosis.assessment.after, diagnosis.kinds
+    small = small_effects(diagnosis.search, {"rotor_lag": 0.11}, kinds, after.fit)
+    verdict = judge(diagnosis.search, diagnosis.assessment.residual_analysis, after, kinds, False, small)
     assert verdict.label == "explained"
     assert verdict.causes == ()
-    minor = replace(found, assessment=replace(found.assessment, verdict=verdict))
+    minor = replace(diagnosis, assessment=replace(diagnosis.assessment, verdict=verdict))
     numbers = to_json(minor)
     conforms(numbers)
     assert numbers["causes"] == []

@@ -27,12 +27,12 @@ pytestmark = pytest.mark.diagnosis
 
 
 def judged(
-    monkeypatch: pytest.MonkeyPatch, found: Diagnosis, nats: float, worst: tuple[float, float]
+    monkeypatch: pytest.MonkeyPatch, diagnosis: Diagnosis, nats: float, worst: tuple[float, float]
 ) -> Replication:
     """Judge a lag again whose reverse direction has this log-likelihood ratio and interval of pitch."""
     records = (
-        found.assessment.after.fit.problem.records,
-        found.held_out.extension.after[0].fit.problem.records,
+        diagnosis.assessment.after.fit.problem.records,
+        diagnosis.held_out.extension.after[0].fit.problem.records,
     )
     comparison: Any = SimpleNamespace(
         train=records[0],
@@ -41,8 +41,8 @@ def judged(
         held_out_estimate=lambda _final: None,
         exchanged=lambda: None,
     )
-    final = found.search.final
-    back = Direction(comparison, found.search.baseline, final, {"rotor_lag": nats})
+    final = diagnosis.search.final
+    back = Direction(comparison, diagnosis.search.baseline, final, {"rotor_lag": nats})
     monkeypatch.setattr(replication, "direction", lambda *_: back)
 
     def reductions(_judge: object, _ids: object, reverse: bool) -> dict[str, ErrorReduction]:
@@ -50,21 +50,21 @@ def judged(
         return {"pitch": ErrorReduction(1.0, ratio, worst if reverse else (0.05, 0.2))}
 
     monkeypatch.setattr(replication._Judge, "reductions", reductions)
-    return replicate(comparison, found.search, found.assessment, found.held_out)
+    return replicate(comparison, diagnosis.search, diagnosis.assessment, diagnosis.held_out)
 
 
 def test_lag_that_both_flights_show_is_confirmed_and_in_the_rig() -> None:
-    found = diagnosed("rotor_lag=0.06")
-    cause = found.replication.causes["rotor_lag"]
+    diagnosis = diagnosed("rotor_lag=0.06")
+    cause = diagnosis.replication.causes["rotor_lag"]
     assert cause.confirmed
     assert cause.forward is not None and cause.reverse is not None
     # The flights are alike but for their length, and so is the evidence.
     assert cause.reverse == pytest.approx(cause.forward, rel=0.6)
     assert min(cause.forward, cause.reverse) > 20.0
-    assert found.replication.worse == ()
-    assert found.replication.model is found.assessment.extended
-    assert "rotor_lag" in found.rig("extended").effects
-    assert to_json(found)["causes"][0]["confirmed"] is True
+    assert diagnosis.replication.worse == ()
+    assert diagnosis.replication.model is diagnosis.assessment.extended
+    assert "rotor_lag" in diagnosis.rig("extended").effects
+    assert to_json(diagnosis)["causes"][0]["confirmed"] is True
 
 
 @pytest.mark.parametrize(
@@ -78,8 +78,8 @@ def test_lag_that_both_flights_show_is_confirmed_and_in_the_rig() -> None:
 def test_cause_that_fails_in_reverse_enters_the_rig_on_request_only(
     monkeypatch: pytest.MonkeyPatch, nats: float, interval: tuple[float, float], why: str
 ) -> None:
-    found = diagnosed("rotor_lag=0.06")
-    refuted = replace(found, replication=judged(monkeypatch, found, nats, interval))
+    diagnosis = diagnosed("rotor_lag=0.06")
+    refuted = replace(diagnosis, replication=judged(monkeypatch, diagnosis, nats, interval))
     assert not refuted.replication.causes["rotor_lag"].confirmed
     assert refuted.rig("extended").effects == {}
     assert "rotor_lag" in refuted.rig("extended", with_unconfirmed=True).effects
@@ -88,21 +88,21 @@ def test_cause_that_fails_in_reverse_enters_the_rig_on_request_only(
     (cause,) = to_json(refuted)["causes"]
     assert cause["confirmed"] is False
     assert why in cause["replication"]["why_not"]
-    said = "\n".join(lines(refuted))
-    assert f"not confirmed: {cause['replication']['why_not']}" in said
+    printed = "\n".join(lines(refuted))
+    assert f"not confirmed: {cause['replication']['why_not']}" in printed
     # Name and verdict stay; the confidence is lower, and the same on the terminal and in the JSON.
-    assert (refuted.label, cause["effect"]) == (found.label, found.verdict.causes[0].effect)
-    lowered = unconfirmed_confidence(found.verdict.causes[0].confidence)
-    assert cause["confidence"] == round(lowered, 3) < found.verdict.causes[0].confidence
-    assert f"(confidence {cause['confidence']:.2f}; not confirmed" in said
-    assert ("predicts pitch of" in said) == (interval[0] > 1.0)
+    assert (refuted.label, cause["effect"]) == (diagnosis.label, diagnosis.verdict.causes[0].effect)
+    lowered = unconfirmed_confidence(diagnosis.verdict.causes[0].confidence)
+    assert cause["confidence"] == round(lowered, 3) < diagnosis.verdict.causes[0].confidence
+    assert f"(confidence {cause['confidence']:.2f}; not confirmed" in printed
+    assert ("predicts pitch of" in printed) == (interval[0] > 1.0)
 
 
 def test_worse_prediction_within_its_interval_does_not_refute_a_cause(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    found = diagnosed("rotor_lag=0.06")
-    assert judged(monkeypatch, found, 50.0, (0.9, 1.5)).causes["rotor_lag"].confirmed
+    diagnosis = diagnosed("rotor_lag=0.06")
+    assert judged(monkeypatch, diagnosis, 50.0, (0.9, 1.5)).causes["rotor_lag"].confirmed
 
 
 def test_flight_is_divided_into_two_folds_of_the_same_length() -> None:
@@ -116,8 +116,8 @@ def test_flight_is_divided_into_two_folds_of_the_same_length() -> None:
 
 
 def test_voltages_that_were_not_fitted_mark_the_prediction() -> None:
-    found = diagnosed("rotor_lag=0.06")
-    runs = found.held_out.extension.after
+    diagnosis = diagnosed("rotor_lag=0.06")
+    runs = diagnosis.held_out.extension.after
     (record,) = runs[0].fit.problem.records
     (same,) = extrapolations([record], runs)
     assert same.spans_s == ()

@@ -42,9 +42,9 @@ def test_a_step_hidden_by_disturbances_is_scored_where_the_torque_jumps() -> Non
     base = ModelComparison(MultibodyModel(), rig, [record], []).refit([])
     slow = base.estimate.disturbances
     assert slow.slow_std[0] > 0.01 or slow.fast_std[0] > 0.01
-    (found,) = Screening(base.estimate).effects([KINDS["counterweight_shift"]])
-    assert found.candidate.grid["counterweight_shift_at_s"] == pytest.approx(MOMENT_s, abs=0.3)
-    assert found.log_likelihood_gain > 30.0
+    (score,) = Screening(base.estimate).effects([KINDS["counterweight_shift"]])
+    assert score.candidate.grid["counterweight_shift_at_s"] == pytest.approx(MOMENT_s, abs=0.3)
+    assert score.log_likelihood_gain > 30.0
 
 
 def hypothesis(candidates: list[Candidate]) -> Hypothesis:
@@ -53,8 +53,8 @@ def hypothesis(candidates: list[Candidate]) -> Hypothesis:
         Hypothesis,
         SimpleNamespace(
             candidates=tuple(candidates),
-            ids=tuple(one.id for one in candidates),
-            values={one.id: float(n) for n, one in enumerate(candidates)},
+            ids=tuple(candidate.id for candidate in candidates),
+            values={candidate.id: float(n) for n, candidate in enumerate(candidates)},
         ),
     )
 
@@ -68,7 +68,7 @@ def test_effects_come_back_if_held_out_flights_contradict_a_spline() -> None:
     asked: list[list[str]] = []
 
     def refit(candidates: list[Candidate], start: dict[str, float], warm_start: Hypothesis) -> Hypothesis:
-        asked.append([one.id for one in candidates])
+        asked.append([candidate.id for candidate in candidates])
         assert start.keys() >= {second.id}
         return hypothesis(candidates)
 
@@ -84,13 +84,13 @@ def test_effects_come_back_if_held_out_flights_contradict_a_spline() -> None:
     acceptance = cast(Acceptance, SimpleNamespace(accepts=lambda candidate: candidate is listed, kinds=KINDS))
     backward = BackwardElimination(comparison, acceptance, cast(Progress, None), bases[0], rounds)
     final, less = hypothesis([first, spline]), hypothesis([first])
-    found = backward.restore_displaced(final, spline.id, less)
+    restored = backward.restore_displaced(final, spline.id, less)
     assert asked == [[first.id, second.id, third.id]]
-    assert found.ids == (first.id, second.id, third.id)
+    assert restored.ids == (first.id, second.id, third.id)
     # A cause that is no spline is dropped, and nothing comes in its place.
     assert backward.restore_displaced(final, first.id, hypothesis([spline])).ids == (spline.id,)
     assert len(asked) == 1
-    assert np.isfinite(list(found.values.values())).all()
+    assert np.isfinite(list(restored.values.values())).all()
 
 
 def test_grid_parameter_is_refitted_on_both_sides_of_the_best_score() -> None:
@@ -101,9 +101,9 @@ def test_grid_parameter_is_refitted_on_both_sides_of_the_best_score() -> None:
 
     def refit(candidates: list[Candidate], start: dict[str, float], warm_start: Hypothesis) -> Hypothesis:
         asked.append(candidates[-1].effect.values[order])
-        found = hypothesis(candidates)
-        found.log_likelihood = gain[asked[-1]]  # type: ignore[misc]
-        return found
+        refitted = hypothesis(candidates)
+        refitted.log_likelihood = gain[asked[-1]]  # type: ignore[misc]
+        return refitted
 
     second = Candidate(kind.id, kind.make({order: 2.0}), kind.size, {order: 2.0})
     comparison = cast(ModelComparison, SimpleNamespace(refit=refit))
@@ -111,7 +111,7 @@ def test_grid_parameter_is_refitted_on_both_sides_of_the_best_score() -> None:
     base = hypothesis([])
     base.log_likelihood = 0.0  # type: ignore[misc]
     scored = Scored(second, 48.0, np.full(2, 0.01), np.ones(2), 2)
-    found = refit_on_grid(comparison, acceptance, base, scored)
+    best = refit_on_grid(comparison, acceptance, base, scored)
     assert asked == [2.0, 1.0]
-    assert found.candidate.effect.values[order] == 1.0
-    assert found.gain == 182.0
+    assert best.candidate.effect.values[order] == 1.0
+    assert best.gain == 182.0

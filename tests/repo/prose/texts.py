@@ -1,4 +1,4 @@
-"""Where people read text of this project, and the text itself: documents, docstrings, help and messages."""
+"""Where people read text of this project, and the text itself: documents, docstrings, help, messages."""
 
 from __future__ import annotations
 
@@ -78,6 +78,8 @@ def sources(root: Path) -> list[Path]:
             "*.md",
             "docs/course/*.py",
             "firmware/link.toml",
+            "Makefile",
+            ".ci/*",
             *SOURCES,
         ],
         cwd=root,
@@ -103,6 +105,8 @@ def texts_of(path: Path, root: Path) -> Iterator[Text]:
         yield from _meanings(source, name)
     elif name.startswith("docs/course/"):
         yield from _notebook(source, name)
+    elif path.suffix != ".py":
+        yield from _script(source, name)
     elif name.startswith("tests/"):
         yield from _tests(source, name)
     else:
@@ -125,6 +129,22 @@ def _tests(source: str, name: str) -> Iterator[Text]:
         elif token.type not in (tokenize.NL, tokenize.NEWLINE) and comment:
             yield Text(name, token.start[0], "test", True, _without_code(" ".join(comment)))
             comment = []
+
+
+def _script(source: str, name: str) -> Iterator[Text]:
+    """Comments of a shell script, and the help of a Makefile's targets."""
+    comment: list[str] = []
+    for number, line in enumerate([*source.splitlines(), ""], start=1):
+        if line.startswith("#") and not line.startswith("#!"):
+            # A line that is indented after its # shows a command.
+            if not line.startswith("#  "):
+                comment.append(line.lstrip("# "))
+            continue
+        if comment:
+            yield Text(name, number - 1, "help", True, _without_code(" ".join(comment)))
+            comment = []
+        if target := re.match(r"\w+:.*?## (.*)", line):
+            yield Text(name, number, "help", True, target[1])
 
 
 def _plain(inline: Token) -> str:

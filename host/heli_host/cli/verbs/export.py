@@ -103,7 +103,7 @@ def _blind(flight: Flight, log: Path) -> Flight:
     if truth is None:
         return blind(flight, flight.meta[SEALED])
     truth.write(truth_path(log))
-    say_error(f"sealed: {truth.digest}", f"truth, not for those who search: {truth_path(log)}")
+    say_error(f"sealed: {truth.digest}", f"truth (keep it, share only the other files): {truth_path(log)}")
     return blind(flight, truth.digest)
 
 

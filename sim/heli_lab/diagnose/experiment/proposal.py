@@ -71,8 +71,8 @@ def _wider_range(search: Search, assessment: Assessment) -> ExperimentDesign:
         f"{curve.on} only from {curve.quantity[0]:.3g} to {curve.quantity[-1]:.3g} {curve.quantity_unit}"
         for curve in curves
     )
-    reason = "What is missing should be seen over a wider range"
-    return compose_experiment(f"{reason}: these flights have {covered}." if covered else f"{reason}.", parts)
+    limit = f"These flights cover {covered}. " if covered else ""
+    return compose_experiment(f"{limit}A wider range would show more of the missing term.", parts)
 
 
 def _closest_pair(comparison: ModelComparison, search: Search, assessment: Assessment) -> Pair | None:

@@ -61,8 +61,8 @@ def extrapolation_sentence(flight: Extrapolation) -> str:
     """Describe the windows of a `flight` in which the model extrapolates, without a full stop."""
     ranges = ", ".join(f"{rotor} {low:.1f} to {high:.1f} V" for rotor, (low, high) in flight.ranges_V.items())
     return (
-        f"{len(flight.spans_s)} of {flight.windows} windows of {flight.label} have voltages outside of those "
-        f"that were fitted ({ranges}): predictions there are extrapolations"
+        f"in {len(flight.spans_s)} of {flight.windows} windows of {flight.label}, the prediction "
+        f"extrapolates: a voltage is outside the fitted range ({ranges})"
     )
 
 

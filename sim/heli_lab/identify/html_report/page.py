@@ -14,7 +14,7 @@ from heli_lab.identify.html_report.figures import (
     identification_figure,
 )
 from heli_lab.identify.results import Check, Identification, rounded
-from heli_lab.identify.thresholds import NOTHING_LEFT
+from heli_lab.identify.thresholds import QUANTISATION_ONLY
 from heli_lab.page import folder_with, write_page
 from heli_lab.page.drawing import Drawing
 
@@ -66,7 +66,7 @@ def verdict(identification: Identification) -> str:
     where = "flights that it never saw" if held_out else "the flights that it was fitted to"
     window_s = identification.fit.problem.grids.window_s
     errors = ", ".join(f"{axis} {numbers['free_run_rms_deg'][axis]:.3g}" for axis in AXES)
-    if judged <= NOTHING_LEFT:
+    if judged <= QUANTISATION_ONLY:
         first = f"Nothing but the encoders' quantisation is left on {where}: normalised error {judged:.3f}."
     else:
         first = (

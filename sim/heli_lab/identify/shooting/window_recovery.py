@@ -15,8 +15,8 @@ def recover_windows(cost: ShootingCost, iterate: Iterate, before: Iterate) -> No
     for index in range(len(iterate.evaluations)):
         old, new = cost.window_cost(before, index), cost.window_cost(iterate, index)
         with np.errstate(invalid="ignore"):
-            lost = (new > thresholds.LEFT_BEHIND * old) & (
-                new - old > thresholds.LEFT_BEHIND_SHARE * before.cost
+            lost = (new > thresholds.DIVERGED_FACTOR * old) & (
+                new - old > thresholds.DIVERGED_SHARE * before.cost
             )
         if lost.any():
             refine_states(cost, iterate, index, np.flatnonzero(lost), before=before.states[index], most=4)
