@@ -69,10 +69,14 @@ def file_remedy(error: OSError) -> str:
         return "check the path"
     if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
         return "change its permissions, or choose another path"
-    if error.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", None), errno.EFBIG):
+    if error.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", None)):
         return "free disk space, or choose another disk"
-    if error.errno in (errno.EISDIR, errno.ENOTDIR, errno.EEXIST):
+    if error.errno == errno.EFBIG:
+        return "give a smaller file, or choose another disk"
+    if error.errno == errno.EISDIR:
         return "give the path of a file"
+    if error.errno in (errno.ENOTDIR, errno.EEXIST):
+        return "choose another path, because a file has the name of a folder in this one"
     return "check that the path names a readable file on a working disk"
 
 

@@ -99,6 +99,11 @@ class FoxgloveFeed:
             heli.session.subscribe_events(self._take_event),
         )
 
+    @property
+    def server_pid(self) -> int:
+        """Process number of the server."""
+        return self._server.pid
+
     def close(self) -> None:
         """Publish what has arrived, then disconnect all viewers."""
         for unsubscribe in self._unsubscribe:

@@ -12,6 +12,7 @@ from tests.bench import (
     decoding,
     diagnosis,
     due,
+    foxglove,
     identification,
     line,
     many_flights,
@@ -95,6 +96,13 @@ PARTS = (
     Part("reading", "reading a ten-minute log", 10, lambda _: reading.measure()),
     Part("recording", "recording in real time", 85, lambda _: recording.measure()),
     Part("page", "stopping from the live page, and what it costs", 150, lambda _: page.measure()),
+    Part(
+        "foxglove",
+        "stopping while a viewer takes every tick, and what the viewer costs",
+        300,
+        lambda _: foxglove.measure(),
+        module("foxglove"),
+    ),
     Part(
         "due",
         "counting instructions of the Due's firmware",

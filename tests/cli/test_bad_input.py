@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from heli_host.errors import file_remedy
 from heli_host.log.records import McapBytes
+from heli_sim.rig import load_rig, write_rig
 from serial.tools import list_ports
 
 from tests.cli.terminal import Terminal, refusal
@@ -218,6 +219,30 @@ def test_export_does_not_write_one_format_under_the_ending_of_another(
     assert table.read_text() == "kept"
 
 
+def test_export_names_a_folder_in_the_place_of_its_file(terminal: Terminal, tmp_path: Path) -> None:
+    terminal("record", *SIL, "--duration", "0.2", "-o", "a.mcap")
+    line = refusal(terminal("export", "a.mcap", "--csv", "-o", tmp_path), code=ASKED)
+    assert "it is a folder; give another file" in line
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("rig", "to-board", "mine.toml", "mine.toml"),
+        ("params", "dump", "mine.toml", *SIL[:1]),
+        ("tune", "--rig", "mine.toml", "--save-params", "mine.toml"),
+        ("calibrate", *SIL[:1], "--save-params", "mine.toml"),
+    ],
+    ids=["to-board", "dump", "tune", "calibrate"],
+)
+def test_parameters_never_replace_a_rig(terminal: Terminal, words: tuple[str, ...]) -> None:
+    write_rig(load_rig("makki2024"), Path("mine.toml"))
+    before = Path("mine.toml").read_bytes()
+    line = refusal(terminal(*words), code=ASKED)
+    assert "mine.toml exists and holds no parameters; give another file" in line
+    assert Path("mine.toml").read_bytes() == before
+
+
 def test_sil_wants_one_endpoint(terminal: Terminal, tmp_path: Path) -> None:
     refusal(terminal("sil"), code=ASKED)
     refusal(terminal("sil", "--pty", tmp_path / "due", "--tcp", "127.0.0.1:5000"), code=ASKED)
@@ -258,7 +283,10 @@ def test_a_used_port_asks_for_another_port(terminal: Terminal) -> None:
         (errno.ENOENT, "check the path"),
         (errno.EACCES, "change its permissions"),
         (errno.ENOSPC, "free disk space"),
+        (errno.EFBIG, "give a smaller file"),
         (errno.EISDIR, "give the path of a file"),
+        (errno.ENOTDIR, "a file has the name of a folder"),
+        (errno.EEXIST, "a file has the name of a folder"),
     ],
 )
 def test_the_remedy_of_a_file_follows_from_the_reason(number: int, remedy: str) -> None:

@@ -344,9 +344,7 @@ def test_a_host_suspended_between_arming_and_control_reports_the_boards_reason(t
         heli.arm = arm_then_nothing  # type: ignore[method-assign]
 
     summary, _, _ = flown(tmp_path / "a.mcap", prepare=suspended)
-    assert summary.outcome.startswith(
-        "aborted: the board went to state idle (state idle, because of stale_land"
-    )
+    assert summary.outcome.startswith("aborted: the board went to state idle, because of stale_land")
 
 
 def test_a_landing_whose_event_is_lost_is_not_said_to_come_from_its_touchdown(tmp_path: Path) -> None:

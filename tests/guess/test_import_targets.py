@@ -19,6 +19,20 @@ def test_files_of_one_name_are_named_by_their_folders_too() -> None:
     assert output_names(paths) == ["a-x", "b-x", "u"]
 
 
+@pytest.mark.parametrize(
+    ("paths", "reason"),
+    [
+        (("a/x.mat", "a/../a/x.mat"), "is given twice"),
+        (("a/x.mat", "a/x.csv"), "would both be written to a-x.csv"),
+        (("a/b/x.mat", "c/b/x.mat"), "would both be written to b-x.csv"),
+    ],
+)
+def test_no_flight_of_one_import_replaces_another(paths: tuple[str, str], reason: str) -> None:
+    with pytest.raises(FlightDataError, match=reason) as refused:
+        output_names([Path(path) for path in paths])
+    assert refused.value.remedy
+
+
 def test_a_flight_of_another_source_is_not_replaced(tmp_path: Path) -> None:
     for name, content in (("a", "1"), ("b", "2")):
         (tmp_path / name).mkdir()

@@ -5,6 +5,7 @@ The class of 180 is ``python -m tests.law.class_of_thirty``.
 
 from __future__ import annotations
 
+import csv
 import io
 import math
 from collections.abc import Sequence
@@ -17,7 +18,7 @@ import pytest
 from heli_host.cli import run
 from heli_host.errors import HeliError
 from heli_lab.classroom.grade import FlightScore
-from heli_lab.classroom.mark import mark_of, points_of
+from heli_lab.classroom.mark import WEIGHTS, mark_of, points_of
 from heli_lab.classroom.submission import MARKED, new_rig_log, read_submission, returned_files
 from heli_lab.law.limits import FileLimits
 
@@ -56,7 +57,11 @@ def test_each_submission_is_answered_and_marked_the_same_again(tmp_path: Path, i
     names = {file.name for file in (student / MARKED).iterdir()}
     assert names == {"mark.json", "flight.mcap", "figure.png", "rig.mcap", "rig.png"}
     lines = (folder / "marks.csv").read_text().splitlines()
-    assert len(lines) == 5 and lines[0] == "submission,points,of,reason,rig"
+    head = "submission,points,of,rms_deg,settling_s,overshoot_percent,effort_V,reason,rig"
+    assert len(lines) == 5 and lines[0] == head
+    (row,) = [row for row in csv.DictReader(lines) if row["submission"] == student.name]
+    parts = [float(row[name]) for name in WEIGHTS if row[name]]
+    assert parts and sum(parts) == pytest.approx(float(row["points"]), abs=0.1)
 
 
 def test_a_flight_on_the_rig_is_kept_when_a_submission_is_marked_again(tmp_path: Path) -> None:
@@ -107,6 +112,32 @@ def test_motors_that_do_nothing_earn_nothing() -> None:
     assert points_of(lazy, REFERENCE) == 0.0
     without = FlightScore(math.nan, math.nan, math.nan, math.nan, 0.001)
     assert points_of(without, REFERENCE) == 0.0
+
+
+def test_the_points_of_each_number_add_up_to_the_mark() -> None:
+    slow = replace(REFERENCE, settling_s=6.0, effort_V=0.2)
+    mark = mark_of("ann", [slow, REFERENCE], [REFERENCE, REFERENCE])
+    assert sum(mark.parts.values()) == pytest.approx(mark.points, abs=0.06)
+    assert {name for name in WEIGHTS if mark.parts[name] < WEIGHTS[name]} == {"settling_s", "effort_V"}
+    without_step = replace(REFERENCE, settling_s=math.nan, overshoot_percent=math.nan)
+    assert set(mark_of("bob", [slow], [without_step]).parts) == {"rms_deg", "effort_V"}
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--effect", "rotor_lga=0.1"), "did you mean rotor_lag?"),
+        (("--port", "/dev/no-such-port"), "cannot open port /dev/no-such-port"),
+    ],
+)
+def test_a_wrong_option_is_no_fault_of_a_submission(
+    options: tuple[str, ...], said: str, tmp_path: Path, in_process: Any
+) -> None:
+    make_class(tmp_path / "class", 1, [], 5.0)
+    before = digest(tmp_path / "class")
+    code, text = in_process(["class", str(tmp_path / "class"), "--duration", "5", *options])
+    assert code != 0 and said in text and text.count("\n") == 1
+    assert digest(tmp_path / "class") == before and not list(tmp_path.rglob("mark*.*"))
 
 
 def test_points_fall_with_each_number() -> None:

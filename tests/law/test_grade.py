@@ -129,13 +129,20 @@ def test_any_number_of_flights_is_drawn_and_the_first_is_in_each_figure(
 def test_the_command_fails_if_a_law_was_taken_over_and_still_writes_all(terminal: Terminal) -> None:
     Path("good.py").write_text(law_text())
     Path("wild.py").write_text(law_text(front_V="if_else(late, 20.0, front_V)"))
+    Path("empty.py").write_text("")
     ended = terminal(
-        "law", "grade", "good.py", "wild.py", "missing.py", "--seeds", 1, "--duration", 5, "--json", "g.json"
+        "law", "grade", "good.py", "wild.py", "empty.py", "--seeds", 1, "--duration", 5, "--json", "g.json"
     )
     assert ended.code == FAILED
-    assert "2 of 3 laws did not fly to the end: wild, missing" in ended.err
+    assert "2 of 3 laws did not fly to the end: wild, empty" in ended.err
     grades = json.loads(Path("g.json").read_text())["grades"]
-    assert [one["law"] for one in grades] == ["the board's own", "good", "wild", "missing"]
+    assert [one["law"] for one in grades] == ["the board's own", "good", "wild", "empty"]
     assert grades[1]["takeovers"] == 0 and grades[2]["flights"][0]["ended"] == "voltage_jump"
     assert grades[1]["phase_margin_deg"] > 0.0
-    assert "is not a file" in grades[3]["refused"]
+    assert "does not define LAW" in grades[3]["refused"]
+
+
+def test_a_missing_file_is_named_before_the_first_flight(terminal: Terminal) -> None:
+    refused = terminal("law", "grade", "mien.py")
+    assert refused.code == 2 and not refused.out
+    assert refused.err.startswith("error: mien.py is not a file; give a Python file")

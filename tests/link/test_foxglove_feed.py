@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 import socket
-import struct
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -27,58 +26,17 @@ from tests.page.page_server import SHORT_PLAN
 __all__ = ["terminal"]
 
 pytest.importorskip("foxglove", reason="skipped: no foxglove-sdk")
-client = pytest.importorskip("websockets.sync.client", reason="skipped: no websockets")
+pytest.importorskip("websockets.sync.client", reason="skipped: no websockets")
+
+from tests.link.foxglove_viewer import PATIENCE_S, Viewer
 
 pytestmark = pytest.mark.medium
-PATIENCE_S = 60.0
-_DATA = struct.Struct("<BIQ")
 
 
 @pytest.fixture
 def heli() -> Iterator[Heli]:
     with heli_host.connect("sil://?speed=max") as board:
         yield board
-
-
-class Viewer:
-    """A client of the protocol ``foxglove.sdk.v1``, as its specification describes it."""
-
-    def __init__(self, socket: Any) -> None:
-        self.socket = socket
-        self.waiting: list[bytes] = []
-        self.info = json.loads(self.socket.recv(PATIENCE_S))
-        self.channels: dict[str, dict[str, Any]] = {}
-        while set(self.channels) < {TICK_TOPIC, EVENT_TOPIC}:
-            for channel in json.loads(self.socket.recv(PATIENCE_S))["channels"]:
-                self.channels[channel["topic"]] = channel
-
-    @classmethod
-    @contextmanager
-    def of(cls, address: str) -> Iterator[Viewer]:
-        with client.connect(address, subprotocols=["foxglove.sdk.v1"]) as socket:
-            yield cls(socket)
-
-    def subscribe(self, topic: str) -> None:
-        one = {"id": 7, "channelId": self.channels[topic]["id"]}
-        self.socket.send(json.dumps({"op": "subscribe", "subscriptions": [one]}))
-
-    def has_message(self) -> bool:
-        if not self.waiting:
-            with suppress(TimeoutError):
-                frame = self.socket.recv(0.05)
-                self.waiting += [frame] if isinstance(frame, bytes) else []
-        return bool(self.waiting)
-
-    def messages(self, count: int) -> list[tuple[int, bytes]]:
-        """Time [ns] and body of the next messages."""
-        got: list[tuple[int, bytes]] = []
-        while len(got) < count:
-            frame = self.waiting.pop() if self.waiting else self.socket.recv(PATIENCE_S)
-            if isinstance(frame, bytes):
-                opcode, subscription, time_ns = _DATA.unpack_from(frame)
-                assert (opcode, subscription) == (1, 7)
-                got.append((time_ns, frame[_DATA.size :]))
-        return got
 
 
 def until_watched(heli: Heli, viewer: Viewer) -> None:

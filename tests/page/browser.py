@@ -19,7 +19,7 @@ from playwright.sync_api import Browser, BrowserContext, Page, Route, expect, sy
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 PATIENCE_S = 90.0
 expect.set_options(timeout=PATIENCE_S * 1e3)
-WIDE, TABLET = (1280, 720), (800, 1200)
+WIDE, TABLET, PHONE = (1280, 720), (800, 1200), (390, 844)
 SELDOM_DRAWN = """
 const drawn = window.requestAnimationFrame.bind(window);
 window.requestAnimationFrame = (draw) => setTimeout(() => drawn(draw), 200);

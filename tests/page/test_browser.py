@@ -30,7 +30,7 @@ pytest.importorskip("axe_playwright_python", reason="axe-playwright-python is no
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, expect
 
-from tests.page.browser import PATIENCE_S, TABLET, WIDE, Tabs, click, tabs, until
+from tests.page.browser import PATIENCE_S, PHONE, TABLET, WIDE, Tabs, click, tabs, until
 from tests.page.laws import steady, tired
 from tests.page.page_server import SHORT_PLAN, Served, page_of_a_simulated_board, patient_page
 from tests.running.long import LONG, samples
@@ -503,6 +503,24 @@ def test_everything_has_its_place_and_axe_finds_nothing_serious(
         )
         assert size[1] - 12 <= last <= size[1]
         page.screenshot(path=tmp_path / "page.png")
+        assert not opened.wrong
+
+
+def test_a_phone_shows_whole_titles_and_one_time_for_all_strips(served: Served, chromium: Browser) -> None:
+    with tabs(chromium, PHONE) as opened:
+        page = opened.open(served.address.page)
+        titles = page.evaluate(
+            """heliPage.strips.plots.map(({ u }) => {
+                 const [, axis] = u.axes;
+                 u.ctx.font = axis.labelFont[0];
+                 return [u.ctx.measureText(axis.label).width, u.over.clientHeight * devicePixelRatio];
+               })"""
+        )
+        assert all(width <= height for width, height in titles), titles
+        assert page.locator("#strips .u-legend tr:first-child").evaluate_all(
+            "rows => rows.map((row) => row.offsetHeight > 0)"
+        ) == [False, False, False, True]
+        assert page.evaluate("document.documentElement.scrollWidth") <= PHONE[0]
         assert not opened.wrong
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import heli_host
 import numpy as np
 import pytest
@@ -21,6 +24,17 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Log:
     with heli_host.connect("sil://?speed=max") as heli:
         heli.fly(Plan.parse(SHORT_PLAN, "short"), log=path)
     return read_log(path)
+
+
+def test_a_replay_names_its_log_and_when_it_began_in_words(log: Log) -> None:
+    board = Replay(log, {}).describe()["board"]
+    assert re.fullmatch(r"flight\.mcap: native, \d{4}-\d\d-\d\d \d\d:\d\d UTC", board), board
+    assert Replay(without_start(log), {}).describe()["board"] == "flight.mcap: native"
+
+
+def without_start(log: Log) -> Log:
+    session = {**log.metadata["session"], "start": "yesterday"}
+    return replace(log, metadata={**log.metadata, "session": session})
 
 
 def played(replay: Replay, ticks: int) -> None:

@@ -29,6 +29,26 @@ def check_place(path: Path) -> None:
         raise typer.BadParameter(f"cannot write {path}: {reason}; give another file")
 
 
+def check_parameters_place(path: Path) -> None:
+    """Refuse to replace a file that holds no parameters, such as a rig: both are TOML.
+
+    Parameters
+    ----------
+    path : Path
+        File of parameters to be written later.
+
+    Raises
+    ------
+    typer.BadParameter
+        As `check_place` does, and for another file at this place.
+    """
+    check_place(path)
+    if path.is_file():
+        text = path.read_text(encoding="utf-8", errors="replace")
+        if text.strip() and "[parameters]" not in text:
+            raise typer.BadParameter(f"{path} exists and holds no parameters; give another file")
+
+
 def check_result_places(*files: Path | None, figure: Path | None = None, report: Path | None = None) -> None:
     """Refuse places that the results of long work cannot be written to, before the work begins.
 

@@ -111,7 +111,12 @@ class FlightMonitor:
         self._session.wait_for(lambda: bool(self._ended_by), _LOOK_S)
         lost = ", after the link was lost" if self._session.counters.reconnects != self._reconnects else ""
         name = state.name.lower() if state is not None else "unknown"
-        return f"the board went to state {name}{lost} ({self._ended_by or self._newest_state()})"
+        reason = self._ended_by or self._newest_state()
+        # Most events name the state that the board is in, so that their cause alone is left to state.
+        same, _, cause = reason.partition(f"state {name}, ")
+        if cause and not same:
+            return f"the board went to state {name}{lost}, {cause}"
+        return f"the board went to state {name}{lost} ({reason})"
 
     def restarted(self) -> str:
         """Return the outcome of a flight whose board has restarted; empty if it has not."""

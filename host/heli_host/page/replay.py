@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -82,7 +83,7 @@ class Replay:
             "mode": "replay",
             "kind": "replay",
             "rig_name": session.get("rig", ""),
-            "board": f"{self._log.path.name}: {session.get('board', 'a board')}, {session.get('start', '')}",
+            "board": f"{self._log.path.name}: {session.get('board', 'a board')}{_started(session)}",
             "rig": self._rig,
             "tick_s": TICK_S,
             "channels": channel_rows(self._log.parameters, self._log.law_signals),
@@ -208,3 +209,12 @@ class Replay:
             self.buffer.clear()
             self.buffer.append(self._tick[first : self._at], self._raw[first : self._at])
         return {}
+
+
+def _started(session: Mapping[str, Any]) -> str:
+    """Return when the log begins, such as ", 2026-01-31 12:00 UTC"; empty for a log without a valid time."""
+    try:
+        start = datetime.fromisoformat(str(session.get("start", "")))
+    except ValueError:
+        return ""
+    return f", {start.astimezone(UTC):%Y-%m-%d %H:%M} UTC"

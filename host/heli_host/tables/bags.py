@@ -67,7 +67,7 @@ def read_bag(path: Path) -> Table:
         except Exception as error:  # the reader raises whatever a damaged file makes it trip over
             raise FlightDataError(
                 f"{path}: not a bag that rosbags reads ({type(error).__name__}: {error})",
-                "record the flight again",
+                "give a bag or an MCAP file; record the flight again if this one is damaged",
             ) from error
         return _table(path, series)
 

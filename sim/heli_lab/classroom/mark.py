@@ -36,6 +36,10 @@ class Mark:
         Why it was refused or did not fly to its end; empty if it did.
     scores : tuple of FlightScore
         One per flight; empty if it was refused.
+    parts : dict of str to float
+        Points for each of `WEIGHTS` that the reference has, mean over the flights; they add up to `points`.
+    references : tuple of FlightScore
+        Flights of the board's own law with which `scores` were compared.
     rig : str
         Outcome of the flight on the rig; empty without one.
     """
@@ -43,7 +47,9 @@ class Mark:
     name: str
     points: float = 0.0
     reason: str = ""
-    scores: tuple[FlightScore, ...] = field(default_factory=tuple)
+    scores: tuple[FlightScore, ...] = ()
+    parts: dict[str, float] = field(default_factory=dict)
+    references: tuple[FlightScore, ...] = ()
     rig: str = ""
 
     @property
@@ -58,7 +64,9 @@ class Mark:
             "points": self.points,
             "of": FULL,
             "reason": self.reason,
+            "parts": self.parts,
             "flights": [score.as_dict() for score in self.scores],
+            "reference": [score.as_dict() for score in self.references],
             "rig": self.rig,
         }
 
@@ -67,8 +75,8 @@ class Mark:
         return f"{self.name}: {self.points:.1f} of {FULL:.0f} points{reason}"
 
 
-def points_of(score: FlightScore, reference: FlightScore) -> float:
-    """Return the points of a flight: full points for each number that is as good as the reference.
+def parts_of(score: FlightScore, reference: FlightScore) -> dict[str, float]:
+    """Return the points for each number: full points if it is as good as the reference.
 
     Numbers that the reference lacks do not count, and the others count for more. Little effort and little
     overshoot only count as far as the law follows its setpoints: motors that do nothing have both.
@@ -80,16 +88,24 @@ def points_of(score: FlightScore, reference: FlightScore) -> float:
     reference : FlightScore
         The board's own law along the same plan.
     """
-    if score.ended:
-        return 0.0
     shares = {name: _share(name, score, reference) for name in WEIGHTS}
     follows = 1.0 if math.isnan(shares["rms_deg"]) else shares["rms_deg"]
-    total = possible = 0.0
-    for name, share in shares.items():
-        if not math.isnan(share):
-            possible += WEIGHTS[name]
-            total += WEIGHTS[name] * (min(share, follows) if name in _CHEAP else share)
-    return FULL * total / possible if possible else FULL
+    counted = {name: share for name, share in shares.items() if not math.isnan(share)}
+    possible = sum(WEIGHTS[name] for name in counted)
+    return {
+        name: 0.0
+        if score.ended
+        else FULL * WEIGHTS[name] / possible * (min(share, follows) if name in _CHEAP else share)
+        for name, share in counted.items()
+    }
+
+
+def points_of(score: FlightScore, reference: FlightScore) -> float:
+    """Return the points of a flight: the sum of `parts_of`, and full points if no number counts."""
+    parts = parts_of(score, reference)
+    if not parts:
+        return 0.0 if score.ended else FULL
+    return sum(parts.values())
 
 
 def _share(name: str, score: FlightScore, reference: FlightScore) -> float:
@@ -116,5 +132,8 @@ def mark_of(name: str, scores: Sequence[FlightScore], references: Sequence[Fligh
         Its flights, and those of the board's own law, in the same order.
     """
     points = [points_of(score, reference) for score, reference in zip(scores, references, strict=True)]
+    parts = [parts_of(score, reference) for score, reference in zip(scores, references, strict=True)]
+    means = {part: round(sum(one.get(part, 0.0) for one in parts) / len(parts), 2) for part in parts[0]}
     reason = ", ".join(sorted({score.ended for score in scores if score.ended}))
-    return Mark(name, round(sum(points) / len(points), 1), reason, tuple(scores))
+    mean = round(sum(points) / len(points), 1)
+    return Mark(name, mean, reason, tuple(scores), means, tuple(references))

@@ -71,6 +71,17 @@ class Marking:
         self.options, self.plan, self.seeds, self.limits = options, plan, seeds, limits
         self._references: dict[tuple[str, int], FlightScore] = {}
 
+    def fly_references(self) -> None:
+        """Fly the board's own law along the plan of the class.
+
+        Raises
+        ------
+        HeliError
+            An option of the simulated board is invalid; no submission is at fault.
+        """
+        for seed in self.seeds:
+            self._reference(self.plan, seed)
+
     def answer(self, folder: Path) -> Answer:
         """Read, fly and mark a submission, and write log, figure and mark into its folder.
 

@@ -31,13 +31,31 @@ def digest(paths: Sequence[Path]) -> str:
 
 
 def output_names(paths: Sequence[Path]) -> list[str]:
-    """Name the flights of the files `paths`: by the file, and by its folder too if names are equal."""
+    """Name the flights of the files `paths`: by the file, and by its folder too if names are equal.
+
+    Raises
+    ------
+    FlightDataError
+        Two flights would have the same name, so that one would replace the other.
+    """
     stems = [_stem(path) for path in paths]
     counts = Counter(stems)
-    return [
+    names = [
         f"{path.resolve().parent.name}-{stem}" if counts[stem] > 1 else stem
         for path, stem in zip(paths, stems, strict=True)
     ]
+    first: dict[str, Path] = {}
+    for path, name in zip(paths, names, strict=True):
+        other = first.setdefault(name, path)
+        if other is path:
+            continue
+        if other.resolve() == path.resolve():
+            raise FlightDataError(f"{path} is given twice", "give each file once")
+        raise FlightDataError(
+            f"{other} and {path} would both be written to {name}.csv",
+            "import them one after the other, each with its own --output",
+        )
+    return names
 
 
 def _stem(path: Path) -> str:

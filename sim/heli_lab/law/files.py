@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, Final
@@ -35,6 +36,24 @@ _FENCED: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONHA
 """Threads would take memory; the order of a set would differ from run to run."""
 
 
+def check_files(paths: Sequence[Path]) -> None:
+    """Check that files exist, before the work with them begins.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Files of control laws.
+
+    Raises
+    ------
+    BadLaw
+        One of them is not a file.
+    """
+    for path in paths:
+        if not path.is_file():
+            raise BadLaw(f"{path} is not a file", "give a Python file that ends with LAW = ...")
+
+
 def load_law(path: Path, limit_s: float = FILE_LIMIT_s) -> Law:
     """Run a file in a separate process, and return its ``LAW``.
 
@@ -50,8 +69,7 @@ def load_law(path: Path, limit_s: float = FILE_LIMIT_s) -> Law:
     BadLaw
         The file is missing, fails, does not end in time, or holds no law.
     """
-    if not path.is_file():
-        raise BadLaw(f"{path} is not a file", "give a Python file that ends with LAW = ...")
+    check_files([path])
     try:
         pickled, status = _run_apart(path, limit_s)
     except TimeoutError:
@@ -87,8 +105,7 @@ def load_limited(path: Path, limits: FileLimits) -> LawProgram:
         As `load_law`, or the file breaks a limit.
     """
     # A pipe or a device of this name would be waited for without an end.
-    if not path.is_file():
-        raise BadLaw(f"{path} is not a file", "give a Python file that ends with LAW = ...")
+    check_files([path])
     options = (f"{limits.cpu_s}", f"{limits.memory_MB}")
     # One text for a loop and for a wait: the computer's load decides which limit is the first.
     endless = BadLaw(

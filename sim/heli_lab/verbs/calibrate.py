@@ -184,9 +184,11 @@ def _new_rig_file(rig: str | None, save_rig: Path | None) -> Path:
 
 
 def _check_places(save_params: Path | None, json: Path | None) -> None:
-    from heli_host.cli.outputs import check_result_places
+    from heli_host.cli.outputs import check_parameters_place, check_result_places
 
-    check_result_places(save_params, json)
+    check_result_places(json)
+    if save_params is not None:
+        check_parameters_place(save_params)
 
 
 def _address(rig: str | None, miswired: str) -> str:

@@ -37,7 +37,9 @@ def class_(
     ] = None,
     duration_s: Annotated[
         float,
-        typer.Option("--duration", metavar="S", min=5.0, max=600.0, help="Fly for this time in s."),
+        typer.Option(
+            "--duration", metavar="S", min=5.0, max=600.0, help="Without --plan, fly for this time in s."
+        ),
     ] = 20.0,
     rig: Annotated[
         str | None,
@@ -73,12 +75,14 @@ def class_(
     """Fly and mark a folder of submissions, in simulation and then on the rig.
 
     A submission is a folder with law.py, a plan (TOML), a parameter file, or several of these. Log, figure
-    and mark go into its folder `marked`, which is replaced, but for flights on the rig. All marks go into
-    FOLDER/marks.csv. A law's file may use processor time and 1 GB of memory, and may not write files, open
-    sockets or start processes. Only submissions that flew to the end of the simulation may fly on the rig.
+    and mark go into its folder `marked`, which is replaced, but for flights on the rig. All marks, with the
+    points of each number, go into FOLDER/marks.csv. A law's file may use processor time and 1 GB of memory,
+    and may not write files, open sockets or start processes. Only submissions that flew to the end of the
+    simulation may fly on the rig.
 
     Example: `heli-host class submissions --seeds 3`
     """
+    from heli_host.cli.board import open_board
     from heli_host.cli.outputs import check_result_places
     from heli_host.fly.plan import load_plan
     from heli_sim.rig import load_rig
@@ -94,10 +98,13 @@ def class_(
     data_on_stdout(json)
     class_plan = load_plan(plan) if plan is not None else trial_plan(duration_s)
     options = FlightOptions(sil=True, rig=rig, effect=effect, speed=MAX_SPEED)
-    # Refuse invalid options before the first flight.
+    # Nothing is marked with invalid options, or before a rig that is not there.
     load_rig(rig or DEFAULT_RIG)
-    options.address()
+    if port is not None:
+        with open_board(port):
+            pass
     marking = Marking(options, class_plan, range(1, seeds + 1), FileLimits(load_timeout))
+    marking.fly_references()
     answers: list[Answer] = []
     try:
         for submitted in folders:
@@ -137,15 +144,23 @@ def _write_marks(marks: Sequence[Mark], path: Path) -> None:
     import csv
     import tempfile
 
-    from heli_lab.classroom.mark import FULL
+    from heli_lab.classroom.mark import FULL, WEIGHTS
 
     with tempfile.NamedTemporaryFile(
         "w", dir=path.parent, prefix=".marks-", delete=False, newline="", encoding="utf-8"
     ) as file:
         table = csv.writer(file)
-        table.writerow(["submission", "points", "of", "reason", "rig"])
+        table.writerow(["submission", "points", "of", *WEIGHTS, "reason", "rig"])
         table.writerows(
-            [_plain(mark.name), mark.points, FULL, _plain(mark.reason), _plain(mark.rig)] for mark in marks
+            [
+                _plain(mark.name),
+                mark.points,
+                FULL,
+                *(mark.parts.get(name, "") for name in WEIGHTS),
+                _plain(mark.reason),
+                _plain(mark.rig),
+            ]
+            for mark in marks
         )
     Path(file.name).chmod(0o644)
     Path(file.name).replace(path)

@@ -332,7 +332,7 @@ def grade(
 
     from heli_lab.classroom.grade import REFERENCE, LawGrade, grade_lines
     from heli_lab.classroom.grade import grade as graded
-    from heli_lab.law.files import load_limited
+    from heli_lab.law.files import check_files, load_limited
     from heli_lab.law.limits import FileLimits
     from heli_lab.law.trial import trial_plan
     from heli_lab.law_flight import fly_trial
@@ -340,6 +340,8 @@ def grade(
 
     check_result_places(json, report=report)
     data_on_stdout(json)
+    # A wrong name is the user's mistake, not a law that fails.
+    check_files(laws)
     flown_plan = load_plan(plan) if plan is not None else trial_plan(duration_s)
     rigs = rig or [DEFAULT_RIG]
     plant = linear_plant(load_rig(rigs[0]))

@@ -72,7 +72,7 @@ def tune(
 
     Example: `heli-host tune --rig mine.toml --save-params gains.toml`
     """
-    from heli_host.cli.outputs import check_result_places
+    from heli_host.cli.outputs import check_parameters_place, check_result_places
     from heli_host.cli.progress_bar import WorkBar
     from heli_host.parameter_file import parameters_text
     from heli_host.parameters import checked
@@ -84,7 +84,9 @@ def tune(
     from heli_lab.tune import find_gains, loop_effects_of
 
     data_on_stdout(json)
-    check_result_places(save_params, json, figure=figure)
+    check_result_places(json, figure=figure)
+    if save_params is not None:
+        check_parameters_place(save_params)
     loaded = load_rig(rig)
     all_effects = effects_with(loaded, effect or (), effect_file or ())
     name = model or loaded.model or DEFAULT_MODEL

@@ -237,11 +237,11 @@ def to_board(
 
     These are counts per turn, rest angle, supply, dead zone and limits. An encoder whose direction the rig
     file does not state keeps the sign that it has in --params, and is left out without --params. Limits are
-    only lowered. An existing file is replaced.
+    only lowered. An existing file of parameters is replaced.
 
     Example: `heli-host rig to-board mine.toml board.toml`
     """
-    from heli_host.cli.outputs import check_place
+    from heli_host.cli.outputs import check_parameters_place
     from heli_host.parameter_file import parameters_text
 
     from heli_sim.rig import load_rig
@@ -249,7 +249,7 @@ def to_board(
 
     loaded = load_rig(rig)
     board = _board_parameters(params)
-    check_place(out)
+    check_parameters_place(out)
     settings = board_settings(loaded, board)
     out.write_text(
         parameters_text(settings, f"heli-host rig to-board: parameters of rig {loaded.name}"),

@@ -58,6 +58,7 @@ def export(
         raise typer.BadParameter(
             "export needs exactly one format; give one of --csv, --mat, --parquet and --ros2"
         )
+    from heli_host.cli.outputs import check_place
     from heli_host.log.flight_file import read_flight
     from heli_host.log.table import notes_path, write_csv
 
@@ -76,6 +77,7 @@ def export(
     target = output if output is not None else log.with_name(_stem(log) + suffix)
     if target.exists() and target.samefile(log):
         raise typer.BadParameter(f"{target} is the log itself; name another file with --output")
+    check_place(target)
     write(flight, target)
     gaps = f", {len(flight.gaps)} gaps" if len(flight.gaps) else ""
     say(f"{len(flight)} rows{gaps} -> {target}")

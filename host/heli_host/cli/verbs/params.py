@@ -183,13 +183,15 @@ def dump(
 ) -> None:
     """Write all parameters of the board to a TOML file.
 
-    An existing file is replaced. The board stays unchanged.
+    An existing file of parameters is replaced. The board stays unchanged.
 
     Example: `heli-host params dump rig7.toml --port /dev/ttyACM0`
     """
     from heli_host.cli.board import board_versions
+    from heli_host.cli.outputs import check_parameters_place
     from heli_host.parameter_file import parameters_text
 
+    check_parameters_place(file)
     with _board(port, sil) as heli:
         values = heli.params.dump()
         comment = board_versions(heli.info)

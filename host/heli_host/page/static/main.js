@@ -39,7 +39,7 @@ function alarm(words) {
 const stop = new Stop((answer) => {
   const good = answer === "stopped";
   if (hello?.mode === "replay") return say(good ? "the replay is paused" : answer, !good);
-  say(good ? "stop: sent to the board, before everything else" : answer, !good);
+  say(good ? "stop sent to the board" : answer, !good);
 });
 const link = new Link({
   onOpen: (cameMs) => { statusMs = cameMs; },
