@@ -272,16 +272,18 @@ class LinearisedFlight:
         self.variance: Floats = reference.variance[rows]
         self._direction_variance: Floats = reference.direction_variance[rows]
         self.repeats: Floats = np.maximum(reference.pause_s[rows] / (self.block * h), 1.0)
-        self._shaped_by = [
-            (functions.free.index(name), by[rows]) for name, by in acting.shaped_by if name in functions.free
+        self._input_derivatives = [
+            (functions.free.index(name), derivative[rows])
+            for name, derivative in acting.input_derivatives
+            if name in functions.free
         ]
 
     def derivatives(self, rows: slice) -> Derivatives:
         """Linearise in the steps `rows`."""
         here, h, followed = self.trajectory.part(rows), self.reference.step_s, self.model.followed
         rates, a, by_disturbance, by_inputs, outputs, c = self.functions.along(here)
-        for place, mean in self._shaped_by:
-            rates[:, :, 1 + place] -= np.einsum("nij,nj->ni", by_inputs, mean[rows])
+        for number, derivative in self._input_derivatives:
+            rates[:, :, 1 + number] -= np.einsum("nij,nj->ni", by_inputs, derivative[rows])
         rates[:, :followed, 0] -= self._change[rows]
         variance = self.variance[rows]
         # A known direction is not corrected by the filter; its error is one of the measurement.
