@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from heli_lab.identify.check import Check, Trace, check, trace, validate
+from heli_lab.identify.check import FreeRunErrors, Trace, check, trace, validate
 from heli_lab.identify.fit import Budget, Fit, FitProgress
 from heli_lab.identify.problem import Problem
 from heli_lab.identify.record import Record, prepare
@@ -11,10 +11,10 @@ from heli_lab.identify.uncertainty import Combination, combinations, uninformed_
 
 __all__ = [
     "Budget",
-    "Check",
     "Combination",
     "Fit",
     "FitProgress",
+    "FreeRunErrors",
     "Problem",
     "Record",
     "Trace",
