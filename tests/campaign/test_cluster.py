@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from heli_lab.campaign import Campaign, Case, Store, cluster, run_campaign
 from heli_lab.campaign.run import State
-from heli_lab.campaign.worker import CodeMismatch, Job, other_code, run_job
+from heli_lab.campaign.worker import CodeMismatch, Job, code_difference, run_job
 from heli_lab.campaign.worker_process import Limits
 from heli_lab.code_digest import code_digest
 from heli_lab.errors import CampaignError
@@ -72,8 +72,8 @@ def test_a_worker_of_other_code_refuses_also_what_it_gets_later(tmp_path: Path) 
 
 
 def test_a_worker_without_the_package_says_so() -> None:
-    assert other_code(code_digest(WORKS), WORKS) == ""
-    assert "no_such_package" in other_code("x", ("no_such_package.module:work",))
+    assert code_difference(code_digest(WORKS), WORKS) == ""
+    assert "no_such_package" in code_difference("x", ("no_such_package.module:work",))
 
 
 @pytest.mark.medium

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from heli_lab.campaign.campaign import Campaign
-from heli_lab.campaign.draw import drawn
+from heli_lab.campaign.draw import draw_rig
 from heli_lab.campaign.file import load_campaign
 from heli_lab.code_digest import code_digest
 from heli_lab.errors import CampaignError
@@ -121,7 +121,7 @@ def test_rigs_are_drawn_as_said_and_a_seed_draws_the_same_again() -> None:
     }
     lags, masses, frictions = [], [], []
     for seed in range(40):
-        draw = drawn(rig, ["rotor_lag", "input_delay=0.02"], how, seed)
+        draw = draw_rig(rig, ["rotor_lag", "input_delay=0.02"], how, seed)
         true, effects = draw.rig, draw.effects
         name, _, lag = effects[0].partition("=")
         assert (name, effects[1]) == ("rotor_lag", "input_delay=0.02")
@@ -136,16 +136,16 @@ def test_rigs_are_drawn_as_said_and_a_seed_draws_the_same_again() -> None:
     assert 0.05 <= min(lags) < 0.07 and 0.13 < max(lags) <= 0.15
     assert 0.97 <= min(masses) < 0.98 and 1.02 < max(masses) <= 1.03
     assert 0.5 <= min(frictions) < 0.65 and 1.5 < max(frictions) <= 2.0
-    assert drawn(rig, ["rotor_lag"], how, 3) == drawn(rig, ["rotor_lag"], how, 3)
+    assert draw_rig(rig, ["rotor_lag"], how, 3) == draw_rig(rig, ["rotor_lag"], how, 3)
     with pytest.raises(CampaignError, match="no number of rig makki2024 and no effect"):
-        drawn(rig, [], how, 1)
+        draw_rig(rig, [], how, 1)
 
 
 def test_tolerances_draw_what_the_file_says_of_each_number() -> None:
     rig = load_rig("makki2024")
     drawn_z = []
     for seed in range(60):
-        draw = drawn(rig, [], "tolerances", seed)
+        draw = draw_rig(rig, [], "tolerances", seed)
         true = draw.rig
         assert draw.row["drawn_thrust_gain"] == true["thrust_gain"].value
         number = rig["thrust_gain"]

@@ -102,7 +102,7 @@ def test_a_case_without_a_result_has_what_was_drawn_in_the_table(terminal: Termi
     assert len({row["drawn_M_w"] for row in rows}) == 2
 
 
-OWN = """
+RESULT_COLUMNS = """
 import helper_of_mine
 
 def root(settings):
@@ -121,7 +121,7 @@ def test_a_function_in_a_module_next_to_the_file_is_a_work(
 
     study = tmp_path / "study"
     study.mkdir()
-    (study / "roots_of_mine.py").write_text(OWN)
+    (study / "roots_of_mine.py").write_text(RESULT_COLUMNS)
     (study / "helper_of_mine.py").write_text("SCALE = 1.0\n")
     file, out = study / "roots.toml", tmp_path / "out"
     file.write_text('work = "roots_of_mine:root"\n[cases]\nnumber = [4, 9]\n')

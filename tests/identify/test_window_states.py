@@ -61,13 +61,13 @@ def test_a_window_in_a_wrong_state_returns_and_leaves_the_others_alone() -> None
     theta = problem.parameter_vector.start
     (states,) = initial_state_guess(problem, theta)
     cost, there = at(problem, states, states)
-    refine_states(cost, there, 0, np.arange(len(states)), most=20)
+    refine_states(cost, there, 0, np.arange(len(states)), max_steps=20)
     right = cost.window_cost(there, 0)
     wrong = there.states[0].copy()
     wrong[3, 4] += 0.3
     cost, back = at(problem, wrong, states)
     assert cost.window_cost(back, 0)[3] > 100.0 * right[3]
-    refine_states(cost, back, 0, np.array([3]), most=20)
+    refine_states(cost, back, 0, np.array([3]), max_steps=20)
     assert cost.window_cost(back, 0)[3] < 1.05 * right[3]
     np.testing.assert_array_equal(np.delete(back.states[0], 3, axis=0), np.delete(wrong, 3, axis=0))
     seen = problem.evaluation(0, theta, back.states[0])
@@ -87,7 +87,7 @@ def test_a_lost_window_starts_again_from_elsewhere_as_well_from_either_side_of_a
     theta = problem.parameter_vector.start
     (seen,) = initial_state_guess(problem, theta)
     cost, there = at(problem, seen, seen)
-    refine_states(cost, there, 0, np.arange(len(seen)), most=20)
+    refine_states(cost, there, 0, np.arange(len(seen)), max_steps=20)
     right = cost.window_cost(there, 0)
     lost = there.states[0].copy()
     lost[0, 3:6] += 5.0
@@ -120,7 +120,7 @@ def test_a_better_state_from_before_is_taken() -> None:
     lost = states.copy()
     lost[2, 3:] = np.nan
     cost, back = at(problem, lost, states)
-    refine_states(cost, back, 0, np.array([2]), before=states, most=0)
+    refine_states(cost, back, 0, np.array([2]), before=states, max_steps=0)
     np.testing.assert_array_equal(back.states[0][2], states[2])
 
 

@@ -9,7 +9,7 @@ from heli_lab.campaign.case import Case
 from heli_lab.campaign.worker_process import Limits
 from heli_lab.errors import CampaignError
 
-_USUAL: Final = Limits()
+_DEFAULT_LIMITS: Final = Limits()
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Campaign:
 
     title: str
     cases: tuple[Case, ...]
-    limits: Limits = _USUAL
+    limits: Limits = _DEFAULT_LIMITS
     worst: str = ""
     modules: str = ""
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Final
 
-from heli_lab.campaign.worker import other_code
+from heli_lab.campaign.worker import code_difference
 from heli_lab.errors import CampaignError
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ def usable(
     bad : dict of str
         Why each other worker cannot be used, by address.
     """
-    replies = client.run(other_code, code, works, modules, on_error="return")
+    replies = client.run(code_difference, code, works, modules, on_error="return")
     bad = {}
     for address, reply in replies.items():
         if isinstance(reply, BaseException):

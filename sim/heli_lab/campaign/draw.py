@@ -20,15 +20,17 @@ _FORMS: Final = ("share", "factor", "range")
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawnRig:
     """A rig and effects with parameters drawn at random from one seed.
 
     Parameters
     ----------
+    rig : Rig
+        The rig with the drawn parameters.
     effects : tuple of str
         Effects as the command line spells them, each with its size.
     numbers : Mapping of str to float
-        Drawn values: by the rig file's name of a parameter, in its unit, or by the name of an effect.
+        The drawn values: by the rig file's name of a parameter, in its unit, or by the name of an effect.
     """
 
     rig: Rig
@@ -41,8 +43,10 @@ class Drawn:
         return {f"{PREFIX}{name}": value for name, value in self.numbers.items()}
 
 
-def drawn(rig: Rig, effects: Sequence[str], draw: str | Mapping[str, Mapping[str, Any]], seed: int) -> Drawn:
-    """Draw a rig and sizes of effects.
+def draw_rig(
+    rig: Rig, effects: Sequence[str], draw: str | Mapping[str, Mapping[str, Any]], seed: int
+) -> DrawnRig:
+    """Draw parameters of a rig and sizes of effects at random.
 
     Parameters
     ----------
@@ -65,62 +69,77 @@ def drawn(rig: Rig, effects: Sequence[str], draw: str | Mapping[str, Mapping[str
         When a name matches nothing, or a parameter cannot be drawn as `draw` states.
     """
     random = np.random.default_rng([seed, 17])
-    values: dict[str, float] = {}
-    sized = list(effects)
     if isinstance(draw, str):
         if draw != TOLERANCES:
             raise CampaignError(f'unknown draw = "{draw}"', f'write draw = "{TOLERANCES}", or a table')
-        for name, number in rig.items():
-            if number.tolerance > 0.0:
-                value = number.value + 0.5 * number.tolerance * float(random.standard_normal())
-                values[name] = value if Rig.may_be_negative(name) else abs(value)
-        return Drawn(rig.replace(**values), tuple(sized), values)
-    sizes: dict[str, float] = {}
-    for pattern, how in draw.items():
-        check_form(pattern, how)
+        values = _draw_within_tolerances(rig, random)
+        return DrawnRig(rig.replace(**values), tuple(effects), values)
+    values, sizes = {}, {}
+    effects_with_sizes = list(effects)
+    for pattern, distribution in draw.items():
+        check_distribution(pattern, distribution)
         names = [name for name in rig if fnmatch.fnmatchcase(name, pattern)]
         for name in names:
-            values[name] = _draw(rig[name].value, how, random)
+            values[name] = _draw(rig[name].value, distribution, random)
         if names:
             continue
-        if pattern not in sized or "range" not in how:
+        if pattern not in effects_with_sizes or "range" not in distribution:
             raise CampaignError(
                 f"[draw] {pattern}: no number of rig {rig.name} and no effect of the case without a size",
                 "correct the name; an effect needs a range",
             )
-        text = f"{_draw(0.0, how, random):.6g}"
-        sized[sized.index(pattern)], sizes[pattern] = f"{pattern}={text}", float(text)
-    return Drawn(rig.replace(**values), tuple(sized), {**values, **sizes})
+        # The table has the size that the effect is given as text.
+        size = f"{_draw(0.0, distribution, random):.6g}"
+        effects_with_sizes[effects_with_sizes.index(pattern)] = f"{pattern}={size}"
+        sizes[pattern] = float(size)
+    return DrawnRig(rig.replace(**values), tuple(effects_with_sizes), {**values, **sizes})
 
 
-def check_form(name: str, how: object) -> None:
-    """Check that the parameter `name` can be drawn: `how` is a table with one distribution. Otherwise raise a
-    CampaignError.
+def _draw_within_tolerances(rig: Rig, random: np.random.Generator) -> dict[str, float]:
+    """Draw every parameter that has a tolerance from a normal distribution, by name."""
+    values = {}
+    for name, number in rig.items():
+        if number.tolerance > 0.0:
+            value = number.value + 0.5 * number.tolerance * float(random.standard_normal())
+            values[name] = value if Rig.may_be_negative(name) else abs(value)
+    return values
+
+
+def check_distribution(name: str, distribution: object) -> None:
+    """Check the `distribution` of the parameter `name`: a table with one of ``share``, ``factor`` and
+    ``range``. Otherwise raise a CampaignError.
     """
-    if not isinstance(how, Mapping) or len(how) != 1 or next(iter(how)) not in _FORMS:
+    if (
+        not isinstance(distribution, Mapping)
+        or len(distribution) != 1
+        or next(iter(distribution)) not in _FORMS
+    ):
         raise CampaignError(
             f"[draw] {name}: it needs exactly one of {', '.join(_FORMS)}",
             "write, for example, { share = 0.2 }",
         )
-    form, value = next(iter(how.items()))
+    form, value = next(iter(distribution.items()))
     numbers = value if isinstance(value, list | tuple) else [value]
-    plain = all(isinstance(number, int | float) and not isinstance(number, bool) for number in numbers)
-    good = {
-        "share": len(numbers) == 1 and plain and 0.0 <= numbers[0] < 1.0,
-        "factor": len(numbers) == 1 and plain and numbers[0] >= 1.0,
-        "range": len(numbers) == 2 and plain and numbers[0] <= numbers[1],
-    }[form]
-    if not good:
+    valid = all(isinstance(number, int | float) and not isinstance(number, bool) for number in numbers)
+    if form == "share":
+        valid = valid and len(numbers) == 1 and 0.0 <= numbers[0] < 1.0
+    elif form == "factor":
+        valid = valid and len(numbers) == 1 and numbers[0] >= 1.0
+    else:
+        valid = valid and len(numbers) == 2 and numbers[0] <= numbers[1]
+    if not valid:
         raise CampaignError(
             f"[draw] {name}: {form} = {value!r} is invalid",
             "give a share from 0 to 1, a factor of at least 1, or a range of two numbers",
         )
 
 
-def _draw(value: float, how: Mapping[str, Any], random: np.random.Generator) -> float:
-    if "share" in how:
-        return value * (1.0 + float(random.uniform(-how["share"], how["share"])))
-    if "factor" in how:
-        return value * float(how["factor"] ** random.uniform(-1.0, 1.0))
-    low, high = how["range"]
+def _draw(value: float, distribution: Mapping[str, Any], random: np.random.Generator) -> float:
+    """Draw a number from a `distribution` about the nominal `value`."""
+    if "share" in distribution:
+        share = distribution["share"]
+        return value * (1.0 + float(random.uniform(-share, share)))
+    if "factor" in distribution:
+        return value * float(distribution["factor"] ** random.uniform(-1.0, 1.0))
+    low, high = distribution["range"]
     return float(random.uniform(low, high))

@@ -13,9 +13,9 @@ from heli_host.files import TOML_BYTES, parse_toml, read_file
 
 from heli_lab.campaign.campaign import Campaign
 from heli_lab.campaign.case import Case
-from heli_lab.campaign.draw import TOLERANCES, check_form
+from heli_lab.campaign.draw import TOLERANCES, check_distribution
 from heli_lab.campaign.worker_process import Limits
-from heli_lab.campaign.works import DEFAULTS, WORKS, WORST
+from heli_lab.campaign.works import DEFAULT_RANKING, DEFAULTS, WORKS
 from heli_lab.errors import CampaignError
 
 MAX_CASES: Final = 200_000
@@ -49,7 +49,8 @@ def load_campaign(path: Path) -> Campaign:
 
 
 def _campaign(path: Path, table: Mapping[str, Any]) -> Campaign:
-    _known(table, _TOP, "the file")
+    """Convert the `table` of the file at `path`; a CampaignError names a wrong entry."""
+    _refuse_unknown_names(table, _TOP, "the file")
     if "work" not in table:
         raise CampaignError("work is missing", f"write work = one of {', '.join(WORKS)}")
     work = table["work"]
@@ -59,36 +60,44 @@ def _campaign(path: Path, table: Mapping[str, Any]) -> Campaign:
             f"write work = one of {', '.join(WORKS)}, or your own function as package.module:function",
         )
     title = table.get("title", path.stem)
-    worst = table.get("worst", WORST.get(work, ""))
+    worst = table.get("worst", DEFAULT_RANKING.get(work, ""))
     if not isinstance(title, str) or not isinstance(worst, str):
         raise CampaignError("title and worst must be texts", "put them in quotes")
     lists = table.get("cases", {})
     if not isinstance(lists, dict):
         raise CampaignError("cases is not a table", "write [cases], and a list for each setting")
     if work in WORKS:
-        _known(lists, tuple(DEFAULTS), "[cases]")
+        _refuse_unknown_names(lists, tuple(DEFAULTS), "[cases]")
     values = {name: _values(name, given, path.parent) for name, given in lists.items()}
     count = math.prod(map(len, values.values()))
     if count > MAX_CASES:
         raise CampaignError(
             f"these lists make {count} cases, more than {MAX_CASES}", "shorten one of the lists"
         )
+    fixed = dict(DEFAULTS) if work in WORKS else {}
     draw = _draw(table.get("draw", {}))
-    fixed = {**(DEFAULTS if work in WORKS else {}), **({"draw": draw} if draw else {})}
+    if draw:
+        fixed["draw"] = draw
+    modules = str(path.parent.resolve()) if work not in WORKS else ""
+    cases = _cases(WORKS.get(work, work), values, fixed)
+    return Campaign(title, cases, _limits(table.get("limits", {})), worst, modules)
+
+
+def _cases(work: str, values: Mapping[str, Sequence[Any]], fixed: Mapping[str, Any]) -> tuple[Case, ...]:
+    """One case per combination of the `values` of the settings, in addition to the `fixed` settings. Settings
+    with several values give the case its name.
+    """
     varied = [name for name, choices in values.items() if len(choices) > 1]
     cases = []
-    for chosen in itertools.product(*values.values()):
-        settings = dict(zip(values, chosen, strict=True))
-        name = " ".join(
-            _spelled(settings[setting]) if setting != "seed" else f"seed {settings[setting]}"
-            for setting in varied
-        )
-        cases.append(Case(name or "the case", WORKS.get(work, work), {**fixed, **settings}))
-    modules = str(path.parent.resolve()) if work not in WORKS else ""
-    return Campaign(title, tuple(cases), _limits(table.get("limits", {})), worst, modules)
+    for combination in itertools.product(*values.values()):
+        settings = dict(zip(values, combination, strict=True))
+        words = [f"seed {settings[name]}" if name == "seed" else _spelled(settings[name]) for name in varied]
+        cases.append(Case(" ".join(words) or "the case", work, {**fixed, **settings}))
+    return tuple(cases)
 
 
-def _known(table: Mapping[str, Any], names: Sequence[str], where: str) -> None:
+def _refuse_unknown_names(table: Mapping[str, Any], names: Sequence[str], where: str) -> None:
+    """Raise a CampaignError if a `table`, which messages call `where`, has other entries than `names`."""
     unknown = [name for name in table if name not in names]
     if unknown:
         raise CampaignError(
@@ -97,7 +106,7 @@ def _known(table: Mapping[str, Any], names: Sequence[str], where: str) -> None:
 
 
 def _values(name: str, given: Any, folder: Path) -> list[Any]:
-    """List the values of a setting; ``{ from = 1, to = 50 }`` are all whole numbers between."""
+    """Values of a setting: a list, a single value, or the range ``{ from = 1, to = 50 }`` with both ends."""
     if isinstance(given, dict):
         first, last = given.get("from"), given.get("to")
         if len(given) != 2 or type(first) is not int or type(last) is not int or last < first:
@@ -139,20 +148,22 @@ def _placed(name: str, value: Any, folder: Path) -> Any:
 
 
 def _draw(given: Any) -> Any:
+    """Check the entry ``draw`` of a file, and return it: ``tolerances``, or distributions by name."""
     if given in (TOLERANCES, {}):
         return given
     if not isinstance(given, dict):
         raise CampaignError(f"draw = {given!r} is invalid", f'write draw = "{TOLERANCES}", or a table')
-    for name, how in given.items():
-        check_form(name, how)
+    for name, distribution in given.items():
+        check_distribution(name, distribution)
     return given
 
 
 def _limits(given: Any) -> Limits:
+    """Convert the table ``[limits]`` of a file; missing limits have their defaults."""
     if not isinstance(given, dict):
         raise CampaignError("limits is not a table", "write [limits]")
     default = Limits()
-    _known(given, ("cpu_s", "wait_s"), "[limits]")
+    _refuse_unknown_names(given, ("cpu_s", "wait_s"), "[limits]")
     for name, value in given.items():
         if not isinstance(value, int | float) or isinstance(value, bool) or not value > 0.0:
             raise CampaignError(f"[limits] {name} = {value!r} is invalid", "give seconds above 0")

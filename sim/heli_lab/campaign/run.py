@@ -61,10 +61,12 @@ def run_campaign(
     again: Callable[[JobResult], bool] | None = None,
     on_progress: Callable[[State], None] | None = None,
 ) -> list[dict[str, Any]]:
-    """Run all cases that have not ended yet, and write the table of all cases; return its rows.
+    """Run all cases that have no result yet, and write the table of all cases.
 
     Parameters
     ----------
+    campaign : Campaign
+        Cases and their limits.
     store : Store
         Folder of results. Cases with a stored result of the same code are not run again.
     scheduler : str, optional
@@ -78,56 +80,72 @@ def run_campaign(
     on_progress : callable, optional
         Called with the state of the campaign after each case.
 
+    Returns
+    -------
+    list of dict
+        Rows of the table, by column, in the order of the cases' names.
+
     Raises
     ------
     CampaignError
-        When the cluster cannot be used, or is gone before all cases have ended; what has ended is kept.
+        When the cluster cannot be used, or is gone before all cases have ended; all results so far stay
+        stored.
     """
     report = on_progress or (lambda _: None)
     digest = _digest(campaign) if code is None else code
-    keys = {case.key(digest): case for case in campaign.cases}
+    cases = {case.key(digest): case for case in campaign.cases}
     with store.locked():
-        rows = _kept_rows(store, keys, again)
-        count = sum(bool(row.get("failure")) for row in rows.values())
-        report(State(len(rows), count, len(keys)))
-        remaining = {key: case for key, case in keys.items() if key not in rows}
+        rows = _stored_rows(store, cases, again)
+        failed = sum(bool(row.get("failure")) for row in rows.values())
+        report(State(len(rows), failed, len(cases)))
         # Results that do not depend on the installed code need workers with the same packages nevertheless.
         works, worker_code = (campaign.works, digest) if code is None else ((), code_digest())
-        jobs = {
-            key: Job(
-                case,
-                key,
-                worker_code,
-                works,
-                campaign.limits,
-                str(store.cases.resolve()),
-                store.token,
-                campaign.modules,
-            )
-            for key, case in remaining.items()
-        }
-        waiting: list[dict[str, Cell]] = []
-        flushed_s = time.monotonic()
+        jobs = _jobs(
+            campaign, store, {key: case for key, case in cases.items() if key not in rows}, works, worker_code
+        )
+        # Rows that are not in the table yet.
+        unwritten: list[dict[str, Cell]] = []
+        written_s = time.monotonic()
         try:
             for result, note in _results(jobs, scheduler, processes):
                 if result is None:
-                    report(State(len(rows), count, len(keys), None, note))
+                    report(State(len(rows), failed, len(cases), None, note))
                     continue
                 store.keep(result)
-                rows[result.key] = _row(keys[result.key], result)
-                waiting.append(rows[result.key])
-                count += bool(result.failure)
-                if time.monotonic() - flushed_s > _FLUSH_s:
-                    store.append(waiting)
-                    waiting, flushed_s = [], time.monotonic()
-                report(State(len(rows), count, len(keys), result))
+                rows[result.key] = _row(cases[result.key], result)
+                unwritten.append(rows[result.key])
+                failed += bool(result.failure)
+                if time.monotonic() - written_s > _FLUSH_s:
+                    store.append(unwritten)
+                    unwritten, written_s = [], time.monotonic()
+                report(State(len(rows), failed, len(cases), result))
         finally:
-            store.append(waiting)
+            store.append(unwritten)
         store.settle(rows.values())
     return sorted(rows.values(), key=lambda row: natural_order(str(row["case"])))
 
 
+def _jobs(
+    campaign: Campaign, store: Store, cases: dict[str, Case], works: tuple[str, ...], code: str
+) -> dict[str, Job]:
+    """Jobs of the `cases`, by key, for workers whose `works` have the digest `code`."""
+    return {
+        key: Job(
+            case=case,
+            key=key,
+            code=code,
+            works=works,
+            limits=campaign.limits,
+            cases=str(store.cases.resolve()),
+            token=store.token,
+            modules=campaign.modules,
+        )
+        for key, case in cases.items()
+    }
+
+
 def _digest(campaign: Campaign) -> str:
+    """Digest of the code that runs the cases; a CampaignError reports a module that is missing."""
     try:
         return code_digest(campaign.works, campaign.modules)
     except ImportError as error:
@@ -150,15 +168,17 @@ def _row(case: Case, result: JobResult) -> dict[str, Cell]:
     return row
 
 
-def _kept_rows(
-    store: Store, keys: dict[str, Case], again: Callable[[JobResult], bool] | None
+def _stored_rows(
+    store: Store, cases: dict[str, Case], again: Callable[[JobResult], bool] | None
 ) -> dict[str, dict[str, Any]]:
-    """Return the rows of the cases that have ended, and add to the table those that none of its parts has."""
-    stored = store.read(keys)
+    """Rows of the cases that have a stored result, by key; rows that the table lacks are added to it. Results
+    that are to be computed `again` are removed.
+    """
+    stored = store.read(cases)
     if again is not None:
         store.forget(key for key, result in stored.items() if again(result))
         stored = {key: result for key, result in stored.items() if not again(result)}
-    rows: dict[str, dict[str, Any]] = {key: _row(keys[key], result) for key, result in stored.items()}
+    rows: dict[str, dict[str, Any]] = {key: _row(cases[key], result) for key, result in stored.items()}
     known = {row["key"] for row in store.rows()}
     store.append([row for key, row in rows.items() if key not in known])
     return rows
@@ -167,34 +187,54 @@ def _kept_rows(
 def _results(
     jobs: dict[str, Job], scheduler: str | None, processes: int
 ) -> Iterator[tuple[JobResult | None, str]]:
-    """Yield results as they arrive, or None with a note on another problem."""
+    """Run the jobs, and yield results as they arrive, or None with a note on a worker."""
     if not jobs:
         return
     job = next(iter(jobs.values()))
     with workers_of(scheduler, min(processes, len(jobs))) as client:
-        good, bad = usable(client, job.code, job.works, job.modules)
-        for address, why in bad.items():
+        usable_workers, unusable = usable(client, job.code, job.works, job.modules)
+        for address, why in unusable.items():
             yield None, f"worker {address} is not used: {why}"
-        if not good:
+        if not usable_workers:
             raise CampaignError("no worker has this code", _NO_WORKER_REMEDY)
         try:
-            yield from _attended(client, jobs, set(bad))
+            yield from _run_on_workers(client, jobs, set(unusable))
         finally:
             with suppress(Exception):
                 client.run(release, on_error="return")
 
 
-def _attended(client: Client, jobs: dict[str, Job], bad: set[str]) -> Iterator[tuple[JobResult | None, str]]:
+def _run_on_workers(
+    client: Client, jobs: dict[str, Job], unusable: set[str]
+) -> Iterator[tuple[JobResult | None, str]]:
+    """Run jobs on a cluster; a job whose worker is lost or has other code is submitted again.
+
+    Parameters
+    ----------
+    unusable : set of str
+        Addresses of workers that have other code; more are added.
+
+    Yields
+    ------
+    result : JobResult or None
+        The next result; None with a note.
+    note : str
+        A problem with a worker; otherwise empty.
+    """
     from distributed import as_completed
 
     def submit(job: Job) -> Future[Any]:
-        # Should no other be left, a worker that cannot do it says so; what no worker may do is stuck.
-        good = [worker for worker in client.scheduler_info()["workers"] if worker not in bad] if bad else None
-        # A key of its own: another campaign's task of the case's key may be of other limits.
-        return client.submit(run_job, job, pure=False, workers=good or None, allow_other_workers=bool(good))
+        workers = None
+        if unusable:
+            # If none remains, an unusable worker reports its code; a job without a worker would wait forever.
+            workers = [worker for worker in client.scheduler_info()["workers"] if worker not in unusable]
+        # With its own key, because another campaign may run the same case with other limits.
+        return client.submit(
+            run_job, job, pure=False, workers=workers or None, allow_other_workers=bool(workers)
+        )
 
     tasks = {submit(job): job for job in jobs.values()}
-    lost: Counter[str] = Counter()
+    lost_workers: Counter[str] = Counter()
     ended = 0
     completed = as_completed(tasks)
     for future in completed:
@@ -205,32 +245,34 @@ def _attended(client: Client, jobs: dict[str, Job], bad: set[str]) -> Iterator[t
                 "are saved",
                 "run the same command again to continue with the others",
             )
-        result = _result_of(future, job, lost)
+        result = _result_of(future, job, lost_workers)
         if isinstance(result, JobResult):
             ended += 1
             yield result, ""
             continue
         if result is not None:
-            new = result.where not in bad
-            bad.add(result.where)
-            if new:
+            is_new = result.where not in unusable
+            unusable.add(result.where)
+            if is_new:
                 yield None, f"worker {result.where} is not used: {result.why}"
-            elif not {*client.scheduler_info()["workers"]} - bad:
+            elif not {*client.scheduler_info()["workers"]} - unusable:
                 raise CampaignError("no worker is left that has this code", _NO_WORKER_REMEDY)
         task = submit(job)
         tasks[task] = job
         completed.add(task)
 
 
-def _result_of(future: Future[Any], job: Job, lost: Counter[str]) -> JobResult | CodeMismatch | None:
-    """Return the result of a task; None if its worker was lost and another worker is to try."""
+def _result_of(future: Future[Any], job: Job, lost_workers: Counter[str]) -> JobResult | CodeMismatch | None:
+    """Result of a task; None if its worker was lost and another worker is to try. `lost_workers` counts the
+    workers that were lost, by key of the case.
+    """
     from distributed import KilledWorker
 
     try:
         result: JobResult | CodeMismatch = future.result()
     except KilledWorker:
-        lost[job.key] += 1
-        if lost[job.key] < _LOST_WORKERS:
+        lost_workers[job.key] += 1
+        if lost_workers[job.key] < _LOST_WORKERS:
             return None
         return JobResult(job.case.name, job.key, failure="worker after worker was lost under it")
     except Exception as error:  # noqa: BLE001 - whatever a worker raises belongs to the case

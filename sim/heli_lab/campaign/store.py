@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 STORED_PACKAGES: Final = ("distributed", "pyarrow")
 """Packages of the extra ``campaign`` that nothing else of the laboratory needs."""
 TABLE: Final = "cases.parquet"
-OWN: Final = ("failure", "cpu_s", "seconds", "where", "key")
+RESULT_COLUMNS: Final = ("failure", "cpu_s", "seconds", "where", "key")
 """Columns that every case has in addition to its name, its settings and the results of its work."""
 
 
@@ -86,7 +86,7 @@ class Store:
 
     def keep(self, result: JobResult) -> None:
         """Write a result, unless it is stored already."""
-        keep(self.cases, result)
+        write_result(self.cases, result)
 
     def forget(self, keys: Iterable[str]) -> None:
         """Remove the results with the given `keys`."""
@@ -95,9 +95,9 @@ class Store:
 
     def read(self, keys: Iterable[str]) -> dict[str, JobResult]:
         """Read the stored results with the given `keys`; results that are unreadable are left out."""
-        there = {path.stem for path in self.cases.glob("*.json")}
-        read = {key: kept(self.cases, key) for key in keys if key in there}
-        return {key: result for key, result in read.items() if result is not None}
+        stored = {path.stem for path in self.cases.glob("*.json")}
+        results = {key: read_result(self.cases, key) for key in keys if key in stored}
+        return {key: result for key, result in results.items() if result is not None}
 
     def append(self, rows: Sequence[Mapping[str, Cell]]) -> None:
         """Append `rows` to the table, as a separate part."""
@@ -143,21 +143,19 @@ def _check_packages() -> None:
 def row_of(case: Case, result: JobResult) -> dict[str, Cell]:
     """Return the row of a case: its name, its settings, the values from its work, and its CPU time."""
     settings = {name: _cell(value) for name, value in case.settings.items()}
-    fields = {name: getattr(result, name) for name in OWN}
+    fields = {name: getattr(result, name) for name in RESULT_COLUMNS}
     return {"case": case.name, **settings, **result.row, **fields}
 
 
-def keep(folder: Path, result: JobResult) -> None:
-    """Write a result into the `folder` of results as JSON, whole or not at all, unless it is there."""
+def write_result(folder: Path, result: JobResult) -> None:
+    """Write a result into the `folder` of results as JSON, completely or not at all, unless it is stored."""
     path = folder / f"{result.key}.json"
-    if kept(folder, result.key) is None:
+    if read_result(folder, result.key) is None:
         _write_whole(path, json.dumps(result.to_json(), indent=1).encode())
 
 
-def kept(folder: Path, key: str) -> JobResult | None:
-    """Read the result called `key` from the `folder` of results; None where there is none that can be
-    read.
-    """
+def read_result(folder: Path, key: str) -> JobResult | None:
+    """Read the result with the given `key` from the `folder` of results; None if there is none."""
     try:
         return JobResult.read(json.loads((folder / f"{key}.json").read_text()))
     except (OSError, ValueError, KeyError, TypeError):
@@ -188,6 +186,7 @@ def _write_parquet(path: Path, rows: Sequence[Mapping[str, Cell]]) -> None:
 
 
 def _table(rows: Sequence[Mapping[str, Cell]]) -> pa.Table:
+    """Table with all columns of the `rows`; a column of mixed types holds texts."""
     import pyarrow as pa
 
     columns: dict[str, list[Cell]] = {}

@@ -14,7 +14,7 @@ from heli_host.declaration import Fault
 
 from heli_lab.campaign.campaign import Campaign
 from heli_lab.campaign.draw import PREFIX
-from heli_lab.campaign.store import OWN
+from heli_lab.campaign.store import RESULT_COLUMNS
 
 OUTCOME: Final = "outcome"
 """Column that states how a flight ended."""
@@ -93,7 +93,7 @@ def summarise(campaign: Campaign, rows: Sequence[Row]) -> Summary:
     names = [
         name
         for name in dict.fromkeys(n for row in good for n in row)
-        if name not in {"case", OUTCOME, *OWN, *settings} and not name.startswith(PREFIX)
+        if name not in {"case", OUTCOME, *RESULT_COLUMNS, *settings} and not name.startswith(PREFIX)
     ]
     columns, words = [], {}
     for name in names:

@@ -12,23 +12,27 @@ from functools import cache
 from pathlib import Path
 
 from heli_lab.campaign.case import Case, JobResult
-from heli_lab.campaign.store import keep, kept
+from heli_lab.campaign.store import read_result, write_result
 from heli_lab.campaign.worker_process import Limits, WorkerProcess
 from heli_lab.code_digest import code_digest
 
 
 @dataclass(frozen=True)
 class Job:
-    """A case on its way to a worker.
+    """A case with everything that a worker needs to run it.
 
     Parameters
     ----------
+    case : Case
+        The case.
     key : str
         Key under which the result is stored.
     code : str
         Digest of the code that the campaign was begun with.
     works : tuple of str
         Functions that the digest covers.
+    limits : Limits
+        Limits of CPU time, time and threads.
     cases : str
         Folder of the results.
     token : str
@@ -58,26 +62,23 @@ class CodeMismatch:
 
 @dataclass
 class _IdleProcesses:
-    """Idle processes of this worker."""
+    """Processes of this worker that wait for a case; a case borrows one, or starts a new one.
+
+    Parameters
+    ----------
+    idle : list of WorkerProcess
+        The processes.
+    lock : Lock
+        Held while the list changes, because a worker runs several cases in parallel.
+    """
 
     idle: list[WorkerProcess] = field(default_factory=list)
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     @contextmanager
     def borrowed(self, limits: Limits, modules: str) -> Iterator[WorkerProcess]:
-        with self.lock:
-            wanted = (limits.threads, modules)
-            fit = next(
-                (
-                    idle_process
-                    for idle_process in self.idle
-                    if (idle_process.limits.threads, idle_process.modules) == wanted
-                ),
-                None,
-            )
-            if fit is not None:
-                self.idle.remove(fit)
-        process = fit or WorkerProcess(limits, modules)
+        """Lend a process with these `modules` and as many threads as in `limits`, until the block ends."""
+        process = self._taken(limits, modules) or WorkerProcess(limits, modules)
         process.limits = limits
         try:
             yield process
@@ -85,7 +86,17 @@ class _IdleProcesses:
             with self.lock:
                 self.idle.append(process)
 
+    def _taken(self, limits: Limits, modules: str) -> WorkerProcess | None:
+        """Take a fitting process out of the list; None if there is none."""
+        with self.lock:
+            for process in self.idle:
+                if process.limits.threads == limits.threads and process.modules == modules:
+                    self.idle.remove(process)
+                    return process
+        return None
+
     def close(self) -> None:
+        """End all processes."""
         with self.lock:
             for process in self.idle:
                 process.close()
@@ -97,7 +108,7 @@ def _idle_processes() -> _IdleProcesses:
     return _IdleProcesses()
 
 
-def here() -> str:
+def worker_name() -> str:
     """Return the name of this worker: its address in the cluster, or otherwise machine and process id."""
     from distributed import get_worker
 
@@ -107,9 +118,17 @@ def here() -> str:
         return f"{socket.gethostname()}:{os.getpid()}"
 
 
-def other_code(code: str, works: tuple[str, ...], modules: str = "") -> str:
-    """Return how the code of this process differs from the campaign's, in one line; empty if it is the same.
-    The digest `code` covers the functions `works`, also those of modules in the folder `modules`.
+def code_difference(code: str, works: tuple[str, ...], modules: str = "") -> str:
+    """Difference between the code of this process and the campaign's, in one line; empty if there is none.
+
+    Parameters
+    ----------
+    code : str
+        Digest of the campaign's code.
+    works : tuple of str
+        Functions that the digest covers.
+    modules : str
+        Folder of modules that are not installed.
     """
     try:
         worker_code = code_digest(works, modules)
@@ -124,19 +143,19 @@ def run_job(job: Job) -> JobResult | CodeMismatch:
     A stored result is returned without a run, because a cluster that lost a worker asks again. If this worker
     sees the folder of the results, it returns the row of the table only.
     """
-    why = other_code(job.code, job.works, job.modules)
+    why = code_difference(job.code, job.works, job.modules)
     if why:
-        return CodeMismatch(here(), why)
+        return CodeMismatch(worker_name(), why)
     cases = Path(job.cases)
-    mark = cases.with_name("store.txt")
-    seen = mark.is_file() and mark.read_text() == job.token
-    result = kept(cases, job.key) if seen else None
+    token_file = cases.with_name("store.txt")
+    sees_store = token_file.is_file() and token_file.read_text() == job.token
+    result = read_result(cases, job.key) if sees_store else None
     if result is None:
         with _idle_processes().borrowed(job.limits, job.modules) as process:
-            result = replace(process.run(job.case, job.key), where=here())
-        if seen:
-            keep(cases, result)
-    return replace(result, detail=None) if seen else result
+            result = replace(process.run(job.case, job.key), where=worker_name())
+        if sees_store:
+            write_result(cases, result)
+    return replace(result, detail=None) if sees_store else result
 
 
 def release() -> None:

@@ -139,6 +139,7 @@ class WorkerProcess:
         return JobResult(case.name, key, failure=f"its process crashed: {name or f'exit status {code}'}")
 
     def _start(self) -> None:
+        """Start the process, and a thread that reads its replies."""
         threads = {name: text.format(threads=self.limits.threads) for name, text in _ONE_THREAD.items()}
         # Not by multiprocessing, which refuses children to the daemonic processes that workers are.
         self._process = subprocess.Popen(
@@ -191,6 +192,7 @@ def serve_jobs(jobs: IO[bytes], replies: IO[bytes]) -> None:
 
 
 def _reply(work: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Run a case: its row and detail, or the reason of its failure with the traceback."""
     from heli_host.errors import HeliError
 
     try:
@@ -204,6 +206,7 @@ def _reply(work: str, settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _function(work: str) -> Callable[[Mapping[str, Any]], Any]:
+    """Import the function `work`, given as ``package.module:function``."""
     from heli_lab.errors import CampaignError
 
     module, _, name = work.partition(":")
@@ -215,7 +218,9 @@ def _function(work: str) -> Callable[[Mapping[str, Any]], Any]:
 
 
 def _row_and_detail(work: str, returned: Any) -> tuple[dict[str, Any], Any]:
-    """Check the result of a user's function."""
+    """Row and detail of the result that the function `work` has `returned`; a CampaignError reports a result
+    of another form.
+    """
     from heli_lab.errors import CampaignError
 
     if not isinstance(returned, tuple) or len(returned) != 2:
@@ -257,6 +262,7 @@ def _cpu_limit() -> Callable[[float], None]:
 
 
 def _own_cpu_limit() -> Callable[[float], None]:
+    """As `_cpu_limit`, by a thread that watches the CPU time."""
     until_s = [math.inf]
 
     def watch() -> None:

@@ -19,7 +19,7 @@ from heli_host.log.flight_file import read_flight
 from heli_host.log.summary import FlightSummary
 from heli_host.parameter_file import read_parameter_set
 from heli_sim.model import MultibodyModel
-from heli_sim.model.base import Model
+from heli_sim.model.base import Effect, Model
 from heli_sim.model.effects import catalogue, effects_of, effects_with, parse_effects
 from heli_sim.model.named import model_named
 from heli_sim.model.parts import AXES
@@ -30,21 +30,21 @@ from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
 
 from heli_lab.campaign.case import Cell
-from heli_lab.campaign.draw import Drawn, drawn
+from heli_lab.campaign.draw import DrawnRig, draw_rig
 
 Settings = Mapping[str, Any]
 Result = tuple[dict[str, Cell], Any]
-"""A case's row, and all else."""
+"""Row of a case by column, and further results as JSON can hold them."""
 
 WORKS: Final = {name: f"{__name__}:{name}" for name in ("fly", "identify", "diagnose", "gains")}
-"""Functions by the word that a campaign's file has for them."""
-WORST: Final = {
+"""Functions that run cases, by their name in a campaign file."""
+DEFAULT_RANKING: Final = {
     "fly": "travel_rms_deg",
     "identify": "held_out_normalised",
     "diagnose": "held_out_after",
     "gains": "travel_rms_deg",
 }
-"""Column by which the worst cases of each work are found, if the campaign's file names none."""
+"""Column whose largest values are the worst cases of each work, if the campaign file names none."""
 DEFAULTS: Final[Settings] = {
     "rig": "makki2024",
     "model": "",
@@ -60,180 +60,206 @@ DEFAULTS: Final[Settings] = {
 }
 """Settings that a case may have, with their default values."""
 _VALIDATION_SEED: Final = 500_000
-"""Added to the seed for the flight that judges."""
+"""Added to the seed of a case for its validation flight."""
 
 
 def fly(settings: Settings) -> Result:
     """Fly a plan on a rig that may differ from its file by `settings`, and report how well it was tracked."""
-    flown = _flown(settings, settings["plan"], 0)
-    flight, summary = flown.flight, flown.summary
-    return {
+    simulated = _fly(settings, settings["plan"])
+    flight, summary = simulated.flight, simulated.summary
+    row = {
         "outcome": summary.outcome,
         "duration_s": float(flight.duration_s),
-        **{f"{axis}_rms_deg": value for axis, value in _tracking_deg(flight).items()},
+        **{f"{axis}_rms_deg": value for axis, value in _tracking_rms_deg(flight).items()},
         "pitch_max_deg": float(np.degrees(np.abs(flight.pitch_rad)).max()),
         "voltage_max_V": float(flight.voltages_V.max()),
-        **flown.drawn.row,
-    }, {"notes": list(summary.notes)}
+        **simulated.drawn.row,
+    }
+    return row, {"notes": list(summary.notes)}
 
 
 def identify(settings: Settings) -> Result:
     """Fit parameters to a flight of a rig that differs from its file by `settings`, and compare them with the
     true parameters.
     """
-    from heli_lab.identify.run import identify as find
+    from heli_lab.identify.run import identify as identify_rig
 
-    flown = _flown(settings, settings["plan"], 0)
-    nominal, true = flown.nominal, flown.drawn.rig
-    other = _flown(settings, settings["validate"], _VALIDATION_SEED)
-    model = _model(settings, nominal)
-    identification = find(
-        model,
+    training = _fly(settings, settings["plan"])
+    validation = _fly(settings, settings["validate"], _VALIDATION_SEED)
+    nominal, true = training.nominal, training.drawn.rig
+    identification = identify_rig(
+        _model_with_effects(settings, nominal),
         nominal,
-        [flown.flight],
-        validation=[other.flight],
+        [training.flight],
+        validation=[validation.flight],
         labels=["fit"],
         validation_labels=["validation"],
         threads=settings["threads"],
     )
-    off = {
-        name: (value - true[name].value) / identification.fit.std[name]
-        for name, value in identification.fit.values.items()
+    fit = identification.fit
+    errors_in_std = {
+        name: (value - true[name].value) / fit.std[name]
+        for name, value in fit.values.items()
         if name in true and not name.startswith("offset_")
     }
-    return {
-        "outcome": _outcome(flown, other),
+    sizes = [abs(error) for error in errors_in_std.values()]
+    row = {
+        "outcome": _outcome(training, validation),
         "normalised": identification.training[0].normalised,
         "held_out_normalised": identification.validation[0].normalised,
-        "within_2_std": float(np.mean([abs(z) < 2.0 for z in off.values()])) if off else None,
-        "most_std_off": max((abs(z) for z in off.values()), default=None),
-        "converged": identification.fit.converged,
-        **flown.drawn.row,
-    }, {"values": identification.fit.values, "std": identification.fit.std, "standard_errors_off": off}
+        "within_2_std": float(np.mean([size < 2.0 for size in sizes])) if sizes else None,
+        "most_std_off": max(sizes, default=None),
+        "converged": fit.converged,
+        **training.drawn.row,
+    }
+    return row, {"values": fit.values, "std": fit.std, "standard_errors_off": errors_in_std}
 
 
 def diagnose(settings: Settings) -> Result:
-    """Hide the effects of the `settings` in two flights, and diagnose the flights. The row states whether the
-    diagnosis names them.
+    """Diagnose two flights with hidden effects, those of the `settings`, and report whether the diagnosis
+    finds these effects.
     """
-    from heli_lab.diagnose import diagnose as find
+    from heli_lab.diagnose import diagnose as diagnose_flights
     from heli_lab.diagnose import to_json
 
-    flown = _flown(settings, settings["plan"], 0)
-    nominal = flown.nominal
-    other = _flown(settings, settings["validate"], _VALIDATION_SEED)
+    training = _fly(settings, settings["plan"])
+    validation = _fly(settings, settings["validate"], _VALIDATION_SEED)
+    nominal = training.nominal
     hidden = {effect.name for effect in parse_effects(settings["effects"], settings["effect_files"])}
-    stated = effects_of(nominal, settings["effect_files"])
-    known = tuple(effect for effect in stated if effect.name not in hidden)
-    diagnosis = find(
-        model_named(settings["model"] or nominal.model or MultibodyModel.name, known),
+    in_rig_file = effects_of(nominal, settings["effect_files"])
+    known = tuple(effect for effect in in_rig_file if effect.name not in hidden)
+    diagnosis = diagnose_flights(
+        _model(settings, nominal, known),
         nominal,
-        [flown.flight],
-        [other.flight],
+        [training.flight],
+        [validation.flight],
         kinds=catalogue(settings["effect_files"]),
         labels=["fit", "validation"],
         refits=settings["budget"],
         threads=settings["threads"],
     )
-    numbers = to_json(diagnosis)
-    named = {cause["effect"] for cause in numbers["causes"]}
-    sure = {cause["effect"] for cause in numbers["causes"] if cause["confidence"] >= 0.9}
-    gains = numbers["gain"]["axis"]
-    return {
-        "outcome": _outcome(flown, other),
-        "verdict": numbers["verdict"],
-        "causes": ", ".join(sorted(named)),
-        "found": hidden <= named,
-        "wrongly_sure": len(sure - hidden),
-        "held_out_before": numbers["residual"]["normalised"]["held_out_before"],
-        "held_out_after": numbers["residual"]["normalised"]["held_out_after"],
-        **{f"{axis}_gain": gain["ratio"] for axis, gain in gains.items()},
-        "complete": numbers["complete"],
-        **flown.drawn.row,
-    }, numbers
+    report = to_json(diagnosis)
+    diagnosed = {cause["effect"] for cause in report["causes"]}
+    confident = {cause["effect"] for cause in report["causes"] if cause["confidence"] >= 0.9}
+    normalised = report["residual"]["normalised"]
+    row = {
+        "outcome": _outcome(training, validation),
+        "verdict": report["verdict"],
+        "causes": ", ".join(sorted(diagnosed)),
+        "found": hidden <= diagnosed,
+        "wrongly_sure": len(confident - hidden),
+        "held_out_before": normalised["held_out_before"],
+        "held_out_after": normalised["held_out_after"],
+        **{f"{axis}_gain": gain["ratio"] for axis, gain in report["gain"]["axis"].items()},
+        "complete": report["complete"],
+        **training.drawn.row,
+    }
+    return row, report
 
 
 def gains(settings: Settings) -> Result:
-    """Fly a demanding path with the board's parameters of the `settings`: a step of travel and back, then
-    sines.
+    """Fly a demanding path, a step of travel and back and then sines, with the board's parameters of the
+    `settings`.
     """
     from dataclasses import asdict
 
     from heli_lab.tune.flights import try_gains
 
-    nominal, draw = _draw(settings)
-    true, effects = draw.rig, draw.effects
-    fitted_effects = parse_effects(effects, settings["effect_files"])
-    model = model_named(settings["model"] or nominal.model or MultibodyModel.name, fitted_effects)
+    nominal, drawn = _draw(settings)
+    model = _model(settings, nominal, parse_effects(drawn.effects, settings["effect_files"]))
     parameters = read_parameter_set(Path(settings["params"])).values if settings["params"] else {}
-    trial = try_gains(Plant(model, true, settings["seed"]), parameters, "campaign", settings["seed"])
-    metrics = asdict(trial.metrics)
-    finite = {name: v if not isinstance(v, float) or np.isfinite(v) else None for name, v in metrics.items()}
-    return {**finite, **draw.row}, {
-        "effects": list(effects),
-        "numbers": {name: n.value for name, n in true.items()},
+    trial = try_gains(Plant(model, drawn.rig, settings["seed"]), parameters, "campaign", settings["seed"])
+    metrics = {
+        name: None if isinstance(value, float) and not np.isfinite(value) else value
+        for name, value in asdict(trial.metrics).items()
     }
+    detail = {
+        "effects": list(drawn.effects),
+        "numbers": {name: number.value for name, number in drawn.rig.items()},
+    }
+    return {**metrics, **drawn.row}, detail
 
 
 def drawn_row(settings: Settings) -> dict[str, Cell]:
     """Return the columns of the table for the drawn values of a case with these `settings`, without running
     the case.
     """
-    return _draw(settings)[1].row
+    _, drawn = _draw(settings)
+    return drawn.row
 
 
-def _draw(settings: Settings) -> tuple[Rig, Drawn]:
-    """The rig of the file, and what is drawn from it."""
+def _draw(settings: Settings) -> tuple[Rig, DrawnRig]:
+    """The rig of the file, and the rig with drawn parameters."""
     nominal = load_rig(settings["rig"])
-    return nominal, drawn(nominal, settings["effects"], settings["draw"], settings["seed"])
+    return nominal, draw_rig(nominal, settings["effects"], settings["draw"], settings["seed"])
 
 
 @dataclass(frozen=True)
-class _Flown:
-    """The rig of the file, the rig that flew, the flight and its summary."""
+class _SimulatedFlight:
+    """A flight of a simulated rig.
+
+    Parameters
+    ----------
+    nominal : Rig
+        The rig of the file.
+    drawn : DrawnRig
+        The rig that flew, and its effects.
+    flight : Flight
+        The log.
+    summary : FlightSummary
+        Its outcome.
+    """
 
     nominal: Rig
-    drawn: Drawn
+    drawn: DrawnRig
     flight: Flight
     summary: FlightSummary
 
 
-def _outcome(*flights: _Flown) -> str:
-    """Outcome of the first flight that did not end as it should; ``completed`` without one."""
-    return next((flown.summary.outcome for flown in flights if not flown.summary.completed), "completed")
+def _outcome(*flights: _SimulatedFlight) -> str:
+    """Outcome of the first flight that was not completed; otherwise ``completed``."""
+    return next((flight.summary.outcome for flight in flights if not flight.summary.completed), "completed")
 
 
-def _flown(settings: Settings, plan: str, more_seed: int) -> _Flown:
-    nominal, draw = _draw(settings)
-    all_effects = effects_with(nominal, draw.effects, settings["effect_files"])
-    model = model_named(settings["model"] or nominal.model or MultibodyModel.name, all_effects)
-    seed = settings["seed"] + more_seed
-    session = Session(InProcessTransport(SilWorld(SilOptions(seed=seed), Plant(model, draw.rig, seed))))
+def _fly(settings: Settings, plan: str, seed_offset: int = 0) -> _SimulatedFlight:
+    """Fly a `plan` on the simulated rig of a case; `seed_offset` is added to the seed of encoders, line and
+    disturbances, not to that of the drawn parameters.
+    """
+    nominal, drawn = _draw(settings)
+    model = _model(settings, nominal, effects_with(nominal, drawn.effects, settings["effect_files"]))
+    seed = settings["seed"] + seed_offset
+    session = Session(InProcessTransport(SilWorld(SilOptions(seed=seed), Plant(model, drawn.rig, seed))))
     session.connect()
     with Heli(session) as heli, tempfile.TemporaryDirectory() as folder:
         if settings["params"]:
             heli.params.restore(read_parameter_set(Path(settings["params"])).values)
         log = Path(folder) / "flight.mcap"
         summary = fly_plans(heli, plan, log_path=log)
-        return _Flown(nominal, draw, read_flight(log), summary)
+        return _SimulatedFlight(nominal, drawn, read_flight(log), summary)
 
 
-def _model(settings: Settings, rig: Rig) -> Model:
-    """Model that a fit is given: with the effects, whose sizes it estimates."""
-    return model_named(
-        settings["model"] or rig.model or MultibodyModel.name,
-        effects_with(rig, settings["effects"], settings["effect_files"]),
-    )
+def _model(settings: Settings, rig: Rig, effects: tuple[Effect, ...]) -> Model:
+    """Model of the settings, otherwise that of the `rig`, with these `effects`."""
+    return model_named(settings["model"] or rig.model or MultibodyModel.name, effects)
 
 
-def _tracking_deg(flight: Flight) -> dict[str, float]:
-    """Root mean square error of elevation and travel against their setpoints in closed loop."""
+def _model_with_effects(settings: Settings, rig: Rig) -> Model:
+    """Model for a fit, with the effects of the case, whose sizes the fit estimates."""
+    return _model(settings, rig, effects_with(rig, settings["effects"], settings["effect_files"]))
+
+
+def _tracking_rms_deg(flight: Flight) -> dict[str, float]:
+    """Root mean square error of elevation and travel against their setpoints in closed loop, by axis; empty
+    for a flight without setpoints.
+    """
     from heli_host.declaration import State
 
-    setpoints = flight.setpoints_rad
-    closed = None if flight.state is None else flight.state == State.CLOSED_LOOP
-    if setpoints is None or closed is None or not closed.any():
+    setpoints_rad = flight.setpoints_rad
+    if setpoints_rad is None or flight.state is None:
         return {}
-    off_deg = np.degrees(flight.angles_rad - setpoints)[closed]
-    rms: Sequence[float] = np.sqrt(np.mean(off_deg**2, axis=0)).tolist()
-    return {axis: value for axis, value in zip(AXES, rms, strict=True) if axis != "pitch"}
+    in_closed_loop = flight.state == State.CLOSED_LOOP
+    if not in_closed_loop.any():
+        return {}
+    error_deg = np.degrees(flight.angles_rad - setpoints_rad)[in_closed_loop]
+    rms_deg: Sequence[float] = np.sqrt(np.mean(error_deg**2, axis=0)).tolist()
+    return {axis: value for axis, value in zip(AXES, rms_deg, strict=True) if axis != "pitch"}

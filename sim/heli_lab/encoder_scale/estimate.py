@@ -27,7 +27,7 @@ from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 from scipy.optimize import least_squares
 
-from heli_lab.encoder_scale.weak_form import TestFunctions, parts_of
+from heli_lab.encoder_scale.weak_form import TestFunctions, gap_free_parts
 from heli_lab.estimation import Trajectory
 from heli_lab.identify.flight_model import TORQUE_STD_Nm, model_functions
 from heli_lab.identify.free import free_parameters
@@ -141,7 +141,7 @@ class FlightInWeakForm:
         rows = flown_rows(flight) & (flight.elevation_rad > self._pivot[0] + np.radians(CLEAR_deg))
         # The lag is one of the thrust: below its dead zone a motor gives none, however low its voltage is.
         dead_zone_V = plain.dead_zone_V(self._parameters)
-        parts = parts_of(flight, rows, -np.inf if dead_zone_V is None else dead_zone_V)
+        parts = gap_free_parts(flight, rows, -np.inf if dead_zone_V is None else dead_zone_V)
         self.seconds = sum(part.seconds for part in parts)
         self._parts = parts
         self._tests = [TestFunctions(part) for part in parts]

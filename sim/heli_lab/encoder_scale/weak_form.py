@@ -65,7 +65,7 @@ class Part:
         return np.asarray(self.volts_V + share * (before - self.volts_V))
 
 
-def parts_of(flight: Flight, rows: Booleans, least_V: float) -> list[Part]:
+def gap_free_parts(flight: Flight, rows: Booleans, least_V: float) -> list[Part]:
     """Cut the `rows` of a flight into parts without gaps, each longer than the longest test function;
     voltages below `least_V` act like it.
     """

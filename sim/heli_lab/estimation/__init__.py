@@ -14,8 +14,8 @@ from heli_lab.estimation.linearised_flight import (
     BLOCK_s,
     Derivatives,
     LinearisedFlight,
-    ModelFunctions,
 )
+from heli_lab.estimation.model_functions import ModelFunctions
 from heli_lab.estimation.parameter_vector import FreeParameter, NormalPrior, ParameterVector
 from heli_lab.estimation.reference_trajectory import (
     KinematicModel,

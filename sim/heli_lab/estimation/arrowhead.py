@@ -18,7 +18,7 @@ NO_BLOCKS: Final = np.zeros((0, 0), np.int64)
 
 
 def per_flight_columns(columns: Sequence[Integers], size: int) -> Integers:
-    """Find the unknowns that only one flight has, shape (flights, k); k is 0 if there is only one flight.
+    """Indices of the unknowns that only one flight has, shape (flights, k); k is 0 for a single flight.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def per_flight_columns(columns: Sequence[Integers], size: int) -> Integers:
 
 
 def solve_arrowhead(matrix: Floats, right: Floats, per_flight: Integers) -> Floats:
-    """Solve a positive definite system, shape (f,) or (f, s) as its right-hand side.
+    """Solution of a positive definite arrowhead system, of the shape of its right-hand side.
 
     Parameters
     ----------
@@ -58,8 +58,8 @@ def solve_arrowhead(matrix: Floats, right: Floats, per_flight: Integers) -> Floa
 
 
 def invert_arrowhead(matrix: Floats, per_flight: Integers) -> Floats:
-    """Invert a positive definite `matrix`, shape (f, f), zero between unknowns of different flights;
-    `per_flight` as `per_flight_columns` finds them.
+    """Inverse of a positive definite `matrix`, shape (f, f), 0 between unknowns of different flights;
+    `per_flight` as `per_flight_columns` returns them.
     """
     shared, gain, complement, blocks = _eliminated(matrix, per_flight)
     inverse = np.empty(matrix.shape)
@@ -67,18 +67,28 @@ def invert_arrowhead(matrix: Floats, per_flight: Integers) -> Floats:
     inverse[np.ix_(shared, shared)] = of_shared
     if per_flight.size:
         flat, border = per_flight.ravel(), gain.reshape(per_flight.size, len(shared))
-        beside = border @ of_shared
-        inverse[np.ix_(flat, shared)] = -beside
-        inverse[np.ix_(shared, flat)] = -beside.T
-        inverse[np.ix_(flat, flat)] = beside @ border.T
+        product = border @ of_shared
+        inverse[np.ix_(flat, shared)] = -product
+        inverse[np.ix_(shared, flat)] = -product.T
+        inverse[np.ix_(flat, flat)] = product @ border.T
         inverse[per_flight[:, :, None], per_flight[:, None, :]] += np.linalg.inv(blocks)
     result: Floats = 0.5 * (inverse + inverse.T)
     return result
 
 
 def _eliminated(matrix: Floats, per_flight: Integers) -> tuple[Integers, Floats, Floats, Floats]:
-    """Eliminate the unknowns of single flights. Returns the shared unknowns, the change of the others for
-    each unit of them, the Schur complement of the shared ones, and the blocks.
+    """Eliminate the unknowns of single flights.
+
+    Returns
+    -------
+    shared : ndarray of int64 (s,)
+        Indices of the shared unknowns.
+    gain : ndarray (flights, k, s)
+        Minus the change of each flight's unknowns per unit of the shared ones.
+    complement : ndarray (s, s)
+        Schur complement: the system of the shared unknowns alone.
+    blocks : ndarray (flights, k, k)
+        Systems of the unknowns of each flight.
     """
     shared = np.setdiff1d(np.arange(len(matrix)), per_flight.ravel())
     blocks = matrix[per_flight[:, :, None], per_flight[:, None, :]]

@@ -8,7 +8,6 @@ smoother's adjoint of that state is its score at every instant, the diagonal of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +15,7 @@ from heli_host.arrays import Floats
 
 from heli_lab.estimation import _kalman
 from heli_lab.estimation.disturbances import DisturbanceModel
-from heli_lab.estimation.innovations_model import InnovationsModel
+from heli_lab.estimation.innovations_model import FlightErrors, InnovationsModel
 
 _LEVEL, _IMPULSE = 1.0, 0.0
 """Autocorrelation of the two shocks from a step to the next."""
@@ -39,7 +38,7 @@ class ShockScores:
 
     @property
     def t_statistic(self) -> Floats:
-        """Standard normal if there is no shock, shape (k, m)."""
+        """Statistic of a t test of the shock, shape (k, m): standard normal if there is none."""
         safe = np.maximum(self.information, np.finfo(float).tiny)
         result: Floats = np.where(self.information > 0.0, self.score / np.sqrt(safe), 0.0)
         return result
@@ -69,16 +68,24 @@ class AuxiliaryResiduals:
     impulse: ShockScores
 
     def largest_level(self) -> tuple[float, float]:
-        """Instant (s) of the most significant level of any output, and the absolute t statistic there."""
+        """The most significant level shift of any output.
+
+        Returns
+        -------
+        t_s : float
+            Its instant [s].
+        t_statistic : float
+            Absolute t statistic there.
+        """
         statistic = np.abs(self.level.t_statistic).max(axis=1)
-        place = int(statistic.argmax())
-        return float(self.t_s[place]), float(statistic[place])
+        largest = int(statistic.argmax())
+        return float(self.t_s[largest]), float(statistic[largest])
 
 
 def auxiliary_residuals(
     filtered: InnovationsModel,
     disturbances: DisturbanceModel,
-    error: Sequence[Sequence[tuple[Floats, Floats]]] | None = None,
+    errors: FlightErrors | None = None,
 ) -> list[AuxiliaryResiduals]:
     """Test a shock of each output's disturbance at every instant of each flight.
 
@@ -88,19 +95,24 @@ def auxiliary_residuals(
         The model along the flights.
     disturbances : DisturbanceModel
         Disturbances and quantisation.
-    error : sequence, optional
-        Errors of states and outputs as `InnovationsModel.perturbed_residual` gives them; those of the model
-        by default.
+    errors : sequence of sequence of ModelErrors, optional
+        Errors of the model from `InnovationsModel.perturbed_residual`; by default those at its parameters.
+
+    Returns
+    -------
+    list of AuxiliaryResiduals
+        One per flight.
     """
-    if error is None:
-        error = filtered.perturbed_residual()
+    if errors is None:
+        errors = filtered.perturbed_residual()
     outputs = len(filtered.model.outputs)
     results = []
-    for linearised, signals in zip(filtered.linearised_flights, error, strict=True):
+    for linearised, windows in zip(filtered.linearised_flights, errors, strict=True):
         times, scores, information = [], [], []
-        for blocks, (drive, measured) in zip(linearised.blocks, signals, strict=True):
+        for blocks, (drive, measured) in zip(linearised.blocks, windows, strict=True):
             system = list(filtered.system(linearised, blocks, disturbances))
             inputs = blocks.part_input.shape[3]
+            # Two more states per input, without variance: their autocorrelation makes them level or impulse.
             system[4] = np.concatenate((system[4], np.repeat((_LEVEL, _IMPULSE), inputs)))
             system[5] = np.concatenate((system[5], np.zeros(2 * inputs)))
             state_scores, state_information = _kalman.shock_scores(*system, drive, measured)

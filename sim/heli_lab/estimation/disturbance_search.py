@@ -32,8 +32,8 @@ _CONVERGED_NATS: Final = 0.02
 
 
 @dataclass(frozen=True)
-class _Group:
-    """Disturbances that move the innovations of different outputs: they are differentiated together.
+class _IndependentDisturbances:
+    """Disturbances that move the innovations of different outputs, so that they are differentiated together.
 
     Parameters
     ----------
@@ -56,10 +56,16 @@ class _Group:
 
 
 class _Likelihood:
-    """Log-likelihood of the innovations by the logarithms of the parameters, differentiated numerically.
+    """Log-likelihood of the innovations as a function of the logarithms of the disturbances' parameters, with
+    numerical derivatives.
 
     The disturbance of one output hardly moves the innovations of another: a gradient by those of all outputs
     costs four evaluations. The disturbance of a gain moves all innovations: it costs two.
+
+    Parameters
+    ----------
+    value, start, std_range
+        As in `maximise`.
     """
 
     def __init__(
@@ -75,8 +81,11 @@ class _Likelihood:
         self.low, self.high = np.log([*of_output * outputs, *of_gain * gains]).T
         by_output, by_gain = np.split(np.arange(len(self.low)), [4 * outputs])
         self.groups = [
-            _Group(by_output.reshape(-1, 4), np.eye(outputs, dtype=bool)),
-            *(_Group(pair[None], np.ones((1, outputs), bool)) for pair in by_gain.reshape(-1, 2)),
+            _IndependentDisturbances(by_output.reshape(-1, 4), np.eye(outputs, dtype=bool)),
+            *(
+                _IndependentDisturbances(pair[None], np.ones((1, outputs), bool))
+                for pair in by_gain.reshape(-1, 2)
+            ),
         ]
 
     def at(self, *points: Floats) -> Floats:
@@ -84,26 +93,41 @@ class _Likelihood:
         return self._value([self._start.with_logarithms(self.inside(point)) for point in points])
 
     def inside(self, point: Floats) -> Floats:
+        """The nearest point within the bounds, shape (f,)."""
         result: Floats = np.clip(point, self.low, self.high)
         return result
 
-    def gradient(self, point: Floats, now: Floats) -> Floats:
-        """Derivatives by the logarithms, shape of `point`; 0 at a bound from which they lead outside. The
-        values at the point are known: `now`, shape (m,).
+    def gradient(self, point: Floats, values: Floats) -> Floats:
+        """Derivatives of the log-likelihood to the logarithms, shape (f,).
+
+        Parameters
+        ----------
+        point : ndarray (f,)
+            Logarithms. At a bound, a derivative that points outside is returned as 0.
+        values : ndarray (m,)
+            Log-likelihoods at this point.
         """
         steps = np.where(point > self.high - _DIFFERENCE, -_DIFFERENCE, _DIFFERENCE)
-        places = [(group, column) for group in self.groups for column in group.parameters.T]
-        changed = self.at(*(_shifted(point, column, steps[column]) for _, column in places))
+        differences = [(group, column) for group in self.groups for column in group.parameters.T]
+        shifted = self.at(*(_shifted(point, column, steps[column]) for _, column in differences))
         gradient = np.zeros(len(point))
-        for (group, column), values in zip(places, changed, strict=True):
-            gradient[column] = (group.likelihoods(values) - group.likelihoods(now)) / steps[column]
+        for (group, column), shifted_values in zip(differences, shifted, strict=True):
+            change = group.likelihoods(shifted_values) - group.likelihoods(values)
+            gradient[column] = change / steps[column]
         gradient[(point <= self.low + 1e-9) & (gradient < 0.0)] = 0.0
         gradient[(point >= self.high - 1e-9) & (gradient > 0.0)] = 0.0
         return gradient
 
     def curvature(self, point: Floats) -> tuple[Floats, Floats]:
-        """Values at a point, shape (m,), and the negative second derivatives near it by the logarithms of
-        each disturbance, shape (f, f).
+        """Log-likelihood at a point, and its negative second derivatives near it.
+
+        Returns
+        -------
+        values : ndarray (m,)
+            Log-likelihood of each output's innovations at the point.
+        curvature : ndarray (f, f)
+            Negative second derivatives to the logarithms, taken inside the bounds; 0 between different
+            disturbances.
         """
         h = 3 * _DIFFERENCE
         inside = np.clip(point, self.low + h, self.high - h)
@@ -115,24 +139,31 @@ class _Likelihood:
             points += [
                 _shifted(_shifted(inside, first, h), second, h) for first, second in combinations(columns, 2)
             ]
-        now, centre, *others = self.at(*points)
-        rest = iter(others)
-        result = np.zeros((len(point), len(point)))
+        values, inside_values, *shifted_values = self.at(*points)
+        # Consumed below in the order of `points`.
+        shifted = iter(shifted_values)
+        curvature = np.zeros((len(point), len(point)))
         for group in self.groups:
-            columns, middle = group.parameters.T, group.likelihoods(centre)
-            up = [group.likelihoods(next(rest)) for _ in columns]
-            down = [group.likelihoods(next(rest)) for _ in columns]
+            columns, middle = group.parameters.T, group.likelihoods(inside_values)
+            up = [group.likelihoods(next(shifted)) for _ in columns]
+            down = [group.likelihoods(next(shifted)) for _ in columns]
             for i, column in enumerate(columns):
-                result[column, column] = -(up[i] - 2 * middle + down[i]) / h**2
+                curvature[column, column] = -(up[i] - 2 * middle + down[i]) / h**2
             for i, j in combinations(range(len(columns)), 2):
                 # A forward difference of second order carries third derivatives; diagonals are exact to them.
-                mixed = -(group.likelihoods(next(rest)) - up[i] - up[j] + middle) / h**2
-                result[columns[i], columns[j]] = result[columns[j], columns[i]] = mixed
-        return now, result
+                mixed = -(group.likelihoods(next(shifted)) - up[i] - up[j] + middle) / h**2
+                curvature[columns[i], columns[j]] = curvature[columns[j], columns[i]] = mixed
+        return values, curvature
 
     def newton_move(self, gradient: Floats, curvature: Floats) -> Floats:
-        """Newton's move, shape of `gradient`, disturbance by disturbance; a logarithm whose derivative is 0
-        stays.
+        """Newton step of the logarithms, shape (f,), separately for each disturbance.
+
+        Parameters
+        ----------
+        gradient : ndarray (f,)
+            Derivatives of the log-likelihood; a logarithm whose derivative is 0 stays.
+        curvature : ndarray (f, f)
+            Negative second derivatives.
         """
         move = np.zeros(len(gradient))
         for group in self.groups:
@@ -147,65 +178,68 @@ def maximise(
     value: Callable[[Sequence[DisturbanceModel]], Floats],
     start: DisturbanceModel,
     std_range: tuple[float, float],
-    enough_nats: float = _CONVERGED_NATS,
-    known: Floats | None = None,
+    tolerance_nats: float = _CONVERGED_NATS,
+    start_values: Floats | None = None,
 ) -> DisturbanceModel:
-    """Maximise a likelihood over the disturbances by Newton's method with backtracking; the sum over outputs
-    decides whether a step counts.
+    """Maximise a likelihood over the disturbances by Newton's method with backtracking.
 
     Parameters
     ----------
     value : callable
-        Log-likelihood of each output's innovations under each of some disturbances, nats, shape (w, m); four
-        cost little more than one.
+        Takes several disturbance models, and returns the log-likelihood of each output's innovations under
+        each of them [nats], shape (w, m). Four models cost little more than one.
     start : DisturbanceModel
-        Where to begin; its curvature is used where it has one.
+        Start of the search, with the curvature there if it is known.
     std_range : (float, float)
         Bounds of the standard deviations, in the unit of the disturbed parameters.
-    enough_nats : float
-        Gain that one more step may promise, or bring, before the search ends.
-    known : ndarray (m,), optional
-        Values of the outputs at `start`, where they are known.
+    tolerance_nats : float
+        The search ends when a step is predicted to gain less than this, or gains less.
+    start_values : ndarray (m,), optional
+        The log-likelihoods at `start`, if they are known.
     """
     likelihood = _Likelihood(value, start, std_range)
     point, curvature = likelihood.inside(start.logarithms), start.curvature
-    fresh = curvature is None
+    curvature_is_new = curvature is None
     if curvature is None:
-        now, curvature = likelihood.curvature(point)
+        values, curvature = likelihood.curvature(point)
     else:
-        now = likelihood.at(point)[0] if known is None else known
+        values = likelihood.at(point)[0] if start_values is None else start_values
     for _ in range(_MOVES):
-        gradient = likelihood.gradient(point, now)
+        gradient = likelihood.gradient(point, values)
         move = likelihood.newton_move(gradient, curvature)
-        promised = 0.5 * float(gradient @ move)
-        if promised < enough_nats:
+        predicted_gain = 0.5 * float(gradient @ move)
+        if predicted_gain < tolerance_nats:
             break
-        tried = likelihood.at(*(point + share * move for share in _SHARES))
-        gains = tried.sum(axis=1) - now.sum()
-        good = [i for i, share in enumerate(_SHARES) if gains[i] > 0.1 * share * promised]
-        if not good:
-            if fresh:
+        trials = likelihood.at(*(point + share * move for share in _SHARES))
+        gains = trials.sum(axis=1) - values.sum()
+        # Armijo's rule; the longest acceptable step is taken.
+        acceptable = [i for i, share in enumerate(_SHARES) if gains[i] > 0.1 * share * predicted_gain]
+        if not acceptable:
+            if curvature_is_new:
                 break
-            now, curvature = likelihood.curvature(point)
-            fresh = True
+            values, curvature = likelihood.curvature(point)
+            curvature_is_new = True
             continue
-        share, gained = _SHARES[good[0]], gains[good[0]]
-        point, now = likelihood.inside(point + share * move), tried[good[0]]
-        if gained < enough_nats:
+        best = acceptable[0]
+        point, values = likelihood.inside(point + _SHARES[best] * move), trials[best]
+        if gains[best] < tolerance_nats:
             break
-        fresh = share < 1.0 or bool(np.abs(move).max() > 0.5)
-        if fresh:
-            now, curvature = likelihood.curvature(point)
+        # After a shortened or a long step the curvature of the last point is no longer good enough.
+        curvature_is_new = _SHARES[best] < 1.0 or bool(np.abs(move).max() > 0.5)
+        if curvature_is_new:
+            values, curvature = likelihood.curvature(point)
     return start.with_logarithms(point, curvature)
 
 
-def _shifted(point: Floats, places: Integers, by: float | Floats) -> Floats:
+def _shifted(point: Floats, columns: Integers, step: float | Floats) -> Floats:
+    """The `point` with a `step` added to some of its elements."""
     result = point.copy()
-    result[places] += by
+    result[columns] += step
     return result
 
 
 def _newton(gradient: Floats, curvature: Floats) -> Floats:
+    """Newton step of one disturbance, uphill along every eigenvector and of limited length."""
     values, vectors = np.linalg.eigh(curvature)
     move: Floats = vectors @ ((vectors.T @ gradient) / np.maximum(np.abs(values), _FLAT))
     longest = float(np.abs(move).max())

@@ -20,8 +20,9 @@ from typing_extensions import TypeVar
 
 from heli_lab.estimation.disturbance_search import maximise
 from heli_lab.estimation.disturbances import DisturbanceModel
-from heli_lab.estimation.innovations_model import InnovationsModel
-from heli_lab.estimation.linearised_flight import LinearisedFlight, ModelFunctions
+from heli_lab.estimation.innovations_model import FlightErrors, InnovationsModel
+from heli_lab.estimation.linearised_flight import LinearisedFlight
+from heli_lab.estimation.model_functions import ModelFunctions
 from heli_lab.estimation.parameter_vector import ParameterVector
 from heli_lab.estimation.posterior_step import PosteriorStep, posterior_step
 from heli_lab.estimation.reference_trajectory import ReferenceTrajectory
@@ -79,33 +80,40 @@ class Estimate(Generic[VectorT]):
         return _linearised(self.parameter_vector, self.references, self.functions, self.theta)
 
     def other_disturbances(self) -> DisturbanceModel | None:
-        """Estimate the disturbances again from the model's start values with the parameters fixed; None
-        where the result is not more likely.
+        """Estimate the disturbances again from the model's start values, with the parameters fixed; None if
+        the likelihood has no second, higher maximum there.
         """
         filtered = self.filtered()
-        error = filtered.perturbed_residual()
-        other = estimate_disturbances(filtered, error, filtered.model.disturbance_start)
-        now, then = filtered.log_likelihoods([self.disturbances, other], error).sum(axis=1)
-        return other if then > now + _TURN_NATS else None
+        errors = filtered.perturbed_residual()
+        other = estimate_disturbances(filtered, errors, filtered.model.disturbance_start)
+        own_nats, other_nats = filtered.log_likelihoods([self.disturbances, other], errors).sum(axis=1)
+        return other if other_nats > own_nats + _TURN_NATS else None
 
 
 def estimate_disturbances(
     filtered: InnovationsModel,
-    error: Sequence[Sequence[tuple[Floats, Floats]]],
+    errors: FlightErrors,
     start: DisturbanceModel,
-    enough_nats: float = _CONVERGED_NATS,
-    known: Floats | None = None,
+    tolerance_nats: float = _CONVERGED_NATS,
+    start_values: Floats | None = None,
 ) -> DisturbanceModel:
-    """Maximise the likelihood of the innovations of an `error`, as `InnovationsModel.perturbed_residual`
-    gives it, over the disturbances, from `start` on to `enough_nats`. The log-likelihoods of `start` by
-    output, shape (m,), may be `known`.
+    """Estimate the disturbances by maximum likelihood, with the parameters fixed.
+
+    Parameters
+    ----------
+    filtered : InnovationsModel
+        The model along the flights.
+    errors : sequence of sequence of ModelErrors
+        Its errors, from `InnovationsModel.perturbed_residual`.
+    start, tolerance_nats, start_values
+        As in `disturbance_search.maximise`.
     """
     return maximise(
-        lambda disturbance_models: filtered.log_likelihoods(disturbance_models, error),
+        lambda disturbance_models: filtered.log_likelihoods(disturbance_models, errors),
         start,
         filtered.model.disturbance_std_range,
-        enough_nats,
-        known,
+        tolerance_nats,
+        start_values,
     )
 
 
@@ -115,6 +123,7 @@ def _linearised(
     functions: ModelFunctions,
     theta: Floats,
 ) -> InnovationsModel:
+    """Linearise a model with free parameters `theta`, shape (f,), along each flight."""
     linearised_flights = [
         LinearisedFlight(reference, functions, parameter_vector.parameters(theta, index))
         for index, reference in enumerate(references)
@@ -124,23 +133,40 @@ def _linearised(
 
 @dataclass
 class _Iterate:
-    """Parameters and disturbances, and the model linearised there, unless it was released: ten minutes of
-    flight take 100 MB.
+    """One point of the search.
+
+    Parameters
+    ----------
+    theta : ndarray (f,)
+        Free parameters.
+    disturbances : DisturbanceModel
+        Disturbances.
+    filtered : InnovationsModel or None
+        The model linearised at `theta`; None once it is released: ten minutes of flight take 100 MB.
+    step : PosteriorStep
+        Gauss-Newton step from here.
+    log_posterior : float
+        Logarithm of the posterior density [nats], without its constant.
+    log_likelihoods : ndarray (m,)
+        Log-likelihood of each output's innovations [nats].
     """
 
     theta: Floats
     disturbances: DisturbanceModel
     filtered: InnovationsModel | None
     step: PosteriorStep
-    value: float
-    """Log-posterior, nats."""
-    by_output: Floats
-    """Log-likelihood of each output's innovations, nats."""
+    log_posterior: float
+    log_likelihoods: Floats
 
 
 class _GaussNewton:
-    """Gauss-Newton steps of the parameters in turn with Newton steps of the disturbances. No step reduces the
-    posterior density.
+    """Search for the largest posterior density: Gauss-Newton steps of the parameters alternate with Newton
+    steps of the disturbances, and no step reduces the density.
+
+    Parameters
+    ----------
+    parameter_vector, references, functions
+        As in `estimate`.
     """
 
     def __init__(
@@ -150,76 +176,91 @@ class _GaussNewton:
         functions: ModelFunctions,
     ) -> None:
         self.parameter_vector, self.references, self.functions = parameter_vector, references, functions
-        # The size of a play changes the variance of measurements too, which a step leaves out: it may fail
+        # The size of a play also changes the variance of measurements, which a step neglects: it may fail
         # under the disturbances of a model without the play, and succeed under better ones.
         self.retries = bool(functions.model.known_directions)
 
     def linearised(self, theta: Floats) -> InnovationsModel:
+        """The model along all flights with free parameters `theta`, shape (f,)."""
         return _linearised(self.parameter_vector, self.references, self.functions, theta)
 
-    def at(self, theta: Floats, disturbances: DisturbanceModel, filtered: InnovationsModel) -> _Iterate:
+    def iterate_at(
+        self, theta: Floats, disturbances: DisturbanceModel, filtered: InnovationsModel
+    ) -> _Iterate:
+        """Log-posterior, and the Gauss-Newton step, at `theta`, shape (f,), under some `disturbances`;
+        `filtered` is the model linearised there.
+        """
         innovations = filtered.innovations(disturbances)
         information, score = innovations.information(), innovations.score()
         vector, per_flight = self.parameter_vector, innovations.per_flight
         step = posterior_step(vector, theta, information, score, per_flight=per_flight)
-        by_output = innovations.log_likelihoods
-        value = float(by_output.sum()) - 0.5 * float(np.sum(((theta - vector.mean) / vector.std) ** 2))
-        return _Iterate(theta, disturbances, filtered, step, value, by_output)
+        log_likelihoods = innovations.log_likelihoods
+        log_prior = -0.5 * float(np.sum(((theta - vector.mean) / vector.std) ** 2))
+        log_posterior = float(log_likelihoods.sum()) + log_prior
+        return _Iterate(theta, disturbances, filtered, step, log_posterior, log_likelihoods)
 
     def first(self, theta: Floats, disturbances: DisturbanceModel | None) -> _Iterate:
-        """Begin; without disturbances these are estimated first, the parameters following to first order."""
+        """The first iterate. Without `disturbances`, they are estimated while the parameters follow to first
+        order.
+        """
         filtered = self.linearised(theta)
-        iterate = self.at(theta, disturbances or self.functions.model.disturbance_start, filtered)
+        iterate = self.iterate_at(theta, disturbances or self.functions.model.disturbance_start, filtered)
         if disturbances is None:
             for _ in range(_FIRST_TURNS):
-                better = estimate_disturbances(
-                    filtered, filtered.perturbed_residual(iterate.step.move), iterate.disturbances
-                )
-                iterate = self.at(theta, better, filtered)
+                errors = filtered.perturbed_residual(iterate.step.move)
+                better = estimate_disturbances(filtered, errors, iterate.disturbances)
+                iterate = self.iterate_at(theta, better, filtered)
         return iterate
 
     def with_next_parameters(self, iterate: _Iterate) -> _Iterate | None:
-        """Step with backtracking; None if no shorter step improves the posterior enough. The linearised model
-        of `iterate` is released first, because two are hardly ever needed at the same time.
+        """Step of the parameters with backtracking; None if no shorter step improves the posterior enough.
+        The linearised model of `iterate` is released first, because two are hardly ever needed together.
         """
         iterate.filtered = None
         share = 1.0
         for _ in range(_HALVINGS):
             theta = iterate.theta + share * iterate.step.move
-            after = self.at(theta, iterate.disturbances, self.linearised(theta))
-            if after.value > iterate.value + _MIN_GAIN * share * iterate.step.promised_nats:
+            after = self.iterate_at(theta, iterate.disturbances, self.linearised(theta))
+            required_nats = _MIN_GAIN * share * iterate.step.promised_nats
+            if after.log_posterior > iterate.log_posterior + required_nats:
                 return after
             after.filtered = None
             share *= 0.3
         return None
 
-    def with_next_disturbances(self, iterate: _Iterate, enough_nats: float) -> _Iterate:
-        """Maximise the likelihood over the disturbances, to `enough_nats`."""
+    def with_next_disturbances(self, iterate: _Iterate, tolerance_nats: float) -> _Iterate:
+        """Maximise the likelihood over the disturbances, to within `tolerance_nats`."""
         filtered = iterate.filtered or self.linearised(iterate.theta)
-        error = filtered.perturbed_residual()
         disturbances = estimate_disturbances(
-            filtered, error, iterate.disturbances, enough_nats, iterate.by_output
+            filtered,
+            filtered.perturbed_residual(),
+            iterate.disturbances,
+            tolerance_nats,
+            iterate.log_likelihoods,
         )
-        return self.at(iterate.theta, disturbances, filtered)
+        return self.iterate_at(iterate.theta, disturbances, filtered)
 
     def run(self, iterate: _Iterate) -> tuple[_Iterate, bool]:
-        last = -np.inf
+        """Search from an `iterate`; return the last one, and whether a further step would gain nothing."""
+        last_log_posterior = -np.inf
         for _ in range(_MAX_MOVES):
             if iterate.step.promised_nats > _CONVERGED_NATS:
                 after = self.with_next_parameters(iterate)
                 if after is None:
                     other = self.with_next_disturbances(iterate, _CONVERGED_NATS)
-                    if not self.retries or other.value < iterate.value + _TURN_NATS:
+                    gained_nats = other.log_posterior - iterate.log_posterior
+                    if not self.retries or gained_nats < _TURN_NATS:
                         return other, False
                     iterate = other
                     continue
                 iterate = after
-            # While parameters still move far the disturbances follow roughly; then to convergence.
-            enough_nats = max(_CONVERGED_NATS, _DISTURBANCE_SHARE * iterate.step.promised_nats)
-            iterate = self.with_next_disturbances(iterate, enough_nats)
-            if iterate.step.promised_nats < _CONVERGED_NATS and iterate.value - last < _TURN_NATS:
+            # While parameters still move far, rough disturbances are enough.
+            tolerance_nats = max(_CONVERGED_NATS, _DISTURBANCE_SHARE * iterate.step.promised_nats)
+            iterate = self.with_next_disturbances(iterate, tolerance_nats)
+            gained_nats = iterate.log_posterior - last_log_posterior
+            if iterate.step.promised_nats < _CONVERGED_NATS and gained_nats < _TURN_NATS:
                 return iterate, True
-            last = iterate.value
+            last_log_posterior = iterate.log_posterior
         return iterate, False
 
 
@@ -230,7 +271,7 @@ def estimate(
     theta: Floats,
     disturbances: DisturbanceModel | None = None,
 ) -> Estimate[VectorT]:
-    """Estimate parameters and disturbances.
+    """Maximum a posteriori estimate of a model's free parameters, together with its disturbances.
 
     Parameters
     ----------
@@ -252,12 +293,12 @@ def estimate(
     search = _GaussNewton(parameter_vector, references, functions)
     last, converged = search.run(search.first(theta, disturbances))
     return Estimate(
-        parameter_vector,
-        last.theta,
-        last.step.covariance,
-        last.value,
-        last.disturbances,
-        converged,
-        tuple(references),
-        functions,
+        parameter_vector=parameter_vector,
+        theta=last.theta,
+        covariance=last.step.covariance,
+        log_likelihood=last.log_posterior,
+        disturbances=last.disturbances,
+        converged=converged,
+        references=tuple(references),
+        functions=functions,
     )

@@ -64,13 +64,13 @@ class ActingInputs:
     ----------
     mean : ndarray (n, inputs)
         Mean over each step.
-    shaped_by : tuple of (str, ndarray (n, inputs))
-        Parameters that shape the inputs before they act, such as a delay, each with the derivatives of the
-        mean by it.
+    input_derivatives : tuple of (str, ndarray (n, inputs))
+        Parameters that change the inputs before they act, such as a delay: name, and derivative of `mean` by
+        the parameter.
     """
 
     mean: Floats
-    shaped_by: tuple[tuple[str, Floats], ...] = ()
+    input_derivatives: tuple[tuple[str, Floats], ...] = ()
 
 
 def mean_inputs(

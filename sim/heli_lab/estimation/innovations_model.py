@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from heli_host.arrays import Floats, Integers
@@ -16,6 +16,25 @@ from heli_lab.threads import parallel_map
 
 _BATCH: Final = 4
 """Disturbance models whose log-likelihoods cost as much as that of one."""
+
+
+class ModelErrors(NamedTuple):
+    """Errors of a linearised model in one window of b blocks: the signals that the filter takes.
+
+    Parameters
+    ----------
+    drive : ndarray (b, states, s)
+        Change of the state's deviation over each block by the error of the rates.
+    measured : ndarray (b, m, s)
+        Errors of the measured outputs. There are s columns: signals that are filtered together.
+    """
+
+    drive: Floats
+    measured: Floats
+
+
+FlightErrors = Sequence[Sequence[tuple[Floats, Floats]]]
+"""`ModelErrors` of each window of each flight."""
 
 
 class InnovationsModel:
@@ -40,28 +59,29 @@ class InnovationsModel:
 
     def innovations(self, disturbances: DisturbanceModel) -> Innovations:
         """Filter the errors of all flights, and their derivatives by the parameters, under `disturbances`."""
-        every = [
+        windows = [
             (linearised, blocks) for linearised in self.linearised_flights for blocks in linearised.blocks
         ]
-        parts = iter(
-            parallel_map(
-                lambda part: self._filter(*part, disturbances, part[1].drive, part[1].measured), every
-            )
-        )
-        flights, total = [], np.zeros(self._outputs)
+
+        def filter_window(window: tuple[LinearisedFlight, Blocks]) -> tuple[Floats, Floats]:
+            linearised, blocks = window
+            return self._filter(linearised, blocks, disturbances, blocks.drive, blocks.measured)
+
+        filtered = iter(parallel_map(filter_window, windows))
+        flights, log_variances = [], np.zeros(self._outputs)
         for linearised in self.linearised_flights:
-            values = []
+            window_innovations = []
             for blocks in linearised.blocks:
-                value, log_variances = next(parts)
-                values.append(value)
-                total += log_variances - 2.0 * _repeated_nats(linearised, blocks)
-            flights.append(np.concatenate(values))
-        return Innovations(tuple(flights), self.columns, self.size, total)
+                innovations, window_log_variances = next(filtered)
+                window_innovations.append(innovations)
+                log_variances += window_log_variances - 2.0 * _repeated_nats(linearised, blocks)
+            flights.append(np.concatenate(window_innovations))
+        return Innovations(tuple(flights), self.columns, self.size, log_variances)
 
     def regressors(
         self, disturbances: DisturbanceModel, signals: Iterable[tuple[Floats, Floats | None]]
     ) -> Iterator[Floats]:
-        """Reduction of the innovations by a unit of further signals, shape (b, s) for each flight in turn.
+        """Regressors: by how much a unit of each additional signal reduces the innovations.
 
         Parameters
         ----------
@@ -70,23 +90,27 @@ class InnovationsModel:
         signals : iterable of (ndarray, ndarray or None)
             Change of the rates, (n, states, s), and of the outputs, (n, m, s), for each flight. An iterator
             needs the memory of one flight only.
+
+        Yields
+        ------
+        ndarray (m b, s)
+            For each flight, one row per output and block, one column per signal.
         """
         for linearised, (rates, outputs) in zip(self.linearised_flights, signals, strict=True):
-            parts = []
+            windows = []
             for blocks, drive in zip(linearised.blocks, linearised.over_blocks(rates), strict=True):
                 measured = (
                     np.zeros((len(drive), self._outputs, drive.shape[2]))
                     if outputs is None
                     else outputs[blocks.rows]
                 )
-                parts.append(self._filter(linearised, blocks, disturbances, -drive, measured)[0])
-            yield np.concatenate(parts)
+                windows.append(self._filter(linearised, blocks, disturbances, -drive, measured)[0])
+            yield np.concatenate(windows)
 
     def disturbance_regressors(
         self, disturbances: DisturbanceModel, output: int, values: Sequence[Floats]
     ) -> Iterator[Floats]:
-        """Reduction of the innovations by additions to the disturbance of one output, shape (b, s) for each
-        flight in turn: as `regressors`, at a quarter of the cost.
+        """Regressors of additions to one output's disturbance: as `regressors`, at a quarter of the cost.
 
         Parameters
         ----------
@@ -96,16 +120,21 @@ class InnovationsModel:
             Number of the output.
         values : sequence of ndarray (n, s)
             For each flight the additions in each step, in the unit of the disturbed parameter.
+
+        Yields
+        ------
+        ndarray (m b, s)
+            For each flight, one row per output and block, one column per addition.
         """
         for linearised, added in zip(self.linearised_flights, values, strict=True):
-            parts = []
+            windows = []
             for blocks in linearised.blocks:
                 drive = np.zeros((len(blocks.rows), blocks.transition.shape[1], added.shape[1]))
-                for part, at_end in enumerate(blocks.part_input):
-                    drive -= at_end[:, :, output, None] * added[blocks.rows + part][:, None, :]
+                for step, response in enumerate(blocks.part_input):
+                    drive -= response[:, :, output, None] * added[blocks.rows + step][:, None, :]
                 measured = np.zeros((len(drive), self._outputs, added.shape[1]))
-                parts.append(self._filter(linearised, blocks, disturbances, drive, measured)[0])
-            yield np.concatenate(parts)
+                windows.append(self._filter(linearised, blocks, disturbances, drive, measured)[0])
+            yield np.concatenate(windows)
 
     def _filter(
         self,
@@ -115,27 +144,46 @@ class InnovationsModel:
         drive: Floats,
         measured: Floats,
     ) -> tuple[Floats, Floats]:
-        value, log_variances = _kalman.filter(*self.system(linearised, blocks, disturbances), drive, measured)
-        return value.reshape(-1, drive.shape[2]), np.array(log_variances)
+        """Filter signals, as in `ModelErrors`, in one window of a flight.
 
-    def perturbed_residual(self, move: Floats | None = None) -> list[list[tuple[Floats, Floats]]]:
-        """Errors of states and outputs in each window of each flight, to first order, after a `move` of the
-        parameters, shape (f,); without it, of the model as it is.
+        Returns
+        -------
+        innovations : ndarray (m b, s)
+            Innovations in standard deviations, one row per output and block.
+        log_variances : ndarray (m,)
+            Sum over the blocks of the logarithm of each innovation's variance.
+        """
+        innovations, log_variances = _kalman.filter(
+            *self.system(linearised, blocks, disturbances), drive, measured
+        )
+        return innovations.reshape(-1, drive.shape[2]), np.array(log_variances)
+
+    def perturbed_residual(self, move: Floats | None = None) -> list[list[ModelErrors]]:
+        """Errors of the model in each window of each flight, to first order.
+
+        Parameters
+        ----------
+        move : ndarray (f,), optional
+            Change of the parameters; without it, the errors are those of the model as it is.
         """
         move = np.zeros(self.size) if move is None else move
-        return [
-            [
-                ((blocks.drive @ weight)[:, :, None], (blocks.measured @ weight)[:, :, None])
+        flights = []
+        for linearised, columns in zip(self.linearised_flights, self.columns, strict=True):
+            # Column 0 holds the errors, the others their reduction per unit of each parameter.
+            weights = np.concatenate(([1.0], -move[columns]))
+            windows = [
+                ModelErrors((blocks.drive @ weights)[:, :, None], (blocks.measured @ weights)[:, :, None])
                 for blocks in linearised.blocks
             ]
-            for linearised, columns in zip(self.linearised_flights, self.columns, strict=True)
-            for weight in [np.concatenate(([1.0], -move[columns]))]
-        ]
+            flights.append(windows)
+        return flights
 
     def system(
         self, linearised: LinearisedFlight, blocks: Blocks, disturbances: DisturbanceModel
     ) -> tuple[Floats, ...]:
-        """Arguments of the functions of `_kalman` that come before the signals, for a window of a flight."""
+        """Linear system of the filter in one window of a flight: the arguments of the functions of `_kalman`
+        that come before the signals.
+        """
         return (
             blocks.transition,
             blocks.part_input,
@@ -146,51 +194,60 @@ class InnovationsModel:
             self.model.initial_std**2,
         )
 
-    def log_likelihoods(
-        self, disturbance_models: Sequence[DisturbanceModel], error: Sequence[Sequence[tuple[Floats, Floats]]]
-    ) -> Floats:
-        """Log-likelihood of each output's innovations of an `error` (`perturbed_residual`) under each of some
-        `disturbance_models`, nats, without its constant; shape (w, m).
+    def log_likelihoods(self, disturbance_models: Sequence[DisturbanceModel], errors: FlightErrors) -> Floats:
+        """Log-likelihood of each output's innovations under several disturbance models.
+
+        Parameters
+        ----------
+        disturbance_models : sequence of DisturbanceModel
+            The w models.
+        errors : sequence of sequence of ModelErrors
+            Errors of the model, from `perturbed_residual`.
+
+        Returns
+        -------
+        ndarray (w, m)
+            Log-likelihoods without their constant [nats].
         """
-        every = [
-            (linearised, blocks, signal, slice(low, low + _BATCH))
-            for linearised, signals in zip(self.linearised_flights, error, strict=True)
-            for blocks, signal in zip(linearised.blocks, signals, strict=True)
+        jobs = [
+            (linearised, blocks, window_errors, slice(low, low + _BATCH))
+            for linearised, windows in zip(self.linearised_flights, errors, strict=True)
+            for blocks, window_errors in zip(linearised.blocks, windows, strict=True)
             for low in range(0, len(disturbance_models), _BATCH)
         ]
         total = np.zeros((len(disturbance_models), self._outputs))
-        parts = parallel_map(
-            lambda part: self._log_likelihoods(*part[:3], disturbance_models[part[3]]), every
-        )
-        for (linearised, blocks, _, some), values in zip(every, parts, strict=True):
-            total[some] += values + _repeated_nats(linearised, blocks)
+        results = parallel_map(lambda job: self._log_likelihoods(*job[:3], disturbance_models[job[3]]), jobs)
+        for (linearised, blocks, _, batch), nats in zip(jobs, results, strict=True):
+            total[batch] += nats + _repeated_nats(linearised, blocks)
         return total
 
     def _log_likelihoods(
         self,
         linearised: LinearisedFlight,
         blocks: Blocks,
-        signal: tuple[Floats, Floats],
+        errors: tuple[Floats, Floats],
         disturbance_models: Sequence[DisturbanceModel],
     ) -> Floats:
-        values: Floats = _kalman.log_likelihoods(
+        """Log-likelihood of each output's innovations in one window under each disturbance model, shape
+        (w, m) [nats]; repeated measurements count as independent ones.
+        """
+        step_s = linearised.reference.step_s
+        nats: Floats = _kalman.log_likelihoods(
             blocks.transition,
             blocks.part_input,
             blocks.measurement,
             blocks.variance,
-            np.array(
-                [disturbances.memory(linearised.reference.step_s) for disturbances in disturbance_models]
-            ),
+            np.array([disturbances.memory(step_s) for disturbances in disturbance_models]),
             np.array([disturbances.variance for disturbances in disturbance_models]),
             np.array([disturbances.quantisation for disturbances in disturbance_models]),
             self.model.initial_std**2,
-            *signal,
+            *errors,
         )
-        return values
+        return nats
 
 
 def _repeated_nats(linearised: LinearisedFlight, blocks: Blocks) -> Floats:
-    """Log-density of repeated measurements that the filter's lacks, nats, for each output of a window.
+    """Correction of a window's log-likelihood for repeated measurements, shape (m,) [nats].
 
     The N measurements while an axis crosses its play have the same error, of variance v. For the filter they
     are N measurements with independent errors of variance N v, which add the same information. But together

@@ -42,7 +42,7 @@ IterateT = TypeVar("IterateT", bound=HasCost)
 
 @dataclass(frozen=True)
 class DampedStep(Generic[IterateT]):
-    """A damped step.
+    """Levenberg-Marquardt step, and the evaluation of the model after it.
 
     Parameters
     ----------
@@ -52,14 +52,14 @@ class DampedStep(Generic[IterateT]):
         Standard errors of the free parameters.
     promised : float
         Reduction of the cost by the step, if the cost is quadratic.
-    make : callable
-        Evaluates the model after the step.
+    evaluate : callable
+        Returns the iterate after the step.
     """
 
     move: Floats
     std: Floats
     promised: float
-    make: Callable[[], IterateT]
+    evaluate: Callable[[], IterateT]
 
 
 class LeastSquares(Protocol[IterateT]):
@@ -95,19 +95,21 @@ class Minimum(Generic[IterateT]):
 
 
 class _Damping:
-    """The damping, in any unit in which 1 is a strong damping."""
+    """Damping of the next step, in a unit in which 1 is strong damping."""
 
     def __init__(self, value: float) -> None:
         self.value = value
         self._growth = 2.0
 
     def increase(self) -> None:
-        """After a rejected step: faster from time to time."""
+        """Increase the damping after a rejected step, by a larger factor each time."""
         self.value = max(1.0, self._growth * self.value)
         self._growth *= 2.0
 
     def decrease(self) -> None:
-        """After an accepted step; slowly after a rejected one, or every second step is rejected."""
+        """Decrease the damping after an accepted step: slowly if the step before it was rejected, because
+        otherwise every second step is rejected.
+        """
         self.value *= 0.2 if self._growth == 2.0 else 0.5
         self.value = self.value if self.value > _MIN_DAMPING else 0.0
         self._growth = 2.0
@@ -122,7 +124,7 @@ def minimise(
     idle_share: float = 1.0,
     on_step: Callable[[int, float], None] = lambda number, cost: None,
 ) -> Minimum[IterateT]:
-    """Reduce the cost until steps are small.
+    """Minimise the cost by Levenberg-Marquardt steps, until they are small or gain little.
 
     Parameters
     ----------
@@ -135,12 +137,12 @@ def minimise(
     max_steps : int
         Most steps.
     idle_share : float
-        Factor on the gain below which two steps end the search; less than 1 if the cost is known better.
+        Factor on the gain below which two steps in a row end the search.
     on_step : callable
         Called before each step with its number and the cost.
     """
     iterate, control = start, _Damping(damping)
-    refined, idle = False, 0
+    states_are_refined, idle_steps = False, 0
     for number in range(max_steps):
         on_step(number, iterate.cost)
         step = problem.step(iterate, control.value)
@@ -148,11 +150,11 @@ def minimise(
             return Minimum(iterate, False, control.value)
         if control.value == 0.0 and step.promised < SMALL_STEP**2:
             break
-        trial = step.make()
+        trial = step.evaluate()
         is_small = bool(np.all(np.abs(step.move) < SMALL_STEP * step.std))
         if not trial.cost < iterate.cost * (1 + 1e-12):
-            better = None if refined else problem.with_states_refined(iterate)
-            refined = True
+            better = None if states_are_refined else problem.with_states_refined(iterate)
+            states_are_refined = True
             if better is not None:
                 iterate = better
             elif control.value > _MAX_DAMPING or (is_small and len(step.move)):
@@ -162,9 +164,9 @@ def minimise(
             continue
         gain = (iterate.cost - trial.cost) / max(trial.cost, 1e-300)
         control.decrease()
-        iterate, refined = trial, False
-        idle = idle + 1 if gain < idle_share * _IDLE_GAIN else 0
+        iterate, states_are_refined = trial, False
+        idle_steps = idle_steps + 1 if gain < idle_share * _IDLE_GAIN else 0
         converged = gain < _CONVERGED_GAIN or (is_small and gain < _IDLE_GAIN)
-        if idle == 2 or (control.value < 1.0 and converged):
+        if idle_steps == 2 or (control.value < 1.0 and converged):
             break
     return Minimum(iterate, True, control.value)

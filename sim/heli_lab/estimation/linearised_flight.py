@@ -13,24 +13,18 @@ parameter enters in the same way as w.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
-import casadi as ca
 import numpy as np
 from heli_host.arrays import Floats, Integers
 
 from heli_lab.estimation import _kalman
-from heli_lab.estimation.grey_box import GreyBoxModel
+from heli_lab.estimation.model_functions import ModelFunctions
 from heli_lab.estimation.reference_trajectory import ReferenceTrajectory
-from heli_lab.estimation.trajectory_functions import (
-    EFFECT_SUBSTEPS,
-    AlongTrajectory,
-    EffectStates,
-    Trajectory,
-)
+from heli_lab.estimation.trajectory_functions import Trajectory
 from heli_lab.threads import default_thread_count, parallel_map
 
 BLOCK_s: Final = 0.04
@@ -44,88 +38,6 @@ depend on it, memory does."""
 _HELD: Final = 1e-6
 """Share of the largest response to a disturbance below which a position is held. Moments of inertia differ by
 a factor of 100 at most; rounding leaves 1e-15."""
-
-
-class ModelFunctions:
-    """Rates and outputs of a `model` with their derivatives, by state, `free` parameters and disturbances.
-
-    Attributes
-    ----------
-    names : tuple of str
-        All parameters of the model.
-    places : list of int
-        Indices of the free parameters among them.
-    along : AlongTrajectory
-        Function of n points of a trajectory. It returns the rates and their negative derivatives by the free
-        parameters, (n, states, 1 + f), and the derivatives of the rates by state, disturbances and inputs. It
-        also returns the outputs and their derivatives by the free parameters, (n, m, 1 + f), and by state.
-    extra_states : int
-        Number of states beyond positions and rates.
-    """
-
-    def __init__(self, model: GreyBoxModel, free: Sequence[str]) -> None:
-        self.model, self.free, self.names = model, tuple(free), model.parameters
-        self.places = [model.parameters.index(name) for name in free]
-        disturbed = [model.parameters.index(name) for name in model.disturbed]
-        x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", len(model.inputs))
-        p, t = ca.SX.sym("p", len(model.parameters)), ca.SX.sym("t")
-        rates, outputs = model.dynamics(x, u, p, t), model.measurement(x, u, p, t)
-
-        def by_free(value: ca.SX) -> ca.SX:
-            if not self.places:
-                return ca.SX(value.numel(), 0)
-            return ca.jacobian(value, ca.vertcat(*(p[i] for i in self.places)))
-
-        # With the opposite sign the filter gives what a parameter subtracts from the innovations.
-        wanted = [
-            ca.horzcat(rates, -by_free(rates)),
-            ca.jacobian(rates, x),
-            ca.jacobian(rates, ca.vertcat(*(p[i] for i in disturbed))),
-            ca.jacobian(rates, u),
-            ca.horzcat(outputs, by_free(outputs)),
-            ca.jacobian(outputs, x),
-        ]
-        self.along = AlongTrajectory(ca.Function("along", [x, u, t, p], [ca.densify(w) for w in wanted]))
-        self.extra_states = model.extra_states
-        if self.extra_states:
-            z, y = ca.SX.sym("z", self.extra_states), ca.SX.sym("y", model.followed)
-            both, arguments = ca.vertcat(y, z), [z, t, y, u, p]
-            extra = slice(model.followed, None)
-            self._integrator = EffectStates(
-                ca.Function("rates", arguments, [ca.densify(model.dynamics(both, u, p, t)[extra])]),
-                ca.Function("resets", arguments, [ca.densify(model.reset_map(both, u, p, t)[extra])]),
-            )
-
-    def __reduce__(self) -> tuple[type[ModelFunctions], tuple[GreyBoxModel, tuple[str, ...]]]:
-        # Compiled programs do not pickle; they are made again.
-        return ModelFunctions, (self.model, self.free)
-
-    def integrate(self, trajectory: Trajectory, directions: Floats) -> Floats:
-        """Integrate the extra states along a trajectory of positions and rates, from zero.
-
-        Parameters
-        ----------
-        trajectory : Trajectory
-            Middle of each step.
-        directions : ndarray (n, m)
-            Direction in which each output moved last, at the beginning of each step.
-
-        Returns
-        -------
-        ndarray (n + 1, extra states)
-            At the beginning of each step, and at the end of the last.
-        """
-        ends = self._integrator.integrate(
-            [trajectory.state[:, : self.model.followed], trajectory.inputs],
-            trajectory.t_s,
-            trajectory.parameters,
-            trajectory.step_s,
-            EFFECT_SUBSTEPS,
-        )
-        every: Floats = np.vstack((np.zeros(self.extra_states), ends))
-        for place, output in self.model.known_directions:
-            every[:, place] = np.append(directions[:, output], directions[-1, output])
-        return every
 
 
 @dataclass(frozen=True)
@@ -215,26 +127,38 @@ class Steps:
 
 
 class LinearisedFlight:
-    """A model with all its `parameters`, shape (p,), linearised along a `reference`.
+    """A model linearised along the reference trajectory of one flight, as the input of the Kalman filter.
+
+    The steps of all windows follow one another: a flight has n steps. The filter takes one measurement per
+    block of steps.
+
+    Parameters
+    ----------
+    reference : ReferenceTrajectory
+        States about which the model is linearised.
+    functions : ModelFunctions
+        The model with its derivatives.
+    parameters : ndarray (p,)
+        Values of all parameters of the model.
 
     Attributes
     ----------
     rows : int
-        Steps of all windows, one window after the other.
+        Number n of steps of all windows.
     trajectory : Trajectory
-        Middle of each step.
+        Times, states and inputs in the middle of each step.
     nodes : Trajectory
-        Beginning of each step, with the predicted state.
+        The same at the beginning of each step, with the predicted state.
     windows : list of slice
         Steps of each window.
     states : int
-        States of the model.
+        Number of states of the model.
     block : int
-        Steps from one measurement of the filter to the next.
+        Number of steps per measurement of the filter.
     variance : ndarray (n, m)
-        Variance of the quantisation errors.
+        Variance of the quantisation errors of each output.
     repeats : ndarray (n, m)
-        Number of measurements, 1 at least, for which the count of each output stays the same.
+        Number of successive measurements, 1 at least, in which the count of each output stays the same.
     """
 
     def __init__(self, reference: ReferenceTrajectory, functions: ModelFunctions, parameters: Floats) -> None:
@@ -243,11 +167,11 @@ class LinearisedFlight:
         lengths = [window.stop - window.start for window in reference.windows]
         edges = np.concatenate(([0], np.cumsum(lengths))).astype(int)
         self.windows = [slice(int(low), int(high)) for low, high in itertools.pairwise(edges)]
-        self._place(parameters)
+        self._set_linearisation_points(parameters)
         self.states = len(self.model.states)
 
-    def _place(self, parameters: Floats) -> None:
-        """Lay out the points of the trajectory about which the model is linearised."""
+    def _set_linearisation_points(self, parameters: Floats) -> None:
+        """Set the states and inputs about which the model is linearised, and the measurements there."""
         reference, functions, h = self.reference, self.functions, self.reference.step_s
         count = len(reference.predicted)
         acting = self.model.acting_inputs(
@@ -272,16 +196,18 @@ class LinearisedFlight:
         self.variance: Floats = reference.variance[rows]
         self._direction_variance: Floats = reference.direction_variance[rows]
         self.repeats: Floats = np.maximum(reference.pause_s[rows] / (self.block * h), 1.0)
-        self._shaped_by = [
-            (functions.free.index(name), by[rows]) for name, by in acting.shaped_by if name in functions.free
+        self._input_derivatives = [
+            (functions.free.index(name), derivative[rows])
+            for name, derivative in acting.input_derivatives
+            if name in functions.free
         ]
 
     def derivatives(self, rows: slice) -> Derivatives:
-        """Linearise in the steps `rows`."""
-        here, h, followed = self.trajectory.part(rows), self.reference.step_s, self.model.followed
-        rates, a, by_disturbance, by_inputs, outputs, c = self.functions.along(here)
-        for place, mean in self._shaped_by:
-            rates[:, :, 1 + place] -= np.einsum("nij,nj->ni", by_inputs, mean[rows])
+        """Linearise the model in the steps `rows`."""
+        middle, h, followed = self.trajectory.part(rows), self.reference.step_s, self.model.followed
+        rates, a, by_disturbance, by_inputs, outputs, c = self.functions.along(middle)
+        for number, derivative in self._input_derivatives:
+            rates[:, :, 1 + number] -= np.einsum("nij,nj->ni", by_inputs, derivative[rows])
         rates[:, :followed, 0] -= self._change[rows]
         variance = self.variance[rows]
         # A known direction is not corrected by the filter; its error is one of the measurement.
@@ -292,41 +218,46 @@ class LinearisedFlight:
         # Extra states are integrated more finely than by the midpoint rule: they have no error in a step.
         rates[:, followed:, 0] = 0.0
         # Outputs are measured at the beginning of a step, the model's are evaluated in its middle.
-        ahead = self.nodes.state[rows] - here.state
-        at_node = outputs[:, :, 0] + np.einsum("nij,nj->ni", c, ahead)
-        outputs[:, :, 0] = self._measured[rows] - at_node
+        to_beginning = self.nodes.state[rows] - middle.state
+        at_beginning = outputs[:, :, 0] + np.einsum("nij,nj->ni", c, to_beginning)
+        outputs[:, :, 0] = self._measured[rows] - at_beginning
         return Derivatives(*_kalman.midpoint(a, h), rates, by_disturbance, c, outputs, variance)
 
     @cached_property
     def blocks(self) -> list[Blocks]:
-        """The windows as the filter takes them, kept until `release`."""
-        size, states, n = 1 + len(self.functions.free), self.states, self.block
-        m = len(self.model.outputs)
-        together = max(1, min(_CHUNK_STEPS, -(-self.rows // default_thread_count())) // n) * n
-        result: list[Blocks] = []
-        parts: list[tuple[Blocks, slice, slice]] = []
+        """Each window as the input of the filter, cached until `release`."""
+        n = self.block
+        # Whole blocks; every thread has work.
+        steps_per_thread = math.ceil(self.rows / default_thread_count())
+        chunk_steps = max(1, min(_CHUNK_STEPS, steps_per_thread) // n) * n
+        windows: list[Blocks] = []
+        chunks: list[tuple[Blocks, slice, slice]] = []
         for window in self.windows:
-            firsts = np.arange(window.start, window.stop - n + 1, n)
-            count = len(firsts)
-            blocks = Blocks(
-                firsts,
-                np.empty((count, states, states)),
-                np.empty((n, count, states, len(self.model.disturbed))),
-                np.empty((count, m, states)),
-                np.empty((count, m)),
-                np.empty((count, states, size)),
-                np.empty((count, m, size)),
-            )
-            result.append(blocks)
-            for low in range(0, count * n, together):
-                high = min(low + together, count * n)
-                rows = slice(window.start + low, window.start + high)
-                parts.append((blocks, slice(low // n, high // n), rows))
-        parallel_map(lambda part: self._fill(*part), parts)
-        return result
+            blocks = self._empty_blocks(np.arange(window.start, window.stop - n + 1, n))
+            windows.append(blocks)
+            step_count = len(blocks.rows) * n
+            for low in range(0, step_count, chunk_steps):
+                high = min(low + chunk_steps, step_count)
+                steps = slice(window.start + low, window.start + high)
+                chunks.append((blocks, slice(low // n, high // n), steps))
+        parallel_map(lambda chunk: self._fill(*chunk), chunks)
+        return windows
+
+    def _empty_blocks(self, rows: Integers) -> Blocks:
+        """Blocks that begin at the steps `rows`, shape (b,), with arrays that are not filled yet."""
+        b, states, m, columns = len(rows), self.states, len(self.model.outputs), 1 + len(self.functions.free)
+        return Blocks(
+            rows=rows,
+            transition=np.empty((b, states, states)),
+            part_input=np.empty((self.block, b, states, len(self.model.disturbed))),
+            measurement=np.empty((b, m, states)),
+            variance=np.empty((b, m)),
+            drive=np.empty((b, states, columns)),
+            measured=np.empty((b, m, columns)),
+        )
 
     def _fill(self, blocks: Blocks, into: slice, rows: slice) -> None:
-        """Linearise in the steps `rows`, which make the blocks `into`."""
+        """Linearise the model in the steps `rows`, and fill the elements `into` of `blocks` with them."""
         n = self.block
         derivatives = self.derivatives(rows)
         blocks.drive[into] = _kalman.over_blocks(derivatives.Phi, derivatives.Gamma, derivatives.rates, n)
@@ -335,10 +266,11 @@ class LinearisedFlight:
         )
         blocks.measured[into], blocks.measurement[into] = derivatives.outputs[::n], derivatives.C[::n]
         blocks.variance[into] = derivatives.variance[::n]
-        over, parts = _kalman.block_response(
+        transition, responses = _kalman.block_response(
             derivatives.Phi, derivatives.Gamma, derivatives.by_disturbance, n
         )
-        blocks.transition[into], blocks.part_input[:, into] = over, parts.reshape(n, *over.shape[:2], -1)
+        blocks.transition[into] = transition
+        blocks.part_input[:, into] = responses.reshape(n, *transition.shape[:2], -1)
 
     def _corrections(self, rows: slice) -> Floats:
         """Predicted minus filtered states of the trajectory, shape (n, states, 1)."""
@@ -348,21 +280,25 @@ class LinearisedFlight:
 
     @cached_property
     def steps(self) -> Steps:
-        """The model in every step, kept until `release`."""
-        n, nx, m, inputs = self.rows, self.states, len(self.model.outputs), len(self.model.disturbed)
-        kept = Steps(
-            *(np.empty((n, *shape)) for shape in ((nx, nx), (nx, nx), (nx, inputs), (m, nx), (nx, 1), (m, 1)))
+        """The model in every step, cached until `release`."""
+        n, nx, m = self.rows, self.states, len(self.model.outputs)
+        steps = Steps(
+            Phi=np.empty((n, nx, nx)),
+            Gamma=np.empty((n, nx, nx)),
+            by_disturbance=np.empty((n, nx, len(self.model.disturbed))),
+            C=np.empty((n, m, nx)),
+            drive=np.empty((n, nx, 1)),
+            output_error=np.empty((n, m, 1)),
         )
         for low in range(0, n, _CHUNK_STEPS):
             rows = slice(low, min(low + _CHUNK_STEPS, n))
             derivatives = self.derivatives(rows)
-            kept.Phi[rows], kept.Gamma[rows] = derivatives.Phi, derivatives.Gamma
-            kept.by_disturbance[rows], kept.C[rows] = derivatives.by_disturbance, derivatives.C
-            kept.drive[rows] = derivatives.Gamma @ derivatives.rates[
-                :, :, :1
-            ] + derivatives.Phi @ self._corrections(rows)
-            kept.output_error[rows] = derivatives.outputs[:, :, :1]
-        return kept
+            rate_error = derivatives.rates[:, :, :1]
+            steps.Phi[rows], steps.Gamma[rows] = derivatives.Phi, derivatives.Gamma
+            steps.by_disturbance[rows], steps.C[rows] = derivatives.by_disturbance, derivatives.C
+            steps.drive[rows] = derivatives.Gamma @ rate_error + derivatives.Phi @ self._corrections(rows)
+            steps.output_error[rows] = derivatives.outputs[:, :, :1]
+        return steps
 
     def release(self) -> None:
         """Release the memory of `steps` and `blocks`, 110 and 70 MB for ten minutes of flight; both are
@@ -372,9 +308,9 @@ class LinearisedFlight:
         self.__dict__.pop("blocks", None)
 
     def disturbance_for(self, accelerations: Floats) -> Floats:
-        """Disturbances that make accelerations along the trajectory, shape (n, m).
+        """Disturbances that cause given accelerations along the trajectory, shape (n, m).
 
-        A position that friction holds obeys no disturbance: there it is zero.
+        While friction holds a position, no disturbance moves it; the disturbance there is 0.
 
         Parameters
         ----------
@@ -386,8 +322,8 @@ class LinearisedFlight:
         return np.asarray(inverse @ accelerations[:, :, None], float)[:, :, 0]
 
     def over_blocks(self, rates: Floats) -> list[Floats]:
-        """Change of the deviation over each block of each window by additional `rates`, shape
-        (n, states, s).
+        """Change of the state's deviation over each block by additional `rates`, shape (n, states, s): for
+        each window, shape (b, states, s).
         """
         Phi, Gamma = self.steps.Phi, self.steps.Gamma
         return [

@@ -60,7 +60,7 @@ class NormalPrior:
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """A parameter to be estimated.
+    """A parameter that is estimated, with its prior.
 
     Parameters
     ----------
@@ -68,6 +68,8 @@ class FreeParameter:
         Its name; one that differs between several flights has the flight's label in brackets.
     unit : str
         SI unit.
+    prior : Prior
+        Distribution before the flights are seen.
     quantity : str
         Its name in the model.
     record : int or None
@@ -128,29 +130,32 @@ class ParameterVector:
             for index, label in enumerate(labels)
             for parameter in per_flight
         ]
-        self._names = {name: place for place, name in enumerate(parameters)}
+        self._index = {name: index for index, name in enumerate(parameters)}
         self.values = values.copy()
         self.quantities = tuple(parameter.quantity for parameter in (*shared, *per_flight))
         self._set_free((*shared, *local), len(labels))
 
     def _set_free(self, free: tuple[FreeParameter, ...], flights: int) -> None:
+        """Set the `free` parameters of a number of `flights`, and the attributes that follow from them."""
         self.free = free
         self.columns: tuple[Integers, ...] = tuple(
             np.array([i for i, parameter in enumerate(free) if parameter.record in (None, index)], int)
             for index in range(flights)
         )
-        self._place = np.array([self._names[parameter.quantity] for parameter in free], int)
+        self._free_index = np.array([self._index[parameter.quantity] for parameter in free], int)
         self.mean: Floats = np.array([parameter.prior.mean for parameter in free])
         self.std: Floats = np.array([parameter.prior.std for parameter in free])
 
     def with_free(self, free: Sequence[FreeParameter]) -> ParameterVector:
-        """Take other `free` parameters, those of one flight after the shared ones; values stay."""
+        """Return a vector of other `free` parameters of the same model, first the shared ones, then those of
+        one flight.
+        """
         other = copy.copy(self)
         other._set_free(tuple(free), len(self.columns))
         return other
 
     def without_priors(self, names: Collection[str]) -> ParameterVector:
-        """Remove the priors of the free parameters `names`; their bounds stay."""
+        """Return the same vector with the priors of the parameters `names` removed; their bounds stay."""
         other = copy.copy(self)
         removed = np.array([parameter.name in names for parameter in self.free], bool)
         other.std = np.where(removed, _VAGUE * self.std, self.std)
@@ -163,15 +168,15 @@ class ParameterVector:
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
-        """Lowest and highest values, each of shape (f,)."""
-        return np.array([parameter.prior.low for parameter in self.free]), np.array(
-            [parameter.prior.high for parameter in self.free]
-        )
+        """Lower and upper bounds of the free parameters, shape (f,) each."""
+        low = np.array([parameter.prior.low for parameter in self.free])
+        high = np.array([parameter.prior.high for parameter in self.free])
+        return low, high
 
     @property
     def start(self) -> Floats:
         """Values to start from, within the bounds; shape (f,)."""
-        result: Floats = np.clip(self.values[self._place], *self.bounds)
+        result: Floats = np.clip(self.values[self._free_index], *self.bounds)
         return result
 
     def by_name(self, theta: Floats) -> dict[str, float]:
@@ -189,16 +194,16 @@ class ParameterVector:
         }
 
     def started_from(self, values: Mapping[str, float]) -> Floats:
-        """Start with some `values` by name of the free parameter, within the bounds; shape (f,)."""
+        """Start values, shape (f,): the given `values` by name of the free parameter, otherwise `start`."""
         start = [values.get(name, value) for name, value in zip(self.names, self.start, strict=True)]
         result: Floats = np.clip(np.array(start, float), *self.bounds)
         return result
 
     def parameters(self, theta: Floats, index: int = 0) -> Floats:
-        """Complete free parameters `theta`, shape (f,), to all those of the model, shape (p,), for the flight
-        of number `index`.
+        """All parameters of the model in flight number `index`, shape (p,), from the free parameters `theta`,
+        shape (f,).
         """
         full = self.values.copy()
         columns = self.columns[index]
-        full[self._place[columns]] = theta[columns]
+        full[self._free_index[columns]] = theta[columns]
         return full

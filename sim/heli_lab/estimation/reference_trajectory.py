@@ -8,6 +8,7 @@ innovations that it is to explain, and a wrong scale of a sensor would always be
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -63,12 +64,14 @@ class KinematicModel:
 
 @dataclass(frozen=True)
 class ReferenceTrajectory:
-    """States of a flight at even times.
+    """States of a flight at even times, as a filter estimates them: a model is linearised about them.
 
     Parameters
     ----------
+    record : Recording
+        The flight.
     every : int
-        Rows of the flight in a step.
+        Rows of the flight per step.
     measured : ndarray (n, m)
         Outputs at the beginning of each step, mean of the samples within half a step.
     variance : ndarray (n, m)
@@ -115,64 +118,85 @@ class ReferenceTrajectory:
         )
 
     def refiltered(self, predicted: Floats, filtered: Floats) -> ReferenceTrajectory:
-        """Replace the states by those of a better filter, `predicted` and `filtered`, shape (n, 2 m) each."""
-        return replace(self, predicted=_held(predicted, self.at_rest), filtered=_held(filtered, self.at_rest))
+        """Return the same flight with the states of a better filter, shape (n, 2 m) each."""
+        return replace(
+            self,
+            predicted=_without_rates(predicted, self.at_rest),
+            filtered=_without_rates(filtered, self.at_rest),
+        )
 
 
 def kinematic_filter(record: Recording, kinematics: KinematicModel) -> ReferenceTrajectory:
-    """Filter the outputs of a flight without a model of the machine.
+    """Reference trajectory without a model of the machine: its positions are driven by random accelerations.
 
     Parameters
     ----------
+    record : Recording
+        The flight.
     kinematics : KinematicModel
-        How positions move.
+        Size and correlation time of the accelerations.
     """
     every = max(1, int(STEP_s / record.step_s + 1e-6))
-    count = len(record.t_s) // every
-    half = every // 2
-    outputs = record.outputs
-    size = outputs.shape[1]
-    sums = np.vstack((np.zeros(size), np.cumsum(outputs, axis=0)))
-    nodes = np.arange(count) * every
-    low, high = np.maximum(nodes - half, 0), np.minimum(nodes + half + 1, len(record.t_s))
-    width = np.minimum(nodes - low, high - 1 - nodes)
-    low, high = nodes - width, nodes + width + 1
-    measured = (sums[high] - sums[low]) / (high - low)[:, None]
+    step_s = record.step_s * every
+    # First row of each step.
+    rows = np.arange(len(record.t_s) // every) * every
+    measured, sample_count = _centred_means(record, rows, every // 2)
+    m = measured.shape[1]
     variance = np.broadcast_to(quantisation_std(record) ** 2, measured.shape)
-    _, state = _kinematic(measured, variance, record.step_s * every, kinematics)
-    samples = (high - low)[:, None].astype(float)
-    crossings = np.abs(state[:, size:]) * record.step_s * every / record.resolution
+    _, rough = _filter_kinematics(measured, variance, step_s, kinematics)
     # The errors of samples are independent where counts change between them; at rest they are the same.
-    variance = variance / (1.0 + (samples - 1.0) * np.minimum(crossings, 1.0))
-    windows = tuple(
-        slice(-(-start // every), stop // every)
-        for start, stop in record.segments
-        if stop // every - -(-start // every) > 1
-    )
-    before, after = _kinematic(measured, variance, record.step_s * every, kinematics)
-    at_rest = _at_rest(record, nodes)
+    counts_per_step = np.abs(rough[:, m:]) * record.step_s * every / record.resolution
+    variance = variance / (1.0 + (sample_count - 1.0) * np.minimum(counts_per_step, 1.0))
+    predicted, filtered = _filter_kinematics(measured, variance, step_s, kinematics)
+    windows = []
+    for first_row, stop_row in record.segments:
+        first_step, stop_step = math.ceil(first_row / every), stop_row // every
+        if stop_step - first_step > 1:
+            windows.append(slice(first_step, stop_step))
+    at_rest = _at_rest(record, rows)
+    directions, direction_variance, pause_s = _directions(record, rows)
     return ReferenceTrajectory(
-        record,
-        every,
-        measured,
-        variance,
-        _held(before, at_rest),
-        _held(after, at_rest),
-        windows,
-        at_rest,
-        *_directions(record, nodes),
+        record=record,
+        every=every,
+        measured=measured,
+        variance=variance,
+        predicted=_without_rates(predicted, at_rest),
+        filtered=_without_rates(filtered, at_rest),
+        windows=tuple(windows),
+        at_rest=at_rest,
+        directions=directions,
+        direction_variance=direction_variance,
+        pause_s=pause_s,
     )
+
+
+def _centred_means(record: Recording, rows: Integers, half: int) -> tuple[Floats, Floats]:
+    """Mean of the outputs around each of some rows, over at most `half` rows on either side.
+
+    Returns
+    -------
+    mean : ndarray (n, m)
+        Means over equally many rows before and after; fewer at the ends of the record.
+    count : ndarray (n, 1)
+        Number of rows in each mean.
+    """
+    sums = np.vstack((np.zeros(record.outputs.shape[1]), np.cumsum(record.outputs, axis=0)))
+    low, high = np.maximum(rows - half, 0), np.minimum(rows + half + 1, len(record.t_s))
+    width = np.minimum(rows - low, high - 1 - rows)
+    low, high = rows - width, rows + width + 1
+    count = (high - low)[:, None].astype(float)
+    return (sums[high] - sums[low]) / count, count
 
 
 def _changed(record: Recording) -> Booleans:
-    """Whether each output's count, shape (n - 1, m), changes from a row to the next."""
+    """Whether each output's count changes from a row to the next, shape (n - 1, m)."""
     changed: Booleans = np.abs(np.diff(record.outputs, axis=0)) > 0.5 * record.resolution
     return changed
 
 
 def _directions(record: Recording, nodes: Integers) -> tuple[Floats, Floats, Floats]:
-    """Direction in which each output moved last, the variance of its error, and the time for which the count
-    stays the same (s), shape (n, m) each, in these rows of a flight.
+    """Place of each output within its play, from the direction in which it moved last, in some rows of a
+    flight.
 
     If an axis reverses, it moves through a play with the square of the time since its count stopped. If its
     count rests for long and then continues in the same direction, the axis has moved into the play and back.
@@ -180,27 +204,36 @@ def _directions(record: Recording, nodes: Integers) -> tuple[Floats, Floats, Flo
     Within the play the count does not depend on the place of the axis, so the play is one wide cell of a
     quantiser (Widrow and Kollar, Quantization Noise, 2008). The place has a beta distribution between both
     sides, uniform if its mean is in the middle: its variance is (1 - mean^2) / 3.
+
+    Returns
+    -------
+    directions : ndarray (n, m)
+        Direction of the last move, -1 to 1.
+    variance : ndarray (n, m)
+        Variance of its error.
+    pause_s : ndarray (n, m)
+        Time for which the count stays the same [s].
     """
     changed = _changed(record)
     directions = np.zeros((len(nodes), changed.shape[1]))
     pause_s = np.zeros_like(directions)
     for axis in range(changed.shape[1]):
-        inner = np.flatnonzero(changed[:, axis])
+        change_rows = np.flatnonzero(changed[:, axis])
         # Before the first move and after the last the axis is anywhere in its play.
-        moves = np.concatenate(([-1], inner, [len(changed)]))
-        signs = np.concatenate(([0.0], np.sign(np.diff(record.outputs[:, axis])[inner]), [0.0]))
+        moves = np.concatenate(([-1], change_rows, [len(changed)]))
+        signs = np.concatenate(([0.0], np.sign(np.diff(record.outputs[:, axis])[change_rows]), [0.0]))
         following = np.searchsorted(moves + 0.5, nodes)
         last = following - 1
-        rows = moves[following] - moves[last]
-        share = (nodes - moves[last] - 0.5) / rows
+        pause_rows = moves[following] - moves[last]
+        share = (nodes - moves[last] - 0.5) / pause_rows
         turned = signs[following] - signs[last]
         # Slowly there, fast back: s^2 (1 - s) is at most 1 / 6.75.
         there_and_back = _BACK * 6.75 * share**2 * (1.0 - share)
-        returned = (turned == 0.0) & (rows * record.step_s >= RETURN_s)
+        returned = (turned == 0.0) & (pause_rows * record.step_s >= RETURN_s)
         directions[:, axis] = (
             signs[last] + turned * share**2 - np.where(returned, signs[last] * there_and_back, 0.0)
         )
-        pause_s[:, axis] = rows * record.step_s
+        pause_s[:, axis] = pause_rows * record.step_s
     return directions, (1.0 - directions**2) / 3.0, pause_s
 
 
@@ -218,15 +251,30 @@ def _at_rest(record: Recording, nodes: Integers) -> Booleans:
     return at_rest
 
 
-def _held(states: Floats, at_rest: Booleans) -> Floats:
-    size = at_rest.shape[1]
-    rates: Floats = np.where(at_rest, 0.0, states[:, size:])
-    return np.hstack((states[:, :size], rates))
+def _without_rates(states: Floats, at_rest: Booleans) -> Floats:
+    """The positions and rates `states`, shape (n, 2 m), with the rate of each output `at_rest` set to 0."""
+    m = at_rest.shape[1]
+    rates: Floats = np.where(at_rest, 0.0, states[:, m:])
+    return np.hstack((states[:, :m], rates))
 
 
-def _kinematic(
+def _filter_kinematics(
     measured: Floats, variance: Floats, step_s: float, kinematics: KinematicModel
 ) -> tuple[Floats, Floats]:
+    """Kalman filter of positions that random accelerations drive.
+
+    Parameters
+    ----------
+    measured, variance : ndarray (n, m)
+        Measured outputs with the variance of their errors.
+    step_s : float
+        Time from one measurement to the next [s].
+
+    Returns
+    -------
+    predicted, filtered : ndarray (n, 2 m)
+        Positions and rates before and after each measurement.
+    """
     count, size = measured.shape
     identity, zero = np.eye(size), np.zeros((size, size))
     transition = np.block([[identity, step_s * identity], [zero, identity]])

@@ -56,66 +56,97 @@ class Trajectory:
         return replace(self, t_s=self.t_s[rows], state=self.state[rows], inputs=self.inputs[rows])
 
 
-class _Listing:
-    """Values of a CasADi `function` of dense inputs and outputs, each computed once.
+class _ExpressionList:
+    """A CasADi function as a list of elementary operations, from which equal subexpressions are removed.
+
+    The value of operation k depends on the values of earlier operations only, so that one pass over the list
+    evaluates the function.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Function of dense inputs and outputs.
+
+    Attributes
+    ----------
+    input_sizes : list of int
+        Number of elements of each input.
+    operations : list of int
+        Code of each operation, an index into `_expression_vm.OPERATIONS`.
+    first_operands, second_operands : list of int
+        Operations whose values each operation takes. For an input: number of the input, and of its element.
+    constants : list of float
+        Value of each operation that is a constant.
+    outputs : list of list of int
+        Operations that give the elements of each output, row by row.
 
     Raises
     ------
     IdentifyError
-        When it has an operation that programs lack.
+        When the function has an operation that `_expression_vm` lacks.
     """
 
     def __init__(self, function: ca.Function) -> None:
-        self.widths = [function.numel_in(i) for i in range(function.n_in())]
+        self.input_sizes = [function.numel_in(i) for i in range(function.n_in())]
         self.operations: list[int] = []
-        self.a: list[int] = []
-        self.b: list[int] = []
+        self.first_operands: list[int] = []
+        self.second_operands: list[int] = []
         self.constants: list[float] = []
-        self._known: dict[tuple[int, int, int, str], int] = {}
+        self._index: dict[tuple[int, int, int, str], int] = {}
         zero = self._add(_CONST)
         self.outputs = [[zero] * function.numel_out(i) for i in range(function.n_out())]
-        held: dict[int, int] = {}
+        in_register: dict[int, int] = {}
+        """Operation whose value is in each of CasADi's work registers."""
         for k in range(function.n_instructions()):
             code = function.instruction_id(k)
-            to, read = function.instruction_output(k), function.instruction_input(k)
+            target, operands = function.instruction_output(k), function.instruction_input(k)
             if code == ca.OP_OUTPUT:
-                number, element = to
+                number, element = target
                 rows, columns = function.size_out(number)
                 # CasADi counts down the columns, numpy along the rows.
-                place = element % rows * columns + element // rows
-                self.outputs[number][place] = held[read[0]]
+                row, column = element % rows, element // rows
+                self.outputs[number][row * columns + column] = in_register[operands[0]]
             elif code == ca.OP_INPUT:
-                held[to[0]] = self._add(_INPUT, read[0], read[1])
+                in_register[target[0]] = self._add(_INPUT, operands[0], operands[1])
             elif code == ca.OP_CONST:
-                held[to[0]] = self._add(_CONST, constant=function.instruction_constant(k))
+                in_register[target[0]] = self._add(_CONST, constant=function.instruction_constant(k))
             else:
                 if code not in _BY_CASADI:
                     raise IdentifyError(
                         f"a model uses CasADi's operation {code}, which is not evaluated here",
                         "write it with arithmetic, comparisons and elementary functions",
                     )
-                first = held[read[0]]
-                held[to[0]] = self._add(_BY_CASADI[code], first, held[read[1]] if len(read) > 1 else first)
+                # The second operand of a unary operation is ignored.
+                first, second = in_register[operands[0]], in_register[operands[-1]]
+                in_register[target[0]] = self._add(_BY_CASADI[code], first, second)
 
-    def _add(self, operation: int, a: int = 0, b: int = 0, constant: float = 0.0) -> int:
-        # Derivatives hold the same subexpression many times; to have `ca.cse` find them takes 9 ms a model.
-        # As text -0 is not 0, and no number is itself.
-        key = (operation, a, b, constant.hex() if operation == _CONST else "")
-        place = self._known.setdefault(key, len(self.operations))
-        if place == len(self.operations):
+    def _add(self, operation: int, first: int = 0, second: int = 0, constant: float = 0.0) -> int:
+        """Append an operation unless the list has the same one; return its index in the list."""
+        # Derivatives repeat subexpressions many times; `ca.cse` takes 9 ms per model to find them.
+        # A constant is compared as text: -0 differs from 0, and nan equals nan.
+        key = (operation, first, second, constant.hex() if operation == _CONST else "")
+        index = self._index.setdefault(key, len(self.operations))
+        if index == len(self.operations):
             self.operations.append(operation)
-            self.a.append(a)
-            self.b.append(b)
+            self.first_operands.append(first)
+            self.second_operands.append(second)
             self.constants.append(constant)
-        return place
+        return index
 
     @property
     def arguments(self) -> tuple[list[int], list[int], list[int], list[float], list[int]]:
-        """Arguments in the order of the programs."""
-        return self.operations, self.a, self.b, self.constants, self.widths
+        """Leading arguments of the constructors in `_expression_vm`."""
+        return (
+            self.operations,
+            self.first_operands,
+            self.second_operands,
+            self.constants,
+            self.input_sizes,
+        )
 
 
 def _table(values: Floats) -> Floats:
+    """The `values`, shape (n,) or (n, k), as contiguous table of shape (n, k)."""
     table: Floats = np.ascontiguousarray(values, float)
     return table[:, None] if table.ndim == 1 else table
 
@@ -127,12 +158,12 @@ class AlongTrajectory:
 
     def __init__(self, function: ca.Function) -> None:
         self._function = function
-        listing = _Listing(function)
+        expressions = _ExpressionList(function)
         self._shapes = [function.size_out(i) for i in range(function.n_out())]
-        self._program = _expression_vm.TableProgram(*listing.arguments, listing.outputs)
+        self._program = _expression_vm.TableProgram(*expressions.arguments, expressions.outputs)
 
     def __reduce__(self) -> tuple[type[AlongTrajectory], tuple[ca.Function]]:
-        # Programs are compiled in; they are made again.
+        # Compiled programs do not pickle.
         return AlongTrajectory, (self._function,)
 
     def __call__(self, trajectory: Trajectory) -> list[Floats]:
@@ -146,25 +177,25 @@ class AlongTrajectory:
 
 
 class EffectStates:
-    """Integrates extra states along a reference trajectory that they do not change.
+    """Integrates the states z of effects along a reference trajectory that they do not change.
 
     Parameters
     ----------
     rates, resets : casadi.Function
-        Their rates, and what they jump to at the end of a step, by z, time, the `inputs` of a step and all
-        parameters.
+        Rates of z, and z after the jump at the end of a step; functions of z, time, the `reference` of
+        `integrate` and all parameters.
     """
 
     def __init__(self, rates: ca.Function, resets: ca.Function) -> None:
-        self._made_of = rates, resets
+        self._functions = rates, resets
         arguments = [ca.SX.sym("v", rates.numel_in(i)) for i in range(rates.n_in())]
         both = ca.Function("both", arguments, [rates(*arguments), resets(*arguments)])
-        listing = _Listing(both)
+        expressions = _ExpressionList(both)
         self._size = both.numel_in(0)
-        self._integrator = _expression_vm.CourseIntegrator(*listing.arguments, *listing.outputs)
+        self._integrator = _expression_vm.CourseIntegrator(*expressions.arguments, *expressions.outputs)
 
     def __reduce__(self) -> tuple[type[EffectStates], tuple[ca.Function, ca.Function]]:
-        return EffectStates, self._made_of
+        return EffectStates, self._functions
 
     def integrate(
         self,
@@ -173,14 +204,14 @@ class EffectStates:
         parameters: Floats,
         step_s: float,
         substeps: int,
-        seen: int | None = None,
+        returned_substep: int | None = None,
     ) -> Floats:
-        """Integrate from rest, z = 0.
+        """Integrate from z = 0.
 
         Parameters
         ----------
         reference : sequence of ndarray (n, width)
-            Inputs of each step.
+            Signals along the trajectory in each step, such as positions, rates and inputs.
         t_s : ndarray (n,)
             Middle of each step.
         parameters : ndarray (p,)
@@ -189,12 +220,13 @@ class EffectStates:
             Length of a step.
         substeps : int
             Runge-Kutta steps in each.
-        seen : int, optional
-            The substep at whose end z is returned; the last unless given.
+        returned_substep : int, optional
+            The substep at whose end z is returned; by default the last.
 
         Returns
         -------
         ndarray (n, z)
+            States z in each step.
         """
         states: Floats = self._integrator.run(
             [_table(array) for array in reference],
@@ -202,7 +234,7 @@ class EffectStates:
             np.ascontiguousarray(parameters, float),
             step_s,
             substeps,
-            substeps - 1 if seen is None else seen,
+            substeps - 1 if returned_substep is None else returned_substep,
             np.zeros(self._size),
         )
         return states

@@ -11,7 +11,6 @@ from heli_sim.rig import Rig
 
 from heli_lab.guess import names, thresholds
 from heli_lab.guess.regression.assignment import ColumnAssignment, RegressionFit
-from heli_lab.guess.regression.axis_regression import RestElevation
 from heli_lab.guess.regression.reference import Reference
 from heli_lab.guess.regression.scales import AXES, MeasuredMotion, Scale
 from heli_lab.guess.result import Ambiguity
@@ -39,12 +38,19 @@ class SignChanges:
 
 
 def assignment_ambiguities(ranked: list[ColumnAssignment]) -> tuple[list[Ambiguity], list[str]]:
-    """List ambiguities of the columns, and state the evidence in sentences.
+    """Ambiguities of the columns: other assignments that are nearly as likely, or that fit the motion better.
 
     Parameters
     ----------
     ranked : list of ColumnAssignment
         All candidate assignments, the most likely first.
+
+    Returns
+    -------
+    ambiguities : list of Ambiguity
+        One at most.
+    evidence : list of str
+        One sentence on the most likely assignment.
     """
     best = ranked[0]
     others = [assignment for assignment in ranked if not assignment.same_as(best)]
@@ -95,7 +101,7 @@ def _roles(assignment: ColumnAssignment) -> dict[str, str]:
 
 
 def sum_ambiguities(
-    explained: dict[str, RegressionFit],
+    regressions: dict[str, RegressionFit],
     assignment: ColumnAssignment,
     columns: list[str],
     dropped: dict[str, str],
@@ -109,7 +115,7 @@ def sum_ambiguities(
     dropped : dict of str
         Columns that were left out, with the reason.
     """
-    nats = explained["elevation"].log_likelihood_ratio
+    nats = regressions["elevation"].log_likelihood_ratio
     if nats >= thresholds.DECISIVE_NATS:
         return []
     others = [name for name in columns if name not in assignment.columns]
@@ -187,7 +193,7 @@ def unit_ambiguities(
 def _supply_ambiguities(
     possible: list[Scale], motion: MeasuredMotion, reference: Reference
 ) -> list[Ambiguity]:
-    """List what is assumed of the rig's hover voltage and supply."""
+    """Ambiguities of the bias and of the supply, which the file does not state."""
     best, ambiguities = possible[0], []
     if best.bias_removed:
         ambiguities.append(
@@ -215,27 +221,24 @@ def _full_scale(scale: Scale) -> str:
 
 
 def _volts_of_another_gain(possible: list[Scale]) -> str:
-    """Offer volts if they are not much less likely than a share of the supply."""
-    ahead = min(
-        (possible[0].log_likelihood - scale.log_likelihood for scale in possible if scale.voltage == "V"),
-        default=math.inf,
-    )
-    return ", or V" if ahead < 2.0 * thresholds.DECISIVE_NATS else ""
+    """The words ``, or V`` if volts are not much less likely than a share of the supply; otherwise empty."""
+    in_volts = [scale.log_likelihood for scale in possible if scale.voltage == "V"]
+    lead_nats = possible[0].log_likelihood - max(in_volts, default=-math.inf)
+    return ", or V" if lead_nats < 2.0 * thresholds.DECISIVE_NATS else ""
 
 
 def _describe_units(scale: Scale) -> str:
-    angles = dict.fromkeys(scale.angles.values())
-    shown = (
-        next(iter(angles))
-        if len(angles) == 1
-        else ", ".join(f"{axis} in {unit}" for axis, unit in scale.angles.items())
-    )
+    """The units of a `scale` in words; the angles together if they have the same unit."""
+    if len(set(scale.angles.values())) == 1:
+        shown = scale.angles[AXES[0]]
+    else:
+        shown = ", ".join(f"{axis} in {unit}" for axis, unit in scale.angles.items())
     halves = ", sum and difference by halves" if scale.factor != 1.0 else ""
     return f"angles in {shown}, voltages in {scale.voltage}{_full_scale(scale)}{halves}"
 
 
 def sign_ambiguities(
-    explained: dict[str, RegressionFit],
+    regressions: dict[str, RegressionFit],
     signs: SignChanges,
     assignment: ColumnAssignment,
     torque_nats: float,
@@ -254,28 +257,28 @@ def sign_ambiguities(
     """
     ambiguities = []
     for axis in AXES:
-        if explained[axis].log_likelihood_ratio < thresholds.DECISIVE_NATS:
+        nats = regressions[axis].log_likelihood_ratio
+        if nats < thresholds.DECISIVE_NATS:
             ambiguities.append(
                 Ambiguity(
                     f"{axis}'s sign",
                     "as proposed",
                     "the opposite",
-                    f"its cause explains only {explained[axis].log_likelihood_ratio:.1f} nats of its motion; "
+                    f"its cause explains only {nats:.1f} nats of its motion; "
                     "log a flight that excites this axis more",
                 )
             )
     changed = signs.motors_swapped or signs.pitch < 0.0 or signs.travel < 0.0
-    stated = {names.role_of(column) for column in assignment.voltages} >= (
-        {"difference"} if assignment.summed else {"front", "back"}
-    )
+    named_roles = {names.role_of(column) for column in assignment.voltages}
+    stated = named_roles >= ({"difference"} if assignment.summed else {"front", "back"})
     motors = "the difference is back less front" if assignment.summed else "the motors' names are exchanged"
     if changed or not stated:
         chosen = _changes(signs.motors_swapped, signs.pitch < 0.0, signs.travel < 0.0, motors)
         image = _changes(not signs.motors_swapped, signs.pitch > 0.0, signs.travel > 0.0, motors)
-        for_choice = -torque_nats if mirrored else torque_nats
+        for_choice_nats = -torque_nats if mirrored else torque_nats
         torque = (
-            f"; the constant travel torque of rig {rig.name} is {abs(for_choice):.1f} nats "
-            f"{'for' if for_choice >= 0.0 else 'against'} the choice"
+            f"; the constant travel torque of rig {rig.name} is {abs(for_choice_nats):.1f} nats "
+            f"{'for' if for_choice_nats >= 0.0 else 'against'} the choice"
             if torque_nats
             else ""
         )
@@ -292,47 +295,34 @@ def sign_ambiguities(
 
 
 def _changes(swapped: bool, pitch: bool, travel: bool, motors: str) -> str:
-    """Describe the changes of sign of pitch, travel and the motors."""
-    axes = " and ".join(axis for axis, turned in (("pitch", pitch), ("travel", travel)) if turned)
-    have = "have" if pitch and travel else "has"
-    parts = [motors] * swapped + [f"{axes} {have} the opposite sign"] * bool(axes)
+    """Describe changes of sign: of `pitch`, of `travel`, and of the motors, as `motors` puts it in words."""
+    parts = []
+    if swapped:
+        parts.append(motors)
+    if pitch and travel:
+        parts.append("pitch and travel have the opposite sign")
+    elif pitch or travel:
+        parts.append(f"{'pitch' if pitch else 'travel'} has the opposite sign")
     return ", and ".join(parts) or "front and back as proposed"
 
 
-def elevation_zero(rest: RestElevation, reference: Reference) -> tuple[float, list[Ambiguity]]:
-    """Return the angle to add to the elevation [deg], and the ambiguity of it, if there is one."""
-    table = reference.rest_deg
-    far = thresholds.REST_TOLERANCE_DEG + reference.rest_tolerance_deg
-    if rest.deg is None:
-        if abs(rest.median_deg) < 0.5 * abs(table):
-            return 0.0, []
-        return 0.0, [
-            Ambiguity(
-                "the elevation's zero",
-                f"0 as it is, with {rest.median_deg:.0f} deg in flight",
-                f"0 at rest, so {table:g} deg to add",
-                "the flight does not begin at rest; start logging while the arm is on the table",
-            )
-        ]
-    zero_at_level, zero_at_rest = abs(rest.deg - table) < far, abs(rest.deg) < far
-    if zero_at_level and rest.lowest and not zero_at_rest:
-        return 0.0, []
-    if zero_at_rest and rest.lowest and not zero_at_level:
-        return table - rest.deg, []
-    return 0.0, [
-        Ambiguity(
-            "the elevation's zero",
-            f"as it is, at rest {rest.deg:.1f} deg",
-            f"{table - rest.deg:.1f} deg to add, so that it rests at {table:g} deg",
-            "with the rig file's table angle, neither level nor rest would be 0; measure the angle at rest",
-        )
-    ]
+def lag_ambiguities(regressions: dict[str, RegressionFit]) -> tuple[list[Ambiguity], str]:
+    """Ambiguities of delays between the columns; no delay is sure enough to be removed.
 
+    Parameters
+    ----------
+    regressions : dict of RegressionFit
+        Regression of each axis' acceleration on its cause, by axis.
 
-def lag_ambiguities(explained: dict[str, RegressionFit]) -> tuple[list[Ambiguity], str]:
-    """List the ambiguities of delays, and a sentence of evidence. No delay is sure enough to be removed."""
+    Returns
+    -------
+    ambiguities : list of Ambiguity
+        One per implausible delay.
+    evidence : str
+        A sentence with all delays.
+    """
     ambiguities = []
-    lag = {axis: explained[axis].lag_s for axis in AXES}
+    lag = {axis: regressions[axis].lag_s for axis in AXES}
     if abs(lag["travel"]) > thresholds.MAX_TRAVEL_LAG_S:
         ambiguities.append(
             Ambiguity(
@@ -345,7 +335,7 @@ def lag_ambiguities(explained: dict[str, RegressionFit]) -> tuple[list[Ambiguity
     apart = lag["elevation"] - lag["pitch"]
     if (
         abs(apart) > thresholds.MAX_LAG_DIFFERENCE_S
-        and explained["elevation"].log_likelihood_ratio > thresholds.DECISIVE_NATS
+        and regressions["elevation"].log_likelihood_ratio > thresholds.DECISIVE_NATS
     ):
         ambiguities.append(
             Ambiguity(

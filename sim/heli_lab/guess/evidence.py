@@ -25,8 +25,8 @@ from heli_lab.guess.regression.scales import (
     Scale,
     VoltageScale,
     is_encoder,
+    quantisation_step,
     scales,
-    step_of,
     voltage_scales,
 )
 from heli_lab.guess.regression.signals import Signals, column_signals
@@ -40,8 +40,18 @@ _UNRANKED_NATS: Final = 40.0
 
 @dataclass(frozen=True)
 class PreparedFile:
-    """One file with its filtered signals: the longest part of its `table`, its `clock`, the `signals` of its
-    columns, and the columns that are quantised by `encoders`.
+    """One file with its filtered signals.
+
+    Parameters
+    ----------
+    table : Table
+        The longest part of the file in which times rise and no angle jumps.
+    clock : Clock
+        Its times.
+    signals : Signals
+        Its other columns at even times.
+    encoders : frozenset of str
+        Columns that are quantised by an encoder of the rig.
     """
 
     table: Table
@@ -77,12 +87,19 @@ def prepare_file(table: Table, reference: Reference, rate_Hz: float | None) -> P
 def common_candidates(
     files: Sequence[PreparedFile], known: Mapping[str, str]
 ) -> tuple[list[str], dict[str, str]]:
-    """List the columns that may be an angle or a voltage in all files, and the others with the reason.
+    """Columns that may be an angle or a voltage in all files.
 
     Parameters
     ----------
     known : Mapping[str, str]
         Roles that the user knows, by column.
+
+    Returns
+    -------
+    columns : list of str
+        These columns.
+    dropped : dict of str
+        The reason for each of the other columns.
     """
     lists = [candidates(file.signals, file.encoders, known) for file in files]
     columns, dropped = lists[0]
@@ -109,10 +126,12 @@ def rank(
 
     Returns
     -------
-    tuple of (list of ColumnAssignment, list of MeasuredMotion)
-        The assignments, the most likely first, and the motion of the axes in each file for the first of them.
+    ranked : list of ColumnAssignment
+        The assignments, the most likely first.
+    motions : list of MeasuredMotion
+        Motion of the axes in each file, under the first assignment.
     """
-    ranked = _added_up(
+    ranked = _sum_over_files(
         [assignments(file.signals, reference, columns, file.encoders, known.columns) for file in files]
     )
     close = [
@@ -120,68 +139,79 @@ def rank(
         for assignment in ranked
         if ranked[0].log_likelihood - assignment.log_likelihood < thresholds.CANDIDATE_MARGIN_NATS
     ]
-    fits = []
+    with_units = []
     for assignment in close[: thresholds.MAX_CANDIDATES]:
         motions = []
         for file in files:
-            first = axis_regressions(file.signals, assignment, reference)
-            motions.append(_measured_motion(file.table, file.signals, assignment, first, reference))
-        nats = pooled_scales(motions, reference)[0].log_likelihood
-        fits.append(
-            (
-                replace(
-                    assignment,
-                    log_likelihood=assignment.log_likelihood + nats,
-                    physics_log_likelihood=assignment.physics_log_likelihood + nats,
-                ),
-                motions,
-            )
+            regressions = axis_regressions(file.signals, assignment, reference)
+            motions.append(_measured_motion(file.table, file.signals, assignment, regressions, reference))
+        units_nats = pooled_scales(motions, reference)[0].log_likelihood
+        scored = replace(
+            assignment,
+            log_likelihood=assignment.log_likelihood + units_nats,
+            physics_log_likelihood=assignment.physics_log_likelihood + units_nats,
         )
-    fits.sort(key=lambda fit: -fit[0].log_likelihood)
-    return [assignment for assignment, _ in fits], fits[0][1]
+        with_units.append((scored, motions))
+    with_units.sort(key=lambda pair: -pair[0].log_likelihood)
+    _, best_motions = with_units[0]
+    return [assignment for assignment, _ in with_units], best_motions
 
 
-def _added_up(lists: Sequence[list[ColumnAssignment]]) -> list[ColumnAssignment]:
-    """Add up the log-likelihoods of the motion; those of the names count once."""
-    if len(lists) == 1:
-        return lists[0]
-    by_columns = [{(a.columns, a.summed): a for a in ranked} for ranked in lists]
-    floors = [max(a.physics_log_likelihood for a in ranked) - _UNRANKED_NATS for ranked in lists]
-    added = []
+def _sum_over_files(ranked_by_file: Sequence[list[ColumnAssignment]]) -> list[ColumnAssignment]:
+    """Assignments with the log-likelihood of all files, the most likely first.
+
+    The evidence of the motion is added up; that of the columns' names counts once.
+    """
+    if len(ranked_by_file) == 1:
+        return ranked_by_file[0]
+    by_columns = [
+        {(assignment.columns, assignment.summed): assignment for assignment in ranked}
+        for ranked in ranked_by_file
+    ]
+    # Log-likelihood of the motion for an assignment that a file excludes.
+    floors = [
+        max(assignment.physics_log_likelihood for assignment in ranked) - _UNRANKED_NATS
+        for ranked in ranked_by_file
+    ]
+    result = []
     for key in {key for by_file in by_columns for key in by_file}:
-        of_files = [by_file.get(key) for by_file in by_columns]
-        best = max((a for a in of_files if a is not None), key=lambda a: a.log_likelihood)
-        physics = sum(
-            floor if a is None else a.physics_log_likelihood
-            for a, floor in zip(of_files, floors, strict=True)
+        in_files = [by_file.get(key) for by_file in by_columns]
+        best = max(
+            (assignment for assignment in in_files if assignment is not None),
+            key=lambda assignment: assignment.log_likelihood,
         )
-        words = best.log_likelihood - best.physics_log_likelihood
-        added.append(replace(best, log_likelihood=physics + words, physics_log_likelihood=physics))
-    return sorted(added, key=lambda a: (-a.log_likelihood, a.columns))
+        physics_nats = sum(
+            floor if assignment is None else assignment.physics_log_likelihood
+            for assignment, floor in zip(in_files, floors, strict=True)
+        )
+        names_nats = best.log_likelihood - best.physics_log_likelihood
+        result.append(
+            replace(best, log_likelihood=physics_nats + names_nats, physics_log_likelihood=physics_nats)
+        )
+    return sorted(result, key=lambda assignment: (-assignment.log_likelihood, assignment.columns))
 
 
 def pooled_scales(motions: Sequence[MeasuredMotion], reference: Reference) -> list[Scale]:
-    """List all choices of units, the most likely first, by the mean over all files.
+    """All combinations of units, the most likely first, by the mean log-likelihood over all files.
 
     Files of one rig share its deviation from the rig file, so that their likelihoods are not independent.
     """
-    lists = [scales(motion, reference) for motion in motions]
-    if len(lists) == 1:
-        return lists[0]
-    by_units = [{(s.units, s.bias_removed): s for s in scales} for scales in lists]
+    ranked_by_file = [scales(motion, reference) for motion in motions]
+    if len(ranked_by_file) == 1:
+        return ranked_by_file[0]
+    by_units = [{(scale.units, scale.bias_removed): scale for scale in ranked} for ranked in ranked_by_file]
     pooled = []
     for key, first in by_units[0].items():
-        scales_of_key = [by_unit[key] for by_unit in by_units if key in by_unit]
-        missing = len(lists) - len(scales_of_key)
-        nats = float(np.mean([s.log_likelihood for s in scales_of_key])) - _UNRANKED_NATS * missing / len(
-            lists
-        )
-        deviation = {
-            name: float(np.mean([s.deviation_std[name] for s in scales_of_key]))
+        in_files = [by_unit[key] for by_unit in by_units if key in by_unit]
+        missing = len(by_units) - len(in_files)
+        mean_nats = float(np.mean([scale.log_likelihood for scale in in_files]))
+        nats = mean_nats - _UNRANKED_NATS * missing / len(by_units)
+        deviation_std = {
+            name: float(np.mean([scale.deviation_std[name] for scale in in_files]))
             for name in first.deviation_std
         }
-        pooled.append(replace(first, log_likelihood=nats, deviation_std=deviation))
-    return sorted(pooled, key=lambda s: -s.log_likelihood)
+        pooled.append(replace(first, log_likelihood=nats, deviation_std=deviation_std))
+    return sorted(pooled, key=lambda scale: -scale.log_likelihood)
 
 
 def pooled_fits(files: Sequence[Mapping[str, RegressionFit]]) -> dict[str, RegressionFit]:
@@ -202,34 +232,34 @@ def _measured_motion(
     table: Table,
     signals: Signals,
     assignment: ColumnAssignment,
-    first: dict[str, RegressionFit],
+    regressions: dict[str, RegressionFit],
     reference: Reference,
 ) -> MeasuredMotion:
-    first_V, second_V = voltages(signals, assignment)
+    """Gains, ranges and steps of the assigned columns of one file; `regressions` of the axes, by axis."""
+    first, second = voltages(signals, assignment)
+    voltage_sum = first if assignment.summed else first + second
     rows = free_rows(signals, assignment.elevation)
-    level = (
-        float(np.mean(first_V[rows] if assignment.summed else (first_V + second_V)[rows]))
-        if rows.any()
-        else 0.0
-    )
     columns = dict(zip(AXES, (assignment.elevation, assignment.pitch, assignment.travel), strict=True))
     values = {axis: table.columns[column].values for axis, column in columns.items()}
-    stated = {axis: _unit(table, column, _ANGLE_UNITS) for axis, column in columns.items()}
-    stated["voltage"] = next(
-        filter(None, (_unit(table, column, _VOLTAGE_UNITS) for column in assignment.voltages)), ""
-    )
-    limited = _limited_motions(signals, assignment, reference, rows, first)
+    stated_units = {axis: _stated_unit(table, column, _ANGLE_UNITS) for axis, column in columns.items()}
+    voltage_units = [_stated_unit(table, column, _VOLTAGE_UNITS) for column in assignment.voltages]
+    stated_units["voltage"] = voltage_units[0] or voltage_units[1]
     return MeasuredMotion(
-        {axis: first[axis].gain for axis in AXES},
-        level,
-        _peak_voltage(first_V, second_V, assignment.summed),
-        {axis: step_of(values[axis]) for axis in AXES},
-        {axis: bool(np.all(np.mod(values[axis][np.isfinite(values[axis])], 1.0) == 0.0)) for axis in AXES},
-        stated,
-        assignment.summed,
-        any(names.is_half(column) for column in assignment.voltages),
-        limited,
+        gain={axis: regressions[axis].gain for axis in AXES},
+        mean_sum=float(np.mean(voltage_sum[rows])) if rows.any() else 0.0,
+        peak=_peak_voltage(first, second, assignment.summed),
+        quantisation_step={axis: quantisation_step(values[axis]) for axis in AXES},
+        integer_valued={axis: _is_integer_valued(values[axis]) for axis in AXES},
+        stated_units=stated_units,
+        summed=assignment.summed,
+        halved=any(names.is_half(column) for column in assignment.voltages),
+        limited=_limited_motions(signals, assignment, reference, rows, regressions),
     )
+
+
+def _is_integer_valued(values: Floats) -> bool:
+    """Whether all finite `values` are whole numbers."""
+    return bool(np.all(np.mod(values[np.isfinite(values)], 1.0) == 0.0))
 
 
 def _limited_motions(
@@ -237,9 +267,17 @@ def _limited_motions(
     assignment: ColumnAssignment,
     reference: Reference,
     rows: Booleans,
-    first: dict[str, RegressionFit],
+    regressions: dict[str, RegressionFit],
 ) -> dict[VoltageScale, LimitedMotion]:
-    """Repeat the regressions with limited commands, for each unit in which some exceed the supply."""
+    """Motion with commands limited to the supply, for each unit in which a few of them exceed it.
+
+    Parameters
+    ----------
+    rows : ndarray of bool (n,)
+        Rows in flight.
+    regressions : dict of RegressionFit
+        Regressions of the axes with the commands as logged.
+    """
     limited = {}
     for choice in voltage_scales(assignment.summed):
         volts = choice.volts(reference)
@@ -251,9 +289,9 @@ def _limited_motions(
             continue
         fits = axis_regressions(signals, assignment, reference, bias=bias, limit=limit)
         total, _ = sum_and_difference(signals, assignment, bias, limit)
-        gain = {axis: fits[axis].gain for axis in AXES} | {"travel": first["travel"].gain}
+        gain = {axis: fits[axis].gain for axis in AXES} | {"travel": regressions["travel"].gain}
         ratio = sum(
-            fits[axis].log_likelihood_ratio - first[axis].log_likelihood_ratio
+            fits[axis].log_likelihood_ratio - regressions[axis].log_likelihood_ratio
             for axis in ("elevation", "pitch")
         )
         limited[choice] = LimitedMotion(gain, float(np.mean(total[rows])), ratio)
@@ -266,6 +304,7 @@ def _peak_voltage(first_V: Floats, second_V: Floats, summed: bool) -> float:
     return max(peaks) * (0.5 if summed else 1.0)
 
 
-def _unit(table: Table, column: str, known: frozenset[str]) -> str:
+def _stated_unit(table: Table, column: str, known: frozenset[str]) -> str:
+    """Unit of a `column` in its header or its name, if it is one of the `known` units; otherwise empty."""
     unit = table.columns[column].unit or split_unit(column)[1]
     return unit if unit in known else ""

@@ -42,14 +42,16 @@ def names_state_voltages(assignment: ColumnAssignment) -> bool:
     )
 
 
-def check_voltages(source: str, explained: Mapping[str, RegressionFit], assignment: ColumnAssignment) -> None:
+def check_voltages(
+    source: str, regressions: Mapping[str, RegressionFit], assignment: ColumnAssignment
+) -> None:
     """Check that the columns taken for voltages move the axes.
 
     Parameters
     ----------
     source : str
         The file.
-    explained : Mapping[str, RegressionFit]
+    regressions : Mapping[str, RegressionFit]
         Regression of each axis on its cause.
     assignment : ColumnAssignment
         Columns by role.
@@ -60,7 +62,7 @@ def check_voltages(source: str, explained: Mapping[str, RegressionFit], assignme
         When neither elevation nor pitch follows them, or both are setpoints or estimates by name.
     """
     derived = all(names.is_no_voltage(column) for column in assignment.voltages)
-    nats = max(explained[axis].log_likelihood_ratio for axis in ("elevation", "pitch"))
+    nats = max(regressions[axis].log_likelihood_ratio for axis in ("elevation", "pitch"))
     if derived or nats < thresholds.DECISIVE_NATS:
         best = " and ".join(assignment.voltages)
         reason = "their names mean other signals" if derived else f"{best} explain only {nats:.1f} nats"

@@ -38,13 +38,15 @@ def guess_by_rigs(
     known: KnownEntries = NOTHING_KNOWN,
     progress: Callable[[float], None] = lambda share: None,
 ) -> RigMatch:
-    """Guess files of one rig type, with a given rig file or with the shipped one that fits best.
+    """Guess the profile of files of one rig, with a given rig file or with the shipped one that fits best.
 
     The guess reports which rig file it used. It is ambiguous if another rig file fits much better than the
     given one, or if two shipped ones fit about equally well and give different profiles.
 
     Parameters
     ----------
+    tables : sequence of Table
+        Logs of one rig, from one program.
     rig : Rig, optional
         Rig file to use.
     rate_Hz : float, optional
@@ -62,36 +64,36 @@ def guess_by_rigs(
     rigs = {name: load_rig(name) for name in rig_names() if rig is None or name != rig.name}
     if rig is not None:
         rigs[rig.name] = rig
-    count = len(rigs) + 1
-    by_rig: dict[str, tuple[Guess, list[Table]]] = {}
+    work_steps = len(rigs) + 1
+    proposals: dict[str, Guess] = {}
+    parts: dict[str, list[Table]] = {}
     refusals: dict[str, HeliError] = {}
-    for number, (name, known_rig) in enumerate(rigs.items()):
-        progress(number / count)
+    for number, (name, candidate) in enumerate(rigs.items()):
+        progress(number / work_steps)
         try:
-            by_rig[name] = propose(tables, known_rig, rate_Hz, known)
+            proposals[name], parts[name] = propose(tables, candidate, rate_Hz, known)
         except HeliError as error:
             refusals[name] = error
-    if not by_rig or (rig is not None and rig.name not in by_rig):
+    if not proposals or (rig is not None and rig.name not in proposals):
         raise refusals[rig.name if rig is not None else next(iter(refusals))]
-    nats = {name: guess.log_likelihood for name, (guess, _) in by_rig.items()}
-    best = max(nats, key=lambda name: nats[name])
-    chosen = rig.name if rig is not None else best
-    progress(1.0 - 1.0 / count)
-    guesses = check_by_simulation(*by_rig[chosen], rigs[chosen])
+    nats = {name: proposal.log_likelihood for name, proposal in proposals.items()}
+    chosen = rig.name if rig is not None else max(nats, key=lambda name: nats[name])
+    progress(1.0 - 1.0 / work_steps)
+    guesses = check_by_simulation(proposals[chosen], parts[chosen], rigs[chosen])
     others = [name for name in nats if name != chosen]
     # Rigs that give the same profile are not an ambiguity, but the better fit is reported.
-    profile = profile_text(by_rig[chosen][0].profile)
-    differing = [name for name in others if profile_text(by_rig[name][0].profile) != profile]
+    profile = profile_text(proposals[chosen].profile)
+    differing = [name for name in others if profile_text(proposals[name].profile) != profile]
     second = max(differing or others, key=lambda name: nats[name], default=None)
     if second is None:
         return RigMatch(rigs[chosen], tuple(guesses))
-    ahead = nats[chosen] - nats[second]
-    comparison = f"{abs(ahead):.0f} nats {'worse' if ahead >= 0.0 else 'better'}"
+    lead_nats = nats[chosen] - nats[second]
+    comparison = f"{abs(lead_nats):.0f} nats {'worse' if lead_nats >= 0.0 else 'better'}"
     sentence = f"rig: compared with {chosen}; {second} fits {comparison}"
     guesses = [replace(guess, evidence=(sentence, *guess.evidence)) for guess in guesses]
     # A given rig is used unless another one fits clearly better; an automatic choice must win clearly.
     required_nats = -thresholds.DECISIVE_NATS if rig is not None else thresholds.DECISIVE_NATS
-    if differing and ahead < required_nats:
+    if differing and lead_nats < required_nats:
         ambiguity = Ambiguity(
             "the rig",
             chosen,

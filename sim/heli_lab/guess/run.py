@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +16,12 @@ from heli_lab.guess import thresholds
 from heli_lab.guess.ambiguities import (
     SignChanges,
     assignment_ambiguities,
-    elevation_zero,
     lag_ambiguities,
     sign_ambiguities,
     sum_ambiguities,
     unit_ambiguities,
 )
+from heli_lab.guess.elevation_zero import RestElevation, elevation_zero, rest_elevation
 from heli_lab.guess.evidence import (
     PreparedFile,
     common_candidates,
@@ -34,15 +34,10 @@ from heli_lab.guess.known import NOTHING_KNOWN, KnownEntries
 from heli_lab.guess.mirror import prefers_mirror, travel_torque_nats
 from heli_lab.guess.refusals import check_voltages, names_state_voltages, too_few_columns
 from heli_lab.guess.regression.assignment import ColumnAssignment, RegressionFit
-from heli_lab.guess.regression.axis_regression import (
-    RestElevation,
-    axis_regressions,
-    rest_elevation,
-    sum_and_difference,
-)
+from heli_lab.guess.regression.axis_regression import axis_regressions, sum_and_difference
 from heli_lab.guess.regression.candidates import feedback_sign
 from heli_lab.guess.regression.reference import Reference, reference_of
-from heli_lab.guess.regression.scales import AXES, Scale, rad_of
+from heli_lab.guess.regression.scales import AXES, MeasuredMotion, Scale, rad_of
 from heli_lab.guess.regression.signals import filtered_signal
 from heli_lab.guess.result import Ambiguity, Guess
 from heli_lab.guess.sign_trials import try_sign_choices
@@ -50,10 +45,12 @@ from heli_lab.guess.times import NO_RATE, Clock
 
 
 def guess(table: Table, rig: Rig, rate_Hz: float | None = None) -> Guess:
-    """Propose a profile for a table from names, ranges and physics.
+    """Guess column, unit, sign and zero of each angle and voltage of a table, from names, ranges and physics.
 
     Parameters
     ----------
+    table : Table
+        Log of another program.
     rig : Rig
         Parameters, table angle, encoders and supply of the rig. Only units and zeros depend on them.
     rate_Hz : float, optional
@@ -64,8 +61,8 @@ def guess(table: Table, rig: Rig, rate_Hz: float | None = None) -> Guess:
     FlightDataError
         When the table has no five columns that can be the angles and voltages, or no times and no rate.
     """
-    guessed, parts = propose([table], rig, rate_Hz)
-    return check_by_simulation(guessed, parts, rig)[0]
+    proposed, parts = propose([table], rig, rate_Hz)
+    return check_by_simulation(proposed, parts, rig)[0]
 
 
 def propose(
@@ -78,6 +75,8 @@ def propose(
 
     Parameters
     ----------
+    tables : sequence of Table
+        Logs of one rig, from one program.
     rig : Rig
         Rig file, as in `guess`.
     rate_Hz : float, optional
@@ -87,43 +86,36 @@ def propose(
 
     Returns
     -------
-    tuple of (Guess, list of Table)
-        The guess, and the longest part of each table with rising times, to which the guess applies.
+    proposed : Guess
+        The guess.
+    parts : list of Table
+        The longest part of each table with rising times, to which the guess applies.
     """
     reference = reference_of(rig)
     files = [prepare_file(known.with_units(table.aligned()), reference, rate_Hz) for table in tables]
-    first = files[0]
+    source = files[0].table.source
     clock, clock_ambiguities = _common_clock(files)
     columns, dropped = common_candidates(files, known.columns)
     if len(columns) < len(AXES) + 2:
-        raise too_few_columns(first.table.source, columns, dropped)
+        raise too_few_columns(source, columns, dropped)
     ranked, motions = rank(files, columns, reference, known)
     assignment = ranked[0]
     ambiguities, evidence = assignment_ambiguities(ranked)
     ambiguities += clock_ambiguities
-    possible = pooled_scales(motions, reference)
-    scale = possible[0]
-    ambiguities += unit_ambiguities(possible, motions[0], reference, rig)
-    rad = {axis: rad_of(scale.angles[axis], axis, reference) for axis in AXES}
-    bias = reference.hover_V / scale.volts(reference) if scale.bias_removed else 0.0
-    limited = any(scale.voltage_scale in motion.limited for motion in motions)
-    limit = reference.supply_V / scale.volts(reference) if limited else math.inf
-    explained = pooled_fits(
-        [axis_regressions(file.signals, assignment, reference, rad, bias, limit) for file in files]
-    )
+    ranked_scales = pooled_scales(motions, reference)
+    scale = ranked_scales[0]
+    ambiguities += unit_ambiguities(ranked_scales, motions[0], reference, rig)
+    flights = _FlightsInUnits(files, assignment, scale, reference, _limit(scale, motions, reference))
+    regressions = flights.regressions()
     if not names_state_voltages(assignment) and not known.voltages:
-        check_voltages(first.table.source, explained, assignment)
-        ambiguities += sum_ambiguities(explained, assignment, columns, dropped)
-    signs = fewest_sign_changes(explained, _feedback(files, assignment, bias, limit), known)
-    torques_nats = [
-        travel_torque_nats(file.signals, assignment, reference, rad, signs.travel) for file in files
-    ]
-    torque_nats = float(np.mean(torques_nats))
+        check_voltages(source, regressions, assignment)
+        ambiguities += sum_ambiguities(regressions, assignment, columns, dropped)
+    signs = fewest_sign_changes(regressions, flights.feedback(), known)
+    torque_nats = flights.torque_nats(signs)
     mirrored = prefers_mirror(signs, torque_nats) if known.mirrored is None else known.mirrored
-    ambiguities += sign_ambiguities(explained, signs, assignment, torque_nats, mirrored, rig)
-    unit_deg = float(np.degrees(signs.elevation * rad["elevation"]))
-    offset_deg, zero_ambiguities = elevation_zero(_rest(files, assignment, unit_deg), reference)
-    timing_ambiguities, lag_sentence = lag_ambiguities(explained)
+    ambiguities += sign_ambiguities(regressions, signs, assignment, torque_nats, mirrored, rig)
+    offset_deg, zero_ambiguities = elevation_zero(flights.rest(signs), reference)
+    timing_ambiguities, lag_sentence = lag_ambiguities(regressions)
     ambiguities += zero_ambiguities + timing_ambiguities
     profile = known.applied(
         Profile(
@@ -132,13 +124,13 @@ def propose(
             "" if rate_Hz else clock.column,
             clock.unit,
             rate_Hz or 0.0,
-            about=f"guessed from {Path(first.table.source).name}",
+            about=f"guessed from {Path(source).name}",
             mirrored=mirrored,
         )
     )
     if dropped:
         evidence.append("left out: " + ", ".join(f"{name} ({reason})" for name, reason in dropped.items()))
-    evidence += [_regression_sentence(axis, explained[axis]) for axis in AXES] + [lag_sentence]
+    evidence += [_regression_sentence(axis, regressions[axis]) for axis in AXES] + [lag_sentence]
     evidence.append(
         f"hover: the voltages add up to {abs(motions[0].mean_sum) * scale.volts(reference):.2f} V, and to "
         f"{reference.hover_V:.2f} V in the rig file"
@@ -148,32 +140,92 @@ def propose(
         profile, clip_ambiguities = _limit_to_supply(parts, profile, reference)
         ambiguities += clip_ambiguities
     ambiguities = [ambiguity for ambiguity in ambiguities if not known.states(ambiguity)]
-    likelihood = assignment.log_likelihood
-    return Guess(profile, tuple(ambiguities), tuple(evidence), log_likelihood=likelihood), parts
+    nats = assignment.log_likelihood
+    return Guess(profile, tuple(ambiguities), tuple(evidence), log_likelihood=nats), parts
 
 
-def _feedback(
-    files: Sequence[PreparedFile], assignment: ColumnAssignment, bias: float, limit: float
-) -> float:
-    """Sum of the signs of elevation's feedback in the files, from -1 to 1 in each."""
-    return sum(
-        feedback_sign(
-            filtered_signal(sum_and_difference(file.signals, assignment, bias, limit)[0]).value,
-            file.signals.filtered[assignment.elevation],
-            file.signals.counts_per_turn,
-        )
-        for file in files
-    )
+def _limit(scale: Scale, motions: Sequence[MeasuredMotion], reference: Reference) -> float:
+    """Largest voltage of a motor, in the unit of the columns; infinite if no command exceeds the supply."""
+    exceeds_supply = any(scale.voltage_scale in motion.limited for motion in motions)
+    return reference.supply_V / scale.volts(reference) if exceeds_supply else math.inf
 
 
-def _rest(files: Sequence[PreparedFile], assignment: ColumnAssignment, unit_deg: float) -> RestElevation:
-    """Elevation at rest, of the first file that begins at rest at its lowest point."""
-    rests = [rest_elevation(file.signals, assignment.elevation, unit_deg) for file in files]
-    return next((rest for rest in rests if rest.deg is not None and rest.lowest), rests[0])
+@dataclass(frozen=True)
+class _FlightsInUnits:
+    """Files whose columns have been assigned and whose units are chosen.
+
+    Parameters
+    ----------
+    files : sequence of PreparedFile
+        The files.
+    assignment : ColumnAssignment
+        Column of each angle and voltage.
+    scale : Scale
+        Units of the columns.
+    reference : Reference
+        Gains, hover voltage and encoders of the rig file.
+    limit : float
+        Largest voltage of a motor, in the unit of the columns.
+    """
+
+    files: Sequence[PreparedFile]
+    assignment: ColumnAssignment
+    scale: Scale
+    reference: Reference
+    limit: float
+
+    @property
+    def rad(self) -> dict[str, float]:
+        """Radians per unit of each angle's column, by axis."""
+        return {axis: rad_of(self.scale.angles[axis], axis, self.reference) for axis in AXES}
+
+    @property
+    def bias(self) -> float:
+        """Bias that the logged sum of the voltages lacks, in the unit of the columns."""
+        if not self.scale.bias_removed:
+            return 0.0
+        return self.reference.hover_V / self.scale.volts(self.reference)
+
+    def regressions(self) -> dict[str, RegressionFit]:
+        """Regression of each axis' acceleration on its cause, over all files, by axis."""
+        by_file = [
+            axis_regressions(file.signals, self.assignment, self.reference, self.rad, self.bias, self.limit)
+            for file in self.files
+        ]
+        return pooled_fits(by_file)
+
+    def feedback(self) -> float:
+        """Sum over the files of the sign of elevation's feedback, -1, 0 or 1 in each."""
+        total = 0.0
+        for file in self.files:
+            voltage_sum, _ = sum_and_difference(file.signals, self.assignment, self.bias, self.limit)
+            elevation = file.signals.filtered[self.assignment.elevation]
+            total += feedback_sign(
+                filtered_signal(voltage_sum).value, elevation, file.signals.counts_per_turn
+            )
+        return total
+
+    def torque_nats(self, signs: SignChanges) -> float:
+        """Evidence for the `signs` against their mirror image, by the constant torque of travel [nats]; mean
+        of all files.
+        """
+        by_file = [
+            travel_torque_nats(file.signals, self.assignment, self.reference, self.rad, signs.travel)
+            for file in self.files
+        ]
+        return float(np.mean(by_file))
+
+    def rest(self, signs: SignChanges) -> RestElevation:
+        """Elevation at rest, of the first file that begins at rest at its lowest point."""
+        unit_deg = float(np.degrees(signs.elevation * self.rad["elevation"]))
+        rests = [rest_elevation(file.signals, self.assignment.elevation, unit_deg) for file in self.files]
+        return next((rest for rest in rests if rest.deg is not None and rest.lowest), rests[0])
 
 
 def _common_clock(files: Sequence[PreparedFile]) -> tuple[Clock, list[Ambiguity]]:
-    """Return the times of the files, which have to be in the same column and unit, and if they are unsure."""
+    """Times of all files, and the ambiguity of them, if there is one. A FlightDataError reports files whose
+    times are in different columns or units.
+    """
     first = files[0]
     for file in files[1:]:
         if (file.clock.column, file.clock.unit) != (first.clock.column, first.clock.unit):
@@ -192,38 +244,40 @@ def _common_clock(files: Sequence[PreparedFile]) -> tuple[Clock, list[Ambiguity]
 def _limit_to_supply(
     tables: Sequence[Table], profile: Profile, reference: Reference
 ) -> tuple[Profile, list[Ambiguity]]:
-    """Clip the voltages to the supply if a few exceed it, as commands before saturation do."""
-    limit = reference.supply_V
+    """Profile that clips the voltages to the supply if a few exceed it, as commands before saturation do, and
+    the ambiguity of it, if there is one.
+    """
+    limit_V = reference.supply_V
     sizes_V = [np.abs(flight.voltages_V) for table in tables for flight in flights_of(table, profile)]
-    largest = max(float(size_V.max()) for size_V in sizes_V)
-    beyond = float(np.mean(np.concatenate(sizes_V) > thresholds.CLIP_SHARE * limit))
-    if largest < thresholds.CLIP_SHARE * limit:
+    largest_V = max(float(size_V.max()) for size_V in sizes_V)
+    share_beyond = float(np.mean(np.concatenate(sizes_V) > thresholds.CLIP_SHARE * limit_V))
+    if largest_V < thresholds.CLIP_SHARE * limit_V:
         return profile, []
-    if beyond > thresholds.MAX_CLIPPED_SHARE:
+    if share_beyond > thresholds.MAX_CLIPPED_SHARE:
         return profile, [
             Ambiguity(
                 "the voltages' limit",
-                f"as logged, up to {largest:.1f} V",
-                f"clipped to {limit:g} V, the rig file's supply",
-                f"{100.0 * beyond:.0f} % of the rows exceed the supply; set clip_V, or give your rig with "
-                "--rig",
+                f"as logged, up to {largest_V:.1f} V",
+                f"clipped to {limit_V:g} V, the rig file's supply",
+                f"{100.0 * share_beyond:.0f} % of the rows exceed the supply; set clip_V, or give your rig "
+                "with --rig",
             )
         ]
     ambiguity = Ambiguity(
         "the voltages' limit",
-        f"clipped to {limit:g} V, the rig file's supply",
-        f"as logged, up to {largest:.1f} V",
+        f"clipped to {limit_V:g} V, the rig file's supply",
+        f"as logged, up to {largest_V:.1f} V",
         "the amplifier cannot give more than the supply; set clip_V to your limit, or remove it",
     )
-    return replace(profile, clip_V=(-limit, limit)), [ambiguity]
+    return replace(profile, clip_V=(-limit_V, limit_V)), [ambiguity]
 
 
-def check_by_simulation(guessed: Guess, tables: Sequence[Table], rig: Rig) -> list[Guess]:
+def check_by_simulation(proposed: Guess, tables: Sequence[Table], rig: Rig) -> list[Guess]:
     """Check the signs of a guess by simulation of the baseline model of a `rig`.
 
     Parameters
     ----------
-    guessed : Guess
+    proposed : Guess
         A guess from `propose`.
     tables : sequence of Table
         The tables to which it applies.
@@ -234,7 +288,7 @@ def check_by_simulation(guessed: Guess, tables: Sequence[Table], rig: Rig) -> li
         One per table, with its simulated sign choices. All have an ambiguity if another choice fits
         about as well in the mean of all tables.
     """
-    longest = [max(flights_of(table, guessed.profile), key=len) for table in tables]
+    longest = [max(flights_of(table, proposed.profile), key=len) for table in tables]
     choices = [try_sign_choices(flight, rig) for flight in longest]
     simulated = [trials for trials in choices if trials]
     if not simulated:
@@ -244,14 +298,14 @@ def check_by_simulation(guessed: Guess, tables: Sequence[Table], rig: Rig) -> li
             "any other signs",
             "the flight is too short in the air to simulate the model",
         )
-        return [guessed.with_ambiguity(ambiguity) for _ in tables]
+        return [proposed.with_ambiguity(ambiguity) for _ in tables]
     log_ratios = np.mean(
         [[math.log(choice.error_ratio) for choice in trials] for trials in simulated], axis=0
     )
     second = int(np.argmin(log_ratios[1:])) + 1
     name, ratio = simulated[0][second].name, math.exp(float(log_ratios[second]))
     if ratio < thresholds.AMBIGUOUS_ERROR_RATIO:
-        guessed = guessed.with_ambiguity(
+        proposed = proposed.with_ambiguity(
             Ambiguity(
                 "the signs",
                 "as proposed",
@@ -263,27 +317,29 @@ def check_by_simulation(guessed: Guess, tables: Sequence[Table], rig: Rig) -> li
         f"simulation with the baseline model: the second best choice inverts {name}, with errors "
         f"{ratio:.1f} times as large"
     )
-    guessed = replace(guessed, evidence=(*guessed.evidence, evidence))
-    return [replace(guessed, sign_choices=trials) for trials in choices]
+    proposed = replace(proposed, evidence=(*proposed.evidence, evidence))
+    return [replace(proposed, sign_choices=trials) for trials in choices]
 
 
 def fewest_sign_changes(
-    explained: Mapping[str, RegressionFit], feedback: float, known: KnownEntries
+    regressions: Mapping[str, RegressionFit], feedback: float, known: KnownEntries
 ) -> SignChanges:
-    """Find the fewest changes of sign after which all axes follow their causes, and which agree with `known`.
+    """The fewest changes of sign after which all axes follow their causes, and which agree with `known`.
 
     Parameters
     ----------
+    regressions : Mapping[str, RegressionFit]
+        Regression of each axis' acceleration on its cause, by axis.
     feedback : float
         Positive if the sum of the voltages grows with the rate of elevation, negative if it falls,
         otherwise 0.
     """
-    elevation = 1.0 if explained["elevation"].gain >= 0.0 else -1.0
-    if feedback and explained["elevation"].log_likelihood_ratio < thresholds.DECISIVE_NATS:
+    elevation = 1.0 if regressions["elevation"].gain >= 0.0 else -1.0
+    if feedback and regressions["elevation"].log_likelihood_ratio < thresholds.DECISIVE_NATS:
         # A loop that flies is stable: the sum is minus a gain times the rate.
         elevation = -float(np.sign(feedback))
-    with_difference = 1.0 if explained["pitch"].gain >= 0.0 else -1.0
-    with_pitch = 1.0 if explained["travel"].gain >= 0.0 else -1.0
+    with_difference = 1.0 if regressions["pitch"].gain >= 0.0 else -1.0
+    with_pitch = 1.0 if regressions["travel"].gain >= 0.0 else -1.0
     # Pitch, travel and the motors have two choices of signs, which are mirror images.
     pitch = with_difference if with_difference > 0.0 or with_pitch < 0.0 else 1.0
     if known.sign("pitch"):
@@ -295,15 +351,16 @@ def fewest_sign_changes(
     return SignChanges(elevation, pitch, with_pitch * pitch, with_difference * pitch < 0.0)
 
 
-def _regression_sentence(axis: str, explained: RegressionFit) -> str:
+def _regression_sentence(axis: str, regression: RegressionFit) -> str:
     cause = {"elevation": "the sum of the voltages", "pitch": "their difference", "travel": "pitch"}[axis]
-    direction = "with" if explained.gain >= 0.0 else "against"
-    return f"{axis} accelerates {direction} {cause}: {explained.log_likelihood_ratio:.0f} nats"
+    direction = "with" if regression.gain >= 0.0 else "against"
+    return f"{axis} accelerates {direction} {cause}: {regression.log_likelihood_ratio:.0f} nats"
 
 
 def _angles(
     assignment: ColumnAssignment, scale: Scale, signs: SignChanges, reference: Reference, offset_deg: float
 ) -> dict[str, Angle]:
+    """Entries of the profile for the angles, by axis; `offset_deg` is added to the elevation."""
     return {
         axis: Angle(
             getattr(assignment, axis),
@@ -319,6 +376,7 @@ def _angles(
 def _voltages(
     assignment: ColumnAssignment, scale: Scale, signs: SignChanges, reference: Reference
 ) -> dict[str, Voltage]:
+    """Entries of the profile for the voltages: sum and difference, or front and back."""
     pair = [
         Voltage(column, scale.voltage, scale.full_scale, reference.supply_V, polarity, factor=scale.factor)
         for column, polarity in zip(assignment.voltages, assignment.polarity, strict=True)

@@ -13,8 +13,9 @@ from heli_sim.rig import Rig
 
 from heli_lab.errors import IdentifyError
 from heli_lab.guess import thresholds
+from heli_lab.guess.elevation_zero import rest_elevation
 from heli_lab.guess.regression.assignment import ColumnAssignment, RegressionFit
-from heli_lab.guess.regression.axis_regression import axis_regressions, rest_elevation
+from heli_lab.guess.regression.axis_regression import axis_regressions
 from heli_lab.guess.regression.reference import Reference, reference_of
 from heli_lab.guess.regression.scales import AXES
 from heli_lab.guess.regression.signals import column_signals
@@ -81,8 +82,8 @@ def wrong_signs(flight: Flight, rig: Rig) -> tuple[WrongSign, ...]:
     degrees = _angles_in_degrees(axis_regressions(signals, assignment, reference), reference)
     if degrees is not None:
         return (degrees,)
-    explained = axis_regressions(signals, assignment, reference, dict.fromkeys(AXES, 1.0))
-    suspects = _sign_suspects(explained)
+    regressions = axis_regressions(signals, assignment, reference, dict.fromkeys(AXES, 1.0))
+    suspects = _sign_suspects(regressions)
     if suspects:
         error_ratios = {choice.name: choice.error_ratio for choice in try_sign_choices(flight, rig)}
         suspects = [
@@ -91,7 +92,7 @@ def wrong_signs(flight: Flight, rig: Rig) -> tuple[WrongSign, ...]:
             if not error_ratios
             or error_ratios[" and ".join(sign.inverted_axes)] < thresholds.WRONG_SIGN_ERROR_RATIO
         ]
-    up = 1.0 if explained["elevation"].gain >= 0.0 else -1.0
+    up = 1.0 if regressions["elevation"].gain >= 0.0 else -1.0
     rest = rest_elevation(signals, "elevation_rad", math.degrees(up))
     far = thresholds.REST_TOLERANCE_DEG + reference.rest_tolerance_deg
     if rest.deg is not None and rest.lowest and abs(rest.deg) < far < abs(reference.rest_deg) - far:
@@ -105,12 +106,13 @@ def wrong_signs(flight: Flight, rig: Rig) -> tuple[WrongSign, ...]:
     return tuple(suspects)
 
 
-def _angles_in_degrees(explained: dict[str, RegressionFit], reference: Reference) -> WrongSign | None:
-    times = [abs(explained[axis].gain / reference.gain[axis]) for axis in ("elevation", "pitch")]
-    sure = all(
-        explained[axis].log_likelihood_ratio > thresholds.DECISIVE_NATS for axis in ("elevation", "pitch")
+def _angles_in_degrees(regressions: dict[str, RegressionFit], reference: Reference) -> WrongSign | None:
+    """Report that elevation and pitch are in degrees, if their gains are about 57 times those of the rig."""
+    times = [abs(regressions[axis].gain / reference.gain[axis]) for axis in ("elevation", "pitch")]
+    is_decisive = all(
+        regressions[axis].log_likelihood_ratio > thresholds.DECISIVE_NATS for axis in ("elevation", "pitch")
     )
-    if not sure or not all(_DEGREES_RATIO[0] < ratio < _DEGREES_RATIO[1] for ratio in times):
+    if not is_decisive or not all(_DEGREES_RATIO[0] < ratio < _DEGREES_RATIO[1] for ratio in times):
         return None
     return WrongSign(
         f"elevation and pitch accelerate {times[0]:.0f} and {times[1]:.0f} times as fast as the rig can: "
@@ -119,10 +121,11 @@ def _angles_in_degrees(explained: dict[str, RegressionFit], reference: Reference
     )
 
 
-def _sign_suspects(explained: dict[str, RegressionFit]) -> list[WrongSign]:
+def _sign_suspects(regressions: dict[str, RegressionFit]) -> list[WrongSign]:
     """Name the fewest changes of sign after which all axes follow their causes."""
     against = {
-        axis: explained[axis].gain < 0.0 and explained[axis].log_likelihood_ratio > thresholds.DECISIVE_NATS
+        axis: regressions[axis].gain < 0.0
+        and regressions[axis].log_likelihood_ratio > thresholds.DECISIVE_NATS
         for axis in AXES
     }
     suspects = []

@@ -12,7 +12,7 @@ from heli_host.tables import Column, Table
 from heli_host.tables.units import TIME_UNITS, split_unit
 
 from heli_lab.guess import names
-from heli_lab.guess.regression.scales import step_of
+from heli_lab.guess.regression.scales import quantisation_step
 from heli_lab.guess.regression.signals import unwrapped
 
 NO_RATE: Final = "give a column of times, or the sampling rate with --rate"
@@ -56,7 +56,7 @@ class Clock:
 
 
 def clock_of(table: Table) -> Clock:
-    """Find the time column of a table and its unit."""
+    """Time column of a table, and its unit: the best of all columns that rise from row to row."""
     clocks: list[tuple[float, Clock]] = []
     for name, column in table.columns.items():
         values = column.values[np.isfinite(column.values)]
@@ -66,15 +66,19 @@ def clock_of(table: Table) -> Clock:
         if float(np.mean(steps > 0.0)) < _MIN_RISING_SHARE:
             continue
         typical = float(np.median(steps))
-        even = float(np.mean(np.abs(steps / typical - 1.0) < 0.5))
-        clock = _unit(name, column.unit, typical)
-        clocks.append((2.0 * names.is_time(name) + even + bool(clock.unit) + clock.sure, clock))
+        even_share = float(np.mean(np.abs(steps / typical - 1.0) < 0.5))
+        clock = _clock(name, column.unit, typical)
+        score = 2.0 * names.is_time(name) + even_share + bool(clock.unit) + clock.sure
+        clocks.append((score, clock))
     if not clocks:
         return Clock("", "", False, "no column rises from row to row")
     return max(clocks, key=lambda item: item[0])[1]
 
 
-def _unit(name: str, stated: str, step: float) -> Clock:
+def _clock(name: str, stated: str, step: float) -> Clock:
+    """Meaning of a rising column `name` as times, by the unit that its header has `stated` and by its median
+    `step`.
+    """
     possible = [unit for unit, s in TIME_UNITS.items() if _MIN_STEP_S <= step * s <= _MAX_STEP_S]
     stated_unit = stated or split_unit(name)[1]
     if not stated_unit and set(names.words_of(name)) & {"millis"}:
@@ -108,7 +112,20 @@ def times_in_s(table: Table, clock: Clock) -> Floats:
 
 
 def longest_run(table: Table, t_s: Floats) -> tuple[Table, Floats]:
-    """Return the longest part of a table in which times `t_s` [s] rise and no angle jumps, and its times."""
+    """The longest part of a table in which times rise and no angle jumps.
+
+    Parameters
+    ----------
+    t_s : ndarray (n,)
+        Times of the rows [s].
+
+    Returns
+    -------
+    part : Table
+        The rows of that part.
+    t_s : ndarray (k,)
+        Its times [s].
+    """
     known = np.flatnonzero(np.isfinite(t_s))
     breaks = set(known[1:][np.diff(t_s[known]) < 0.0].tolist())
     for name, column in table.columns.items():
@@ -123,20 +140,28 @@ def longest_run(table: Table, t_s: Floats) -> tuple[Table, Floats]:
 
 
 def _jumps(values: Floats, t_s: Floats) -> set[int]:
-    """Rows at which a column that otherwise moves like an encoder's angle jumps, in any unit."""
+    """Rows at which a column jumps that otherwise moves like an encoder's angle, in any unit; empty for other
+    columns.
+    """
     known = np.flatnonzero(np.isfinite(values) & np.isfinite(t_s))
     # Voltages jump with their setpoints; only encoders are quantised.
-    if known.size < _MIN_ROWS or not step_of(values):
+    if known.size < _MIN_ROWS or not quantisation_step(values):
         return set()
-    rows = np.maximum(np.diff(t_s[known]) / float(np.median(np.diff(t_s[known]))), 1.0)
-    steps = np.abs(np.diff(unwrapped(values[known])))
-    moving = steps[steps > 0.0]
+    elapsed_rows = np.maximum(np.diff(t_s[known]) / float(np.median(np.diff(t_s[known]))), 1.0)
+    changes = np.abs(np.diff(unwrapped(values[known])))
+    moving = changes[changes > 0.0]
     # A setpoint stands still except for its jumps.
-    if moving.size < _MIN_MOVING_SHARE * steps.size:
+    if moving.size < _MIN_MOVING_SHARE * changes.size:
         return set()
-    usual = float(np.quantile(moving, 0.99))
-    far = (steps > _JUMP_STEPS * usual * rows) & (steps > _JUMP_SHARE * np.ptp(values[known]))
-    jumps = [int(row) for row in np.flatnonzero(far)]
-    around = [np.delete(steps[max(row - 5, 0) : row + 6], min(row, 5)) for row in jumps]
-    smooth = all(float(near.max(initial=0.0)) <= 3.0 * usual for near in around)
-    return {int(known[row + 1]) for row in jumps} if smooth and len(jumps) <= _MAX_JUMPS else set()
+    largest_usual = float(np.quantile(moving, 0.99))
+    is_jump = changes > _JUMP_STEPS * largest_usual * elapsed_rows
+    is_jump &= changes > _JUMP_SHARE * np.ptp(values[known])
+    jumps = [int(row) for row in np.flatnonzero(is_jump)]
+    if len(jumps) > _MAX_JUMPS:
+        return set()
+    for row in jumps:
+        # The angle moves smoothly before and after its jump.
+        neighbours = np.delete(changes[max(row - 5, 0) : row + 6], min(row, 5))
+        if float(neighbours.max(initial=0.0)) > 3.0 * largest_usual:
+            return set()
+    return {int(known[row + 1]) for row in jumps}

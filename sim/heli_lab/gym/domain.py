@@ -23,7 +23,7 @@ parameters exceeds their value."""
 
 
 @dataclass(frozen=True)
-class DrawnRig:
+class EpisodeRig:
     """Rig and effects of one episode.
 
     Parameters
@@ -85,7 +85,7 @@ class Domain:
         for rig in self.rigs:
             load_rig(rig)
 
-    def draw(self, random: np.random.Generator) -> DrawnRig:
+    def draw(self, random: np.random.Generator) -> EpisodeRig:
         """Draw the rig and the effects of the next episode with the generator `random`."""
         rig = self._rig(random)
         texts = tuple(
@@ -93,7 +93,7 @@ class Domain:
             for name, (low, high) in self.effects.items()
             if random.random() < self.chance
         )
-        return DrawnRig(rig, effects_with(rig, texts), texts)
+        return EpisodeRig(rig, effects_with(rig, texts), texts)
 
     def _rig(self, random: np.random.Generator) -> Rig:
         rig = load_rig(self.rigs[int(random.integers(len(self.rigs)))])

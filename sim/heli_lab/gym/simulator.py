@@ -25,7 +25,7 @@ from heli_sim.sil.inprocess import InProcessTransport
 from typing_extensions import override
 
 from heli_lab.errors import LearningError
-from heli_lab.gym.domain import DrawnRig
+from heli_lab.gym.domain import EpisodeRig
 
 _BATCH_TICKS: Final = 4
 """Smallest telemetry batch of the board [ms]: observations are at most 4 ms old."""
@@ -59,12 +59,12 @@ class StepResult:
 class Simulator(Protocol):
     """Simulation that `HoverEnv` controls."""
 
-    def reset(self, drawn: DrawnRig, state: Floats, hover_V: Floats, seed: int) -> StepResult:
+    def reset(self, drawn: EpisodeRig, state: Floats, hover_V: Floats, seed: int) -> StepResult:
         """Begin an episode with a rig in the air.
 
         Parameters
         ----------
-        drawn : DrawnRig
+        drawn : EpisodeRig
             The rig and its effects.
         state : ndarray (6,)
             Initial angles [rad] and rates [rad/s].
@@ -100,7 +100,7 @@ class PlantAlone(Simulator):
         self._plants: dict[object, Plant] = {}
 
     @override
-    def reset(self, drawn: DrawnRig, state: Floats, hover_V: Floats, seed: int) -> StepResult:
+    def reset(self, drawn: EpisodeRig, state: Floats, hover_V: Floats, seed: int) -> StepResult:
         model = model_named(drawn.rig.model or MultibodyModel.name, drawn.effects)
         delays_s = tuple(effect.values[effect.delay] for effect in drawn.effects if effect.delay)
         # The compiled step depends on these only; all other quantities are its arguments.
@@ -202,7 +202,7 @@ class BoardInLockstep(Simulator):
         self._folder = tempfile.TemporaryDirectory(prefix="heli-gym-")
 
     @override
-    def reset(self, drawn: DrawnRig, state: Floats, hover_V: Floats, seed: int) -> StepResult:
+    def reset(self, drawn: EpisodeRig, state: Floats, hover_V: Floats, seed: int) -> StepResult:
         self._disconnect()
         path = Path(self._folder.name) / "rig.toml"
         write_rig(drawn.rig, path)

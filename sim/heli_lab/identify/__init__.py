@@ -12,15 +12,15 @@ from heli_lab.identify.estimation_problem import (
     uninformed_parameters,
 )
 from heli_lab.identify.record import Record, prepare
-from heli_lab.identify.results import Check, Trace, check, trace, validate
+from heli_lab.identify.results import FreeRunErrors, Trace, check, trace, validate
 from heli_lab.identify.shooting import solve
 
 __all__ = [
     "Budget",
-    "Check",
     "Combination",
     "Fit",
     "FitProgress",
+    "FreeRunErrors",
     "Problem",
     "Record",
     "Trace",

@@ -85,8 +85,8 @@ class _Voltages:
             delay=(model.delay, float(parameters[names.index(model.delay)])) if model.delay else None,
             dead_zone_V=model.dead_zone_V(parameters, free),
         )
-        shaped_by = tuple((name, mean) for name, mean, _ in grid.inputs.shaped_by)
-        return ActingInputs(grid.inputs.mean_V, shaped_by)
+        mean_derivatives = tuple((name, of_mean) for name, of_mean, _ in grid.inputs.voltage_derivatives)
+        return ActingInputs(grid.inputs.mean_V, mean_derivatives)
 
 
 @dataclass(frozen=True)
@@ -140,11 +140,13 @@ def filter_record(record: Record) -> ReferenceTrajectory:
 
 
 class RigParameters(ParameterVector):
-    """Free parameters of a `model` on a `rig` in some flights: the rig's and the effects' are shared, encoder
-    zeros and constant torques are each flight's own.
+    """Free parameters of a rig in several flights: all flights share those of the rig and of the effects;
+    each flight has its own encoder zeros and constant torques.
 
     Parameters
     ----------
+    model : Model
+        Equations with their effects.
     rig : Rig
         Values and priors of its parameters.
     fixed : Mapping[str, float], optional
@@ -156,18 +158,13 @@ class RigParameters(ParameterVector):
     ) -> None:
         self.model, self.rig = model, rig
         fixed = fixed or {}
-        wanted = [
-            parameter
-            for parameter in free_parameters(model, rig, None, {})
-            if parameter.quantity not in TORQUES
-        ]
-        per_flight = [parameter for parameter in wanted if parameter.quantity in PER_FLIGHT]
+        shared, per_flight = [], []
+        for parameter in free_parameters(model, rig, None, {}):
+            if parameter.quantity in PER_FLIGHT:
+                per_flight.append(parameter)
+            elif parameter.quantity not in TORQUES and parameter.quantity not in fixed:
+                shared.append(parameter)
         per_flight += [FreeParameter(name, "N m", _torque_prior(rig, name), name) for name in TORQUES]
-        shared = [
-            parameter
-            for parameter in wanted
-            if parameter.quantity not in PER_FLIGHT and parameter.quantity not in fixed
-        ]
         names = [quantity.name for quantity in model.parameters]
         values: Floats = model.parameter_values(rig)
         for name, value in fixed.items():

@@ -15,8 +15,14 @@ from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 from heli_sim.rig.encoders import count_rad as rig_count_rad
 
-from heli_lab.errors import IdentifyError, NotExcited
+from heli_lab.errors import NotExcited
 from heli_lab.identify import thresholds
+from heli_lab.identify.flight_checks import (
+    even_step_s,
+    refuse_constant_columns,
+    refuse_duty_cycles,
+    refuse_jumps,
+)
 
 ON_GROUND: Final = frozenset({"idle", "armed", "fault"})
 """States of the board's supervisor in which the motors are off."""
@@ -102,10 +108,10 @@ def prepare(
     start_s: float | None = None,
     stop_s: float | None = None,
 ) -> Record:
-    """Find the rows in free flight and the size of a count.
+    """Prepare a flight for a fit: check it, find its rows in free flight, and the angle of an encoder count.
 
-    Take-off, landing, standing on the table, contact with a stop, gaps, and what the board logged with its
-    motors off are cut out.
+    Rows are cut out in which the arm takes off, lands, lies on its table or touches a stop, rows at gaps,
+    and rows that the board logged with its motors off.
 
     Parameters
     ----------
@@ -121,96 +127,83 @@ def prepare(
     Raises
     ------
     NotExcited
-        When nothing flies in it: it never moves, or no second of it is free.
+        When the rig never moves, or no part of the flight is free for `thresholds.MIN_SEGMENT_S`.
     IdentifyError
-        When it is not sound: it has no voltages, or duties in their place, its rows are not evenly spaced, or
-        an angle jumps.
+        When the flight has no voltages, or duty cycles in their place, when its rows are not evenly spaced,
+        or when an angle jumps.
     """
-    angles, volts, t_s = flight.angles_rad, flight.voltages_V, flight.t_s
-    step_s = _step_s(flight, label)
-    counts_rad, notes = encoder_counts(flight, rig)
-    _refuse_dead_columns(flight, label, counts_rad)
-    _refuse_duties(flight, label, rig)
-
-    reasons: list[tuple[Booleans, str]] = []
-    if start_s is not None or stop_s is not None:
-        low, high = -math.inf if start_s is None else start_s, math.inf if stop_s is None else stop_s
-        reasons.append(((t_s < low) | (t_s >= high), "not asked for"))
-    if flight.state is not None and flight.state_names:
-        off = [number for number, name in flight.state_names.items() if name in ON_GROUND]
-        reasons.append((np.isin(flight.state, off), "motors off"))
-    near_table = _near_table(flight, rig, step_s)
-    near_table |= _last_descent(flight, near_table, step_s)
-    reasons.append((near_table, "table, take-off or landing"))
-    for axis, at_stop, note in _stops(angles, rig, step_s):
-        reasons.append((at_stop, f"stop of the {axis}"))
-        notes += note
-    gaps = flight.gaps
-    gap = np.zeros(len(t_s), bool)
-    gap[gaps] = True
-
-    segments, cuts = _segments(reasons, gap, t_s, max(2, round(thresholds.MIN_SEGMENT_S / step_s)))
-    _refuse_jumps(flight, label, segments)
-    record = Record(
-        label, t_s, angles, volts, step_s, counts_rad, segments, cuts, tuple(notes), tuple(map(int, gaps))
-    )
+    step_s = even_step_s(flight, label)
+    count_rad, count_notes = encoder_counts(flight, rig)
+    refuse_constant_columns(flight, label, count_rad)
+    refuse_duty_cycles(flight, label, rig)
+    reasons, stop_notes = _reasons_to_cut(flight, rig, step_s, start_s, stop_s)
+    min_rows = max(2, round(thresholds.MIN_SEGMENT_S / step_s))
+    segments, cuts = _segments(reasons, flight, min_rows)
+    refuse_jumps(flight, label, segments)
     if not segments:
+        t_s = flight.t_s
         why = ", ".join(dict.fromkeys(cut.why for cut in cuts)) or "it is too short"
         raise NotExcited(
             f"{label}: no second of free flight in t_s {t_s[0]:g} to {t_s[-1]:g}, data row 1 to {len(t_s)} "
             f"({why})",
             "give a longer flight",
         )
-    return record
+    return Record(
+        label=label,
+        t_s=flight.t_s,
+        angles_rad=flight.angles_rad,
+        voltages_V=flight.voltages_V,
+        step_s=step_s,
+        count_rad=count_rad,
+        segments=segments,
+        cuts=cuts,
+        notes=(*count_notes, *stop_notes),
+        gaps=tuple(map(int, flight.gaps)),
+    )
 
 
-def _step_s(flight: Flight, label: str) -> float:
-    """Time from row to row; the mean, because times are often printed in whole milliseconds."""
-    steps_s = np.diff(flight.t_s)
-    steps_s = np.delete(steps_s, flight.gaps)
-    step_s = float(steps_s.mean())
-    stray = np.abs(np.cumsum(steps_s - step_s)) / step_s
-    worst = int(np.argmax(stray))
-    if stray[worst] > thresholds.MAX_STRAY_STEPS:
-        raise IdentifyError(
-            f"{label}: t_s differs by {stray[worst]:.0f} steps of {step_s:.4g} s from even steps at data row "
-            f"{worst + 2}",
-            "log with an even clock, or resample the flight",
-        )
-    return step_s
+def _reasons_to_cut(
+    flight: Flight, rig: Rig, step_s: float, start_s: float | None, stop_s: float | None
+) -> tuple[list[tuple[Booleans, str]], list[str]]:
+    """Rows of a flight that are not free flight.
 
-
-def _refuse_duties(flight: Flight, label: str, rig: Rig) -> None:
-    dead_zone = rig["dead_zone"]
-    least_V = dead_zone.value - dead_zone.tolerance
-    highest = max(("front_V", "back_V"), key=lambda name: float(np.max(np.abs(getattr(flight, name)))))
-    column = np.abs(getattr(flight, highest))
-    row = int(np.argmax(column))
-    if column[row] < least_V:
-        raise IdentifyError(
-            f"{label}: {highest} reaches {column[row]:.3g} at most, in data row {row + 1}, which is "
-            f"within the dead zone of {least_V:g} V, where no rotor gives thrust",
-            "if the column is a duty cycle, multiply it by the supply voltage",
-        )
-
-
-def _refuse_jumps(flight: Flight, label: str, segments: tuple[tuple[int, int], ...]) -> None:
-    for index, axis in enumerate(AXES):
-        for start, stop in segments:
-            moves = np.abs(np.diff(flight.angles_rad[start:stop, index]))
-            if moves.size and moves.max() > thresholds.JUMP_RAD:
-                row = start + int(np.argmax(moves)) + 2
-                raise IdentifyError(
-                    f"{label}: {axis}_rad jumps by {moves.max():.3g} in data row {row}",
-                    "unwrap the angle, or cut the flight there",
-                )
+    Returns
+    -------
+    reasons : list of (ndarray of bool (n,), str)
+        Rows that each reason cuts out, and the reason in a few words; the first one that applies counts.
+    notes : list of str
+        Remarks on stops that the flight shows to be elsewhere than in the rig file.
+    """
+    reasons: list[tuple[Booleans, str]] = []
+    if start_s is not None or stop_s is not None:
+        low_s = -math.inf if start_s is None else start_s
+        high_s = math.inf if stop_s is None else stop_s
+        reasons.append(((flight.t_s < low_s) | (flight.t_s >= high_s), "not asked for"))
+    if flight.state is not None and flight.state_names:
+        motors_off = [number for number, name in flight.state_names.items() if name in ON_GROUND]
+        reasons.append((np.isin(flight.state, motors_off), "motors off"))
+    near_table = _near_table(flight, rig, step_s)
+    near_table |= _last_descent(flight, near_table, step_s)
+    reasons.append((near_table, "table, take-off or landing"))
+    notes = []
+    for axis, at_stop, axis_notes in _stops(flight.angles_rad, rig, step_s):
+        reasons.append((at_stop, f"stop of the {axis}"))
+        notes += axis_notes
+    return reasons, notes
 
 
 def encoder_counts(flight: Flight, rig: Rig) -> tuple[Floats, list[str]]:
-    """Return one count of each encoder of a flight [rad], shape (3,).
+    """Angle of one count of each encoder of a flight.
 
-    A log states its board's counts, and a table shows them in its angles. For angles that are not in whole
-    counts they are the rig's, and a note says so.
+    A log of the board states it. In a table it is the smallest step of the angles. For angles that are not
+    in whole counts it is that of the rig.
+
+    Returns
+    -------
+    count_rad : ndarray (3,)
+        Angle of one count [rad].
+    notes : list of str
+        A sentence for each encoder whose count is that of the rig.
     """
     counts, notes = count_rad(flight), []
     for index, axis in enumerate(AXES):
@@ -222,99 +215,90 @@ def encoder_counts(flight: Flight, rig: Rig) -> tuple[Floats, list[str]]:
     return counts, notes
 
 
-def _refuse_dead_columns(flight: Flight, label: str, count_rad: Floats) -> None:
-    rows = len(flight)
-    moved = np.ptp(flight.angles_rad, axis=0) / count_rad
-    if np.all(moved < thresholds.MIN_MOTION_COUNTS):
-        most = int(np.argmax(moved))
-        raise NotExcited(
-            f"{label}: the rig never moves: {AXES[most]}_rad varies by {moved[most]:.0f} counts "
-            f"from data row 1 to {rows}",
-            "fly it, for example with heli-host fly identify",
-        )
-    for name in ("front_V", "back_V"):
-        column = getattr(flight, name)
-        if not np.any(column):
-            raise IdentifyError(
-                f"{label}: {name} is 0 from data row 1 to {rows}",
-                "log the voltages that act on the motors",
-            )
-        if float(np.ptp(column)) < 1e-9:
-            raise IdentifyError(
-                f"{label}: {name} is {column[0]:g} from data row 1 to {rows}",
-                "fly with voltages that change",
-            )
-
-
 def _near_table(flight: Flight, rig: Rig, step_s: float) -> Booleans:
-    """Rows on the table, taking off or landing."""
+    """Rows in which the arm is on the table, takes off or lands, shape (n,)."""
     elevation_deg = np.rad2deg(flight.elevation_rad)
-    table_deg = rig["elevation_min"].value
-    rest = round(0.2 / step_s)
-    start_deg = float(np.median(elevation_deg[:rest]))
-    # A flight that begins at rest at its own lowest point begins on its table, wherever the rig has it.
-    at_rest = float(np.ptp(elevation_deg[:rest])) < 0.1
-    if at_rest and start_deg < elevation_deg.min() + 1.0 and start_deg < np.median(elevation_deg) - 10.0:
-        table_deg = max(table_deg, start_deg)
-    contact = (
-        elevation_deg
-        < table_deg
-        + min(rig["elevation_min"].tolerance, thresholds.MAX_UNSURE_DEG)
-        + thresholds.TABLE_MARGIN_DEG
-    )
-    # An arm that leans far reaches the table with its lower rotor long before it stands on it.
-    share = (rig["L_h"].value + thresholds.ROTOR_m) / rig["L_a"].value
-    low = np.sin(flight.elevation_rad) - share * np.abs(np.sin(flight.pitch_rad)) * np.cos(
-        flight.elevation_rad
-    )
-    contact |= low < math.sin(math.radians(table_deg))
-    if not contact.any():
-        return contact
+    table_deg = _table_deg(elevation_deg, rig, step_s)
+    in_contact = _in_contact(flight, rig, table_deg)
+    if not in_contact.any():
+        return in_contact
+    # A take-off ends, and a landing begins, at the elevation of the flight.
     clear = elevation_deg > table_deg + thresholds.TAKE_OFF_DEG
     typical_deg = float(np.median(elevation_deg[clear])) if clear.any() else 0.0
     up = elevation_deg > max(table_deg + thresholds.TAKE_OFF_DEG, typical_deg - 5.0)
-    cut = contact.copy()
-    tail = round(thresholds.SETTLED_S / step_s)
-    edges = np.flatnonzero(np.diff(contact.astype(int)))
-    for edge in edges:
-        if contact[edge]:
-            above = np.flatnonzero(up[edge:])
-            cut[edge : edge + (int(above[0]) + tail if above.size else len(cut))] = True
+    cut = in_contact.copy()
+    settling_rows = round(thresholds.SETTLED_S / step_s)
+    for edge in np.flatnonzero(np.diff(in_contact.astype(int))):
+        if in_contact[edge]:
+            up_after = np.flatnonzero(up[edge:])
+            stop = edge + int(up_after[0]) + settling_rows if up_after.size else len(cut)
+            cut[edge:stop] = True
         else:
-            before = np.flatnonzero(up[: edge + 1])
-            cut[int(before[-1]) if before.size else 0 : edge + 1] = True
+            up_before = np.flatnonzero(up[: edge + 1])
+            cut[int(up_before[-1]) if up_before.size else 0 : edge + 1] = True
     return cut
 
 
+def _table_deg(elevation_deg: Floats, rig: Rig, step_s: float) -> float:
+    """Elevation at which the arm lies on its table [deg]: that of the rig, or the rest of this flight if it
+    begins at rest at its lowest point.
+    """
+    rig_deg = rig["elevation_min"].value
+    first_rows = elevation_deg[: round(0.2 / step_s)]
+    start_deg = float(np.median(first_rows))
+    at_rest = float(np.ptp(first_rows)) < 0.1
+    if at_rest and start_deg < elevation_deg.min() + 1.0 and start_deg < np.median(elevation_deg) - 10.0:
+        return max(rig_deg, start_deg)
+    return rig_deg
+
+
+def _in_contact(flight: Flight, rig: Rig, table_deg: float) -> Booleans:
+    """Rows in which the arm, or the lower rotor of a tilted arm, touches the table, shape (n,)."""
+    margin_deg = min(rig["elevation_min"].tolerance, thresholds.MAX_UNSURE_DEG) + thresholds.TABLE_MARGIN_DEG
+    in_contact: Booleans = np.rad2deg(flight.elevation_rad) < table_deg + margin_deg
+    # Height of the lower rotor over the length of the arm.
+    rotor_reach = (rig["L_h"].value + thresholds.ROTOR_m) / rig["L_a"].value
+    tilt = np.abs(np.sin(flight.pitch_rad)) * np.cos(flight.elevation_rad)
+    rotor_height = np.sin(flight.elevation_rad) - rotor_reach * tilt
+    return in_contact | (rotor_height < math.sin(math.radians(table_deg)))
+
+
 def _last_descent(flight: Flight, near_table: Booleans, step_s: float) -> Booleans:
-    """Rows of the descent at the end of a flight whose voltages were reduced, whether or not the log
-    continues to the table.
+    """Rows of the final descent after the voltages were reduced, shape (n,); the log may end above the
+    table.
     """
     descent = np.zeros(len(flight), bool)
     flying = ~near_table
-    tail = max(1, round(thresholds.LAG_S / step_s))
-    if int(flying.sum()) < 4 * tail:
+    lag_rows = max(1, round(thresholds.LAG_S / step_s))
+    if int(flying.sum()) < 4 * lag_rows:
         return descent
     total_V = flight.front_V + flight.back_V
-    smooth_V = np.convolve(total_V, np.ones(tail) / tail, mode="same")
+    smooth_V = np.convolve(total_V, np.ones(lag_rows) / lag_rows, mode="same")
     typical_V = float(np.median(total_V[flying]))
-    below_rad = float(np.median(flight.elevation_rad[flying])) - math.radians(thresholds.LANDING_DEG)
-    if (
-        float(total_V[-tail:].mean()) > thresholds.LANDING_VOLTAGE_SHARE * typical_V
-        or flight.elevation_rad[-1] > below_rad
-    ):
+    typical_rad = float(np.median(flight.elevation_rad[flying]))
+    low_rad = typical_rad - math.radians(thresholds.LANDING_DEG)
+    ends_with_thrust = float(total_V[-lag_rows:].mean()) > thresholds.LANDING_VOLTAGE_SHARE * typical_V
+    if ends_with_thrust or flight.elevation_rad[-1] > low_rad:
         return descent
-    held = np.flatnonzero(smooth_V >= thresholds.DESCENT_VOLTAGE_SHARE * typical_V)
-    above = np.flatnonzero(flight.elevation_rad > below_rad)
-    if held.size and above.size:
-        # A gust of voltage on the way down does not make it a flight again.
-        last = int(above[-1])
-        before = held[held <= last]
-        descent[int(before[-1]) if before.size else last :] = True
+    with_thrust = np.flatnonzero(smooth_V >= thresholds.DESCENT_VOLTAGE_SHARE * typical_V)
+    high = np.flatnonzero(flight.elevation_rad > low_rad)
+    if with_thrust.size and high.size:
+        # Thrust for a moment on the way down does not end the descent.
+        last_high = int(high[-1])
+        before = with_thrust[with_thrust <= last_high]
+        descent[int(before[-1]) if before.size else last_high :] = True
     return descent
 
 
 def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> list[tuple[str, Booleans, list[str]]]:
+    """Contacts with the mechanical stops, for each axis that reaches one.
+
+    Returns
+    -------
+    list of (str, ndarray of bool (n,), list of str)
+        The axis, the rows in contact and shortly around them, and remarks. An axis that goes far beyond the
+        stop in the rig file has no rows, but a remark.
+    """
     reasons: list[tuple[str, Booleans, list[str]]] = []
     around = round(thresholds.LAG_S / step_s)
     names = ("elevation_max", "pitch_max", "travel_max")
@@ -336,17 +320,36 @@ def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> list[tuple[str, Boole
 
 
 def _segments(
-    reasons: list[tuple[Booleans, str]], gap: Booleans, t_s: Floats, least: int
+    reasons: list[tuple[Booleans, str]], flight: Flight, min_rows: int
 ) -> tuple[tuple[tuple[int, int], ...], tuple[Cut, ...]]:
-    code = np.zeros(len(t_s), int)  # 0: free; else 1 + index of the first reason
+    """Divide a flight into free segments and cuts.
+
+    Parameters
+    ----------
+    reasons : list of (ndarray of bool (n,), str)
+        Rows that each reason cuts out, and the reason in a few words; the first one that applies counts.
+    min_rows : int
+        Rows of the shortest segment.
+
+    Returns
+    -------
+    segments : tuple of (int, int)
+        First row and last row plus one of each free segment.
+    cuts : tuple of Cut
+        All other parts.
+    """
+    t_s = flight.t_s
+    # 0 for free flight, otherwise 1 + index of the reason.
+    number = np.zeros(len(t_s), int)
     for index in reversed(range(len(reasons))):
-        code[reasons[index][0]] = index + 1
-    borders = np.flatnonzero((np.diff(code) != 0) | gap[:-1]) + 1
-    edges = [0, *(int(border) for border in borders), len(t_s)]
+        number[reasons[index][0]] = index + 1
+    is_border = np.diff(number) != 0
+    is_border[flight.gaps] = True
+    edges = [0, *(int(row) + 1 for row in np.flatnonzero(is_border)), len(t_s)]
     segments, cuts = [], []
     for start, stop in itertools.pairwise(edges):
-        why = reasons[code[start] - 1][1] if code[start] else ""
-        if not why and stop - start < least:
+        why = reasons[number[start] - 1][1] if number[start] else ""
+        if not why and stop - start < min_rows:
             why = "too short between cuts"
         if why:
             cuts.append(Cut(float(t_s[start]), float(t_s[stop - 1]), why))

@@ -15,7 +15,15 @@ from heli_lab.identify.estimation_problem import Budget, FitProgress, Problem
 from heli_lab.identify.estimation_problem.initial_states import initial_state_guess
 from heli_lab.identify.free import estimated_names
 from heli_lab.identify.record import Record, prepare
-from heli_lab.identify.results import Identification, check, refuse_unexplained, trace, validate
+from heli_lab.identify.results import (
+    FreeRunErrors,
+    Identification,
+    Trace,
+    check,
+    refuse_unexplained,
+    trace,
+    validate,
+)
 from heli_lab.identify.shooting import solve
 from heli_lab.identify.thresholds import FAR_RAD, SHORT_WINDOW_S
 
@@ -42,6 +50,12 @@ def identify(
 
     Parameters
     ----------
+    model : Model
+        Equations of motion with their effects.
+    rig : Rig
+        Start values of the parameters, and their priors by its tolerances.
+    flights, validation : sequence of Flight or Record
+        Flights that are fitted, and flights that are only predicted.
     free : sequence of str, optional
         Names of the free parameters; see `Problem`.
     fixed : sequence of str
@@ -69,49 +83,50 @@ def identify(
         When the voltages do not explain a flight's motion; see `heli_lab.identify.results.explained`.
     """
     started_s = time.perf_counter()
-    say = on_progress or (lambda _: None)
-    say(FitProgress("finding the free flight", 0.0, 0.0))
+    report = on_progress or (lambda _: None)
+    report(FitProgress("finding the free flight", 0.0, 0.0))
     records = _prepared(flights, rig, labels, "flight", start_s, stop_s)
-    others = _prepared(validation, rig, validation_labels, "validation", None, None)
-    if any(record is other or record.label == other.label for record in records for other in others):
+    held_out = _prepared(validation, rig, validation_labels, "validation", None, None)
+    if any(record is other or record.label == other.label for record in records for other in held_out):
         raise IdentifyError("a flight is both fitted and validated on", "give another flight to --validate")
-    say(FitProgress("compiling the model, once for each", 0.05, 0.0))
+    report(FitProgress("compiling the model, once for each", 0.05, 0.0))
     names = estimated_names(model, rig, free, fixed)
     problem = Problem(model, rig, records, free=names, window_s=window_s, threads=threads)
     fit = solve(
         problem,
         start=_start_values(problem),
         budget=Budget(seconds=seconds - (time.perf_counter() - started_s)),
-        on_progress=lambda p: say(FitProgress(p.stage, 0.1 + 0.7 * p.done, p.cost)),
+        on_progress=lambda p: report(FitProgress(p.stage, 0.1 + 0.7 * p.done, p.cost)),
     )
-    say(FitProgress("checking", 0.85, fit.cost))
-    held_out = validate(fit, others) if others else None
-    count = range(len(records))
-    seen = tuple(trace(fit, index) for index in count)
-    seen_held_out = tuple(trace(held_out, index) for index in range(len(others))) if held_out else ()
-    for sign in () if as_is else (*seen, *seen_held_out):
-        refuse_unexplained(sign)
-    return Identification(
-        fit,
-        tuple(check(fit, index) for index in count),
-        tuple(check(held_out, index) for index in range(len(others))) if held_out else (),
-        seen,
-        seen_held_out,
-    )
+    report(FitProgress("checking", 0.85, fit.cost))
+    training_traces = tuple(trace(fit, index) for index in range(len(records)))
+    training = tuple(check(fit, index) for index in range(len(records)))
+    validation_traces: tuple[Trace, ...] = ()
+    validation_errors: tuple[FreeRunErrors, ...] = ()
+    if held_out:
+        held_out_fit = validate(fit, held_out)
+        validation_traces = tuple(trace(held_out_fit, index) for index in range(len(held_out)))
+        validation_errors = tuple(check(held_out_fit, index) for index in range(len(held_out)))
+    if not as_is:
+        for flight in (*training_traces, *validation_traces):
+            refuse_unexplained(flight)
+    return Identification(fit, training, validation_errors, training_traces, validation_traces)
 
 
 def _start_values(problem: Problem) -> dict[str, float] | None:
-    """Start values from short windows, where those of the rig file are so far off that long ones diverge."""
-    evaluations = zip(
-        problem.records, initial_state_guess(problem, problem.parameter_vector.start), strict=True
-    )
-    for index, (record, states) in enumerate(evaluations):
-        evaluation = problem.evaluation(index, problem.parameter_vector.start, states, derivatives=False)
+    """Start values of the free parameters by name, from a fit of short windows; None if the values of the rig
+    file are near enough for long windows.
+    """
+    start = problem.parameter_vector.start
+    initial_states = initial_state_guess(problem, start)
+    for index, record in enumerate(problem.records):
+        evaluation = problem.evaluation(index, start, initial_states[index], derivatives=False)
         with np.errstate(all="ignore"):
-            off_rad = np.sqrt(np.mean(evaluation.residual**2, axis=0)) * record.sigma_rad
-        if not np.all(off_rad < FAR_RAD):
-            short = problem.with_windows(SHORT_WINDOW_S)
-            return solve(short, budget=Budget(evaluations=30), fine=False).values
+            error_rad = np.sqrt(np.mean(evaluation.residual**2, axis=0)) * record.sigma_rad
+        # An error that is not a number has diverged.
+        if not np.all(error_rad < FAR_RAD):
+            short_windows = problem.with_windows(SHORT_WINDOW_S)
+            return solve(short_windows, budget=Budget(evaluations=30), fine=False).values
     return None
 
 
@@ -119,11 +134,14 @@ def _prepared(
     flights: Sequence[Flight | Record],
     rig: Rig,
     labels: Sequence[str] | None,
-    word: str,
+    role: str,
     start_s: float | None,
     stop_s: float | None,
 ) -> list[Record]:
-    names = labels if labels is not None else [f"{word} {number}" for number in range(1, len(flights) + 1)]
+    """Prepare those flights that are not prepared yet; without labels, each is named by its `role` and
+    number.
+    """
+    names = labels if labels is not None else [f"{role} {number}" for number in range(1, len(flights) + 1)]
     return [
         flight if isinstance(flight, Record) else prepare(flight, rig, name, start_s=start_s, stop_s=stop_s)
         for flight, name in zip(flights, names, strict=True)

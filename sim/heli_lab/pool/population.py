@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from heli_sim.model.effects import catalogue, effect_numbers
+from heli_sim.model.effects import EffectSpec, catalogue, effect_numbers
 from heli_sim.rig import Number, Rig
 
 from heli_lab.errors import PoolError
@@ -43,7 +43,7 @@ class RigPopulation:
     causes: Mapping[str, Share]
 
     def predict_parameter(self, name: str, prior: ParameterEstimate, spread: float) -> tuple[float, float]:
-        """Predict a parameter of another rig of this type.
+        """Predict a parameter of another rig of this type, by the random-effects model.
 
         Parameters
         ----------
@@ -52,27 +52,29 @@ class RigPopulation:
         prior : ParameterEstimate
             Its value in the rig file.
         spread : float
-            Prior standard deviation between rigs.
+            Prior standard deviation between rigs, in the parameter's unit; it counts as one rig.
 
         Returns
         -------
-        tuple of (float, float)
-            Mean and standard deviation, in the parameter's unit.
+        value : float
+            Prediction, in the parameter's unit.
+        std : float
+            Its standard deviation.
         """
-        measured = [
+        estimates = [
             diagnosis.parameters[name] for diagnosis in self.diagnoses if name in diagnosis.parameters
         ]
-        if not measured:
+        if not estimates:
             return prior.value, prior.std
-        k = len(measured)
-        tau2 = ((k - 1) * self.parameters[name].tau ** 2 + spread**2) / k
-        weights = [1.0 / (estimate.std**2 + tau2) for estimate in measured]
+        k = len(estimates)
+        variance_between_rigs = ((k - 1) * self.parameters[name].tau ** 2 + spread**2) / k
+        weights = [1.0 / (estimate.std**2 + variance_between_rigs) for estimate in estimates]
         total = sum(weights)
-        mean = sum(w * estimate.value for w, estimate in zip(weights, measured, strict=True)) / total
+        mean = sum(w * estimate.value for w, estimate in zip(weights, estimates, strict=True)) / total
         # The rig file is one more estimate of the mean.
-        precision = total + prior.std**-2.0
-        centre = (mean * total + prior.value * prior.std**-2.0) / precision
-        return centre, (tau2 + 1.0 / precision) ** 0.5
+        prior_weight = prior.std**-2.0
+        value = (mean * total + prior.value * prior_weight) / (total + prior_weight)
+        return value, (variance_between_rigs + 1.0 / (total + prior_weight)) ** 0.5
 
     def prior_rig(self, base: Rig, name: str) -> Rig:
         """Return a rig whose parameters and tolerances are the prior for another rig of this type.
@@ -97,70 +99,75 @@ class RigPopulation:
         kinds = catalogue()
         for id_, cause_share in self.causes.items():
             kind = kinds.get(id_)
-            if kind is None or kind.baseline or cause_share.share < MIN_COMMON_SHARE:
-                continue
-            names = [quantity.name for quantity in kind.parameters if quantity.name in self.parameters]
-            priors = {
-                n: diagnosis.priors[n] for diagnosis in self.diagnoses for n in names if n in diagnosis.priors
-            }
-            predictions = {
-                n: self.predict_parameter(n, priors[n], _EFFECT_PRIOR_SPREAD * abs(self.parameters[n].mean))
-                for n in names
-            }
-            bounds = kind.priors
-            effects[id_] = effect_numbers(
-                kind,
-                {n: min(max(value, bounds[n].low), bounds[n].high) for n, (value, _) in predictions.items()},
-                {n: 2.0 * std for n, (_, std) in predictions.items()},
-                source,
-            )
+            if kind is not None and not kind.baseline and cause_share.share >= MIN_COMMON_SHARE:
+                effects[id_] = self._prior_effect(kind, source)
         text = f"{base.name}, pooled from {len(self.diagnoses)} rigs of this type"
         return Rig(name, text, numbers, effects, base.model or self.diagnoses[0].model)
 
+    def _prior_effect(self, kind: EffectSpec, source: str) -> Mapping[str, Number]:
+        """Parameters of an effect as the prior for another rig, within their bounds."""
+        values, tolerances = {}, {}
+        for name in (quantity.name for quantity in kind.parameters if quantity.name in self.parameters):
+            # All diagnoses have the catalogue's prior.
+            priors = [diagnosis.priors[name] for diagnosis in self.diagnoses if name in diagnosis.priors]
+            spread = _EFFECT_PRIOR_SPREAD * abs(self.parameters[name].mean)
+            value, std = self.predict_parameter(name, priors[-1], spread)
+            values[name] = min(max(value, kind.priors[name].low), kind.priors[name].high)
+            tolerances[name] = 2.0 * std
+        return effect_numbers(kind, values, tolerances, source)
+
 
 def pool(diagnoses: Sequence[RigDiagnosis]) -> RigPopulation:
-    """Pool the diagnoses of several rigs of one type.
+    """Pool the diagnoses of several rigs of one type: random effects of each parameter, share of each cause.
+
+    Parameters
+    ----------
+    diagnoses : sequence of RigDiagnosis
+        One per rig.
 
     Raises
     ------
     PoolError
         When there is no diagnosis, two have the same label or content, or their rig files or models differ.
     """
+    _check_diagnoses(diagnoses)
+    parameters = {}
+    for name in dict.fromkeys(name for diagnosis in diagnoses for name in diagnosis.parameters):
+        estimates = [diagnosis.parameters[name] for diagnosis in diagnoses if name in diagnosis.parameters]
+        parameters[name] = der_simonian_laird(
+            [estimate.value for estimate in estimates], [estimate.std for estimate in estimates]
+        )
+    causes = {}
+    for id_ in dict.fromkeys(id_ for diagnosis in diagnoses for id_ in diagnosis.causes):
+        present = detectable = 0
+        for diagnosis in diagnoses:
+            is_present = diagnosis.causes.get(id_, 0.0) >= MIN_CAUSE_CONFIDENCE
+            present += is_present
+            detectable += is_present or id_ not in diagnosis.undetectable
+        if detectable:
+            causes[id_] = share(present, detectable)
+    ordered = dict(sorted(causes.items(), key=lambda item: -item[1].share))
+    return RigPopulation(tuple(diagnoses), parameters, ordered)
+
+
+def _check_diagnoses(diagnoses: Sequence[RigDiagnosis]) -> None:
+    """Check that the diagnoses are of different rigs of one type. Otherwise raise a PoolError."""
     if not diagnoses:
         raise PoolError("there is no diagnosis to pool", "give one diagnosis per rig")
     labels = [diagnosis.label for diagnosis in diagnoses]
-    twice = sorted({label for label in labels if labels.count(label) > 1})
-    if twice:
-        raise PoolError(f"two diagnoses have the name {', '.join(twice)}", "rename their files")
+    repeated = sorted({label for label in labels if labels.count(label) > 1})
+    if repeated:
+        raise PoolError(f"two diagnoses have the name {', '.join(repeated)}", "rename their files")
     for first, other in itertools.combinations(diagnoses, 2):
         if replace(first, label=other.label) == other:
             raise PoolError(
                 f"{first.label} and {other.label} are the same diagnosis", "give one diagnosis per rig"
             )
-    known = {(diagnosis.rig, diagnosis.model) for diagnosis in diagnoses}
-    if len(known) > 1:
-        list_ = "; ".join(
+    types = {(diagnosis.rig, diagnosis.model) for diagnosis in diagnoses}
+    if len(types) > 1:
+        rigs = "; ".join(
             f"{diagnosis.label}: rig {diagnosis.rig}, model {diagnosis.model}" for diagnosis in diagnoses
         )
         raise PoolError(
-            f"the rigs are not of one type: {list_}", "diagnose all rigs with the same --rig and --model"
+            f"the rigs are not of one type: {rigs}", "diagnose all rigs with the same --rig and --model"
         )
-    names = dict.fromkeys(name for diagnosis in diagnoses for name in diagnosis.parameters)
-    parameters = {}
-    for name in names:
-        measured = [diagnosis.parameters[name] for diagnosis in diagnoses if name in diagnosis.parameters]
-        parameters[name] = der_simonian_laird(
-            [estimate.value for estimate in measured], [estimate.std for estimate in measured]
-        )
-    causes = {}
-    for id_ in dict.fromkeys(id_ for diagnosis in diagnoses for id_ in diagnosis.causes):
-        present = [
-            diagnosis for diagnosis in diagnoses if diagnosis.causes.get(id_, 0.0) >= MIN_CAUSE_CONFIDENCE
-        ]
-        detectable = [
-            diagnosis for diagnosis in diagnoses if diagnosis in present or id_ not in diagnosis.undetectable
-        ]
-        if detectable:
-            causes[id_] = share(len(present), len(detectable))
-    ordered = dict(sorted(causes.items(), key=lambda item: -item[1].share))
-    return RigPopulation(tuple(diagnoses), parameters, ordered)

@@ -55,7 +55,7 @@ class RandomEffects:
 
 
 def der_simonian_laird(values: Sequence[float], stds: Sequence[float]) -> RandomEffects:
-    """Estimate a random-effects model of one parameter.
+    """Estimate mean and variation of one parameter over a rig type, by the method of moments.
 
     Parameters
     ----------
@@ -66,10 +66,11 @@ def der_simonian_laird(values: Sequence[float], stds: Sequence[float]) -> Random
 
     value, variance = np.array(values, float), np.array(stds, float) ** 2
     k, weight = len(value), 1.0 / variance
-    fixed = float(weight @ value / weight.sum())
-    q = float(weight @ (value - fixed) ** 2)
-    spread = float(weight.sum() - weight @ weight / weight.sum())
-    tau2 = max(0.0, (q - (k - 1)) / spread) if k > 1 else 0.0
+    fixed_effect_mean = float(weight @ value / weight.sum())
+    q = float(weight @ (value - fixed_effect_mean) ** 2)
+    # The expectation of Q is k - 1 + tau^2 times this factor.
+    factor = float(weight.sum() - weight @ weight / weight.sum())
+    tau2 = max(0.0, (q - (k - 1)) / factor) if k > 1 else 0.0
     weight = 1.0 / (variance + tau2)
     mean, std = float(weight @ value / weight.sum()), float(weight.sum() ** -0.5)
     quantile = float(norm.ppf(0.5 + CONFIDENCE / 2.0))

@@ -89,6 +89,7 @@ def read_rig_diagnosis(path: Path) -> RigDiagnosis:
 
 
 def _rig_diagnosis(path: Path, content: Mapping[str, Any]) -> RigDiagnosis:
+    """Convert the `content` of the file at `path`; other content raises one of the errors of Python."""
     parameters, priors = {}, {}
     for name, entry in content["rig"]["numbers"].items():
         prior = ParameterEstimate(
@@ -102,7 +103,13 @@ def _rig_diagnosis(path: Path, content: Mapping[str, Any]) -> RigDiagnosis:
     rig = content["rig"]
     undetectable = tuple(map(str, content["undetectable"]))
     return RigDiagnosis(
-        path.stem, str(rig["name"]), str(rig["model"]), parameters, priors, causes, undetectable
+        label=path.stem,
+        rig=str(rig["name"]),
+        model=str(rig["model"]),
+        parameters=parameters,
+        priors=priors,
+        causes=causes,
+        undetectable=undetectable,
     )
 
 

@@ -24,13 +24,23 @@ from heli_sim.model.base import Model
 from heli_sim.rig import Rig
 from heli_sim.rig.board import encoder_parameters
 from heli_sim.rig.encoders import direction_is_known
-from heli_sim.rig.inertia import inertias_kg_m2
 
 from heli_lab.tune import loops
 from heli_lab.tune.loops import CascadeGains, Margin, Pid
+from heli_lab.tune.objective import (
+    UNSTABLE_COST,
+    MIN_DECAY_1_s,
+    bound_penalty,
+    count_nominal,
+    initial_crossover_rad_s,
+    log_cost,
+    minimise_positive,
+    slowest_pole_1_s,
+)
 from heli_lab.tune.plants import LinearPlant, LoopEffects, Spread, spread_plants
 from heli_lab.tune.shaping import shaped_step
-from heli_lab.tune.simulate import DiscretePlants, SIMULATION_STEP_s, discretise
+from heli_lab.tune.simulate import SIMULATION_STEP_s, discretise
+from heli_lab.tune.travel_step import TravelStep, constant_loads_deg_s2
 
 TRAVEL_STEP_DEG: Final = 15.0
 PITCH_SETPOINT_MAX_DEG: Final = 30.0
@@ -47,15 +57,6 @@ _MAX_TRAVEL_DEG_S2: Final = 4.5
 _FILTERS_Hz: Final = (6.0, 16.0, 3.0)
 """Cut-offs of the rate filters of elevation, pitch and travel, set by quantisation noise: the rate of travel
 has the largest gain, pitch the fastest loop."""
-_TRIM_TIME_s: Final = 8.0
-"""Time before a travel step in which the integrators trim a rig with unequal rotors."""
-_MIN_DECAY_1_s: Final = 0.02
-"""Smallest decay rate of a closed loop; slower loops count as unstable."""
-_OVERSHOOT_WEIGHT: Final = 0.5
-_FINAL_ERROR_WEIGHT: Final = 30.0
-"""Weight of the squared error after the end of the path, by which users judge a step."""
-_BOUND_WEIGHT: Final = 30.0
-_UNSTABLE_COST: Final = 1e3
 _PARAMETERS: Final = {spec.name: spec for spec in PARAMS}
 
 
@@ -121,13 +122,14 @@ def find_gains(
     report("elevation: take-off")
     elevation, elevation_path = _design_elevation(rig, plants, sensitivity)
     report("pitch and travel: step")
-    pitch, travel, pitch_hold, tilt_path = _design_tilt(rig, plants, spread, sensitivity)
-    law = CascadeGains(elevation, pitch, travel, pitch_hold)
-    parameters = _rig_parameters(rig) | elevation_path | tilt_path | _law_parameters(law)
+    tilt = _design_tilt(rig, plants, spread, sensitivity)
+    law = CascadeGains(elevation, tilt.pitch, tilt.travel, tilt.pitch_hold)
+    parameters = _rig_parameters(rig) | elevation_path | tilt.parameters | _law_parameters(law)
     return Design(law, plants, sensitivity, parameters)
 
 
 def _check_lift(rig: Rig, hover_V: float) -> None:
+    """Raise a PlantError if the rig's motors cannot hold it at `hover_V`, the sum above the dead zone [V]."""
     if hover_V >= _lift_max_V(rig):
         raise PlantError(
             f"rig '{rig.name}' hovers at {0.5 * hover_V + rig['dead_zone'].value:.1f} V per motor, "
@@ -155,6 +157,7 @@ def _rig_parameters(rig: Rig) -> dict[str, float]:
 
 
 def _law_parameters(law: CascadeGains) -> dict[str, float]:
+    """Gains and filters of the `law`, by the board's names and in its units."""
     in_degrees = {"elevation": law.elevation, "pitch": law.pitch}
     values: dict[str, float] = {}
     for axis, pid in in_degrees.items():
@@ -169,7 +172,8 @@ def _law_parameters(law: CascadeGains) -> dict[str, float]:
 def _design_elevation(
     rig: Rig, plants: Sequence[LinearPlant], sensitivity: float
 ) -> tuple[Pid, dict[str, float]]:
-    nominal, nominal_count = plants[0], _count_nominal(plants)
+    """Design the elevation loop: its gains, and the board's parameters of path and feed-forward."""
+    nominal, nominal_count = plants[0], count_nominal(plants)
     gain = nominal.elevation_gain
     # The hover voltage rises with elevation, because masses below the axis pull the arm back to level.
     slope_V_rad = -float(nominal.elevation_A[1, 0]) / gain
@@ -197,20 +201,20 @@ def _design_elevation(
     def cost(gains: Floats) -> float:
         pid = _pid(gains, _FILTERS_Hz[0])
         closed = np.array([loops.elevation_closed(plant, pid) for plant in plants])
-        slowest_1_s = _slowest_1_s(closed)
-        if slowest_1_s > -_MIN_DECAY_1_s:
-            return _UNSTABLE_COST + slowest_1_s
+        pole_1_s = slowest_pole_1_s(closed)
+        if pole_1_s > -MIN_DECAY_1_s:
+            return UNSTABLE_COST + pole_1_s
         response = pid.response(loops.FREQUENCY_rad_s)
         peak = loops.peak_sensitivity(response * plant_responses)
-        return _log_cost(np.mean(error_deg(pid, closed) ** 2, axis=0), nominal_count) + _bound_penalty(
+        return log_cost(np.mean(error_deg(pid, closed) ** 2, axis=0), nominal_count) + bound_penalty(
             peak, sensitivity
         )
 
     unit = CascadeGains(Pid(1.0, 0.0, 0.0, 1.0), Pid(0.0, 0.0, 0.0, 1.0), Pid(0.0, 0.0, 0.0, 1.0))
     plant_responses = np.array([loops.open_loops(plant, unit)["elevation"] for plant in plants])
-    crossover = _initial_crossover_rad_s(plants)
+    crossover = initial_crossover_rad_s(plants)
     start = np.array([0.5 * crossover**2, 0.1 * crossover**3, crossover]) / gain
-    pid = _pid(_minimise(cost, start), _FILTERS_Hz[0])
+    pid = _pid(minimise_positive(cost, start), _FILTERS_Hz[0])
     return pid, {
         "hover_V": nominal.hover_V,
         "hover_slope": float(np.radians(slope_V_rad)),
@@ -223,70 +227,34 @@ def _design_elevation(
 
 
 @dataclass(frozen=True)
-class _TravelStep:
-    """The travel step and the constant loads by which the gains of pitch and travel are judged.
+class _TiltDesign:
+    """Gains of the pitch and the travel loop.
 
     Parameters
     ----------
-    plants : sequence of LinearPlant
-        The rig at each lag, then the corners of its spread.
-    hold : float
-        Feed-forward of the pitch setpoint [V/rad].
-    path : ndarray (n, 3)
-        Setpoint of travel with its derivatives, in degrees.
-    after : int
-        Row at which the setpoint has arrived.
-    loads_deg_s2 : dict of int to (float, float)
-        Constant accelerations and their weights, by state.
+    pitch, travel : Pid
+        Gains in V/rad and rad/rad.
+    pitch_hold : float
+        Feed-forward from the pitch setpoint to the differential [V/rad].
+    parameters : dict of float
+        The board's parameters of path, feed-forward and limits, by their declared names.
     """
 
-    plants: Sequence[LinearPlant]
-    hold: float
-    path: Floats
-    after: int
-    loads_deg_s2: Mapping[int, tuple[float, float]]
-
-    def simulate(
-        self, pitch: Pid, travel: Pid, acceleration_ff: float, closed: Floats
-    ) -> tuple[Floats, float]:
-        """Return each plant's weighted mean squared error [deg^2], and the rig's largest differential [V]."""
-        path, nominal_count = self.path, _count_nominal(self.plants)
-        unloaded = np.zeros((len(path), len(self.loads_deg_s2)))
-        input_matrices = np.zeros((len(self.plants), 11, 2 + len(self.loads_deg_s2)))
-        for index, plant in enumerate(self.plants):
-            input_matrices[index, :5, 0] = plant.tilt_B * (pitch.kp + self.hold)
-        input_matrices[:, 9, 0], input_matrices[:, 10, 1] = 1.0, 1.0
-        for number, (state, (load_deg_s2, _)) in enumerate(self.loads_deg_s2.items()):
-            input_matrices[:, state, 2 + number] = load_deg_s2
-        points = discretise(closed, input_matrices)
-        setpoint = travel.kp * path[:, 0] + travel.kd * path[:, 1] + acceleration_ff * path[:, 2]
-        states = points.simulate(np.column_stack((setpoint, path[:, 0], unloaded)))
-        error = states[:, :, 1] - path[:, :1]
-        setpoints = np.einsum(
-            "tpn,n->tp", states[:, :nominal_count], loops.tilt_output(11, pitch, travel, self.hold)
-        )
-        largest_V = float(np.radians(np.abs(setpoints + (pitch.kp + self.hold) * setpoint[:, None]).max()))
-        step = np.mean(error**2, axis=0)
-        step = step + _FINAL_ERROR_WEIGHT * np.mean(error[self.after :] ** 2, axis=0)
-        step = step + _OVERSHOOT_WEIGHT * np.maximum(error[self.after :].max(axis=0), 0.0) ** 2
-        corners = DiscretePlants(points.transition[nominal_count:], points.inputs[nominal_count:, :, 2:])
-        trim_index = round(_TRIM_TIME_s / SIMULATION_STEP_s)
-        remaining = corners.step_response(trim_index + len(path) // 2)[:, 1, :, trim_index:]
-        for number, (_, weight) in enumerate(self.loads_deg_s2.values()):
-            step[nominal_count:] += weight * np.mean(remaining[:, number] ** 2, axis=1)
-        return np.asarray(step), largest_V
+    pitch: Pid
+    travel: Pid
+    pitch_hold: float
+    parameters: dict[str, float]
 
 
-def _design_tilt(
-    rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensitivity: float
-) -> tuple[Pid, Pid, float, dict[str, float]]:
-    nominal, nominal_count = plants[0], _count_nominal(plants)
+def _design_tilt(rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensitivity: float) -> _TiltDesign:
+    """Design the loops of pitch and travel together."""
+    nominal, nominal_count = plants[0], count_nominal(plants)
     # Masses below the pitch axis pull a tilt back. The feed-forward holds the tilt instead of the gain.
     hold = -float(nominal.tilt_A[2, 0]) / nominal.pitch_gain
     acceleration_deg_s2 = min(_MAX_TRAVEL_DEG_S2, _PITCH_SHARE * PITCH_SETPOINT_MAX_DEG * nominal.travel_gain)
     path = shaped_step(TRAVEL_STEP_DEG, TRAVEL_SLEW_DEG_S, acceleration_deg_s2, 10.0, SIMULATION_STEP_s)
-    after = round(2.0 * np.sqrt(TRAVEL_STEP_DEG / acceleration_deg_s2) / SIMULATION_STEP_s)
-    travel_step = _TravelStep(plants, hold, path, after, _constant_loads_deg_s2(rig, spread))
+    arrival_row = round(2.0 * np.sqrt(TRAVEL_STEP_DEG / acceleration_deg_s2) / SIMULATION_STEP_s)
+    travel_step = TravelStep(plants, hold, path, arrival_row, constant_loads_deg_s2(rig, spread))
     differential_max_V = _differential_max_V(rig, nominal.hover_V)
     unit = CascadeGains(Pid(0.0, 0.0, 0.0, 1.0), Pid(1.0, 0.0, 0.0, 1.0), Pid(1.0, 0.0, 0.0, 1.0))
     plant_responses = [loops.open_loops(plant, unit) for plant in plants]
@@ -299,31 +267,31 @@ def _design_tilt(
     def cost(gains: Floats) -> float:
         pitch, travel, acceleration_ff = pids(gains)
         closed = np.array([loops.tilt_closed(plant, pitch, travel, hold) for plant in plants])
-        slowest_1_s = _slowest_1_s(closed)
-        if slowest_1_s > -_MIN_DECAY_1_s:
-            return _UNSTABLE_COST + slowest_1_s
+        pole_1_s = slowest_pole_1_s(closed)
+        if pole_1_s > -MIN_DECAY_1_s:
+            return UNSTABLE_COST + pole_1_s
         inner = pitch.response(loops.FREQUENCY_rad_s) * to_pitch
         forward = pitch.kp + hold + pitch.ki / (1j * loops.FREQUENCY_rad_s)
         outer = travel.response(loops.FREQUENCY_rad_s) * forward * to_travel
         peaks = map(loops.peak_sensitivity, (inner, outer / (1.0 + inner), inner + outer))
         squares, largest_V = travel_step.simulate(pitch, travel, acceleration_ff, closed)
-        penalty = sum(_bound_penalty(peak, sensitivity) for peak in peaks) + _bound_penalty(
+        penalty = sum(bound_penalty(peak, sensitivity) for peak in peaks) + bound_penalty(
             largest_V, differential_max_V
         )
-        return _log_cost(squares, nominal_count) + penalty
+        return log_cost(squares, nominal_count) + penalty
 
-    inner_rad_s = _initial_crossover_rad_s(plants)
+    inner_rad_s = initial_crossover_rad_s(plants)
     outer_rad_s = inner_rad_s / 2.0
     pitch_kp = (0.5 * inner_rad_s**2 - 0.5 * nominal.tilt_A[2, 0]) / nominal.pitch_gain
     travel_kp = 0.5 * outer_rad_s**2 / nominal.travel_gain
     start = [pitch_kp, 0.2 * pitch_kp, inner_rad_s / nominal.pitch_gain]
     start += [travel_kp, 0.1 * travel_kp, outer_rad_s / nominal.travel_gain, 1.0 / nominal.travel_gain]
-    pitch, travel, acceleration_ff = pids(_minimise(cost, np.array(start)))
-    return (
-        pitch,
-        travel,
-        hold,
-        {
+    pitch, travel, acceleration_ff = pids(minimise_positive(cost, np.array(start)))
+    return _TiltDesign(
+        pitch=pitch,
+        travel=travel,
+        pitch_hold=hold,
+        parameters={
             "pitch_hold_ff": float(np.radians(hold)),
             "travel_rate_ff": 1.0,
             "travel_acceleration_ff": acceleration_ff,
@@ -359,71 +327,10 @@ def _lift_max_V(rig: Rig) -> float:
 
 
 def _motor_max_V(rig: Rig) -> float:
+    """Largest voltage of a motor [V]: the supply, but at most `MOTOR_MAX_V`."""
     return min(rig["supply"].value, MOTOR_MAX_V)
 
 
-def _constant_loads_deg_s2(rig: Rig, spread: Spread) -> dict[int, tuple[float, float]]:
-    """Constant accelerations [deg/s^2] and their weights, by state: unequal rotors, a torque on travel.
-
-    A torque on travel that the rig file states acts in every flight and has the weight of the final error. A
-    torque that is only possible has weight 1.
-    """
-    inertia = inertias_kg_m2({name: number.value for name, number in rig.items()})
-    unbalance_Nm = spread.rotor * rig["M_f"].value * rig["g"].value * rig["L_h"].value
-    stated_rad_s2 = abs(rig["torque_travel"].value) / inertia["J_psi"]
-    pull_rad_s2 = max(stated_rad_s2, spread.pull_rad_s2)
-    pull_weight = _FINAL_ERROR_WEIGHT if stated_rad_s2 > spread.pull_rad_s2 else 1.0
-    loads = {2: (unbalance_Nm / inertia["J_phi"], 1.0), 3: (pull_rad_s2, pull_weight)}
-    return {state: (float(np.degrees(load)), weight) for state, (load, weight) in loads.items() if load}
-
-
 def _pid(gains: Floats, filter_Hz: float) -> Pid:
+    """The `gains` kp, ki and kd, shape (3,), with a rate filter."""
     return Pid(float(gains[0]), float(gains[1]), float(gains[2]), filter_Hz)
-
-
-def _count_nominal(plants: Sequence[LinearPlant]) -> int:
-    return sum(plant.thrust == 1.0 and plant.counterweight == 1.0 for plant in plants)
-
-
-def _initial_crossover_rad_s(plants: Sequence[LinearPlant]) -> float:
-    """Crossover frequency of a double integrator with the longest lag, by the symmetrical optimum."""
-    return 1.0 / (2.2 * (max(plant.lag_s for plant in plants) + 0.03))
-
-
-def _slowest_1_s(closed: Floats) -> float:
-    return float(np.linalg.eigvals(closed).real.max())
-
-
-def _log_cost(squares: Floats, nominal_count: int) -> float:
-    """Mean of two logarithms: of the squared error of the nominal plants, and of that of the corners."""
-    return float(0.5 * (np.log(squares[:nominal_count].mean()) + np.log(squares[nominal_count:].mean())))
-
-
-def _bound_penalty(peak: float, bound: float) -> float:
-    return _BOUND_WEIGHT * max(0.0, float(np.log(peak / bound)))
-
-
-def _minimise(cost: Callable[[Floats], float], start: Floats) -> Floats:
-    """Minimise over positive gains; restart Nelder-Mead until the cost falls by less than 0.01."""
-    from scipy.optimize import minimize
-
-    best, best_cost = np.log(start), np.inf
-    for spread in (0.4, 0.3, 0.2, 0.2):
-        simplex = np.vstack([best, *(best + spread * row for row in np.eye(len(best)))])
-        optimum = minimize(
-            lambda logs: cost(np.exp(logs)),
-            best,
-            method="Nelder-Mead",
-            options={
-                "initial_simplex": simplex,
-                "xatol": 3e-3,
-                "fatol": 1e-3,
-                "maxiter": 300,
-                "adaptive": True,
-            },
-        )
-        improvement = best_cost - optimum.fun
-        best, best_cost = optimum.x, optimum.fun
-        if improvement < 0.01:
-            break
-    return np.asarray(np.exp(best), float)

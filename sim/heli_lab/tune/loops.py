@@ -215,6 +215,7 @@ def _sine(loop: ComplexArray) -> Floats:
 
 
 def _log_gain(loop: ComplexArray) -> Floats:
+    """Return the logarithm of the magnitude; it changes sign at a crossover."""
     return np.asarray(np.log(np.abs(loop)))
 
 
@@ -282,6 +283,7 @@ def _pitch_error(size: int, travel: Pid) -> Floats:
 
 
 def _response(A: Floats, B: Floats, output: int, frequency_rad_s: Floats) -> ComplexArray:
+    """Frequency response from the input to the state number `output`, shape (n,)."""
     resolvent = 1j * frequency_rad_s[:, None, None] * np.eye(len(B)) - A
     column = np.broadcast_to(B[:, None], (len(frequency_rad_s), len(B), 1))
     return np.asarray(np.linalg.solve(resolvent, column)[:, output, 0])

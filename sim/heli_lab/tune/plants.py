@@ -87,7 +87,7 @@ def loop_effects_of(effects: Sequence[Effect]) -> LoopEffects:
     """Sort effects by their role in the design of the loops."""
     lag_s, delay_s = None, 0.0
     linear: list[Effect] = []
-    left_out: list[str] = []
+    excluded: list[str] = []
     for effect in effects:
         if effect.delay:
             delay_s += effect.values[effect.delay]
@@ -98,10 +98,10 @@ def loop_effects_of(effects: Sequence[Effect]) -> LoopEffects:
         elif effect.delay or isinstance(effect, RotorLag):
             continue
         elif effect.states or not effect.linearisable:
-            left_out.append(effect.name)
+            excluded.append(effect.name)
         else:
             linear.append(effect)
-    return LoopEffects(lag_s, delay_s, tuple(linear), tuple(left_out))
+    return LoopEffects(lag_s, delay_s, tuple(linear), tuple(excluded))
 
 
 @dataclass(frozen=True)
@@ -198,20 +198,21 @@ def linear_plant(
             "reduce its counterweight",
         )
     return LinearPlant(
-        lag_s,
-        thrust,
-        counterweight,
-        loop_effects.delay_s,
-        A[np.ix_(elevation, elevation)],
-        B[elevation, 0],
-        A[np.ix_(tilt, tilt)],
-        B[tilt, 1],
-        hover_V,
+        lag_s=lag_s,
+        thrust=thrust,
+        counterweight=counterweight,
+        delay_s=loop_effects.delay_s,
+        elevation_A=A[np.ix_(elevation, elevation)],
+        elevation_B=B[elevation, 0],
+        tilt_A=A[np.ix_(tilt, tilt)],
+        tilt_B=B[tilt, 1],
+        hover_V=hover_V,
     )
 
 
 @functools.lru_cache(maxsize=32)
 def _equations(model: type[Model], lag_s: float, linear: tuple[Effect, ...]) -> Model:
+    """Equations with the `linear` effects and a rotor lag of `lag_s` [s]."""
     rotors = next((effect for effect in linear if isinstance(effect, RotorSpeedLag)), None)
     lag = RotorLag(lag_s) if rotors is None else rotors.with_lag(lag_s)
     return model((lag, *(effect for effect in linear if effect is not rotors)))

@@ -8,6 +8,7 @@ from heli_lab.diagnose.evaluate.kicks import kicks, with_impulse
 from heli_lab.diagnose.search import ModelComparison
 from heli_lab.estimation import InnovationsModel
 from heli_lab.estimation.disturbances import DisturbanceModel
+from heli_lab.estimation.innovations_model import FlightErrors
 from heli_sim.model import MultibodyModel
 
 from tests.estimation.made import RIG, windy
@@ -36,7 +37,7 @@ def test_kicks_about_one_axis_are_counted_with_their_size(
     filtered, disturbances = model
     (linearised,) = filtered.linearised_flights
     t_s = np.concatenate([linearised.nodes.t_s[blocks.rows] for blocks in linearised.blocks])
-    error = filtered.perturbed_residual()
+    error: FlightErrors = filtered.perturbed_residual()
     for at_s, size_Nms in KICKS_Nms.items():
         place = int(np.argmin(np.abs(t_s - at_s)))
         # A torque that the model lacks.

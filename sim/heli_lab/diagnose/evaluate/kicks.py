@@ -16,13 +16,12 @@ from heli_lab.estimation import (
     InnovationsModel,
     auxiliary_residuals,
 )
+from heli_lab.estimation.innovations_model import FlightErrors
 
 _MAX_KICKS: Final = 30
 """Kicks that are sought in all flights together; each takes one pass of the smoother."""
 _MAD: Final = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
-
-_Error = list[list[tuple[Floats, Floats]]]
 
 
 @dataclass(frozen=True)
@@ -42,7 +41,7 @@ class Kicks:
 
 
 def kicks(
-    filtered: InnovationsModel, disturbances: DisturbanceModel, error: _Error | None = None
+    filtered: InnovationsModel, disturbances: DisturbanceModel, error: FlightErrors | None = None
 ) -> dict[str, Kicks]:
     """Count the kicks about each axis; axes without any are left out.
 
@@ -75,8 +74,8 @@ def kicks(
 
 
 def with_impulse(
-    filtered: InnovationsModel, error: _Error, flight: int, place: int, axis: int, torque_Nm: float
-) -> _Error:
+    filtered: InnovationsModel, error: FlightErrors, flight: int, place: int, axis: int, torque_Nm: float
+) -> FlightErrors:
     """Return the `error` of a model that has one more torque about an axis, in the first step of a
     measurement interval.
 

@@ -18,11 +18,10 @@ from heli_lab.diagnose.search.candidate import Scored
 from heli_lab.diagnose.search.screening import Screening, coefficient_std, signals_of
 from heli_lab.diagnose.thresholds import CHANCE_NATS
 from heli_lab.estimation import DisturbanceModel, estimate_disturbances
+from heli_lab.estimation.innovations_model import FlightErrors
 
 _TURNS: Final = 2
 """Turns of coefficient and disturbances: the second changes the coefficient by less than its error."""
-
-_Error = list[list[tuple[Floats, Floats]]]
 
 
 def with_concentrated_scores(
@@ -70,7 +69,7 @@ def concentrated(screening: Screening, screened: Sequence[Scored]) -> list[Score
 
 
 def _concentrated(
-    screening: Screening, scored: Scored, plain: _Error, null: DisturbanceModel, before: float
+    screening: Screening, scored: Scored, plain: FlightErrors, null: DisturbanceModel, before: float
 ) -> Scored:
     """The same for one candidate, over a model without it: its errors, disturbances and log-likelihood."""
     filtered = screening.filtered
@@ -99,12 +98,12 @@ def _concentrated(
 
 def _without(
     screening: Screening,
-    error: _Error,
+    error: FlightErrors,
     signals: Sequence[tuple[Floats, Floats | None]],
     coefficients: Floats,
-) -> _Error:
+) -> FlightErrors:
     """Errors of states and outputs that remain if a candidate with these coefficients is in the model."""
-    result: _Error = []
+    result: list[list[tuple[Floats, Floats]]] = []
     flights = screening.filtered.linearised_flights
     for linearised, windows, (rates, outputs) in zip(flights, error, signals, strict=True):
         parts = []

@@ -75,22 +75,20 @@ class ColumnAssignment:
 
     def same_as(self, other: ColumnAssignment) -> bool:
         """Whether another assignment uses the same columns; front and back may be exchanged."""
-        pair = set if not self.summed else tuple
-        return (self.columns[:3], self.summed, pair(self.voltages)) == (
-            other.columns[:3],
-            other.summed,
-            pair(other.voltages),
-        )
+        same_voltages = self.voltages == other.voltages
+        if not self.summed:
+            same_voltages = same_voltages or self.voltages == other.voltages[::-1]
+        return self.columns[:3] == other.columns[:3] and self.summed == other.summed and same_voltages
 
 
-def explain(
+def regress_acceleration(
     acceleration: Floats,
     axis_terms: tuple[Floats, Floats],
     cause: Floats,
     stiffness: tuple[float, float],
     rows: Booleans,
 ) -> RegressionFit:
-    """Regress an axis' acceleration on a cause, together with stiffness, damping and a constant.
+    """Ridge regression of an axis' acceleration on a cause, with stiffness, damping and a constant.
 
     Parameters
     ----------
@@ -105,55 +103,53 @@ def explain(
     rows : ndarray of bool (n,)
         Rows to use.
     """
-    deflection, rate, driven, driving = (
+    deflection, rate, response, regressor = (
         signal[rows][::_DECIMATION] for signal in (*axis_terms, acceleration, cause)
     )
-    y = driven - stiffness[0] * deflection
+    y = response - stiffness[0] * deflection
     if len(y) < 20:
         return RegressionFit(0.0, 0.0)
-    columns = np.column_stack([deflection, rate, np.ones(len(y)), driving])
-    spread = np.maximum(columns.std(axis=0), 1e-12)
-    spread[2] = 1.0
-    columns = columns / spread
-    ridge = np.array([stiffness[1], 1.0, np.inf, np.inf]) * spread
+    columns = np.column_stack([deflection, rate, np.ones(len(y)), regressor])
+    scale = np.maximum(columns.std(axis=0), 1e-12)
+    scale[2] = 1.0
+    columns = columns / scale
+    prior_std = np.array([stiffness[1], 1.0, np.inf, np.inf]) * scale
     # A file needs thousands of these regressions; the normal equations are built once for each.
     gram, moment, power = columns.T @ columns, columns.T @ y, float(y @ y)
-    noise = float(y.var())
-    mean_squares: list[float] = []
-    gain = 0.0
+    noise_variance = float(y.var())
+    without_cause = with_cause = gain = 0.0
+
+    def solve(count: int) -> tuple[Floats, float]:
+        """Coefficients of the first `count` columns, and the mean of squared residuals plus penalty."""
+        penalty = np.diag(noise_variance / prior_std[:count] ** 2 + 1e-9 * len(y))
+        solution = np.linalg.solve(gram[:count, :count] + penalty, moment[:count])
+        return solution, (power - float(solution @ moment[:count])) / len(y)
+
+    # The penalty depends on the noise, which the residuals give.
     for _ in range(3):
-        mean_squares = []
-        for count in (3, 4):
-            penalised = gram[:count, :count] + np.diag(noise / ridge[:count] ** 2 + 1e-9 * len(y))
-            solution = np.linalg.solve(penalised, moment[:count])
-            # At the solution this is the sum of squared residuals and of the penalty.
-            mean_squares.append((power - float(solution @ moment[:count])) / len(y))
-            gain = float(solution[-1] / spread[count - 1])
-        noise = max(mean_squares[1], 1e-12 * float(y.var()) + 1e-300)
+        _, without_cause = solve(3)
+        solution, with_cause = solve(4)
+        gain = float(solution[-1] / scale[3])
+        noise_variance = max(with_cause, 1e-12 * float(y.var()) + 1e-300)
     seconds = len(y) * _DECIMATION * thresholds.SAMPLE_STEP_s
-    independent = seconds * thresholds.INDEPENDENT_SAMPLES_Hz
-    return RegressionFit(
-        0.5 * independent * float(np.log(max(mean_squares[0], 1e-300) / max(mean_squares[1], 1e-300))), gain
-    )
+    independent_samples = seconds * thresholds.INDEPENDENT_SAMPLES_Hz
+    log_ratio = float(np.log(max(without_cause, 1e-300) / max(with_cause, 1e-300)))
+    return RegressionFit(0.5 * independent_samples * log_ratio, gain)
 
 
 def free_rows(signals: Signals, name: str) -> Booleans:
-    """Select the rows in which the arm is off its table, if the column `name` is the elevation.
-
-    Returns
-    -------
-    ndarray of bool (n,)
-        All inner rows if the column does not begin at rest.
+    """Rows in which the arm is off its table if the column `name` is the elevation, shape (n,): all inner
+    rows if the column does not begin at rest.
     """
     raw = signals.raw[name]
-    rest = round(thresholds.REST_DURATION_S / thresholds.SAMPLE_STEP_s)
+    rest_rows = round(thresholds.REST_DURATION_S / thresholds.SAMPLE_STEP_s)
     start, typical = float(raw[0]), float(np.median(raw))
     span = float(np.ptp(raw))
-    if span == 0.0 or np.ptp(raw[:rest]) > 0.01 * span or abs(typical - start) < 0.2 * span:
+    if span == 0.0 or np.ptp(raw[:rest_rows]) > 0.01 * span or abs(typical - start) < 0.2 * span:
         return signals.inner
-    off = (raw - start) * np.sign(typical - start) > 0.4 * abs(typical - start)
-    free: Booleans = signals.inner & off
-    return free
+    is_off_table = (raw - start) * np.sign(typical - start) > 0.4 * abs(typical - start)
+    result: Booleans = signals.inner & is_off_table
+    return result
 
 
 def polarity_of(values: Floats) -> float:
@@ -169,14 +165,16 @@ def assignments(
     encoders: Collection[str] = frozenset(),
     known: Mapping[str, str] = MappingProxyType({}),
 ) -> list[ColumnAssignment]:
-    """Score assignments of columns to roles, and return them with the most likely first.
+    """Assignments of columns to roles with their log-likelihoods, the most likely first.
 
     Parameters
     ----------
-    columns : list of str
-        Names of the columns that may be an angle or a voltage.
+    signals : Signals
+        All columns.
     reference : Reference
         Prior of the stiffness of elevation and pitch.
+    columns : list of str
+        Names of the columns that may be an angle or a voltage.
     encoders : collection of str
         Columns quantised by an encoder: measured angles, not estimates or setpoints.
     known : Mapping[str, str]
@@ -185,47 +183,72 @@ def assignments(
     count = len(columns)
     if count < 5:
         return []
-    filtered = [signals.filtered[name] for name in columns]
-    rows = [free_rows(signals, name) for name in columns]
     polarity = np.array([polarity_of(signals.raw[name]) for name in columns])
-    level = [polarity[i] * filtered[i].value for i in range(count)]
-    pairs = list(itertools.combinations(range(count), 2))
-    sums: dict[tuple[int, ...], Floats] = {(i,): level[i] for i in range(count)}
-    sums |= {(i, j): level[i] + level[j] for i, j in pairs}
-    differences: dict[tuple[int, ...], Floats] = {(i,): filtered[i].value for i in range(count)}
-    differences |= {(i, j): level[i] - level[j] for i, j in pairs}
-    elevation_nats = _log_likelihood_table(sums, filtered, rows, reference.stiffness["elevation"])
-    for i in range(count):
-        feedback = np.array(
-            [abs(feedback_sign(level[i], signal, signals.counts_per_turn)) for signal in filtered]
-        )
-        elevation_nats[i,] += thresholds.FEEDBACK_NATS * feedback
-    pitch_nats = _log_likelihood_table(
-        differences, filtered, [signals.inner] * count, reference.stiffness["pitch"]
-    )
-    travel_nats = np.zeros((count, count))
-    for p, t in itertools.permutations(range(count), 2):
-        axis_terms = (filtered[t].value * 0.0, filtered[t].rate)
-        travel_nats[p, t] = explain(
-            filtered[t].acceleration, axis_terms, filtered[p].value, (0.0, 0.1), signals.inner
-        ).log_likelihood_ratio
-    measured = thresholds.ENCODER_NATS * np.array([name in encoders for name in columns], float)
-    elevation_nats = {key: nats + measured for key, nats in elevation_nats.items()}
-    pitch_nats = {key: nats + measured for key, nats in pitch_nats.items()}
-    travel_nats += measured
-    stated = _name_scores(columns, known)
+    encoder_nats = thresholds.ENCODER_NATS * np.array([name in encoders for name in columns], float)
+    elevation_nats, pitch_nats = _voltage_nats(signals, columns, polarity, reference)
+    elevation_nats = {key: nats + encoder_nats for key, nats in elevation_nats.items()}
+    pitch_nats = {key: nats + encoder_nats for key, nats in pitch_nats.items()}
+    travel_nats = _travel_nats(signals, columns) + encoder_nats
+    name_nats = _name_scores(columns, known)
 
-    def physics(by_sum: tuple[int, ...], by_difference: tuple[int, ...]) -> Floats:
-        """Score of each choice of elevation, pitch and travel for columns of the voltages."""
-        elevation, pitch = elevation_nats[by_sum], pitch_nats[by_difference]
+    def physics(sum_key: tuple[int, ...], difference_key: tuple[int, ...]) -> Floats:
+        """Score of each choice of elevation, pitch and travel, shape (columns, columns, columns), for the
+        columns of sum and difference.
+        """
+        elevation, pitch = elevation_nats[sum_key], pitch_nats[difference_key]
         return elevation[:, None, None] + pitch[None, :, None] + travel_nats[None, :, :]
 
     ranked = []
-    for pair in pairs:
-        ranked += _best(columns, physics(pair, pair), stated, pair, False, polarity)
-    for pair in itertools.permutations(range(count), 2):
-        ranked += _best(columns, physics(pair[:1], pair[1:]), stated, pair, True, polarity)
+    for front_and_back in itertools.combinations(range(count), 2):
+        nats = physics(front_and_back, front_and_back)
+        ranked += _best(columns, nats, name_nats, front_and_back, False, polarity)
+    for sum_and_difference in itertools.permutations(range(count), 2):
+        nats = physics(sum_and_difference[:1], sum_and_difference[1:])
+        ranked += _best(columns, nats, name_nats, sum_and_difference, True, polarity)
     return sorted(ranked, key=lambda assignment: -assignment.log_likelihood)
+
+
+def _voltage_nats(
+    signals: Signals, columns: list[str], polarity: Floats, reference: Reference
+) -> tuple[dict[tuple[int, ...], Floats], dict[tuple[int, ...], Floats]]:
+    """Evidence that voltages drive elevation by their sum, and pitch by their difference.
+
+    Returns
+    -------
+    elevation_nats, pitch_nats : dict of ndarray (columns,)
+        Log-likelihood ratio of each column as the angle [nats], by the indices of the voltage columns: one
+        index for a column that is itself the sum or the difference, two for front and back.
+    """
+    count = len(columns)
+    filtered = [signals.filtered[name] for name in columns]
+    lifting = [polarity[i] * filtered[i].value for i in range(count)]
+    sums: dict[tuple[int, ...], Floats] = {(i,): lifting[i] for i in range(count)}
+    differences: dict[tuple[int, ...], Floats] = {(i,): filtered[i].value for i in range(count)}
+    for i, j in itertools.combinations(range(count), 2):
+        sums[i, j] = lifting[i] + lifting[j]
+        differences[i, j] = lifting[i] - lifting[j]
+    flying = [free_rows(signals, name) for name in columns]
+    elevation_nats = _log_likelihood_table(sums, filtered, flying, reference.stiffness["elevation"])
+    for i in range(count):
+        has_feedback = np.array(
+            [abs(feedback_sign(lifting[i], angle, signals.counts_per_turn)) for angle in filtered]
+        )
+        elevation_nats[i,] += thresholds.FEEDBACK_NATS * has_feedback
+    everywhere = [signals.inner] * count
+    pitch_nats = _log_likelihood_table(differences, filtered, everywhere, reference.stiffness["pitch"])
+    return elevation_nats, pitch_nats
+
+
+def _travel_nats(signals: Signals, columns: list[str]) -> Floats:
+    """Evidence that one column as pitch drives another one as travel [nats], shape (columns, columns)."""
+    filtered = [signals.filtered[name] for name in columns]
+    nats = np.zeros((len(columns), len(columns)))
+    for pitch, travel in itertools.permutations(range(len(columns)), 2):
+        axis_terms = (filtered[travel].value * 0.0, filtered[travel].rate)
+        nats[pitch, travel] = regress_acceleration(
+            filtered[travel].acceleration, axis_terms, filtered[pitch].value, (0.0, 0.1), signals.inner
+        ).log_likelihood_ratio
+    return nats
 
 
 def _log_likelihood_table(
@@ -234,7 +257,24 @@ def _log_likelihood_table(
     rows: list[Booleans],
     stiffness: tuple[float, float],
 ) -> dict[tuple[int, ...], Floats]:
-    """Log-likelihood ratio [nats] of each column for each cause, at its best lag; 0 for its own column."""
+    """Evidence that each cause drives each column as an angle, at the best lag.
+
+    Parameters
+    ----------
+    causes : dict of ndarray (n,)
+        Signals that may drive an axis, by the indices of the columns that they are made of.
+    filtered : sequence of Signal
+        The columns.
+    rows : list of ndarray of bool (n,)
+        Rows to use, for each column.
+    stiffness : (float, float)
+        As in `regress_acceleration`.
+
+    Returns
+    -------
+    dict of ndarray (columns,)
+        Log-likelihood ratio of each column [nats], by cause; 0 for the columns that the cause is made of.
+    """
     table = {}
     for key, cause in causes.items():
         lagged = [delay(cause, lag_s) for lag_s in thresholds.ROLE_LAGS_S]
@@ -244,7 +284,7 @@ def _log_likelihood_table(
                 continue
             axis_terms = (signal.value - signal.value.mean(), signal.rate)
             nats[index] = max(
-                explain(
+                regress_acceleration(
                     signal.acceleration, axis_terms, late_cause, stiffness, rows[index]
                 ).log_likelihood_ratio
                 for late_cause in lagged
@@ -257,6 +297,7 @@ def _name_scores(columns: list[str], known: Mapping[str, str]) -> dict[str, Floa
     """Score of each column's name for each role [nats], shape (columns,) per role."""
 
     def score(name: str, role: str) -> float:
+        """Log-likelihood ratio of a `role` of the column `name`; what the user knows goes first."""
         named_role = names.role_of(name)
         if name in known or role in known.values():
             return thresholds.KNOWN_NATS * (1.0 if known.get(name) == role else -1.0)
@@ -270,40 +311,53 @@ def _name_scores(columns: list[str], known: Mapping[str, str]) -> dict[str, Floa
 def _best(
     columns: list[str],
     physics: Floats,
-    stated: dict[str, Floats],
+    name_nats: dict[str, Floats],
     pair: tuple[int, int],
     summed: bool,
     polarity: Floats,
 ) -> list[ColumnAssignment]:
-    """Return the three most likely choices of angles for a pair of voltages."""
-    words = np.add.outer(np.add.outer(stated["elevation"], stated["pitch"]), stated["travel"])
+    """The three most likely choices of angles for a pair of voltage columns.
+
+    Parameters
+    ----------
+    columns : list of str
+        Names of all columns.
+    physics : ndarray (columns, columns, columns)
+        Score of each choice of elevation, pitch and travel by the motion [nats].
+    name_nats : dict of ndarray (columns,)
+        Score of each column's name, by role [nats].
+    pair : (int, int)
+        Indices of the voltage columns: sum and difference if `summed`, otherwise the motors in any order.
+    polarity : ndarray (columns,)
+        Sign after which the mean of each column is positive.
+    """
+    by_name = np.add.outer(np.add.outer(name_nats["elevation"], name_nats["pitch"]), name_nats["travel"])
     i, j = pair
     if summed:
-        words = words + stated["sum"][i] + stated["difference"][j]
+        by_name = by_name + name_nats["sum"][i] + name_nats["difference"][j]
     else:
-        orders = (stated["front"][i] + stated["back"][j], stated["front"][j] + stated["back"][i])
-        words = words + max(orders)
-        if orders[1] > orders[0]:
+        front_first = name_nats["front"][i] + name_nats["back"][j]
+        back_first = name_nats["front"][j] + name_nats["back"][i]
+        by_name = by_name + max(front_first, back_first)
+        if back_first > front_first:
             i, j = j, i
-    total = physics + words
-    count = len(columns)
-    e, p, t = np.indices((count, count, count))
-    total[(e == p) | (e == t) | (p == t)] = -np.inf
-    for column in pair:
-        total[(e == column) | (p == column) | (t == column)] = -np.inf
-    voltages = (columns[i], columns[j])
-    signs = (float(polarity[i]), 1.0 if summed else float(polarity[j]))
+    total = physics + by_name
+    elevation, pitch, travel = np.indices(total.shape)
+    # Every column has one role at most.
+    total[(elevation == pitch) | (elevation == travel) | (pitch == travel)] = -np.inf
+    for voltage in pair:
+        total[(elevation == voltage) | (pitch == voltage) | (travel == voltage)] = -np.inf
     best = zip(*np.unravel_index(np.argsort(total.ravel())[::-1][:3], total.shape), strict=True)
     return [
         ColumnAssignment(
-            columns[angles[0]],
-            columns[angles[1]],
-            columns[angles[2]],
-            voltages,
-            summed,
-            signs,
-            float(total[angles]),
-            float(physics[angles]),
+            elevation=columns[angles[0]],
+            pitch=columns[angles[1]],
+            travel=columns[angles[2]],
+            voltages=(columns[i], columns[j]),
+            summed=summed,
+            polarity=(float(polarity[i]), 1.0 if summed else float(polarity[j])),
+            log_likelihood=float(total[angles]),
+            physics_log_likelihood=float(physics[angles]),
         )
         for angles in best
         if np.isfinite(total[angles])

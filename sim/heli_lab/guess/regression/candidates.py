@@ -20,10 +20,16 @@ _RATE_SCALES: Final = (1.0, 180.0 / np.pi, np.pi / 180.0)
 def candidates(
     signals: Signals, encoders: Collection[str] = frozenset(), known: Collection[str] = ()
 ) -> tuple[list[str], dict[str, str]]:
-    """List the columns that may be an angle or a voltage; those that are known come first.
+    """Columns of a table that may be an angle or a voltage, those that are known first.
+
+    Constants, rates and duplicates are left out. One column of several duplicates stays: one in `encoders`,
+    otherwise one that is not the rate of an angle. Under state feedback, the sum of the voltages is proportional to the rate
+    of elevation.
 
     Parameters
     ----------
+    signals : Signals
+        All columns but the times.
     encoders : collection of str
         Columns quantised by an encoder.
     known : collection of str
@@ -31,10 +37,10 @@ def candidates(
 
     Returns
     -------
-    tuple of (list of str, dict of str)
-        The columns, and those that are left out with the reason: constants, rates and duplicates. If columns
-        are duplicates, one in `encoders` is kept, otherwise one that is not the rate of an angle: under state
-        feedback, the sum of the voltages is proportional to the rate of elevation.
+    columns : list of str
+        The columns that may be an angle or a voltage.
+    dropped : dict of str
+        The reason for each of the other columns.
     """
     dropped = {name: "constant" for name, values in signals.raw.items() if np.ptp(values) == 0.0}
     moving = [name for name in signals.raw if name not in dropped]
@@ -46,77 +52,101 @@ def candidates(
             names.is_derived_signal(name),
         )
     )
+    groups = _duplicates(signals, moving)
+    first_columns = [group[0] for group in groups]
+    rates = {
+        name: angle
+        for name, angle in _rates(signals, first_columns).items()
+        if name not in encoders and name not in known
+    }
+    columns = []
+    for group in groups:
+        angle = rates.get(group[0]) or _angle_of_feedback(signals, group, first_columns)
+        column: str | None = group[0]
+        if angle is not None:
+            # A duplicate with another slope is not the rate, but follows it.
+            not_rates = [name for name in group if not _is_rate(name, signals.filtered[angle].rate, signals)]
+            if not_rates:
+                column = not_rates[0]
+            elif group[0] in rates:
+                column = None
+        if column is not None:
+            columns.append(column)
+        for name in group:
+            if name != column:
+                dropped[name] = f"the rate of {angle}" if angle is not None else f"the same as {column}"
+    dropped |= dict.fromkeys(columns[_MAX_COLUMNS:], f"behind the first {_MAX_COLUMNS} columns")
+    return columns[:_MAX_COLUMNS], dropped
+
+
+def _duplicates(signals: Signals, columns: list[str]) -> list[list[str]]:
+    """Group columns that are proportional to each other, in their order; most groups have one column."""
     groups: list[list[str]] = []
-    for name in moving:
+    for name in columns:
         for group in groups:
             if _abs_correlation(signals.raw[name], signals.raw[group[0]]) > _DUPLICATE_CORRELATION:
                 group.append(name)
                 break
         else:
             groups.append([name])
-    angles = [group[0] for group in groups]
-    rates = {name: of for name, of in _rates(signals, angles).items() if name not in {*encoders, *known}}
-    kept = []
-    for group in groups:
-        of = rates.get(group[0]) or _angle_of_feedback(signals, group, angles)
-        rate = None if of is None else signals.filtered[of].rate
-        # A duplicate with another slope is not the rate, but follows it.
-        chosen = (
-            group[0] if rate is None else next((n for n in group if not _is_rate(n, rate, signals)), None)
-        )
-        chosen = group[0] if chosen is None and group[0] not in rates else chosen
-        if chosen is not None:
-            kept.append(chosen)
-        for name in group:
-            if name != chosen:
-                dropped[name] = f"the rate of {of}" if of is not None else f"the same as {chosen}"
-    dropped |= dict.fromkeys(kept[_MAX_COLUMNS:], f"behind the first {_MAX_COLUMNS} columns")
-    return kept[:_MAX_COLUMNS], dropped
+    return groups
 
 
 def _angle_of_feedback(signals: Signals, group: list[str], columns: list[str]) -> str | None:
-    """Find the column whose rate a `group` of duplicates follows; None for single columns."""
+    """Column to whose rate a `group` of duplicates is proportional, as under state feedback; None for a group
+    of one column, or if there is no such column.
+    """
     if len(group) == 1:
         return None
     value = signals.filtered[group[0]].value
-    likeness = {
+    correlation = {
         name: _abs_correlation(signals.filtered[name].rate, value) for name in columns if name != group[0]
     }
-    best = max(likeness, key=lambda name: likeness[name], default=None)
-    return best if best is not None and likeness[best] > thresholds.FEEDBACK_MATCH**0.5 else None
+    best = max(correlation, key=lambda name: correlation[name], default=None)
+    return best if best is not None and correlation[best] > thresholds.FEEDBACK_MATCH**0.5 else None
 
 
 def _is_rate(name: str, rate: Floats, signals: Signals) -> bool:
-    slope = _unit_slope(rate, signals.filtered[name].value, signals.counts_per_turn)
-    return slope or names.is_derived_signal(name)
+    """Whether the column `name` is this `rate`, by its slope or by its name."""
+    has_unit_slope = _unit_slope(rate, signals.filtered[name].value, signals.counts_per_turn)
+    return has_unit_slope or names.is_derived_signal(name)
 
 
 def _rates(signals: Signals, columns: list[str]) -> dict[str, str]:
-    """Find the columns that are the time derivative of a column that is not itself a derivative, by column.
+    """Columns that are the time derivative of another column that is not itself a derivative: the other
+    column by name of the derivative.
 
     The derivative of the travel rate resembles pitch, which drives it, and that of the pitch rate a voltage.
     """
-    pairs = {}
+    # Correlation of each possible derivative with the derivative of the other column.
+    correlations: dict[tuple[str, str], float] = {}
     for name, other in itertools.permutations(columns, 2):
         rate, value = signals.filtered[other].rate, signals.filtered[name].value
-        likeness = _abs_correlation(rate, value)
-        if names.role_of(name) or likeness <= thresholds.RATE_MATCH**0.5:
+        correlation = _abs_correlation(rate, value)
+        if names.role_of(name) or correlation <= thresholds.RATE_MATCH**0.5:
             continue
         if _unit_slope(rate, value, signals.counts_per_turn):
-            pairs[name, other] = likeness
+            correlations[name, other] = correlation
+
+    def origins(name: str) -> list[str]:
+        """Columns of which `name` may be the derivative."""
+        return [other for derivative, other in correlations if derivative == name]
+
     rates: set[str] = set()
-    settled: set[str] = set()
+    decided: set[str] = set()
     remaining = set(columns)
     while remaining:
-        open_ = {name for name in remaining if all(of in settled for first, of in pairs if first == name)}
-        if not open_:  # a cycle, as sines form: drop the column with the lowest correlation
-            weakest = min((likeness, name) for (name, _), likeness in pairs.items() if name in remaining)[1]
-            open_ = {weakest}
-            pairs = {pair: similarity for pair, similarity in pairs.items() if pair[0] != weakest}
-        rates |= {name for name in open_ if any(first == name and of not in rates for first, of in pairs)}
-        settled |= open_
-        remaining -= open_
-    return {name: next(of for first, of in pairs if first == name and of not in rates) for name in rates}
+        # A column is decided after all columns of which it may be the derivative.
+        ready = {name for name in remaining if decided.issuperset(origins(name))}
+        if not ready:
+            # Sines form a cycle: the column with the lowest correlation is no derivative.
+            weakest = min((value, name) for (name, _), value in correlations.items() if name in remaining)[1]
+            ready = {weakest}
+            correlations = {pair: value for pair, value in correlations.items() if pair[0] != weakest}
+        rates |= {name for name in ready if not rates.issuperset(origins(name))}
+        decided |= ready
+        remaining -= ready
+    return {name: next(other for other in origins(name) if other not in rates) for name in rates}
 
 
 def _unit_slope(rate: Floats, value: Floats, counts_per_turn: Collection[float]) -> bool:
@@ -132,19 +162,28 @@ def _unit_slope(rate: Floats, value: Floats, counts_per_turn: Collection[float])
 
 
 def _abs_correlation(first: Floats, second: Floats) -> float:
+    """Absolute correlation of two columns; 0 if one of them is constant."""
     if np.ptp(first) == 0.0 or np.ptp(second) == 0.0:
         return 0.0
     return abs(float(np.corrcoef(first, second)[0, 1]))
 
 
-def feedback_sign(total: Floats, signal: Signal, counts_per_turn: Collection[float]) -> float:
-    """Return 1 or -1 if `total` is proportional to the rate of a signal, as under state feedback;
-    otherwise 0.
+def feedback_sign(voltage_sum: Floats, angle: Signal, counts_per_turn: Collection[float]) -> float:
+    """Sign of the factor from an angle's rate to the sum of the voltages, as under state feedback: 1 or -1, 0
+    if the sum is not proportional to the rate.
 
-    A column in a unit of the rate is the rate, not feedback; it may be in counts of an encoder with these
-    `counts_per_turn`.
+    Parameters
+    ----------
+    voltage_sum : ndarray (n,)
+        Low-passed column that may be the sum of the voltages. If it equals the rate in some unit, it is a
+        logged rate, not feedback.
+    angle : Signal
+        The angle with its rate.
+    counts_per_turn : collection of float
+        Counts per turn of the encoders in which the rate may be logged.
     """
-    if np.ptp(total) == 0.0 or np.ptp(signal.rate) == 0.0 or _unit_slope(signal.rate, total, counts_per_turn):
+    is_constant = np.ptp(voltage_sum) == 0.0 or np.ptp(angle.rate) == 0.0
+    if is_constant or _unit_slope(angle.rate, voltage_sum, counts_per_turn):
         return 0.0
-    likeness = float(np.corrcoef(total, signal.rate)[0, 1])
-    return float(np.sign(likeness)) if abs(likeness) > thresholds.FEEDBACK_MATCH**0.5 else 0.0
+    correlation = float(np.corrcoef(voltage_sum, angle.rate)[0, 1])
+    return float(np.sign(correlation)) if abs(correlation) > thresholds.FEEDBACK_MATCH**0.5 else 0.0

@@ -42,7 +42,13 @@ _QUANTISATION_NATS: Final = 3.0
 
 @dataclass(frozen=True)
 class VoltageScale:
-    """One choice of the voltages' unit: `unit`, `full_scale`, `factor` and `bias_removed` as in `Scale`."""
+    """One possible unit of the voltage columns.
+
+    Parameters
+    ----------
+    unit, full_scale, factor, bias_removed
+        As `voltage`, `full_scale`, `factor` and `bias_removed` of `Scale`.
+    """
 
     unit: str
     full_scale: float
@@ -56,14 +62,14 @@ class VoltageScale:
 
 @dataclass(frozen=True)
 class LimitedMotion:
-    """What `MeasuredMotion` has, with the commands limited to the supply.
+    """Measured gains of the axes, if voltages above the supply are taken to be limited to it.
 
     Parameters
     ----------
     gain : Mapping[str, float]
-        Gain of each axis.
+        Acceleration per voltage of each axis, as in `MeasuredMotion`.
     mean_sum : float
-        Mean of the sum of the voltages in flight.
+        Mean of the sum of the limited voltages in flight, in the unit of the columns.
     log_likelihood_ratio : float
         Log-likelihood of elevation and pitch with limited commands, less that with the commands as logged
         [nats].
@@ -76,7 +82,9 @@ class LimitedMotion:
 
 @dataclass(frozen=True)
 class MeasuredMotion:
-    """Measured gains and ranges of the assigned columns, in the units of the columns.
+    """Measured gains, ranges and steps of the assigned columns, from which their units are inferred.
+
+    All values are in the units of the columns.
 
     Parameters
     ----------
@@ -157,7 +165,7 @@ class Scale:
 
 
 def scales(motion: MeasuredMotion, reference: Reference) -> list[Scale]:
-    """List all choices of units, the most likely first."""
+    """All combinations of units of angles and voltages, the most likely first."""
     ranked = []
     for choice in voltage_scales(motion.summed):
         mean_V = abs(motion.mean_sum * choice.volts(reference))
@@ -240,15 +248,19 @@ def voltage_scales(summed: bool) -> list[VoltageScale]:
     """List all choices of the voltages' unit; `summed` voltages are sum and difference."""
     pwm_scales = [("pwm", full) for full in _FULL_SCALES]
     units = [(unit, 255.0) for unit in _VOLTAGE_UNITS if unit != "pwm"] + pwm_scales
-    kinds = list(itertools.product((1.0, 2.0), (False, True))) if summed else [(1.0, False)]
-    return [VoltageScale(*unit, *kind) for unit, kind in itertools.product(units, kinds)]
+    factors_and_bias = list(itertools.product((1.0, 2.0), (False, True))) if summed else [(1.0, False)]
+    return [
+        VoltageScale(unit, full_scale, factor, bias_removed)
+        for unit, full_scale in units
+        for factor, bias_removed in factors_and_bias
+    ]
 
 
-def volts_of(unit: str, full: float, reference: Reference) -> float:
-    """Volts per `unit`; `full` is the value of full supply if the unit is ``pwm``."""
+def volts_of(unit: str, full_scale: float, reference: Reference) -> float:
+    """Volts per `unit`; `full_scale` is the value of full supply if the unit is ``pwm``."""
     if unit in VOLTAGE_UNITS:
         return VOLTAGE_UNITS[unit]
-    return reference.supply_V / (full if unit == "pwm" else SHARES[unit])
+    return reference.supply_V / (full_scale if unit == "pwm" else SHARES[unit])
 
 
 def rad_of(unit: str, axis: str, reference: Reference) -> float:
@@ -257,16 +269,19 @@ def rad_of(unit: str, axis: str, reference: Reference) -> float:
 
 
 def _deviation_std(measured: float, reference: float, std: float) -> float:
+    """Logarithm of `measured` over `reference`, in standard deviations `std`; 0 without a reference."""
     return math.log(max(abs(measured), 1e-300) / abs(reference)) / std if reference else 0.0
 
 
 def _unit_score(stated: str, unit: str) -> float:
+    """Log-likelihood of a `unit` [nats], given the unit that the file has `stated`, or none."""
     if stated:
         return thresholds.UNIT_NATS if stated == unit else 0.0
     return -_RARE_UNIT_NATS.get(unit, 0.0)
 
 
 def _quantisation_score(motion: MeasuredMotion, axis: str, unit: str, reference: Reference) -> float:
+    """Log-likelihood of the `unit` of an axis [nats], by the quantisation step of its column."""
     if motion.integer_valued[axis]:
         return 0.0 if unit == COUNT else -_QUANTISATION_NATS
     if unit == COUNT:
@@ -278,20 +293,25 @@ def _quantisation_score(motion: MeasuredMotion, axis: str, unit: str, reference:
 
 def is_encoder(values: Floats, reference: Reference) -> bool:
     """Whether a column, `values`, is quantised by an encoder of the rig, in radians or degrees."""
-    step = step_of(values)
+    step = quantisation_step(values)
     turns = (2.0 * math.pi, 360.0) if step > 0.0 else ()
     return any(
         abs(turn / step / counts - 1.0) < 0.01 for turn in turns for counts in {*reference.counts.values()}
     )
 
 
-def step_of(values: Floats) -> float:
-    """Quantisation step of a column, `values`, in its unit; 0 if it is not quantised."""
-    moves = np.abs(np.diff(values[np.isfinite(values)]))
-    moves = moves[moves > 1e-9 * max(1.0, float(np.ptp(values)))]
-    if not moves.size:
+def quantisation_step(values: Floats) -> float:
+    """Quantisation step of a column's `values`, shape (n,), in its unit; 0 if it is not quantised.
+
+    A column is quantised if over nine tenths of its small changes are multiples of the smallest one.
+    """
+    changes = np.abs(np.diff(values[np.isfinite(values)]))
+    changes = changes[changes > 1e-9 * max(1.0, float(np.ptp(values)))]
+    if not changes.size:
         return 0.0
-    step = float(moves.min())
-    step = float(moves[moves < 1.5 * step].mean())
-    multiples = moves[moves < 20.0 * step] / step
-    return step if float(np.mean(np.abs(multiples - np.round(multiples)) < 0.05)) > 0.9 else 0.0
+    smallest = float(changes.min())
+    # The mean of all single steps has less rounding than the smallest change.
+    step = float(changes[changes < 1.5 * smallest].mean())
+    multiples = changes[changes < 20.0 * step] / step
+    is_multiple = np.abs(multiples - np.round(multiples)) < 0.05
+    return step if float(np.mean(is_multiple)) > 0.9 else 0.0

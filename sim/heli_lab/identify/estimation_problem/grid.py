@@ -18,14 +18,18 @@ from heli_lab.identify.thresholds import BLOCK_S
 
 @dataclass(frozen=True)
 class Grid:
-    """Windows over a record at one step: what the kernel needs, and what it is compared with.
+    """Windows of a flight, divided into equal steps: the kernel's inputs, and the angles to compare with.
 
     Parameters
     ----------
+    record : Record
+        The flight.
+    inputs : Inputs
+        Voltages in each step of each window.
     rows : ndarray of int64 (m,)
         Row of the flight at the beginning of each step.
     every : int
-        Rows in a step.
+        Rows of the flight per step.
     """
 
     record: Record
@@ -44,25 +48,42 @@ class Grid:
         first = self.inputs.first
         return [slice(int(f), int(f + n)) for f, n in zip(first, self.inputs.steps, strict=True)]
 
-    def only(self, which: Integers) -> Grid:
-        """Keep some windows alone, those of the numbers in `which`, in the order wanted."""
-        inputs, slices = self.inputs, self.slices
-        kept = np.concatenate([np.arange(slices[i].start, slices[i].stop) for i in which])
+    def steps_of(self, windows: Integers) -> Integers:
+        """Numbers of all steps of the given `windows`, ndarray of int64 (k,), window after window."""
+        slices = self.slices
+        return np.concatenate([np.arange(slices[i].start, slices[i].stop) for i in windows])
+
+    def only(self, windows: Integers) -> Grid:
+        """Return a grid of the given `windows` alone, ndarray of int64 (k,), in their order there."""
+        inputs, steps = self.inputs, self.steps_of(windows)
         chosen = Inputs(
-            inputs.steps[which],
-            inputs.start_s[which],
+            inputs.steps[windows],
+            inputs.start_s[windows],
             inputs.step_s,
-            inputs.mean_V[kept],
-            inputs.change_V[kept],
+            inputs.mean_V[steps],
+            inputs.change_V[steps],
             inputs.substeps,
-            tuple((name, mean[kept], change[kept]) for name, mean, change in inputs.shaped_by),
+            tuple((name, mean[steps], change[steps]) for name, mean, change in inputs.voltage_derivatives),
         )
-        return Grid(self.record, chosen, self.rows[kept], self.every)
+        return Grid(self.record, chosen, self.rows[steps], self.every)
 
 
-def window_starts(record: Record, window_s: float, every: int, parts: int = 1) -> list[tuple[int, int]]:
-    """Split the free segments into windows of nearly equal length, about `window_s`, and each of these into
-    `parts`, all a multiple of `every` rows: first row and number of rows of each.
+def split_into_windows(record: Record, window_s: float, every: int, parts: int = 1) -> list[tuple[int, int]]:
+    """Split each free segment of a flight into windows of about equal length.
+
+    Parameters
+    ----------
+    window_s : float
+        Length that the windows approximate [s].
+    every : int
+        Rows per step; the rows of a window are a multiple of it.
+    parts : int
+        Number of shorter windows that each window is divided into.
+
+    Returns
+    -------
+    list of (int, int)
+        First row and number of rows of each window.
     """
     windows = []
     for start, stop in record.segments:
@@ -88,7 +109,7 @@ def make_grid(
     delay: tuple[str, float] | None = None,
     dead_zone_V: float | None = None,
 ) -> Grid:
-    """Lay a grid of steps over windows, with their inputs.
+    """Divide windows of a flight into steps, and average the voltages over each step.
 
     Parameters
     ----------
@@ -99,49 +120,58 @@ def make_grid(
     longest_step_s : float
         Longest Runge-Kutta step.
     delay : (str, float), optional
-        Name and value in s of the parameter that delays the voltages, for models that have one.
+        Name and value [s] of the parameter that delays the voltages; none if the model has no delay.
     dead_zone_V : float, optional
-        Voltages below this give no thrust and are lifted to it before they are averaged over a step, so that
-        the thrust of the mean is the mean of the thrust.
+        Voltages below this give no thrust. They are raised to it before they are averaged over a step, so
+        that the mean voltage gives the mean thrust.
     """
     rows = np.concatenate([np.arange(first, first + count, every) for first, count in windows]).astype(
         np.int64
     )
     step_s = record.step_s * every
-    volts, late_s = record.voltages_V, 0.0 if delay is None else delay[1]
-    shaped: list[tuple[str, Floats, Floats]] = []
+    volts_V, delay_s = record.voltages_V, 0.0 if delay is None else delay[1]
+    derivatives: list[tuple[str, Floats, Floats]] = []
     if dead_zone_V is not None and every > 1:
-        below = (volts < dead_zone_V).astype(float)
-        volts = np.maximum(volts, dead_zone_V)
-        shaped.append(("dead_zone", *_ramp(below, record.step_s, rows, every, late_s)))
-    shape = _ramp(volts, record.step_s, rows, every, late_s)
+        # The raised voltage is the dead zone itself: its derivative to the dead zone is 1.
+        is_raised = (volts_V < dead_zone_V).astype(float)
+        volts_V = np.maximum(volts_V, dead_zone_V)
+        derivatives.append(("dead_zone", *_mean_and_change(is_raised, record.step_s, rows, every, delay_s)))
+    mean_V, change_V = _mean_and_change(volts_V, record.step_s, rows, every, delay_s)
     if delay is not None:
         half_s = 0.5 * record.step_s
-        more = _ramp(volts, record.step_s, rows, every, late_s + half_s)
-        less = _ramp(volts, record.step_s, rows, every, late_s - half_s)
-        shaped.append((delay[0], (more[0] - less[0]) / record.step_s, (more[1] - less[1]) / record.step_s))
+        later = _mean_and_change(volts_V, record.step_s, rows, every, delay_s + half_s)
+        earlier = _mean_and_change(volts_V, record.step_s, rows, every, delay_s - half_s)
+        of_mean, of_change = (
+            (late - early) / record.step_s for late, early in zip(later, earlier, strict=True)
+        )
+        derivatives.append((delay[0], of_mean, of_change))
     inputs = Inputs(
-        np.array([count // every for _, count in windows], np.int64),
-        np.array([record.t_s[first] - record.t_s[0] for first, _ in windows]),
-        step_s,
-        *shape,
-        max(1, math.ceil(step_s / longest_step_s - 1e-9)),
-        tuple(shaped),
+        steps=np.array([count // every for _, count in windows], np.int64),
+        start_s=np.array([record.t_s[first] - record.t_s[0] for first, _ in windows]),
+        step_s=step_s,
+        mean_V=mean_V,
+        change_V=change_V,
+        substeps=max(1, math.ceil(step_s / longest_step_s - 1e-9)),
+        voltage_derivatives=tuple(derivatives),
     )
     return Grid(record, inputs, rows, every)
 
 
 class WindowGrids:
-    """Windows of `records` and the grids over them, which are computed when they are first needed.
+    """Windows of all flights, each with a fine and a coarse grid that are computed when first needed.
+
+    The fine grid compares every sample. The coarse grid compares samples about `step_s` apart.
 
     Parameters
     ----------
+    records : sequence of Record
+        The flights.
     window_s : float
-        Length of the windows, nearly.
+        Length that the windows approximate [s].
     step_s : float
-        Longest Runge-Kutta step, and distance of the samples compared, of the coarse grid.
+        Time between compared samples of the coarse grid, and longest Runge-Kutta step of both [s].
     parts : int
-        Number of windows that each window is divided into.
+        Number of shorter windows that each window is divided into.
     """
 
     def __init__(self, records: Sequence[Record], window_s: float, step_s: float, parts: int = 1) -> None:
@@ -153,76 +183,105 @@ class WindowGrids:
         return {**self.__dict__, "_grids": {}}
 
     def copy(self, *, window_s: float | None = None, parts: int | None = None) -> WindowGrids:
-        """Lay other windows over the same records: of nearly `window_s`, each divided into `parts`."""
+        """Return other windows over the same flights: of about `window_s` [s], each divided into `parts`."""
         return WindowGrids(self.records, window_s or self.window_s, self.step_s, parts or self.parts)
 
     def windows(self, index: int) -> list[tuple[int, int]]:
-        """Windows of record `index`, a whole number of steps and of blocks of `thresholds.BLOCK_S`: first row
-        and number of rows of each.
+        """First row and number of rows of each window of flight `index`.
+
+        Each window is a whole number of coarse steps and of blocks of `thresholds.BLOCK_S`.
         """
         record = self.records[index]
-        block = max(1, int(BLOCK_S / record.step_s + 1e-6))
-        return window_starts(record, self.window_s, math.lcm(self._coarse(record), block), self.parts)
+        rows_per_block = max(1, int(BLOCK_S / record.step_s + 1e-6))
+        every = math.lcm(self._rows_per_coarse_step(record), rows_per_block)
+        return split_into_windows(record, self.window_s, every, self.parts)
 
     def grid(
         self, index: int, fine: bool, delay: tuple[str, float] | None, dead_zone_V: float | None
     ) -> Grid:
-        """Windows of a record, with their inputs; the coarse and the fine grid have the same windows.
+        """Grid of the windows of one flight; the coarse and the fine grid have the same windows.
 
         Parameters
         ----------
         index : int
-            Which record.
+            Number of the flight.
         fine : bool
-            Every sample, or steps of about `step_s`.
+            True for the fine grid, False for the coarse grid.
         delay : (str, float) or None
-            As in `make_grid`.
+            Delay of the voltages, as in `make_grid`.
         dead_zone_V : float or None
-            As in `make_grid`.
+            Dead zone, as in `make_grid`; the fine grid needs none.
         """
-        key, shape = (index, fine), (delay, None if fine else dead_zone_V)
-        if key not in self._grids or self._grids[key][0] != shape:
+        key = (index, fine)
+        arguments = (delay, None if fine else dead_zone_V)
+        if key not in self._grids or self._grids[key][0] != arguments:
             record = self.records[index]
             grid = make_grid(
                 record,
                 self.windows(index),
-                1 if fine else self._coarse(record),
+                1 if fine else self._rows_per_coarse_step(record),
                 longest_step_s=self.step_s,
                 delay=delay,
                 dead_zone_V=dead_zone_V,
             )
-            self._grids[key] = (shape, grid)
+            self._grids[key] = (arguments, grid)
         return self._grids[key][1]
 
-    def _coarse(self, record: Record) -> int:
+    def _rows_per_coarse_step(self, record: Record) -> int:
         return max(1, int(self.step_s / record.step_s + 1e-6))
 
 
-def _ramp(volts: Floats, dt: float, rows: Integers, every: int, delay_s: float) -> tuple[Floats, Floats]:
-    """Mean and change over each step, with the integral and the double integral of the delayed voltages."""
+def _mean_and_change(
+    volts: Floats, row_s: float, rows: Integers, every: int, delay_s: float
+) -> tuple[Floats, Floats]:
+    """Straight line through the delayed voltages in each step, with the same first and second integral.
+
+    Parameters
+    ----------
+    volts : ndarray (n, 2)
+        Voltages, or their derivatives, constant from each row of the flight to the next.
+    row_s : float
+        Time from one row to the next [s].
+    rows : ndarray of int64 (m,)
+        Row at the beginning of each step.
+    every : int
+        Rows per step.
+    delay_s : float
+        Delay [s].
+
+    Returns
+    -------
+    mean : ndarray (m, 2)
+        Mean over each step.
+    change : ndarray (m, 2)
+        Change of the line from the beginning to the end of each step.
+    """
     if every == 1 and delay_s == 0.0:
         return volts[rows], np.zeros((len(rows), 2))
-    # Before the record the first voltage is taken to have acted.
-    once, twice = np.zeros((2, len(volts) + 1, 2))
-    np.cumsum(volts, axis=0, out=once[1:])
-    once *= dt
-    between = once[1:] + once[:-1]
-    between *= 0.5
-    np.cumsum(between, axis=0, out=twice[1:])
-    twice *= dt
+    first_integral, second_integral = np.zeros((2, len(volts) + 1, 2))
+    np.cumsum(volts, axis=0, out=first_integral[1:])
+    first_integral *= row_s
+    middle = first_integral[1:] + first_integral[:-1]
+    middle *= 0.5
+    np.cumsum(middle, axis=0, out=second_integral[1:])
+    second_integral *= row_s
 
-    def integrals(at: Floats) -> tuple[Floats, Floats]:
-        place = np.clip(at / dt, None, len(volts) - 1e-9)
+    def integrals_at(t_s: Floats) -> tuple[Floats, Floats]:
+        """First and second integral of the voltages at times since the first row, shape (m, 2) each."""
+        place = np.clip(t_s / row_s, None, len(volts) - 1e-9)
+        # Before the first row its voltage is taken to have acted.
         index = np.clip(np.floor(place + 1e-9).astype(int), 0, len(volts) - 1)
-        rest = (place - index)[:, None] * dt
+        rest_s = (place - index)[:, None] * row_s
         return (
-            once[index] + volts[index] * rest,
-            twice[index] + once[index] * rest + 0.5 * volts[index] * rest**2,
+            first_integral[index] + volts[index] * rest_s,
+            second_integral[index] + first_integral[index] * rest_s + 0.5 * volts[index] * rest_s**2,
         )
 
-    start: Floats = rows.astype(float) * dt - delay_s
-    span = every * dt
-    (a1, a2), (b1, b2) = integrals(start), integrals(start + span)
-    mean = (b1 - a1) / span
-    moment = (0.5 * (a1 + b1) * span - (b2 - a2)) / span**2
+    start_s: Floats = rows.astype(float) * row_s - delay_s
+    step_s = every * row_s
+    first_start, second_start = integrals_at(start_s)
+    first_end, second_end = integrals_at(start_s + step_s)
+    mean = (first_end - first_start) / step_s
+    # The line's slope is twelve times its first moment about the middle of the step.
+    moment = (0.5 * (first_start + first_end) * step_s - (second_end - second_start)) / step_s**2
     return mean, 12.0 * moment

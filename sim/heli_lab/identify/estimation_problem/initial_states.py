@@ -18,17 +18,17 @@ _MECHANICAL: Final = 6
 
 
 def initial_state_guess(problem: Problem, theta: Floats) -> list[Floats]:
-    """Initial states of all windows with free parameters `theta`, shape (f,), as the angles around their
-    beginnings suggest: shape (w, states) for each record, see `states_at`.
+    """Initial states of all windows as a first guess from the measured angles, with free parameters `theta`,
+    shape (f,): for each record, shape (w, states), by `states_at`.
     """
     return [
-        states_at(problem, index, _beginnings(problem, index, theta), theta)
+        states_at(problem, index, _first_rows(problem, index, theta), theta)
         for index in range(len(problem.records))
     ]
 
 
 def states_at(problem: Problem, index: int, rows: Integers, theta: Floats) -> Floats:
-    """States at given rows, shape (w, states).
+    """States of the model at given rows of a flight, shape (w, states), estimated from the measured angles.
 
     Angles and rates are those of parabolas through the samples around each row. States of effects are those
     after a free run that ends there, or the measured angle if the state is an angle that an encoder measures.
@@ -36,7 +36,7 @@ def states_at(problem: Problem, index: int, rows: Integers, theta: Floats) -> Fl
     Parameters
     ----------
     index : int
-        Which record.
+        Number of the flight.
     rows : ndarray of int64 (w,)
         Samples of the record at which windows begin.
     theta : ndarray (f,)
@@ -49,24 +49,24 @@ def states_at(problem: Problem, index: int, rows: Integers, theta: Floats) -> Fl
         return states
     states[:, _MECHANICAL:] = _after_run_in(problem, index, rows, states, theta)
     measured = {state: axis for effect in problem.model.effects for state, axis in effect.measured_as.items()}
-    for place, state in enumerate(problem.model.states):
+    for column, state in enumerate(problem.model.states):
         if state.name in measured:
-            states[:, place] = record.angles_rad[rows, AXES.index(measured[state.name])]
+            states[:, column] = record.angles_rad[rows, AXES.index(measured[state.name])]
     return states
 
 
 def alternative_states(problem: Problem, index: int, theta: Floats, states: Floats) -> list[Floats]:
-    """Other initial states of a record's windows, each of shape (w, states), for windows whose present state
-    is in a wrong basin of attraction.
+    """Other initial states to try for windows whose present state is in a wrong basin of attraction: a list
+    of arrays of shape (w, states).
 
-    The first alternative is the end of the window before, if no time lies between the two windows: friction
-    and backlash depend on how the arm came there. The second has rates from a few samples only, which a jump
-    of the torque nearby does not bend. The others are the alternatives that effects give.
+    The first alternative is the end of the previous window, if the two windows adjoin: friction and backlash
+    depend on how the arm came there. The second has rates from a few samples only, which a jump of the torque
+    nearby does not distort. The others are the alternatives that effects define.
 
     Parameters
     ----------
     index : int
-        Which record.
+        Number of the flight.
     theta : ndarray (f,)
         Free parameters.
     states : ndarray (w, states)
@@ -76,24 +76,29 @@ def alternative_states(problem: Problem, index: int, theta: Floats, states: Floa
     grid = problem.grid(index, False, theta)
     parameters = problem.parameters(theta, index)
     ends = problem.kernel.end(grid.inputs, states, parameters)
-    before, warm_start = states.copy(), states.copy()
-    warm_start[:, :_MECHANICAL] = _parabolas(record, np.array([first for first, _ in windows]), SHORT_FIT_S)
-    for number, (first, _) in enumerate(windows):
-        if number and sum(windows[number - 1]) == first and np.isfinite(ends[number - 1]).all():
-            before[number] = ends[number - 1]
-    places = {state.name: place for place, state in enumerate(problem.model.states)}
-    values = dict(zip((parameter.name for parameter in problem.model.parameters), parameters, strict=True))
-    shifted = []
+    end_of_previous, short_fit = states.copy(), states.copy()
+    for number in range(1, len(windows)):
+        previous_first, previous_count = windows[number - 1]
+        adjoins = previous_first + previous_count == windows[number][0]
+        if adjoins and np.isfinite(ends[number - 1]).all():
+            end_of_previous[number] = ends[number - 1]
+    first_rows = np.array([first for first, _ in windows])
+    short_fit[:, :_MECHANICAL] = _parabolas(record, first_rows, SHORT_FIT_S)
+    columns = {state.name: column for column, state in enumerate(problem.model.states)}
+    names = [parameter.name for parameter in problem.model.parameters]
+    values = dict(zip(names, parameters, strict=True))
+    of_effects = []
     for effect in problem.model.effects:
         for offsets in effect.alternative_starts(values):
-            other = states_at(problem, index, _beginnings(problem, index, theta), theta)
+            shifted = states_at(problem, index, _first_rows(problem, index, theta), theta)
             for name, offset in offsets.items():
-                other[:, places[name]] += offset
-            shifted.append(other)
-    return [before, warm_start, *shifted]
+                shifted[:, columns[name]] += offset
+            of_effects.append(shifted)
+    return [end_of_previous, short_fit, *of_effects]
 
 
-def _beginnings(problem: Problem, index: int, theta: Floats) -> Integers:
+def _first_rows(problem: Problem, index: int, theta: Floats) -> Integers:
+    """First row of each window of record `index`, shape (w,)."""
     grid = problem.grid(index, False, theta)
     return grid.rows[grid.inputs.first]
 
@@ -101,46 +106,51 @@ def _beginnings(problem: Problem, index: int, theta: Floats) -> Integers:
 def _after_run_in(problem: Problem, index: int, rows: Integers, states: Floats, theta: Floats) -> Floats:
     """States of effects after a free run that ends at each row, shape (w, states - 6).
 
-    Voltages count from before the free segment too: there the arm may stand on its table, but the rotors that
-    they drive are the same. Such a run starts with the angles of its end.
+    The run may begin before the free segment, because the voltages drive the rotors also while the arm lies
+    on its table. It then starts with the angles of its end.
     """
     record, parameters = problem.records[index], problem.parameters(theta, index)
     effect_states = np.zeros((len(rows), problem.state_count - _MECHANICAL))
-    begun = np.array([0, *(gap + 1 for gap in record.gaps)])
-    first = begun[np.searchsorted(begun, rows, side="right") - 1]
-    back = np.minimum(rows - first, round(SETTLED_S / record.step_s))
-    some = np.flatnonzero(back > 0)
-    if len(some):
-        begun_at = rows[some] - back[some]
-        windows = list(zip(begun_at.tolist(), back[some].tolist(), strict=True))
+    # A run ends at its row, and begins `SETTLED_S` before it, but not before a gap.
+    after_gaps = np.array([0, *(gap + 1 for gap in record.gaps)])
+    earliest = after_gaps[np.searchsorted(after_gaps, rows, side="right") - 1]
+    lengths = np.minimum(rows - earliest, round(SETTLED_S / record.step_s))
+    chosen = np.flatnonzero(lengths > 0)
+    if len(chosen):
+        run_starts = rows[chosen] - lengths[chosen]
+        windows = list(zip(run_starts.tolist(), lengths[chosen].tolist(), strict=True))
         grid = make_grid(record, windows, 1, delay=problem.input_shape(parameters)[0])
-        start = states[some].copy()
+        start = states[chosen].copy()
         start[:, _MECHANICAL:] = 0.0
-        free = begun_at >= _segments_of(record, rows[some])[:, 0]
-        start[free, :_MECHANICAL] = _parabolas(record, begun_at[free], STATE_FIT_S)
-        effect_states[some] = problem.kernel.end(grid.inputs, start, parameters)[:, _MECHANICAL:]
+        in_segment = run_starts >= _segments_of(record, rows[chosen])[:, 0]
+        start[in_segment, :_MECHANICAL] = _parabolas(record, run_starts[in_segment], STATE_FIT_S)
+        effect_states[chosen] = problem.kernel.end(grid.inputs, start, parameters)[:, _MECHANICAL:]
     return np.where(np.isfinite(effect_states), effect_states, 0.0)
 
 
 def _segments_of(record: Record, rows: Integers) -> Integers:
-    """First row, and last row plus one, of the free segments that `rows` lie in, shape (w, 2)."""
+    """First row, and last row plus one, of the free segments that contain the `rows`, shape (w, 2)."""
     segments = np.array(record.segments)
-    starts: Integers = segments[np.searchsorted(segments[:, 0], rows, side="right") - 1]
-    return starts
+    result: Integers = segments[np.searchsorted(segments[:, 0], rows, side="right") - 1]
+    return result
 
 
 def _parabolas(record: Record, rows: Integers, reach_s: float) -> Floats:
-    """Angles and rates at `rows`, from the samples around each in the same segment, shape (w, 6)."""
+    """Angles and rates at `rows`, shape (w, 6), of parabolas through the samples of the same segment within
+    `reach_s` of each row.
+    """
     reach = max(3, round(reach_s / record.step_s))
     segments = _segments_of(record, rows)
     low, high = np.maximum(segments[:, 0], rows - reach), np.minimum(segments[:, 1], rows + reach + 1)
     result = np.empty((len(rows), _MECHANICAL))
-    # All but the rows near a segment's edge see the same times.
-    shapes, which = np.unique(np.column_stack((low - rows, high - rows)), axis=0, return_inverse=True)
-    for number, (before, after) in enumerate(shapes):
-        here = np.flatnonzero(which.ravel() == number)
-        samples = record.angles_rad[rows[here, None] + np.arange(before, after)]
-        seen = samples.transpose(1, 0, 2).reshape(after - before, -1)
-        fit = np.polynomial.polynomial.polyfit(np.arange(before, after) * record.step_s, seen, 2)
-        result[here] = fit[:2].reshape(2, len(here), 3).transpose(1, 0, 2).reshape(len(here), -1)
+    # One least-squares problem for all rows with the same neighbours: only the edges of segments differ.
+    neighbours, group = np.unique(np.column_stack((low - rows, high - rows)), axis=0, return_inverse=True)
+    for number, (before, after) in enumerate(neighbours):
+        members = np.flatnonzero(group.ravel() == number)
+        samples = record.angles_rad[rows[members, None] + np.arange(before, after)]
+        # One column per row and axis.
+        angles = samples.transpose(1, 0, 2).reshape(after - before, -1)
+        fit = np.polynomial.polynomial.polyfit(np.arange(before, after) * record.step_s, angles, 2)
+        angles_and_rates = fit[:2].reshape(2, len(members), 3).transpose(1, 0, 2)
+        result[members] = angles_and_rates.reshape(len(members), -1)
     return result

@@ -39,7 +39,7 @@ class Evaluation:
 
 
 class Problem:
-    """A model with free parameters, and windows of flights that it is to predict.
+    """Estimation problem of multiple shooting: a model with free parameters, and windows of flights.
 
     Each window is simulated from its own initial state, with nothing but the voltages. Residuals are in units
     of the encoders' quantisation. Rig parameters have normal priors whose standard deviation is half their
@@ -47,6 +47,8 @@ class Problem:
 
     Parameters
     ----------
+    model : Model
+        Equations of motion with their effects.
     rig : Rig
         Values of everything fixed, and priors of everything free.
     flights : sequence of Flight or Record
@@ -57,18 +59,19 @@ class Problem:
     per_flight : sequence of str
         Free parameters that each flight has its own value of.
     window_s : float
-        Length of the windows, nearly.
+        Length that the windows approximate [s].
     step_s : float
-        Longest Runge-Kutta step, and distance of the samples compared, of the coarse grid.
+        Time between compared samples of the coarse grid, and longest Runge-Kutta step [s].
     priors : Mapping[str, Prior], optional
-        Instead of the rig's and the effects'.
+        Priors that replace those of the rig and of the effects.
     values : Mapping[str, float], optional
         Values of fixed parameters instead of the rig's and the effects'.
     state_std : Mapping[str, float], optional
-        Prior standard deviation of an effect's state at the beginning of a window about what a free run over
-        the flight before it gives, in the state's unit; else that of `thresholds.STATE_STD`.
+        Prior standard deviation of an effect's state at the beginning of a window, in the state's unit; by
+        default that of `thresholds.STATE_STD`. The prior mean is the end of a free run over the flight before
+        the window.
     threads : int, optional
-        Threads of the predictions; `default_thread_count` where not given. The result does not depend on it.
+        Threads of the predictions, by default `default_thread_count`. The result does not depend on it.
 
     Raises
     ------
@@ -121,7 +124,7 @@ class Problem:
         self.kernel = kernel(self.model, self._kernel_free, self.threads)
 
     def _with(self, grids: WindowGrids) -> Problem:
-        """Pose the same problem with this kernel and other grids."""
+        """Return the same problem with this kernel and other `grids`."""
         # copy.copy uses the pickled state, and would build the kernel again.
         other = Problem.__new__(Problem)
         other.__dict__.update(self.__dict__, grids=grids)
@@ -143,28 +146,28 @@ class Problem:
         return self.parameter_vector.columns
 
     def with_windows(self, window_s: float) -> Problem:
-        """Pose the same problem with windows of nearly `window_s`; it shares records, parameters and kernel
-        with this one.
+        """Return the same problem with windows of about `window_s` [s]; both share flights, parameters and
+        kernel.
         """
         return self._with(self.grids.copy(window_s=window_s))
 
     def with_free(self, free: Sequence[FreeParameter]) -> Problem:
-        """Pose a problem of other free parameters for predictions alone: its kernel has no derivatives by
-        them. Parameters that a flight has of its own come after those that all flights share.
+        """Return a problem with other `free` parameters, for predictions alone: its kernel has no derivatives
+        to them. Parameters of one flight come after those that all flights share.
         """
         other = self._with(self.grids.copy())
         other.parameter_vector = self.parameter_vector.with_free(free)
         return other
 
     def with_split_windows(self, parts: int) -> Problem:
-        """Pose the same problem with each window divided into `parts` of nearly equal length, each with its
+        """Return the same problem with each window divided into `parts` of about equal length, each with its
         own initial state: the same samples, predicted over a shorter horizon.
         """
         return self._with(self.grids.copy(parts=parts))
 
     def parameters(self, theta: Floats, index: int = 0) -> Floats:
-        """Complete the free parameters `theta`, shape (f,), to all those of the model, shape (p,), for record
-        `index`.
+        """All parameters of the model for flight `index`, shape (p,), from the free parameters `theta`, shape
+        (f,).
         """
         values = self.parameter_vector.parameters(theta, index)
         return self.model.values_in(self.records[index].label, values)
@@ -175,9 +178,9 @@ class Problem:
         Parameters
         ----------
         index : int
-            Which record.
+            Number of the flight.
         fine : bool
-            Every sample, or steps of about `step_s`.
+            True for every sample, False for samples about `step_s` apart.
         theta : ndarray (f,)
             Free parameters; a delay among them shifts the voltages.
         """
@@ -190,12 +193,12 @@ class Problem:
     def evaluation(
         self, index: int, theta: Floats, states: Floats, *, fine: bool = False, derivatives: bool = True
     ) -> Evaluation:
-        """Predict a record and compare: residuals, and what a Gauss-Newton step needs.
+        """Predict a flight: residuals, and the products of their derivatives for a Gauss-Newton step.
 
         Parameters
         ----------
         index : int
-            Which record.
+            Number of the flight.
         theta : ndarray (f,)
             Free parameters.
         states : ndarray (w, states)

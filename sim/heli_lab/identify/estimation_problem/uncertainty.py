@@ -21,12 +21,11 @@ def quantisation_scatter(
     weights: Sequence[Floats],
     covariance: Floats,
 ) -> Floats:
-    """Standard deviation, shape (f,), of each estimate under quantisation and priors, by dithering the
-    counts.
+    """Standard deviation of each estimate due to quantisation and priors, shape (f,), by dither.
 
-    Quantisation errors are no white noise: while an axis hovers, the same count stays for seconds, and its
-    error is the same in every window. So the predicted angles are quantised again with the counts shifted by
-    random phases, and the estimates' scatter under these errors is computed to first order.
+    Quantisation errors are not white noise: while an axis hovers, the same count stays for seconds, and its
+    error is the same in every window. Therefore the predicted angles are quantised again with the counts
+    shifted by random phases, and the estimates' scatter under these errors is computed to first order.
 
     Parameters
     ----------
@@ -41,7 +40,7 @@ def quantisation_scatter(
     """
     random = np.random.default_rng(0)
     scores = np.zeros((DITHER_PHASES, len(theta)))
-    nx = problem.state_count
+    state_count = problem.state_count
     for index, record in enumerate(problem.records):
         grid = problem.grid(index, True, theta)
         parameters = problem.parameters(theta, index)
@@ -55,19 +54,21 @@ def quantisation_scatter(
             scale = np.sqrt(weights[index][window] / variance[index])[:, None]
             rows = jacobian[part] / record.sigma_rad[:, None] * scale
             # Not a product of matrices: threads of the linear algebra cost more here than they save.
-            normal = np.einsum("tai,taj->ij", rows[:, :, :nx], rows)
-            pulls = np.einsum("pta,tai->pi", errors * scale[:, 0], rows)
-            follow = np.linalg.pinv(normal[:, :nx], hermitian=True) @ normal[:, nx:]
-            scores[:, problem.columns[index]] += pulls[:, nx:] - pulls[:, :nx] @ follow
-    prior = np.diag(1.0 / problem.parameter_vector.std**2)
-    scatter = covariance @ (scores.T @ scores / DITHER_PHASES + prior) @ covariance
+            normal = np.einsum("tai,taj->ij", rows[:, :, :state_count], rows)
+            gradient = np.einsum("pta,tai->pi", errors * scale[:, 0], rows)
+            # The initial state of the window is eliminated.
+            response = np.linalg.pinv(normal[:, :state_count], hermitian=True) @ normal[:, state_count:]
+            score = gradient[:, state_count:] - gradient[:, :state_count] @ response
+            scores[:, problem.columns[index]] += score
+    prior_information = np.diag(1.0 / problem.parameter_vector.std**2)
+    scatter = covariance @ (scores.T @ scores / DITHER_PHASES + prior_information) @ covariance
     result: Floats = np.sqrt(np.diag(scatter))
     return result
 
 
 def timing_variance(problem: Problem) -> Floats:
-    """Variance, shape (f,), of estimated times, because a log does not state when within a tick the voltages
-    began. For parameters of effects in s it is the variance of a moment uniform over a tick; for others 0.
+    """Variance to add to estimated times, shape (f,) [s^2]: a log does not state when within a tick the
+    voltages began. For effect parameters in s it is that of a uniform distribution over a tick; otherwise 0.
 
     A row holds the voltage of its tick, not the moment within the tick at which the motors got it. Simulators
     differ in this by half a tick, as do explicit and exact steps of a lag, and a fit finds the time to a
@@ -75,8 +76,8 @@ def timing_variance(problem: Problem) -> Floats:
     """
     effect_names = {name for effect in problem.model.effects for name in effect.priors}
     tick_s = max(record.step_s for record in problem.records)
-    late = [parameter.unit == "s" and parameter.quantity in effect_names for parameter in problem.free]
-    result: Floats = np.where(late, tick_s**2 / 12.0, 0.0)
+    is_time = [parameter.unit == "s" and parameter.quantity in effect_names for parameter in problem.free]
+    result: Floats = np.where(is_time, tick_s**2 / 12.0, 0.0)
     return result
 
 

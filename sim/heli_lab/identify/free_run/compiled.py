@@ -218,7 +218,7 @@ def _chain(functions: Functions, function: ca.Function) -> str:
         lines.append(f"  for (int z = 0; z < NP; ++z) out[{row}][z] = {' + '.join(terms) or '0.0'};")
     for k, (i, j) in enumerate(_nonzeros(function.sparsity_out(2))):
         lines.append(f"  out[{i}][{functions.state_count + j}] += fp[{k}];")
-    for which, name in enumerate(functions.shaping):
+    for which, name in enumerate(functions.voltage_parameters):
         column = functions.state_count + functions.free.index(name)
         for k, (i, j) in enumerate(_nonzeros(function.sparsity_out(3))):
             lines.append(f"  out[{i}][{column}] += fu[{k}] * du[{which}][{j}];")
@@ -238,7 +238,7 @@ def driver(functions: Functions) -> str:
     sized = {
         "nx": functions.state_count,
         "nz": functions.state_count + len(functions.free_index),
-        "ns": max(1, len(functions.shaping)),
+        "ns": max(1, len(functions.voltage_parameters)),
         "identity": functions.identity,
         "chain": _chain(functions, functions.reset_map_jacobian),
         "arg": max(4, *sizes[0]),
@@ -273,7 +273,7 @@ class CompiledKernel(Kernel):
     def __init__(self, functions: Functions, library: str, threads: int = 1) -> None:
         self._threads = threads
         self._sizes = functions.state_count, functions.state_count + len(functions.free_index)
-        self._shaping = functions.shaping
+        self._voltage_parameters = functions.voltage_parameters
         try:
             self._windows: Callable[..., None] = ctypes.CDLL(library).heli_windows
         except (OSError, AttributeError) as error:
@@ -309,6 +309,22 @@ class CompiledKernel(Kernel):
         jacobian: Floats | None,
         products: tuple[Floats, Floats, Floats] | None,
     ) -> tuple[Floats, Floats]:
+        """Run every window in C, and fill the arrays that are given.
+
+        Parameters
+        ----------
+        jacobian : ndarray (n, 3, states + f) or None
+            Filled with the derivatives of the angles.
+        products : (ndarray (n, 3), ndarray (3,), ndarray (w, 3, states + f + 1, states + f + 1)) or None
+            Measured angles, unit of the residuals, and the normal matrices, which are filled.
+
+        Returns
+        -------
+        angles_rad : ndarray (n, 3)
+            Measured angles at the beginning of each step.
+        end : ndarray (w, states)
+            States at the end of each window.
+        """
         states = self._sizes[0]
         windows = len(inputs.steps)
         angles = np.empty((inputs.rows, 3))
@@ -317,17 +333,14 @@ class CompiledKernel(Kernel):
         if measured is not None and sigma is not None:
             measured, sigma = np.ascontiguousarray(measured, float), np.ascontiguousarray(sigma, float)
         mean, change = np.ascontiguousarray(inputs.mean_V), np.ascontiguousarray(inputs.change_V)
-        given = {name: arrays for name, *arrays in inputs.shaped_by}
-        kept = [[np.ascontiguousarray(a) for a in given.get(name, ())] for name in self._shaping]
-        mean_by, change_by = (
-            (ctypes.c_void_p * max(1, len(kept)))(*(pair[i].ctypes.data if pair else None for pair in kept))
-            for i in (0, 1)
-        )
+        of_mean = {name: np.ascontiguousarray(array) for name, array, _ in inputs.voltage_derivatives}
+        of_change = {name: np.ascontiguousarray(array) for name, _, array in inputs.voltage_derivatives}
+        mean_by, change_by = self._pointers(of_mean), self._pointers(of_change)
         x0, p = np.ascontiguousarray(start, float), np.ascontiguousarray(parameters, float)
         first, steps = inputs.first, np.ascontiguousarray(inputs.steps, np.int64)
         start_s = np.ascontiguousarray(inputs.start_s, float)
 
-        def part(low: int, high: int) -> None:
+        def run_windows(low: int, high: int) -> None:
             self._windows(
                 ctypes.c_longlong(high - low),
                 *(ctypes.c_void_p(array[low:].ctypes.data) for array in (first, steps, start_s)),
@@ -349,10 +362,18 @@ class CompiledKernel(Kernel):
 
         # The call releases Python's lock.
         if self._threads == 1 or windows < 2 or inputs.rows < _WORTH_THREADS_ROWS:
-            part(0, windows)
+            run_windows(0, windows)
             return angles, end
-        shares = inputs.rows * np.arange(1, self._threads) / self._threads
-        inner = np.minimum(np.searchsorted(np.cumsum(steps), shares) + 1, windows)
+        # Each thread gets consecutive windows with about the same number of steps.
+        steps_before = inputs.rows * np.arange(1, self._threads) / self._threads
+        inner = np.minimum(np.searchsorted(np.cumsum(steps), steps_before) + 1, windows)
         edges = [0, *(int(edge) for edge in np.unique(inner) if edge < windows), windows]
-        parallel_map(lambda ends: part(*ends), list(itertools.pairwise(edges)), self._threads)
+        parallel_map(lambda ends: run_windows(*ends), list(itertools.pairwise(edges)), self._threads)
         return angles, end
+
+    def _pointers(self, arrays: dict[str, Floats]) -> ctypes.Array[ctypes.c_void_p]:
+        """Addresses of `arrays`, in the order of the voltage parameters; null for a parameter without one."""
+        addresses = [
+            arrays[name].ctypes.data if name in arrays else None for name in self._voltage_parameters
+        ]
+        return (ctypes.c_void_p * max(1, len(addresses)))(*addresses)

@@ -32,8 +32,9 @@ class Inputs:
         Change of the voltages from the beginning to the end of each step.
     substeps : int
         Runge-Kutta steps in each step.
-    shaped_by : tuple of (str, ndarray (n, 2), ndarray (n, 2))
-        Free parameters that shape the voltages, each with the derivatives of mean and change to it.
+    voltage_derivatives : tuple of (str, ndarray (n, 2), ndarray (n, 2))
+        Parameters that change the voltages before they act, such as a delay: name, derivative of `mean_V`
+        and derivative of `change_V` to the parameter.
     """
 
     steps: Integers
@@ -42,7 +43,7 @@ class Inputs:
     mean_V: Floats
     change_V: Floats
     substeps: int = 1
-    shaped_by: tuple[tuple[str, Floats, Floats], ...] = ()
+    voltage_derivatives: tuple[tuple[str, Floats, Floats], ...] = ()
 
     @property
     def first(self) -> Integers:
@@ -63,9 +64,8 @@ class Functions:
         self.state_count = len(model.states)
         self.free_index = [names.index(name) for name in free]
         self.free = free
-        shaping = (model.delay, "dead_zone")
-        self.shaping = tuple(name for name in shaping if name in free)
-        """Free parameters that may shape the voltages, see `Inputs.shaped_by`."""
+        self.voltage_parameters = tuple(name for name in (model.delay, "dead_zone") if name in free)
+        """Free parameters to which the voltages may have derivatives, see `Inputs.voltage_derivatives`."""
         x, u = ca.SX.sym("x", self.state_count), ca.SX.sym("u", 2)
         t, p = ca.SX.sym("t"), ca.SX.sym("p", len(names))
         rates = ca.densify(model.dynamics(x, u, p, t))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -13,6 +13,43 @@ from typing_extensions import override
 from heli_lab.estimation.trajectory_functions import AlongTrajectory, Trajectory
 from heli_lab.identify.free_run.functions import Functions, Inputs
 from heli_lab.identify.free_run.interface import Kernel
+
+
+@dataclass(frozen=True)
+class _States:
+    """States of some windows at one instant, with their sensitivities.
+
+    Parameters
+    ----------
+    value : ndarray (w, states)
+        States.
+    sensitivity : ndarray (w, states, states + f)
+        Derivatives of the states to the window's initial state and to the free parameters. The last axis has
+        length 0 if no derivatives are computed.
+    """
+
+    value: Floats
+    sensitivity: Floats
+
+    def moved(self, rate: _States, time_s: float) -> _States:
+        """Move the states for `time_s` with a constant `rate`, both with their sensitivities."""
+        return _States(self.value + time_s * rate.value, self.sensitivity + time_s * rate.sensitivity)
+
+
+@dataclass(frozen=True)
+class _Voltages:
+    """Voltages at one instant.
+
+    Parameters
+    ----------
+    value_V : ndarray (w, 2)
+        Front and back voltage of each window.
+    derivatives : dict of ndarray (w, 2)
+        Their derivatives to the free parameters that shape them, by the parameter's name.
+    """
+
+    value_V: Floats
+    derivatives: dict[str, Floats]
 
 
 class InterpretedKernel(Kernel):
@@ -36,15 +73,14 @@ class InterpretedKernel(Kernel):
     def run(
         self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool = True
     ) -> tuple[Floats, Floats | None]:
-        angles, jacobian, _ = self._loop(inputs, start, parameters, derivatives)
-        return angles, jacobian
+        angles, jacobian, _ = self._simulate(inputs, start, parameters, derivatives)
+        return angles, jacobian if derivatives else None
 
     @override
     def products(
         self, inputs: Inputs, start: Floats, parameters: Floats, measured_rad: Floats, sigma_rad: Floats
     ) -> tuple[Floats, Floats]:
-        angles, jacobian, _ = self._loop(inputs, start, parameters, True)
-        assert jacobian is not None
+        angles, jacobian, _ = self._simulate(inputs, start, parameters, derivatives=True)
         columns = np.concatenate((jacobian, (measured_rad - angles)[:, :, None]), axis=2)
         columns /= sigma_rad[:, None]
         edges = np.append(inputs.first, inputs.rows)
@@ -53,71 +89,127 @@ class InterpretedKernel(Kernel):
 
     @override
     def end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
-        return self._loop(inputs, start, parameters, False)[2]
+        return self._simulate(inputs, start, parameters, derivatives=False)[2]
 
-    def _loop(
+    def _simulate(
         self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool
-    ) -> tuple[Floats, Floats | None, Floats]:
-        nx = self._functions.state_count
-        nz = nx + len(self._functions.free_index)
-        windows = len(inputs.steps)
+    ) -> tuple[Floats, Floats, Floats]:
+        """Simulate all windows step by step.
+
+        Returns
+        -------
+        angles_rad : ndarray (n, 3)
+            Measured angles at the beginning of each step.
+        jacobian : ndarray (n, 3, states + f)
+            Their derivatives to initial state and free parameters; the last axis is empty without
+            `derivatives`.
+        end : ndarray (w, states)
+            States at the end of each window.
+        """
+        state_count = self._functions.state_count
+        column_count = state_count + len(self._functions.free_index) if derivatives else 0
         angles = np.empty((inputs.rows, 3))
-        jacobian = np.empty((inputs.rows, 3, nz)) if derivatives else None
-        x = np.array(start, float)
-        s = np.zeros((windows, nx, nz if derivatives else 0))
+        jacobian = np.empty((inputs.rows, 3, column_count))
+        value = np.array(start, float)
+        sensitivity = np.zeros((len(inputs.steps), state_count, column_count))
         if derivatives:
-            s[:, range(nx), range(nx)] = 1.0
-        share = 1.0 / inputs.substeps
-        h = inputs.step_s * share
-        for k in range(int(inputs.steps.max())):
-            here = np.flatnonzero(inputs.steps > k)
-            rows = inputs.first[here] + k
-            time_s = inputs.start_s[here] + k * inputs.step_s
+            sensitivity[:, range(state_count), range(state_count)] = 1.0
+        for step in range(int(inputs.steps.max())):
+            # Shorter windows have ended.
+            running = np.flatnonzero(inputs.steps > step)
+            rows = inputs.first[running] + step
+            states = _States(value[running], sensitivity[running])
+            instants = _Step(self, inputs, rows, inputs.start_s[running] + step * inputs.step_s, parameters)
+            measured = instants.evaluate("angles", 0.0, states)
+            angles[rows], jacobian[rows] = measured.value, measured.sensitivity
+            states = instants.advance(states)
+            value[running], sensitivity[running] = states.value, states.sensitivity
+        return angles, jacobian, value
 
-            def evaluate(
-                which: str, c: float, y: Floats, ys: Floats, rows: Integers = rows, time_s: Floats = time_s
-            ) -> tuple[Floats, Floats]:
-                u = inputs.mean_V[rows] + (c - 0.5) * inputs.change_V[rows]
-                du = {
-                    name: mean_by[rows] + (c - 0.5) * change_by[rows]
-                    for name, mean_by, change_by in inputs.shaped_by
-                }
-                return self._evaluate(
-                    which, Trajectory(time_s + c * inputs.step_s, y, u, 0.0, parameters), ys, du
-                )
+    @property
+    def has_reset(self) -> bool:
+        """Whether the model's states jump at the end of a Runge-Kutta step."""
+        return self._functions.has_reset
 
-            angles[rows], evaluation = evaluate("angles", 0.0, x[here], s[here])
-            if jacobian is not None:
-                jacobian[rows] = evaluation
-            for m in range(inputs.substeps):
-                y, ys = x[here], s[here]
-                k1, s1 = evaluate("rates", m * share, y, ys)
-                k2, s2 = evaluate("rates", (m + 0.5) * share, y + h / 2 * k1, ys + h / 2 * s1)
-                k3, s3 = evaluate("rates", (m + 0.5) * share, y + h / 2 * k2, ys + h / 2 * s2)
-                k4, s4 = evaluate("rates", (m + 1) * share, y + h * k3, ys + h * s3)
-                x[here] += h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-                s[here] += h / 6 * (s1 + 2 * s2 + 2 * s3 + s4)
-                if self._functions.has_reset:
-                    x[here], s[here] = evaluate("reset_map", (m + 1) * share, x[here], s[here])
-        return angles, jacobian, x
+    def evaluate(self, name: str, at: Trajectory, states: _States, voltages: _Voltages) -> _States:
+        """Evaluate one of the model's functions, and its sensitivities by the chain rule.
 
-    def _evaluate(
-        self,
-        which: str,
-        at: Trajectory,
-        s: Floats,
-        du: Mapping[str, Floats],
-    ) -> tuple[Floats, Floats]:
-        """Value (w, rows) and its derivatives through the chain (w, rows, columns)."""
-        if s.shape[2] == 0:
-            (value,) = self._program(which)(at)
-            return value[:, :, 0], np.zeros((*value.shape[:2], 0))
-        nx = at.state.shape[1]
-        value, fx, fp, fu = self._program(f"{which}_jacobian")(at)
-        chained: Floats = fx @ s
-        chained[:, :, nx:] += fp
-        for name in self._functions.shaping:
-            if name in du:
-                column = nx + self._functions.free.index(name)
-                chained[:, :, column] += np.einsum("wij,wj->wi", fu, du[name])
-        return value[:, :, 0], chained
+        Parameters
+        ----------
+        name : str
+            ``rates``, ``angles`` or ``reset_map``.
+        at : Trajectory
+            Time, states, voltages and parameters, one row per window.
+        states : _States
+            The same states with their sensitivities.
+        voltages : _Voltages
+            The same voltages with their derivatives.
+        """
+        if states.sensitivity.shape[2] == 0:
+            (result,) = self._program(name)(at)
+            return _States(result[:, :, 0], np.zeros((*result.shape[:2], 0)))
+        result, by_state, by_free, by_voltage = self._program(f"{name}_jacobian")(at)
+        state_count = states.value.shape[1]
+        sensitivity: Floats = by_state @ states.sensitivity
+        sensitivity[:, :, state_count:] += by_free
+        for parameter, derivative in voltages.derivatives.items():
+            column = state_count + self._functions.free.index(parameter)
+            sensitivity[:, :, column] += np.einsum("wij,wj->wi", by_voltage, derivative)
+        return _States(result[:, :, 0], sensitivity)
+
+    def voltages(self, inputs: Inputs, rows: Integers, share: float) -> _Voltages:
+        """Voltages in the steps `rows`, at a `share`, 0 to 1, of the step; each is linear within a step."""
+        from_middle = share - 0.5
+        derivatives = {
+            name: mean[rows] + from_middle * change[rows]
+            for name, mean, change in inputs.voltage_derivatives
+            if name in self._functions.voltage_parameters
+        }
+        return _Voltages(inputs.mean_V[rows] + from_middle * inputs.change_V[rows], derivatives)
+
+
+@dataclass(frozen=True)
+class _Step:
+    """One step of the windows that still run.
+
+    Parameters
+    ----------
+    rows : ndarray of int64 (w,)
+        Row of this step in `inputs`, for each window.
+    start_s : ndarray (w,)
+        Time at the beginning of the step since the flight's first sample.
+    parameters : ndarray (p,)
+        All parameters of the model.
+    """
+
+    kernel: InterpretedKernel
+    inputs: Inputs
+    rows: Integers
+    start_s: Floats
+    parameters: Floats
+
+    def evaluate(self, name: str, share: float, states: _States) -> _States:
+        """Evaluate a function of the model by `name`, at a `share`, 0 to 1, of the step."""
+        voltages = self.kernel.voltages(self.inputs, self.rows, share)
+        t_s = self.start_s + share * self.inputs.step_s
+        at = Trajectory(t_s, states.value, voltages.value_V, 0.0, self.parameters)
+        return self.kernel.evaluate(name, at, states, voltages)
+
+    def advance(self, states: _States) -> _States:
+        """Integrate the states to the end of the step, by Runge-Kutta steps of fourth order."""
+        share = 1.0 / self.inputs.substeps
+        h = self.inputs.step_s * share
+        for substep in range(self.inputs.substeps):
+            begin, middle, end = substep * share, (substep + 0.5) * share, (substep + 1) * share
+            k1 = self.evaluate("rates", begin, states)
+            k2 = self.evaluate("rates", middle, states.moved(k1, h / 2))
+            k3 = self.evaluate("rates", middle, states.moved(k2, h / 2))
+            k4 = self.evaluate("rates", end, states.moved(k3, h))
+            rate_sum = _States(
+                k1.value + 2 * k2.value + 2 * k3.value + k4.value,
+                k1.sensitivity + 2 * k2.sensitivity + 2 * k3.sensitivity + k4.sensitivity,
+            )
+            states = states.moved(rate_sum, h / 6)
+            if self.kernel.has_reset:
+                states = self.evaluate("reset_map", end, states)
+        return states

@@ -13,7 +13,7 @@ from heli_lab.identify.html_report.figures import (
     figure_of_parameters,
     identification_figure,
 )
-from heli_lab.identify.results import Check, Identification, rounded
+from heli_lab.identify.results import FreeRunErrors, Identification, rounded
 from heli_lab.identify.thresholds import QUANTISATION_ONLY
 from heli_lab.page import folder_with, write_page
 from heli_lab.page.drawing import Drawing
@@ -45,14 +45,14 @@ def write_identification_report(
         Path(__file__).with_name("report.html"),
         title=f"Identification of {problem.rig.name}: the {problem.model.name} model",
         verdict=verdict(identification),
-        errors=_errors(identification),
+        errors=_free_run_table(identification),
         flights=flights,
-        parameters=_parameters(identification),
+        parameters=_parameter_table(identification),
         parameters_figure=drawing.add(figure_of_parameters(identification), folder / "parameters.png"),
         combinations=[_combination(combination) for combination in identification.combinations],
         pairs=[[a, b, f"{value:.3f}"] for a, b, value in identification.strong_correlations],
         correlations_figure=drawing.add(figure_of_correlations(identification), folder / "correlations.png"),
-        used=_used(identification),
+        used=_used_flights(identification),
         ended=f"The fit {end} in {fit.seconds:.1f} s and {fit.evaluations} evaluations.",
     )
 
@@ -76,27 +76,30 @@ def verdict(identification: Identification) -> str:
     return f"{first} Free-run error over {window_s:g} s, rms in degrees: {errors}."
 
 
-def _errors(identification: Identification) -> dict[str, Any]:
-    rows = [
-        [check.label, role, *_axis_cells(check), f"{check.normalised:.3f}"]
-        for role, checks in (("train", identification.training), ("validation", identification.validation))
-        for check in checks
-    ]
-    return {"heads": ["flight", "used for", *(f"{axis} [deg]" for axis in AXES), "normalised"], "rows": rows}
+def _free_run_table(identification: Identification) -> dict[str, Any]:
+    """Table of the free-run errors, one row per flight: heads and rows."""
+    heads = ["flight", "used for", *(f"{axis} [deg]" for axis in AXES), "normalised"]
+    rows = [_free_run_row(errors, "train") for errors in identification.training]
+    rows += [_free_run_row(errors, "validation") for errors in identification.validation]
+    return {"heads": heads, "rows": rows}
 
 
-def _axis_cells(check: Check) -> list[str]:
-    return [f"{check.rms_deg[axis]:.3g}{'' if check.white[axis] else '*'}" for axis in AXES]
+def _free_run_row(errors: FreeRunErrors, role: str) -> list[str]:
+    """Row of the table: an asterisk marks an axis whose errors are not white."""
+    axes = [f"{errors.rms_deg[axis]:.3g}{'' if errors.white[axis] else '*'}" for axis in AXES]
+    return [errors.label, role, *axes, f"{errors.normalised:.3f}"]
 
 
-def _parameters(identification: Identification) -> dict[str, Any]:
+def _parameter_table(identification: Identification) -> dict[str, Any]:
+    """Table of the estimates, one row per free parameter: heads and rows."""
     fit, problem = identification.fit, identification.fit.problem
     rows = []
     for parameter, value, std in zip(problem.free, fit.theta, fit.std.values(), strict=True):
         remark = identification.remark(parameter.name)
         prior = f"{parameter.prior.mean:g} ± {parameter.prior.std:g}"
-        text = f"{rounded(value, std)} ± {rounded(std, std)}"
-        rows.append([parameter.name, text, parameter.unit, prior, f"{std / parameter.prior.std:.2g}", remark])
+        estimate = f"{rounded(value, std)} ± {rounded(std, std)}"
+        share = f"{std / parameter.prior.std:.2g}"
+        rows.append([parameter.name, estimate, parameter.unit, prior, share, remark])
     heads = [
         "parameter",
         "estimate ± 1 standard error",
@@ -112,18 +115,22 @@ def _combination(combination: Combination) -> str:
     return ", ".join(f"{name} {change:+.2g}" for name, change in combination.change.items())
 
 
-def _used(identification: Identification) -> list[dict[str, Any]]:
+def _used_flights(identification: Identification) -> list[dict[str, Any]]:
+    """For each fitted flight: a sentence on what was used, the parts left out, and the number of outlying
+    windows.
+    """
+    fit = identification.fit
     used = []
-    for index, (record, check) in enumerate(
-        zip(identification.fit.problem.records, identification.training, strict=True)
+    for record, errors, weights in zip(
+        fit.problem.records, identification.training, fit.weights, strict=True
     ):
         notes = "".join(f" {note}." for note in record.notes)
         used.append(
             {
-                "said": f"{record.label}: {check.seconds_used:.1f} s of free flight in windows of "
-                f"{check.window_s:.2f} s.{notes}",
+                "sentence": f"{record.label}: {errors.seconds_used:.1f} s of free flight in windows of "
+                f"{errors.window_s:.2f} s.{notes}",
                 "left_out": [[f"{cut.start_s:.2f}", f"{cut.stop_s:.2f}", cut.why] for cut in record.cuts],
-                "lowered": sum(1 for weight in identification.fit.weights[index] if weight < 1.0),
+                "outlier_count": sum(1 for weight in weights if weight < 1.0),
             }
         )
     return used

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from heli_lab.identify.results.check import Check, Trace, check, trace, validate
+from heli_lab.identify.results.check import FreeRunErrors, Trace, check, trace, validate
 from heli_lab.identify.results.explained import refuse_unexplained
 from heli_lab.identify.results.identification import Identification, rounded, short_names
 
 __all__ = [
-    "Check",
+    "FreeRunErrors",
     "Identification",
     "Trace",
     "check",

@@ -19,7 +19,7 @@ from heli_lab.identify.thresholds import WHITE_LAG_S
 
 
 @dataclass(frozen=True)
-class Check:
+class FreeRunErrors:
     """Free-run errors of a fit on one flight.
 
     Parameters
@@ -31,15 +31,15 @@ class Check:
     normalised : float
         Root mean square of all errors, in standard deviations of the quantisation.
     axis_normalised : dict of float
-        The same for each axis.
+        The same for each axis, by its name.
     rms_deg : dict of float
-        Root mean square error of each axis, degrees.
+        Root mean square error of each axis [deg].
     correlation : dict of float
-        Autocorrelation of each axis' error over 0.1 s.
+        Autocorrelation of each axis' error at a lag of 0.1 s.
     white : dict of bool
-        Whether that is within three standard deviations of a white error's.
+        Whether the correlation is within three standard errors of that of white noise.
     seconds_used : float
-        Free flight in the windows.
+        Free flight in all windows [s].
     """
 
     label: str
@@ -54,7 +54,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Trace:
-    """Measured and predicted angles of a flight, window by window.
+    """Measured and predicted angles of one flight; each window is predicted from its own initial state.
 
     Parameters
     ----------
@@ -82,70 +82,83 @@ class Trace:
 
 
 def trace(fit: Fit, index: int = 0) -> Trace:
-    """Predict flight `index` of a fit at every sample, and return the prediction with the measurement."""
+    """Predict flight number `index` of a fit at every sample, window by window."""
     evaluation = fit.problem.evaluation(index, fit.theta, fit.states[index], fine=True, derivatives=False)
     grid = fit.problem.grid(index, True, fit.theta)
     record = grid.record
     measured = grid.measured_rad
     return Trace(
-        record.label,
-        record.t_s[grid.rows],
-        measured,
-        measured - evaluation.residual * record.sigma_rad,
-        evaluation.residual,
-        tuple(grid.slices),
-        record.sigma_rad,
+        label=record.label,
+        t_s=record.t_s[grid.rows],
+        measured_rad=measured,
+        predicted_rad=measured - evaluation.residual * record.sigma_rad,
+        residual=evaluation.residual,
+        windows=tuple(grid.slices),
+        sigma_rad=record.sigma_rad,
     )
 
 
-def check(fit: Fit, index: int = 0) -> Check:
-    """Measure the free-run errors on flight `index` of a fit."""
-    seen = trace(fit, index)
+def check(fit: Fit, index: int = 0) -> FreeRunErrors:
+    """Free-run errors of a fit on its flight number `index`: their size, and whether they are white."""
+    flight = trace(fit, index)
     step_s = fit.problem.records[index].step_s
-    correlation, bound = correlation_at(seen.residual, seen.windows, max(1, round(WHITE_LAG_S / step_s)))
-    rms = np.sqrt(np.mean(seen.residual**2, axis=0))
-    return Check(
-        seen.label,
-        len(seen.t_s) * step_s / len(seen.windows),
-        normalised(seen.residual),
-        _by_axis(rms),
-        _by_axis(np.rad2deg(rms * seen.sigma_rad)),
-        _by_axis(correlation),
-        {axis: bool(abs(value) < bound) for axis, value in zip(AXES, correlation, strict=True)},
-        len(seen.t_s) * step_s,
+    lag_rows = max(1, round(WHITE_LAG_S / step_s))
+    correlation, bound = correlation_at(flight.residual, flight.windows, lag_rows)
+    rms = np.sqrt(np.mean(flight.residual**2, axis=0))
+    used_s = len(flight.t_s) * step_s
+    return FreeRunErrors(
+        label=flight.label,
+        window_s=used_s / len(flight.windows),
+        normalised=normalised(flight.residual),
+        axis_normalised=_by_axis(rms),
+        rms_deg=_by_axis(np.rad2deg(rms * flight.sigma_rad)),
+        correlation=_by_axis(correlation),
+        white={axis: bool(abs(value) < bound) for axis, value in zip(AXES, correlation, strict=True)},
+        seconds_used=used_s,
     )
 
 
 def validate(fit: Fit, flights: Sequence[Flight | Record]) -> Fit:
-    """Predict flights that a fit has not seen; the result is a fit of the same parameters
-    on these flights, for `check` and `trace`. Its standard errors of the zeros leave the effect of
-    quantisation out.
+    """Apply a fit to held-out flights: its shared parameters stay fixed, only what differs from flight to
+    flight is estimated.
 
-    Only what differs from flight to flight is estimated from them: the windows' initial states, and the
-    encoders' zeros, which are set each time the board starts.
+    That is the initial states of the windows, and the encoders' zeros, which are set each time the board
+    starts.
+
+    Parameters
+    ----------
+    fit : Fit
+        Estimates from other flights.
+    flights : sequence of Flight or Record
+        The held-out flights.
+
+    Returns
+    -------
+    Fit
+        The held-out flights with these parameters, for `check` and `trace`. The standard errors of the zeros
+        do not include the effect of quantisation.
     """
-    problem = fit.problem
-    shared = problem.parameter_vector.shared_by_name(fit.theta)
-    local = {
+    problem, vector = fit.problem, fit.problem.parameter_vector
+    per_flight_priors = {
         parameter.quantity: parameter.prior for parameter in problem.free if parameter.record is not None
     }
+    names = [quantity.name for quantity in problem.model.parameters]
+    fixed_values = dict(zip(names, vector.values, strict=True)) | vector.shared_by_name(fit.theta)
     held_out = Problem(
         problem.model,
         problem.rig,
         flights,
-        free=tuple(local),
-        per_flight=tuple(local) or PER_FLIGHT,
+        free=tuple(per_flight_priors),
+        per_flight=tuple(per_flight_priors) or PER_FLIGHT,
         window_s=problem.grids.window_s,
         step_s=problem.grids.step_s,
-        priors=local,
-        values=dict(
-            zip((q.name for q in problem.model.parameters), problem.parameter_vector.values, strict=True)
-        )
-        | shared,
+        priors=per_flight_priors,
+        values=fixed_values,
         state_std=problem.state_std_by_name,
     )
     return solve(held_out, robust=False, scatter=False)
 
 
 def _by_axis(values: Floats) -> dict[str, float]:
+    """The `values`, shape (3,), by the names of the axes."""
     return {axis: float(value) for axis, value in zip(AXES, values, strict=True)}

@@ -15,8 +15,8 @@ from heli_lab.identify.results.check import Trace
 from heli_lab.identify.thresholds import MIN_MOTION, UNEXPLAINED
 
 
-def unexplained_shares(seen: Trace) -> tuple[Floats, Floats]:
-    """Compare motion and free run without their parabolas.
+def unexplained_shares(flight: Trace) -> tuple[Floats, Floats]:
+    """Share of a flight's motion that its free run does not explain, and the size of the motion.
 
     Returns
     -------
@@ -26,24 +26,25 @@ def unexplained_shares(seen: Trace) -> tuple[Floats, Floats]:
     ndarray (3,)
         The motion itself, rms, in standard deviations of the quantisation.
     """
-    both, measured, predicted = (np.zeros(len(AXES)) for _ in range(3))
-    for window in seen.windows:
+    # Sums of products over all windows, without the parabolas.
+    cross, measured, predicted = (np.zeros(len(AXES)) for _ in range(3))
+    for window in flight.windows:
         t = np.linspace(-1.0, 1.0, window.stop - window.start)
         parabolas, _ = np.linalg.qr(np.column_stack((np.ones_like(t), t, t**2)))
         residuals = [
             angles[window] - parabolas @ (parabolas.T @ angles[window])
-            for angles in (seen.measured_rad, seen.predicted_rad)
+            for angles in (flight.measured_rad, flight.predicted_rad)
         ]
-        both += np.sum(residuals[0] * residuals[1], axis=0)
+        cross += np.sum(residuals[0] * residuals[1], axis=0)
         measured += np.sum(residuals[0] ** 2, axis=0)
         predicted += np.sum(residuals[1] ** 2, axis=0)
-    alike = both / np.sqrt(np.maximum(measured * predicted, np.finfo(float).tiny))
-    # A free run that diverged to nan is like nothing.
-    alike = np.clip(np.nan_to_num(alike), 0.0, 1.0)
-    return np.sqrt(1.0 - alike**2), np.sqrt(measured / len(seen.t_s)) / seen.sigma_rad
+    correlation = cross / np.sqrt(np.maximum(measured * predicted, np.finfo(float).tiny))
+    # A free run that diverged to nan explains nothing.
+    correlation = np.clip(np.nan_to_num(correlation), 0.0, 1.0)
+    return np.sqrt(1.0 - correlation**2), np.sqrt(measured / len(flight.t_s)) / flight.sigma_rad
 
 
-def refuse_unexplained(seen: Trace) -> None:
+def refuse_unexplained(flight: Trace) -> None:
     """Refuse a flight if the free run resembles its motion about no axis.
 
     Raises
@@ -51,14 +52,14 @@ def refuse_unexplained(seen: Trace) -> None:
     NotExcited
         When more than `UNEXPLAINED` is unexplained on each axis that moves.
     """
-    shares, motion = unexplained_shares(seen)
+    shares, motion = unexplained_shares(flight)
     moving = motion > MIN_MOTION
     if not moving.any():
         return
     best = int(np.argmin(np.where(moving, shares, np.inf)))
     if shares[best] > UNEXPLAINED:
         raise NotExcited(
-            f"{seen.label}: the voltages do not explain the motion: {shares[best]:.2f} is left of that of "
+            f"{flight.label}: the voltages do not explain the motion: {shares[best]:.2f} is left of that of "
             f"{AXES[best]}, the best axis; a flight leaves {UNEXPLAINED:g} at most",
             "check that angles and voltages are of one flight of this rig (or fit it --skip-sign-check)",
         )

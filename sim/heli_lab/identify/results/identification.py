@@ -14,17 +14,27 @@ from heli_sim.rig import Number, Rig
 
 from heli_lab.identify.estimation_problem import Combination, Fit, combinations, uninformed_parameters
 from heli_lab.identify.free import PER_FLIGHT
-from heli_lab.identify.results.check import Check, Trace
+from heli_lab.identify.results.check import FreeRunErrors, Trace
 from heli_lab.identify.thresholds import STRONG_CORRELATION
 
 
 @dataclass(frozen=True)
 class Identification:
-    """A fit with its checks; `validation` holds those on other flights, none when none were given."""
+    """Result of an identification: a fit with its free runs.
+
+    Parameters
+    ----------
+    fit : Fit
+        Estimates from the training flights.
+    training, validation : tuple of FreeRunErrors
+        Errors of the free runs, one per fitted and per validation flight.
+    training_traces, validation_traces : tuple of Trace
+        Measured and predicted angles of the same flights.
+    """
 
     fit: Fit
-    training: tuple[Check, ...]
-    validation: tuple[Check, ...]
+    training: tuple[FreeRunErrors, ...]
+    validation: tuple[FreeRunErrors, ...]
     training_traces: tuple[Trace, ...]
     validation_traces: tuple[Trace, ...]
 
@@ -42,14 +52,16 @@ class Identification:
         )
 
     def remark(self, name: str) -> str:
-        """Say of the free parameter `name` that it is on its bound or uninformed; empty if neither."""
+        """Remark on the free parameter `name`: "on its bound" or "uninformed"; empty if neither."""
         if name in self.fit.at_bound:
             return "on its bound"
         return "uninformed" if name in self.uninformed_parameters else ""
 
     @property
     def strong_correlations(self) -> list[tuple[str, str, float]]:
-        """Strongly correlated pairs of parameters, strongest first."""
+        """Pairs of parameters whose correlation exceeds `STRONG_CORRELATION`: both names and the correlation,
+        strongest first.
+        """
         names, correlation = self.fit.problem.names, self.fit.correlation
         pairs = [
             (names[i], names[j], float(correlation[i, j]))
@@ -60,32 +72,25 @@ class Identification:
         return sorted(pairs, key=lambda pair: -abs(pair[2]))
 
     def rig(self, name: str) -> Rig:
-        """Make the rig that was found, called `name`: the identified numbers with twice their standard errors
-        as tolerances; everything else as it was. The source of a number states if the flights do not inform
-        it. It names the model that was fitted, and has that model's
-        effects. If several flights have separate values of a torque, the rig has their mean, with their
-        scatter in the tolerance. Zeros with separate values stay unchanged: another flight has others.
+        """Return the identified rig, called `name`.
+
+        Identified parameters have twice their standard error as tolerance; everything else stays unchanged.
+        The source of a parameter states if the flights do not inform it. The rig has the name and the effects
+        of the fitted model. If each flight has its own value of a torque, the rig has their mean, with their
+        scatter in the tolerance. If each flight has its own zeros, the rig keeps the zeros that it had.
         """
         old = self.fit.problem.rig
         labels = ", ".join(record.label for record in self.fit.problem.records)
         numbers = dict(old.numbers)
-        several = len(self.fit.problem.records) > 1
         uninformed = set(self.uninformed_parameters)
-        by_quantity: dict[str, list[tuple[float, float]]] = {}
-        for parameter, value, std in zip(
-            self.fit.problem.free, self.fit.theta, self.fit.std.values(), strict=True
-        ):
-            if parameter.quantity not in numbers or (several and parameter.quantity in PER_FLIGHT):
-                continue
-            by_quantity.setdefault(parameter.quantity, []).append((float(value), std))
-        for quantity, estimates in by_quantity.items():
-            was = numbers[quantity]
+        for quantity, estimates in self._estimates_by_quantity().items():
+            before = numbers[quantity]
             values, errors = np.array(estimates).T
             scatter = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
             tolerance = 2.0 * math.hypot(float(np.sqrt(np.mean(errors**2))), scatter)
-            how = "not informed by" if quantity in uninformed else "identified from"
-            source = f"{how} {labels}; before: {was.value:g} +- {was.tolerance:g}"
-            numbers[quantity] = Number(float(np.mean(values)), was.unit, tolerance, source)
+            origin = "not informed by" if quantity in uninformed else "identified from"
+            source = f"{origin} {labels}; before: {before.value:g} +- {before.tolerance:g}"
+            numbers[quantity] = Number(float(np.mean(values)), before.unit, tolerance, source)
         return Rig(
             name,
             f"{old.name} as identified from {labels}",
@@ -94,25 +99,35 @@ class Identification:
             self.fit.problem.model.name,
         )
 
+    def _estimates_by_quantity(self) -> dict[str, list[tuple[float, float]]]:
+        """Estimate and standard error of each rig parameter, one pair per flight if flights differ in it."""
+        fit, problem = self.fit, self.fit.problem
+        several_flights = len(problem.records) > 1
+        estimates: dict[str, list[tuple[float, float]]] = {}
+        for parameter, value, std in zip(problem.free, fit.theta, fit.std.values(), strict=True):
+            of_one_flight = several_flights and parameter.quantity in PER_FLIGHT
+            if parameter.quantity in problem.rig.numbers and not of_one_flight:
+                estimates.setdefault(parameter.quantity, []).append((float(value), std))
+        return estimates
+
     def _effects(self) -> dict[str, dict[str, Number]]:
-        """Effects of the model with the numbers found, as a rig holds them."""
+        """Parameters of the model's effects as in a rig file: by effect, then by short name."""
         problem = self.fit.problem
-        values = dict(
-            zip((q.name for q in problem.model.parameters), problem.parameter_vector.values, strict=True)
-        )
-        estimates = self.fit.values
+        names = [quantity.name for quantity in problem.model.parameters]
+        values = dict(zip(names, problem.parameter_vector.values, strict=True))
+        estimates, std = self.fit.values, self.fit.std
         labels = ", ".join(record.label for record in problem.records)
         effects: dict[str, dict[str, Number]] = {}
         for effect in problem.model.effects:
             numbers = effects.setdefault(effect.name, {})
             for parameter in effect.parameters:
-                what = parameter.name.removeprefix(f"{effect.name.replace('.', '_')}_")
-                value = float(estimates.get(parameter.name, values[parameter.name]))
-                free = parameter.name in estimates
-                source = f"identified from {labels}" if free else "not estimated"
-                numbers[what] = Number(
-                    value, parameter.unit, 2.0 * self.fit.std[parameter.name] if free else 0.0, source
-                )
+                name = parameter.name
+                if name in estimates:
+                    value, tolerance, source = estimates[name], 2.0 * std[name], f"identified from {labels}"
+                else:
+                    value, tolerance, source = values[name], 0.0, "not estimated"
+                short_name = name.removeprefix(f"{effect.name.replace('.', '_')}_")
+                numbers[short_name] = Number(float(value), parameter.unit, tolerance, source)
         return effects
 
     def json(self) -> dict[str, Any]:
@@ -121,7 +136,7 @@ class Identification:
         seconds_used, and more.
         """
         fit, problem = self.fit, self.fit.problem
-        judged = self.validation or self.training
+        evaluated = self.validation or self.training
         return {
             "model": problem.model.name,
             "effects": [effect.name for effect in problem.model.effects],
@@ -137,13 +152,12 @@ class Identification:
                 for parameter, value, std in zip(problem.free, fit.theta, fit.std.values(), strict=True)
             },
             "normalised_residual": {
-                "train": _together([check.normalised for check in self.training], self.training),
-                "validation": _together([check.normalised for check in self.validation], self.validation)
-                if self.validation
-                else None,
+                "train": _rms_normalised(self.training),
+                "validation": _rms_normalised(self.validation) if self.validation else None,
             },
             "free_run_rms_deg": {
-                axis: _together([check.rms_deg[axis] for check in judged], judged) for axis in AXES
+                axis: _rms_over_flights(evaluated, [errors.rms_deg[axis] for errors in evaluated])
+                for axis in AXES
             },
             "free_run_s": problem.grids.window_s,
             "free_run_of": "validation" if self.validation else "train",
@@ -163,7 +177,7 @@ class Identification:
             "converged": fit.converged,
         }
 
-    def _flight(self, check: Check, role: str) -> dict[str, Any]:
+    def _flight(self, check: FreeRunErrors, role: str) -> dict[str, Any]:
         records = {record.label: record for record in self.fit.problem.records}
         entry: dict[str, Any] = {
             "flight": check.label,
@@ -183,9 +197,7 @@ class Identification:
 
 
 def short_names(paths: Sequence[Path]) -> list[str]:
-    """Names of flights for reports: the file names of `paths`, with as many folders before them as keep them
-    apart.
-    """
+    """Names of flights for reports: the file names of `paths`, with as many folders as make them unique."""
     depth = 1
     while True:
         names = ["/".join(path.parts[-depth:]) for path in paths]
@@ -194,14 +206,19 @@ def short_names(paths: Sequence[Path]) -> list[str]:
         depth += 1
 
 
-def _together(values: Sequence[float], checks: Sequence[Check]) -> float:
-    """Root mean square over flights, by their length."""
-    weight = np.array([check.seconds_used for check in checks])
-    return float(np.sqrt(np.average(np.square(values), weights=weight)))
+def _rms_normalised(flights: Sequence[FreeRunErrors]) -> float:
+    """Normalised error of all flights."""
+    return _rms_over_flights(flights, [errors.normalised for errors in flights])
+
+
+def _rms_over_flights(flights: Sequence[FreeRunErrors], values: Sequence[float]) -> float:
+    """Root mean square of one value per flight, weighted by the length of the flights."""
+    weights = np.array([errors.seconds_used for errors in flights])
+    return float(np.sqrt(np.average(np.square(values), weights=weights)))
 
 
 def rounded(number: float, std: float) -> str:
-    """Spell a `number` to two digits of its standard error `std`, as a person would write it."""
+    """Format a `number` to two significant digits of its standard error `std`."""
     if not std > 0.0 or not np.isfinite(std):
         return f"{number:.6g}"
     digits = max(0, 1 - int(np.floor(np.log10(std))))

@@ -25,7 +25,7 @@ _FINE_IDLE_SHARE: Final = 0.2
 
 
 class MultipleShooting:
-    """The least-squares problem of a fit, and the state of the search for its minimum.
+    """Gauss-Newton steps of a multiple-shooting fit, for the Levenberg-Marquardt search in `minimise`.
 
     Parameters
     ----------
@@ -62,38 +62,37 @@ class MultipleShooting:
     def step(self, iterate: Iterate, damping: float) -> DampedStep[Iterate]:
         """Linearise at an `iterate` and solve for a step with this `damping`."""
         cost, problem = self.cost, self.cost.problem
-        information, score, follow, gain = eliminate_states(cost, iterate, thresholds.STATE_DAMPING * damping)
+        reduced = eliminate_states(cost, iterate, thresholds.STATE_DAMPING * damping)
         step = posterior_step(
             problem.parameter_vector,
             iterate.theta,
-            information,
-            score,
+            reduced.information,
+            reduced.gradient,
             damping=damping,
             is_fixed=self.is_fixed,
         )
 
-        def make() -> Iterate:
-            states = [
-                start + free - np.einsum("wsf,f->ws", by_parameter, step.move[columns])
-                for start, (free, by_parameter), columns in zip(
-                    iterate.states, follow, problem.columns, strict=True
-                )
-            ]
+        def iterate_after_step() -> Iterate:
+            states = []
+            for index, columns in enumerate(problem.columns):
+                response = np.einsum("wsf,f->ws", reduced.state_responses[index], step.move[columns])
+                states.append(iterate.states[index] + reduced.state_steps[index] - response)
             after = cost.evaluate(iterate.theta + step.move, states)
             recover_windows(cost, after, iterate)
             return after
 
         # The cost is twice the negative log-posterior.
-        return DampedStep(step.move, step.std, gain + 2.0 * step.promised_nats, make)
+        promised = reduced.predicted_reduction + 2.0 * step.promised_nats
+        return DampedStep(step.move, step.std, promised, iterate_after_step)
 
     def with_states_refined(self, iterate: Iterate) -> Iterate | None:
         """Optimise the initial states of an `iterate` alone; None if they have converged."""
         return reoptimise_states(self.cost, iterate)
 
     def descend(
-        self, iterate: Iterate, stage: str, share: tuple[float, float], max_steps: int
+        self, iterate: Iterate, stage: str, work_done: tuple[float, float], max_steps: int
     ) -> tuple[Iterate, bool]:
-        """Reduce the cost until steps are small.
+        """Reduce the cost by Levenberg-Marquardt steps until they are small.
 
         Parameters
         ----------
@@ -101,21 +100,23 @@ class MultipleShooting:
             Where to start.
         stage : str
             Name of the stage for the progress, in a few words.
-        share : (float, float)
-            Shares of the work done before and after.
+        work_done : (float, float)
+            Share of the fit's work, 0 to 1, that is done before and after this search.
         max_steps : int
             Most steps.
 
         Returns
         -------
         iterate : Iterate
-            The best.
+            Iterate of the lowest cost.
         converged : bool
             False if the budget ran out first.
         """
 
         def report(number: int, cost: float) -> None:
-            done = share[0] + (share[1] - share[0]) * (1 - 0.5**number)
+            before, after = work_done
+            # The number of steps is not known: each one counts for half of the work that remains.
+            done = before + (after - before) * (1 - 0.5**number)
             self._on_progress(FitProgress(stage, done, cost))
 
         minimum = minimise(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -16,7 +17,7 @@ show a state. It is far above the rounding of doubles, and far below any informa
 
 
 def eliminate(matrices: Floats, count: int, guard: float = 0.0) -> tuple[Floats, Floats]:
-    """Eliminate the leading unknowns of symmetric systems [[A, B], [B', C]].
+    """Schur complement of symmetric systems [[A, B], [B', C]]: it eliminates their leading unknowns.
 
     A right-hand side may be appended as the last row and column. The last column of the complement is then
     the right-hand side of the remaining system. The last column of the gain is A^-1 times the eliminated
@@ -77,9 +78,33 @@ def add_state_prior(
     normal[:, diagonal, diagonal] *= 1.0 + np.reshape(damping, (-1, 1))
 
 
-def eliminate_states(
-    cost: ShootingCost, iterate: Iterate, damping: float = 0.0
-) -> tuple[Floats, Floats, list[tuple[Floats, Floats]], float]:
+@dataclass(frozen=True)
+class ReducedSystem:
+    """Normal equations of the free parameters, from which the windows' initial states are eliminated.
+
+    Parameters
+    ----------
+    information : ndarray (f, f)
+        Normal matrix of the free parameters, without priors.
+    gradient : ndarray (f,)
+        Negative gradient of half the sum of squares, without priors.
+    state_steps : list of ndarray (w, states)
+        For each record, the step of the initial states if the parameters stay fixed.
+    state_responses : list of ndarray (w, states, k)
+        For each record, minus the change of the initial states per unit of each of the k parameters that the
+        record depends on.
+    predicted_reduction : float
+        Reduction of the sum of squares by `state_steps`, if the sum were quadratic.
+    """
+
+    information: Floats
+    gradient: Floats
+    state_steps: list[Floats]
+    state_responses: list[Floats]
+    predicted_reduction: float
+
+
+def eliminate_states(cost: ShootingCost, iterate: Iterate, damping: float = 0.0) -> ReducedSystem:
     """Eliminate the windows' initial states from the normal equations.
 
     Parameters
@@ -90,33 +115,21 @@ def eliminate_states(
         Where the model is linearised.
     damping : float
         Increase of the diagonal of the states, as a share of itself.
-
-    Returns
-    -------
-    information : ndarray (f, f)
-        Normal matrix of the free parameters, without priors.
-    gradient : ndarray (f,)
-        Negative gradient of half the sum of squares, without priors.
-    follow : list of (ndarray (w, states), ndarray (w, states, k))
-        For each record: the step of the states with the parameters fixed, and minus the change of the states
-        for each unit of the parameters that the record depends on.
-    gain : float
-        Predicted reduction of the sum of squares by the step of the states, with the parameters fixed. The
-        normal equations treat the sum as quadratic.
     """
     problem = cost.problem
-    nx, count = problem.state_count, len(problem.free)
-    information, gradient, states_gain = np.zeros((count, count)), np.zeros(count), 0.0
-    follow = []
+    state_count, free_count = problem.state_count, len(problem.free)
+    information, gradient = np.zeros((free_count, free_count)), np.zeros(free_count)
+    state_steps, state_responses, predicted_reduction = [], [], 0.0
     for index, evaluation in enumerate(iterate.evaluations):
         assert evaluation.normal_matrix is not None
         scale = cost.weights[index][:, None] / cost.variance[index]
         normal = np.einsum("wa,waij->wij", scale, evaluation.normal_matrix)
         add_state_prior(problem, normal, iterate.states[index], cost.state_prior[index], damping)
-        complement, gain = eliminate(normal, nx, SINGULAR_GUARD)
+        complement, gain = eliminate(normal, state_count, SINGULAR_GUARD)
         columns = problem.columns[index]
         information[np.ix_(columns, columns)] += complement[:, :-1, :-1].sum(axis=0)
         gradient[columns] += complement[:, :-1, -1].sum(axis=0)
-        states_gain += float(np.sum(normal[:, :nx, -1] * gain[:, :, -1]))
-        follow.append((gain[:, :, -1], gain[:, :, :-1]))
-    return information, gradient, follow, states_gain
+        predicted_reduction += float(np.sum(normal[:, :state_count, -1] * gain[:, :, -1]))
+        state_steps.append(gain[:, :, -1])
+        state_responses.append(gain[:, :, :-1])
+    return ReducedSystem(information, gradient, state_steps, state_responses, predicted_reduction)

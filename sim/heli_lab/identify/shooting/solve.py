@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -25,6 +26,10 @@ _COARSE_STEPS: Final = 30
 """Most steps of a later round on the coarse grid, hardly ever reached."""
 _FINE_STEPS: Final = 10
 """Most steps of a round on every sample: the coarse fit is near."""
+_RESTART_ROUNDS: Final = (2, 3)
+"""Rounds on the coarse grid that restart outlying windows from other initial states."""
+_COARSE_SHARE: Final = 0.6
+"""Share of the work that the coarse grid takes, for the progress."""
 
 
 def solve(
@@ -38,18 +43,22 @@ def solve(
     warm_start: bool = False,
     on_progress: Callable[[FitProgress], None] | None = None,
 ) -> Fit:
-    """Fit the free parameters and the windows' initial states; there is a result also when the budget ran
-    out.
+    """Estimate the free parameters and the windows' initial states by multiple shooting.
 
-    The squares of each axis are divided by the long-run variance of its own residuals
+    The search for the minimum alternates with estimates of the weights, first on the coarse grid, then on
+    every sample. The squares of each axis are divided by the long-run variance of its own residuals
     (`residual_noise.long_run_variance`). Standard errors are then not too small if the model is wrong, or if
     the same count stays for many samples.
 
     Parameters
     ----------
+    problem : Problem
+        The model with its free parameters, and the windows of the flights.
     start : Fit or Mapping[str, float], optional
-        Where to start: an earlier fit, perhaps of another problem, or values by name; unknown names are
-        passed over.
+        Start values: an earlier fit, perhaps of another problem, or values by name; unknown names are
+        ignored.
+    budget : Budget, optional
+        Limits of the work. If they are reached, the result is the best iterate, marked as not converged.
     robust : bool
         Whether outlying windows lose weight.
     fine : bool
@@ -57,8 +66,8 @@ def solve(
     scatter : bool
         Widen standard errors by the effect of quantisation, which takes as long as two steps.
     warm_start : bool
-        The start is near, as where constants and initial states alone are free: one round on the coarse grid
-        is enough.
+        Stop after one round on the coarse grid: enough for a start near the minimum, for example if only
+        constants and initial states are free.
     on_progress : callable, optional
         Called with the progress of the fit.
 
@@ -77,97 +86,152 @@ def solve(
         raise IdentifyError(
             "the model's free run diverges from the start values", "check the rig parameters and units"
         )
-    rounds = thresholds.ROUNDS
-    converged = True
+    coarse = _fit_coarse_grid(shooting, iterate, warm_start)
+    iterate, converged = coarse.iterate, coarse.search_converged
+    if fine and not shooting.is_out_of_budget():
+        iterate, fine_converged = _fit_every_sample(shooting, iterate)
+        converged = converged and fine_converged
+    return _result(shooting, iterate, converged, scatter)
+
+
+@dataclass(frozen=True)
+class _Round:
+    """Result of one search for the minimum, and of the estimate of the weights after it.
+
+    Parameters
+    ----------
+    iterate : Iterate
+        The best parameters and initial states.
+    search_converged : bool
+        False if the budget ended the search.
+    weights_settled : bool
+        Whether the weights changed so little that no further round is needed.
+    """
+
+    iterate: Iterate
+    search_converged: bool
+    weights_settled: bool
+
+
+def _fit_coarse_grid(shooting: MultipleShooting, iterate: Iterate, warm_start: bool) -> _Round:
+    """Fit on the coarse grid, in rounds until the weights settle; a `warm_start` takes one round. Returns the
+    last round.
+    """
+    problem, round_count = shooting.cost.problem, thresholds.ROUNDS
     multimodal = {name for effect in problem.model.effects for name in effect.multimodal}
-    for number in range(rounds):
+    min_rounds = thresholds.ROUGH_ROUNDS + bool(multimodal)
+    for number in range(round_count):
         # While amplitudes are still wrong, a frequency or a moment would leave its basin of attraction.
         rough = number < thresholds.ROUGH_ROUNDS
         shooting.is_fixed[:] = [rough and parameter.quantity in multimodal for parameter in problem.free]
-        words, share = f"coarse fit, round {number + 1}", (0.6 * number / rounds, 0.6 * (number + 1) / rounds)
+        work_done = (_COARSE_SHARE * number / round_count, _COARSE_SHARE * (number + 1) / round_count)
         # Far from the solution the weights are rough: only later rounds need small steps.
-        most = _ROUGH_STEPS if rough else _COARSE_STEPS
-        iterate, converged, settled = _round(shooting, iterate, words, share, most, number in (2, 3))
+        max_steps = _ROUGH_STEPS if rough else _COARSE_STEPS
+        stage = f"coarse fit, round {number + 1}"
+        last = _round(shooting, iterate, stage, work_done, max_steps, number in _RESTART_ROUNDS)
+        iterate = last.iterate
         shooting.damping = 0.0
-        enough = number >= thresholds.ROUGH_ROUNDS - 1 + bool(multimodal)
-        if warm_start or not converged or (enough and settled):
+        if warm_start or not last.search_converged or (number + 1 >= min_rounds and last.weights_settled):
             break
-    if fine and not shooting.is_out_of_budget():
-        cost.fine = True
-        iterate = cost.evaluate(iterate.theta, iterate.states)
-        cost.reweight(iterate)
-        for number in range(thresholds.FINE_ROUNDS):
-            share = (0.6 + 0.4 * number / thresholds.FINE_ROUNDS, 1.0)
-            iterate, finished, settled = _round(
-                shooting, iterate, "every sample", share, _FINE_STEPS, number < 2
-            )
-            converged = converged and finished
-            if settled or not finished:
-                break
-    return _result(shooting, iterate, converged, scatter)
+    return last
+
+
+def _fit_every_sample(shooting: MultipleShooting, iterate: Iterate) -> tuple[Iterate, bool]:
+    """Fit on every sample from an `iterate` of the coarse grid; return the last iterate and whether all
+    searches converged.
+    """
+    cost, round_count = shooting.cost, thresholds.FINE_ROUNDS
+    cost.fine = True
+    iterate = cost.evaluate(iterate.theta, iterate.states)
+    cost.reweight(iterate)
+    for number in range(round_count):
+        work_done = (_COARSE_SHARE + (1.0 - _COARSE_SHARE) * number / round_count, 1.0)
+        last = _round(shooting, iterate, "every sample", work_done, _FINE_STEPS, number < 2)
+        iterate = last.iterate
+        if last.weights_settled or not last.search_converged:
+            break
+    return iterate, last.search_converged
 
 
 def _round(
     shooting: MultipleShooting,
     iterate: Iterate,
-    words: str,
-    share: tuple[float, float],
-    most_steps: int,
+    stage: str,
+    work_done: tuple[float, float],
+    max_steps: int,
     restart: bool,
-) -> tuple[Iterate, bool, bool]:
-    """Search the minimum, and estimate the weights again: the iterate, whether the search finished, and
-    whether the weights stay. `words` and `share` report the progress; `restart` allows other initial states.
+) -> _Round:
+    """Search for the minimum from an `iterate`, then estimate weights and state priors again.
+
+    Parameters
+    ----------
+    stage, work_done, max_steps
+        As in `MultipleShooting.descend`.
+    restart : bool
+        Whether outlying windows are also optimised from other initial states.
     """
     cost = shooting.cost
-    iterate, finished = shooting.descend(iterate, words, share, most_steps)
-    restarted = restart and finished and restart_outliers(cost, iterate)
+    iterate, search_converged = shooting.descend(iterate, stage, work_done, max_steps)
+    restarted = restart and search_converged and restart_outliers(cost, iterate)
     cost.update_state_prior(iterate)
     change = cost.reweight(iterate)
-    return iterate, finished, change < thresholds.SETTLED_CHANGE and not restarted
+    return _Round(iterate, search_converged, change < thresholds.SETTLED_CHANGE and not restarted)
 
 
 def _start(cost: ShootingCost, start: Fit | Mapping[str, float] | None) -> tuple[Floats, list[Floats]]:
+    """Start values of the free parameters, shape (f,), and initial states of each record's windows, shape
+    (w, states).
+    """
     problem = cost.problem
-    given = start.values if isinstance(start, Fit) else start or {}
-    theta = problem.parameter_vector.started_from(given)
+    values = start.values if isinstance(start, Fit) else start or {}
+    theta = problem.parameter_vector.started_from(values)
     states = cost.initial_state_guess(theta)
     if isinstance(start, Fit) and len(start.states) == len(states):
-        # An effect's state and the rates beside it compensate for each other: one without the other is worse
-        # than neither.
-        places = {state.name: i for i, state in enumerate(start.problem.model.states)}
-        known = [(i, places[s.name]) for i, s in enumerate(problem.model.states) if s.name in places]
-        for new, old in zip(states, start.states, strict=True):
-            if len(new) == len(old):
-                for new_place, old_place in known:
-                    new[:, new_place] = old[:, old_place]
+        _copy_states(start, problem, states)
     return theta, states
 
 
+def _copy_states(start: Fit, problem: Problem, states: list[Floats]) -> None:
+    """Copy the initial states of a fit into `states`, where the model and the windows have the same.
+
+    All states of a window are copied: an effect's state and the rates of the arm compensate for each other,
+    and one without the other is worse than neither.
+    """
+    old_columns = {state.name: column for column, state in enumerate(start.problem.model.states)}
+    for new_column, state in enumerate(problem.model.states):
+        if state.name not in old_columns:
+            continue
+        for new, old in zip(states, start.states, strict=True):
+            if len(new) == len(old):
+                new[:, new_column] = old[:, old_columns[state.name]]
+
+
 def _result(shooting: MultipleShooting, iterate: Iterate, converged: bool, scatter: bool) -> Fit:
+    """Estimates with their covariance; with `scatter` also the effect of quantisation and of sample times."""
     cost, problem = shooting.cost, shooting.cost.problem
-    information, *_ = eliminate_states(cost, iterate)
-    weight = np.diag(1.0 / problem.parameter_vector.std**2)
-    covariance: Floats = np.linalg.inv(information + weight).astype(np.float64)
+    information = eliminate_states(cost, iterate).information
+    prior_information = np.diag(1.0 / problem.parameter_vector.std**2)
+    covariance: Floats = np.linalg.inv(information + prior_information).astype(np.float64)
     if scatter and cost.fine and len(problem.free):
         scattered = quantisation_scatter(
             problem, iterate.theta, iterate.states, cost.variance, cost.weights, covariance
         )
-        wider = np.maximum(1.0, scattered / np.sqrt(np.diag(covariance)))
-        covariance = covariance * np.outer(wider, wider)
+        factors = np.maximum(1.0, scattered / np.sqrt(np.diag(covariance)))
+        covariance = covariance * np.outer(factors, factors)
         covariance = covariance + np.diag(timing_variance(problem))
     low, high = problem.parameter_vector.bounds
-    bound = (iterate.theta <= low) | (iterate.theta >= high)
+    is_at_bound = (iterate.theta <= low) | (iterate.theta >= high)
     return Fit(
-        problem,
-        iterate.theta,
-        covariance,
-        information,
-        tuple(iterate.states),
-        tuple(cost.variance),
-        tuple(cost.weights),
-        iterate.cost,
-        tuple(name for name, there in zip(problem.names, bound, strict=True) if there),
-        cost.evaluations,
-        time.perf_counter() - shooting.started_s,
-        converged,
+        problem=problem,
+        theta=iterate.theta,
+        covariance=covariance,
+        information=information,
+        states=tuple(iterate.states),
+        variance=tuple(cost.variance),
+        weights=tuple(cost.weights),
+        cost=iterate.cost,
+        at_bound=tuple(name for name, flag in zip(problem.names, is_at_bound, strict=True) if flag),
+        evaluations=cost.evaluations,
+        seconds=time.perf_counter() - shooting.started_s,
+        converged=converged,
     )

@@ -19,14 +19,16 @@ def recover_windows(cost: ShootingCost, iterate: Iterate, before: Iterate) -> No
                 new - old > thresholds.DIVERGED_SHARE * before.cost
             )
         if lost.any():
-            refine_states(cost, iterate, index, np.flatnonzero(lost), before=before.states[index], most=4)
+            refine_states(
+                cost, iterate, index, np.flatnonzero(lost), before=before.states[index], max_steps=4
+            )
 
 
 def reoptimise_states(cost: ShootingCost, iterate: Iterate) -> Iterate | None:
     """Optimise all initial states with the parameters of an `iterate` fixed; None if they have converged."""
     other = Iterate(iterate.theta, list(iterate.states), list(iterate.evaluations), iterate.cost)
     for index, states in enumerate(iterate.states):
-        refine_states(cost, other, index, np.arange(len(states)), most=6)
+        refine_states(cost, other, index, np.arange(len(states)), max_steps=6)
     return other if other.cost < (1.0 - thresholds.WORTHWHILE_GAIN) * iterate.cost else None
 
 

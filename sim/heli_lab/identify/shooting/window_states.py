@@ -27,10 +27,10 @@ def refine_states(
     cost: ShootingCost,
     iterate: Iterate,
     index: int,
-    which: Integers,
+    numbers: Integers,
     *,
     before: Floats | None = None,
-    most: int = 4,
+    max_steps: int = 4,
 ) -> None:
     """Improve the initial states of some windows of an `iterate`, each by its own Levenberg-Marquardt steps.
 
@@ -38,113 +38,150 @@ def refine_states(
     ----------
     cost : ShootingCost
         Its variances apply; weights of windows do not.
+    iterate : Iterate
+        Changed in place.
     index : int
-        Which record.
-    which : ndarray of int64 (k,)
-        Windows to improve.
+        Number of the record.
+    numbers : ndarray of int64 (k,)
+        Numbers of the windows to improve.
     before : ndarray (w, states), optional
         Other states to start from, for windows in which they are better.
-    most : int
+    max_steps : int
         Most steps.
     """
-    windows = _Windows(cost, iterate, index, which)
+    windows = _WindowSearch(cost, iterate, index, numbers)
     if before is not None:
-        windows.offer(before[which])
-    windows.descend(most, thresholds.WINDOW_PATIENCE)
-    windows.insert(cost, iterate, index)
+        windows.replace_if_better(before[numbers])
+    windows.descend(max_steps, thresholds.WINDOW_PATIENCE)
+    windows.write_back(cost, iterate, index)
 
 
-def restart_states(cost: ShootingCost, iterate: Iterate, index: int, which: Integers, other: Floats) -> None:
+def restart_states(
+    cost: ShootingCost, iterate: Iterate, index: int, numbers: Integers, start: Floats
+) -> None:
     """Optimise some windows of an `iterate` from other initial states, and keep the result if it is better.
 
     Parameters
     ----------
-    cost, index, which
+    cost, iterate, index, numbers
         As in `refine_states`.
-    other : ndarray (w, states)
+    start : ndarray (w, states)
         Initial states to start from, of all windows of the record.
     """
-    windows, again = (_Windows(cost, iterate, index, which) for _ in range(2))
-    again.cost[:] = np.inf
-    again.offer(other[which])
-    again.descend(_RESTART_STEPS, thresholds.RESTART_PATIENCE)
-    windows.take(again)
-    windows.insert(cost, iterate, index)
+    windows = _WindowSearch(cost, iterate, index, numbers)
+    restarted = _WindowSearch(cost, iterate, index, numbers)
+    # At an infinite cost the search accepts the other states, also where they are worse.
+    restarted.cost[:] = np.inf
+    restarted.replace_if_better(start[numbers])
+    restarted.descend(_RESTART_STEPS, thresholds.RESTART_PATIENCE)
+    windows.merge_better(restarted)
+    windows.write_back(cost, iterate, index)
 
 
-class _Windows:
-    """The best states so far of some windows, with their cost."""
+class _WindowSearch:
+    """Best initial states so far of some windows of a record, each window with its own cost.
 
-    def __init__(self, cost: ShootingCost, iterate: Iterate, index: int, which: Integers) -> None:
+    Attributes
+    ----------
+    numbers : ndarray of int64 (k,)
+        Numbers of the windows in the record.
+    grid : Grid
+        These windows alone.
+    steps : ndarray of int64 (m,)
+        Their steps in the grid of the whole record.
+    variance : ndarray (3,)
+        Variance of each axis, by which its squared residuals are divided.
+    parameters : ndarray (p,)
+        All parameters of the model; fixed during the search.
+    prior_mean : ndarray (k, states)
+        Prior means of the initial states of effects.
+    states : ndarray (k, states)
+        Best initial states so far.
+    normal_matrix, residual : ndarray
+        Evaluation at these states, as in `Evaluation`, of these windows alone.
+    cost : ndarray (k,)
+        Cost of each window at these states.
+    """
+
+    def __init__(self, cost: ShootingCost, iterate: Iterate, index: int, numbers: Integers) -> None:
         problem, evaluation = cost.problem, iterate.evaluations[index]
         assert evaluation.normal_matrix is not None
-        whole = problem.grid(index, cost.fine, iterate.theta)
-        self.problem, self.which, self.variance = problem, which, cost.variance[index]
-        self.grid = whole.only(which)
-        self.rows = np.concatenate([np.arange(whole.slices[i].start, whole.slices[i].stop) for i in which])
+        record_grid = problem.grid(index, cost.fine, iterate.theta)
+        self._problem, self.numbers, self.variance = problem, numbers, cost.variance[index]
+        self.grid, self.steps = record_grid.only(numbers), record_grid.steps_of(numbers)
         self.parameters = problem.parameters(iterate.theta, index)
-        self.reference = cost.state_prior[index][which]
-        self.states = iterate.states[index][which].copy()
-        self.normal_matrix = evaluation.normal_matrix[which].copy()
-        self.residual = evaluation.residual[self.rows].copy()
+        self.prior_mean = cost.state_prior[index][numbers]
+        self.states = iterate.states[index][numbers].copy()
+        self.normal_matrix = evaluation.normal_matrix[numbers].copy()
+        self.residual = evaluation.residual[self.steps].copy()
         self.cost = self._cost(self.states, self.normal_matrix)
 
-    def offer(self, states: Floats) -> Booleans:
-        """Replace states by other `states` if these are better; return for each window whether they are."""
+    def replace_if_better(self, states: Floats) -> Booleans:
+        """Replace the states of those windows for which other `states`, shape (k, states), cost less.
+
+        Returns
+        -------
+        ndarray of bool (k,)
+            The windows whose states were replaced.
+        """
         measured, sigma = self.grid.measured_rad, self.grid.record.sigma_rad
-        kernel = self.problem.kernel
+        kernel = self._problem.kernel
         angles, normal_matrix = kernel.products(self.grid.inputs, states, self.parameters, measured, sigma)
         cost = self._cost(states, normal_matrix)
-        better: Booleans = cost < self.cost
-        self.states[better], self.normal_matrix[better], self.cost[better] = (
-            states[better],
-            normal_matrix[better],
-            cost[better],
-        )
-        rows = np.repeat(better, self.grid.inputs.steps)
-        self.residual[rows] = ((measured - angles) / sigma)[rows]
-        return better
+        is_better: Booleans = cost < self.cost
+        self._replace(is_better, states, normal_matrix, cost, (measured - angles) / sigma)
+        return is_better
 
-    def take(self, other: _Windows) -> None:
-        """Replace states by those of another optimisation of the same windows if these are better."""
-        better = other.cost < self.cost
-        self.states[better], self.normal_matrix[better] = other.states[better], other.normal_matrix[better]
-        self.cost[better] = other.cost[better]
-        rows = np.repeat(better, self.grid.inputs.steps)
-        self.residual[rows] = other.residual[rows]
+    def merge_better(self, other: _WindowSearch) -> None:
+        """Replace the states of those windows for which an `other` search of the same windows costs less."""
+        is_better = other.cost < self.cost
+        self._replace(is_better, other.states, other.normal_matrix, other.cost, other.residual)
 
-    def descend(self, most: int, patience: int) -> None:
-        """Take damped steps while the cost falls enough."""
-        damping, idle = np.full(len(self.which), _DAMPING), 0
-        for _ in range(most):
-            if not np.isfinite(self.cost).all() or idle == patience:
+    def _replace(
+        self, is_better: Booleans, states: Floats, normal_matrix: Floats, cost: Floats, residual: Floats
+    ) -> None:
+        self.states[is_better] = states[is_better]
+        self.normal_matrix[is_better] = normal_matrix[is_better]
+        self.cost[is_better] = cost[is_better]
+        steps = np.repeat(is_better, self.grid.inputs.steps)
+        self.residual[steps] = residual[steps]
+
+    def descend(self, max_steps: int, patience: int) -> None:
+        """Take damped steps until `patience` steps in a row reduced the cost too little."""
+        damping, idle_steps = np.full(len(self.numbers), _DAMPING), 0
+        for _ in range(max_steps):
+            if not np.isfinite(self.cost).all() or idle_steps == patience:
                 break
-            total = float(self.cost.sum())
-            better = self.offer(self.step(damping))
-            damping = np.where(better, 0.2 * damping, 30.0 * damping)
-            idle = 0 if total - float(self.cost.sum()) > thresholds.WORTHWHILE_GAIN * total else idle + 1
+            cost_before = float(self.cost.sum())
+            is_better = self.replace_if_better(self._stepped(damping))
+            damping = np.where(is_better, 0.2 * damping, 30.0 * damping)
+            reduction = cost_before - float(self.cost.sum())
+            idle_steps = 0 if reduction > thresholds.WORTHWHILE_GAIN * cost_before else idle_steps + 1
 
-    def step(self, damping: Floats) -> Floats:
-        """States after a damped Gauss-Newton step, each window's damping in units of its own diagonal."""
-        nx = self.problem.state_count
+    def _stepped(self, damping: Floats) -> Floats:
+        """States after a Gauss-Newton step, shape (k, states), with each window's `damping`, shape (k,), as
+        a share of its own diagonal.
+        """
+        state_count = self._problem.state_count
         normal = np.einsum("a,waij->wij", 1.0 / self.variance, self.normal_matrix)
-        add_state_prior(self.problem, normal, self.states, self.reference, damping)
-        residual = [*range(nx), normal.shape[1] - 1]
-        _, gain = eliminate(normal[:, residual][:, :, residual], nx, SINGULAR_GUARD)
+        add_state_prior(self._problem, normal, self.states, self.prior_mean, damping)
+        # The parameters are fixed: only the states and the right-hand side remain.
+        kept = [*range(state_count), normal.shape[1] - 1]
+        _, gain = eliminate(normal[:, kept][:, :, kept], state_count, SINGULAR_GUARD)
         result: Floats = self.states + gain[:, :, 0]
         return result
 
-    def insert(self, cost: ShootingCost, iterate: Iterate, index: int) -> None:
-        """Replace these windows of a record in an `iterate`, and update its cost."""
+    def write_back(self, cost: ShootingCost, iterate: Iterate, index: int) -> None:
+        """Write these windows into record `index` of an `iterate`, and update the cost of the iterate."""
         evaluation = iterate.evaluations[index]
         assert evaluation.normal_matrix is not None
         states, residual = iterate.states[index].copy(), evaluation.residual.copy()
         normal_matrix = evaluation.normal_matrix.copy()
-        states[self.which], residual[self.rows] = self.states, self.residual
-        normal_matrix[self.which] = self.normal_matrix
+        states[self.numbers], residual[self.steps] = self.states, self.residual
+        normal_matrix[self.numbers] = self.normal_matrix
         iterate.states[index], iterate.evaluations[index] = states, Evaluation(residual, normal_matrix)
         iterate.cost = cost.cost(iterate)
 
     def _cost(self, states: Floats, normal_matrix: Floats) -> Floats:
-        ones = np.ones(len(self.which))
-        return window_cost(self.problem, normal_matrix, states, self.reference, self.variance, ones)
+        weights = np.ones(len(self.numbers))
+        return window_cost(self._problem, normal_matrix, states, self.prior_mean, self.variance, weights)

@@ -1,0 +1,83 @@
+"""Checks of a flight before it is fitted: even times, angles that move, voltages that act."""
+
+from __future__ import annotations
+
+import numpy as np
+from heli_host.arrays import Floats
+from heli_host.flight import Flight
+from heli_sim.model.parts import AXES
+from heli_sim.rig import Rig
+
+from heli_lab.errors import IdentifyError, NotExcited
+from heli_lab.identify import thresholds
+
+
+def even_step_s(flight: Flight, label: str) -> float:
+    """Time from row to row [s]: the mean, because times are often printed in whole milliseconds. An
+    IdentifyError reports times that deviate from even steps.
+    """
+    steps_s = np.diff(flight.t_s)
+    steps_s = np.delete(steps_s, flight.gaps)
+    step_s = float(steps_s.mean())
+    stray_steps = np.abs(np.cumsum(steps_s - step_s)) / step_s
+    worst = int(np.argmax(stray_steps))
+    if stray_steps[worst] > thresholds.MAX_STRAY_STEPS:
+        raise IdentifyError(
+            f"{label}: t_s differs by {stray_steps[worst]:.0f} steps of {step_s:.4g} s from even steps at "
+            f"data row {worst + 2}",
+            "log with an even clock, or resample the flight",
+        )
+    return step_s
+
+
+def refuse_constant_columns(flight: Flight, label: str, count_rad: Floats) -> None:
+    """Refuse a flight in which no axis moves, or in which a voltage is constant."""
+    rows = len(flight)
+    moved = np.ptp(flight.angles_rad, axis=0) / count_rad
+    if np.all(moved < thresholds.MIN_MOTION_COUNTS):
+        most = int(np.argmax(moved))
+        raise NotExcited(
+            f"{label}: the rig never moves: {AXES[most]}_rad varies by {moved[most]:.0f} counts "
+            f"from data row 1 to {rows}",
+            "fly it, for example with heli-host fly identify",
+        )
+    for name in ("front_V", "back_V"):
+        column = getattr(flight, name)
+        if not np.any(column):
+            raise IdentifyError(
+                f"{label}: {name} is 0 from data row 1 to {rows}",
+                "log the voltages that act on the motors",
+            )
+        if float(np.ptp(column)) < 1e-9:
+            raise IdentifyError(
+                f"{label}: {name} is {column[0]:g} from data row 1 to {rows}",
+                "fly with voltages that change",
+            )
+
+
+def refuse_duty_cycles(flight: Flight, label: str, rig: Rig) -> None:
+    """Refuse voltages that never leave the dead zone: they are probably duty cycles."""
+    dead_zone = rig["dead_zone"]
+    min_V = dead_zone.value - dead_zone.tolerance
+    highest = max(("front_V", "back_V"), key=lambda name: float(np.max(np.abs(getattr(flight, name)))))
+    column = np.abs(getattr(flight, highest))
+    row = int(np.argmax(column))
+    if column[row] < min_V:
+        raise IdentifyError(
+            f"{label}: {highest} reaches {column[row]:.3g} at most, in data row {row + 1}, which is "
+            f"within the dead zone of {min_V:g} V, where no rotor gives thrust",
+            "if the column is a duty cycle, multiply it by the supply voltage",
+        )
+
+
+def refuse_jumps(flight: Flight, label: str, segments: tuple[tuple[int, int], ...]) -> None:
+    """Refuse angles that jump within a segment (first row, last row plus one), as if not unwrapped."""
+    for index, axis in enumerate(AXES):
+        for start, stop in segments:
+            moves = np.abs(np.diff(flight.angles_rad[start:stop, index]))
+            if moves.size and moves.max() > thresholds.JUMP_RAD:
+                row = start + int(np.argmax(moves)) + 2
+                raise IdentifyError(
+                    f"{label}: {axis}_rad jumps by {moves.max():.3g} in data row {row}",
+                    "unwrap the angle, or cut the flight there",
+                )
