@@ -8,10 +8,10 @@ from collections.abc import Callable, Collection
 from dataclasses import fields, is_dataclass
 from typing import Annotated, Any, get_origin, get_type_hints
 
-Command = Callable[..., None]
+_Verb = Callable[..., None]
 
 
-def with_option_groups(*, without: Collection[str] = ()) -> Callable[[Command], Command]:
+def with_option_groups(*, without: Collection[str] = ()) -> Callable[[_Verb], _Verb]:
     """Give a verb the options of its groups, where typer expects one parameter per option.
 
     A group is a keyword argument whose type is a dataclass. Its options are the fields with annotated types,
@@ -28,7 +28,7 @@ def with_option_groups(*, without: Collection[str] = ()) -> Callable[[Command], 
         Decorator for the function of a verb.
     """
 
-    def decorate(verb: Command) -> Command:
+    def decorate(verb: _Verb) -> _Verb:
         parameters: list[inspect.Parameter] = []
         groups: dict[str, tuple[type[Any], list[str]]] = {}
         for parameter in inspect.signature(verb, eval_str=True).parameters.values():

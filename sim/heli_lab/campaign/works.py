@@ -4,7 +4,6 @@ result for the settings of a case.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,25 +11,19 @@ from typing import Any, Final
 
 import numpy as np
 from heli_host.flight import Flight
-from heli_host.fly.runner import fly as fly_plans
-from heli_host.heli import Heli
-from heli_host.link.session import Session
-from heli_host.log.flight_file import read_flight
 from heli_host.log.summary import FlightSummary
 from heli_host.parameter_file import read_parameter_set
 from heli_sim.model import MultibodyModel
-from heli_sim.model.base import Model
+from heli_sim.model.base import Effect, Model
 from heli_sim.model.effects import catalogue, effects_of, effects_with, parse_effects
 from heli_sim.model.named import model_named
 from heli_sim.model.parts import AXES
 from heli_sim.plant import Plant
 from heli_sim.rig import Rig, load_rig
-from heli_sim.sil.inprocess import InProcessTransport
-from heli_sim.sil.options import SilOptions
-from heli_sim.sil.world import SilWorld
 
 from heli_lab.campaign.case import Cell
 from heli_lab.campaign.draw import Drawn, drawn
+from heli_lab.simulated_board import connected, fly_and_read, world_of
 
 Settings = Mapping[str, Any]
 Result = tuple[dict[str, Cell], Any]
@@ -86,7 +79,8 @@ def identify(settings: Settings) -> Result:
     flown = _flown(settings, settings["plan"], 0)
     nominal, true = flown.nominal, flown.drawn.rig
     other = _flown(settings, settings["validate"], _VALIDATION_SEED)
-    model = _model(settings, nominal)
+    # Its effects are those of the settings; the fit estimates their sizes.
+    model = _model(settings, nominal, effects_with(nominal, settings["effects"], settings["effect_files"]))
     identification = find(
         model,
         nominal,
@@ -126,7 +120,7 @@ def diagnose(settings: Settings) -> Result:
     stated = effects_of(nominal, settings["effect_files"])
     known = tuple(effect for effect in stated if effect.name not in hidden)
     diagnosis = find(
-        model_named(settings["model"] or nominal.model or MultibodyModel.name, known),
+        _model(settings, nominal, known),
         nominal,
         [flown.flight],
         [other.flight],
@@ -163,10 +157,9 @@ def gains(settings: Settings) -> Result:
 
     nominal, draw = _draw(settings)
     true, effects = draw.rig, draw.effects
-    fitted_effects = parse_effects(effects, settings["effect_files"])
-    model = model_named(settings["model"] or nominal.model or MultibodyModel.name, fitted_effects)
-    parameters = read_parameter_set(Path(settings["params"])).values if settings["params"] else {}
-    trial = try_gains(Plant(model, true, settings["seed"]), parameters, "campaign", settings["seed"])
+    model = _model(settings, nominal, parse_effects(effects, settings["effect_files"]))
+    plant = Plant(model, true, settings["seed"])
+    trial = try_gains(plant, _parameters(settings), "campaign", settings["seed"])
     metrics = asdict(trial.metrics)
     finite = {name: v if not isinstance(v, float) or np.isfinite(v) else None for name, v in metrics.items()}
     return {**finite, **draw.row}, {
@@ -205,25 +198,21 @@ def _outcome(*flights: _Flown) -> str:
 
 def _flown(settings: Settings, plan: str, more_seed: int) -> _Flown:
     nominal, draw = _draw(settings)
-    all_effects = effects_with(nominal, draw.effects, settings["effect_files"])
-    model = model_named(settings["model"] or nominal.model or MultibodyModel.name, all_effects)
+    model = _model(settings, nominal, effects_with(nominal, draw.effects, settings["effect_files"]))
     seed = settings["seed"] + more_seed
-    session = Session(InProcessTransport(SilWorld(SilOptions(seed=seed), Plant(model, draw.rig, seed))))
-    session.connect()
-    with Heli(session) as heli, tempfile.TemporaryDirectory() as folder:
-        if settings["params"]:
-            heli.params.restore(read_parameter_set(Path(settings["params"])).values)
-        log = Path(folder) / "flight.mcap"
-        summary = fly_plans(heli, plan, log_path=log)
-        return _Flown(nominal, draw, read_flight(log), summary)
+    with connected(world_of(Plant(model, draw.rig, seed), seed)) as heli:
+        if parameters := _parameters(settings):
+            heli.params.restore(parameters)
+        return _Flown(nominal, draw, *fly_and_read(heli, plan))
 
 
-def _model(settings: Settings, rig: Rig) -> Model:
-    """Model that a fit is given: with the effects, whose sizes it estimates."""
-    return model_named(
-        settings["model"] or rig.model or MultibodyModel.name,
-        effects_with(rig, settings["effects"], settings["effect_files"]),
-    )
+def _parameters(settings: Settings) -> dict[str, float]:
+    """Parameters of the board to fly with, by name."""
+    return read_parameter_set(Path(settings["params"])).values if settings["params"] else {}
+
+
+def _model(settings: Settings, rig: Rig, effects: Sequence[Effect]) -> Model:
+    return model_named(settings["model"] or rig.model or MultibodyModel.name, tuple(effects))
 
 
 def _tracking_deg(flight: Flight) -> dict[str, float]:
