@@ -12,10 +12,18 @@ from typing import TYPE_CHECKING, Final
 import typer
 
 from heli_host.cli import simulated
-from heli_host.cli.gains import check_gains, chosen_parameters
-from heli_host.cli.options import flight_folder
+from heli_host.cli.gains import GainsOption, ParamsFileOption, check_gains, chosen_parameters
+from heli_host.cli.options import (
+    ClearFaultOption,
+    FigureOption,
+    FoxgloveOption,
+    JsonOption,
+    LogOption,
+    PortOption,
+    flight_folder,
+)
 from heli_host.cli.say import data_on_stdout, say, say_files, say_progress, write_result
-from heli_host.cli.twin_options import lands_on_alarm, open_watch, read_twin
+from heli_host.cli.twin_options import OnAlarmOption, TwinOption, lands_on_alarm, open_watch, read_twin
 
 if TYPE_CHECKING:
     from heli_host.fly.plan import Plan
@@ -30,7 +38,7 @@ VERB_NAME: Final = "heli-host fly"
 
 @dataclass(frozen=True)
 class FlightOptions:
-    """Options of a verb that flies, as typed; see ``heli-host fly --help``.
+    """Options of a verb that flies, as typed; see ``heli-host fly --help``. A group for `with_option_groups`.
 
     Parameters
     ----------
@@ -48,36 +56,36 @@ class FlightOptions:
         Twin that flies along, and what its alarm does.
     foxglove : int or None
         TCP port on this computer for live viewers.
-    parameters : Mapping of str to float or None
-        Parameters to fly with, instead of a file's.
-    simulation : str
-        Address of the simulated board, instead of one from the other options.
     log, json, figure : Path or None
         Files to write.
+    parameters : Mapping of str to float or None
+        Parameters to fly with, instead of a file's; not an option.
+    simulation : str
+        Address of the simulated board, instead of one from the other options; not an option.
     """
 
-    port: str | None = None
-    sil: bool = False
-    board: str | None = None
-    elf: Path | None = None
-    rig: str | None = None
-    model: str | None = None
-    effect: Sequence[str] | None = None
-    effect_file: Sequence[Path] | None = None
-    speed: str = "1"
-    seed: int | None = None
-    blind: bool = False
-    clear_fault: bool = False
-    gains: str | None = None
-    params: Path | None = None
-    twin: str | None = None
-    on_alarm: str | None = None
-    foxglove: int | None = None
+    port: PortOption = None
+    sil: simulated.SilOption = False
+    board: simulated.BoardOption = None
+    elf: simulated.ElfOption = None
+    rig: simulated.RigOption = None
+    model: simulated.ModelOption = None
+    effect: simulated.EffectOption = None
+    effect_file: simulated.EffectFilesOption = None
+    speed: simulated.SpeedOption = "1"
+    seed: simulated.FlightSeedOption = None
+    blind: simulated.BlindOption = False
+    clear_fault: ClearFaultOption = False
+    gains: GainsOption = None
+    params: ParamsFileOption = None
+    twin: TwinOption = None
+    on_alarm: OnAlarmOption = None
+    foxglove: FoxgloveOption = None
+    log: LogOption = None
+    json: JsonOption = None
+    figure: FigureOption = None
     parameters: Mapping[str, float] | None = None
     simulation: str = ""
-    log: Path | None = None
-    json: Path | None = None
-    figure: Path | None = None
 
     def address(self) -> str | None:
         """Return the address of the simulated board, None for a real one.

@@ -4,7 +4,6 @@ result for the settings of a case.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,10 +11,6 @@ from typing import Any, Final
 
 import numpy as np
 from heli_host.flight import Flight
-from heli_host.fly.runner import fly as fly_plans
-from heli_host.heli import Heli
-from heli_host.link.session import Session
-from heli_host.log.flight_file import read_flight
 from heli_host.log.summary import FlightSummary
 from heli_host.parameter_file import read_parameter_set
 from heli_sim.model import MultibodyModel
@@ -25,12 +20,10 @@ from heli_sim.model.named import model_named
 from heli_sim.model.parts import AXES
 from heli_sim.plant import Plant
 from heli_sim.rig import Rig, load_rig
-from heli_sim.sil.inprocess import InProcessTransport
-from heli_sim.sil.options import SilOptions
-from heli_sim.sil.world import SilWorld
 
 from heli_lab.campaign.case import Cell
 from heli_lab.campaign.draw import DrawnRig, draw_rig
+from heli_lab.simulated_board import connected, fly_and_read, world_of
 
 Settings = Mapping[str, Any]
 Result = tuple[dict[str, Cell], Any]
@@ -167,8 +160,8 @@ def gains(settings: Settings) -> Result:
 
     nominal, drawn = _draw(settings)
     model = _model(settings, nominal, parse_effects(drawn.effects, settings["effect_files"]))
-    parameters = read_parameter_set(Path(settings["params"])).values if settings["params"] else {}
-    trial = try_gains(Plant(model, drawn.rig, settings["seed"]), parameters, "campaign", settings["seed"])
+    plant = Plant(model, drawn.rig, settings["seed"])
+    trial = try_gains(plant, _parameters(settings), "campaign", settings["seed"])
     metrics = {
         name: None if isinstance(value, float) and not np.isfinite(value) else value
         for name, value in asdict(trial.metrics).items()
@@ -228,14 +221,15 @@ def _fly(settings: Settings, plan: str, seed_offset: int = 0) -> _SimulatedFligh
     nominal, drawn = _draw(settings)
     model = _model(settings, nominal, effects_with(nominal, drawn.effects, settings["effect_files"]))
     seed = settings["seed"] + seed_offset
-    session = Session(InProcessTransport(SilWorld(SilOptions(seed=seed), Plant(model, drawn.rig, seed))))
-    session.connect()
-    with Heli(session) as heli, tempfile.TemporaryDirectory() as folder:
-        if settings["params"]:
-            heli.params.restore(read_parameter_set(Path(settings["params"])).values)
-        log = Path(folder) / "flight.mcap"
-        summary = fly_plans(heli, plan, log_path=log)
-        return _SimulatedFlight(nominal, drawn, read_flight(log), summary)
+    with connected(world_of(Plant(model, drawn.rig, seed), seed)) as heli:
+        if parameters := _parameters(settings):
+            heli.params.restore(parameters)
+        return _SimulatedFlight(nominal, drawn, *fly_and_read(heli, plan))
+
+
+def _parameters(settings: Settings) -> dict[str, float]:
+    """Parameters of the board to fly with, by name."""
+    return read_parameter_set(Path(settings["params"])).values if settings["params"] else {}
 
 
 def _model(settings: Settings, rig: Rig, effects: tuple[Effect, ...]) -> Model:

@@ -89,20 +89,14 @@ def board_on(plant: Plant, seed: int, elevation_deg: float) -> Iterator[tuple[He
     SilWorld
         Simulation of board and rig.
     """
-    from heli_host.heli import Heli
-    from heli_host.link.session import Session
-    from heli_sim.sil.inprocess import InProcessTransport
-    from heli_sim.sil.options import SilOptions
-    from heli_sim.sil.world import SilWorld
+    from heli_lab.simulated_board import connected, world_of
 
-    world = SilWorld(SilOptions(seed=seed), plant)
+    world = world_of(plant, seed)
     state = world.state
     state[0] = np.deg2rad(elevation_deg)
     world.state = state
     world.native.locked = _ALL_LOCKED
-    session = Session(InProcessTransport(world))
-    session.connect()
-    with Heli(session) as heli:
+    with connected(world) as heli:
         heli.params["elevation_rest_deg"] = elevation_deg
         heli.zero()
         heli.wait(_BOOT_S)
@@ -204,17 +198,17 @@ def fly_plan(
     """
     from heli_host.declaration import State
     from heli_host.fly.plan import Plan, take_off
-    from heli_host.fly.runner import Progress, fly
-    from heli_host.log.reader import read_log
+    from heli_host.fly.runner import Progress
     from heli_host.published_gains import load_gains
 
     from heli_lab.paper.bench_tests import TABLE_DEG
     from heli_lab.paper.figures_flight import closed_loop_flight
+    from heli_lab.simulated_board import fly_and_read
 
     plan = Plan.parse(PLANS[name], f"plan {name}", name)
     length_s = plan.duration_s + plan.start.settle_s
 
-    with board_on(plant, seed, TABLE_DEG) as (heli, world), tempfile.TemporaryDirectory() as folder:
+    with board_on(plant, seed, TABLE_DEG) as (heli, world):
 
         def report(progress: Progress) -> None:
             # With Table 2 as point masses the arm balances above the table, so it stays locked until then.
@@ -227,9 +221,7 @@ def fly_plan(
         sample = heli.latest
         start_deg = np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg])
         route = take_off([plan], dict(heli.params), start_deg)
-        path = Path(folder) / "flight.mcap"
-        summary = fly(heli, plan, log_path=path, on_progress=report)
-        flight = read_log(path).flight()
+        flight, summary = fly_and_read(heli, plan, report)
     closed = np.flatnonzero(flight.state == State.CLOSED_LOOP)
     start_s = float(flight.t_s[closed[0]]) if closed.size else 0.0
     return closed_loop_flight(label, flight, route.evaluate(flight.t_s - start_s), summary.outcome)

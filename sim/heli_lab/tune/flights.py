@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -89,14 +87,9 @@ def try_gains(
     """
     from heli_host.declaration import State
     from heli_host.fly.plan import Plan, take_off
-    from heli_host.fly.runner import Progress, fly
-    from heli_host.heli import Heli
-    from heli_host.link.session import Session
-    from heli_host.log.reader import read_log
-    from heli_sim.sil.inprocess import InProcessTransport
-    from heli_sim.sil.options import SilOptions
-    from heli_sim.sil.world import SilWorld
+    from heli_host.fly.runner import Progress
 
+    from heli_lab.simulated_board import connected, fly_and_read, world_of
     from heli_lab.tune.flight_metrics import Phases, flight_metrics
 
     plan = Plan.parse(PLAN, "plan of the trial", "trial")
@@ -106,17 +99,13 @@ def try_gains(
         if on_progress is not None:
             on_progress(min(1.0, progress.t_s / length_s))
 
-    session = Session(InProcessTransport(SilWorld(SilOptions(seed=seed), plant)))
-    session.connect()
-    with Heli(session) as heli, tempfile.TemporaryDirectory() as folder:
+    with connected(world_of(plant, seed)) as heli:
         heli.params.restore(parameters)
         heli.wait(0.2)
         sample = heli.latest
         start_deg = np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg])
         route = take_off([plan], dict(heli.params), start_deg)
-        path = Path(folder) / "flight.mcap"
-        summary = fly(heli, plan, log_path=path, on_progress=report)
-        flight = read_log(path).flight()
+        flight, summary = fly_and_read(heli, plan, report)
     closed = np.flatnonzero(flight.state == State.CLOSED_LOOP)
     start_s = float(flight.t_s[closed[0]]) if closed.size else float(flight.t_s[0])
     stop_s = float(flight.t_s[closed[-1]]) if closed.size else start_s

@@ -2,34 +2,25 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 from heli_host.errors import FlightAborted
 from heli_host.flight import Flight
 from heli_host.fly.plan import Plan
-from heli_host.fly.runner import fly
-from heli_host.heli import Heli
-from heli_host.link.session import Session
-from heli_host.log.flight_file import read_flight
 from heli_sim.model.base import Effect, Model
 from heli_sim.model.effects import catalogue
-from heli_sim.model.linear import trim
 from heli_sim.model.parts import AXES
 from heli_sim.plant import Plant
 from heli_sim.rig import Rig
 from heli_sim.rig.quantity import Quantity
-from heli_sim.sil.inprocess import InProcessTransport
-from heli_sim.sil.options import SilOptions
-from heli_sim.sil.world import SilWorld
 
 from heli_lab.estimation import DisturbanceModel
 from heli_lab.estimation.disturbances import SLOW_CORRELATION_TIME_s
 from heli_lab.identify.flight_model import TORQUE_STD_Nm
+from heli_lab.simulated_board import connected, fly_and_read, set_hover, world_of
 
 _TORQUE_SHARE: Final = 0.5
 """Standard deviation of the constant torques of simulated flights as a share of `TORQUE_STD_Nm`: the torques
@@ -143,18 +134,9 @@ def fly_simulated(model: Model, rig: Rig, plans: Plan | Sequence[Plan], seed: in
     flown = rig.replace(
         **{name: rig[name].value + _TORQUE_SHARE * std * rng.normal() for name, std in TORQUE_STD_Nm.items()}
     )
-    calm = type(model)(tuple(effect for effect in model.effects if not effect.noise_inputs))
-    volts_V = trim(type(calm)(), rig).volts_V
-    world = SilWorld(SilOptions(seed=seed), Plant(model, flown, seed))
-    session = Session(InProcessTransport(world), session_number=1)
-    session.connect()
-    with tempfile.TemporaryDirectory() as folder, Heli(session) as heli:
-        # The values that an operator would set for this rig.
-        heli.params["hover_V"] = float(sum(volts_V)) - 2.0 * rig["dead_zone"].value
-        heli.params["arm_elevation_tolerance_deg"] = 20.0
-        path = Path(folder) / "flight.mcap"
-        summary = fly(heli, plans, log_path=path)
-        flight = read_flight(path)
+    with connected(world_of(Plant(model, flown, seed), seed)) as heli:
+        set_hover(heli, model, rig)
+        flight, summary = fly_and_read(heli, plans)
     if not np.any(flight.voltages_V):
         raise FlightAborted(summary.outcome, "check the rig: heli-host rig check FILE")
     return flight

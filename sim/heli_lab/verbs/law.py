@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from heli_host.cli import simulated
-from heli_host.cli.flight_command import DEFAULT_SEED, FlightOptions
-from heli_host.cli.gains import GainsOption, ParamsFileOption
-from heli_host.cli.options import ClearFaultOption, FigureOption, JsonOption, LogOption, PortOption
+from heli_host.cli.flight_command import FlightOptions
+from heli_host.cli.option_group import with_option_groups
+from heli_host.cli.options import JsonOption
 from heli_host.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.cli.simulated import DEFAULT_RIG, MAX_SPEED, SeedOption
-from heli_host.cli.twin_options import OnAlarmOption, TwinOption
 from heli_host.cli.verb import Verb
 from heli_host.laws import FILE_LIMIT_s
 
@@ -122,7 +121,7 @@ def check(
             rig=rig,
             seed=seed + number,
             speed=MAX_SPEED,
-            effect=(f"rotor_lag={lag_s:.3f}", *thrust_effects),
+            effect=[f"rotor_lag={lag_s:.3f}", *thrust_effects],
         )
         trial = fly_trial(program, options, trial_plan(_CHECK_s))
         say(f"rig {number + 1} ({description}): {trial}")
@@ -144,29 +143,13 @@ def check(
 
 
 @app.command()
+@with_option_groups()
 def fly(
     law: LawArgument,
     plan: GradedPlanOption = None,
     duration_s: DurationOption = 20.0,
-    port: PortOption = None,
-    sil: simulated.SilOption = False,
-    board: simulated.BoardOption = None,
-    elf: simulated.ElfOption = None,
-    rig: simulated.RigOption = None,
-    model: simulated.ModelOption = None,
-    effect: simulated.EffectOption = None,
-    effect_file: simulated.EffectFilesOption = None,
-    speed: simulated.SpeedOption = "1",
-    seed: simulated.FlightSeedOption = None,
-    blind: simulated.BlindOption = False,
-    clear_fault: ClearFaultOption = False,
-    gains: GainsOption = None,
-    params: ParamsFileOption = None,
-    twin: TwinOption = None,
-    on_alarm: OnAlarmOption = None,
-    log: LogOption = None,
-    json: JsonOption = None,
-    figure: FigureOption = None,
+    *,
+    options: FlightOptions,
     load_timeout: LoadTimeoutOption = FILE_LIMIT_s,
 ) -> None:
     """Fly a control law on the board, along a travel step and sines.
@@ -183,28 +166,7 @@ def fly(
     from heli_lab.law.trial import trial_plan
     from heli_lab.law_flight import fly_law
 
-    options = FlightOptions(
-        port=port,
-        sil=sil,
-        board=board,
-        elf=elf,
-        rig=rig,
-        model=model,
-        effect=effect,
-        effect_file=effect_file,
-        speed=speed,
-        seed=seed,
-        blind=blind,
-        clear_fault=clear_fault,
-        gains=gains,
-        params=params,
-        twin=twin,
-        on_alarm=on_alarm,
-        log=log,
-        json=json,
-        figure=figure,
-    )
-    check_target(port, sil)
+    check_target(options.port, options.sil)
     flown_plan = load_plan(plan) if plan is not None else trial_plan(duration_s)
     loaded = load_law(law, load_timeout)
     flown, trial = fly_law(loaded.program, options, flown_plan, plan or "")
@@ -214,6 +176,7 @@ def fly(
 
 
 @app.command()
+@with_option_groups(without=("blind", "twin", "on_alarm", "foxglove", "log", "json", "figure"))
 def compare(
     compared: Annotated[
         list[Path],
@@ -223,19 +186,8 @@ def compare(
         ),
     ],
     duration_s: DurationOption = 30.0,
-    port: PortOption = None,
-    sil: simulated.SilOption = False,
-    board: simulated.BoardOption = None,
-    elf: simulated.ElfOption = None,
-    rig: simulated.RigOption = None,
-    model: simulated.ModelOption = None,
-    effect: simulated.EffectOption = None,
-    effect_file: simulated.EffectFilesOption = None,
-    speed: simulated.SpeedOption = "1",
-    seed: SeedOption = DEFAULT_SEED,
-    clear_fault: ClearFaultOption = False,
-    gains: GainsOption = None,
-    params: ParamsFileOption = None,
+    *,
+    options: FlightOptions,
     json: JsonOption = None,
     figure: Annotated[
         Path, typer.Option("--figure", metavar="FILE", help="Draw the flights: .png, .pdf or .svg.")
@@ -263,23 +215,8 @@ def compare(
     if len(are_laws) > 1:
         raise typer.BadParameter("laws and logs do not compare; give only laws (.py), or only logs")
     if are_laws == {True}:
-        check_target(port, sil)
+        check_target(options.port, options.sil)
     data_on_stdout(json)
-    options = FlightOptions(
-        port=port,
-        sil=sil,
-        board=board,
-        elf=elf,
-        rig=rig,
-        model=model,
-        effect=effect,
-        effect_file=effect_file,
-        speed=speed,
-        seed=seed,
-        clear_fault=clear_fault,
-        gains=gains,
-        params=params,
-    )
     flights = (
         _fly_laws(compared, options, duration_s, load_timeout) if are_laws == {True} else _read_logs(compared)
     )

@@ -12,19 +12,11 @@ import typer
 from heli_host.cli import simulated
 from heli_host.cli.again import fly_again
 from heli_host.cli.flight_command import FlightOptions, fly_plans
-from heli_host.cli.gains import GainsOption, ParamsFileOption
-from heli_host.cli.options import (
-    ClearFaultOption,
-    FigureOption,
-    FoxgloveOption,
-    JsonOption,
-    LogOption,
-    PortOption,
-)
-from heli_host.cli.twin_options import OnAlarmOption, TwinOption
+from heli_host.cli.option_group import with_option_groups
 from heli_host.cli.verb import Verb
 
 
+@with_option_groups()
 def fly(
     plans: Annotated[
         list[str] | None,
@@ -34,26 +26,8 @@ def fly(
         Path | None,
         typer.Option("--again", metavar="LOG", help="Repeat the simulated flight of this log exactly."),
     ] = None,
-    port: PortOption = None,
-    sil: simulated.SilOption = False,
-    board: simulated.BoardOption = None,
-    elf: simulated.ElfOption = None,
-    rig: simulated.RigOption = None,
-    model: simulated.ModelOption = None,
-    effect: simulated.EffectOption = None,
-    effect_file: simulated.EffectFilesOption = None,
-    speed: simulated.SpeedOption = "1",
-    seed: simulated.FlightSeedOption = None,
-    blind: simulated.BlindOption = False,
-    clear_fault: ClearFaultOption = False,
-    gains: GainsOption = None,
-    params: ParamsFileOption = None,
-    twin: TwinOption = None,
-    on_alarm: OnAlarmOption = None,
-    foxglove: FoxgloveOption = None,
-    log: LogOption = None,
-    json: JsonOption = None,
-    figure: FigureOption = None,
+    *,
+    options: FlightOptions,
 ) -> None:
     """Take off, fly plans one after the other, and land.
 
@@ -72,29 +46,6 @@ def fly(
 
     if not plans and again is None:
         raise typer.BadParameter("no plan is given; name one, such as hover, or give --again LOG")
-
-    options = FlightOptions(
-        port=port,
-        sil=sil,
-        board=board,
-        elf=elf,
-        rig=rig,
-        model=model,
-        effect=effect,
-        effect_file=effect_file,
-        speed=speed,
-        seed=seed,
-        blind=blind,
-        clear_fault=clear_fault,
-        gains=gains,
-        params=params,
-        twin=twin,
-        on_alarm=on_alarm,
-        foxglove=foxglove,
-        log=log,
-        json=json,
-        figure=figure,
-    )
     if again is not None:
         _refuse_with_again(again, options, plans or ())
         flown = fly_again(again, options)

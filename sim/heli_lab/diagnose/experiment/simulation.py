@@ -2,29 +2,20 @@
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import replace
-from pathlib import Path
 from typing import Final
 
 from heli_host.errors import HeliError
 from heli_host.flight import Flight
 from heli_host.fly.plan import Plan
-from heli_host.fly.runner import fly
 from heli_host.fly.tracking import NOT_TRACKED
-from heli_host.heli import Heli
-from heli_host.link.session import Session
-from heli_host.log.flight_file import read_flight
 from heli_sim.errors import SimError
-from heli_sim.model.linear import trim
 from heli_sim.plant import Plant
-from heli_sim.sil.inprocess import InProcessTransport
-from heli_sim.sil.options import SilOptions
-from heli_sim.sil.world import SilWorld
 
 from heli_lab.diagnose.search import Hypothesis, ModelComparison
 from heli_lab.estimation import Estimate
 from heli_lab.identify import Record, prepare
+from heli_lab.simulated_board import connected, fly_and_read, set_hover, world_of
 
 _DECIMATION: Final = 2
 """The board logs every millisecond; fits of every second sample are equally good and take half the time."""
@@ -60,21 +51,14 @@ def simulate_experiment(estimate: Estimate, plan: str) -> Record | None:
     )
     try:
         plant = Plant(type(model)(effects), rig, seed=_SEED)
-        volts_V = trim(type(model)(), rig).volts_V
-        world = SilWorld(SilOptions(seed=_SEED), plant)
-        session = Session(InProcessTransport(world))
-        session.connect()
-        with tempfile.TemporaryDirectory() as folder, Heli(session) as heli:
-            # Parameters that the operator of this rig sets: hover voltage, and tolerance of the arm at rest.
-            heli.params["hover_V"] = float(sum(volts_V)) - 2.0 * rig["dead_zone"].value
-            heli.params["arm_elevation_tolerance_deg"] = 20.0
-            path = Path(folder) / "flight.mcap"
-            summary = fly(heli, Plan.parse(plan, "next flight"), log_path=path)
-            # The effect itself may keep an axis from its setpoint; such a flight is informative.
-            flown = summary.completed or summary.outcome.startswith(NOT_TRACKED)
-            if not flown and "landing" not in summary.outcome:
-                return None
-            return prepare(_thinned(read_flight(path)), rig, "simulated")
+        with connected(world_of(plant, _SEED)) as heli:
+            set_hover(heli, model, rig)
+            flight, summary = fly_and_read(heli, Plan.parse(plan, "next flight"))
+        # The effect itself may keep an axis from its setpoint; such a flight is informative.
+        flown = summary.completed or summary.outcome.startswith(NOT_TRACKED)
+        if not flown and "landing" not in summary.outcome:
+            return None
+        return prepare(_thinned(flight), rig, "simulated")
     except (HeliError, SimError):
         return None
 

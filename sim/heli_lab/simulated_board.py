@@ -1,0 +1,78 @@
+"""The flight code on a simulated rig, in lockstep in this process: connect, fly, read the log."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from heli_host.flight import Flight
+from heli_host.fly.plan import Plan
+from heli_host.fly.runner import Progress, fly
+from heli_host.heli import Heli
+from heli_host.link.session import Session
+from heli_host.log.flight_file import read_flight
+from heli_host.log.summary import FlightSummary
+from heli_sim.model.base import Model
+from heli_sim.model.linear import trim
+from heli_sim.plant import Plant
+from heli_sim.rig import Rig
+from heli_sim.sil.inprocess import InProcessTransport
+from heli_sim.sil.options import SilOptions
+from heli_sim.sil.world import SilWorld
+
+
+def world_of(plant: Plant, seed: int) -> SilWorld:
+    """Return a simulated board on a plant.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the encoders' initial positions.
+    """
+    return SilWorld(SilOptions(seed=seed), plant)
+
+
+@contextmanager
+def connected(world: SilWorld) -> Iterator[Heli]:
+    """Connect to the simulated board of a world; at the end the motors are off."""
+    session = Session(InProcessTransport(world), session_number=1)
+    session.connect()
+    with Heli(session) as heli:
+        yield heli
+
+
+def set_hover(heli: Heli, model: Model, rig: Rig) -> None:
+    """Set what the operator of a rig sets: the hover voltage, and the tolerance of the arm at rest.
+
+    Parameters
+    ----------
+    heli : Heli
+        Connected.
+    model : Model
+        Equations of motion; their effects are left out.
+    """
+    hover_V = float(sum(trim(type(model)(), rig).volts_V)) - 2.0 * rig["dead_zone"].value
+    heli.params["hover_V"] = hover_V
+    heli.params["arm_elevation_tolerance_deg"] = 20.0
+
+
+def fly_and_read(
+    heli: Heli, plans: Plan | str | Sequence[Plan], on_progress: Callable[[Progress], None] | None = None
+) -> tuple[Flight, FlightSummary]:
+    """Fly plans with a connected board, and return the flight of the log with its summary.
+
+    Parameters
+    ----------
+    heli : Heli
+        Connected.
+    plans : Plan, str or sequence of Plan
+        As `heli_host.fly.runner.fly` takes them.
+    on_progress : callable, optional
+        Called with the progress of the flight.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "flight.mcap"
+        summary = fly(heli, plans, log_path=log, on_progress=on_progress)
+        return read_flight(log), summary
