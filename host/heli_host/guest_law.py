@@ -204,8 +204,8 @@ def engage(heli: Vehicle, program: LawProgram, parameters: Mapping[str, float] |
 
     heli.wait_until(flies_or_over, _ENGAGED_TIMEOUT_S)
     if not found:
-        told = [text for event in heli.session.events if (text := takeover_text(event))]
-        reason = f": {told[-1][0]} ({told[-1][1]:.4g})" if told else ""
+        reasons = [text for event in heli.session.events if (text := takeover_text(event))]
+        reason = f": {reasons[-1][0]} ({reasons[-1][1]:.4g})" if reasons else ""
         raise FlightAborted(
             f"control law {program.name} was taken over immediately{reason}",
             "simulate it first with heli-host law check",
@@ -242,8 +242,8 @@ def fly_law(
     report = LawReport(program.name, program.hash, (last.tick - first) * 1e-3)
     if not last.flags & Flags.LAW:
         heli.wait(0.1)
-        told = [text for event in heli.session.events if (text := takeover_text(event))]
-        reason, value = told[-1] if told else ("unknown", 0.0)
+        reasons = [text for event in heli.session.events if (text := takeover_text(event))]
+        reason, value = reasons[-1] if reasons else ("unknown", 0.0)
         report = LawReport(program.name, program.hash, report.flown_s, reason, value)
     else:
         heli.session.command(LawFlyMessage(0, 0))

@@ -162,8 +162,8 @@ def _printed(done: Iterable[tuple[Row | None, str]], count: int) -> Iterator[Row
             print(f"[{left}] {failure}", flush=True)
             continue
         word = "failed" if row.failure else ("right" if row.right else "WRONG")
-        said = ", ".join(row.named) or row.failure or "no cause"
-        print(f"[{left}] {row.case}: {word}; {row.verdict}: {said}; {row.seconds:.0f} s", flush=True)
+        named = ", ".join(row.named) or row.failure or "no cause"
+        print(f"[{left}] {row.case}: {word}; {row.verdict}: {named}; {row.seconds:.0f} s", flush=True)
         yield row
 
 

@@ -86,7 +86,7 @@ def _files(package: str) -> Iterator[tuple[str, Path]]:
     if spec is None:
         raise ImportError(f"there is no package {package}")
     if spec.submodule_search_locations is None:
-        # What is built into Python is told by Python's version.
+        # Python's version stands for its built-in modules.
         if spec.has_location:
             path = Path(str(spec.origin))
             yield path.name, path

@@ -60,7 +60,7 @@ def table(measured: Sequence[Measured], whole: bool) -> tuple[Table, bool]:
     whole : bool
         Whether a promised number that is not there is worth a row.
     """
-    values = {one.key: one for one in measured}
+    values = {result.key: result for result in measured}
     report = Table(box=None, pad_edge=False)
     for heading in ("number", "median", "worst", "bound", "", "what"):
         report.add_column(heading, no_wrap=heading != "what")
@@ -70,14 +70,14 @@ def table(measured: Sequence[Measured], whole: bool) -> tuple[Table, bool]:
             if whole:
                 report.add_row(promise.key, "-", "-", "", "[yellow]not measured[/]", promise.meaning)
             continue
-        one = values[promise.key]
-        holds = promise.holds(one.value)
+        result = values[promise.key]
+        holds = promise.holds(result.value)
         all_hold &= holds
-        worst = min(one.repetitions) if promise.at_least else max(one.repetitions)
+        worst = min(result.repetitions) if promise.at_least else max(result.repetitions)
         bound = "" if promise.bound is None else f"{'>=' if promise.at_least else '<='} {promise.bound:g}"
         report.add_row(
             promise.key,
-            f"{one.value:.3g}",
+            f"{result.value:.3g}",
             f"{worst:.3g}",
             bound,
             "" if promise.bound is None else "[green]pass[/]" if holds else "[red]FAIL[/]",
@@ -111,8 +111,8 @@ def main(words: Sequence[str]) -> int:
     report, all_hold = table(measured, whole=not chosen)
     if not chosen:
         content = {
-            **{one.key: one.value for one in measured},
-            "repetitions": {one.key: list(one.repetitions) for one in measured},
+            **{result.key: result.value for result in measured},
+            "repetitions": {result.key: list(result.repetitions) for result in measured},
             "machine": {
                 "processor": processor(),
                 "cores": os.cpu_count(),

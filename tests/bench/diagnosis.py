@@ -35,7 +35,7 @@ PAIRS: Final = {
 }
 """For each key the flight to fit, the one to validate on, and the rig."""
 REPETITIONS: Final = {"diagnose_one_effect_ratio": 5, "diagnose_measured_pair_ratio": 2}
-"""Of seconds single runs differ by a tenth, of most of a minute by less."""
+"""Runs of seconds differ by a tenth, runs of most of a minute by less."""
 LONG: Final = (
     """
 title = "Ten minutes"

@@ -18,7 +18,7 @@ from tests.identify.made import flown, thinned
 FEW, MANY = 10, 100
 FLIGHT_S = 8.0
 REFITS = 1
-"""Of each search: how many there are depends on what is found, and this is about what one costs."""
+"""Refits of each search. Their number depends on the causes, and this measures the cost of one refit."""
 HIDDEN = ("rotor_lag=0.08", *(f"random_torque.{axis}=0.006" for axis in ("elevation", "pitch", "travel")))
 
 

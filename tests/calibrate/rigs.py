@@ -26,7 +26,7 @@ HIDDEN: Final = {
     "makki2024": {"thrust_gain": 0.66, "dead_zone": 0.83, "reverse_thrust": 0.5, "elevation_min": -22.6},
     "quanser-course": {"thrust_gain": 0.11, "dead_zone": 0.4, "friction_pitch": 0.02},
 }
-"""What two rigs have, and the files that a calibration starts from do not."""
+"""Parameters of two rigs that the files from which a calibration starts do not have."""
 GAIN_SHARE: Final = 0.05
 """Error of the thrust gain, as share, that is tolerated. The paper's rig has 0.003. The course's has up to
 0.035, 2.1 of its standard errors: its pulses turn pitch by few counts.

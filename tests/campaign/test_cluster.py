@@ -40,7 +40,7 @@ def test_an_address_that_does_not_answer_is_said_so(
 def test_a_worker_of_other_code_is_named_and_the_others_do_its_cases(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    said: list[State] = []
+    states: list[State] = []
     # One file differs on the path of the second worker, as after an upgrade of one machine.
     other = tmp_path / "other" / "tests" / "campaign"
     other.mkdir(parents=True)
@@ -52,10 +52,10 @@ def test_a_worker_of_other_code_is_named_and_the_others_do_its_cases(
         own.add_worker(path=other.parents[1])
         own.wait_for_workers(2)
         rows = run_campaign(
-            squares(12), Store(tmp_path / "out"), scheduler=own.address, on_progress=said.append
+            squares(12), Store(tmp_path / "out"), scheduler=own.address, on_progress=states.append
         )
     assert [row["square"] for row in rows] == [number**2 for number in range(12)]
-    (note,) = [one.note for one in said if one.note]
+    (note,) = [state.note for state in states if state.note]
     assert "is not used: its code has the digest" in note
     assert code_digest(WORKS) in note
 
@@ -79,15 +79,15 @@ def test_a_worker_without_the_package_says_so() -> None:
 @pytest.mark.medium
 def test_cases_that_fail_are_named_and_the_others_go_on(tmp_path: Path) -> None:
     bad = [Case(how, "tests.campaign.works:bad", {"how": how}) for how in ("crashes", "raises", "fine")]
-    said: list[State] = []
+    states: list[State] = []
     rows = run_campaign(
-        Campaign("bad", tuple(bad), Limits(5.0, 60.0)), Store(tmp_path), on_progress=said.append
+        Campaign("bad", tuple(bad), Limits(5.0, 60.0)), Store(tmp_path), on_progress=states.append
     )
     assert {row["case"]: row["failure"] for row in rows} == {
         "crashes": "its process crashed: SIGSEGV",
         "raises": "ValueError: seven lines of it",
         "fine": "",
     }
-    assert [(one.ended, one.failed) for one in said][-1] == (3, 2)
+    assert [(state.ended, state.failed) for state in states][-1] == (3, 2)
     again = run_campaign(Campaign("bad", tuple(bad), Limits(5.0, 60.0)), Store(tmp_path))
     assert [{**row} for row in again] == rows, "what failed is done again only if that is asked for"

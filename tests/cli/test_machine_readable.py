@@ -39,7 +39,7 @@ def test_rigs_are_json_where_asked(terminal: Terminal) -> None:
     listed = json.loads(terminal("rig", "list", "--json", "-").out)["rigs"]
     assert "makki2024" in [rig["name"] for rig in listed]
     (checked,) = json.loads(terminal("rig", "check", "makki2024", "--json", "-").out)["rigs"]
-    assert checked["can_be"]
+    assert checked["is_valid"]
     compared = json.loads(terminal("rig", "diff", "makki2024", "quanser-course", "--json", "-").out)
     assert {"name", "left", "right", "tolerances"} <= compared["numbers"][0].keys()
 
@@ -48,8 +48,8 @@ def test_rig_that_cannot_be_is_json_and_an_error(terminal: Terminal) -> None:
     shown = terminal("rig", "check", "nobodys", "--json", "-")
     assert shown.code != 0
     (checked,) = json.loads(shown.out)["rigs"]
-    assert not checked["can_be"]
-    assert checked["why"] in shown.err
+    assert not checked["is_valid"]
+    assert checked["error"] in shown.err
 
 
 def test_one_parameter_is_json_with_its_unit(terminal: Terminal) -> None:

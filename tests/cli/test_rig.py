@@ -100,7 +100,7 @@ def test_check_ends_with_1_when_a_rig_is_too_heavy_for_its_supply(terminal: Term
         assert ended.code == 1 and says in ended.out and not ended.err
         ended = terminal("rig", "check", rig, "--json", "-")
         [told] = json.loads(ended.out)["rigs"]
-        assert ended.code == 1 and told["can_be"] and not told["can_fly"]
+        assert ended.code == 1 and told["is_valid"] and not told["can_fly"]
     assert terminal("rig", "check", *rig_names()).code == 0
 
 

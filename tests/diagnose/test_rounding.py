@@ -17,7 +17,7 @@ pytestmark = pytest.mark.diagnosis
 
 TRIED = ("rotor_lag", "input_delay", "thrust_asymmetry", "coulomb_friction.travel")
 ROUNDING = 4e-16
-"""Of a double, twice over."""
+"""Twice the rounding error of a double."""
 
 
 def diagnosed() -> Diagnosis:
@@ -39,28 +39,28 @@ def test_verdict_and_log_likelihoods_survive_a_kernel_that_rounds_differently(
         return values * (1.0 + ROUNDING * rng.uniform(-1.0, 1.0, values.shape))
 
     def rounds_differently(self: AlongTrajectory, trajectory: Trajectory) -> list[Floats]:
-        return [otherwise(one) for one in along(self, trajectory)]
+        return [otherwise(step) for step in along(self, trajectory)]
 
     def filters_differently(*system: Floats) -> tuple[Floats, ...]:
-        return tuple(otherwise(np.asarray(one)) for one in filtered(*system))
+        return tuple(otherwise(np.asarray(array)) for array in filtered(*system))
 
     monkeypatch.setattr(AlongTrajectory, "__call__", rounds_differently)
     monkeypatch.setattr(_kalman, "filter", filters_differently)
     other = diagnosed()
     assert rounded > 100
     assert other.label == plain.label == "cause_found"
-    assert [one.candidate.id for one in other.verdict.causes] == ["rotor_lag"]
+    assert [cause.candidate.id for cause in other.verdict.causes] == ["rotor_lag"]
     refits = [
         {
-            one.candidate.id: one.hypothesis.log_likelihood
-            for tried in found.search.rounds
-            for one in tried.refits
+            refit.candidate.id: refit.hypothesis.log_likelihood
+            for tried in diagnosis.search.rounds
+            for refit in tried.refits
         }
-        for found in (plain, other)
+        for diagnosis in (plain, other)
     ]
     assert refits[0].keys() == refits[1].keys()
     for id_, log_likelihood in refits[0].items():
         assert refits[1][id_] == pytest.approx(log_likelihood, abs=0.1), id_
-    gains = [to_json(found)["gain"]["axis"] for found in (plain, other)]
-    for axis, one in gains[0].items():
-        assert gains[1][axis]["ratio"] == pytest.approx(one["ratio"], rel=0.01)
+    gains = [to_json(diagnosis)["gain"]["axis"] for diagnosis in (plain, other)]
+    for axis, axis_gain in gains[0].items():
+        assert gains[1][axis]["ratio"] == pytest.approx(axis_gain["ratio"], rel=0.01)

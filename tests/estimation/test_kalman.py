@@ -94,10 +94,10 @@ def seen(system: System) -> NDArray[np.bool_]:
 def test_innovations_are_the_log_likelihood_of_what_was_measured(system: System, measured: Floats) -> None:
     innovations, log_variances = _kalman.filter(*system.arguments(), measured)
     count = seen(system).sum()
-    found = -0.5 * (np.sum(innovations**2) + sum(log_variances) + count * np.log(2.0 * np.pi))
+    log_likelihood = -0.5 * (np.sum(innovations**2) + sum(log_variances) + count * np.log(2.0 * np.pi))
     outputs = system.dense()[1][seen(system)]
     expected = log_density(measured.ravel()[seen(system)], outputs @ outputs.T)
-    assert found == pytest.approx(expected, abs=1e-9)
+    assert log_likelihood == pytest.approx(expected, abs=1e-9)
 
 
 def test_innovations_are_white_and_of_unit_variance(system: System) -> None:
@@ -123,14 +123,14 @@ def test_tracked_states_know_nothing_of_what_comes_later(system: System, measure
     predicted, filtered = _kalman.track(*system.arguments(), measured)
     states, outputs = system.dense()
     for k in range(STEPS):
-        for found, count in ((predicted, 3 * k), (filtered, 3 * k + 3)):
+        for means, count in ((predicted, 3 * k), (filtered, 3 * k + 3)):
             known = seen(system) & (np.arange(3 * STEPS) < count)
             own = states[ORDER * k : ORDER * (k + 1)]
             if not known.any():
-                assert np.allclose(found[k], 0.0)
+                assert np.allclose(means[k], 0.0)
                 continue
             gain = own @ outputs[known].T @ np.linalg.inv(outputs[known] @ outputs[known].T)
-            assert np.allclose(found[k], gain @ measured.ravel()[known], atol=1e-9)
+            assert np.allclose(means[k], gain @ measured.ravel()[known], atol=1e-9)
 
 
 def test_drive_moves_the_state_of_the_next_step(system: System) -> None:
@@ -148,13 +148,13 @@ def test_steps_of_a_block_move_what_they_move_one_by_one(system: System) -> None
     random = np.random.default_rng(7)
     response = random.normal(0.0, 1.0, (STEPS, STATES, STATES))
     rates = random.normal(0.0, 1.0, (STEPS, STATES, 5))
-    found = _kalman.over_blocks(system.transition, response, rates, 3)
-    assert found.shape == (2, STATES, 5)
+    responses = _kalman.over_blocks(system.transition, response, rates, 3)
+    assert responses.shape == (2, STATES, 5)
     for block in range(2):
         state = np.zeros((STATES, 5))
         for step in range(3 * block, 3 * block + 3):
             state = system.transition[step] @ state + response[step] @ rates[step]
-        assert np.allclose(found[block], state, atol=1e-12)
+        assert np.allclose(responses[block], state, atol=1e-12)
 
 
 def test_rates_of_one_step_alone_move_what_they_move_by_the_end_of_its_block(system: System) -> None:
@@ -201,13 +201,15 @@ def test_several_disturbance_models_together_are_as_likely_as_each_alone(
     power = random.uniform(0.1, 2.0, (disturbance_models, torques))
     scale = random.uniform(0.3, 2.0, (disturbance_models, 3))
     fixed = transition, part_input, measurement
-    found = _kalman.log_likelihoods(*fixed, variance, memory, power, scale, initial, drive, measured)
+    log_likelihoods = _kalman.log_likelihoods(
+        *fixed, variance, memory, power, scale, initial, drive, measured
+    )
     for number in range(disturbance_models):
         innovations, log_variances = _kalman.filter(
             *fixed, variance * scale[number], memory[number], power[number], initial, drive, measured
         )
         expected = -0.5 * ((innovations[:, :, 0] ** 2).sum(axis=0) + log_variances)
-        assert np.allclose(found[number], expected, rtol=1e-9)
+        assert np.allclose(log_likelihoods[number], expected, rtol=1e-9)
 
 
 def test_arrays_of_another_shape_are_refused(system: System, measured: Floats) -> None:

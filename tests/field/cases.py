@@ -67,22 +67,22 @@ class Case:
 
     def flights(self) -> tuple[Flight, Flight]:
         """The flight to fit and the one to hold out."""
-        first, second = (read_flight(self.folder / f"{one}.csv.gz") for one in "ab")
+        first, second = (read_flight(self.folder / f"{name}.csv.gz") for name in "ab")
         return first, second
 
     def numbers(self) -> ParameterValues:
         """True parameters of the case file, by their names in the catalogue; without rest angles, and without
         effects whose equation the file does not state.
         """
-        found: dict[str, float] = {}
+        values: dict[str, float] = {}
         for id_ in self.listed:
             if id_ not in self.sizes or id_ in LAW_UNTOLD:
                 continue
             of = {"size": self.sizes[id_], "rest_rad": math.nan}
             if "at" in self.sizes:
                 of["at_s"] = self.sizes["at"]
-            found |= translated(id_, of, 0.0).scalars
-        return {name: value for name, value in found.items() if not math.isnan(value)}
+            values |= translated(id_, of, 0.0).scalars
+        return {name: value for name, value in values.items() if not math.isnan(value)}
 
 
 @dataclass(frozen=True)
@@ -139,10 +139,10 @@ class Judged:
 
     def line(self) -> str:
         """One row of the table, and what is wrong below it."""
-        said = ", ".join(f"{name} {sure:.2f}" for name, sure in self.named) or "no cause"
+        causes = ", ".join(f"{name} {sure:.2f}" for name, sure in self.named) or "no cause"
         word = "right" if self.right else "WRONG"
         lines = [
-            f"{self.case.name:45s} {word}  {self.verdict:12s} {self.cpu_s:6.1f} s  {said}",
+            f"{self.case.name:45s} {word}  {self.verdict:12s} {self.cpu_s:6.1f} s  {causes}",
             f"{'':45s}        hidden: {', '.join(self.case.hidden) or 'nothing'}",
         ]
         for name, (value, std, truth) in self.numbers.items():
@@ -206,14 +206,14 @@ def judged(case: Case, answer: Mapping[str, Any]) -> Judged:
         As `heli_benchmark.runs.case.asked` gives it.
     """
     result = answer["result"] or {"verdict": "died", "causes": []}
-    found: dict[str, Any] = {}
+    estimates: dict[str, Any] = {}
     for cause in result["causes"]:
         for numbers in of_parts(cause["effect"], cause["parameters"]).values():
-            found |= numbers
+            estimates |= numbers
     numbers = {
-        name: (found[name]["value"], found[name]["std"], truth)
+        name: (estimates[name]["value"], estimates[name]["std"], truth)
         for name, truth in case.numbers().items()
-        if name in found
+        if name in estimates
     }
     named = tuple((cause["effect"], cause["confidence"]) for cause in result["causes"])
     return Judged(case, result["verdict"], named, numbers, answer["cpu_seconds"], answer["failure"])

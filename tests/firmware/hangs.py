@@ -21,7 +21,7 @@ TICK_TIMER_CONTROL: Final = 0x40084000
 CLOCK_DISABLE: Final = 1 << 1
 TRAVEL: Final = 2
 SLOWEST_Hz, FASTEST_Hz = 20_000, 44_000
-"""What the slow clock may be, over parts and temperature."""
+"""Range of the slow clock, over parts and temperature."""
 KICK_INTERVAL_MS: Final = 16
 
 

@@ -11,11 +11,11 @@ from heli_test_native import flight
 
 REST_DEG = -25.0
 DUTY_FULL = 2100
-"""Of the Due."""
+"""Full duty of the Due, in counts."""
 PAGE_BYTES = 512
 TRACKING = ("_following_max_deg", "_motion_V", "_motion_deg")
 """Ends of the names of the parameters that decide whether an axis does what it is driven to do."""
-"""Of the Due."""
+"""Full duty of the Due, in counts."""
 
 
 class Harness:

@@ -26,7 +26,7 @@ RAD: Final = 3.14159265358979 / 180.0
 REST_DEG: Final = -25.0
 COUNTS: Final = 4096
 SUPPLY_DUTY: Final = 2100
-"""Of the Due, at `supply_V`."""
+"""Duty of the Due at `supply_V`, in counts."""
 PAGE_BYTES: Final = 512
 
 Words = Sequence[int]

@@ -14,7 +14,7 @@ from tests.flight.harness import Harness
 
 ELEVATION = 0
 GAIN_1_s2 = 0.5
-"""Of travel, per radian of pitch: the board's default."""
+"""Acceleration of travel per radian of pitch: the board's default."""
 FRICTION_20_mNm_DEG = 2.8
 """Tilt that 20 mN m of dry friction hold on the paper's rig."""
 STEP_ms = 4

@@ -38,7 +38,7 @@ _KINDS: Final = {"elevation": (0, 250), "pitch": (1, 250), "travel": (2, 510), "
 _LATEST_S: Final = 40.0
 _HEALTHY: Final = 420
 _INERTIA_kg_m2: Final = 0.8195
-"""Of travel, J_psi of the paper: makes a torque of an acceleration."""
+"""Inertia of travel, J_psi of the paper: converts an acceleration into a torque."""
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ MAX_INSTRUCTIONS: Final = 500
 HALT: Final = b"\xfe\xe7"
 Terms = tuple[int, int, bool]
 SP, LR, PC = 13, 14, 15
-CODE: Final = {one.name: one.code for one in OPERATIONS}
+CODE: Final = {operation.name: operation.code for operation in OPERATIONS}
 
 SPECIAL: Final = np.array(
     [0.0, -0.0, 1.0, -1.0, np.inf, -np.inf, np.nan, 1.1754944e-38, 3.4028235e38, -3.4028235e38, 0.5, 1.5,
@@ -107,13 +107,13 @@ def operation_cost(processor: Processor, code: int, operands: npt.NDArray[np.flo
     """Most instructions of one operation, the step to the next included."""
     word = code << 27 | 400 << 18 | 0 << 9 | (1 if binary else 0)
     most = 0
-    one, two = np.array([word], np.uint32), np.array([word, word], np.uint32)
+    once, twice = np.array([word], np.uint32), np.array([word, word], np.uint32)
     for pair in operands:
         cells = np.zeros(2, np.float32)
         cells[:] = pair
         exponent = pair.view(np.uint32) >> 23 & 0xFF
         cells[exponent == 0] = 0.0
-        most = max(most, processor.cost(two, cells) - processor.cost(one, cells))
+        most = max(most, processor.cost(twice, cells) - processor.cost(once, cells))
     return most
 
 
@@ -125,9 +125,9 @@ def sum_words(target: int, terms: Sequence[Terms]) -> list[int]:
 
 def sum_cost(processor: Processor, cells: npt.NDArray[np.float32], terms: Sequence[Terms]) -> int:
     """Instructions of a sum over cells, the step to the next operation included."""
-    one = np.array(sum_words(400, terms), np.uint32)
-    two = np.concatenate([one, one])
-    return processor.cost(two, cells) - processor.cost(one, cells)
+    once = np.array(sum_words(400, terms), np.uint32)
+    twice = np.concatenate([once, once])
+    return processor.cost(twice, cells) - processor.cost(once, cells)
 
 
 def adversarial_sums(
@@ -163,11 +163,11 @@ def main() -> None:
     arguments = parser.parse_args()
     processor = Processor(arguments.elf)
     operands = pairs(1, arguments.count)
-    for one in OPERATIONS:
-        if one.operands == 0:
+    for operation in OPERATIONS:
+        if operation.operands == 0:
             continue
-        most = operation_cost(processor, one.code, operands, one.operands == 2)
-        print(f"{one.name:20} {most:5} declared {one.cost:5}")
+        most = operation_cost(processor, operation.code, operands, operation.operands == 2)
+        print(f"{operation.name:20} {most:5} declared {operation.cost:5}")
     most = max(
         sum_cost(processor, cells, terms) - LAW_TERM_COST * len(terms)
         for cells, terms in adversarial_sums(np.random.default_rng(7), arguments.count)

@@ -9,7 +9,7 @@ from heli_host.declaration import OPERATIONS
 from heli_test_native import law as native_law
 
 Floats = npt.NDArray[np.float32]
-CODE = {one.name: one.code for one in OPERATIONS}
+CODE = {operation.name: operation.code for operation in OPERATIONS}
 TINY = np.finfo(np.float32).tiny
 SPECIAL = np.array(
     [0.0, -0.0, 1.0, -1.0, np.inf, -np.inf, np.nan, TINY, -TINY, 3.4028235e38, 0.5, 1.5, 2.5, 8388608.0,
@@ -35,10 +35,10 @@ def flushed(values: Floats) -> Floats:
     return np.where(np.abs(values) < TINY, np.copysign(np.float32(0.0), values), values)
 
 
-def same(found: Floats, wanted: Floats) -> npt.NDArray[np.bool_]:
+def same(results: Floats, wanted: Floats) -> npt.NDArray[np.bool_]:
     """Bit for bit, any "no number" like any other."""
-    alike: npt.NDArray[np.bool_] = found.view(np.uint32) == wanted.view(np.uint32)
-    return alike | (np.isnan(found) & np.isnan(wanted))
+    alike: npt.NDArray[np.bool_] = results.view(np.uint32) == wanted.view(np.uint32)
+    return alike | (np.isnan(results) & np.isnan(wanted))
 
 
 def computed(name: str, pairs: Floats) -> Floats:
@@ -54,10 +54,10 @@ def test_arithmetic_is_that_of_ieee_754_but_for_numbers_below_the_normal_ones(na
         wanted = flushed(np.sqrt(a) if name == "square_root" else functions[name](a, b))
     # A product that is rounded up to the least normal number is that number in one way of counting.
     edge = np.abs(wanted) <= TINY
-    found = computed(name, pairs)
-    agree = same(found, wanted) | (edge & (np.abs(found) <= TINY))
+    results = computed(name, pairs)
+    agree = same(results, wanted) | (edge & (np.abs(results) <= TINY))
     worst = np.flatnonzero(~agree)[:5]
-    assert agree.all(), [(a[k], b[k], found[k], wanted[k]) for k in worst]
+    assert agree.all(), [(a[k], b[k], results[k], wanted[k]) for k in worst]
 
 
 def test_comparison_and_selection_are_those_of_ieee_754_but_for_no_number() -> None:
@@ -79,8 +79,8 @@ def test_comparison_and_selection_are_those_of_ieee_754_but_for_no_number() -> N
         assert same(computed(name, pairs), expected.astype(np.float32)).all(), name
     # Which of two zeros is the lesser, nothing says.
     for name, values in (("minimum", np.minimum(a, b)), ("maximum", np.maximum(a, b))):
-        found = computed(name, pairs)
-        assert (same(found, values) | (found == values)).all(), name
+        results = computed(name, pairs)
+        assert (same(results, values) | (results == values)).all(), name
 
 
 @pytest.mark.parametrize(
@@ -117,9 +117,9 @@ def test_arctangent_knows_all_quadrants_and_zeros_and_infinities() -> None:
     numbers = [0.0, -0.0, 1.0, -1.0, np.inf, -np.inf, 1e-30, np.nan]
     pairs = np.array([(y, x) for y in numbers for x in numbers], np.float32)
     wanted = np.arctan2(pairs[:, 0], pairs[:, 1])
-    found = computed("arctangent", pairs)
-    assert np.array_equal(np.isnan(found), np.isnan(wanted))
-    assert np.nanmax(np.abs(found - wanted)) < 3e-7
+    results = computed("arctangent", pairs)
+    assert np.array_equal(np.isnan(results), np.isnan(wanted))
+    assert np.nanmax(np.abs(results - wanted)) < 3e-7
 
 
 def test_functions_beyond_their_reach_say_so() -> None:

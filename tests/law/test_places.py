@@ -29,7 +29,7 @@ from tests.law.flown import law_of
 from tests.running.long import LONG
 
 LAWS = Path(__file__).resolve().parents[2] / "docs" / "laws"
-NAMES = tuple(sorted(one.stem for one in LAWS.glob("*.py")))
+NAMES = tuple(sorted(path.stem for path in LAWS.glob("*.py")))
 
 
 class Compiled:
@@ -50,7 +50,7 @@ class Compiled:
 
     def __call__(self, inputs: Floats) -> Floats:
         def pointers(*arrays: npt.NDArray[np.float32]) -> ctypes.Array[ctypes.c_void_p]:
-            return (ctypes.c_void_p * len(arrays))(*(one.ctypes.data for one in arrays))
+            return (ctypes.c_void_p * len(arrays))(*(array.ctypes.data for array in arrays))
 
         new = self.state.copy()
         given = inputs.astype(np.float32)
@@ -70,10 +70,10 @@ def test_numpy_tape_and_c_give_the_same_to_single_precision(name: str, tmp_path:
     assert tape.load(law.program.words, law.program.hash) == (0, law.program.cost, law.program.ticks)
     on_board = tape.run(np.ascontiguousarray(inputs))
     runner, compiled = law.runner(), Compiled(law, tmp_path)
-    for row, found in zip(inputs.astype(float), on_board, strict=True):
+    for row, computed in zip(inputs.astype(float), on_board, strict=True):
         wanted = runner(row)
         # Gains of some hundred volts a radian amplify the last bit of single precision.
-        np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=2e-4)
+        np.testing.assert_allclose(computed, wanted, rtol=1e-4, atol=2e-4)
         np.testing.assert_allclose(compiled(row), wanted, rtol=1e-4, atol=2e-4)
 
 
@@ -92,7 +92,7 @@ def test_a_law_flies_over_the_link_and_its_errors_are_reported(name: str, place:
         assert report.takeovers == 0
         assert abs(heli.latest.travel_deg - 20.0) < 10.0
     flight = read_log(log).flight()
-    in_flight = flight.state == next(k for k, one in flight.state_names.items() if one == "streamed")
+    in_flight = flight.state == next(k for k, name in flight.state_names.items() if name == "streamed")
     assert flight.travel_setpoint_rad is not None
     error_deg = np.degrees(flight.travel_rad - flight.travel_setpoint_rad)[in_flight]
     assert 0.2 < float(np.sqrt(np.mean(error_deg**2))) < 6.0
@@ -129,7 +129,7 @@ def test_the_names_of_signals_travel_into_log_tables_and_figures(tmp_path: Path)
     write_csv(flight, tmp_path / "a.csv")
     assert "slide_elevation" in read_flight(tmp_path / "a.csv").extra
     legends = [panel.get_legend() for panel in draw(flight, summarise(read_log(log))).axes]
-    labels = [text.get_text() for one in legends if one is not None for text in one.get_texts()]
+    labels = [text.get_text() for legend in legends if legend is not None for text in legend.get_texts()]
     assert {"slide_elevation", "slide_travel"} < set(labels)
     of_law = flight_of_law(log)
     assert 4.0 < of_law.duration_s < 6.0
@@ -144,10 +144,10 @@ def test_a_law_compiles_to_what_is_needed_and_no_more() -> None:
         front = 0.5 * now.pitch_rad - 0.25 * now.elevation_rad + parameter.k * state.x + wasted - 3.0
         return Command(front, 1.0, states={"x": state.x})
 
-    codes = [one.code for one in law.program.instructions]
+    codes = [instruction.code for instruction in law.program.instructions]
     # One sum of five products; and a copy of the state, which may not be read once it is written.
     assert len(codes) == 2
-    assert max(len(one.terms) for one in law.program.instructions) == 5
+    assert max(len(instruction.terms) for instruction in law.program.instructions) == 5
 
 
 @pytest.mark.slow

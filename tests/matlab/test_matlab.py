@@ -17,7 +17,7 @@ from heli_host.link.frames import encode_frame
 
 HERE = Path(__file__).resolve().parent
 TELEMETRY = int(MessageId.TELEMETRY)
-"""Of its messages the longest."""
+"""The longest message of the board."""
 CLASS = HERE.parents[1] / "docs" / "matlab"
 HELI_HOST = "import sys; from heli_host.cli import main; sys.exit(main())"
 SLOW = "0.25"
@@ -26,10 +26,10 @@ SLOW = "0.25"
 
 @functools.cache
 def octave() -> str:
-    found = shutil.which("octave-cli")
-    if found is None:
+    octave = shutil.which("octave-cli")
+    if octave is None:
         pytest.skip("skipped: no octave-cli (apt-get install octave)")
-    return found
+    return octave
 
 
 def run(script: str, cwd: Path, **environment: str) -> str:
@@ -54,7 +54,7 @@ def test_its_frames_are_those_of_the_host(tmp_path: Path) -> None:
     bodies = [bytes(drawn.choices(range(few), k=length)) for length in lengths for few in (1, 3, 256)]
     bodies += [bytes(drawn.choices(range(1, 256), k=length)) for length in lengths]
     messages = [bytes([PROTOCOL, TELEMETRY, number]) + body for number, body in enumerate(bodies)]
-    (tmp_path / "messages.txt").write_text("\n".join(one.hex() for one in messages))
+    (tmp_path / "messages.txt").write_text("\n".join(message.hex() for message in messages))
     frames = run("frames.m", tmp_path).split()
     assert frames == [encode_frame(TELEMETRY, number, body).hex() for number, body in enumerate(bodies)]
 
@@ -72,13 +72,13 @@ def test_it_takes_off_flies_and_lands(tmp_path: Path) -> None:
         assert board.stdout is not None
         port = re.search(r"socket://127\.0\.0\.1:(\d+)", board.stdout.readline())
         assert port is not None
-        said = dict(line.split(" ", 1) for line in run("flies.m", tmp_path, HELI_PORT=port[1]).splitlines())
+        values = dict(line.split(" ", 1) for line in run("flies.m", tmp_path, HELI_PORT=port[1]).splitlines())
     finally:
         board.terminate()
         board.wait()
-    assert said["supply_V"] == "12" and said["set"] == said["kp"] == "0.5"
-    assert said["refused"] == "the board refuses param_set: out_of_range"
-    assert (said["flies"], said["landed"]) == ("closed_loop", "idle")
-    assert float(said["rest_deg"]) == pytest.approx(-25.0, abs=0.5)
-    assert (said["gaps"], said["damaged"]) == ("0", "0")
-    assert 1.0 < float(said["front_V"]) < 10.0
+    assert values["supply_V"] == "12" and values["set"] == values["kp"] == "0.5"
+    assert values["refused"] == "the board refuses param_set: out_of_range"
+    assert (values["flies"], values["landed"]) == ("closed_loop", "idle")
+    assert float(values["rest_deg"]) == pytest.approx(-25.0, abs=0.5)
+    assert (values["gaps"], values["damaged"]) == ("0", "0")
+    assert 1.0 < float(values["front_V"]) < 10.0

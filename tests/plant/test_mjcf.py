@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from heli_sim.model import MultibodyModel
-from heli_sim.model.mjcf import mjcf, unsaid
+from heli_sim.model.mjcf import left_out, mjcf
 from heli_sim.rig import Rig, load_rig
 
 from tests.cli.terminal import Terminal, terminal
@@ -79,7 +79,7 @@ def test_arm_falls_onto_its_stop_and_no_further() -> None:
 
 def test_what_the_file_does_not_say_is_said_in_it_and_on_the_terminal(terminal: Terminal) -> None:
     rig = load_rig("quanser-course")
-    assert any("reversed voltage" in line for line in unsaid(rig))
+    assert any("reversed voltage" in line for line in left_out(rig))
     lagging = replace(rig, effects={"rotor_lag": {}}, description="odd -- <name> & more")
     ET.fromstring(mjcf(lagging))
     assert "the effect rotor_lag" in mjcf(lagging)

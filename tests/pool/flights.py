@@ -27,8 +27,8 @@ SECONDS = 14.0
 FLIGHTS = 4
 """Number of flights in a joint estimate, to compare with one flight."""
 BY_FLIGHTS = ("rotor_lag_s", "friction_pitch", "friction_travel", "dead_zone")
-"""Parameters that one flight identifies alone. Of masses and lengths it identifies only combinations, so that
-the rig file's tolerances are needed too."""
+"""Parameters that one flight identifies alone. It identifies only combinations of masses and lengths, so
+that the rig file's tolerances are needed too."""
 GUST_Nm = {"elevation": 0.012, "pitch": 0.004, "travel": 0.008}
 MADE_BY = (Path(__file__), Path(made.__file__))
 

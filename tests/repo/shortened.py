@@ -18,15 +18,15 @@ PLANS: Final = "plans"
 WORK: Final = "work"
 """Use less of each flight, fewer refits, fewer iterations, coarser figures; diagnose equal flights once."""
 SEGMENTS_s: Final = 20.0
-"""Of a plan's segments, s: at 16 s the sine of the plan `identify` is refused, because it is too short."""
+"""Duration of a plan's segments, s: at 16 s the sine of the plan `identify` is refused as too short."""
 USED_s: Final = 16.0
-"""Of each flight that a notebook diagnoses, s: at 11 s the effects that the notebooks hide are not named."""
+"""Used part of each flight that a notebook diagnoses, s: at 11 s, hidden effects are not named."""
 REFITS: Final = 2
 """Refits of a search for causes: with 1 no cause is named."""
 ITERATIONS: Final = 20
 """Iterations of an optimizer, which the design of gains starts four times."""
 DPI: Final = 20
-"""Of figures that are written, dots per inch."""
+"""Resolution of written figures, dots per inch."""
 
 
 def shorten(parts: Iterable[str]) -> None:

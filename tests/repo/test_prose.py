@@ -66,6 +66,11 @@ def test_help_and_comments_of_a_script_are_read(line: str, tmp_path: Path) -> No
     assert rules_broken(tmp_path, "Makefile", line) == ["word"]
 
 
+def test_the_text_of_a_constant_in_a_test_is_read(tmp_path: Path) -> None:
+    source = 'LIMIT_s = 1.0\n"""Of the board."""\nNAMES = ()\n"""The program tells it."""\n'
+    assert rules_broken(tmp_path, "tests/test_module.py", source) == ["opening", "word"]
+
+
 def test_private_docstrings_and_code_are_not_read(tmp_path: Path) -> None:
     source = (
         'def _tell() -> None:\n    """Tell it."""\n\n\ndef fly(tell: bool) -> None:\n    """Fly `tell`."""\n'

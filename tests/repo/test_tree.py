@@ -29,8 +29,8 @@ def tracked() -> list[Path]:
 
 def folders() -> list[Path]:
     """Every folder with sources in it, but for those of the documents."""
-    found = {path.parent for path in tracked() if path.suffix in (".py", ".cpp", ".hpp", ".toml")}
-    return sorted(folder for folder in found - {ROOT} if ROOT / "docs" not in (folder, *folder.parents))
+    directories = {path.parent for path in tracked() if path.suffix in (".py", ".cpp", ".hpp", ".toml")}
+    return sorted(folder for folder in directories - {ROOT} if ROOT / "docs" not in (folder, *folder.parents))
 
 
 def purpose_of(folder: Path) -> str:
@@ -47,20 +47,20 @@ def purpose_of(folder: Path) -> str:
 
 
 def test_no_path_of_a_build_machine() -> None:
-    found = []
+    places = []
     for path in tracked():
         if path.suffix not in TEXT_ENDS:
             continue
         for number, line in enumerate(path.read_text(errors="replace").splitlines(), 1):
             if MACHINE_PATH.search(line):
-                found.append(f"{path.relative_to(ROOT)}:{number}: {line.strip()}")
-    assert not found, "\n".join(found)
+                places.append(f"{path.relative_to(ROOT)}:{number}: {line.strip()}")
+    assert not places, "\n".join(places)
 
 
 def skipped_by_mypy() -> list[str]:
     """Parts of libraries whose types mypy does not read."""
     overrides = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["mypy"]["overrides"]
-    (skipped,) = (one["module"] for one in overrides if one.get("follow_imports") == "skip")
+    (skipped,) = (override["module"] for override in overrides if override.get("follow_imports") == "skip")
     return [name.removesuffix(".*") for name in skipped]
 
 
@@ -75,8 +75,8 @@ def imports(source: str, part: str) -> bool:
 def test_nothing_is_used_whose_types_mypy_does_not_read() -> None:
     sources = {path: path.read_text() for path in tracked() if path.suffix == ".py"}
     for part in skipped_by_mypy():
-        found = [path.relative_to(ROOT) for path, text in sources.items() if imports(text, part)]
-        assert not found, f"{part}: {found}"
+        users = [path.relative_to(ROOT) for path, text in sources.items() if imports(text, part)]
+        assert not users, f"{part}: {users}"
 
 
 def test_no_large_file() -> None:
@@ -125,11 +125,11 @@ def test_the_readme_leads_to_what_a_community_expects(name: str) -> None:
 
 def test_nothing_is_left_unfinished() -> None:
     marks = re.compile("|".join(("TO" + "DO", "FIX" + "ME", "X" * 3, "Not" + "ImplementedError")))
-    found = [
+    unfinished = [
         f"{path.relative_to(ROOT)}:{number}"
         for path in tracked()
         if path.suffix in TEXT_ENDS
         for number, line in enumerate(path.read_text(errors="replace").splitlines(), 1)
         if marks.search(line)
     ]
-    assert not found
+    assert not unfinished

@@ -33,7 +33,7 @@ LIBRARIES: Final = (
     "matplotlib.pyplot",
     "scipy.signal",
 )
-"""What commands of several documents need."""
+"""Modules that commands of several documents import."""
 HELI_HOST: Final = "heli-host"
 PYTHON: Final = "python"
 PATIENCE_S: Final = 900

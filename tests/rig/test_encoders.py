@@ -126,7 +126,7 @@ def test_on_hardware_only_a_stated_direction_is_compared(tmp_path: Path) -> None
         "travel_counts_per_rev": -4096.0,
     }
     differences = rig_differences(rig.values, board, simulated=False, directed=rig.directed)
-    assert [(one.parameter, one.part) for one in differences] == [
+    assert [(difference.parameter, difference.part) for difference in differences] == [
         ("elevation_counts_per_rev", BoardProperty.DIRECTION),
         ("pitch_counts_per_rev", BoardProperty.SCALE),
     ]
@@ -194,11 +194,11 @@ def test_such_a_rig_is_identified_with_its_counts() -> None:
         2.0 * np.pi / np.array([4096.0, 1000.0, 4096.0])
     )
     lag = MultibodyModel(parse_effects(["rotor_lag"]))
-    found = identify(lag, odd_rig(), [flight])
+    result = identify(lag, odd_rig(), [flight])
     for name, value in {**TRUTH, "rotor_lag_s": 0.08}.items():
-        assert found.fit.values[name] == pytest.approx(value, abs=3.0 * found.fit.std[name]), name
+        assert result.fit.values[name] == pytest.approx(value, abs=3.0 * result.fit.std[name]), name
     # Residuals are in counts: a wrong count is far from 1.
-    assert found.json()["normalised_residual"]["train"] == pytest.approx(1.0, abs=0.1)
+    assert result.json()["normalised_residual"]["train"] == pytest.approx(1.0, abs=0.1)
 
 
 @pytest.mark.slow
@@ -219,8 +219,8 @@ def test_such_a_rig_is_tuned_and_its_gains_keep_the_signs() -> None:
 @pytest.mark.diagnosis
 def test_the_cause_is_found_on_such_a_rig() -> None:
     fit, held_out = odd_flights()
-    found = diagnose(MultibodyModel(), odd_rig(), [fit], [held_out])
-    (cause,) = found.verdict.causes
+    diagnosis = diagnose(MultibodyModel(), odd_rig(), [fit], [held_out])
+    (cause,) = diagnosis.verdict.causes
     assert cause.effect == "rotor_lag"
     assert cause.parameters["rotor_lag_s"].value == pytest.approx(0.08, abs=0.01)
 

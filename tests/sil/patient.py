@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 PATIENT: Final = {"setpoint_hold_s": 5.0, "setpoint_land_s": 30.0}
-"""What a board waits for a setpoint, s, as long as its declaration lets it; for `Parameters.restore`."""
+"""Longest declared times that a board waits for a setpoint, s; for `Parameters.restore`."""
 SOON_LANDING: Final = {"setpoint_hold_s": 5.0, "setpoint_land_s": 10.0}
 """The same where a test waits for the landing."""
 SOON_HOLDING: Final = {"setpoint_hold_s": 2.0, "setpoint_land_s": 5.0}

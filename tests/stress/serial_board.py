@@ -189,8 +189,8 @@ class SecondProgram:
     """
 
     def __init__(self, kind: str, board: SerialBoard) -> None:
-        self.told = ""
-        """What a second ``heli-host`` was told; ``opened`` if it got the port."""
+        self.reply = ""
+        """Reply to a second ``heli-host``; ``opened`` if it got the port."""
         self.in_flight = board.flies
         """Whether the first one flew then."""
         self._kind = kind
@@ -200,9 +200,11 @@ class SecondProgram:
         if kind == COMPETES:
             try:
                 open_transport(str(board.endpoint.terminal)).close()
-                self.told = "opened"
+                self.reply = "opened"
             except HeliError as error:
-                self.told = str(error) if isinstance(error, PortError) else f"{type(error).__name__}: {error}"
+                self.reply = (
+                    str(error) if isinstance(error, PortError) else f"{type(error).__name__}: {error}"
+                )
             return
         with contextlib.suppress(OSError):
             self._fd = os.open(board.endpoint.terminal, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)

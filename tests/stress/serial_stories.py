@@ -227,11 +227,11 @@ def _judge(which: Story, lived: Lived, board: SerialBoard, second: list[SecondPr
         trouble.kind not in PROGRAMS and trouble.kind not in (SUSPENDED, SLOW) for trouble in which.troubles
     )
     for program in second:
-        refused = "in use by another program" in program.told
+        refused = "in use by another program" in program.reply
         # Before the host has opened the port, and after its end, it is free.
-        free = program.told == "opened" and not program.in_flight
-        if program.told and not (refused or free or broken):
-            complain(f"a second heli-host was told {program.told!r}")
+        free = program.reply == "opened" and not program.in_flight
+        if program.reply and not (refused or free or broken):
+            complain(f"a second heli-host got the reply {program.reply!r}")
 
 
 def _summary(folder: Path) -> dict[str, Any]:

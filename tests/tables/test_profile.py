@@ -50,7 +50,7 @@ def table(source: str = "a.csv") -> Table:
         "s": np.full(N, 341.0),
     }
     columns |= {"d": np.full(N, 1000.0), "r": np.zeros(N)}
-    return Table(source, {name: Column(np.asarray(one, float)) for name, one in columns.items()})
+    return Table(source, {name: Column(np.asarray(column, float)) for name, column in columns.items()})
 
 
 def test_a_profile_survives_its_file(tmp_path: Path) -> None:
@@ -93,13 +93,13 @@ def test_a_motor_gets_no_more_than_the_clip() -> None:
 
 
 def test_in_a_mirror_motors_are_exchanged_and_pitch_and_travel_turned() -> None:
-    (one,), (other,) = (
+    (plain,), (mirrored,) = (
         flights_of(table(), dataclasses.replace(PROFILE, mirrored=mirrored)) for mirrored in (False, True)
     )
-    assert np.array_equal(one.voltages_V[:, ::-1], other.voltages_V)
-    assert np.array_equal(one.elevation_rad, other.elevation_rad)
-    assert np.array_equal(one.pitch_rad, -other.pitch_rad)
-    assert np.array_equal(one.travel_rad, -other.travel_rad)
+    assert np.array_equal(plain.voltages_V[:, ::-1], mirrored.voltages_V)
+    assert np.array_equal(plain.elevation_rad, mirrored.elevation_rad)
+    assert np.array_equal(plain.pitch_rad, -mirrored.pitch_rad)
+    assert np.array_equal(plain.travel_rad, -mirrored.travel_rad)
 
 
 @pytest.mark.parametrize("counts", [4096.0, 4000.0])
@@ -159,7 +159,7 @@ def test_an_uneven_clock_becomes_even_and_a_hole_ends_a_flight() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("", "neither"),
         ("[front]\ncolumn='a'\n[back]\ncolumn='b'\n", "[elevation] is missing"),
@@ -169,16 +169,16 @@ def test_an_uneven_clock_becomes_even_and_a_hole_ends_a_flight() -> None:
         ("= 3", "not a profile"),
     ],
 )
-def test_a_wrong_profile_is_refused_in_a_line(text: str, said: str, tmp_path: Path) -> None:
+def test_a_wrong_profile_is_refused_in_a_line(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "p.toml"
     whole = profile_text(PROFILE)
-    path.write_text(text if said != "sgin" else whole.replace("[elevation]\n", "[elevation]\nsgin = 1\n"))
-    with pytest.raises(FlightDataError, match=said.replace("[", r"\[")):
+    path.write_text(text if message != "sgin" else whole.replace("[elevation]\n", "[elevation]\nsgin = 1\n"))
+    with pytest.raises(FlightDataError, match=message.replace("[", r"\[")):
         read_profile(path)
 
 
 @pytest.mark.parametrize(
-    ("entry", "wrong", "said"),
+    ("entry", "wrong", "message"),
     [
         ("mirrored = false", "mirrored = 1", "neither true nor false"),
         ("clip_V = [-1.0, 24.0]", "clip_V = [5, -5]", "smallest, largest"),
@@ -186,12 +186,12 @@ def test_a_wrong_profile_is_refused_in_a_line(text: str, said: str, tmp_path: Pa
         ("factor = 2.0", "factor = 0", "not positive"),
     ],
 )
-def test_a_wrong_entry_is_refused_in_a_line(entry: str, wrong: str, said: str, tmp_path: Path) -> None:
+def test_a_wrong_entry_is_refused_in_a_line(entry: str, wrong: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "p.toml"
     whole = profile_text(PROFILE)
     assert entry in whole
     path.write_text(whole.replace(entry, wrong))
-    with pytest.raises(FlightDataError, match=said):
+    with pytest.raises(FlightDataError, match=message):
         read_profile(path)
 
 

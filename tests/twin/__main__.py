@@ -29,7 +29,7 @@ from tests.twin.rigs import Known, flights, known
 
 HOURS = 10.0
 SEEN_s = 14.0
-"""Of a change that was not found, until how strongly it showed is asked: just less than the twin's window."""
+"""Time from a missed change until its evidence is read, s: just less than the twin's window."""
 
 
 def main() -> None:
@@ -131,7 +131,7 @@ def of_changed(rig: Known, name: str, size: float, seed: int) -> dict[str, Any]:
 
 
 def sigmas(rig: Known, flight: Flight, name: str, size: float, onset_s: float) -> float:
-    """Standard errors that a change is large for who knows what changed and when, after `SEEN_s` of it."""
+    """Size of a change in standard errors, if its kind and moment are known, after `SEEN_s`."""
     samples, sample_s = samples_of(flight)
     never = Calibration(rig.twin.calibration.disturbances, NO_ALARM)
     model = TwinModel(rig.twin.model, rig.twin.rig, rig.twin.calibration.uncertainty)
@@ -192,7 +192,7 @@ def changed_table(results: dict[str, Any]) -> list[str]:
     early = sum(entry["early"] for entry in flown)
     lines.append(
         f"named first {right} of {total} found; {early} alarms before the change; missed: how many standard "
-        f"errors the change was {SEEN_s:g} s after it, for who knows what and when"
+        f"errors the change was {SEEN_s:g} s after it, if its kind and moment are known"
     )
     return lines
 

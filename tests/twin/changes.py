@@ -30,7 +30,7 @@ SIZES: Mapping[str, tuple[float, float, float]] = {
     "cable_spring.elevation": (0.05, 0.1, 0.2),
     "cable_spring.travel": (0.02, 0.05, 0.1),
 }
-"""Of the first number of each."""
+"""Sizes of each change, as values of its first parameter."""
 REST_rad = 0.2
 """Where the cable is at rest."""
 

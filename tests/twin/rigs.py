@@ -19,10 +19,10 @@ from heli_sim.model.effects import parse_effects
 from heli_sim.rig import Rig, load_rig
 
 STRENGTHS_Nm = ((0.006, 0.002, 0.004), (0.012, 0.004, 0.008), (0.02, 0.006, 0.012))
-"""Gusts about elevation, pitch and travel: a still room, a draughty one, a windy one."""
+"""Gusts about elevation, pitch and travel, N m: weak, moderate and strong disturbances."""
 DRIFT_Nm = (1e-3, 5e-4, 5e-4)
 TEACHING = 2
-"""Flights from which the user identifies the rig and learns its weather."""
+"""Flights from which the user identifies the rig and estimates its disturbances."""
 FIXED = frozenset({"g", "elevation_min", "elevation_max", "pitch_max", "travel_max"})
 
 
@@ -77,23 +77,23 @@ def known(seed: int, drawn: int) -> Known:
     rig, calm, disturbances = true_rig(seed)
     model = with_process_noise(calm, disturbances)
     training_flights = flights(model, rig, 10_000 * seed, TEACHING)
-    found, numbers = identified(calm, training_flights)
+    fitted, numbers = identified(calm, training_flights)
     labels = [f"teaching {i}" for i in range(TEACHING)]
-    calibration = learn(found, numbers, training_flights, labels, seconds=60.0 * drawn, seed=seed)
-    return Known(seed, rig, model, TwinRig(numbers, found, calibration, f"rig {seed}"))
+    calibration = learn(fitted, numbers, training_flights, labels, seconds=60.0 * drawn, seed=seed)
+    return Known(seed, rig, model, TwinRig(numbers, fitted, calibration, f"rig {seed}"))
 
 
 def flights(model: Model, rig: Rig, seed: int, count: int, seconds: float = 60.0) -> list[Flight]:
     """Fly random plans. If disturbances move the arm too much to be armed, try again."""
-    found: list[Flight] = []
+    flights: list[Flight] = []
     for number in range(10 * count):
-        if len(found) == count:
+        if len(flights) == count:
             break
         try:
-            found.append(fly_simulated(model, rig, random_plan(seed + number, seconds), seed + number))
+            flights.append(fly_simulated(model, rig, random_plan(seed + number, seconds), seed + number))
         except HeliError:
             continue
-    return found
+    return flights
 
 
 def identified(model: Model, training_flights: list[Flight]) -> tuple[Model, Rig]:
@@ -103,13 +103,13 @@ def identified(model: Model, training_flights: list[Flight]) -> tuple[Model, Rig
     records = [prepare(flight, base, f"teaching {i}") for i, flight in enumerate(training_flights)]
     parameter_vector = RigParameters(start, base, records)
     functions = model_functions(start, parameter_vector.quantities)
-    found = estimate(
+    fitted = estimate(
         parameter_vector, [filter_record(record) for record in records], functions, parameter_vector.start
     )
     values = {
-        one.quantity: float(value)
-        for one, value in zip(parameter_vector.free, found.theta, strict=True)
-        if one.record is None
+        parameter.quantity: float(value)
+        for parameter, value in zip(parameter_vector.free, fitted.theta, strict=True)
+        if parameter.record is None
     }
     numbers = base.replace(**{name: value for name, value in values.items() if name in base})
     effects: list[Effect] = [

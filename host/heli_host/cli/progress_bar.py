@@ -65,8 +65,8 @@ class WorkBar:
         now_s = time.monotonic()
         if now_s - self._shown_s >= LINE_EVERY_S:
             self._shown_s = now_s
-            told = f"{stage}: {100 * done:.0f} %"
-            # Of next to nothing that is done no time left can be told.
+            line = f"{stage}: {100 * done:.0f} %"
+            # The first steps do not yet show how long the rest takes.
             if done >= _MIN_TOLD:
-                told += f", about {(now_s - self._started_s) * (1.0 - done) / done:.0f} s left"
-            say_progress(told)
+                line += f", about {(now_s - self._started_s) * (1.0 - done) / done:.0f} s left"
+            say_progress(line)

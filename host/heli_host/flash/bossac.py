@@ -173,9 +173,9 @@ def write_image(bossac: Bossac, port: str, image: Path, timeout_s: float = WRITE
 
 
 def _failure(bossac: Bossac, port: str, code: int, output: str) -> FlashError:
-    """Why bossac failed, from what it said."""
+    """Why bossac failed, from its output."""
     lines = [line.strip() for line in re.split(r"[\r\n]+", output) if line.strip()]
-    said = lines[-1] if lines else "nothing"
+    last_line = lines[-1] if lines else "nothing"
     if "No device found" in output:
         return FlashError(
             f"the chip's loader does not answer on {port}: not erased, or another program has the port",
@@ -196,6 +196,6 @@ def _failure(bossac: Bossac, port: str, code: int, output: str) -> FlashError:
     if code < 0:
         return FlashError(f"bossac {bossac.version} crashed (signal {-code})", GET_BOSSAC)
     return FlashError(
-        f"bossac {bossac.version} failed with code {code}: {said}",
+        f"bossac {bossac.version} failed with code {code}: {last_line}",
         "check cable and power, press RESET, then flash again",
     )

@@ -17,7 +17,7 @@ from heli_host.flight.flown import PHASE_EVENT
 from heli_host.link.channels import rad_per_count
 from heli_host.link.events import BOARD_RESTARTED, LAW_SIGNAL_NAMES, LINK_LOST, LINK_SILENT, LinkEvent
 from heli_host.link.transport import transport_recipe
-from heli_host.log.blind import hide, said
+from heli_host.log.blind import blind_notes, hide
 from heli_host.log.disk import check_free_space
 from heli_host.log.schema import LEVEL_ERROR, LEVEL_INFO, LEVEL_WARNING
 from heli_host.log.writer import LogCounters, LogWriter
@@ -209,7 +209,7 @@ class Recorder:
             self._writer.close(last)
 
     def _said(self, session: dict[str, str]) -> dict[str, str]:
-        return said(session, self._sealed) if self._sealed else session
+        return blind_notes(session, self._sealed) if self._sealed else session
 
     def _text(self, text: str) -> str:
         return hide(text) if self._sealed else text

@@ -141,7 +141,7 @@ def hide(text: str) -> str:
     return _BOOT_ID.sub("boot id hidden", _ADDRESS.sub("the board", text))
 
 
-def said(session: Mapping[str, str], sealed: str) -> dict[str, str]:
+def blind_notes(session: Mapping[str, str], sealed: str) -> dict[str, str]:
     """Return the notes of `session` that a blind flight may contain, with its seal, `sealed`."""
     return {name: hide(text) for name, text in session.items() if name in _SAID} | {SEALED: sealed}
 
@@ -165,7 +165,7 @@ def blind(flight: Flight, sealed: str) -> Flight:
     results = {name: hide(text) for name, text in flight.meta.items() if name.startswith(_RESULT)}
     return replace(
         flight,
-        meta=said(flight.meta, sealed) | results,
+        meta=blind_notes(flight.meta, sealed) | results,
         events=tuple(
             replace(event, text=hide(event.text)) for event in flight.events if event.name != TWIN_EVENT
         ),

@@ -284,7 +284,7 @@ class LogWriter:
             if self._closed:
                 return
             try:
-                # What blocked until now is told in the last chunk.
+                # The last chunk reports what blocked until now.
                 self._file.drain()
                 self.flush()
                 for name, values in (metadata or {}).items():

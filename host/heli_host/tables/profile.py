@@ -354,8 +354,8 @@ def profile_text(profile: Profile) -> str:
     for axis in AXES:
         lines += ["", f"[{axis}]", *_angle_lines(profile.angles[axis])]
     lines += ["", "[voltages]", f'act = "{profile.act}"']
-    told = [_scale_lines(voltage) for voltage in profile.voltages.values()]
-    shared = told[0] if all(one == told[0] for one in told) else []
+    scales = [_scale_lines(voltage) for voltage in profile.voltages.values()]
+    shared = scales[0] if all(one == scales[0] for one in scales) else []
     lines += shared
     lines += [f"clip_V = {list(profile.clip_V)}"] if profile.clip_V else []
     for name, voltage in profile.voltages.items():

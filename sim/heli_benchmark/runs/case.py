@@ -118,13 +118,13 @@ def run_named_case(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[st
     every = (*clean_cases(), *disturbed_cases())
     case = next(one for one in every if one.name == settings["case"])
     row = run(case, Path(settings["folder"]), keep=settings["keep"], refits=settings["refits"])
-    said = {
+    answer = {
         "verdict": row.verdict,
         "right": row.right,
         "failure": row.failure,
         "causes": ", ".join(row.named),
     }
-    return said, asdict(row)
+    return answer, asdict(row)
 
 
 def code_of_rows() -> str:

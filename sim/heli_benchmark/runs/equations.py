@@ -62,7 +62,7 @@ def add_rows(parser: argparse.ArgumentParser, json_file: Path) -> None:
 def judge_rows(
     cases: Sequence[DisturbedCase],
     judge: Callable[[DisturbedCase, tuple[Flight, Flight]], EquationRow],
-    said: Callable[[EquationRow], str],
+    described: Callable[[EquationRow], str],
     given: argparse.Namespace,
 ) -> dict[str, EquationRow]:
     """Judge the cases that the JSON file lacks, and write it after each.
@@ -71,7 +71,7 @@ def judge_rows(
     ----------
     judge : callable
         Makes the row of a case from its flights.
-    said : callable
+    described : callable
         Writes a row as a line.
     given : argparse.Namespace
         Options ``json``, ``folder`` and ``keep``; with ``seen``, cases that are not visible are left out.
@@ -101,7 +101,7 @@ def judge_rows(
         row["cpu_seconds"] = time.process_time() - started_s
         rows[case.name] = row
         given.json.write_text(json.dumps(rows, indent=1, default=float) + "\n")
-        print(f"{case.name}: {said(row)}", flush=True)
+        print(f"{case.name}: {described(row)}", flush=True)
     return rows
 
 

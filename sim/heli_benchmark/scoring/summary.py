@@ -54,8 +54,8 @@ def text(rows: Sequence[Row]) -> str:
     """
     lines = ["", "hidden: first answers and their number"]
     for hidden, counts in confusion(rows).items():
-        said = ", ".join(f"{answer} {n}" for answer, n in sorted(counts.items(), key=lambda one: -one[1]))
-        lines.append(f"  {hidden:44s} {said}")
+        answers = ", ".join(f"{answer} {n}" for answer, n in sorted(counts.items(), key=lambda one: -one[1]))
+        lines.append(f"  {hidden:44s} {answers}")
     lines += ["", "misses"]
     for row in rows:
         line = _miss(row)
@@ -63,14 +63,14 @@ def text(rows: Sequence[Row]) -> str:
             lines.append(f"  {row.case} (seed {row.seed}): {line}")
     lines += ["", "confidence   causes   mean   right   within binomial bounds"]
     for one in reliability(rows):
-        said = (
+        answers = (
             f"{one['least']:.0f} to {one['most']:.0f}: {'yes' if holds(one) else 'NO'}"
             if one["causes"]
             else "-"
         )
         lines.append(
             f"  {one['from']:.2f}-{one['to']:.2f}  {one['causes']:6.0f}   {one['mean_confidence']:.2f}   "
-            f"{one['right']:5.0f}   {said}"
+            f"{one['right']:5.0f}   {answers}"
         )
     lines += ["", "further results", *table(further_counts(rows))]
     lines += ["", f"goals, {len(rows)} cases, {_minutes(rows)}", *table(goals(rows))]
@@ -92,10 +92,10 @@ def _not_counted(row: Row) -> str:
 def _miss(row: Row) -> str:
     if row.failure:
         return f"failed: {row.failure}"
-    said = f"{row.verdict}: {', '.join(row.named) or 'no cause'}"
+    result = f"{row.verdict}: {', '.join(row.named) or 'no cause'}"
     if not row.right:
         note = "" if row.counts else f" ({_not_counted(row)})"
-        return f"{said}{note}"
+        return f"{result}{note}"
     parts = []
     if row.kind in ("one", "several"):
         if row.verdict == "explained":

@@ -18,18 +18,18 @@ from heli_sim.rig import Rig
 _POINT: Final = 'diaginertia="1e-12 1e-12 1e-12"'
 
 
-def unsaid(rig: Rig) -> list[str]:
+def left_out(rig: Rig) -> list[str]:
     """Properties of a `rig` that its MJCF file does not contain, one line each."""
-    found = [f"the effect {name}" for name in rig.effects]
+    lines = [f"the effect {name}" for name in rig.effects]
     if rig["reverse_thrust"].value:
-        found.append("thrust at reversed voltage: rotors pull one way")
-    found += [
-        "air drag: MuJoCo has its own model of it",
-        "the table that the arm rests on but for a stop, and what it damps",
-        "encoders: their counts, zeros and quantisation; sensors give exact angles",
-        "the drivers' dead band, and the supply but for the largest voltage",
+        lines.append("thrust at reversed voltage: rotors pull one way")
+    lines += [
+        "air drag: MuJoCo has its own model",
+        "the table under the arm and its damping; a stop replaces it",
+        "counts, zeros and quantisation of the encoders; sensors give exact angles",
+        "the drivers' dead band, and the supply except its largest voltage",
     ]
-    return found
+    return lines
 
 
 def mjcf(rig: Rig, step_s: float = 0.001, stops: bool = True) -> str:
@@ -40,7 +40,7 @@ def mjcf(rig: Rig, step_s: float = 0.001, stops: bool = True) -> str:
     Parameters
     ----------
     rig : Rig
-        Its numbers; its effects are left out, see `unsaid`.
+        Its numbers; its effects are left out, see `left_out`.
     step_s : float
         Time step.
     stops : bool
@@ -82,10 +82,10 @@ def mjcf(rig: Rig, step_s: float = 0.001, stops: bool = True) -> str:
         )
 
     still = '<inertial pos="0 0 0" mass="1e-9" ' + _POINT + "/>"
-    said = "".join(f"\n  - {line}" for line in unsaid(rig)).replace("--", "- -")
+    missing = "".join(f"\n  - {line}" for line in left_out(rig)).replace("--", "- -")
     return f"""<?xml version="1.0" encoding="utf-8"?>
 <!-- {_comment(rig.description)}
-Written by heli-host rig export. Controls: volts of the front and the back motor. It does not say:{said}
+Written by heli-host rig export. Controls: front and back motor, V. The model leaves out:{missing}
 -->
 <mujoco model="{escape(rig.name, {'"': "&quot;"})}">
   <compiler angle="radian" balanceinertia="false"/>

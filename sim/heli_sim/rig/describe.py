@@ -205,5 +205,5 @@ def _usual(quantity: Quantity, value: float) -> float:
 def _why(quantity: Quantity) -> str:
     if quantity.name in ENCODER_DIRECTIONS:
         return "exact"
-    said = {"m": "a ruler's tolerance", "kg": "a kitchen scale's tolerance", "count": "exact"}
-    return said.get(quantity.unit, "tolerance assumed, 10 %")
+    assumed = {"m": "a ruler's tolerance", "kg": "a kitchen scale's tolerance", "count": "exact"}
+    return assumed.get(quantity.unit, "tolerance assumed, 10 %")

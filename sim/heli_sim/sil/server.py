@@ -202,13 +202,13 @@ def end_of_input() -> int:
     """
     if os.name == "posix":
         return sys.stdin.fileno()
-    watched, told = socket.socketpair()
+    watched, writer = socket.socketpair()
 
     def read() -> None:
         with contextlib.suppress(OSError, ValueError):
             while sys.stdin.buffer.read(4096):
                 pass
-        told.close()
+        writer.close()
 
     threading.Thread(target=read, name="end of input", daemon=True).start()
     return watched.detach()

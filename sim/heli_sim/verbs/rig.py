@@ -138,22 +138,22 @@ def check(
     data_on_stdout(json)
     board = _board_parameters(params)
     refused: list[RigError | EffectError] = []
-    told: list[dict[str, Any]] = []
+    checked: list[dict[str, Any]] = []
     grounded = contradicted = 0
     for name in rigs:
         try:
             rig = load_rig(name)
             effects_of(rig)
         except (RigError, EffectError) as error:
-            told.append({"rig": name, "can_be": False, "why": str(error)})
+            checked.append({"rig": name, "is_valid": False, "error": str(error)})
             if len(rigs) > 1:
                 say(f"{name}: {error}")
             refused.append(error)
             continue
-        found = found_of(rig)
-        grounded += not found.can_fly
-        entry = {"rig": name, "can_be": True, "can_fly": found.can_fly, "found": list(found.words)}
-        say(f"{name}: {'; '.join(found.words)}")
+        verdict = found_of(rig)
+        grounded += not verdict.can_fly
+        entry = {"rig": name, "is_valid": True, "can_fly": verdict.can_fly, "findings": list(verdict.words)}
+        say(f"{name}: {'; '.join(verdict.words)}")
         if board is not None:
             differences, undirected = _compared_with_board(name, board)
             contradicted += any(difference.is_refused for difference in differences)
@@ -162,8 +162,8 @@ def check(
             say(*(f"{name}: {text}" for text in texts))
             if undirected:
                 say(f"{name}: states no encoder direction of {', '.join(undirected)}: signs not compared")
-        told.append(entry)
-    write_result(json, {"rigs": told})
+        checked.append(entry)
+    write_result(json, {"rigs": checked})
     if len(rigs) > 1 and refused:
         raise RigError(f"{len(refused)} of {len(rigs)} rig files are wrong, see above", "correct them")
     if refused:
@@ -517,7 +517,7 @@ def export_rig(
 def _export_mjcf(rig: str, output: Path | None) -> None:
     from heli_host.cli.outputs import check_place
 
-    from heli_sim.model.mjcf import mjcf, unsaid
+    from heli_sim.model.mjcf import left_out, mjcf
     from heli_sim.rig import load_rig
 
     loaded = load_rig(rig)
@@ -528,7 +528,7 @@ def _export_mjcf(rig: str, output: Path | None) -> None:
     else:
         check_place(target)
         target.write_text(mjcf(loaded), encoding="utf-8")
-    say("it does not say:", *(f"  {line}" for line in unsaid(loaded)))
+    say("the model leaves out:", *(f"  {line}" for line in left_out(loaded)))
     say_files([target])
 
 

@@ -26,7 +26,7 @@ from tests.running.kept import FLOWN, KEPT
 pytestmark = pytest.mark.diagnosis
 
 TODAY: Final = {"torque_pitch": 0.008, "torque_travel": 0.03}
-"""What cables do on the day of the flight, N m."""
+"""Torques of cables on the day of the flight, N m."""
 ZEROS_deg: Final = {"offset_elevation": 0.7, "offset_pitch": -0.4}
 """Where the encoders were zeroed on it."""
 LAG_s: Final = 0.06

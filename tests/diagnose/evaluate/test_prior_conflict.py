@@ -17,7 +17,7 @@ from tests.diagnose.hidden import flights
 pytestmark = pytest.mark.diagnosis
 
 FRICTION = 0.05
-"""Of travel [N m s/rad], as `flights` flies it."""
+"""Friction of travel in `flights`, N m s/rad."""
 
 
 def sure_of(value: float) -> Rig:

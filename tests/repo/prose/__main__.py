@@ -96,20 +96,20 @@ def report_words(root: Path = ROOT) -> None:
         print(f"{in_sentences:9}  {elsewhere:6}  all of {what}")
 
 
-def report_counts(found: Sequence[Finding]) -> None:
+def report_counts(all_findings: Sequence[Finding]) -> None:
     """Print a row per file: how many findings of each rule."""
     by_file: dict[str, Counter[str]] = {}
-    for finding in found:
+    for finding in all_findings:
         by_file.setdefault(finding.file, Counter())[finding.rule] += 1
     for file, counts in sorted(by_file.items(), key=lambda row: -sum(row[1].values())):
         print(f"{sum(counts.values()):5}  {file}: " + ", ".join(f"{rule} {n}" for rule, n in counts.items()))
-    print(f"{len(found)} findings in {len(by_file)} files")
+    print(f"{len(all_findings)} findings in {len(by_file)} files")
 
 
-def check(found: Sequence[Finding], allowed: Mapping[tuple[str, str], int]) -> bool:
+def check(all_findings: Sequence[Finding], allowed: Mapping[tuple[str, str], int]) -> bool:
     """Print findings beyond the exceptions, and exceptions beyond the findings; true if there are none."""
-    counted = Counter((finding.file, finding.rule) for finding in found)
-    for finding in found:
+    counted = Counter((finding.file, finding.rule) for finding in all_findings)
+    for finding in all_findings:
         if counted[finding.file, finding.rule] > allowed.get((finding.file, finding.rule), 0):
             print(finding)
     stale = {key: n for key, n in allowed.items() if counted[key] < n}
@@ -131,14 +131,14 @@ def main(arguments: Sequence[str]) -> int:
         return 0
     rules = Rules.read(HERE / "words.toml", GLOSSARY)
     files = [file.resolve() for file in chosen.files] or sources(ROOT)
-    found = list(findings(files, rules))
+    all_findings = list(findings(files, rules))
     if chosen.count:
-        report_counts(found)
+        report_counts(all_findings)
     elif chosen.files:
-        for finding in found:
+        for finding in all_findings:
             print(finding)
-        return bool(found)
-    passed = chosen.count or check(found, allowances())
+        return bool(all_findings)
+    passed = chosen.count or check(all_findings, allowances())
     long, total = long_share(files, rules)
     if chosen.count or long > rules.long_sentence_share * total:
         share = 100 * long / max(total, 1)

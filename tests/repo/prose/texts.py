@@ -113,6 +113,13 @@ def texts_of(path: Path, root: Path) -> Iterator[Text]:
         yield from _python(source, name, user_errors(root))
 
 
+def _text_of(statement: ast.stmt) -> str:
+    """Text of a statement that is a string; empty for any other."""
+    value = statement.value if isinstance(statement, ast.Expr) else None
+    text = value.value if isinstance(value, ast.Constant) else None
+    return inspect.cleandoc(text) if isinstance(text, str) else ""
+
+
 def _tests(source: str, name: str) -> Iterator[Text]:
     """Names of tests, all docstrings, and all comments that are sentences."""
     for node in ast.walk(ast.parse(source)):
@@ -122,6 +129,10 @@ def _tests(source: str, name: str) -> Iterator[Text]:
         if not isinstance(node, ast.Module) and node.name.startswith("test_"):
             yield Text(name, line, "test", False, node.name.replace("_", " "))
         yield from _docstring(ast.get_docstring(node) or "", name, line, "test")
+        # A text below an assignment describes a constant or a field.
+        for before, text in itertools.pairwise(node.body):
+            if isinstance(before, ast.Assign | ast.AnnAssign):
+                yield from _docstring(_text_of(text), name, text.lineno, "test")
     comment: list[str] = []
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type == tokenize.COMMENT:

@@ -45,5 +45,5 @@ SPEC: Final = EffectSpec(
         "the counterweight slipped by {} inwards",
     ),
     rank=150,
-    source="definition; a mass that falls off it is told apart from a shift by no flight",
+    source="definition; no flight distinguishes a shift from a mass that falls off",
 )
