@@ -71,7 +71,6 @@ for flight in given:
 result = diagnose(MultibodyModel(), load_rig("makki2024"), given[:1], given[1:])
 answer = [cause.effect for cause in result.verdict.causes]
 print(summary(result))
-assert answer == ["rotor_lag"]
 
 # %% [markdown]
 # **Task 4, both.** Open the seal, and judge by the agreed rule:
@@ -92,12 +91,13 @@ def opened(effect, salt, seal):
 
 
 print("the seal holds:", opened(SECRET, salt, sealed))
+assert answer == [SECRET.partition("=")[0]], "the neighbour found it"
 
 # %% [markdown]
 # **Check.**
 
 # %% tags=["check"]
-assert opened(SECRET, salt, sealed) and not opened("rotor_lag=0.2", salt, sealed)
+assert opened(SECRET, salt, sealed) and not opened(f"{SECRET}1", salt, sealed)
 assert not any(word in handed_over for word in (*catalogue(), "makki", "rig", "sil"))
 assert handed_over.splitlines()[0] == "t_s,front_V,back_V,elevation_rad,pitch_rad,travel_rad"
 

@@ -164,6 +164,12 @@ def test_a_rig_does_not_differ_from_itself_written_and_read(terminal: Terminal, 
     assert "thrust_gain" in terminal("rig", "diff", "quanser-course", "same.toml", "--all").out
 
 
+def test_two_rigs_of_one_name_are_named_by_their_files(terminal: Terminal, tmp_path: Path) -> None:
+    write_rig(load_rig("makki2024").replace(M_w=1.6), tmp_path / "heavy.toml")
+    head = terminal("rig", "diff", "makki2024", "heavy.toml").out.splitlines()[0]
+    assert head.split() == ["name", "makki2024", "heavy.toml", "unit", "tolerances"]
+
+
 def test_an_unknown_rig_lists_those_that_there_are(terminal: Terminal) -> None:
     for verb in (("show", "mars"), ("check", "mars"), ("diff", "makki2024", "mars")):
         assert "makki2024" in refusal(terminal("rig", *verb), code=ASKED)

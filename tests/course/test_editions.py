@@ -18,6 +18,7 @@ from heli_lab.classroom.notebook import (
     rubric_points,
     write_editions,
 )
+from heli_sim.model.effects import catalogue
 
 from tests.course.test_notebooks import NOTEBOOKS, script
 
@@ -69,6 +70,14 @@ def test_a_student_gets_no_solution_and_no_rubric(path: Path, made: Path) -> Non
         longest = max((line for line in cell.text.split("\n") if not line.startswith("#")), key=len)
         assert longest not in text
     assert "Rubric" not in text
+
+
+def test_a_student_may_hide_any_effect(made: Path) -> None:
+    """The fifth notebook lets each student choose, so no cell that students get may expect one."""
+    cells = edition(made, "student", "5_hide_an_effect")
+    code = "\n".join(cell["source"] for cell in cells if cell["cell_type"] == "code")
+    given = code.replace('such as "rotor_lag=0.1"', "")
+    assert not any(name in given for name in catalogue())
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from heli_host.cli.entry import run
 from heli_host.parameter_file import read_parameter_set
 from heli_host.parameters import checked
+from heli_lab.tune.flight_metrics import FlightMetrics
+from heli_lab.verbs.tune import _flight_lines
 from heli_sim.rig import load_rig, write_rig
 
 from tests.running.long import samples
@@ -65,9 +69,16 @@ def test_margins_of_every_loop_and_plant_and_excluded_effects_are_reported(
     text = capsys.readouterr().out
     assert "lag 75 to 125 ms, delay 10 ms" in text
     assert "worst case" in text
+    assert "heli-host fly hover --sil --rig makki2024 --params" in text
     assert "not in the design: coulomb_friction.travel" in text
     (flight,) = numbers["flights"]
     assert flight["overshoot_percent"] <= 10.0
+
+
+def test_a_step_that_never_settles_has_no_settling_time() -> None:
+    metrics = FlightMetrics("completed", math.inf, 11.0, math.inf, 0.44, 0.04, 12.0)
+    (_, line) = _flight_lines([SimpleNamespace(label="lag 120 ms", metrics=metrics)])  # type: ignore[list-item]
+    assert "take-off not settled; travel step: overshoot 11 %, not settled;" in line
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ def class_(
     duration_s: Annotated[
         float,
         typer.Option(
-            "--duration", metavar="S", min=5.0, max=600.0, help="Without --plan, fly for this time in s."
+            "--duration", metavar="S", min=5.0, max=600.0, help="Fly for this time in s, without --plan."
         ),
     ] = 20.0,
     rig: Annotated[

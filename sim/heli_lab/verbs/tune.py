@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -127,7 +128,7 @@ def tune(
     say_files(written)
     if save_params is not None:
         say(
-            f"to fly with these gains: heli-host fly hover --sil --params {save_params}; "
+            f"to fly with these gains: heli-host fly hover --sil --rig {rig} --params {save_params}; "
             f"to set them on a board: heli-host params restore {save_params} --port PORT"
         )
 
@@ -216,12 +217,16 @@ def _flight_lines(tried: Sequence[Trial]) -> list[str]:
             lines.append(f"  {trial.label}: {metrics.outcome}")
             continue
         lines.append(
-            f"  {trial.label}: take-off settles in {metrics.take_off_s:.1f} s; travel step: overshoot "
-            f"{metrics.overshoot_percent:.0f} %, settling time {metrics.settling_time_s:.1f} s; "
+            f"  {trial.label}: take-off {_settling(metrics.take_off_s)}; travel step: overshoot "
+            f"{metrics.overshoot_percent:.0f} %, {_settling(metrics.settling_time_s)}; "
             f"sines: RMS error {metrics.travel_rms_deg:.2f} deg in travel, "
             f"{metrics.elevation_rms_deg:.2f} deg in elevation"
         )
     return lines
+
+
+def _settling(time_s: float) -> str:
+    return f"settling time {time_s:.1f} s" if math.isfinite(time_s) else "not settled"
 
 
 def _numbers(

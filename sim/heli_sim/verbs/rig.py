@@ -281,10 +281,12 @@ def diff(
     first, second = load_rig(left), load_rig(right)
     compared = compare_rigs(first, second)
     shown = [_compared(difference) for difference in compared if show_all or not difference.same]
-    if write_result(json, {"left": first.name, "right": second.name, "numbers": shown}):
+    # A rig that was drawn or measured often keeps the name of the rig that it began from.
+    names = (first.name, second.name) if first.name != second.name else (str(left), str(right))
+    if write_result(json, {"left": names[0], "right": names[1], "numbers": shown}):
         return
     table = Table(box=None, pad_edge=False)
-    for heading in ("name", plain(first.name), plain(second.name), "unit", "tolerances"):
+    for heading in ("name", *map(plain, names), "unit", "tolerances"):
         table.add_column(heading, overflow="fold", no_wrap=heading == "name")
     for one in compared:
         if show_all or not one.same:
