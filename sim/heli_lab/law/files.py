@@ -56,7 +56,7 @@ def load_law(path: Path, limit_s: float = FILE_LIMIT_s) -> Law:
     if not path.is_file():
         raise BadLaw(f"{path} is not a file", "give a Python file that ends with LAW = ...")
     try:
-        pickled, status = _run_apart(path, limit_s)
+        pickled, status = _run_in_process(path, limit_s)
     except TimeoutError:
         raise BadLaw(
             f"{path.name} did not end within {limit_s:g} s",
@@ -99,7 +99,9 @@ def load_limited(path: Path, limits: FileLimits) -> LawProgram:
         "look for a loop or a wait without an end; --load-timeout allows more",
     )
     try:
-        answer, status = _run_apart(path, _WAIT_PER_s * limits.cpu_s + _WAIT_s, options, _MAX_ANSWER_BYTES)
+        answer, status = _run_in_process(
+            path, _WAIT_PER_s * limits.cpu_s + _WAIT_s, options, _MAX_ANSWER_BYTES
+        )
     except TimeoutError:
         raise endless from None
     if not answer:
@@ -122,11 +124,26 @@ def load_limited(path: Path, limits: FileLimits) -> LawProgram:
     raise BadLaw(cause, remedy)
 
 
-def _run_apart(
+def _run_in_process(
     path: Path, limit_s: float, options: tuple[str, ...] = (), max_bytes: int = -1
 ) -> tuple[bytes, int]:
-    """Run a file in another process; return its answer, and the exit status if there is none. A process that
-    does not end in time is a TimeoutError.
+    """Run a law file in another process. A process that does not end in time raises a TimeoutError.
+
+    Parameters
+    ----------
+    limit_s : float
+        Longest time that the file may run [s].
+    options : tuple of str
+        Limits of a fenced process; empty for a trusted file.
+    max_bytes : int
+        Longest answer that is read; -1 for any length.
+
+    Returns
+    -------
+    answer : bytes
+        What the process wrote; empty if it failed.
+    status : int
+        Exit status of a process without an answer, otherwise 0.
     """
     fenced = bool(options)
     process = subprocess.Popen(
@@ -166,6 +183,7 @@ def _run_apart(
 
 
 def _ended(path: Path, status: int) -> BadLaw:
+    """Explain that the file at `path` ended its process, by the exit `status`."""
     how = f"exit status {status}" if status >= 0 else signal.Signals(-status).name
     return BadLaw(f"{path.name} ended Python ({how})", "correct the file; python FILE shows details")
 
@@ -178,6 +196,7 @@ def _pass_on(pipe: IO[bytes], answers: queue.SimpleQueue[bytes], max_bytes: int)
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a process, and all processes that it has started."""
     with suppress(ProcessLookupError, PermissionError):
         if hasattr(os, "killpg"):
             os.killpg(process.pid, signal.SIGKILL)
@@ -196,7 +215,7 @@ def run_law(path: Path) -> Law:
     """
     try:
         with _importing_from(path.parent):
-            held = runpy.run_path(str(path))
+            variables = runpy.run_path(str(path))
     except HeliError:
         raise
     except SyntaxError as error:
@@ -213,13 +232,13 @@ def run_law(path: Path) -> Law:
             f"{path.name} fails: {type(error).__name__}: {text}{_at(lines[-1] if lines else None)}",
             "correct the file; python FILE shows details",
         ) from error
-    law = held.get("LAW")
+    law = variables.get("LAW")
     if isinstance(law, Law):
         return law
-    variable = next((name for name, value in held.items() if isinstance(value, Law)), "")
+    law_name = next((name for name, value in variables.items() if isinstance(value, Law)), "")
     if law is not None:
-        raise BadLaw(f"the LAW of {path.name} has the type {type(law).__name__}", _remedy(variable))
-    raise BadLaw(f"{path.name} does not define LAW", _remedy(variable))
+        raise BadLaw(f"the LAW of {path.name} has the type {type(law).__name__}", _remedy(law_name))
+    raise BadLaw(f"{path.name} does not define LAW", _remedy(law_name))
 
 
 def load_program(path: Path) -> LawProgram:
@@ -239,6 +258,7 @@ def load_program(path: Path) -> LawProgram:
 
 
 def _remedy(name: str) -> str:
+    """Advise how to end a file whose law has the variable `name`; empty if it has none."""
     if name:
         return f"end it with LAW = {name}"
     return "end it with LAW = ..., what @control_law or from_gain of heli_lab.law makes"
@@ -250,6 +270,7 @@ def _at(line: int | None) -> str:
 
 @contextmanager
 def _importing_from(folder: Path) -> Iterator[None]:
+    """Put a `folder` first on the path of imports, until the block ends."""
     where = str(folder.resolve())
     sys.path.insert(0, where)
     try:
