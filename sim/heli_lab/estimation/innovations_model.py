@@ -158,20 +158,25 @@ class InnovationsModel:
         )
         return innovations.reshape(-1, drive.shape[2]), np.array(log_variances)
 
-    def perturbed_residual(self, move: Floats | None = None) -> list[list[ModelErrors]]:
+    def perturbed_residual(self, move: Floats | None = None) -> list[list[tuple[Floats, Floats]]]:
         """Errors of the model in each window of each flight, to first order.
 
         Parameters
         ----------
         move : ndarray (f,), optional
             Change of the parameters; without it, the errors are those of the model as it is.
+
+        Returns
+        -------
+        list of list of ModelErrors
+            One per window of each flight.
         """
         move = np.zeros(self.size) if move is None else move
-        flights = []
+        flights: list[list[tuple[Floats, Floats]]] = []
         for linearised, columns in zip(self.linearised_flights, self.columns, strict=True):
             # Column 0 holds the errors, the others their reduction per unit of each parameter.
             weights = np.concatenate(([1.0], -move[columns]))
-            windows = [
+            windows: list[tuple[Floats, Floats]] = [
                 ModelErrors((blocks.drive @ weights)[:, :, None], (blocks.measured @ weights)[:, :, None])
                 for blocks in linearised.blocks
             ]

@@ -51,7 +51,7 @@ class LawSource(Protocol):
 
 
 def compile_program(law: LawSource) -> LawProgram:
-    """Make the program of a law.
+    """Compile a control law into a program for the board.
 
     Parameters
     ----------
@@ -64,107 +64,139 @@ def compile_program(law: LawSource) -> LawProgram:
         No board could run it.
     """
     function = law.function.expand() if not law.function.is_a("SXFunction") else law.function
-    program, outputs = _read(law, function)
+    program, outputs = _values_of(law, function)
     program, outputs = with_sums(program, outputs)
-    _with_copies(law, program, outputs)
-    program, outputs = _without_dead_ends(program, outputs)
-    instructions, cells = _allot(law, program, outputs)
+    _copy_read_states(law, program, outputs)
+    program, outputs = _without_unused_values(program, outputs)
+    instructions, output_cells = _assign_cells(law, program, outputs)
     return LawProgram(
-        law.name,
-        divisor_of(law.rate_Hz),
-        tuple(program.constants),
-        tuple(law.parameters.items()),
-        tuple(law.states.items()),
-        tuple(cells),
-        law.signals,
-        tuple(instructions),
+        name=law.name,
+        divisor=divisor_of(law.rate_Hz),
+        constants=tuple(program.constants),
+        parameters=tuple(law.parameters.items()),
+        states=tuple(law.states.items()),
+        outputs=tuple(output_cells),
+        signals=law.signals,
+        instructions=tuple(instructions),
     )
 
 
-def _read(law: LawSource, function: ca.Function) -> tuple[Program, list[int]]:
+def _values_of(law: LawSource, function: ca.Function) -> tuple[Program, list[int]]:
+    """Translate CasADi's instructions into values.
+
+    Returns
+    -------
+    program : Program
+        The values.
+    outputs : list of int
+        Indices of the values of the outputs: voltages, setpoints, signals, new states.
+    """
     program = Program(law.name)
-    kinds = ("input", "state", "parameter")
-    count = FIXED_OUTPUTS + len(law.signals)
-    outputs = [program.constant(0.0)] * (count + len(law.states))
-    work: dict[int, int] = {}
+    argument_kinds = ("input", "state", "parameter")
+    output_count = FIXED_OUTPUTS + len(law.signals)
+    outputs = [program.constant(0.0)] * (output_count + len(law.states))
+    # Index of the value in each of CasADi's work registers.
+    register: dict[int, int] = {}
     for k in range(function.n_instructions()):
-        code, into = function.instruction_id(k), function.instruction_output(k)
-        read = function.instruction_input(k)
+        code, target = function.instruction_id(k), function.instruction_output(k)
+        operands = function.instruction_input(k)
         if code == ca.OP_INPUT:
-            work[into[0]] = program.put(Value(kinds[read[0]], read[1]))
+            argument, element = operands
+            register[target[0]] = program.put(Value(argument_kinds[argument], element))
         elif code == ca.OP_CONST:
-            work[into[0]] = program.constant(function.instruction_constant(k))
+            register[target[0]] = program.constant(function.instruction_constant(k))
         elif code == ca.OP_OUTPUT:
-            outputs[into[1] + (count if into[0] == 1 else 0)] = work[read[0]]
+            result, element = target
+            # Result 0 has the outputs, result 1 the new states.
+            outputs[element + (output_count if result == 1 else 0)] = register[operands[0]]
         elif code == ca.OP_PARAMETER:
             raise BadLaw(
                 f"the law {law.name} contains a symbol that is not an input, a state or a parameter",
                 "use inputs, states and parameters only",
             )
         else:
-            work[into[0]] = program.casadi(code, work[read[0]], work[read[1]] if len(read) > 1 else 0)
+            second = register[operands[1]] if len(operands) > 1 else 0
+            register[target[0]] = program.casadi(code, register[operands[0]], second)
     return program, outputs
 
 
-def _with_copies(law: LawSource, program: Program, outputs: list[int]) -> None:
-    """Copy a state before it is written if a later operation still reads its old value."""
+def _copy_read_states(law: LawSource, program: Program, outputs: list[int]) -> None:
+    """Copy each state whose old value becomes the new value of a state, because the board may have
+    overwritten it by then. Changes `outputs`.
+    """
     for k in range(FIXED_OUTPUTS + len(law.signals), len(outputs)):
         if program.values[outputs[k]].kind == "state":
             outputs[k] = program.do("copy", outputs[k])
 
 
-def _without_dead_ends(program: Program, outputs: list[int]) -> tuple[Program, list[int]]:
-    """Remove values that no operation and no output reads."""
+def _without_unused_values(program: Program, outputs: list[int]) -> tuple[Program, list[int]]:
+    """Program without values that no operation and no output reads, and the indices of its outputs."""
     needed = set(outputs)
-    for place in range(len(program.values) - 1, -1, -1):
-        if place in needed:
-            needed.update(program.values[place].operands)
-    kept = Program(program.name)
-    moved: dict[int, int] = {}
-    for place in sorted(needed):
-        kept.take(program, place, moved)
-    return kept, [moved[operand] for operand in outputs]
+    for index in range(len(program.values) - 1, -1, -1):
+        if index in needed:
+            needed.update(program.values[index].operands)
+    smaller = Program(program.name)
+    new_index: dict[int, int] = {}
+    for index in sorted(needed):
+        smaller.copy_value(program, index, new_index)
+    return smaller, [new_index[output] for output in outputs]
 
 
-def _allot(law: LawSource, program: Program, outputs: list[int]) -> tuple[list[Instruction], list[int]]:
-    """Assign a cell to every value. A cell is free again after the last operation that reads its value."""
-    start = {"input": 0, "constant": len(LAW_INPUTS)}
-    start["parameter"] = start["constant"] + len(program.constants)
-    start["state"] = start["parameter"] + len(law.parameters)
-    fresh = start["state"] + len(law.states)
-    last: dict[int, int] = {}
-    for place, value in enumerate(program.values):
+def _assign_cells(
+    law: LawSource, program: Program, outputs: list[int]
+) -> tuple[list[Instruction], list[int]]:
+    """Assign a cell of the board's memory to every value, and write the instructions.
+
+    A cell is free again after the last operation that reads its value.
+
+    Returns
+    -------
+    instructions : list of Instruction
+        One per operation.
+    output_cells : list of int
+        Cells of the outputs.
+    """
+    first_cell = {"input": 0, "constant": len(LAW_INPUTS)}
+    first_cell["parameter"] = first_cell["constant"] + len(program.constants)
+    first_cell["state"] = first_cell["parameter"] + len(law.parameters)
+    next_cell = first_cell["state"] + len(law.states)
+    # Index of the last operation that reads each value.
+    last_reader: dict[int, int] = {}
+    for index, value in enumerate(program.values):
         for operand in value.operands:
-            last[operand] = place
-    last.update(dict.fromkeys(outputs, len(program.values)))
+            last_reader[operand] = index
+    last_reader.update(dict.fromkeys(outputs, len(program.values)))
     cell: dict[int, int] = {}
-    free: list[int] = []
+    free_cells: list[int] = []
     instructions: list[Instruction] = []
-    for place, value in enumerate(program.values):
-        if value.kind in start:
-            cell[place] = start[value.kind] + value.place
+    for index, value in enumerate(program.values):
+        if value.kind in first_cell:
+            cell[index] = first_cell[value.kind] + value.place
             continue
         for operand in set(value.operands):
-            if last[operand] == place and program.values[operand].kind not in start:
-                free.append(cell[operand])
-        if free:
-            cell[place] = free.pop()
+            if last_reader[operand] == index and program.values[operand].kind not in first_cell:
+                free_cells.append(cell[operand])
+        if free_cells:
+            cell[index] = free_cells.pop()
         else:
-            cell[place], fresh = fresh, fresh + 1
-        if cell[place] >= LAW_CELLS:
+            cell[index], next_cell = next_cell, next_cell + 1
+        if cell[index] >= LAW_CELLS:
             raise BadLaw(
                 f"the law {law.name} needs more than the {LAW_CELLS} cells of the board "
                 f"({len(law.states)} states, {len(program.constants)} constants)",
                 "give it fewer states, or smaller matrices",
             )
-        operands = [cell[operand] for operand in value.operands]
-        if value.kind == SUM:
-            pairs = zip(operands[::2], operands[1::2], strict=True)
-            terms = tuple(
-                Term(first, second, bool(value.place >> k & 1)) for k, (first, second) in enumerate(pairs)
-            )
-            instructions.append(Instruction(CODE[SUM], cell[place], terms=terms))
-        else:
-            first, second = (*operands, 0)[:2]
-            instructions.append(Instruction(CODE[value.kind], cell[place], first, second))
+        instructions.append(_instruction(value, cell[index], [cell[operand] for operand in value.operands]))
     return instructions, [cell[output] for output in outputs]
+
+
+def _instruction(value: Value, target: int, operands: list[int]) -> Instruction:
+    """Instruction that computes a `value` into the cell `target` from the cells `operands`."""
+    if value.kind != SUM:
+        first, second = (*operands, 0)[:2]
+        return Instruction(CODE[value.kind], target, first, second)
+    terms = []
+    for k, (first, second) in enumerate(zip(operands[::2], operands[1::2], strict=True)):
+        is_subtracted = bool(value.place >> k & 1)
+        terms.append(Term(first, second, is_subtracted))
+    return Instruction(CODE[SUM], target, terms=tuple(terms))

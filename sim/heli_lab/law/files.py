@@ -71,7 +71,7 @@ def load_law(path: Path, limit_s: float = FILE_LIMIT_s) -> Law:
     """
     check_files([path])
     try:
-        pickled, status = _run_apart(path, limit_s)
+        pickled, status = _run_in_process(path, limit_s)
     except TimeoutError:
         raise BadLaw(
             f"{path.name} did not end within {limit_s:g} s",
@@ -113,7 +113,9 @@ def load_limited(path: Path, limits: FileLimits) -> LawProgram:
         "look for a loop or a wait without an end; --load-timeout allows more",
     )
     try:
-        answer, status = _run_apart(path, _WAIT_PER_s * limits.cpu_s + _WAIT_s, options, _MAX_ANSWER_BYTES)
+        answer, status = _run_in_process(
+            path, _WAIT_PER_s * limits.cpu_s + _WAIT_s, options, _MAX_ANSWER_BYTES
+        )
     except TimeoutError:
         raise endless from None
     if not answer:
@@ -136,11 +138,26 @@ def load_limited(path: Path, limits: FileLimits) -> LawProgram:
     raise BadLaw(cause, remedy)
 
 
-def _run_apart(
+def _run_in_process(
     path: Path, limit_s: float, options: tuple[str, ...] = (), max_bytes: int = -1
 ) -> tuple[bytes, int]:
-    """Run a file in another process; return its answer, and the exit status if there is none. A process that
-    does not end in time is a TimeoutError.
+    """Run a law file in another process. A process that does not end in time raises a TimeoutError.
+
+    Parameters
+    ----------
+    limit_s : float
+        Longest time that the file may run [s].
+    options : tuple of str
+        Limits of a fenced process; empty for a trusted file.
+    max_bytes : int
+        Longest answer that is read; -1 for any length.
+
+    Returns
+    -------
+    answer : bytes
+        What the process wrote; empty if it failed.
+    status : int
+        Exit status of a process without an answer, otherwise 0.
     """
     fenced = bool(options)
     process = subprocess.Popen(
@@ -180,6 +197,7 @@ def _run_apart(
 
 
 def _ended(path: Path, status: int) -> BadLaw:
+    """Explain that the file at `path` ended its process, by the exit `status`."""
     how = f"exit status {status}" if status >= 0 else signal.Signals(-status).name
     return BadLaw(f"{path.name} ended Python ({how})", "correct the file; python FILE shows details")
 
@@ -192,6 +210,7 @@ def _pass_on(pipe: IO[bytes], answers: queue.SimpleQueue[bytes], max_bytes: int)
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a process, and all processes that it has started."""
     with suppress(ProcessLookupError, PermissionError):
         if hasattr(os, "killpg"):
             os.killpg(process.pid, signal.SIGKILL)

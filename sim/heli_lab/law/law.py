@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import linecache
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import SimpleNamespace
@@ -151,7 +151,12 @@ class Runner:
     Parameters
     ----------
     law : Law
-        What is run.
+        The law.
+
+    Attributes
+    ----------
+    state : ndarray (n,)
+        States after the last call.
     """
 
     def __init__(self, law: Law) -> None:
@@ -185,10 +190,10 @@ def control_law(
     parameters: Mapping[str, float] | None = None,
     name: str | None = None,
 ) -> Callable[[Callable[..., Command]], Law]:
-    """Make a law from a Python function.
+    """Decorator that makes a control law from a Python function.
 
     The function is called once, with symbols: ``now`` has every input by its name (``now.elevation_rad``,
-    ``now.travel_setpoint_rad``, ...), ``state`` and ``parameter`` the law's own. It returns a `Command`.
+    ``now.travel_setpoint_rad``, ...), ``state`` and ``parameter`` those of the law. It returns a `Command`.
 
     Parameters
     ----------
@@ -211,54 +216,81 @@ def control_law(
     BadLaw
         The function does what no program can, such as a Python ``if`` on a symbol.
     """
-    first, values = dict(states or {}), dict(parameters or {})
+    initial, values = dict(states or {}), dict(parameters or {})
 
     def make(function: Callable[..., Command]) -> Law:
-        called = name or function.__name__
+        law_name = name or function.__name__
         inputs = ca.SX.sym("inputs", len(LAW_INPUTS))
-        state, parameter = ca.SX.sym("states", len(first)), ca.SX.sym("parameters", len(values))
-        now = SimpleNamespace(**{key: inputs[k] for k, key in enumerate(LAW_INPUTS)})
-        states = SimpleNamespace(**{key: state[k] for k, key in enumerate(first)})
-        may_change = SimpleNamespace(**{key: parameter[k] for k, key in enumerate(values)})
-        if not _takes_three(function):
-            raise BadLaw(
-                f"the law {called} does not take three arguments",
-                f"write def {called}(now, state, parameter):",
-            )
-        try:
-            command = function(now, states, may_change)
-        except BadLaw:
-            raise
-        except Exception as error:
-            raise _explained(error, called) from error
-        if not isinstance(command, Command):
-            raise BadLaw(
-                f"the law {called} returns {_kind(command)}",
-                "return Command(front_V, back_V, ...): two voltages",
-            )
-        unknown = sorted(set(command.states) - set(first))
+        states, parameters = ca.SX.sym("states", len(initial)), ca.SX.sym("parameters", len(values))
+        now, state = _named(inputs, LAW_INPUTS), _named(states, initial)
+        command = _called(function, law_name, now, state, _named(parameters, values))
+        unknown = sorted(set(command.states) - set(initial))
         if unknown:
             raise BadLaw(
-                f"the law {called} has no state {unknown[0]}", "name it in states=, with its first value"
+                f"the law {law_name} has no state {unknown[0]}", "name it in states=, with its first value"
             )
-        given = {key: getattr(command, key) for key in SETPOINTS}
-        default = dict(
-            zip(SETPOINTS, (now.elevation_setpoint_rad, now.pitch_rad, now.travel_setpoint_rad), strict=True)
-        )
-        outputs = [command.front_V, command.back_V]
-        outputs += [default[key] if given[key] is None else given[key] for key in SETPOINTS]
-        outputs += [*command.signals.values()]
-        new = [command.states.get(key, getattr(states, key)) for key in first]
+        outputs = [command.front_V, command.back_V, *_setpoints(command, now), *command.signals.values()]
+        new_states = [command.states.get(key, getattr(state, key)) for key in initial]
         graph = ca.Function(
-            "law", [inputs, state, parameter], [_column(outputs, called), _column(new, called)],
-            ["inputs", "states", "parameters"], ["outputs", "new_states"],
-        )  # fmt: skip
-        return Law(called, rate_Hz, graph, first, values, tuple(command.signals))
+            "law",
+            [inputs, states, parameters],
+            [_column(outputs, law_name), _column(new_states, law_name)],
+            ["inputs", "states", "parameters"],
+            ["outputs", "new_states"],
+        )
+        return Law(law_name, rate_Hz, graph, initial, values, tuple(command.signals))
 
     return make
 
 
-def _takes_three(function: Callable[..., Any]) -> bool:
+def _named(symbols: ca.SX, names: Iterable[str]) -> SimpleNamespace:
+    """The elements of a column of `symbols` as attributes with these `names`."""
+    return SimpleNamespace(**{name: symbols[index] for index, name in enumerate(names)})
+
+
+def _called(
+    function: Callable[..., Command],
+    law_name: str,
+    now: SimpleNamespace,
+    state: SimpleNamespace,
+    parameter: SimpleNamespace,
+) -> Command:
+    """Call the user's `function` with symbols; a BadLaw explains an error in it or another result than a
+    Command.
+    """
+    if not _takes_three_arguments(function):
+        raise BadLaw(
+            f"the law {law_name} does not take three arguments",
+            f"write def {law_name}(now, state, parameter):",
+        )
+    try:
+        command = function(now, state, parameter)
+    except BadLaw:
+        raise
+    except Exception as error:
+        raise _explained(error, law_name) from error
+    if not isinstance(command, Command):
+        raise BadLaw(
+            f"the law {law_name} returns {_kind(command)}",
+            "return Command(front_V, back_V, ...): two voltages",
+        )
+    return command
+
+
+def _setpoints(command: Command, now: SimpleNamespace) -> list[Any]:
+    """Setpoints of elevation, pitch and travel that are logged: those of the law, otherwise the board's and
+    the measured pitch.
+    """
+    defaults = (now.elevation_setpoint_rad, now.pitch_rad, now.travel_setpoint_rad)
+    setpoints = []
+    for name, default in zip(SETPOINTS, defaults, strict=True):
+        value = getattr(command, name)
+        setpoints.append(default if value is None else value)
+    return setpoints
+
+
+def _takes_three_arguments(function: Callable[..., Any]) -> bool:
+    """Whether a `function` can be called with three positional arguments."""
     try:
         inspect.signature(function).bind(None, None, None)
     except TypeError:
@@ -267,6 +299,7 @@ def _takes_three(function: Callable[..., Any]) -> bool:
 
 
 def _symbol(value: Any, place: int, name: str) -> ca.SX:
+    """The `value` as a symbol: output number `place` of the law `name`."""
     try:
         return ca.SX(value)
     # CasADi says of some types that they are not implemented, which is a RuntimeError.
@@ -278,17 +311,18 @@ def _symbol(value: Any, place: int, name: str) -> ca.SX:
 
 
 def _column(values: list[Any], name: str) -> ca.SX:
+    """The `values`, outputs of the law `name`, as one column of symbols."""
     column = [_symbol(value, place, name) for place, value in enumerate(values)]
-    wide = next((k for k, value in enumerate(column) if value.numel() != 1), None)
-    if wide is not None:
-        raise BadLaw(
-            f"output {wide} of the law {name} has {column[wide].numel()} numbers",
-            "give one number per output",
-        )
+    for place, value in enumerate(column):
+        if value.numel() != 1:
+            raise BadLaw(
+                f"output {place} of the law {name} has {value.numel()} numbers", "give one number per output"
+            )
     return ca.densify(ca.vertcat(*column)) if column else ca.SX(0, 1)
 
 
 def _explained(error: Exception, name: str) -> BadLaw:
+    """Explain an `error` in the function of the law `name`: which line, and what to write instead."""
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if "casadi" not in frame.filename]
     last = frames[-1] if frames else None
     where = f"line {last.lineno} of the law {name}" if last is not None else f"the law {name}"
@@ -311,6 +345,7 @@ def _explained(error: Exception, name: str) -> BadLaw:
 
 
 def _kind(value: object) -> str:
+    """What a function returned instead of a Command, in a few words."""
     if isinstance(value, tuple | list):
         return f"{len(value)} values"
     return f"a value of type {type(value).__name__}"

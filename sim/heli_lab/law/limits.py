@@ -53,7 +53,7 @@ _REFUSED: Final = {
 
 @dataclass(frozen=True)
 class FileLimits:
-    """Limits of a file that is run.
+    """Limits of the process that runs a stranger's law file.
 
     Parameters
     ----------
@@ -68,12 +68,12 @@ class FileLimits:
 
 
 def fence_process(limits: FileLimits) -> None:
-    """Apply the limits to this process, for ever.
+    """Apply the limits to this process, until it ends.
 
     Without Linux, only the hook of Python and the limits that the system knows apply.
     """
     seconds = math.ceil(time.process_time() + limits.cpu_s)
-    # SIGXCPU says why; a file that ignores it is killed a second later.
+    # SIGXCPU states the reason; a file that ignores it is killed a second later.
     limit_process("CPU", seconds, seconds + 1)
     for kind, most in (
         ("AS", limits.memory_MB << 20),
@@ -88,6 +88,9 @@ def fence_process(limits: FileLimits) -> None:
 
 
 def _refuse(event: str, arguments: tuple[Any, ...]) -> None:
+    """Refuse an `event` of Python's audit that opens a file for writing, a socket or a process, by a
+    PermissionError.
+    """
     if event == "open":
         flags = arguments[2] if len(arguments) > 2 else 0
         if isinstance(flags, int) and flags & _WRITES:
@@ -169,7 +172,7 @@ def _filter_system_calls() -> None:
 
 
 def _filter(machine: str) -> list[tuple[int, int, int, int]]:
-    """The instructions: code, jump if true, jump if false, operand."""
+    """Instructions of the filter for a processor: code, jump if true, jump if false, operand."""
     column = list(_ARCHITECTURES).index(machine)
     lines = [
         (_LOAD, 0, 0, _ARCHITECTURE_AT),
@@ -180,15 +183,16 @@ def _filter(machine: str) -> list[tuple[int, int, int, int]]:
     if machine == "x86_64":
         lines += [(_AT_LEAST, 0, 1, _X32), (_RETURN, 0, 0, _KILL)]
 
-    def answer(call: tuple[int, int], *then: tuple[int, int, int, int]) -> None:
+    def on_call(call: tuple[int, int], *instructions: tuple[int, int, int, int]) -> None:
+        """Add the `instructions` that the filter runs for a system call, if this processor has it."""
         if call[column] >= 0:
-            lines.append((_EQUAL, 0, len(then), call[column]))
-            lines.extend(then)
+            lines.append((_EQUAL, 0, len(instructions), call[column]))
+            lines.extend(instructions)
 
     def refuse_bits(call: tuple[int, int], argument: int, bits: int, *, wanted: bool) -> None:
         """Refuse a call unless its argument has one of the bits, or none of them."""
         hit, miss = (1, 0) if wanted else (0, 1)
-        answer(
+        on_call(
             call,
             (_LOAD, 0, 0, _ARGUMENT_AT + 8 * argument),
             (_ANY_BIT, hit, miss, bits),
@@ -197,15 +201,15 @@ def _filter(machine: str) -> list[tuple[int, int, int, int]]:
         )
 
     for call in _CALLS.values():
-        answer(call, (_RETURN, 0, 0, _EPERM))
+        on_call(call, (_RETURN, 0, 0, _EPERM))
     # The C library then uses the older calls, whose arguments a filter can read.
     for call in (_CLONE3, _OPENAT2):
-        answer(call, (_RETURN, 0, 0, _ENOSYS))
+        on_call(call, (_RETURN, 0, 0, _ENOSYS))
     refuse_bits(_CLONE, 0, _CLONE_THREAD, wanted=True)
     refuse_bits(_OPEN, 1, _WRITES, wanted=False)
     refuse_bits(_OPENAT, 2, _WRITES, wanted=False)
     # prlimit64 with new limits: the pointer to them is not null.
-    answer(
+    on_call(
         _PRLIMIT,
         (_LOAD, 0, 0, _ARGUMENT_AT + 16),
         (_EQUAL, 0, 2, 0),

@@ -42,12 +42,13 @@ class Value:
     kind : str
         ``input``, ``constant``, ``parameter``, ``state``, or the operation's name.
     place : int
-        Index among the values of its kind; for a sum of products, a bit for each product that is subtracted.
+        For an input, constant, parameter or state, its index among them. For a sum of products, bit k is set
+        if product k is subtracted.
     operands : tuple of int
-        Places of the values that it is computed from.
+        Indices of the values that it is computed from.
     """
 
-    kind: str  # input, constant, parameter, state, or the operation's name
+    kind: str
     place: int = 0
     operands: tuple[int, ...] = ()
 
@@ -75,28 +76,30 @@ class Program:
         value : Value
             What is computed.
         """
-        place = self._known.get(value)
-        if place is None:
-            place = self._known[value] = len(self.values)
+        index = self._known.get(value)
+        if index is None:
+            index = self._known[value] = len(self.values)
             self.values.append(value)
-        return place
+        return index
 
-    def take(self, other: Program, place: int, moved: dict[int, int]) -> None:
-        """Add a value of the program `other`, and note its index in `moved`.
+    def copy_value(self, other: Program, index: int, new_index: dict[int, int]) -> None:
+        """Copy a value of another program, and note its index here.
 
         Parameters
         ----------
-        place : int
-            Index of the value there.
-        moved : dict of int to int
-            Indices here, by those of `other`, of the values that it is computed from.
+        other : Program
+            The program to copy from.
+        index : int
+            Index of the value in `other`.
+        new_index : dict of int to int
+            Index here by index in `other`, of all values that this value is computed from; extended.
         """
-        value = other.values[place]
+        value = other.values[index]
         if value.kind == "constant":
-            moved[place] = self.constant(other.constants[value.place])
+            new_index[index] = self.constant(other.constants[value.place])
         else:
-            operands = tuple(moved[operand] for operand in value.operands)
-            moved[place] = self.put(replace(value, operands=operands))
+            operands = tuple(new_index[operand] for operand in value.operands)
+            new_index[index] = self.put(replace(value, operands=operands))
 
     def constant(self, number: float) -> int:
         """Add a constant; return its place.

@@ -75,6 +75,7 @@ def program_of_json(text: str) -> LawProgram:
 
 
 def _program(content: Mapping[str, Any]) -> LawProgram:
+    """Convert the `content` of a JSON text; other content raises one of the errors of Python."""
     constants = tuple(_number("constant", value) for value in _list(content["constants"]))
     parameters = tuple(_named("parameter", *pair) for pair in _list(content["parameters"]))
     states = tuple(_named("state", *pair) for pair in _list(content["states"]))
@@ -190,6 +191,7 @@ def _name(value: Any) -> str:
 
 
 def _named(kind: str, name: Any, value: Any) -> tuple[str, float]:
+    """Name and value of a parameter or state, checked."""
     return _name(name), _number(f"{kind} {_name(name)}", value)
 
 

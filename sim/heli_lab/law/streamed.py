@@ -13,7 +13,14 @@ from heli_host.link.clock import TICK_S
 
 
 class _RateFilter:
-    """Two low-pass filters in series; the rate is the slope of the second, as in firmware/core/control."""
+    """Rate of a signal: two low-pass filters in series; the rate is the slope of the second, as in
+    firmware/core/control.
+
+    Parameters
+    ----------
+    cutoff_Hz : float
+        Cut-off frequency of both filters [Hz].
+    """
 
     def __init__(self, cutoff_Hz: float) -> None:
         self.cutoff_Hz = cutoff_Hz
@@ -31,24 +38,30 @@ class _RateFilter:
 
 
 class _Shaper:
-    """A setpoint that follows its target within limits of rate and acceleration, as on the board."""
+    """A setpoint that moves to its target within limits of rate and acceleration, as on the board.
+
+    Parameters
+    ----------
+    rate_rad_s, acceleration_rad_s2 : float
+        Largest rate [rad/s] and acceleration [rad/s^2].
+    """
 
     def __init__(self, rate_rad_s: float, acceleration_rad_s2: float) -> None:
         self.rate_rad_s, self.acceleration_rad_s2 = rate_rad_s, acceleration_rad_s2
         self.angle_rad: float | None = None
-        self.now_rad_s = 0.0
+        self.present_rad_s = 0.0
 
-    def __call__(self, wanted_rad: float, measured_rad: float, dt_s: float) -> float:
+    def __call__(self, target_rad: float, measured_rad: float, dt_s: float) -> float:
         if self.angle_rad is None:
             self.angle_rad = measured_rad
-        left_rad = wanted_rad - self.angle_rad
+        remaining_rad = target_rad - self.angle_rad
         step_rad_s = self.acceleration_rad_s2 * dt_s
         # Half a step early, so that braking ends at the target and not behind it.
-        braking = math.sqrt(2.0 * self.acceleration_rad_s2 * abs(left_rad) + (step_rad_s / 2) ** 2)
-        fastest_rad_s = min(self.rate_rad_s, braking - step_rad_s / 2, abs(left_rad) / dt_s)
-        change_rad_s = math.copysign(fastest_rad_s, left_rad) - self.now_rad_s
-        self.now_rad_s += min(max(change_rad_s, -step_rad_s), step_rad_s)
-        self.angle_rad += self.now_rad_s * dt_s
+        braking = math.sqrt(2.0 * self.acceleration_rad_s2 * abs(remaining_rad) + (step_rad_s / 2) ** 2)
+        fastest_rad_s = min(self.rate_rad_s, braking - step_rad_s / 2, abs(remaining_rad) / dt_s)
+        change_rad_s = math.copysign(fastest_rad_s, remaining_rad) - self.present_rad_s
+        self.present_rad_s += min(max(change_rad_s, -step_rad_s), step_rad_s)
+        self.angle_rad += self.present_rad_s * dt_s
         return self.angle_rad
 
 
@@ -71,15 +84,15 @@ class Streamed:
     Attributes
     ----------
     setpoints_rad : mapping of str to float
-        Where the law was going at its last call, by axis [rad].
+        Setpoints of the law at its last call, by axis [rad].
     """
 
     def __init__(self, runner: Callable[[Floats], Floats], dt_s: float, params: Mapping[str, float]) -> None:
         self._runner = runner
         self._dt_s = dt_s
-        self._angle = {axis: _RateFilter(params[f"{axis}_filter_Hz"]) for axis in AXES}
-        self._setpoint = {axis: _RateFilter(params[f"{axis}_filter_Hz"]) for axis in AXES}
-        self._rate = {axis: _RateFilter(params[f"{axis}_filter_Hz"]) for axis in AXES}
+        self._angle_filter = {axis: _RateFilter(params[f"{axis}_filter_Hz"]) for axis in AXES}
+        self._setpoint_filter = {axis: _RateFilter(params[f"{axis}_filter_Hz"]) for axis in AXES}
+        self._setpoint_rate_filter = {axis: _RateFilter(params[f"{axis}_filter_Hz"]) for axis in AXES}
         self._shaper = {
             axis: _Shaper(
                 math.radians(params[f"{axis}_slew_deg_s"]),
@@ -87,19 +100,19 @@ class Streamed:
             )
             for axis in ("elevation", "travel")
         }
-        self._wanted_rad = dict.fromkeys(AXES, 0.0)
+        self._target_rad = dict.fromkeys(AXES, 0.0)
         self._tick: int | None = None
         self.setpoints_rad: Mapping[str, float] = dict.fromkeys(AXES, 0.0)
 
-    def follow(self, **wanted_rad: float) -> None:
+    def follow(self, **target_rad: float) -> None:
         """Set the targets of the setpoints.
 
         Parameters
         ----------
-        **wanted_rad : float
+        **target_rad : float
             Angle of an axis, by its name [rad].
         """
-        self._wanted_rad.update(wanted_rad)
+        self._target_rad.update(target_rad)
 
     def __call__(self, sample: Any) -> tuple[float, float]:
         """Return the voltages of the front and the back motor [V].
@@ -109,22 +122,23 @@ class Streamed:
         sample : Sample
             As telemetry brought it.
         """
-        passed_s = self._dt_s if self._tick is None else (sample.tick - self._tick) * TICK_S
+        elapsed_s = self._dt_s if self._tick is None else (sample.tick - self._tick) * TICK_S
         self._tick = sample.tick
         values: dict[str, float] = {}
         for axis in AXES:
-            angle, wanted = getattr(sample, f"{axis}_rad"), self._wanted_rad[axis]
+            angle_rad, setpoint_rad = getattr(sample, f"{axis}_rad"), self._target_rad[axis]
             shaper = self._shaper.get(axis)
             if shaper is not None:
-                wanted = shaper(wanted, angle, passed_s)
-            values[f"{axis}_rad"] = angle
-            values[f"{axis}_rad_s"] = self._angle[axis](angle, passed_s)
-            values[f"{axis}_setpoint_rad"] = wanted
-            rate = values[f"{axis}_setpoint_rad_s"] = self._setpoint[axis](wanted, passed_s)
-            values[f"{axis}_setpoint_rad_s2"] = self._rate[axis](rate, passed_s)
+                setpoint_rad = shaper(setpoint_rad, angle_rad, elapsed_s)
+            setpoint_rad_s = self._setpoint_filter[axis](setpoint_rad, elapsed_s)
+            values[f"{axis}_rad"] = angle_rad
+            values[f"{axis}_rad_s"] = self._angle_filter[axis](angle_rad, elapsed_s)
+            values[f"{axis}_setpoint_rad"] = setpoint_rad
+            values[f"{axis}_setpoint_rad_s"] = setpoint_rad_s
+            values[f"{axis}_setpoint_rad_s2"] = self._setpoint_rate_filter[axis](setpoint_rad_s, elapsed_s)
         values["front_V"], values["back_V"] = sample.front_V, sample.back_V
         inputs = np.array([values[name] for name in LAW_INPUTS])
-        for _ in range(max(1, round(passed_s / self._dt_s))):
+        for _ in range(max(1, round(elapsed_s / self._dt_s))):
             outputs = self._runner(inputs)
         self.setpoints_rad = dict(zip(AXES, (float(value) for value in outputs[2:5]), strict=True))
         return float(outputs[0]), float(outputs[1])

@@ -20,8 +20,18 @@ _LINEAR: Final = frozenset(("add", "subtract", "negate", "multiply"))
 
 
 @dataclass(frozen=True)
-class _Part:
-    """A term: `factor` times one value, or times the product of two."""
+class _Product:
+    """A term of a sum.
+
+    Parameters
+    ----------
+    factor : float
+        Constant factor.
+    first : int
+        Index of the value that it multiplies.
+    second : int or None
+        Index of a second value that it multiplies; None without one.
+    """
 
     factor: float
     first: int
@@ -29,142 +39,160 @@ class _Part:
 
 
 def with_sums(program: Program, outputs: list[int]) -> tuple[Program, list[int]]:
-    """Return the program with sums of products where they cost less.
+    """Replace additions and multiplications by sums of products where these cost less.
 
     Parameters
     ----------
     program : Program
         Values in the order of their computation.
     outputs : list of int
-        Places of those that are wanted.
+        Indices of the values of the outputs.
 
     Returns
     -------
-    tuple of Program and list of int
-        The same, and where its outputs are.
+    program : Program
+        The program with sums.
+    outputs : list of int
+        Indices of its outputs.
     """
-    uses = Counter(operand for value in program.values for operand in value.operands)
-    uses.update(outputs)
+    readers = Counter(operand for value in program.values for operand in value.operands)
+    readers.update(outputs)
     needed = set(outputs)
-    parts: dict[int, list[_Part]] = {}
-    for place in range(len(program.values) - 1, -1, -1):
-        if place not in needed:
+    sums: dict[int, list[_Product]] = {}
+    for index in range(len(program.values) - 1, -1, -1):
+        if index not in needed:
             continue
-        value = program.values[place]
+        value = program.values[index]
         if value.kind in _LINEAR:
-            parts[place] = _merged(program, _gathered(program, uses, place, 1.0, root=True))
-            for part in parts[place]:
-                needed.update(place_ for place_ in (part.first, part.second) if place_ is not None)
+            sums[index] = _merged(program, _products_of(program, readers, index, 1.0, is_root=True))
+            for product in sums[index]:
+                needed.add(product.first)
+                if product.second is not None:
+                    needed.add(product.second)
         else:
             needed.update(value.operands)
-    kept = Program(program.name)
-    moved: dict[int, int] = {}
-    for place in sorted(needed):
-        if place in parts:
-            moved[place] = _put(kept, [_moved(part, moved) for part in parts[place]])
+    result = Program(program.name)
+    new_index: dict[int, int] = {}
+    for index in sorted(needed):
+        if index in sums:
+            products = [_reindexed(product, new_index) for product in sums[index]]
+            new_index[index] = _put(result, products)
         else:
-            kept.take(program, place, moved)
-    return kept, [moved[output] for output in outputs]
+            result.copy_value(program, index, new_index)
+    return result, [new_index[output] for output in outputs]
 
 
-def _moved(part: _Part, moved: dict[int, int]) -> _Part:
-    return _Part(part.factor, moved[part.first], None if part.second is None else moved[part.second])
+def _reindexed(product: _Product, new_index: dict[int, int]) -> _Product:
+    """The same product with the indices of another program, by those of this one."""
+    second = None if product.second is None else new_index[product.second]
+    return _Product(product.factor, new_index[product.first], second)
 
 
-def _gathered(
-    program: Program, uses: Counter[int], place: int, factor: float, root: bool = False
-) -> list[_Part]:
-    """Return the terms of a value. A value that another operation reads too stays a separate term."""
-    value = program.values[place]
-    if value.kind not in _LINEAR or (uses[place] > 1 and not root):
-        return [_Part(factor, place)]
+def _products_of(
+    program: Program, readers: Counter[int], index: int, factor: float, is_root: bool = False
+) -> list[_Product]:
+    """Expand `factor` times a value into products. A value that several operations read stays one product,
+    unless it `is_root`, the result of the sum; `readers` counts the operations that read each value.
+    """
+    value = program.values[index]
+    if value.kind not in _LINEAR or (readers[index] > 1 and not is_root):
+        return [_Product(factor, index)]
     if value.kind == "negate":
-        return _gathered(program, uses, value.operands[0], -factor)
+        return _products_of(program, readers, value.operands[0], -factor)
     first, second = value.operands
     if value.kind != "multiply":
-        other = factor if value.kind == "add" else -factor
-        return _gathered(program, uses, first, factor) + _gathered(program, uses, second, other)
-    for known, unknown in ((first, second), (second, first)):
-        number = program.number(known)
+        second_factor = factor if value.kind == "add" else -factor
+        return [
+            *_products_of(program, readers, first, factor),
+            *_products_of(program, readers, second, second_factor),
+        ]
+    for constant, other in ((first, second), (second, first)):
+        number = program.number(constant)
         if number is not None:
-            return _gathered(program, uses, unknown, factor * number)
+            return _products_of(program, readers, other, factor * number)
     if abs(factor) == 1.0:
-        return [_Part(factor, first, second)]
-    return [_Part(factor, place)]
+        return [_Product(factor, first, second)]
+    return [_Product(factor, index)]
 
 
-def _merged(program: Program, parts: list[_Part]) -> list[_Part]:
-    """Combine equal products into one term, and all constants into one."""
+def _merged(program: Program, products: list[_Product]) -> list[_Product]:
+    """Combine equal products into one, and all constants into one."""
     factors: dict[tuple[int, int | None], float] = {}
-    offset, first = 0.0, -1
-    for part in parts:
-        number = program.number(part.first)
-        if number is not None and part.second is None:
-            offset, first = offset + part.factor * number, part.first
+    offset, constant = 0.0, -1
+    for product in products:
+        number = program.number(product.first)
+        if number is not None and product.second is None:
+            offset, constant = offset + product.factor * number, product.first
             continue
-        key = (part.first, part.second)
-        factors[key] = factors.get(key, 0.0) + part.factor
-    merged = [_Part(factor, *key) for key, factor in factors.items() if factor != 0.0]
-    number = program.number(first) if offset != 0.0 else None
-    return [*merged, _Part(offset / number, first)] if number else merged
+        key = (product.first, product.second)
+        factors[key] = factors.get(key, 0.0) + product.factor
+    merged = [_Product(factor, *key) for key, factor in factors.items() if factor != 0.0]
+    number = program.number(constant) if offset != 0.0 else None
+    return [*merged, _Product(offset / number, constant)] if number else merged
 
 
 def _cost(name: str) -> int:
+    """Cost of an operation on the board, in the unit of the declaration."""
     return OPERATIONS[CODE[name]].cost
 
 
-def _put(program: Program, parts: list[_Part]) -> int:
-    """Append one sum of products, or single operations, whichever costs less."""
-    if not parts:
-        return program.constant(0.0)
-    parts = [_plain(program, part) for part in parts]
-    products = sum(part.second is not None or abs(part.factor) != 1.0 for part in parts)
-    one_by_one = products * _cost("multiply") + (len(parts) - 1) * _cost("add")
-    if all(part.factor == -1.0 for part in parts):
-        one_by_one += _cost("negate")
-    if len(parts) == 1 or one_by_one <= _cost(SUM) + LAW_TERM_COST * len(parts):
-        return _one_by_one(program, parts)
-    while len(parts) > LAW_MAX_TERMS:
-        parts = [_Part(1.0, _put_sum(program, parts[:LAW_MAX_TERMS])), *parts[LAW_MAX_TERMS:]]
-    return _put_sum(program, parts)
-
-
-def _plain(program: Program, part: _Part) -> _Part:
-    """Simplify a term: a constant and its factor become one constant, and a product with a factor becomes one
-    value with that factor.
+def _put(program: Program, products: list[_Product]) -> int:
+    """Append the sum of some products as one operation, or as single operations, whichever costs less; return
+    the index of the result.
     """
-    number = program.number(part.first)
-    if number is not None and part.second is None:
-        return _Part(1.0, program.constant(part.factor * number))
-    if part.second is not None and abs(part.factor) != 1.0:
-        return _Part(part.factor, program.do("multiply", part.first, part.second))
-    return part
+    if not products:
+        return program.constant(0.0)
+    products = [_simplified(program, product) for product in products]
+    multiplications = sum(product.second is not None or abs(product.factor) != 1.0 for product in products)
+    separate_cost = multiplications * _cost("multiply") + (len(products) - 1) * _cost("add")
+    if all(product.factor == -1.0 for product in products):
+        separate_cost += _cost("negate")
+    if len(products) == 1 or separate_cost <= _cost(SUM) + LAW_TERM_COST * len(products):
+        return _put_separately(program, products)
+    while len(products) > LAW_MAX_TERMS:
+        first_terms = _Product(1.0, _put_sum(program, products[:LAW_MAX_TERMS]))
+        products = [first_terms, *products[LAW_MAX_TERMS:]]
+    return _put_sum(program, products)
 
 
-def _put_sum(program: Program, parts: list[_Part]) -> int:
+def _simplified(program: Program, product: _Product) -> _Product:
+    """Simplify a product: a constant and its factor become one constant, and a product of two values with a
+    factor becomes one value with that factor.
+    """
+    number = program.number(product.first)
+    if number is not None and product.second is None:
+        return _Product(1.0, program.constant(product.factor * number))
+    if product.second is not None and abs(product.factor) != 1.0:
+        return _Product(product.factor, program.do("multiply", product.first, product.second))
+    return product
+
+
+def _put_sum(program: Program, products: list[_Product]) -> int:
+    """Append one sum of products; return its index."""
     operands: list[int] = []
-    negative = 0
-    for k, part in enumerate(parts):
-        negative |= (part.factor < 0.0) << k
-        second = program.constant(abs(part.factor)) if part.second is None else part.second
-        operands += [part.first, second]
-    return program.put(Value(SUM, negative, tuple(operands)))
+    subtracted_bits = 0
+    for k, product in enumerate(products):
+        subtracted_bits |= (product.factor < 0.0) << k
+        second = program.constant(abs(product.factor)) if product.second is None else product.second
+        operands += [product.first, second]
+    return program.put(Value(SUM, subtracted_bits, tuple(operands)))
 
 
-def _one_by_one(program: Program, parts: list[_Part]) -> int:
+def _put_separately(program: Program, products: list[_Product]) -> int:
+    """Append a multiplication per product and additions between them; return the index of the result."""
     total: int | None = None
-    # What is added first, so that there is something to take the rest from.
-    for part in sorted(parts, key=lambda part_: part_.factor == -1.0):
-        negative = part.factor == -1.0
-        if part.second is not None:
-            value = program.do("multiply", part.first, part.second)
-        elif negative:
-            value = part.first
+    # Added products first, so that the others can be subtracted from them.
+    for product in sorted(products, key=lambda each: each.factor == -1.0):
+        is_subtracted = product.factor == -1.0
+        if product.second is not None:
+            value = program.do("multiply", product.first, product.second)
+        elif is_subtracted:
+            value = product.first
         else:
-            value = program.do("multiply", part.first, program.constant(part.factor))
+            value = program.do("multiply", product.first, program.constant(product.factor))
         if total is None:
-            total = program.do("negate", value) if negative else value
+            total = program.do("negate", value) if is_subtracted else value
         else:
-            total = program.do("subtract" if negative else "add", total, value)
+            total = program.do("subtract" if is_subtracted else "add", total, value)
     assert total is not None
     return total

@@ -29,12 +29,16 @@ from heli_lab.diagnose.thresholds import (
 
 
 class ListedEffects:
-    """Effects of the catalogue, compared with an equation.
+    """Search for an effect of the catalogue that explains the flights as well as an equation does.
 
     Parameters
     ----------
+    comparison : ModelComparison
+        Estimates models on the flights.
     base : Hypothesis
         The model with the named causes, without the equation.
+    kinds : Mapping[str, EffectSpec]
+        Catalogue by effect id.
     say : callable
         Called with the present step in words.
     """
@@ -68,15 +72,17 @@ class ListedEffects:
         """
         # Like a spline, an equation must beat an effect by a share of its own margin.
         margin = warm_start.log_likelihood - penalty + self.held_out(warm_start)
-        enough = margin - max(MIN_MARGIN, SPLINE_MARGIN * (margin - self.base.log_likelihood))
+        required = margin - max(MIN_MARGIN, SPLINE_MARGIN * (margin - self.base.log_likelihood))
         screening = Screening(replace(self.base.estimate, disturbances=warm_start.estimate.disturbances))
         remaining = self.remaining
 
         def is_equivalent(listed: Candidate, start: Mapping[str, float]) -> tuple[bool, float]:
-            made = self.refit(listed, start, warm_start)
-            value = self.margin(made, listed) + self.held_out(made)
-            equal = value > enough and self.comparison.in_flight(made)
-            return equal and not self.encompasses(warm_start, made, listed, penalty), value
+            """Whether an effect is equivalent to the equation, and its margin over all flights [nats]."""
+            refitted = self.refit(listed, start, warm_start)
+            listed_margin = self.margin(refitted, listed) + self.held_out(refitted)
+            fits_as_well = listed_margin > required and self.comparison.in_flight(refitted)
+            equivalent = fits_as_well and not self.encompasses(warm_start, refitted, listed, penalty)
+            return equivalent, listed_margin
 
         # Friction that holds an axis has no derivative, so no score shows it.
         dry = {f"coulomb_friction.{axis}" for axis in _axes(equation)}

@@ -142,13 +142,16 @@ def figure_of_ranking(rounds: tuple[Round, ...]) -> Figure:
 
 
 def _rank(round_: Round, number: int, panel: Axes) -> None:
+    """Draw the best candidates of round `number` with the gains of their score tests and refits [nats]."""
     refits = {refit.candidate.id: refit for refit in round_.refits}
-    every = sorted((*round_.screened[:7], *round_.splines[:3]), key=lambda scored: scored.log_likelihood_gain)
-    names = [readable_id(scored.candidate.id) for scored in every]
-    place = np.arange(len(every))
-    gains = [max(scored.log_likelihood_gain, 0.1) for scored in every]
+    candidates = sorted(
+        (*round_.screened[:7], *round_.splines[:3]), key=lambda scored: scored.log_likelihood_gain
+    )
+    names = [readable_id(scored.candidate.id) for scored in candidates]
+    place = np.arange(len(candidates))
+    gains = [max(scored.log_likelihood_gain, 0.1) for scored in candidates]
     panel.barh(place, gains, color="#dddddd", label="score test")
-    for row, scored in enumerate(every):
+    for row, scored in enumerate(candidates):
         refit = refits.get(scored.candidate.id)
         if refit is not None:
             color = AFTER if scored.candidate.id == round_.accepted_id else "#8fb3d1"
@@ -252,7 +255,7 @@ def _deg(angles_rad: Floats, axis: int, keep: slice) -> Floats:
 
 
 def _broken(drawn: Trace, axis: int) -> tuple[Floats, Floats]:
-    """A prediction with a gap between windows."""
+    """Times [s] and predicted angles of an axis [deg] for a line with a gap between windows."""
     t_s: list[Floats] = []
     values: list[Floats] = []
     for window in drawn.windows:
@@ -264,18 +267,21 @@ def _broken(drawn: Trace, axis: int) -> tuple[Floats, Floats]:
 
 
 def _torque(estimate: Estimate) -> tuple[Floats, Floats]:
-    """Times and smoothed disturbance torques about the three axes of the first fitted flight."""
+    """Times [s] and smoothed disturbance torques [N m], shape (k, 3), of the first fitted flight."""
     t_s, torque_Nm, _ = smoothed_disturbances(estimate.filtered(), estimate.disturbances)[0]
     return t_s, torque_Nm
 
 
 def _with_gaps(t_s: Floats, value: Floats) -> tuple[Floats, Floats]:
-    """The same with a gap wherever samples are missing."""
+    """Times and values of a line with a gap wherever samples are missing."""
     after = np.flatnonzero(np.diff(t_s) > 1.5 * np.median(np.diff(t_s))) + 1
     return np.insert(t_s, after, np.nan), np.insert(value, after, np.nan)
 
 
 def _spectrum(t_s: Floats, value: Floats) -> tuple[Floats, Floats]:
+    """Amplitude spectral density of a signal by Welch's method: frequencies below 20 Hz [Hz], and densities
+    in the unit of `value` per root of Hz.
+    """
     step_s = float(np.median(np.diff(t_s)))
     size = min(len(value), 1 << 10)
     parts = [value[i : i + size] for i in range(0, len(value) - size + 1, size // 2)]

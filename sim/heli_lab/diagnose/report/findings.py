@@ -29,6 +29,7 @@ def causes(result: Diagnosis) -> list[dict[str, Any]]:
 
 
 def _effects(result: Diagnosis) -> list[dict[str, Any]]:
+    """Causes that are effects of the catalogue or splines."""
     return [
         {
             "effect": cause.effect,
@@ -114,6 +115,7 @@ def _moments(cause: NamedCause, result: Diagnosis) -> dict[str, dict[str, float 
 
 
 def _random_torque(result: Diagnosis) -> list[dict[str, Any]]:
+    """Causes that are random torques, whose size the disturbances give."""
     return [
         {
             "effect": id_,
@@ -132,12 +134,13 @@ def _random_torque(result: Diagnosis) -> list[dict[str, Any]]:
 
 
 def _absent_terms(result: Diagnosis) -> list[dict[str, Any]]:
+    """Causes that are terms of the baseline which the rig lacks."""
     factor = CONFIDENCE_FACTOR_UNEXPLAINED if result.label == "unexplained" else 1.0
-    found = []
+    entries = []
     for term in result.assessment.absent:
         kind = result.kinds[term.id]
         (name,) = kind.size
-        found.append(
+        entries.append(
             {
                 "effect": term.id,
                 "parameters": _parameters({name: CauseParameter(term.share, term.std, "1")}),
@@ -151,7 +154,7 @@ def _absent_terms(result: Diagnosis) -> list[dict[str, Any]]:
                 "ambiguous_with": [],
             }
         )
-    return found
+    return entries
 
 
 def unexplained(result: Diagnosis) -> dict[str, Any] | None:

@@ -16,10 +16,7 @@ from heli_lab.diagnose.report import equation_figures, figures
 from heli_lab.diagnose.report.cause_sections import Kept, capital, cause_section, plus_minus, shown_unit
 from heli_lab.diagnose.report.missing_section import missing_section
 from heli_lab.diagnose.report.regions_section import regions_section, unknown_torque
-from heli_lab.diagnose.report.result_figures import (
-    figure_of_gain,
-    figure_of_prediction,
-)
+from heli_lab.diagnose.report.result_figures import figure_of_gain, figure_of_prediction
 from heli_lab.diagnose.report.sentences import (
     disturbances_in_words,
     next_step,
@@ -68,15 +65,14 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
     folder = folder_with(numbers, folder)
     held_out = diagnosis.held_out.extension
     before, after = held_out.before[0].fit, held_out.after[0].fit
-    size = figures.figure_of_size(diagnosis)
     terms = missing_terms(diagnosis)
     unknown_terms = [term for term in terms if readable_id(term.id) != term.id]
-    curves = diagnosis.curves
     extended = before is not after
     model = diagnosis.assessment.after.fit.problem.model
     meanings = {quantity.name: quantity.meaning for quantity in model.parameters}
 
     def kept(name: str, figure: Any) -> Picture | None:
+        """Draw a `figure`, if there is one, into the folder under `name`."""
         return None if figure is None else drawing.add(figure, folder / f"{name}.png")
 
     if diagnosis.proposal is not None:
@@ -109,7 +105,7 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
         ],
         small=[_sentence(line) for line in small_effect_lines(diagnosis)],
         unknown=_unknown(numbers["unexplained"]),
-        curves=kept("curves", figures.figure_of_curves(curves)) if curves else None,
+        curves=kept("curves", figures.figure_of_curves(diagnosis.curves)) if diagnosis.curves else None,
         unknown_torque=unknown_torque(diagnosis, kept),
         disturbances=_disturbances(diagnosis, numbers),
         equation=_equation(diagnosis, kept),
@@ -124,7 +120,7 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
         next_flight=numbers["next_flight"],
         windows=kept("windows", figures.figure_of_windows(before, after)),
         flight=kept("flight", figures.figure_of_flight(before, after)),
-        size=kept("size", size),
+        size=kept("size", figures.figure_of_size(diagnosis)),
         calibration=_calibration(numbers["gain"]["calibration"]),
         residual=_residual(numbers["residual"]),
         used=_used(numbers["flights"]),
@@ -175,9 +171,9 @@ def missing_terms(diagnosis: Diagnosis) -> list[MissingTerm]:
 
 def _axis(diagnosis: Diagnosis, terms: Sequence[MissingTerm]) -> str:
     """The axis whose angle is drawn: with the most visible error reduction, or where something is missing."""
-    seen = trace(diagnosis.held_out.extension.before[0].fit)
+    flight = trace(diagnosis.held_out.extension.before[0].fit)
     extended = diagnosis.assessment.extended.candidates
-    ranges_deg = dict(zip(AXES, np.rad2deg(np.ptp(seen.measured_rad, axis=0)), strict=True))
+    ranges_deg = dict(zip(AXES, np.rad2deg(np.ptp(flight.measured_rad, axis=0)), strict=True))
 
     def shows(axis: str) -> float:
         """Error reduction, or the error if no model was extended, as a share of the picture."""
@@ -253,6 +249,7 @@ def _equation(diagnosis: Diagnosis, kept: Kept) -> dict[str, Any] | None:
 
 
 def _gain(gain: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
+    """Rows of the error reductions by axis: errors before and after, their ratio and its 95 % interval."""
     return [
         [
             axis,
@@ -272,11 +269,8 @@ def _calibration(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
             "rows": [
                 [
                     name,
-                    *(
-                        plus_minus(n, n["unit"])
-                        for m in (flight["before"], flight["after"])
-                        for n in _pair(m[name])
-                    ),
+                    *_prior_and_estimate(flight["before"][name]),
+                    *_prior_and_estimate(number),
                     shown_unit(number["unit"]),
                 ]
                 for name, number in flight["after"].items()
@@ -290,11 +284,13 @@ def _calibration(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
-def _pair(number: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    return {**number["prior"], "unit": number["unit"]}, number
+def _prior_and_estimate(number: dict[str, Any]) -> tuple[str, str]:
+    """Prior and estimate of a calibrated `number`, each with its standard error."""
+    return plus_minus(number["prior"], number["unit"]), plus_minus(number, number["unit"])
 
 
 def _residual(residual: dict[str, Any]) -> dict[str, Any]:
+    """Table of the residuals' sizes and autocorrelations before and after, and a note that explains it."""
     role = "held_out" if "held_out" in residual["white"] else "train"
     correlation = residual["correlation"][role]
     rows = [
@@ -324,6 +320,7 @@ def _residual(residual: dict[str, Any]) -> dict[str, Any]:
 
 
 def _unknown(missing: dict[str, Any] | None) -> dict[str, Any] | None:
+    """Section on what no effect explains: its evidence, dependences and gain with splines."""
     if missing is None:
         return None
     return {
@@ -336,6 +333,7 @@ def _unknown(missing: dict[str, Any] | None) -> dict[str, Any] | None:
 
 
 def _disturbances(diagnosis: Diagnosis, numbers: dict[str, Any]) -> dict[str, Any]:
+    """Section on the disturbances: a sentence, and a row per axis in mN m and s."""
     return {
         "said": f"Disturbances that no model predicts: {disturbances_in_words(diagnosis)}.",
         "rows": [
@@ -354,6 +352,8 @@ def _disturbances(diagnosis: Diagnosis, numbers: dict[str, Any]) -> dict[str, An
 
 
 def _ranking(ranking: Sequence[dict[str, Any]]) -> list[list[str]]:
+    """Rows of the ranking: candidate, score, log-likelihood ratio of its refit, and penalty."""
+
     def cell(value: float | None) -> str:
         return "" if value is None else f"{value:.0f}"
 
@@ -371,11 +371,13 @@ def _ranking(ranking: Sequence[dict[str, Any]]) -> list[list[str]]:
 
 
 def _more_rounds(diagnosis: Diagnosis) -> str:
+    """Note on the rounds that the figure of the ranking leaves out; empty if it has all of them."""
     more = len(diagnosis.search.rounds) - figures.MAX_ROUNDS
     return f" {more} later rounds are in the table." if more > 0 else ""
 
 
 def _used(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """For each flight, a sentence on the parts used, and the parts left out with the reason."""
     used = []
     for flight in flights:
         role = "fitted" if flight["role"] == "train" else "held out"
@@ -393,4 +395,5 @@ def _used(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _sentence(text: str) -> str:
+    """The `text` with a capital letter and a full stop."""
     return f"{capital(text)}."

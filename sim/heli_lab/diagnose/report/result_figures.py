@@ -100,6 +100,7 @@ def _busy_part(term: MissingTerm) -> MissingTerm:
 
 
 def _dots(panel: Axes, value: Floats, term: MissingTerm) -> None:
+    """Draw the missing torque or angle of a `term`, shape (n,), over the quantity that it depends on."""
     quantity = term.quantity
     if term.on == TIME:
         panel.plot(quantity, value, ".", ms=3.5, color=MEASURED, label="from the flights")
@@ -122,11 +123,11 @@ def _dots(panel: Axes, value: Floats, term: MissingTerm) -> None:
 
 
 def _binned(quantity: Floats, value: Floats, bins: int) -> tuple[Floats, Floats]:
-    """Means over `bins` parts of equally many dots."""
+    """Means of `quantity` and `value` over `bins` parts of equally many dots, in order of the quantity."""
     parts = np.array_split(np.argsort(quantity), min(bins, len(quantity)))
-    return np.array([quantity[part].mean() for part in parts]), np.array(
-        [value[part].mean() for part in parts]
-    )
+    quantity_means = np.array([quantity[part].mean() for part in parts])
+    value_means = np.array([value[part].mean() for part in parts])
+    return quantity_means, value_means
 
 
 def figure_of_prediction(

@@ -48,6 +48,7 @@ def summary(result: Diagnosis | InsufficientExcitation) -> str:
 
 
 def _verdict(result: Diagnosis) -> str:
+    """The verdict with its causes, and what remains, in a sentence or two."""
     label = result.label
     causes = findings.causes(result)
     held_out = result.assessment.after.held_out_fit

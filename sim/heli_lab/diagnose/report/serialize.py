@@ -67,6 +67,7 @@ def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
 
 
 def _of_insufficient_excitation(result: InsufficientExcitation) -> dict[str, Any]:
+    """The keys of a diagnosis without numbers, for flights that excite nothing."""
     unknown = {"before": None, "after": None}
     gains = {axis: {**unknown, "ratio": None, "interval95": None} for axis in AXES}
     return {
@@ -165,6 +166,7 @@ def proposal_json(proposal: Proposal) -> dict[str, Any]:
 
 
 def _channel(term: ProposedTerm, channel: str) -> dict[str, str]:
+    """Expression of a proposed equation for one `channel`, with symbols and with numbers."""
     return {
         "channel": channel,
         "unit": CHANNELS[channel][0],
@@ -200,6 +202,7 @@ def _failing_regions(regions: FailingRegions) -> dict[str, Any]:
 
 
 def _prior_conflict(conflict: PriorConflict) -> dict[str, Any]:
+    """A parameter whose estimate contradicts its prior."""
     return {
         "parameter": conflict.name,
         "value": conflict.value,
@@ -220,9 +223,9 @@ def _residual(result: Diagnosis) -> dict[str, Any]:
         ("held_out", before.held_out_fit, after.held_out_fit),
     ):
         if before_fit is not None and after_fit is not None:
-            checks = {"before": check(before_fit), "after": check(after_fit)}
-            white[role] = {when: whiteness.white for when, whiteness in checks.items()}
-            correlation[role] = {when: whiteness.correlation for when, whiteness in checks.items()}
+            errors = {"before": check(before_fit), "after": check(after_fit)}
+            white[role] = {when: of_fit.white for when, of_fit in errors.items()}
+            correlation[role] = {when: of_fit.correlation for when, of_fit in errors.items()}
     return {
         "axis": {
             axis: {
@@ -276,9 +279,9 @@ def _ranking(result: Diagnosis) -> list[dict[str, Any]]:
     """The candidates of each round with their scores."""
     rows = []
     for number, round_ in enumerate(result.search.rounds, 1):
-        tried = {refit.candidate.id: refit for refit in round_.refits}
+        refits = {refit.candidate.id: refit for refit in round_.refits}
         for scored in (*round_.screened[:8], *round_.splines[:3]):
-            refit = tried.get(scored.candidate.id)
+            refit = refits.get(scored.candidate.id)
             rows.append(
                 {
                     "round": number,

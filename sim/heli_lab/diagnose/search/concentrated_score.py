@@ -29,7 +29,8 @@ def with_concentrated_scores(
     worth_a_refit: Callable[[Sequence[Scored]], Sequence[Scored]],
     screened: Sequence[Scored],
 ) -> list[Scored]:
-    """Replace the scores of effects that happen at a moment, if the plain score would not lead to a refit.
+    """Replace the scores of effects that happen at a moment by concentrated scores: maxima of the likelihood
+    over the disturbances too. Effects whose plain score leads to a refit keep it.
 
     Parameters
     ----------
@@ -45,17 +46,18 @@ def with_concentrated_scores(
     list of Scored
         The effects, the highest score first.
     """
-    hidden = [
+    refitted_ids = {scored.candidate.id for scored in worth_a_refit(screened)}
+    events = [
         scored
         for scored in screened
-        if scored.candidate.effect.moment and scored.log_likelihood_gain > CHANCE_NATS
+        if scored.candidate.effect.moment
+        and scored.log_likelihood_gain > CHANCE_NATS
+        and scored.candidate.id not in refitted_ids
     ]
-    enough = {scored.candidate.id for scored in worth_a_refit(screened)}
-    hidden = [scored for scored in hidden if scored.candidate.id not in enough]
-    if not hidden:
+    if not events:
         return list(screened)
-    better = {scored.candidate.id: scored for scored in concentrated(screening, hidden)}
-    result = [better.get(scored.candidate.id, scored) for scored in screened]
+    concentrated_by_id = {scored.candidate.id: scored for scored in concentrated(screening, events)}
+    result = [concentrated_by_id.get(scored.candidate.id, scored) for scored in screened]
     return sorted(result, key=lambda scored: -scored.log_likelihood_gain)
 
 
@@ -82,8 +84,8 @@ def _concentrated(
         disturbances = estimate_disturbances(filtered, error, disturbances)
         innovations = filtered.innovations(disturbances)
         information, score = np.diag(prior_std**-2.0), np.zeros(len(prior_std))
-        made = filtered.regressors(disturbances, signals)
-        for regressors, flight in zip(made, innovations.flights, strict=True):
+        regressors_by_flight = filtered.regressors(disturbances, signals)
+        for regressors, flight in zip(regressors_by_flight, innovations.flights, strict=True):
             information += regressors.T @ regressors
             score += regressors.T @ flight[:, 0]
         coefficients = np.asarray(np.linalg.solve(information, score), float)
@@ -109,9 +111,9 @@ def _without(
         parts = []
         drives = linearised.over_blocks(rates)
         for blocks, added, (drive, measured) in zip(linearised.blocks, drives, windows, strict=True):
-            less = measured
+            remaining = measured
             if outputs is not None:
-                less = measured - (outputs[blocks.rows] @ coefficients)[:, :, None]
-            parts.append((drive + (added @ coefficients)[:, :, None], less))
+                remaining = measured - (outputs[blocks.rows] @ coefficients)[:, :, None]
+            parts.append((drive + (added @ coefficients)[:, :, None], remaining))
         result.append(parts)
     return result

@@ -84,17 +84,28 @@ class EffectGrids:
 
     @cached_property
     def _moments(self) -> tuple[list[str], list[float], list[tuple[float, ...]]]:
-        """For each flight its label, its length (s), and the moments at which something may have happened:
-        jumps of the smoothed torques, and the instant of the largest auxiliary residual of a level.
+        """Moments at which something may have happened in each flight: jumps of the smoothed torques, and the
+        most significant level shift of the auxiliary residuals.
+
+        Returns
+        -------
+        labels : list of str
+            Names of the flights.
+        lengths_s : list of float
+            Their lengths [s].
+        moments_s : list of tuple of float
+            The moments in each flight [s].
         """
         flights = self.filtered.linearised_flights
         residuals = auxiliary_residuals(self.filtered, self.disturbances)
-        jumps = []
-        for smoothed, residual in zip(self._smoothed, residuals, strict=True):
-            level_s = residual.largest_level()[0]
-            jumps.append((*(jump for jump in _jumps(*smoothed) if abs(jump - level_s) > _JUMP_s), level_s))
+        moments_s = []
+        for (t_s, torque_Nm), residual in zip(self._smoothed, residuals, strict=True):
+            level_s, _ = residual.largest_level()
+            jumps_s = [jump_s for jump_s in _jumps(t_s, torque_Nm) if abs(jump_s - level_s) > _JUMP_s]
+            moments_s.append((*jumps_s, level_s))
         labels = [flight.reference.record.label for flight in flights]
-        return labels, [float(flight.trajectory.t_s[-1]) for flight in flights], jumps
+        lengths_s = [float(flight.trajectory.t_s[-1]) for flight in flights]
+        return labels, lengths_s, moments_s
 
     def _peaks(self, axis: str) -> tuple[float, ...]:
         """Frequencies of the highest peaks in the first flight's spectrum of the torques about an axis."""

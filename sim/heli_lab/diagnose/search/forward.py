@@ -90,7 +90,15 @@ class ForwardSelection:
         splines: Sequence[Scored],
         absent: Sequence[RemovedTerm],
     ) -> tuple[list[Refit], Refit | None]:
-        """All refits of a round, the largest margin first, and the accepted one."""
+        """Refit the candidates of a round, and accept at most one.
+
+        Returns
+        -------
+        refits : list of Refit
+            All refits, the largest margin first.
+        accepted : Refit or None
+            The refit to accept.
+        """
         refits, likely = self._refit_effects(base, screening, screened)
         best_score = max((scored.log_likelihood_gain for scored in screened), default=0.0)
         for term in absent:
@@ -115,7 +123,15 @@ class ForwardSelection:
         likely: Sequence[Scored],
         refits: Sequence[Refit],
     ) -> tuple[list[Refit], Refit | None]:
-        """Let the best `spline` compete with the `best` effect: further refits, and the one to accept."""
+        """Let the best `spline` compete with the `best` effect.
+
+        Returns
+        -------
+        refits : list of Refit
+            Refits in addition to `refits`.
+        accepted : Refit or None
+            The refit to accept: of the effect, of the spline, or of an effect of the spline's channel.
+        """
         needed = max(thresholds.SPLINE_MIN, best.margin if best else 0.0)
         promised = thresholds.EXPECTED_REFIT_GAIN * spline.log_likelihood_gain
         if promised <= needed or not self.progress.refits_left():
@@ -137,7 +153,15 @@ class ForwardSelection:
     def _refit_effects(
         self, base: Hypothesis, screening: Screening, screened: Sequence[Scored]
     ) -> tuple[list[Refit], list[Scored]]:
-        """Refits of the effects with the best scores, and those effects."""
+        """Refit the effects with the best scores.
+
+        Returns
+        -------
+        refits : list of Refit
+            The refits.
+        likely : list of Scored
+            The effects that were refitted.
+        """
         remaining, likely, refits = self.acceptance.worth_a_refit(screened), list[Scored](), list[Refit]()
         # A high score that no refit confirms, such as that of an encoder at rest, must not end the round.
         while remaining and self._best(refits) is None:

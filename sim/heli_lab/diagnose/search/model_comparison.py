@@ -56,7 +56,7 @@ class ModelComparison:
     kept : EstimateCache, optional
         Cached estimates.
     side : str
-        Which flights are fitted, where several comparisons share a cache.
+        Part of the cache's key that states which flights are fitted, if several comparisons share a cache.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class ModelComparison:
         return reference_trajectories(self.model, self.rig, self.held_out)
 
     def exchanged(self) -> ModelComparison:
-        """Exchange the fitted and the held-out flights, which stay filtered."""
+        """Return the comparison with the fitted and the held-out flights exchanged; both stay filtered."""
         other = self._like("exchanged", self.model, self.held_out, self.train)
         other._filtered_train, other._filtered_held_out = self._filtered_held_out, self._filtered_train
         return other
@@ -142,7 +142,9 @@ class ModelComparison:
     def _like(
         self, side: str, model: Model, train: Sequence[Record], held_out: Sequence[Record]
     ) -> ModelComparison:
-        """Another comparison with the same rig, seed and cache; `side` distinguishes its estimates there."""
+        """Return a comparison with the same rig, seed and cache; `side` is added to the key of its cached
+        estimates.
+        """
         side = f"{self.side}{side} "
         return ModelComparison(model, self.rig, train, held_out, seed=self.seed, kept=self._kept, side=side)
 
@@ -331,7 +333,24 @@ def _with_gains(
     references: tuple[ReferenceTrajectory, ...],
     baseline: Estimate,
 ) -> tuple[tuple[ReferenceTrajectory, ...], Estimate]:
-    """Estimate a `model` with gains from its `baseline` without them, on the flights as they are filtered."""
+    """Estimate a model with random rotor gains, that is with thrust noise, on flights that stay filtered.
+
+    Parameters
+    ----------
+    model : Model
+        The model with `ROTOR_GAINS`.
+    references : tuple of ReferenceTrajectory
+        The flights, filtered without thrust noise.
+    baseline : Estimate
+        Estimate of the model without thrust noise, from which the search starts.
+
+    Returns
+    -------
+    references : tuple of ReferenceTrajectory
+        The same references.
+    estimate : Estimate
+        Estimate with thrust noise.
+    """
     vector = RigParameters(model, rig, records)
     functions = model_functions(model, vector.quantities)
     start = baseline.disturbances.with_gains(len(GAINS))

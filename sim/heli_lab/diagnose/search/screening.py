@@ -40,6 +40,19 @@ class Screening:
     ----------
     estimate : Estimate
         The model, estimated on the flights.
+
+    Attributes
+    ----------
+    filtered : InnovationsModel
+        The model linearised along the flights.
+    regressors : tuple of Regressors
+        For each flight, the source of the candidates' signals.
+    seconds : float
+        Length of the longest flight [s].
+    batch : int
+        Number of regressors that are filtered together, one flight after the other.
+    measurements : int
+        Number of innovations of all flights.
     """
 
     def __init__(self, estimate: Estimate) -> None:
@@ -53,7 +66,6 @@ class Screening:
         rows = max(model.rows for model in filtered.linearised_flights)
         batch = _BATCH_NUMBERS // (rows * filtered.linearised_flights[0].states)
         self.batch = max(KNOTS, batch)
-        """Number of regressors that are filtered together, one flight after the other."""
         # On a long flight, a single batch needs more memory than that.
         self.threads = default_thread_count() if batch >= KNOTS else 1
         self._innovations = innovations = filtered.innovations(disturbances)
@@ -64,6 +76,7 @@ class Screening:
             innovations.per_flight,
         )
         offset = parameter_vector.std**-2.0 * (estimate.theta - parameter_vector.mean)
+        # Innovations after a refit of the free parameters, to first order.
         self._error = innovations.after(self._solved(innovations.score() - offset))
 
     def release(self) -> None:
@@ -76,15 +89,12 @@ class Screening:
 
     def effects(self, kinds: Iterable[EffectSpec]) -> list[Scored]:
         """Score the effects `kinds`, each at the best point of its grid, the highest score first."""
-        places = {kind.id: (kind, self._grids.candidates(kind)) for kind in kinds}
-        flat = [candidate for _, candidates in places.values() for candidate in candidates]
-        scores = iter(self.score(flat))
-        scored = [(kind, some, [next(scores) for _ in some]) for kind, some in places.values()]
-        scored_ = parallel_map(lambda arguments: _best_on_grid(self, *arguments), scored, self.threads)
-        return sorted(
-            (scored_effect for scored_effect in scored_ if scored_effect is not None),
-            key=lambda scored_effect: -scored_effect.log_likelihood_gain,
-        )
+        grids = [(kind, self._grids.candidates(kind)) for kind in {kind.id: kind for kind in kinds}.values()]
+        scores = iter(self.score([candidate for _, candidates in grids for candidate in candidates]))
+        scored_grids = [(kind, candidates, [next(scores) for _ in candidates]) for kind, candidates in grids]
+        best = parallel_map(lambda grid: _best_on_grid(self, *grid), scored_grids, self.threads)
+        possible = [scored for scored in best if scored is not None]
+        return sorted(possible, key=lambda scored: -scored.log_likelihood_gain)
 
     def splines(self, number: int = 0) -> list[Scored]:
         """Score all spline terms, the highest score first; `number` distinguishes spline terms of
@@ -92,11 +102,11 @@ class Screening:
         """
         candidates = spline_candidates(self.filtered.linearised_flights, number)
         self._prepare(candidates)
-        scored_ = [
+        scored_terms = [
             Scored(candidate, *score, 1)
             for candidate, score in zip(candidates, self.score(candidates), strict=True)
         ]
-        return sorted(scored_, key=lambda scored_spline: -scored_spline.log_likelihood_gain)
+        return sorted(scored_terms, key=lambda scored: -scored.log_likelihood_gain)
 
     def score(self, candidates: Sequence[Candidate]) -> list[Score]:
         """Score each of the `candidates` by itself, in their order."""
@@ -133,8 +143,18 @@ class Screening:
     def information(
         self, signals: Iterable[tuple[Floats, Floats | None]], sizes: Sequence[int]
     ) -> list[tuple[Floats, Floats]]:
-        """Compute Fisher information, (g, g), and score, (g,), of each candidate's coefficients over all
-        flights, with the free parameters projected out; `signals` and `sizes` as in `score_signals`.
+        """Fisher information and score of each candidate's coefficients over all flights, with the free
+        parameters projected out.
+
+        Parameters
+        ----------
+        signals, sizes
+            As in `score_signals`.
+
+        Returns
+        -------
+        list of (ndarray (g, g), ndarray (g,))
+            Information and score of each candidate.
         """
         return self.projected(self.filtered.regressors(self.estimate.disturbances, signals), sizes)
 
@@ -155,22 +175,25 @@ class Screening:
         """
         parts = [slice(high - size, high) for size, high in zip(sizes, np.cumsum(sizes), strict=True)]
         width = sum(sizes)
-        raw = [np.zeros((size, size)) for size in sizes]
-        score, own_score = np.zeros(width), np.zeros(self._innovations.size)
-        mixed = np.zeros((self._innovations.size, width))
-        for only, nuisance, columns, error in zip(
+        # Blocks of the information: each candidate alone, and between free parameters and candidates.
+        own = [np.zeros((size, size)) for size in sizes]
+        cross = np.zeros((self._innovations.size, width))
+        score, free_score = np.zeros(width), np.zeros(self._innovations.size)
+        for candidates, flight, columns, error in zip(
             regressors, self._innovations.flights, self._innovations.columns, self._error, strict=True
         ):
-            mixed[columns] += nuisance[:, 1:].T @ only
-            own_score[columns] += nuisance[:, 1:].T @ error
-            score += only.T @ error
+            free = flight[:, 1:]
+            cross[columns] += free.T @ candidates
+            free_score[columns] += free.T @ error
+            score += candidates.T @ error
             for number, part in enumerate(parts):
-                raw[number] += only[:, part].T @ only[:, part]
-        fitted = self._solved(mixed)
-        score -= fitted.T @ own_score
+                own[number] += candidates[:, part].T @ candidates[:, part]
+        # Change of the free parameters per unit of each coefficient.
+        response = self._solved(cross)
+        score -= response.T @ free_score
         results = []
-        for total, part in zip(raw, parts, strict=True):
-            information = total - mixed[:, part].T @ fitted[:, part]
+        for total, part in zip(own, parts, strict=True):
+            information = total - cross[:, part].T @ response[:, part]
             results.append((0.5 * (information + information.T), score[part]))
         return results
 
@@ -183,8 +206,8 @@ class Screening:
         `information` does.
         """
         self._prepare(candidates)
-        every = self.batch // KNOTS
-        groups = [candidates[low : low + every] for low in range(0, len(candidates), every)]
+        group_size = self.batch // KNOTS
+        groups = [candidates[low : low + group_size] for low in range(0, len(candidates), group_size)]
         return [
             information
             for group_information in parallel_map(self._spline_group, groups, self.threads)
@@ -237,19 +260,26 @@ def score_of(information: Floats, score: Floats, prior_std: Floats) -> Score:
 
 
 def signals_of(maker: Regressors, candidates: Sequence[Candidate]) -> tuple[Floats, Floats | None]:
-    """Changes of rates and measured angles by `candidates` in the flight of a `maker`, along the
-    last axis.
+    """Signals of `candidates` in the flight of a `maker`, one candidate after the other along the last axis.
+
+    Returns
+    -------
+    rates : ndarray (n, states, s)
+        Changes of the rates.
+    angles : ndarray (n, 3, s) or None
+        Changes of the measured angles; None if no candidate changes them.
     """
     pairs = [maker.signals(candidate) for candidate in candidates]
     if len(pairs) == 1:
         return pairs[0]
-    rates = np.concatenate([rates_ for rates_, _ in pairs], axis=2)
-    if all(angles_ is None for _, angles_ in pairs):
+    rates = np.concatenate([candidate_rates for candidate_rates, _ in pairs], axis=2)
+    if all(candidate_angles is None for _, candidate_angles in pairs):
         return rates, None
-    shape = len(rates), 3
-    return rates, np.concatenate(
-        [np.zeros((*shape, r.shape[2])) if angles_ is None else angles_ for r, angles_ in pairs], axis=2
-    )
+    parts = []
+    for candidate_rates, candidate_angles in pairs:
+        unchanged = np.zeros((len(rates), 3, candidate_rates.shape[2]))
+        parts.append(unchanged if candidate_angles is None else candidate_angles)
+    return rates, np.concatenate(parts, axis=2)
 
 
 def coefficient_std(candidate: Candidate) -> Floats:
@@ -279,7 +309,8 @@ def _best_on_grid(
     ]
     if not allowed:
         return None
-    best = Scored(candidates[max(allowed)[1]], *scores[max(allowed)[1]], len(candidates))
+    _, best_number = max(allowed)
+    best = Scored(candidates[best_number], *scores[best_number], len(candidates))
     if best.candidate.grid and len(candidates) > 1 and best.log_likelihood_gain > 0.5 * MIN_MARGIN:
         best = _refined(screening, kind, candidates, best)
     return best
