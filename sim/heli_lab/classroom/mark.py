@@ -15,7 +15,7 @@ WEIGHTS: Final = {"rms_deg": 4.0, "settling_s": 2.0, "overshoot_percent": 2.0, "
 FLOORS: Final = {"rms_deg": 0.2, "settling_s": 1.0, "overshoot_percent": 5.0, "effort_V": 0.02}
 """Smaller values earn no more points: two steps of the encoder, and what a flight with another seed changes.
 With less, noise decides the mark; with more, a better law gets no better mark."""
-_CHEAP: Final = ("overshoot_percent", "effort_V")
+_GOOD_WITHOUT_MOTION: Final = ("overshoot_percent", "effort_V")
 NO_POINTS: Final = 10.0
 """Multiple of the reference without points; in between, points fall with the logarithm. An LQR without
 integrals has 3 times the RMS error of the board's own law, and a slow PD law 7 times. With less, both get
@@ -82,18 +82,18 @@ def points_of(score: FlightScore, reference: FlightScore) -> float:
     """
     if score.ended:
         return 0.0
-    shares = {name: _share(name, score, reference) for name in WEIGHTS}
-    follows = 1.0 if math.isnan(shares["rms_deg"]) else shares["rms_deg"]
-    total = possible = 0.0
-    for name, share in shares.items():
+    points_share = {name: _points_share(name, score, reference) for name in WEIGHTS}
+    tracking_share = 1.0 if math.isnan(points_share["rms_deg"]) else points_share["rms_deg"]
+    earned = possible = 0.0
+    for name, share in points_share.items():
         if not math.isnan(share):
             possible += WEIGHTS[name]
-            total += WEIGHTS[name] * (min(share, follows) if name in _CHEAP else share)
-    return FULL * total / possible if possible else FULL
+            earned += WEIGHTS[name] * (min(share, tracking_share) if name in _GOOD_WITHOUT_MOTION else share)
+    return FULL * earned / possible if possible else FULL
 
 
-def _share(name: str, score: FlightScore, reference: FlightScore) -> float:
-    """Share of the points for a number; nan if the reference lacks it."""
+def _points_share(name: str, score: FlightScore, reference: FlightScore) -> float:
+    """Share of the points for a number, 0 to 1; nan if the reference lacks it."""
     value, reference_value = getattr(score, name), getattr(reference, name)
     if math.isnan(reference_value):
         return math.nan
