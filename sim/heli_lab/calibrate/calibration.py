@@ -175,7 +175,8 @@ def _check_counts(heli: Heli, rig: Rig) -> None:
         board_counts = abs(heli.params[f"{axis}_counts_per_rev"])
         if board_counts != counts:
             raise CalibrationError(
-                f"{axis}_counts_per_rev is {board_counts:g}, but rig {rig.name} has {counts:g} counts per turn",
+                f"{axis}_counts_per_rev is {board_counts:g}, but rig {rig.name} has {counts:g} counts per "
+                "turn",
                 "correct the wrong one with params set or rig new: counts per turn are not measured",
             )
 
