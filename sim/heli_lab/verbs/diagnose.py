@@ -1,4 +1,4 @@
-"""``heli-host diagnose``: run_diagnosis the causes of model errors in flights."""
+"""``heli-host diagnose``: find the causes of model errors in flights."""
 
 from __future__ import annotations
 
