@@ -131,7 +131,7 @@ def diagnose(
         for record in held_out:
             calibration_s(record, calibrate_s)
         kept = EstimateCache(resume, fingerprint(model, rig, [*train, *held_out])) if resume else None
-        comparison = ModelComparison(model, rig, train, held_out, seed=seed, kept=kept)
+        comparison = ModelComparison(model, rig, train, held_out, seed=seed, cache=kept)
         known = {effect.name for effect in model.effects}
         tried = {id_: kind for id_, kind in every.items() if _is_candidate(kind, model, known, every)}
         result, assessment = _search_and_assess(comparison, tried, every, report, refits)

@@ -212,7 +212,7 @@ def test_a_right_model_fails_nowhere_in_95_percent_of_all_cases() -> None:
     alarms = 0
     for _ in range(200):
         white = rng.standard_normal(rows)
-        screening._error = [white - nuisance @ screening._solved(nuisance.T @ white)]
+        screening._error = [white - nuisance @ screening._solve(nuisance.T @ white)]
         parts = screening.projected(only, [1] * cells.shape[1])
         z = np.array([gradient[0] / np.sqrt(information[0, 0]) for information, gradient in parts])
         p = 2.0 * ndtr(-np.abs(z))
