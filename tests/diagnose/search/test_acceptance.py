@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from heli_lab.diagnose.search import Hypothesis, ModelComparison, Refit, Screening, typical_candidate
 from heli_lab.diagnose.search.acceptance import Acceptance
-from heli_lab.diagnose.search.forward import resting_friction
+from heli_lab.diagnose.search.forward import paused_play, resting_friction
 from heli_sim.model.effects import catalogue
 
 pytestmark = pytest.mark.diagnosis
@@ -36,6 +36,19 @@ def test_friction_of_typical_size_is_proposed_for_axes_that_rest() -> None:
     assert dry_friction([0.9, 0.1, 0.7]) == ["coulomb_friction.elevation", "coulomb_friction.travel"]
     assert dry_friction([0.9, 0.1, 0.7], there=("coulomb_friction.elevation",)) == ["coulomb_friction.travel"]
     assert dry_friction([0.3, 0.1, 0.2]) == []
+
+
+@pytest.mark.parametrize("there", [(), ("backlash.pitch",)])
+def test_play_is_proposed_for_axes_whose_count_pauses(there: tuple[str, ...]) -> None:
+    # Elevation pauses for a tenth of the time, pitch for a fifth; travel stops often, but only briefly.
+    pause_s = np.where(np.arange(100)[:, None] < [10, 20, 90], [2.0, 0.3, 0.1], 0.05)
+    reference = SimpleNamespace(pause_s=pause_s, rows=np.arange(100))
+    screening = SimpleNamespace(
+        filtered=SimpleNamespace(linearised_flights=[SimpleNamespace(reference=reference)])
+    )
+    base = cast(Hypothesis, SimpleNamespace(ids=there))
+    proposed = paused_play(base, cast(Screening, screening), KINDS, ())
+    assert [scored.candidate.id for scored in proposed] == ([] if there else ["backlash.pitch"])
 
 
 def test_a_clear_log_likelihood_ratio_overrides_the_wald_test() -> None:
