@@ -137,7 +137,7 @@ class Clumsy(SimulatedOperator):
 
     def act(self, action: HandAction) -> None:
         if action in self.moves:
-            self._turn(self.moves[action])
+            self._move_to(self.moves[action])
         else:
             super().act(action)
 

@@ -17,7 +17,7 @@ from heli_lab.classroom.grade import (
     LawGrade,
     grade,
     grade_lines,
-    judged,
+    with_plan_setpoints,
 )
 from heli_lab.law import Command, Law, control_law
 from heli_lab.law.program_data import law_of_program
@@ -73,12 +73,12 @@ def test_each_law_flies_each_rig_with_each_seed_in_the_same_order() -> None:
 
 def test_a_law_that_logs_its_angle_as_its_setpoint_is_judged_by_the_board_s() -> None:
     program = a_law(elevation_setpoint_rad="elevation_rad", travel_setpoint_rad="travel_rad").program
-    fair = judged(program)
+    fair = with_plan_setpoints(program)
     random = np.random.default_rng(2)
     inputs = random.uniform(-0.2, 0.2, 17).tolist()
     voltages, honest = (law_of_program(one).runner()(inputs) for one in (program, fair))
     assert list(voltages)[:2] == list(honest)[:2], "the voltages are the same"
-    ours = judged(a_law().program)
+    ours = with_plan_setpoints(a_law().program)
     assert fair.outputs[2] == ours.outputs[2] and fair.outputs[4] == ours.outputs[4]
     assert program.outputs[4] != fair.outputs[4]
 

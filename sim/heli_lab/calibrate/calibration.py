@@ -27,13 +27,13 @@ MAX_ANGLE_deg: Final = 20.0
 _ABOVE_DEAD_ZONE_V: Final = 1.0
 _FIRST_SHARE: Final = 0.5
 _FIRST_V: Final = 0.2
-_TIED_deg: Final = 3.0
+_MIN_BLOCKED_deg: Final = 3.0
 """Least elevation above the table in pulses: on its table an arm brakes pitch."""
-_TRIES: Final = 3
+_MAX_ATTEMPTS: Final = 3
 _REST_deg: Final = 1.0
 """Tolerance of a rest angle whose level is a person's spirit level [deg]."""
-_LEAST_DEAD_ZONE_V: Final = 0.02
-_EQUAL: Final = 0.1
+_MIN_DEAD_ZONE_TOLERANCE_V: Final = 0.02
+_MAX_ROTOR_DIFFERENCE: Final = 0.1
 """Difference of two rotors, as share, that is normal: as in docs/how-to/first-power-up.md, step 9."""
 SOURCE: Final = "heli-host calibrate"
 """Beginning of the source of each number that a calibration measured."""
@@ -92,8 +92,8 @@ def calibrate(
 ) -> BenchCalibration:
     """Calibrate encoders and motors of a connected board.
 
-    The board keeps its parameters: they are changed in its memory only, and put back. The motors go off
-    first in every ending.
+    Parameters of the board change in its memory only, and are restored at the end. Before that, the motors
+    are switched off, also after an error.
 
     Parameters
     ----------
@@ -131,13 +131,13 @@ def calibrate(
     encoder_values = _encoder_values(heli, encoders)
     if not motors:
         return _calibration(encoders, encoder_values, (), rig, name or rig.name)
-    signs = {f"motor_{output}_sign": heli.params[f"motor_{output}_sign"] for output in MOTOR_OUTPUTS}
-    with temporary_parameters(heli, encoder_values | signs, operator.report):
+    motor_signs = {f"motor_{output}_sign": heli.params[f"motor_{output}_sign"] for output in MOTOR_OUTPUTS}
+    with temporary_parameters(heli, encoder_values | motor_signs, operator.report):
         heli.zero()
-        _tie(heli, operator)
+        _block_arm(heli, operator)
         results = []
-        low = pulse_limits(heli, max_V=limits.max_V, max_angle_deg=limits.max_angle_deg)
-        with temporary_parameters(heli, low, operator.report):
+        board_limits = pulse_limits(heli, max_V=limits.max_V, max_angle_deg=limits.max_angle_deg)
+        with temporary_parameters(heli, board_limits, operator.report):
             for output in MOTOR_OUTPUTS:
                 mark(f"{output} output")
                 results.append(calibrate_motor(heli, operator, output, rig, limits, check))
@@ -160,6 +160,7 @@ def set_parameters(heli: Heli, operator: Operator, values: Mapping[str, float]) 
 
 
 def _check_idle(heli: Heli) -> None:
+    """Raise a CalibrationError unless the board is idle."""
     if heli.state is State.FAULT:
         raise CalibrationError(
             f"the board has a fault: {fault_text(heli.fault)}", "add --clear-fault when its cause is gone"
@@ -169,25 +170,31 @@ def _check_idle(heli: Heli) -> None:
 
 
 def _check_counts(heli: Heli, rig: Rig) -> None:
+    """Raise a CalibrationError if board and rig have different counts per turn."""
     for axis, counts in zip(AXES, counts_per_turn(rig), strict=True):
-        board = abs(heli.params[f"{axis}_counts_per_rev"])
-        if board != counts:
+        board_counts = abs(heli.params[f"{axis}_counts_per_rev"])
+        if board_counts != counts:
             raise CalibrationError(
-                f"{axis}_counts_per_rev is {board:g}, but rig {rig.name} has {counts:g} counts per turn",
+                f"{axis}_counts_per_rev is {board_counts:g}, but rig {rig.name} has {counts:g} counts per "
+                "turn",
                 "correct the wrong one with params set or rig new: counts per turn are not measured",
             )
 
 
 def _check_voltages(heli: Heli, limits: PulseLimits) -> None:
-    most_V = min(HARD_MAX_V, heli.params["motor_max_V"])
-    if not 0.0 < limits.start_V < limits.max_V <= most_V:
+    """Raise a CalibrationError unless 0 < first voltage < highest voltage <= limit of the board."""
+    highest_V = min(HARD_MAX_V, heli.params["motor_max_V"])
+    if not 0.0 < limits.start_V < limits.max_V <= highest_V:
         raise CalibrationError(
             f"pulses from {limits.start_V:g} to {limits.max_V:g} V are not possible",
-            f"give a --max-V above {limits.start_V:g} and up to {most_V:g} V",
+            f"give a --max-V above {limits.start_V:g} and up to {highest_V:g} V",
         )
 
 
 def _encoder_values(heli: Heli, encoders: EncoderResult) -> dict[str, float]:
+    """Return the board parameters that the encoders determine: signed counts per turn, and the rest angle
+    [deg].
+    """
     spec = heli.params.spec("elevation_rest_deg")
     rest_deg = round(encoders.rest_deg, 2)
     if not spec.min <= rest_deg <= spec.max:
@@ -202,15 +209,16 @@ def _encoder_values(heli: Heli, encoders: EncoderResult) -> dict[str, float]:
     return values | {"elevation_rest_deg": rest_deg}
 
 
-def _tie(heli: Heli, operator: Operator) -> None:
+def _block_arm(heli: Heli, operator: Operator) -> None:
+    """Let the operator block the arm above its table, and check its elevation."""
     rest_deg = heli.params["elevation_rest_deg"]
-    for _ in range(_TRIES):
+    for _ in range(_MAX_ATTEMPTS):
         operator.act(HandAction.TIE)
         lifted_deg = angles_deg(heli)[0] - rest_deg
-        if lifted_deg >= _TIED_deg:
+        if lifted_deg >= _MIN_BLOCKED_deg:
             return
         operator.report(
-            f"the arm is {lifted_deg:.1f} degrees above its table; it needs {_TIED_deg:g} or more"
+            f"the arm is {lifted_deg:.1f} degrees above its table; it needs {_MIN_BLOCKED_deg:g} or more"
         )
     raise CalibrationError(
         "the arm is still on its table", "put a block below the long arm: the table brakes the short arm"
@@ -224,23 +232,36 @@ def _calibration(
     rig: Rig,
     name: str,
 ) -> BenchCalibration:
-    signs, notes = _motor_signs(motors)
-    numbers = dict(rig)
-    dead_zone, more = _put_thrust(numbers, motors, rig)
+    """Assemble the calibrated rig, the board's parameters and the notes from all measurements."""
+    sign_parameters, sign_notes = _motor_signs(motors)
+    thrust_numbers, thrust_notes = _thrust_numbers(motors, rig)
+    numbers = dict(rig) | thrust_numbers
     for axis, quantity in zip(AXES, ENCODER_DIRECTIONS, strict=True):
         numbers[quantity] = Number(float(encoders.direction[axis]), "1", 0.0, f"{SOURCE}: turned by hand")
     numbers["elevation_min"] = Number(
         encoder_values["elevation_rest_deg"], "deg", _REST_deg, f"{SOURCE}: lifted to level by hand"
     )
-    calibrated = replace(
+    parameters = dict(encoder_values) | sign_parameters
+    if thrust_numbers:
+        parameters["dead_zone_V"] = round(thrust_numbers["dead_zone"].value, 3)
+    calibrated_rig = replace(
         rig, name=name, description=f"calibrated on the bench, the rest as {rig.name}", numbers=numbers
     )
-    values = dict(encoder_values) | signs | dead_zone
-    return BenchCalibration(encoders, tuple(motors), calibrated, values, (*notes, *more))
+    return BenchCalibration(
+        encoders, tuple(motors), calibrated_rig, parameters, notes=(*sign_notes, *thrust_notes)
+    )
 
 
 def _motor_signs(motors: Sequence[MotorResult]) -> tuple[dict[str, float], list[str]]:
-    """Parameters with the signs of the motors, none where their plugs are exchanged, and notes."""
+    """Return the signs of the motors as board parameters.
+
+    Returns
+    -------
+    dict of float
+            Parameters by name; empty if the plugs of the motors are exchanged.
+    list of str
+            Notes for the person.
+    """
     rotors = [motor.rotor for motor in motors]
     if len(set(rotors)) < len(rotors):
         raise CalibrationError(
@@ -256,10 +277,16 @@ def _motor_signs(motors: Sequence[MotorResult]) -> tuple[dict[str, float], list[
     return {f"motor_{motor.output}_sign": float(motor.sign) for motor in motors}, []
 
 
-def _put_thrust(
-    numbers: dict[str, Number], motors: Sequence[MotorResult], rig: Rig
-) -> tuple[dict[str, float], list[str]]:
-    """Put gain and dead zone into a rig's numbers, if both rotors have them; return parameters and notes."""
+def _thrust_numbers(motors: Sequence[MotorResult], rig: Rig) -> tuple[dict[str, Number], list[str]]:
+    """Return thrust gain and dead zone of the rig: the mean of both rotors.
+
+    Returns
+    -------
+    dict of Number
+        ``thrust_gain`` and ``dead_zone``; empty unless both rotors were measured.
+    list of str
+        Reasons why a rotor has no measurement, and a warning if the rotors differ.
+    """
     lines = {motor.rotor: motor.thrust for motor in motors if isinstance(motor.thrust, ThrustLine)}
     notes = [
         f"thrust of the {motor.rotor} rotor is not known: {motor.thrust}; the rig's values stay"
@@ -268,22 +295,22 @@ def _put_thrust(
     ]
     if len(lines) < len(MOTOR_OUTPUTS):
         return {}, notes
-    gain, gain_std = _mean([(line.gain_N_per_V, line.gain_std) for line in lines.values()])
-    zero_V, zero_std = _mean([(line.dead_zone_V, line.dead_zone_std) for line in lines.values()])
-    zero_V = max(zero_V, 0.0)
-    tolerance = math.hypot(2.0 * gain_std, gain * geometry_share(rig))
+    front, back = lines["front"], lines["back"]
+    gain_N_per_V = 0.5 * (front.gain_N_per_V + back.gain_N_per_V)
+    gain_std = 0.5 * math.sqrt(front.gain_std**2 + back.gain_std**2)
+    dead_zone_V = max(0.5 * (front.dead_zone_V + back.dead_zone_V), 0.0)
+    dead_zone_std = 0.5 * math.sqrt(front.dead_zone_std**2 + back.dead_zone_std**2)
+    gain_tolerance = math.hypot(2.0 * gain_std, gain_N_per_V * geometry_share(rig))
+    dead_zone_tolerance = max(2.0 * dead_zone_std, _MIN_DEAD_ZONE_TOLERANCE_V)
     source = f"{SOURCE}: pitch after short pulses"
-    numbers["thrust_gain"] = Number(gain, "N/V", tolerance, source)
-    numbers["dead_zone"] = Number(zero_V, "V", max(2.0 * zero_std, _LEAST_DEAD_ZONE_V), source)
-    ratio = lines["front"].gain_N_per_V / lines["back"].gain_N_per_V
-    if abs(ratio - 1.0) > _EQUAL:
+    numbers = {
+        "thrust_gain": Number(gain_N_per_V, "N/V", gain_tolerance, source),
+        "dead_zone": Number(dead_zone_V, "V", dead_zone_tolerance, source),
+    }
+    ratio = front.gain_N_per_V / back.gain_N_per_V
+    if abs(ratio - 1.0) > _MAX_ROTOR_DIFFERENCE:
         notes.append(
             f"the front rotor pushes {ratio:.2f} times as much per volt as the back rotor: check the "
             "propellers, or describe it with the effect thrust_asymmetry"
         )
-    return {"dead_zone_V": round(zero_V, 3)}, notes
-
-
-def _mean(values: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    mean = sum(value for value, _ in values) / len(values)
-    return mean, math.sqrt(sum(std**2 for _, std in values)) / len(values)
+    return numbers, notes

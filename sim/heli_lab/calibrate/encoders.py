@@ -21,7 +21,7 @@ More: travel of a short-cabled rig cannot be turned so far."""
 RETURNED_deg: Final = 1.0
 """Error of the elevation, back at rest, that is tolerated. Less: an arm on a soft table is refused. More: a
 slipping coupling passes."""
-_TRIES: Final = 3
+_MAX_ATTEMPTS: Final = 3
 _SETTLE_S: Final = 0.3
 _MOVES: Final = (
     ("elevation", HandAction.LIFT, True),
@@ -67,7 +67,7 @@ def calibrate_encoders(heli: Heli, operator: Operator) -> EncoderResult:
     moved_deg: dict[str, float] = {}
     rest_deg = 0.0
     for axis, action, is_lift in _MOVES:
-        moved_deg[axis] = change_deg = _movement(heli, operator, axis, action)
+        moved_deg[axis] = change_deg = _movement_deg(heli, operator, axis, action)
         direction[axis] = int(np.sign(change_deg) * np.sign(heli.params[f"{axis}_counts_per_rev"]))
         if is_lift:
             rest_deg = -abs(change_deg)
@@ -88,32 +88,36 @@ def sample_angles_deg(sample: Sample) -> Floats:
     return np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg])
 
 
-def _movement(heli: Heli, operator: Operator, axis: str, action: HandAction) -> float:
+def _movement_deg(heli: Heli, operator: Operator, axis: str, action: HandAction) -> float:
+    """Return the change of an axis's angle [deg] in the operator's movement; only that axis may move."""
     reason = remedy = ""
-    for attempt in range(_TRIES):
+    for attempt in range(_MAX_ATTEMPTS):
         if attempt:
             operator.report(f"{reason}; {remedy}, then try again")
             operator.act(HandAction.REST)
         before_deg = angles_deg(heli)
         operator.act(action)
         change_deg = angles_deg(heli) - before_deg
-        moved = [name for name, change in zip(AXES, change_deg, strict=True) if abs(change) >= MOVED_deg]
-        if moved == [axis]:
+        moved_axes = [name for name, change in zip(AXES, change_deg, strict=True) if abs(change) >= MOVED_deg]
+        if moved_axes == [axis]:
             return float(change_deg[AXES.index(axis)])
-        listed = ", ".join(f"{name} {change:+.1f}" for name, change in zip(AXES, change_deg, strict=True))
-        if not moved:
-            reason = f"no encoder counted {MOVED_deg:g} degrees for {axis} ({listed})"
+        changes_text = ", ".join(
+            f"{name} {change:+.1f}" for name, change in zip(AXES, change_deg, strict=True)
+        )
+        if not moved_axes:
+            reason = f"no encoder counted {MOVED_deg:g} degrees for {axis} ({changes_text})"
             remedy = f"move it further, and check the plug and the supply of the {axis} encoder"
-        elif len(moved) > 1:
-            reason = f"{' and '.join(moved)} moved together ({listed} degrees)"
+        elif len(moved_axes) > 1:
+            reason = f"{' and '.join(moved_axes)} moved together ({changes_text} degrees)"
             remedy = f"hold the other axes while you move {axis}"
         else:
-            reason = f"the {moved[0]} encoder counted when {axis} moved ({listed} degrees)"
-            remedy = f"exchange the plugs of the {axis} and {moved[0]} encoders"
+            reason = f"the {moved_axes[0]} encoder counted when {axis} moved ({changes_text} degrees)"
+            remedy = f"exchange the plugs of the {axis} and {moved_axes[0]} encoders"
     raise CalibrationError(reason, remedy)
 
 
 def _check_return(heli: Heli, start_deg: Floats, axis: str) -> None:
+    """Raise a CalibrationError if the elevation does not return to its first reading."""
     error_deg = angles_deg(heli) - start_deg
     # Nothing stops pitch and travel at a place: only the elevation has a table.
     if abs(error_deg[0]) > RETURNED_deg:

@@ -16,34 +16,35 @@ from heli_lab.calibrate.errors import CalibrationError
 def temporary_parameters(
     heli: Heli, values: Mapping[str, float], warn: Callable[[str], None]
 ) -> Iterator[None]:
-    """Set parameters, `values` by name, in the board's memory, and put the former values back at the end.
+    """Set parameters, `values` by name, in the board's memory, and restore the previous values at the end.
 
-    At an ending of any kind the motors go off first. If the board does not take the former values then, the
-    new ones stay until its restart, because they were not saved; `warn` gets a line about it.
+    The motors are switched off first, also after an error. If the board refuses a previous value, the new
+    value stays until a restart, because it was not saved. After an error, `warn` gets a line about it.
     """
-    before = {name: heli.params[name] for name in values}
+    previous_values = {name: heli.params[name] for name in values}
     try:
         for name, value in values.items():
             heli.params[name] = value
         yield
     except BaseException:
         try:
-            _off_and_back(heli, before)
+            _stop_and_restore(heli, previous_values)
         except HeliError as error:
             warn(f"warning: {error}")
         raise
-    _off_and_back(heli, before)
+    _stop_and_restore(heli, previous_values)
 
 
-def _off_and_back(heli: Heli, before: Mapping[str, float]) -> None:
+def _stop_and_restore(heli: Heli, previous_values: Mapping[str, float]) -> None:
+    """Stop the motors, clear a fault, and restore parameters."""
     if heli.motors_may_run:
         heli.stop()
     if heli.state is State.FAULT:
-        # Parameters that only an idle board takes. A stop switch that is still pressed keeps the fault.
+        # Only an idle board accepts some parameters. If the stop switch is still pressed, the fault stays.
         with contextlib.suppress(HeliError):
             heli.clear_fault()
     refused: list[str] = []
-    for name, value in before.items():
+    for name, value in previous_values.items():
         try:
             heli.params[name] = value
         except HeliError:
@@ -67,13 +68,13 @@ def pulse_limits(heli: Heli, *, max_V: float, max_angle_deg: float) -> dict[str,
     max_angle_deg : float
         Angle by which pitch, travel and elevation may differ from level, zero and the present angle [deg].
     """
-    specs = heli.params.spec
-    wanted = {
+    spec_of = heli.params.spec
+    values = {
         "excitation_max_V": max_V,
-        "arm_elevation_tolerance_deg": specs("arm_elevation_tolerance_deg").max,
+        "arm_elevation_tolerance_deg": spec_of("arm_elevation_tolerance_deg").max,
         "pitch_setpoint_max_deg": min(heli.params["pitch_setpoint_max_deg"], max_angle_deg - 1.0),
         "pitch_max_deg": max_angle_deg,
         "travel_max_deg": abs(heli.latest.travel_deg) + max_angle_deg,
         "elevation_max_deg": heli.latest.elevation_deg + max_angle_deg,
     }
-    return {name: min(max(value, specs(name).min), specs(name).max) for name, value in wanted.items()}
+    return {name: min(max(value, spec_of(name).min), spec_of(name).max) for name, value in values.items()}

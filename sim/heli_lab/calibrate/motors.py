@@ -34,22 +34,22 @@ MOTOR_OUTPUTS: Final = ("front", "back")
 STEP_V: Final = 0.1
 """Rise of the voltage from pulse to pulse, before pitch has moved. More: the first pulse above the dead zone
 turns a strong rotor too far. Less: more pulses, each with its confirmation."""
-_LEAST_STEP_V: Final = 0.02
+_MIN_STEP_V: Final = 0.02
 _MOVING_PULSES: Final = 8
 _MOVED_counts: Final = 4.0
 """Change of pitch that counts as a movement. Less: a swing that has not died out yet counts. More: the dead
 zone is read too high."""
-_SCATTERS: Final = 4.0
-_SHARE: Final = 0.5
+_MOVED_STDS: Final = 4.0
+_MAX_ANGLE_SHARE: Final = 0.5
 """Share of the largest angle at which the voltage rises no further."""
-_QUIET_counts: Final = 3.0
-_QUIET_s: Final = 1.0
+_STILL_counts: Final = 3.0
+_STILL_s: Final = 1.0
 """Time over which pitch must stay. Shorter: the turning point of a slow swing looks quiet."""
-_QUIET_WITHIN_s: Final = 5.0
-_LOOK_s: Final = 0.02
-_TRIES: Final = 3
-_ARM_TRIES: Final = 20
-_ARM_AGAIN_s: Final = 0.05
+_STILL_TIMEOUT_s: Final = 5.0
+_POLL_s: Final = 0.02
+_MAX_ATTEMPTS: Final = 3
+_MAX_ARM_ATTEMPTS: Final = 20
+_ARM_RETRY_s: Final = 0.05
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,19 @@ class MotorResult:
 
 @dataclass
 class _Series:
-    """Pulses of one output with one sign."""
+    """Pulses of one output with one sign of its voltage.
+
+    Parameters
+    ----------
+    pulses : list of Pulse
+        Pulses that moved pitch.
+    rotor : str
+        Rotor that turned, ``front`` or ``back``; empty before the first movement.
+    turn : int
+        Sign of the pitch change, 1 or -1.
+    begins_V : float
+        Lowest voltage at which pitch moved [V].
+    """
 
     pulses: list[Pulse] = field(default_factory=list)
     rotor: str = ""
@@ -134,20 +146,20 @@ def calibrate_motor(
     FlightAborted
         The operator or the board ended a pulse, or an axis moved too far.
     """
-    name = f"motor_{output}_sign"
-    first_sign = int(heli.params[name])
+    sign_parameter = f"motor_{output}_sign"
+    first_sign = int(heli.params[sign_parameter])
     pulser = _Pulser(heli, operator, output, limits, check)
     start_V = limits.start_V
     for sign in (first_sign, -first_sign):
-        heli.params[name] = sign
+        heli.params[sign_parameter] = sign
         series = pulser.series(start_V)
         if series.pulses and series.turn == lift_turn(series.rotor):
-            heli.params[name] = first_sign
+            heli.params[sign_parameter] = first_sign
             thrust = thrust_of(series.pulses, lift_turn(series.rotor), rig)
             return MotorResult(output, series.rotor, sign, series.begins_V, thrust)
-        what = f"the {series.rotor} rotor pushes down" if series.pulses else "no pulse moved pitch"
-        operator.report(f"{output} output with {name} {sign}: {what}")
-    heli.params[name] = first_sign
+        reason = f"the {series.rotor} rotor pushes down" if series.pulses else "no pulse moved pitch"
+        operator.report(f"{output} output with {sign_parameter} {sign}: {reason}")
+    heli.params[sign_parameter] = first_sign
     raise CalibrationError(
         f"the {output} output lifts no rotor up to {limits.max_V:g} V, with either sign",
         "check supply, driver and plug of that motor, and its propeller, or raise --max-V",
@@ -160,6 +172,8 @@ def lift_turn(rotor: str) -> int:
 
 
 class _Pulser:
+    """Gives voltage pulses to one output, and checks state and angles of the board meanwhile."""
+
     def __init__(
         self, heli: Heli, operator: Operator, output: str, limits: PulseLimits, check: Callable[[], None]
     ) -> None:
@@ -172,17 +186,18 @@ class _Pulser:
         self._count_rad = 2.0 * np.pi / abs(heli.params["pitch_counts_per_rev"])
 
     def series(self, start_V: float) -> _Series:
-        """Pulse with rising voltage. A rotor that pushes down ends the series."""
+        """Return pulses of rising voltage from `start_V` on; a rotor that pushes down ends the series."""
         series = _Series()
         volts_V, step_V = start_V, STEP_V
         peaks: list[tuple[float, float]] = []
         while volts_V <= self._limits.max_V + 1e-9 and len(series.pulses) < _MOVING_PULSES:
             pulse = self.pulse(volts_V)
-            counts, scatter = response_counts(pulse, self._count_rad)
-            if abs(counts) > max(_MOVED_counts, _SCATTERS * scatter):
-                turn = int(np.sign(counts))
+            change_counts, std_counts = response_counts(pulse, self._count_rad)
+            if abs(change_counts) > max(_MOVED_counts, _MOVED_STDS * std_counts):
+                turn = int(np.sign(change_counts))
                 if not series.rotor:
-                    series.rotor, series.turn, series.begins_V = self._see(volts_V), turn, volts_V
+                    series.rotor = self._confirm_rotor(volts_V)
+                    series.turn, series.begins_V = turn, volts_V
                 if turn != series.turn:
                     raise CalibrationError(
                         f"the {self._output} output turned pitch both ways",
@@ -191,22 +206,26 @@ class _Pulser:
                 series.pulses.append(pulse)
                 if turn != lift_turn(series.rotor):
                     break
-                peak_deg = float(np.degrees(abs(counts) * self._count_rad))
+                peak_deg = float(np.degrees(abs(change_counts) * self._count_rad))
                 peaks.append((volts_V, peak_deg))
                 step_V = self._next_step(peaks)
-                if step_V < _LEAST_STEP_V:
+                if step_V < _MIN_STEP_V:
                     break
             volts_V = round(volts_V + step_V, 3)
         return series
 
     def _next_step(self, peaks: list[tuple[float, float]]) -> float:
-        """Rise after which pitch is expected to stay below a share of the largest angle [V]."""
-        volts_V, peak_deg = peaks[-1]
-        before_V, before_deg = peaks[-2] if len(peaks) > 1 else (volts_V - STEP_V, 0.0)
-        slope = max((peak_deg - before_deg) / (volts_V - before_V), 1e-3)
-        return min(STEP_V, (_SHARE * self._limits.max_angle_deg - peak_deg) / slope)
+        """Return the voltage step after which pitch is expected to stay below a share of the limit [V].
 
-    def _see(self, volts_V: float) -> str:
+        `peaks` has voltage [V] and largest pitch angle [deg] of each pulse. They are extrapolated linearly.
+        """
+        volts_V, peak_deg = peaks[-1]
+        previous_V, previous_deg = peaks[-2] if len(peaks) > 1 else (volts_V - STEP_V, 0.0)
+        deg_per_V = max((peak_deg - previous_deg) / (volts_V - previous_V), 1e-3)
+        return min(STEP_V, (_MAX_ANGLE_SHARE * self._limits.max_angle_deg - peak_deg) / deg_per_V)
+
+    def _confirm_rotor(self, volts_V: float) -> str:
+        """Ask the operator which rotor turned, ``front`` or ``back``."""
         rotor = self._operator.choose(
             f"{self._output} output, {volts_V:g} V: which rotor turned?", ("front", "back", "neither")
         )
@@ -228,34 +247,40 @@ class _Pulser:
             if answer == "stop":
                 raise FlightAborted("the operator stopped the calibration; the motors are off")
             self._confirmed = answer == "all"
-        self._steady()
+        self._wait_until_still()
         heli = self._heli
-        self._arm()
+        self._arm_when_still()
         try:
-            samples = self._driven(volts_V)
+            samples = self._drive(volts_V)
         except BaseException:
             with contextlib.suppress(HeliError):
                 heli.stop()
             raise
         heli.stop()
-        return _cut(samples, self._output, volts_V)
+        return _pulse_of_samples(samples, self._output, volts_V)
 
-    def _arm(self) -> None:
-        for attempt in range(_ARM_TRIES):
+    def _arm_when_still(self) -> None:
+        """Arm the motors; repeat while the board sees motion."""
+        for attempt in range(_MAX_ARM_ATTEMPTS):
             try:
                 # Heli.arm compares a simulated board with its rig, which wrong wires contradict on purpose.
                 Vehicle.arm(self._heli)
             except CommandRefused as error:
                 # A single count of a slow drift looks like 3 degrees per second for a moment.
-                if error.detail != Fault.MOVING or attempt == _ARM_TRIES - 1:
+                if error.detail != Fault.MOVING or attempt == _MAX_ARM_ATTEMPTS - 1:
                     raise
-                self._heli.wait(_ARM_AGAIN_s)
+                self._heli.wait(_ARM_RETRY_s)
             else:
                 return
 
-    def _driven(self, volts_V: float) -> Samples:
+    def _drive(self, volts_V: float) -> Samples:
+        """Give one voltage step to the armed board, and return its samples from before the step until after
+        it.
+
+        A FlightAborted is raised if the board stops, an axis moves too far, or the operator stops.
+        """
         heli = self._heli
-        before_deg = angles_deg(heli)
+        start_deg = angles_deg(heli)
         heli.control(Axes(0))
         front_V, back_V = (volts_V if output == self._output else 0.0 for output in MOTOR_OUTPUTS)
         heli.excite(Excitation.STEP, front_V, back_V, duration_s=PULSE_s)
@@ -268,7 +293,7 @@ class _Pulser:
                     "the board stopped hearing the host and switched the motors off",
                     "check the USB cable, then calibrate again",
                 )
-            moved_deg = np.abs(sample_angles_deg(sample) - before_deg)
+            moved_deg = np.abs(sample_angles_deg(sample) - start_deg)
             if moved_deg.max() > self._limits.max_angle_deg:
                 raise FlightAborted(
                     f"{AXES[int(moved_deg.argmax())]} moved by {moved_deg.max():.1f} degrees, more than "
@@ -277,17 +302,20 @@ class _Pulser:
             if self._operator.wants_stop():
                 raise FlightAborted("the stop key was pressed; the motors are off")
             self._check()
-            heli.wait(_LOOK_s)
+            heli.wait(_POLL_s)
         return heli.samples(BEFORE_s + PULSE_s + AFTER_s + 1.0)
 
-    def _steady(self) -> None:
-        for _ in range(_TRIES):
-            end_s = self._heli.latest.t_s + _QUIET_WITHIN_s
+    def _wait_until_still(self) -> None:
+        """Wait until pitch has been still and near level for a second; ask the operator to steady it if
+        needed.
+        """
+        for _ in range(_MAX_ATTEMPTS):
+            end_s = self._heli.latest.t_s + _STILL_TIMEOUT_s
             while self._heli.latest.t_s < end_s:
-                self._heli.wait(_QUIET_s)
-                recent = self._heli.samples(_QUIET_s)
-                if np.ptp(recent.pitch_rad) <= _QUIET_counts * self._count_rad:
-                    if abs(self._heli.latest.pitch_deg) < _SHARE * self._limits.max_angle_deg:
+                self._heli.wait(_STILL_s)
+                recent = self._heli.samples(_STILL_s)
+                if np.ptp(recent.pitch_rad) <= _STILL_counts * self._count_rad:
+                    if abs(self._heli.latest.pitch_deg) < _MAX_ANGLE_SHARE * self._limits.max_angle_deg:
                         return
                     break
             self._operator.act(HandAction.STEADY)
@@ -297,16 +325,17 @@ class _Pulser:
         )
 
 
-def _cut(samples: Samples, output: str, volts_V: float) -> Pulse:
-    driven = np.flatnonzero(getattr(samples, f"{output}_V"))
-    if not len(driven):
+def _pulse_of_samples(samples: Samples, output: str, volts_V: float) -> Pulse:
+    """Resample pitch around the pulse of an output to the grid of `Pulse`."""
+    powered_rows = np.flatnonzero(getattr(samples, f"{output}_V"))
+    if not len(powered_rows):
         raise CalibrationError(
             f"the board gave no voltage to the {output} output", "check the limits of its parameters"
         )
-    step = round(PULSE_GRID_s / TICK_S)
-    first = driven[0] - round(BEFORE_s / TICK_S)
+    ticks_per_step = round(PULSE_GRID_s / TICK_S)
+    first_row = powered_rows[0] - round(BEFORE_s / TICK_S)
     count = round((BEFORE_s + PULSE_s + AFTER_s) / PULSE_GRID_s)
-    index = first + step * np.arange(count)
-    if index[0] < 0 or index[-1] >= len(samples) or np.any(np.diff(samples.tick) != 1):
+    rows = first_row + ticks_per_step * np.arange(count)
+    if rows[0] < 0 or rows[-1] >= len(samples) or np.any(np.diff(samples.tick) != 1):
         raise CalibrationError("samples of a pulse are missing", "check the USB cable, then calibrate again")
-    return Pulse(volts_V, samples.pitch_rad[index])
+    return Pulse(volts_V, samples.pitch_rad[rows])

@@ -14,7 +14,7 @@ from heli_lab.calibrate.operator import HandAction
 
 _LIFTED_deg: Final = 15.0
 _TURNED_deg: Final = {HandAction.FRONT_UP: 20.0, HandAction.BACK_LEADS: 30.0}
-_THERE_rad: Final = 1e-6
+_POSITION_TOLERANCE_rad: Final = 1e-6
 _TIMEOUT_s: Final = 10.0
 
 
@@ -36,35 +36,32 @@ class SimulatedOperator:
         self._world = world
         self._report = report
         self._rest_rad = float(np.radians(world.rig["elevation_min"].value))
-        self._turned = "neither"
-        heli.session.subscribe_ticks(lambda _: self._look())
+        self._turning_rotor = "neither"
+        heli.session.subscribe_ticks(lambda _: self._note_turning_rotor())
 
     def act(self, action: HandAction) -> None:
-        """Turn the axes as the action wants, and wait until they are there."""
+        """Move the axes as an action requires, and wait until they arrive."""
         self._report(f"hand: {action.text}")
-        tied = (self._rest_rad + np.radians(_LIFTED_deg), nan, 0.0)
-        if action is HandAction.STEADY:
-            self._turn((*tied[:1], 0.0, 0.0))
-            self._turn(tied)
-        elif action is HandAction.TIE:
-            self._turn((tied[0], 0.0, 0.0))
-            self._turn(tied)
+        lifted_rad = self._rest_rad + float(np.radians(_LIFTED_deg))
+        if action in (HandAction.STEADY, HandAction.TIE):
+            self._move_to((lifted_rad, 0.0, 0.0))
+            self._move_to((lifted_rad, nan, 0.0))
         elif action is HandAction.LIFT:
-            self._turn((0.0, 0.0, 0.0))
+            self._move_to((0.0, 0.0, 0.0))
         elif action is HandAction.FRONT_UP:
-            self._turn((self._rest_rad, float(np.radians(_TURNED_deg[action])), 0.0))
+            self._move_to((self._rest_rad, float(np.radians(_TURNED_deg[action])), 0.0))
         elif action is HandAction.BACK_LEADS:
-            self._turn((self._rest_rad, 0.0, float(np.radians(_TURNED_deg[action]))))
+            self._move_to((self._rest_rad, 0.0, float(np.radians(_TURNED_deg[action]))))
         else:
-            self._turn((self._rest_rad, 0.0, 0.0))
-            self._turn((nan, nan, nan))
+            self._move_to((self._rest_rad, 0.0, 0.0))
+            self._move_to((nan, nan, nan))
 
     def choose(self, question: str, choices: tuple[str, ...]) -> str:
         """Answer a `question`: name the rotor that turned last; otherwise the first of the `choices`."""
         if "neither" not in choices:
             return choices[0]
-        self._report(f"hand: {question} {self._turned}")
-        return self._turned
+        self._report(f"hand: {question} {self._turning_rotor}")
+        return self._turning_rotor
 
     def report(self, text: str) -> None:
         """Pass a line of `text` on."""
@@ -74,16 +71,18 @@ class SimulatedOperator:
         """Return False: this operator does not stop."""
         return False
 
-    def _look(self) -> None:
+    def _note_turning_rotor(self) -> None:
+        """Remember which rotor has a voltage."""
         for rotor, volts_V in zip(("front", "back"), self._world.native.volts_V, strict=True):
             if volts_V:
-                self._turned = rotor
+                self._turning_rotor = rotor
 
-    def _turn(self, target_rad: tuple[float, float, float]) -> None:
+    def _move_to(self, target_rad: tuple[float, float, float]) -> None:
+        """Hold the axes at target angles [rad], nan for a free axis, and wait until they arrive."""
         self._world.native.hand_rad = target_rad
         end_s = self._heli.latest.t_s + _TIMEOUT_s
         while self._heli.latest.t_s < end_s:
             self._heli.wait(0.1)
             angle_rad = self._world.state[:3]
-            if not np.any(np.abs(angle_rad - np.array(target_rad)) > _THERE_rad):
+            if not np.any(np.abs(angle_rad - np.array(target_rad)) > _POSITION_TOLERANCE_rad):
                 return

@@ -32,16 +32,16 @@ class TerminalOperator:
     def act(self, action: HandAction) -> None:
         """Show the instruction, and wait for Enter; ``stop`` ends the calibration."""
         self._show(f"{action.text} Then press Enter (or type {_STOP}).")
-        self._line()
+        self._read_answer()
 
     def choose(self, question: str, choices: tuple[str, ...]) -> str:
         """Ask a `question` until the answer is one of the `choices`, or the first letters of one."""
         while True:
             self._show(f"{question} [{'/'.join(choices)}]")
-            answer = self._line(may_stop=_STOP not in choices)
-            named = [choice for choice in choices if answer and choice.startswith(answer)]
-            if len(named) == 1:
-                return named[0]
+            answer = self._read_answer(may_stop=_STOP not in choices)
+            matches = [choice for choice in choices if answer and choice.startswith(answer)]
+            if len(matches) == 1:
+                return matches[0]
 
     def report(self, text: str) -> None:
         """Show a line of `text`."""
@@ -60,7 +60,10 @@ class TerminalOperator:
             self._answers.readline()
         return bool(ready)
 
-    def _line(self, *, may_stop: bool = True) -> str:
+    def _read_answer(self, *, may_stop: bool = True) -> str:
+        """Return the next line in lower case; a FlightAborted is raised at the end of input or by
+        ``stop``.
+        """
         line = self._answers.readline()
         answer = line.strip().lower()
         if not line:

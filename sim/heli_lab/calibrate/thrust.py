@@ -21,12 +21,12 @@ PULSE_s: Final = 0.3
 """Length of a pulse. Longer: a strong rotor turns pitch too far. Shorter: a slow rotor gives no thrust."""
 AFTER_s: Final = 1.2
 """Time after the pulse that is compared; it holds the impulse of a slow rotor too."""
-LEAST_PULSES: Final = 3
+MIN_PULSES: Final = 3
 """Pulses that moved, of which a straight line has a standard error."""
 MAX_SHARE: Final = 0.2
 """Standard error of a thrust gain, as share of it, above which the rig file's value stays."""
-_LOW: Final = (0.0, 0.0, 1e-3)
-_HIGH: Final = (100.0, 20.0, 0.5)
+_LOWER_BOUNDS: Final = (0.0, 0.0, 1e-3)
+_UPPER_BOUNDS: Final = (100.0, 20.0, 0.5)
 """Bounds of stiffness, damping and lag: of any rig that a hand can carry, with rotors of up to 0.5 s."""
 _GAIN_MASSES: Final = ("M_f", "M_b", "M_h", "L_h", "L_phi")
 
@@ -69,11 +69,14 @@ class ThrustLine:
 
 
 def response_design(stiffness: float, damping: float, lag_s: float) -> Floats:
-    """Return pitch for unit acceleration during the pulse, for an offset, a first angle and a first rate,
-    shape (times, 4), by `stiffness` [1/s2], `damping` [1/s] and `lag_s` of the thrust.
+    """Return the design matrix of pitch around a pulse, shape (times, 4).
+
+    Its columns are the responses to a unit acceleration during the pulse, to an offset, to an initial angle
+    and to an initial rate. Pitch obeys phi'' = -`stiffness` phi - `damping` phi' + a, in 1/s2 and 1/s; the
+    acceleration a follows the voltage with the lag `lag_s`.
     """
     lag_s = max(lag_s, 1e-3)
-    rates = np.array(
+    state_matrix = np.array(
         [
             [0.0, 1.0, 0.0, 0.0],
             [-stiffness, -damping, 1.0, 0.0],
@@ -81,66 +84,83 @@ def response_design(stiffness: float, damping: float, lag_s: float) -> Floats:
             [0.0, 0.0, 0.0, 0.0],
         ]
     )
-    before, during, after = (round(span / PULSE_GRID_s) for span in (BEFORE_s, PULSE_s, AFTER_s))
+    before, during, after = (round(duration_s / PULSE_GRID_s) for duration_s in (BEFORE_s, PULSE_s, AFTER_s))
     count = before + during + after
-    powers = _powers(matrix_exponentials(rates[np.newaxis] * PULSE_GRID_s)[0], count)
+    powers = _matrix_powers(matrix_exponentials(state_matrix[np.newaxis] * PULSE_GRID_s)[0], count)
     # States are angle, rate, acceleration by thrust, and the voltage, which only the pulse sets.
-    end = powers[during] @ (0.0, 0.0, 0.0, 1.0)
-    end[3] = 0.0
-    rows = np.zeros((count, 4))
-    rows[before : before + during, 0] = powers[:during, 0, 3]
-    rows[before + during :, 0] = powers[:after, 0] @ end
-    rows[:, 1] = 1.0
-    rows[:, 2:] = powers[:, 0, :2]
-    return rows
+    state_after_pulse = powers[during] @ (0.0, 0.0, 0.0, 1.0)
+    state_after_pulse[3] = 0.0
+    design = np.zeros((count, 4))
+    design[before : before + during, 0] = powers[:during, 0, 3]
+    design[before + during :, 0] = powers[:after, 0] @ state_after_pulse
+    design[:, 1] = 1.0
+    design[:, 2:] = powers[:, 0, :2]
+    return design
 
 
 @dataclass(frozen=True)
-class _Swing:
-    """Response of pitch, common to all pulses: stiffness [1/s2], damping [1/s] and lag of the thrust [s]."""
+class _PitchDynamics:
+    """Dynamics of pitch, common to all pulses: stiffness [1/s2], damping [1/s] and lag of the thrust [s]."""
 
     stiffness: float
     damping: float
     lag_s: float
 
     def accelerations(self, measured: Floats) -> Floats:
-        """Pitch acceleration that each pulse caused [rad/s2], shape (n,)."""
+        """Return the pitch acceleration that each pulse caused [rad/s2], shape (n,).
+
+        `measured` is pitch around each pulse [rad], shape (times, n).
+        """
         design = response_design(self.stiffness, self.damping, self.lag_s)
-        pulse_part: Floats = _solve(design, measured)[0]
+        pulse_part: Floats = _least_squares(design, measured)[0]
         return pulse_part
 
 
-def _stated_swing(rig: Rig) -> _Swing:
-    inertia = _pitch_inertia(rig)
-    short_kg = rig["M_f"].value + rig["M_b"].value + rig["M_h"].value
-    stiffness = short_kg * rig["g"].value * rig["L_phi"].value / inertia
-    return _Swing(max(stiffness, 0.1), max(rig["friction_pitch"].value / inertia, 0.05), 0.02)
+def _pitch_dynamics_of_rig(rig: Rig) -> _PitchDynamics:
+    """Return the pitch dynamics by the rig file's masses and friction, with a lag of 0.02 s."""
+    inertia_kg_m2 = _pitch_inertia(rig)
+    tilting_kg = rig["M_f"].value + rig["M_b"].value + rig["M_h"].value
+    stiffness = tilting_kg * rig["g"].value * rig["L_phi"].value / inertia_kg_m2
+    return _PitchDynamics(max(stiffness, 0.1), max(rig["friction_pitch"].value / inertia_kg_m2, 0.05), 0.02)
 
 
-def _fitted_swing(measured: Floats, start: _Swing) -> _Swing:
-    """Fit the common response to pitch around all pulses, shape (times, n)."""
+def _fit_pitch_dynamics(measured: Floats, start: _PitchDynamics) -> _PitchDynamics:
+    """Fit the dynamics to pitch around all pulses, shape (times, n), by separable least squares.
 
-    def residual(unknown: Floats) -> Floats:
-        design = response_design(*unknown)
-        return np.asarray((measured - design @ _solve(design, measured)).ravel())
+    The linear coefficients of each pulse are eliminated inside the residual.
+    """
 
-    first = np.clip([start.stiffness, start.damping, start.lag_s], _LOW, _HIGH)
+    def residual(parameters: Floats) -> Floats:
+        design = response_design(*parameters)
+        return np.asarray((measured - design @ _least_squares(design, measured)).ravel())
+
+    first = np.clip([start.stiffness, start.damping, start.lag_s], _LOWER_BOUNDS, _UPPER_BOUNDS)
     fit = scipy.optimize.least_squares(
-        residual, first, bounds=(_LOW, _HIGH), x_scale=[1.0, 1.0, 0.05], xtol=1e-4
+        residual, first, bounds=(_LOWER_BOUNDS, _UPPER_BOUNDS), x_scale=[1.0, 1.0, 0.05], xtol=1e-4
     )
-    return _Swing(*map(float, fit.x))
+    return _PitchDynamics(*map(float, fit.x))
 
 
 def response_counts(pulse: Pulse, count_rad: float) -> tuple[float, float]:
-    """Return how far the pulse turned pitch, signed, and the scatter of the readings before it [counts]."""
+    """Return the response of pitch to a `pulse`, in counts of `count_rad`.
+
+    Returns
+    -------
+    float
+        Largest change of pitch after the pulse began, with its sign.
+    float
+        Standard deviation of the readings before the pulse.
+    """
     before, during = round(BEFORE_s / PULSE_GRID_s), round(PULSE_s / PULSE_GRID_s)
-    base, scatter = pulse.pitch_rad[:before].mean(), pulse.pitch_rad[:before].std()
-    change = pulse.pitch_rad[before : before + 2 * during] - base
-    return float(change[np.argmax(np.abs(change))] / count_rad), float(scatter / count_rad)
+    start_rad, std_rad = pulse.pitch_rad[:before].mean(), pulse.pitch_rad[:before].std()
+    change_rad = pulse.pitch_rad[before : before + 2 * during] - start_rad
+    return float(change_rad[np.argmax(np.abs(change_rad))] / count_rad), float(std_rad / count_rad)
 
 
 def thrust_of(pulses: Sequence[Pulse], sign: int, rig: Rig) -> ThrustLine | str:
-    """Infer thrust gain and dead zone of a rotor from the pulses that moved pitch.
+    """Estimate thrust gain and dead zone of a rotor from the pulses that moved pitch.
+
+    Standard errors are those of the jackknife: the estimate is repeated without each pulse.
 
     Parameters
     ----------
@@ -156,38 +176,43 @@ def thrust_of(pulses: Sequence[Pulse], sign: int, rig: Rig) -> ThrustLine | str:
     ThrustLine or str
         The line, or the reason why there is none.
     """
-    if len(pulses) < LEAST_PULSES:
-        return f"{len(pulses)} pulses moved pitch, and a line needs {LEAST_PULSES}"
-    volts = np.array([pulse.volts_V for pulse in pulses])
+    if len(pulses) < MIN_PULSES:
+        return f"{len(pulses)} pulses moved pitch, and a line needs {MIN_PULSES}"
+    volts_V = np.array([pulse.volts_V for pulse in pulses])
     newton_per_acceleration = sign * _pitch_inertia(rig) / rig["L_h"].value
     measured = np.column_stack([pulse.pitch_rad for pulse in pulses])
-    swing = _fitted_swing(measured, _stated_swing(rig))
-    lines = [_line(volts, newton_per_acceleration * swing.accelerations(measured))]
+    dynamics = _fit_pitch_dynamics(measured, _pitch_dynamics_of_rig(rig))
+    gain_N_per_V, dead_zone_V = _gain_and_zero(
+        volts_V, newton_per_acceleration * dynamics.accelerations(measured)
+    )
+    estimates = []
     for index in range(len(pulses)):
-        rest = np.delete(measured, index, axis=1)
-        other = _fitted_swing(rest, swing)
-        lines.append(_line(np.delete(volts, index), newton_per_acceleration * other.accelerations(rest)))
-    (gain, zero), *others = lines
-    spread = np.array(others) - np.mean(others, axis=0)
-    gain_std, zero_std = np.sqrt((len(others) - 1) / len(others) * np.sum(spread**2, axis=0))
-    if not gain > 0.0:
-        return f"thrust does not grow with the voltage ({gain:.3g} N/V)"
-    if gain_std > MAX_SHARE * gain:
-        return f"the pulses scatter: {gain:.3g} N/V with a standard error of {gain_std:.2g} N/V"
-    return ThrustLine(gain, float(gain_std), zero, float(zero_std), len(pulses))
+        other_pulses = np.delete(measured, index, axis=1)
+        refit = _fit_pitch_dynamics(other_pulses, dynamics)
+        thrust_N = newton_per_acceleration * refit.accelerations(other_pulses)
+        estimates.append(_gain_and_zero(np.delete(volts_V, index), thrust_N))
+    deviations = np.array(estimates) - np.mean(estimates, axis=0)
+    factor = (len(estimates) - 1) / len(estimates)
+    gain_std, dead_zone_std = np.sqrt(factor * np.sum(deviations**2, axis=0))
+    if not gain_N_per_V > 0.0:
+        return f"thrust does not grow with the voltage ({gain_N_per_V:.3g} N/V)"
+    if gain_std > MAX_SHARE * gain_N_per_V:
+        return f"the pulses scatter: {gain_N_per_V:.3g} N/V with a standard error of {gain_std:.2g} N/V"
+    return ThrustLine(gain_N_per_V, float(gain_std), dead_zone_V, float(dead_zone_std), len(pulses))
 
 
 def geometry_share(rig: Rig) -> float:
-    """Return the half width, as share of the gain, that the tolerances of masses and lengths add."""
-    reference = _pitch_inertia(rig) / rig["L_h"].value
-    shares = []
+    """Return the relative uncertainty of the gain that the tolerances of masses and lengths cause."""
+    nominal_ratio = _pitch_inertia(rig) / rig["L_h"].value
+    relative_changes = []
     for name in _GAIN_MASSES:
-        other = rig.replace(**{name: rig[name].value + rig[name].tolerance})
-        shares.append(_pitch_inertia(other) / other["L_h"].value / reference - 1.0)
-    return float(np.sqrt(np.sum(np.square(shares))))
+        changed_rig = rig.replace(**{name: rig[name].value + rig[name].tolerance})
+        relative_changes.append(_pitch_inertia(changed_rig) / changed_rig["L_h"].value / nominal_ratio - 1.0)
+    return float(np.sqrt(np.sum(np.square(relative_changes))))
 
 
-def _line(volts: Floats, thrust_N: Floats) -> tuple[float, float]:
+def _gain_and_zero(volts: Floats, thrust_N: Floats) -> tuple[float, float]:
+    """Fit a straight line; return its slope [N/V] and the voltage at which it is zero [V]."""
     slope, constant = np.polyfit(volts, thrust_N, 1)
     return float(slope), float(-constant / slope) if slope else 0.0
 
@@ -196,11 +221,11 @@ def _pitch_inertia(rig: Rig) -> float:
     return inertias_kg_m2({name: number.value for name, number in rig.items()})["J_phi"]
 
 
-def _solve(design: Floats, measured: Floats) -> Floats:
+def _least_squares(design: Floats, measured: Floats) -> Floats:
     return np.asarray(np.linalg.lstsq(design, measured, rcond=1e-10)[0])
 
 
-def _powers(matrix: Floats, count: int) -> Floats:
+def _matrix_powers(matrix: Floats, count: int) -> Floats:
     """Powers 0 to count - 1 of a matrix, shape (count, n, n)."""
     powers = np.eye(len(matrix))[np.newaxis]
     while len(powers) < count:

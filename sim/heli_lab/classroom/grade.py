@@ -145,22 +145,22 @@ class LawGrade:
         settling_s = self.mean("settling_s")
         return [
             self.label,
-            "never" if math.isinf(settling_s) else _cell(settling_s, ".2f"),
-            *(
-                _cell(self.mean(name), form)
-                for name, form in zip(NUMBERS[1:], (".0f", ".3f", ".3f", ".2f"), strict=True)
-            ),
+            "never" if math.isinf(settling_s) else _format_number(settling_s, ".2f"),
+            _format_number(self.mean("overshoot_percent"), ".0f"),
+            _format_number(self.mean("elevation_rms_deg"), ".3f"),
+            _format_number(self.mean("travel_rms_deg"), ".3f"),
+            _format_number(self.mean("effort_V"), ".2f"),
             f"{self.takeovers} of {len(self.scores)}",
-            _cell(self.gain_margin, ".2f"),
-            _cell(self.phase_margin_deg, ".0f"),
+            _format_number(self.gain_margin, ".2f"),
+            _format_number(self.phase_margin_deg, ".0f"),
         ]
 
 
-def judged(program: LawProgram) -> LawProgram:
-    """Return the same law, which logs the board's setpoints of elevation and travel.
+def with_plan_setpoints(program: LawProgram) -> LawProgram:
+    """Return a law with the same voltages that logs the plan's setpoints of elevation and travel.
 
-    A law may log setpoints that it computes. One that logs the measured angles has no error, so errors are
-    judged by the setpoints of the plan. The voltages are the same.
+    A law may log setpoints that it computes. A law that logs the measured angles as setpoints would have no
+    error, so a grade uses the setpoints of the plan.
 
     Parameters
     ----------
@@ -179,21 +179,21 @@ def judged(program: LawProgram) -> LawProgram:
 
 
 def score_of_trial(trial: LawTrial) -> FlightScore:
-    """Return the score of a flight."""
+    """Return the score of a flight: errors of both axes, and the metrics of its largest setpoint step."""
     elevation, _, travel = responses(trial.flight)
-    step = max(
+    step_response = max(
         elevation,
         travel,
         key=lambda response: 0.0 if math.isnan(response.step_deg) else abs(response.step_deg),
     )
-    never = math.nan if math.isnan(step.step_deg) else math.inf
+    unsettled_s = math.nan if math.isnan(step_response.step_deg) else math.inf
     return FlightScore(
-        never if math.isnan(step.settling_s) else step.settling_s,
-        step.overshoot_percent,
-        elevation.rms_deg,
-        travel.rms_deg,
-        effort_V(trial.flight),
-        trial.taken_over,
+        settling_s=unsettled_s if math.isnan(step_response.settling_s) else step_response.settling_s,
+        overshoot_percent=step_response.overshoot_percent,
+        elevation_rms_deg=elevation.rms_deg,
+        travel_rms_deg=travel.rms_deg,
+        effort_V=effort_V(trial.flight),
+        ended=trial.taken_over,
     )
 
 
@@ -220,14 +220,14 @@ def grade(
         Linear rig for the margins of `program`.
     """
     scores: list[FlightScore] = []
-    first: Flight | None = None
+    first_flight: Flight | None = None
     try:
-        flown = judged(program) if program is not None else None
+        graded_program = with_plan_setpoints(program) if program is not None else None
     except BadLaw as error:
         return LawGrade(label, str(error))
     for rig, seed in flights:
         try:
-            trial = fly(flown, rig, seed)
+            trial = fly(graded_program, rig, seed)
         except HeliError as error:
             # Without a law, only a flight that ended early is a result; the board or the rig is at fault.
             if program is None and not isinstance(error, FlightAborted | FlightDataError):
@@ -235,12 +235,22 @@ def grade(
             scores.append(FlightScore(ended=error.cause))
             continue
         scores.append(score_of_trial(trial))
-        first = trial.flight if first is None else first
-    gain, phase_deg = _margins(program, plant)
-    return LawGrade(label, "", tuple(scores), gain, phase_deg, first)
+        first_flight = trial.flight if first_flight is None else first_flight
+    gain_margin, phase_margin_deg = _margins(program, plant)
+    return LawGrade(
+        label,
+        scores=tuple(scores),
+        gain_margin=gain_margin,
+        phase_margin_deg=phase_margin_deg,
+        flight=first_flight,
+    )
 
 
 def _margins(program: LawProgram | None, plant: LinearPlant | None) -> tuple[float, float]:
+    """Return gain margin (factor) and phase margin [deg] of a law: the lesser of collective and differential.
+
+    Both are nan without a law or a linear rig, and if the closed loop is unstable.
+    """
     if program is None or plant is None:
         return math.nan, math.nan
     with warnings.catch_warnings(), np.errstate(all="ignore"):
@@ -251,7 +261,9 @@ def _margins(program: LawProgram | None, plant: LinearPlant | None) -> tuple[flo
         # A law that is not a number at level has no margins.
         except (ValueError, np.linalg.LinAlgError):
             return math.nan, math.nan
-    return (min(linear.gain_up), min(linear.phase_deg)) if linear.stable else (math.nan, math.nan)
+    if not linear.stable:
+        return math.nan, math.nan
+    return min(linear.gain_up), min(linear.phase_deg)
 
 
 def grade_lines(grades: Sequence[LawGrade]) -> list[str]:
@@ -271,5 +283,5 @@ def reasons(grades: Sequence[LawGrade]) -> list[str]:
     return lines
 
 
-def _cell(value: float, form: str) -> str:
+def _format_number(value: float, form: str) -> str:
     return "–" if math.isnan(value) else f"{value:{form}}"

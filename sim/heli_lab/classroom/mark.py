@@ -15,7 +15,7 @@ WEIGHTS: Final = {"rms_deg": 4.0, "settling_s": 2.0, "overshoot_percent": 2.0, "
 FLOORS: Final = {"rms_deg": 0.2, "settling_s": 1.0, "overshoot_percent": 5.0, "effort_V": 0.02}
 """Smaller values earn no more points: two steps of the encoder, and what a flight with another seed changes.
 With less, noise decides the mark; with more, a better law gets no better mark."""
-_CHEAP: Final = ("overshoot_percent", "effort_V")
+_GOOD_WITHOUT_MOTION: Final = ("overshoot_percent", "effort_V")
 NO_POINTS: Final = 10.0
 """Multiple of the reference without points; in between, points fall with the logarithm. An LQR without
 integrals has 3 times the RMS error of the board's own law, and a slow PD law 7 times. With less, both get
@@ -88,28 +88,29 @@ def points_by_number(score: FlightScore, reference: FlightScore) -> dict[str, fl
     reference : FlightScore
         The board's own law along the same plan.
     """
-    shares = {name: _share(name, score, reference) for name in WEIGHTS}
-    follows = 1.0 if math.isnan(shares["rms_deg"]) else shares["rms_deg"]
-    counted = {name: share for name, share in shares.items() if not math.isnan(share)}
+    points_share = {name: _points_share(name, score, reference) for name in WEIGHTS}
+    tracking_share = 1.0 if math.isnan(points_share["rms_deg"]) else points_share["rms_deg"]
+    counted = {name: share for name, share in points_share.items() if not math.isnan(share)}
+    if score.ended:
+        return dict.fromkeys(counted, 0.0)
     possible = sum(WEIGHTS[name] for name in counted)
-    return {
-        name: 0.0
-        if score.ended
-        else FULL * WEIGHTS[name] / possible * (min(share, follows) if name in _CHEAP else share)
-        for name, share in counted.items()
-    }
+    points = {}
+    for name, share in counted.items():
+        earned_share = min(share, tracking_share) if name in _GOOD_WITHOUT_MOTION else share
+        points[name] = FULL * WEIGHTS[name] / possible * earned_share
+    return points
 
 
 def points_of(score: FlightScore, reference: FlightScore) -> float:
     """Return the points of a flight: the sum of `points_by_number`, and full points if no number counts."""
-    parts = points_by_number(score, reference)
-    if not parts:
+    points = points_by_number(score, reference)
+    if not points:
         return 0.0 if score.ended else FULL
-    return sum(parts.values())
+    return sum(points.values())
 
 
-def _share(name: str, score: FlightScore, reference: FlightScore) -> float:
-    """Share of the points for a number; nan if the reference lacks it."""
+def _points_share(name: str, score: FlightScore, reference: FlightScore) -> float:
+    """Share of the points for a number, 0 to 1; nan if the reference lacks it."""
     value, reference_value = getattr(score, name), getattr(reference, name)
     if math.isnan(reference_value):
         return math.nan

@@ -13,7 +13,7 @@ from heli_host.cli.say import QUIET, write_result
 from heli_host.errors import FlightAborted, FlightDataError, HeliError
 from heli_host.parameter_file import parameters_text
 
-from heli_lab.classroom.grade import FlightScore, judged, score_of_trial
+from heli_lab.classroom.grade import FlightScore, score_of_trial, with_plan_setpoints
 from heli_lab.classroom.mark import Mark, mark_of
 from heli_lab.classroom.submission import Submission, read_submission, returned_files
 from heli_lab.law.limits import FileLimits
@@ -80,7 +80,7 @@ class Marking:
             An option of the simulated board is invalid; no submission is at fault.
         """
         for seed in self.seeds:
-            self._reference(self.plan, seed)
+            self._reference_score(self.plan, seed)
 
     def answer(self, folder: Path) -> Answer:
         """Read, fly and mark a submission, and write log, figure and mark into its folder.
@@ -105,27 +105,31 @@ class Marking:
             mark = replace(mark, points=0.0, reason=mark.reason or str(error))
         return Answer(folder, mark, submission)
 
-    def _mark(self, submission: Submission, files: Path) -> Mark:
+    def _mark(self, submission: Submission, output_folder: Path) -> Mark:
+        """Fly a submission once per seed, and write log and figure of the first flight."""
         plan = submission.plan or self.plan
-        scores = [
-            self._score(submission, plan, seed, files if seed == self.seeds[0] else None)
-            for seed in self.seeds
-        ]
-        return mark_of(submission.name, scores, [self._reference(plan, seed) for seed in self.seeds])
+        scores = []
+        for seed in self.seeds:
+            folder = output_folder if seed == self.seeds[0] else None
+            scores.append(self._fly(submission, plan, seed, folder))
+        references = [self._reference_score(plan, seed) for seed in self.seeds]
+        return mark_of(submission.name, scores, references)
 
-    def _reference(self, plan: Plan, seed: int) -> FlightScore:
+    def _reference_score(self, plan: Plan, seed: int) -> FlightScore:
+        """Return the score of the board's own law along the same plan; it flies each plan and seed once."""
         key = plan.text, seed
         if key not in self._references:
-            self._references[key] = self._score(Submission("reference"), plan, seed, None)
+            self._references[key] = self._fly(Submission("reference"), plan, seed, None)
         return self._references[key]
 
-    def _score(self, submission: Submission, plan: Plan, seed: int, files: Path | None) -> FlightScore:
-        with tempfile.TemporaryDirectory() as made:
+    def _fly(self, submission: Submission, plan: Plan, seed: int, output_folder: Path | None) -> FlightScore:
+        """Fly a submission in simulation, and write log and figure if `output_folder` is given."""
+        with tempfile.TemporaryDirectory() as temporary_folder:
             options = replace(
                 self.options,
                 seed=seed,
-                log=(files or Path(made)) / LOG,
-                figure=files / FIGURE if files is not None else None,
+                log=(output_folder or Path(temporary_folder)) / LOG,
+                figure=output_folder / FIGURE if output_folder is not None else None,
             )
             return scored_flight(submission, options, plan, {**_SIMULATED, **submission.gains})
 
@@ -149,23 +153,23 @@ def scored_flight(
     HeliError
         The board refuses the flight, or does not answer.
     """
-    program = judged(submission.program) if submission.program is not None else None
-    before = QUIET.set(True)
+    program = with_plan_setpoints(submission.program) if submission.program is not None else None
+    output_setting = QUIET.set(True)
     try:
-        with tempfile.TemporaryDirectory() as made:
+        with tempfile.TemporaryDirectory() as temporary_folder:
             if parameters:
-                file = Path(made) / "parameters.toml"
+                file = Path(temporary_folder) / "parameters.toml"
                 file.write_text(parameters_text(parameters, "Parameters of a submission"), encoding="utf-8")
                 options = replace(options, params=file)
-            flown, taken_over = flown_with(program, options, plan)
+            flight_result, taken_over = flown_with(program, options, plan)
     finally:
-        QUIET.reset(before)
+        QUIET.reset(output_setting)
     outcome = ""
     try:
-        flown.end()
+        flight_result.end()
     except FlightAborted as error:
         outcome = error.cause
     try:
-        return score_of_trial(LawTrial.of_log(flown.log, outcome or taken_over))
+        return score_of_trial(LawTrial.of_log(flight_result.log, outcome or taken_over))
     except FlightDataError as error:
         return FlightScore(ended=outcome or error.cause)

@@ -80,20 +80,20 @@ def cells_of(text: str, name: str) -> list[NotebookCell]:
     NotebookError
         A tag is unknown, or no cell begins.
     """
-    parts = _HEAD.split(text)[1:]
-    if not parts:
+    heads_and_bodies = _HEAD.split(text)[1:]
+    if not heads_and_bodies:
         raise NotebookError(f"{name} has no cells", "begin each cell with # %%")
     cells: list[NotebookCell] = []
     task = ""
-    for head, body in zip(parts[::2], parts[1::2], strict=True):
+    for head, body in zip(heads_and_bodies[::2], heads_and_bodies[1::2], strict=True):
         is_code = "[markdown]" not in head
         tags = _tags(head, name)
-        words = body.strip("\n") if is_code else _markdown(body)
-        if not is_code and (task_words := _TASK.search(words)):
-            task = task_words[1]
-        if "check" in tags or "**Check.**" in words:
+        text_of_cell = body.strip("\n") if is_code else _markdown(body)
+        if not is_code and (task_match := _TASK.search(text_of_cell)):
+            task = task_match[1]
+        if "check" in tags or "**Check.**" in text_of_cell:
             task = CHECK
-        cells.append(NotebookCell(words, is_code, tags, task))
+        cells.append(NotebookCell(text_of_cell, is_code, tags, task))
     return cells
 
 
@@ -113,13 +113,14 @@ def rubric_points(cells: Sequence[NotebookCell], name: str) -> dict[str, int]:
         The rubric is missing, or has no row for a task with a solution or for the check.
     """
     points = {task: int(number) for task, number in _ROW.findall(rubric_text(cells))}
-    for needed in dict.fromkeys(cell.task for cell in cells if {"solution", "check"} & set(cell.tags)):
-        if needed not in points:
-            where = f"task {needed}" if needed.isdigit() else "the check"
-            raise NotebookError(
-                f"{name} has no points for {where}",
-                f"add a row | {needed or 1} | POINTS | ... | to a cell tagged rubric",
-            )
+    for cell in cells:
+        if not {"solution", "check"} & set(cell.tags) or cell.task in points:
+            continue
+        subject = f"task {cell.task}" if cell.task.isdigit() else "the check"
+        raise NotebookError(
+            f"{name} has no points for {subject}",
+            f"add a row | {cell.task or 1} | POINTS | ... | to a cell tagged rubric",
+        )
     return points
 
 
@@ -131,7 +132,10 @@ def student_cells(cells: Sequence[NotebookCell]) -> list[NotebookCell]:
     cells : sequence of NotebookCell
         Cells of a notebook.
     """
-    return [replace(cell, text=_stub(cell)) if "solution" in cell.tags else cell for cell in _shown(cells)]
+    return [
+        replace(cell, text=_stub(cell)) if "solution" in cell.tags else cell
+        for cell in _without_rubric(cells)
+    ]
 
 
 def teacher_cells(cells: Sequence[NotebookCell]) -> list[NotebookCell]:
@@ -143,8 +147,10 @@ def teacher_cells(cells: Sequence[NotebookCell]) -> list[NotebookCell]:
         Cells of a notebook.
     """
     return [
-        replace(cell, text=_marked(cell.text)) if "solution" in cell.tags and cell.is_code else cell
-        for cell in _shown(cells)
+        replace(cell, text=_with_solution_marks(cell.text))
+        if "solution" in cell.tags and cell.is_code
+        else cell
+        for cell in _without_rubric(cells)
     ]
 
 
@@ -169,19 +175,22 @@ def notebook_json(cells: Sequence[NotebookCell], points: dict[str, int]) -> str:
     points : dict of str to int
         Points of each task and of the check. The last solution of a task, and the last check, carry them.
     """
-    graded: dict[str, int] = {}
-    for place, cell in enumerate(cells):
+    # A task may have several cells; its last one carries the points.
+    points_position: dict[str, int] = {}
+    for position, cell in enumerate(cells):
         if {"solution", "check"} & set(cell.tags):
-            graded[cell.task] = place
-    written = []
-    for place, cell in enumerate(cells):
+            points_position[cell.task] = position
+    cell_objects = []
+    for position, cell in enumerate(cells):
         metadata: dict[str, Any] = {"tags": list(cell.tags)} if cell.tags else {}
         if {"solution", "check"} & set(cell.tags):
-            metadata["nbgrader"] = _grading(cell, place, points[cell.task], graded[cell.task] == place)
-        written.append(
+            metadata["nbgrader"] = _grading(
+                cell, position, points[cell.task], points_position[cell.task] == position
+            )
+        cell_objects.append(
             {
                 "cell_type": "code" if cell.is_code else "markdown",
-                "id": f"cell-{place}",
+                "id": f"cell-{position}",
                 "metadata": metadata,
                 "source": cell.text.splitlines(keepends=True),
                 **({"execution_count": None, "outputs": []} if cell.is_code else {}),
@@ -189,7 +198,7 @@ def notebook_json(cells: Sequence[NotebookCell], points: dict[str, int]) -> str:
         )
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
     notebook = {
-        "cells": written,
+        "cells": cell_objects,
         "metadata": {"kernelspec": kernel, "language_info": {"name": "python"}},
         "nbformat": 4,
         "nbformat_minor": 5,
@@ -219,7 +228,7 @@ def write_editions(sources: Sequence[Path], output: Path) -> list[Path]:
     NotebookError
         A file cannot be read or written, or its tags or rubric are incomplete.
     """
-    editions: dict[Path, str] = {}
+    text_by_path: dict[Path, str] = {}
     for source in sources:
         try:
             text = read_file(source, _BYTES).decode("utf-8").replace("\r\n", "\n")
@@ -229,24 +238,25 @@ def write_editions(sources: Sequence[Path], output: Path) -> list[Path]:
             raise NotebookError(f"{source} is not text in UTF-8", "give a Python file with cells") from error
         cells = cells_of(text, source.name)
         points = rubric_points(cells, source.name)
-        for edition, made in (("student", student_cells(cells)), ("teacher", teacher_cells(cells))):
-            editions[output / edition / f"{source.stem}.ipynb"] = notebook_json(made, points)
-        editions[output / "teacher" / f"{source.stem}.rubric.md"] = rubric_text(cells)
-    for path, text in editions.items():
+        for edition, edition_cells in (("student", student_cells(cells)), ("teacher", teacher_cells(cells))):
+            text_by_path[output / edition / f"{source.stem}.ipynb"] = notebook_json(edition_cells, points)
+        text_by_path[output / "teacher" / f"{source.stem}.rubric.md"] = rubric_text(cells)
+    for path, text in text_by_path.items():
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, encoding="utf-8", newline="\n")
         except OSError as error:
             raise NotebookError(f"cannot write {path}: {error.strerror}", file_remedy(error)) from error
-    return list(editions)
+    return list(text_by_path)
 
 
 def _tags(head: str, name: str) -> tuple[str, ...]:
-    listed = _TAG_LIST.search(head)
-    if listed is None:
+    """Return the tags in the first line of a cell, after ``# %%``."""
+    tag_list = _TAG_LIST.search(head)
+    if tag_list is None:
         return ()
     try:
-        tags = [str(tag) for tag in ast.literal_eval(listed[1])]
+        tags = [str(tag) for tag in ast.literal_eval(tag_list[1])]
     except (ValueError, SyntaxError) as error:
         raise NotebookError(
             f"{name}: the tags of '# %%{head}' are no list", 'write tags=["solution"]'
@@ -263,33 +273,36 @@ def _markdown(body: str) -> str:
     return _LINK.sub(lambda link: f"*{link[1]}* (`docs/{link[2].lstrip('./')}`)", "\n".join(lines))
 
 
-def _shown(cells: Sequence[NotebookCell]) -> list[NotebookCell]:
+def _without_rubric(cells: Sequence[NotebookCell]) -> list[NotebookCell]:
     return [cell for cell in cells if "rubric" not in cell.tags]
 
 
-def _marked(code: str) -> str:
-    lead, rest = _lead(code)
+def _with_solution_marks(code: str) -> str:
+    lead, rest = _split_comments(code)
     return "\n".join([*lead, BEGIN, rest, END])
 
 
-def _lead(code: str) -> tuple[list[str], str]:
-    """Comments at the beginning, and the rest."""
+def _split_comments(code: str) -> tuple[list[str], str]:
+    """Split code into the lines of its leading comments and the text of the rest."""
     lines = code.split("\n")
-    count = next((place for place, line in enumerate(lines) if not line.startswith("#")), len(lines))
-    return lines[:count], "\n".join(lines[count:])
+    comment_count = next(
+        (number for number, line in enumerate(lines) if not line.startswith("#")), len(lines)
+    )
+    return lines[:comment_count], "\n".join(lines[comment_count:])
 
 
 def _stub(cell: NotebookCell) -> str:
-    return "\n".join([*_lead(cell.text)[0], CODE_STUB]) if cell.is_code else TEXT_STUB
+    return "\n".join([*_split_comments(cell.text)[0], CODE_STUB]) if cell.is_code else TEXT_STUB
 
 
-def _grading(cell: NotebookCell, place: int, points: int, has_points: bool) -> dict[str, Any]:
+def _grading(cell: NotebookCell, position: int, points: int, has_points: bool) -> dict[str, Any]:
+    """Return the nbgrader metadata of a cell at a position in the notebook."""
     is_solution = "solution" in cell.tags
     # A text that students write is always graded.
     has_grade = has_points or not is_solution or not cell.is_code
     return {
         "grade": has_grade,
-        "grade_id": f"task-{cell.task}-{place}" if is_solution else f"check-{place}",
+        "grade_id": f"task-{cell.task}-{position}" if is_solution else f"check-{position}",
         "locked": not is_solution,
         "schema_version": 3,
         "solution": is_solution,

@@ -48,7 +48,7 @@ def write_grades(grades: Sequence[LawGrade], content: Mapping[str, Any], folder:
 
 def _figures(grades: Sequence[LawGrade]) -> list[tuple[dict[str, Flight], str]]:
     """Flights of each figure by label, the first grade in each, and the names of the others."""
-    flown = {grade.label: grade.flight for grade in grades if grade.flight is not None}
-    if not flown:
+    flight_by_label = {grade.label: grade.flight for grade in grades if grade.flight is not None}
+    if not flight_by_label:
         return []
-    return [(part, ", ".join(list(part)[1:] or part)) for part in split_into_figures(flown)]
+    return [(part, ", ".join(list(part)[1:] or part)) for part in split_into_figures(flight_by_label)]

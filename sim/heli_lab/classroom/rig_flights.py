@@ -48,22 +48,22 @@ def fly_on_rig(
     HeliError
         The board does not answer before the first flight.
     """
-    with _parameters_kept(options.port) as before:
+    with _parameters_restored(options.port) as rig_parameters:
         for answer in answers:
             submission = answer.submission
             assert submission is not None
             try:
-                agreed, has_fault = _ask(options.port, submission.name, confirm)
-                if agreed is None:
+                is_confirmed, has_fault = _confirm_flight(options.port, submission.name, confirm)
+                if is_confirmed is None:
                     return
                 outcome = NOT_FLOWN
-                if agreed:
+                if is_confirmed:
                     log = new_rig_log(answer.folder)
                     score = scored_flight(
                         submission,
                         replace(options, log=log, figure=log.with_suffix(".png"), clear_fault=has_fault),
                         submission.plan or plan,
-                        {**before, **submission.gains},
+                        {**rig_parameters, **submission.gains},
                     )
                     outcome = score.ended or "completed"
             except HeliError as error:
@@ -75,8 +75,16 @@ def fly_on_rig(
                 yield answer, outcome
 
 
-def _ask(port: str | None, name: str, confirm: Confirm) -> tuple[bool | None, bool]:
-    """Ask whether to fly, and to clear the fault that an earlier flight has left; whether there is one."""
+def _confirm_flight(port: str | None, name: str, confirm: Confirm) -> tuple[bool | None, bool]:
+    """Ask the person at the rig whether a submission named `name` may fly.
+
+    Returns
+    -------
+    bool or None
+            Answer; None ends the session.
+    bool
+            Whether the board reports a fault of an earlier flight, which the flight has to clear.
+    """
     with open_board(port) as heli:
         has_fault, fault = heli.state is State.FAULT, heli.fault
     name = printable(name)
@@ -87,15 +95,15 @@ def _ask(port: str | None, name: str, confirm: Confirm) -> tuple[bool | None, bo
 
 
 @contextmanager
-def _parameters_kept(port: str | None) -> Iterator[dict[str, float]]:
+def _parameters_restored(port: str | None) -> Iterator[dict[str, float]]:
     """Offer the parameters of a board, and restore them in the end."""
     with open_board(port) as heli:
-        before = heli.params.dump()
+        parameters = heli.params.dump()
     try:
-        yield before
+        yield parameters
     finally:
         try:
             with open_board(port) as heli:
-                heli.params.restore(before)
+                heli.params.restore(parameters)
         except HeliError as error:
             say(f"warning: the rig has the parameters of a submission: {error}")

@@ -94,7 +94,7 @@ def read_submission(folder: Path, limits: FileLimits) -> Submission:
     """
     if folder.is_symlink():
         raise BadLaw(f"{folder.name} is a link", "submit the folder itself")
-    scripts, tables = _files(folder)
+    scripts, tables = _scripts_and_tables(folder)
     law = _law_among(scripts)
     plans: list[Plan] = []
     gains: list[dict[str, float]] = []
@@ -109,58 +109,63 @@ def read_submission(folder: Path, limits: FileLimits) -> Submission:
         if TABLE in content:
             gains.append(_gains(content, path))
         else:
-            plans.append(_short(Plan.of_tables(content, text, path.name)))
-    for kind, given in (("plans", plans), ("parameter files", gains)):
-        if len(given) > 1:
-            raise PlanError(f"{len(given)} {kind} are in the folder", "submit one of them")
+            plan = Plan.of_tables(content, text, path.name)
+            _check_plan(plan)
+            plans.append(plan)
+    for kind, count in (("plans", len(plans)), ("parameter files", len(gains))):
+        if count > 1:
+            raise PlanError(f"{count} {kind} are in the folder", "submit one of them")
     if law is None and not plans and not gains:
         raise BadLaw(
             "the folder contains no law, plan or parameters",
             f"submit {LAW_FILE}, a plan, or a parameter file",
         )
     return Submission(
-        folder.name,
-        load_limited(law, limits) if law is not None else None,
-        plans[0] if plans else None,
-        gains[0] if gains else {},
+        name=folder.name,
+        program=load_limited(law, limits) if law is not None else None,
+        plan=plans[0] if plans else None,
+        gains=gains[0] if gains else {},
     )
 
 
-def _files(folder: Path) -> tuple[list[Path], list[Path]]:
-    """Python files and TOML files of a submission."""
-    inside = []
+def _scripts_and_tables(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Return the Python files and the TOML files of a submission, sorted by name."""
+    entries = []
     for path in folder.iterdir():
-        inside.append(path)
-        if len(inside) > _MAX_FILES:
+        entries.append(path)
+        if len(entries) > _MAX_FILES:
             raise BadLaw(f"the folder contains more than {_MAX_FILES} files", "submit fewer files")
-    known = sorted(path for path in inside if path.suffix in (".py", ".toml"))
-    for path in known:
-        # A link would lead to another student's work, and a pipe be waited for.
+    scripts = sorted(path for path in entries if path.suffix == ".py")
+    tables = sorted(path for path in entries if path.suffix == ".toml")
+    for path in sorted((*scripts, *tables)):
+        # A link would lead to another student's work, and reading a pipe would not end.
         if path.is_symlink() or not path.is_file():
             raise BadLaw(f"{path.name} is not a plain file", "submit the file itself, not a link to it")
-    return [path for path in known if path.suffix == ".py"], [
-        path for path in known if path.suffix == ".toml"
-    ]
+    return scripts, tables
 
 
 def _law_among(scripts: list[Path]) -> Path | None:
-    named = next((path for path in scripts if path.name == LAW_FILE), None)
-    if named is None and len(scripts) > 1:
+    """Return the control law of a submission: ``law.py``, or its only Python file; None without one."""
+    law_file = next((path for path in scripts if path.name == LAW_FILE), None)
+    if law_file is None and len(scripts) > 1:
         raise BadLaw(f"{len(scripts)} Python files, and none is {LAW_FILE}", f"name the law {LAW_FILE}")
-    return named or (scripts[0] if scripts else None)
+    return law_file or (scripts[0] if scripts else None)
 
 
-def _short(plan: Plan) -> Plan:
+def _check_plan(plan: Plan) -> None:
+    """Raise a PlanError if a plan is invalid or lasts longer than `LONGEST_PLAN_s`."""
     if plan.duration_s > LONGEST_PLAN_s:
         raise PlanError(
             f"{plan.source} lasts {plan.duration_s:.0f} s", f"shorten it to at most {LONGEST_PLAN_s:.0f} s"
         )
     plan.check()
-    return plan
 
 
 def _gains(content: Mapping[str, Any], path: Path) -> dict[str, float]:
-    """Gains of a file; its other parameters have to be the defaults, and the rig keeps its values of them."""
+    """Return the gains of a parameter file; the rig keeps its own values of all other parameters.
+
+    A ParameterError is raised if another parameter differs from its default.
+    """
     defaults = {spec.name: spec.default for spec in PARAMS}
     values = parameter_set(content, path).values
     gains = {name: value for name, value in values.items() if _GAINS.fullmatch(name) is not None}
@@ -186,29 +191,31 @@ def new_rig_log(folder: Path) -> Path:
 
 @contextmanager
 def returned_files(folder: Path) -> Iterator[Path]:
-    """Offer an empty folder, whose files are those of ``marked`` in the submission afterwards.
+    """Yield an empty folder that becomes ``marked`` in the submission at the end.
 
-    The former ``marked`` is replaced, but for flights on the rig. Nothing is written through it, because it
-    may be a link that leads elsewhere.
+    It replaces an existing ``marked``, except for the files of flights on the rig. Nothing is written through
+    that folder, because it may be a link to another place.
 
     Raises
     ------
     HeliError
         The folder cannot be written.
     """
-    place = folder / MARKED
+    marked_folder = folder / MARKED
     try:
-        with tempfile.TemporaryDirectory(dir=folder, prefix=".marked-") as made:
-            yield Path(made)
-            if place.is_symlink() or place.is_file():
-                place.unlink()
-            elif place.exists():
-                for path in place.iterdir():
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".marked-") as temporary_folder:
+            yield Path(temporary_folder)
+            if marked_folder.is_symlink() or marked_folder.is_file():
+                marked_folder.unlink()
+            elif marked_folder.exists():
+                for path in marked_folder.iterdir():
                     if _RIG_FILES.fullmatch(path.name) and path.is_file() and not path.is_symlink():
-                        path.rename(Path(made) / path.name)
-                shutil.rmtree(place)
-            Path(made).chmod(0o755)
-            Path(made).rename(place)
-            Path(made).mkdir()  # for the end of the temporary folder
+                        path.rename(Path(temporary_folder) / path.name)
+                shutil.rmtree(marked_folder)
+            Path(temporary_folder).chmod(0o755)
+            Path(temporary_folder).rename(marked_folder)
+            Path(temporary_folder).mkdir()  # TemporaryDirectory removes this folder at its end
     except OSError as error:
-        raise HeliError(f"cannot write {place}: {error.strerror or error}", file_remedy(error)) from error
+        raise HeliError(
+            f"cannot write {marked_folder}: {error.strerror or error}", file_remedy(error)
+        ) from error

@@ -103,12 +103,13 @@ def record_of(test: BenchTest, flight: Flight, rig: Rig) -> Record:
     """
     angles_deg = np.rad2deg(flight.angles_rad)
     elevation_deg, pitch_deg, travel_deg = (angles_deg[:, axis] for axis in range(3))
-    free = [not held for held in test.locked]
-    hit = (free[0] and (elevation_deg.max() >= rig["elevation_max"].value)) or any(
-        free[axis] and np.abs(angle).max() >= rig[stop].value
-        for axis, angle, stop in ((1, pitch_deg, "pitch_max"), (2, travel_deg, "travel_max"))
+    elevation_locked, pitch_locked, travel_locked = test.locked
+    reaches_stop = (
+        (not elevation_locked and elevation_deg.max() >= rig["elevation_max"].value)
+        or (not pitch_locked and np.abs(pitch_deg).max() >= rig["pitch_max"].value)
+        or (not travel_locked and np.abs(travel_deg).max() >= rig["travel_max"].value)
     )
-    if hit:
+    if reaches_stop:
         raise IdentifyError(
             f"{test.name}: rig '{rig.name}' reaches a stop; its parameters are too far from Table 2",
             "give makki2024 or a similar rig",
@@ -116,12 +117,12 @@ def record_of(test: BenchTest, flight: Flight, rig: Rig) -> Record:
     if flight.gaps.size:
         raise IdentifyError(f"{test.name}: rows are missing", "run the command again")
     return Record(
-        test.name,
-        flight.t_s,
-        flight.angles_rad,
-        flight.voltages_V,
-        flight.step_s,
-        count_rad(rig),
-        ((0, len(flight)),),
-        (),
+        label=test.name,
+        t_s=flight.t_s,
+        angles_rad=flight.angles_rad,
+        voltages_V=flight.voltages_V,
+        step_s=flight.step_s,
+        count_rad=count_rad(rig),
+        segments=((0, len(flight)),),
+        cuts=(),
     )

@@ -73,17 +73,23 @@ def printed_inertias_kg_m2(rig: Rig, elevation_rad: float = 0.0, pitch_rad: floa
 
     They depend on the attitude, `elevation_rad` and `pitch_rad`.
     """
-    v = {name: number.value for name, number in rig.items()}
-    rotors, across2 = v["M_f"] + v["M_b"], v["L_h"] ** 2 + v["L_phi"] ** 2
-    below2, level = v["L_theta"] ** 2, math.cos(elevation_rad)
+    value = {name: number.value for name, number in rig.items()}
+    rotors_kg, rotor_distance2_m2 = value["M_f"] + value["M_b"], value["L_h"] ** 2 + value["L_phi"] ** 2
+    arm_offset2_m2, cos_elevation = value["L_theta"] ** 2, math.cos(elevation_rad)
     return {
-        "J_theta": rotors * (across2 * math.sin(pitch_rad) ** 2 + v["L_a"] ** 2)
-        + v["M_l"] * (v["L_x"] ** 2 + below2)
-        + v["M_w"] * (v["L_b"] ** 2 + below2)
-        + v["M_h"] * (v["L_a"] ** 2 + below2),
-        "J_phi": rotors * across2 + v["M_h"] * v["L_phi"] ** 2,
-        "J_psi": rotors * (across2 * math.cos(pitch_rad) ** 2 + (v["L_a"] * level) ** 2)
-        + (v["M_l"] * v["L_x"] ** 2 + v["M_w"] * v["L_b"] ** 2 + v["M_h"] * v["L_a"] ** 2) * level**2,
+        "J_theta": rotors_kg * (rotor_distance2_m2 * math.sin(pitch_rad) ** 2 + value["L_a"] ** 2)
+        + value["M_l"] * (value["L_x"] ** 2 + arm_offset2_m2)
+        + value["M_w"] * (value["L_b"] ** 2 + arm_offset2_m2)
+        + value["M_h"] * (value["L_a"] ** 2 + arm_offset2_m2),
+        "J_phi": rotors_kg * rotor_distance2_m2 + value["M_h"] * value["L_phi"] ** 2,
+        "J_psi": rotors_kg
+        * (rotor_distance2_m2 * math.cos(pitch_rad) ** 2 + (value["L_a"] * cos_elevation) ** 2)
+        + (
+            value["M_l"] * value["L_x"] ** 2
+            + value["M_w"] * value["L_b"] ** 2
+            + value["M_h"] * value["L_a"] ** 2
+        )
+        * cos_elevation**2,
     }
 
 
@@ -96,29 +102,34 @@ def analytic(rig: Rig, corrected: bool = True) -> dict[str, float]:
         If true, P_18 is 0, and P_13 and P_16 contain the lever arm L_a of the drag (22). If false, use the
         formulas as printed.
     """
-    v = {name: number.value for name, number in rig.items()}
+    value = {name: number.value for name, number in rig.items()}
     inertia = printed_inertias_kg_m2(rig)
     j_theta, j_phi, j_psi = (inertia[name] for name in ("J_theta", "J_phi", "J_psi"))
-    k, offset_N = v["thrust_gain"], 2.0 * v["thrust_gain"] * v["dead_zone"]
-    short = (v["M_f"] + v["M_b"] + v["M_h"]) * v["g"]
-    drag = 0.5 * v["air_density"] * v["L_a"] ** (3 if corrected else 2) / j_psi
+    gain_N_per_V, offset_N = value["thrust_gain"], 2.0 * value["thrust_gain"] * value["dead_zone"]
+    tilting_weight_N = (value["M_f"] + value["M_b"] + value["M_h"]) * value["g"]
+    drag = 0.5 * value["air_density"] * value["L_a"] ** (3 if corrected else 2) / j_psi
     return {
-        "P_1": -offset_N * v["L_a"] / j_theta,
-        "P_2": (v["M_w"] * v["L_b"] * v["g"] - short * v["L_a"] - v["M_l"] * v["g"] * v["L_x"]) / j_theta,
-        "P_3": -(short + (v["M_w"] + v["M_l"]) * v["g"]) * v["L_theta"] / j_theta,
-        "P_4": -v["friction_elevation"] / j_theta,
-        "P_5": v["torque_elevation"] / j_theta,
-        "P_6": k * v["L_a"] / j_theta,
-        "P_7": (v["M_b"] - v["M_f"]) * v["g"] * v["L_h"] / j_phi,
-        "P_8": -short * v["L_phi"] / j_phi,
-        "P_9": -v["friction_pitch"] / j_phi,
-        "P_10": v["torque_pitch"] / j_phi,
-        "P_11": k * v["L_h"] / j_phi,
-        "P_12": -v["friction_travel"] / j_psi,
-        "P_13": -drag * v["drag_area_arm"],
-        "P_14": v["torque_travel"] / j_psi,
-        "P_15": -offset_N * v["L_a"] / j_psi,
-        "P_16": -drag * v["drag_area_body"],
-        "P_17": k * v["L_a"] / j_psi,
-        "P_18": 0.0 if corrected else k * v["L_h"] / j_psi,
+        "P_1": -offset_N * value["L_a"] / j_theta,
+        "P_2": (
+            value["M_w"] * value["L_b"] * value["g"]
+            - tilting_weight_N * value["L_a"]
+            - value["M_l"] * value["g"] * value["L_x"]
+        )
+        / j_theta,
+        "P_3": -(tilting_weight_N + (value["M_w"] + value["M_l"]) * value["g"]) * value["L_theta"] / j_theta,
+        "P_4": -value["friction_elevation"] / j_theta,
+        "P_5": value["torque_elevation"] / j_theta,
+        "P_6": gain_N_per_V * value["L_a"] / j_theta,
+        "P_7": (value["M_b"] - value["M_f"]) * value["g"] * value["L_h"] / j_phi,
+        "P_8": -tilting_weight_N * value["L_phi"] / j_phi,
+        "P_9": -value["friction_pitch"] / j_phi,
+        "P_10": value["torque_pitch"] / j_phi,
+        "P_11": gain_N_per_V * value["L_h"] / j_phi,
+        "P_12": -value["friction_travel"] / j_psi,
+        "P_13": -drag * value["drag_area_arm"],
+        "P_14": value["torque_travel"] / j_psi,
+        "P_15": -offset_N * value["L_a"] / j_psi,
+        "P_16": -drag * value["drag_area_body"],
+        "P_17": gain_N_per_V * value["L_a"] / j_psi,
+        "P_18": 0.0 if corrected else gain_N_per_V * value["L_h"] / j_psi,
     }

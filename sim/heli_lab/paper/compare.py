@@ -43,8 +43,8 @@ def model_errors(models: Sequence[Model], rig: Rig, flight: Flight) -> list[Mode
         When no part of the flight is in the air.
     """
     record = prepare(flight, rig)
-    out = []
+    errors = []
     for model in models:
-        checked = check(solve(Problem(model, rig, [record], free=[])))
-        out.append(ModelError(model.name, checked.rms_deg, checked.normalised))
-    return out
+        error = check(solve(Problem(model, rig, [record], free=[])))
+        errors.append(ModelError(model.name, error.rms_deg, error.normalised))
+    return errors

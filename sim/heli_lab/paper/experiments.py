@@ -138,9 +138,9 @@ def run_bench_test(test: BenchTest, plant: Plant, seed: int = 1) -> Flight:
             heli.wait(_BOOT_S)
         log = read_log(path)
     ticks, flight = log.ticks["tick"].astype(np.int64), log.flight()
-    first, last = np.searchsorted(ticks, [release_tick, last_tick])
-    cut = flight.between(float(flight.t_s[first]), float(flight.t_s[last]))
-    return replace(cut, t_s=cut.t_s - cut.t_s[0])
+    first_row, last_row = np.searchsorted(ticks, [release_tick, last_tick])
+    test_flight = flight.between(float(flight.t_s[first_row]), float(flight.t_s[last_row]))
+    return replace(test_flight, t_s=test_flight.t_s - test_flight.t_s[0])
 
 
 def read_thrust(plant: Plant, seed: int = 1) -> ThrustCurve:

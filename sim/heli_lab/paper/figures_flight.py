@@ -81,14 +81,19 @@ def closed_loop_flight(label: str, flight: Flight, desired_deg: Floats, outcome:
             f"{label}: the board never closed its loops ({outcome})", "record a flight that takes off"
         )
     start_s, stop_s = float(flight.t_s[rows[0]]), float(flight.t_s[rows[-1]]) - _END_S
-    cut = flight.between(start_s, stop_s)
-    keep = (flight.t_s >= start_s) & (flight.t_s < stop_s)
-    desired = desired_deg[keep].copy()
-    desired[:, 1] = np.rad2deg(flight.setpoints_rad[keep, 1])
-    shifted = Flight(
-        cut.t_s - start_s, cut.front_V, cut.back_V, cut.elevation_rad, cut.pitch_rad, cut.travel_rad
+    closed_loop = flight.between(start_s, stop_s)
+    is_closed_loop = (flight.t_s >= start_s) & (flight.t_s < stop_s)
+    closed_loop_desired_deg = desired_deg[is_closed_loop].copy()
+    closed_loop_desired_deg[:, 1] = np.rad2deg(flight.setpoints_rad[is_closed_loop, 1])
+    zero_based = Flight(
+        closed_loop.t_s - start_s,
+        closed_loop.front_V,
+        closed_loop.back_V,
+        closed_loop.elevation_rad,
+        closed_loop.pitch_rad,
+        closed_loop.travel_rad,
     )
-    return PaperFlight(label, shifted, desired, outcome)
+    return PaperFlight(label, zero_based, closed_loop_desired_deg, outcome)
 
 
 def hover_figure(flights: Sequence[PaperFlight]) -> Figure:
@@ -117,11 +122,15 @@ def performance_figure(flights: Sequence[PaperFlight], path: str, number: int) -
     )
     for letter, panel, axis in zip("ab", panels, (2, 0), strict=True):
         for flight, colour in zip(flights, _COLOURS, strict=False):
-            error = flight.error_deg[:, axis]
-            aloft = flight.flight.t_s > take_off_end_s(flight)
-            rms = float(np.sqrt(np.mean(error[aloft] ** 2))) if aloft.any() else float("nan")
-            label = f"{flight.label}: {rms:.2f} deg rms"
-            panel.plot(flight.flight.t_s[aloft], error[aloft], color=colour, lw=0.9, label=label)
+            error_deg = flight.error_deg[:, axis]
+            is_airborne = flight.flight.t_s > take_off_end_s(flight)
+            rms_deg = (
+                float(np.sqrt(np.mean(error_deg[is_airborne] ** 2))) if is_airborne.any() else float("nan")
+            )
+            label = f"{flight.label}: {rms_deg:.2f} deg rms"
+            panel.plot(
+                flight.flight.t_s[is_airborne], error_deg[is_airborne], color=colour, lw=0.9, label=label
+            )
         panel.axhline(0.0, color=GREY_COLOUR, lw=0.8)
         panel.set_title(f"({letter}) {AXES[axis]}", fontsize=9)
         _finish(panel, "error [deg]")
@@ -132,10 +141,10 @@ def take_off_end_s(flight: PaperFlight) -> float:
     """Return the end of the take-off [s]: one second after elevation first reaches its setpoint within 0.5
     deg.
     """
-    level = np.abs(flight.error_deg[:, 0]) < _LEVEL_TOLERANCE_DEG
-    up = level & (flight.desired_deg[:, 0] > _TAKEN_OFF_DEG)
-    first = np.flatnonzero(up)
-    return float(flight.flight.t_s[first[0]]) + _SETTLE_S if first.size else 0.0
+    near_setpoint = np.abs(flight.error_deg[:, 0]) < _LEVEL_TOLERANCE_DEG
+    after_take_off = near_setpoint & (flight.desired_deg[:, 0] > _TAKEN_OFF_DEG)
+    rows = np.flatnonzero(after_take_off)
+    return float(flight.flight.t_s[rows[0]]) + _SETTLE_S if rows.size else 0.0
 
 
 _LEVEL_TOLERANCE_DEG: Final = 0.5
@@ -144,7 +153,7 @@ _SETTLE_S: Final = 1.0
 
 
 def _panels(count: int, title: str, note: str = "") -> tuple[Figure, list[Axes]]:
-    """Create a figure of panels with a shared time axis."""
+    """Return a figure of `count` panels with a shared time axis, and its panels from top to bottom."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(_WIDTH, count * _HEIGHT), layout="constrained")
@@ -161,6 +170,7 @@ def _finish(panel: Axes, label: str) -> None:
 
 
 def _response(panel: Axes, flights: Sequence[PaperFlight], axis: int, *, desired: bool) -> None:
+    """Draw one angle of all flights over time; with `desired`, also its setpoint."""
     if desired:
         first = flights[0]
         panel.plot(

@@ -65,6 +65,7 @@ class LumpedModel(Model):
 
     @override
     def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
+        """Return the accelerations of elevation, pitch and travel by equations (30) [rad/s2]."""
         p, state = at.parameter, at.state
         theta, phi = state["elevation_rad"], state["pitch_rad"]
         travel_rate2 = state["travel_rate_rad_s"] ** 2

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 from heli_sim.bench.thrust_curve import Line
 from heli_sim.model import MultibodyModel
@@ -13,7 +13,7 @@ from heli_sim.model.locked import Locked
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
-from heli_lab.identify.estimation_problem import Problem
+from heli_lab.identify.estimation_problem import Fit, Problem
 from heli_lab.identify.free import NOT_FREE
 from heli_lab.identify.record import Record
 from heli_lab.identify.shooting import solve
@@ -87,6 +87,14 @@ class RigTable:
     normalised: dict[int, float]
 
 
+class _ParameterEstimate(NamedTuple):
+    """Estimate of a rig parameter in its unit, half its 95 % interval, and the tests behind it."""
+
+    value: float
+    half_interval: float
+    source: str
+
+
 def fit_rig(
     rig: Rig,
     records: Mapping[int, Sequence[Record]],
@@ -113,41 +121,64 @@ def fit_rig(
     IdentifyError
         When the tests cannot be fitted.
     """
-    best: dict[str, tuple[float, float, str]] = {
-        "thrust_gain": (line.gain_N_per_V, line.gain_half, "Fig. 15"),
-        "dead_zone": (line.dead_zone_V, line.dead_zone_half, "Fig. 15"),
+    best = {
+        "thrust_gain": _ParameterEstimate(line.gain_N_per_V, line.gain_half, "Fig. 15"),
+        "dead_zone": _ParameterEstimate(line.dead_zone_V, line.dead_zone_half, "Fig. 15"),
     }
     normalised = {}
-    for done, (number, tests) in enumerate(TESTS_OF_TABLE.items()):
+    for completed, (number, tests) in enumerate(TESTS_OF_TABLE.items()):
         if on_progress is not None:
-            on_progress(done / len(TESTS_OF_TABLE))
-        model = Locked(MultibodyModel(), tests[0].locked)
-        free = [
-            q.name
-            for q in model.parameters
-            if rig[q.name].tolerance > 0.0 and q.name not in NOT_FREE and _is_excited(q.name, tests)
-        ]
-        problem = Problem(model, rig, records[number], free=free, window_s=WINDOW_S)
-        fit = solve(problem)
+            on_progress(completed / len(TESTS_OF_TABLE))
+        fit = _fit_tests(rig, tests, records[number])
         normalised[number] = free_axes_normalised(fit, tests[0].locked)
         for name, std in fit.std.items():
-            if name in rig and (name not in best or 2.0 * std < best[name][1]):
-                best[name] = fit.values[name], 2.0 * std, f"Fig. {tests[0].panel[:2]}"
-    rows = [_row(name, rig, best) for name in (*_IN_TABLE, *_NOT_IN_TABLE)]
-    inertia = printed_inertias_kg_m2(rig)
+            half_interval = _STD_PER_HALF_INTERVAL * std
+            if name in rig and (name not in best or half_interval < best[name].half_interval):
+                source = f"Fig. {tests[0].panel[:2]}"
+                best[name] = _ParameterEstimate(fit.values[name], half_interval, source)
+    parameter_rows = [_parameter_row(name, rig, best) for name in (*_IN_TABLE, *_NOT_IN_TABLE)]
+    return RigTable((*parameter_rows, *_inertia_rows(rig)), normalised)
+
+
+def _fit_tests(rig: Rig, tests: Sequence[BenchTest], records: Sequence[Record]) -> Fit:
+    """Fit the parameters that bench tests with the same locked axes excite."""
+    model = Locked(MultibodyModel(), tests[0].locked)
+    free = [
+        quantity.name
+        for quantity in model.parameters
+        if rig[quantity.name].tolerance > 0.0
+        and quantity.name not in NOT_FREE
+        and _is_excited(quantity.name, tests)
+    ]
+    return solve(Problem(model, rig, records, free=free, window_s=WINDOW_S))
+
+
+def _inertia_rows(rig: Rig) -> list[RigRow]:
+    """Return the rows of J_theta, J_phi and J_psi, which (27) to (29) compute from the rig file."""
+    inertia_kg_m2 = printed_inertias_kg_m2(rig)
     at_90_deg = printed_inertias_kg_m2(rig, pitch_rad=math.pi / 2)["J_theta"]
     notes = {
         "J_theta": f"(27); at most {at_90_deg:.4f}, at 90 deg of pitch",
         "J_phi": "(28)",
         "J_psi": "(29)",
     }
-    rows += [
-        RigRow(name, "kg m2", PRINTED_TABLE_2[name], inertia[name], 0.0, None, None, notes[name])
-        for name in inertia
+    return [
+        RigRow(
+            name,
+            "kg m2",
+            printed=PRINTED_TABLE_2[name],
+            value=inertia_kg_m2[name],
+            tolerance=0.0,
+            estimate=None,
+            half=None,
+            note=notes[name],
+        )
+        for name in inertia_kg_m2
     ]
-    return RigTable(tuple(rows), normalised)
 
 
+_STD_PER_HALF_INTERVAL: Final = 2.0
+"""Standard errors in half a 95 % interval."""
 _IN_TABLE: Final = tuple(name for name in PRINTED_TABLE_2 if not name.startswith("J_"))
 _NOT_IN_TABLE: Final = ("dead_zone", "friction_elevation", "friction_pitch", "friction_travel")
 
@@ -160,12 +191,22 @@ def _is_excited(name: str, tests: Sequence[BenchTest]) -> bool:
     return not axis_locked and not (motors_off and name in ("thrust_gain", "dead_zone"))
 
 
-def _row(name: str, rig: Rig, best: Mapping[str, tuple[float, float, str]]) -> RigRow:
-    number = rig[name]
+def _parameter_row(name: str, rig: Rig, estimates: Mapping[str, _ParameterEstimate]) -> RigRow:
+    """Return the row of a parameter; without an estimate if its interval is not far below its tolerance."""
+    parameter = rig[name]
     notes = ["printed as a second L_h"] if name == "L_b" else []
-    value = half = None
-    if name in best and best[name][1] < _IDENTIFIED * number.tolerance:
-        value, half, source = best[name]
-        notes.append(source)
-    printed = PRINTED_TABLE_2.get(name)
-    return RigRow(name, number.unit, printed, number.value, number.tolerance, value, half, ", ".join(notes))
+    estimate = estimates.get(name)
+    if estimate is not None and estimate.half_interval >= _IDENTIFIED * parameter.tolerance:
+        estimate = None
+    if estimate is not None:
+        notes.append(estimate.source)
+    return RigRow(
+        name,
+        parameter.unit,
+        printed=PRINTED_TABLE_2.get(name),
+        value=parameter.value,
+        tolerance=parameter.tolerance,
+        estimate=estimate.value if estimate is not None else None,
+        half=estimate.half_interval if estimate is not None else None,
+        note=", ".join(notes),
+    )

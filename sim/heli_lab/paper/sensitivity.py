@@ -45,7 +45,7 @@ CASES: Final[tuple[SensitivityCase, ...]] = (
 def response_deg(coefficients: Mapping[str, float], test: BenchTest, t_s: Floats) -> Floats:
     """Simulate the elevation of (30) after a step of both voltages, with pitch and travel locked.
 
-    The arm starts on its table; there is no upper stop.
+    The arm starts on its table; there is no upper stop. The integration is a fourth-order Runge-Kutta method.
 
     Parameters
     ----------
@@ -60,25 +60,25 @@ def response_deg(coefficients: Mapping[str, float], test: BenchTest, t_s: Floats
         Elevation [deg].
     """
     p, sum_V = coefficients, test.front_V + test.back_V
-    table = math.radians(TABLE_DEG)
+    table_rad = math.radians(TABLE_DEG)
+    constant_rad_s2 = p["P_1"] + p["P_5"] + p["P_6"] * sum_V
 
-    def rates(x: Floats) -> Floats:
-        forced = p["P_1"] + p["P_5"] + p["P_6"] * sum_V
-        return np.array(
-            [x[1], forced + p["P_2"] * math.cos(x[0]) + p["P_3"] * math.sin(x[0]) + p["P_4"] * x[1]]
-        )
+    def derivative(x: Floats) -> Floats:
+        elevation_rad, rate_rad_s = x
+        gravity_rad_s2 = p["P_2"] * math.cos(elevation_rad) + p["P_3"] * math.sin(elevation_rad)
+        return np.array([rate_rad_s, constant_rad_s2 + gravity_rad_s2 + p["P_4"] * rate_rad_s])
 
-    x = np.array([table, 0.0])
+    x = np.array([table_rad, 0.0])
     substeps = max(1, math.ceil((t_s[1] - t_s[0]) / _STEP_s))
     h = float(t_s[1] - t_s[0]) / substeps
-    out = np.empty(t_s.size)
+    elevation_rad_by_row = np.empty(t_s.size)
     for row in range(t_s.size):
-        out[row] = x[0]
+        elevation_rad_by_row[row] = x[0]
         for _ in range(substeps):
-            k1 = rates(x)
-            k2 = rates(x + 0.5 * h * k1)
-            k3 = rates(x + 0.5 * h * k2)
-            x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + rates(x + h * k3))
-            if x[0] <= table:
-                x = np.array([table, max(x[1], 0.0)])
-    return np.degrees(out)
+            k1 = derivative(x)
+            k2 = derivative(x + 0.5 * h * k1)
+            k3 = derivative(x + 0.5 * h * k2)
+            x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + derivative(x + h * k3))
+            if x[0] <= table_rad:
+                x = np.array([table_rad, max(x[1], 0.0)])
+    return np.degrees(elevation_rad_by_row)

@@ -87,30 +87,35 @@ def verdicts(model: Model, rig: Rig) -> list[LoopVerdict]:
         When the rig cannot hover.
     """
     plant = _TiltPlant.of(model, rig)
-    out = []
+    results = []
     for gains, reading, derivative in itertools.product(("printed", "corrected"), READINGS, DERIVATIVES):
         law = _TiltGains.of(gains, plant.pitch_per_unit(reading), derivative)
-        closed = plant.closed(law, 0.0)
-        dominant = _dominant_pole(closed)
-        peak_deg, settling_time_s = _step(closed) if dominant.real < 0.0 else (math.inf, math.inf)
-        out.append(
+        closed_loop = plant.closed(law, 0.0)
+        dominant = _dominant_pole(closed_loop)
+        peak_deg, settling_time_s = (
+            _travel_step_metrics(closed_loop) if dominant.real < 0.0 else (math.inf, math.inf)
+        )
+        results.append(
             LoopVerdict(
                 gains,
                 reading,
                 derivative,
-                float(dominant.real),
-                2.0 * math.pi / abs(dominant.imag) if abs(dominant.imag) > 1e-9 else math.inf,
-                _max_stable_lag_s(plant, law) if dominant.real < 0.0 else 0.0,
-                peak_deg,
-                settling_time_s,
+                growth_1_per_s=float(dominant.real),
+                period_s=2.0 * math.pi / abs(dominant.imag) if abs(dominant.imag) > 1e-9 else math.inf,
+                lag_s=_max_stable_lag_s(plant, law) if dominant.real < 0.0 else 0.0,
+                peak_deg=peak_deg,
+                settling_time_s=settling_time_s,
             )
         )
-    return out
+    return results
 
 
 @dataclass(frozen=True)
 class _TiltGains:
-    """Gains kp, ki, kd of pitch [V/rad] and travel [rad/rad], shape (3,) each."""
+    """Gains kp, ki, kd of pitch [V/rad] and travel [rad/rad], shape (3,) each.
+
+    With `of_error`, the pitch loop differentiates its error, otherwise the measured pitch.
+    """
 
     pitch: Floats
     travel: Floats
@@ -118,6 +123,7 @@ class _TiltGains:
 
     @staticmethod
     def of(gains: str, pitch_per_unit: float, derivative: Derivative) -> _TiltGains:
+        """Convert the gains of Table 6, ``printed`` or ``corrected``, from degrees to radians."""
         table = paper_gains(gains)
         pitch = np.array([table[f"pitch_{name}"] for name in ("kp", "ki", "kd")]) * _DEG
         travel = np.array([table[f"travel_{name}"] for name in ("kp", "ki", "kd")]) * pitch_per_unit
@@ -126,7 +132,10 @@ class _TiltGains:
 
 @dataclass(frozen=True)
 class _TiltPlant:
-    """Pitch, travel and their rates at hover without thrust lag: x' = A x + B U-."""
+    """Pitch, travel and their rates at hover without thrust lag: x' = A x + B U-.
+
+    `A` has the shape (4, 4) and `B` the shape (4,); `sum_V` is U+ at hover.
+    """
 
     A: Floats
     B: Floats
@@ -134,6 +143,7 @@ class _TiltPlant:
 
     @staticmethod
     def of(model: Model, rig: Rig) -> _TiltPlant:
+        """Linearise pitch and travel of a rig at hover."""
         hover = trim(model, rig)
         linear = derivatives(model, rig, hover.state, hover.volts_V)
         states = [1, 2, 4, 5]
@@ -149,41 +159,52 @@ class _TiltPlant:
         return 1.0 if reading == "degrees" else _DEG / self.sum_V
 
     def closed(self, law: _TiltGains, lag_s: float) -> Floats:
-        """Return the closed-loop state matrix: plant, integrals of travel and of the pitch error, lagging
-        thrust.
+        """Return the closed-loop state matrix, (7, 7), or (6, 6) without lag.
+
+        Its states are the plant's four, the integrals of travel and of the pitch error, and the lagging
+        U-.
         """
         kp, ki, kd = law.travel
         unit_rows = np.eye(7)
-        # States: x[:4] plant, x[4] integral of travel, x[5] integral of the pitch error, x[6] lagging U-.
+
         setpoint = -(kp * unit_rows[1] + ki * unit_rows[4] + kd * unit_rows[3])
         error = setpoint - unit_rows[0]
         A = np.zeros((7, 7))
         A[:4, :4], A[:4, 6] = self.A, self.B
         A[4], A[5] = unit_rows[1], error
         differential_V = law.pitch[0] * error + law.pitch[1] * unit_rows[5] - law.pitch[2] * unit_rows[2]
-        share = 0.0
+        feedthrough = 0.0
         if law.of_error:
             # The rate of the setpoint contains the travel acceleration, A[3], which depends on thrust.
             differential_V = differential_V - law.pitch[2] * (
                 kp * unit_rows[3] + ki * unit_rows[1] + kd * A[3]
             )
-            share = float(differential_V[6])
+            feedthrough = float(differential_V[6])
         if lag_s > 0.0:
             A[6] = (differential_V - unit_rows[6]) / lag_s
             return A
         # Without lag, U- equals the control output, which may depend on U- itself: solve for it.
-        direct = (differential_V - share * unit_rows[6])[:6] / (1.0 - share)
-        return A[:6, :6] + np.outer(A[:6, 6], direct)
+        state_feedback_V = (differential_V - feedthrough * unit_rows[6])[:6] / (1.0 - feedthrough)
+        return A[:6, :6] + np.outer(A[:6, 6], state_feedback_V)
 
 
 def _dominant_pole(A: Floats) -> complex:
+    """Return the eigenvalue of a state matrix with the largest real part [1/s]."""
     poles = np.linalg.eigvals(A)
     return complex(poles[np.argmax(poles.real)])
 
 
-def _step(A: Floats) -> tuple[float, float]:
-    """Return peak travel [deg] and settling time [s] after a step, without the derivative kick of the
-    setpoint.
+def _travel_step_metrics(A: Floats) -> tuple[float, float]:
+    """Simulate a step of the travel setpoint with the closed-loop state matrix `A`, shape (n, n).
+
+    The derivative kick of the setpoint is left out.
+
+    Returns
+    -------
+    float
+            Peak of travel [deg].
+    float
+            Settling time [s]; infinite if travel does not settle.
     """
     state = np.zeros(len(A))
     state[1] = -SETTLING_STEP_DEG  # travel as deviation from the setpoint
@@ -192,11 +213,12 @@ def _step(A: Floats) -> tuple[float, float]:
         deviation_deg[row] = state[1]
         state = forward @ state
     outside = np.flatnonzero(np.abs(deviation_deg) > _BAND_DEG)
-    settled = math.inf if outside[-1] == _STEPS - 1 else float(outside[-1] + 1) * _STEP_s
-    return float(deviation_deg.max()) + SETTLING_STEP_DEG, settled
+    settling_time_s = math.inf if outside[-1] == _STEPS - 1 else float(outside[-1] + 1) * _STEP_s
+    return float(deviation_deg.max()) + SETTLING_STEP_DEG, settling_time_s
 
 
 def _max_stable_lag_s(plant: _TiltPlant, law: _TiltGains) -> float:
+    """Return the longest thrust lag [s] below which the closed loop is stable."""
     longest = 0.0
     for lag_s in _LAGS_s:
         if _dominant_pole(plant.closed(law, float(lag_s))).real >= 0.0:

@@ -46,7 +46,21 @@ TESTS_OF_TABLE: Final[Mapping[int, tuple[BenchTest, ...]]] = {
 
 @dataclass(frozen=True)
 class _FitPlan:
-    """Fit of a table: free coefficients, coefficients that another one absorbs, and unidentified ones."""
+    """Coefficients of (30) in the fit of a table.
+
+    Parameters
+    ----------
+    free : tuple of str
+        Estimated coefficients.
+    absorbed : tuple of str
+        Coefficients at 0, whose terms another coefficient contains in these tests.
+    offset : str
+        Angle zero that is also estimated.
+    unidentified : Mapping of str to str
+        Reasons why coefficients of the table have no estimate, by name.
+    per_test : tuple of str
+        Coefficients with one value per test.
+    """
 
     free: tuple[str, ...]
     absorbed: tuple[str, ...]
@@ -174,81 +188,105 @@ def free_axes_normalised(fit: Fit, locked: tuple[bool, bool, bool]) -> float:
     locked : tuple of bool
         Whether elevation, pitch and travel are locked.
     """
-    free = [axis for axis, is_locked in zip(AXES, locked, strict=True) if not is_locked]
-    checks = [check(fit, index) for index in range(len(fit.problem.records))]
+    free_axes = [axis for axis, is_locked in zip(AXES, locked, strict=True) if not is_locked]
+    checks_by_flight = [check(fit, index) for index in range(len(fit.problem.records))]
     return math.sqrt(
-        float(np.mean([check_.axis_normalised[axis] ** 2 for check_ in checks for axis in free]))
+        float(
+            np.mean([check_.axis_normalised[axis] ** 2 for check_ in checks_by_flight for axis in free_axes])
+        )
     )
 
 
 def _printed_rows(number: int, plan: _FitPlan, fit: Fit, from_masses: Mapping[str, float]) -> list[TableRow]:
+    """Return the rows of the coefficients that a table of the paper prints."""
     rows = []
     for coefficient in PRINTED:
         if coefficient.table != number:
             continue
-        value, half = (
-            (None, None)
-            if coefficient.name in plan.unidentified
-            else _estimate_and_interval(fit, coefficient.name, coefficient.per_si)
-        )
+        value = half = None
+        if coefficient.name not in plan.unidentified:
+            value, half = _estimate_and_interval(fit, coefficient.name, coefficient.per_si)
         rows.append(
             TableRow(
                 coefficient.name,
                 coefficient.unit,
-                coefficient.value,
-                coefficient.tolerance,
-                coefficient.per_si * from_masses[coefficient.name],
-                value,
-                half,
-                plan.unidentified.get(coefficient.name, ""),
+                printed=coefficient.value,
+                tolerance=coefficient.tolerance,
+                analytic=coefficient.per_si * from_masses[coefficient.name],
+                estimate=value,
+                half=half,
+                note=plan.unidentified.get(coefficient.name, ""),
             )
         )
     return rows
 
 
 def _extra_rows(number: int, fit: Fit, from_masses: Mapping[str, float]) -> list[TableRow]:
-    printed = {coefficient.name: coefficient for coefficient in PRINTED}
+    """Return the rows of identifiable combinations, and of P_11, which Table 3 prints but Table 5 fits."""
     if number == 4:
-        first, other = printed["P_1"], printed["P_5"]
-        total = first.per_si * (from_masses["P_1"] + from_masses["P_5"])
-        spread = math.hypot(first.tolerance, other.tolerance)
-        value = _estimate_and_interval(fit, "P_1", first.per_si)
-        return [TableRow("P_1 + P_5", first.unit, first.value + other.value, spread, total, *value)]
+        return [_elevation_constant_row(fit, from_masses)]
     if number == 5:
-        rows = [
-            TableRow(
-                f"sin phi at {test.front_V:g}, {test.back_V:g} V",
-                "rad/s2",
-                _sine_factor({name: coefficient.value for name, coefficient in printed.items()}, test),
-                None,
-                _sine_factor(from_masses, test),
-                *_estimate_and_interval(fit, f"P_15[{test.name}]", 1.0),
-                "P_15 + P_17 U+ + P_18 U-",
-            )
-            for test in TRAVEL_STEPS
-        ]
-        first = printed["P_11"]
-        note = "of Table 3; here the motors run"
-        gain = _estimate_and_interval(fit, "P_11", first.per_si)
-        return [
-            *rows,
-            TableRow(
-                "P_11",
-                first.unit,
-                first.value,
-                first.tolerance,
-                first.per_si * from_masses["P_11"],
-                *gain,
-                note,
-            ),
-        ]
+        sine_rows = [_sine_factor_row(test, fit, from_masses) for test in TRAVEL_STEPS]
+        return [*sine_rows, _pitch_gain_row(fit, from_masses)]
     return []
 
 
+def _elevation_constant_row(fit: Fit, from_masses: Mapping[str, float]) -> TableRow:
+    """Return the row of P_1 + P_5, which are indistinguishable while pitch is locked at 0."""
+    p_1, p_5 = _PRINTED_BY_NAME["P_1"], _PRINTED_BY_NAME["P_5"]
+    estimate, half = _estimate_and_interval(fit, "P_1", p_1.per_si)
+    return TableRow(
+        "P_1 + P_5",
+        p_1.unit,
+        printed=p_1.value + p_5.value,
+        tolerance=math.hypot(p_1.tolerance, p_5.tolerance),
+        analytic=p_1.per_si * (from_masses["P_1"] + from_masses["P_5"]),
+        estimate=estimate,
+        half=half,
+    )
+
+
+def _sine_factor_row(test: BenchTest, fit: Fit, from_masses: Mapping[str, float]) -> TableRow:
+    """Return the row of the factor of sin phi at the voltages of a test."""
+    printed = {name: coefficient.value for name, coefficient in _PRINTED_BY_NAME.items()}
+    estimate, half = _estimate_and_interval(fit, f"P_15[{test.name}]", 1.0)
+    return TableRow(
+        f"sin phi at {test.front_V:g}, {test.back_V:g} V",
+        "rad/s2",
+        printed=_sine_factor(printed, test),
+        tolerance=None,
+        analytic=_sine_factor(from_masses, test),
+        estimate=estimate,
+        half=half,
+        note="P_15 + P_17 U+ + P_18 U-",
+    )
+
+
+def _pitch_gain_row(fit: Fit, from_masses: Mapping[str, float]) -> TableRow:
+    """Return the row of P_11 as the travel steps identify it."""
+    p_11 = _PRINTED_BY_NAME["P_11"]
+    estimate, half = _estimate_and_interval(fit, "P_11", p_11.per_si)
+    return TableRow(
+        "P_11",
+        p_11.unit,
+        printed=p_11.value,
+        tolerance=p_11.tolerance,
+        analytic=p_11.per_si * from_masses["P_11"],
+        estimate=estimate,
+        half=half,
+        note="of Table 3; here the motors run",
+    )
+
+
+_PRINTED_BY_NAME: Final = {coefficient.name: coefficient for coefficient in PRINTED}
+
+
 def _sine_factor(values: Mapping[str, float], test: BenchTest) -> float:
+    """Return the factor of sin phi in (30) at the voltages of a test [rad/s2]: P_15 + P_17 U+ + P_18 U-."""
     sum_V, difference_V = test.front_V + test.back_V, test.front_V - test.back_V
     return values["P_15"] + values["P_17"] * sum_V + values["P_18"] * difference_V
 
 
 def _estimate_and_interval(fit: Fit, name: str, per_si: float) -> tuple[float, float]:
+    """Return an estimate and half its 95 % interval (two standard errors), both in the unit of its table."""
     return per_si * fit.values[name], 2.0 * per_si * fit.std[name]

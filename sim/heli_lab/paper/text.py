@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def table_lines(line: Line, by_rig: RigTable, tables: Sequence[Table]) -> list[str]:
     """Format Tables 2 to 5 for a terminal."""
-    out = [
+    lines = [
         f"Fig. 15: F = {line.gain_N_per_V:.4f} within {line.gain_half:.4f} N/V "
         f"(V - {line.dead_zone_V:.3f} within {line.dead_zone_half:.3f} V); printed: 0.5839 (V - 1)",
         "",
@@ -33,50 +33,52 @@ def table_lines(line: Line, by_rig: RigTable, tables: Sequence[Table]) -> list[s
     for row in by_rig.rows:
         estimate = _interval(row.estimate, row.half) if row.estimate is not None else "-"
         printed = "-" if row.printed is None else f"{row.printed:g}"
-        was = f"{row.value:.4g} within {row.tolerance:g}" if row.tolerance else f"{row.value:.4f}"
-        out.append(f"  {row.name:19} {printed:>8} {was:>22} {estimate:>27} {row.unit:9} {row.note}".rstrip())
+        rig_file = f"{row.value:.4g} within {row.tolerance:g}" if row.tolerance else f"{row.value:.4f}"
+        lines.append(
+            f"  {row.name:19} {printed:>8} {rig_file:>22} {estimate:>27} {row.unit:9} {row.note}".rstrip()
+        )
     for table in tables:
-        error = by_rig.normalised[table.number]
-        out += [
+        multibody_error = by_rig.normalised[table.number]
+        lines += [
             "",
             f"Table {table.number} (by masses: the formulas below (30), drag and P_18 corrected; "
             "bench tests: by (30))",
             f"  {'':22} {'printed':>22} {'by masses':>10} {'bench tests':>27}",
         ]
-        for row_ in table.rows:
-            tolerance = "" if row_.tolerance is None else f" within {row_.tolerance:.3g}"
-            printed = "-" if row_.printed is None else f"{row_.printed:.5g}{tolerance}"
+        for term in table.rows:
+            tolerance = "" if term.tolerance is None else f" within {term.tolerance:.3g}"
+            printed = "-" if term.printed is None else f"{term.printed:.5g}{tolerance}"
             estimate = (
-                "-" if row_.estimate is None or row_.half is None else _interval(row_.estimate, row_.half)
+                "-" if term.estimate is None or term.half is None else _interval(term.estimate, term.half)
             )
-            numbers = f"{printed:>22} {row_.analytic:>10.4g} {estimate:>27}"
-            out.append(f"  {row_.name:22} {numbers} {row_.unit:14} {row_.note}".rstrip())
-        out.append(
+            numbers = f"{printed:>22} {term.analytic:>10.4g} {estimate:>27}"
+            lines.append(f"  {term.name:22} {numbers} {term.unit:14} {term.note}".rstrip())
+        lines.append(
             f"  error of a 4 s prediction over the encoder's quantisation: (30) {table.normalised:.2f}, "
-            f"multibody {error:.2f}"
+            f"multibody {multibody_error:.2f}"
         )
-    return out
+    return lines
 
 
 def model_lines(model_errors: Sequence[ModelError]) -> list[str]:
     """Format the open-loop errors of the models for a terminal."""
-    out = [
+    lines = [
         "Open-loop RMS error over 2 s, on sines of a multibody rig, with the parameters of the rig file",
         f"  {'model':14} {' '.join(f'{axis:>10}' for axis in AXES)}      over the encoder's quantisation",
     ]
-    for distance in model_errors:
-        errors = " ".join(f"{distance.rms_deg[axis]:>10.3f}" for axis in AXES)
-        out.append(f"  {distance.model:14} {errors} deg  {distance.normalised:.2f}")
-    return out
+    for model_error in model_errors:
+        axis_errors_deg = " ".join(f"{model_error.rms_deg[axis]:>10.3f}" for axis in AXES)
+        lines.append(f"  {model_error.model:14} {axis_errors_deg} deg  {model_error.normalised:.2f}")
+    return lines
 
 
 def gain_lines(verdicts: dict[str, list[LoopVerdict]]) -> list[str]:
     """Format the interpretations of Table 6 for a terminal."""
     reading = {"degrees": "pitch in deg", "u3": "u3 in V"}
-    out = ["Table 6 on the linearised rig: are pitch and travel stable, and up to which lag (399 ms: any)?"]
-    for model, rows in verdicts.items():
-        out += ["", f"model {model}"]
-        for verdict in rows:
+    lines = ["Table 6 on the linearised rig: are pitch and travel stable, and up to which lag (399 ms: any)?"]
+    for model, model_verdicts in verdicts.items():
+        lines += ["", f"model {model}"]
+        for verdict in model_verdicts:
             if verdict.growth_1_per_s < 0.0:
                 step = (
                     f"15 deg step peaks at {verdict.peak_deg:.1f}, settles in {verdict.settling_time_s:.0f} s"
@@ -88,8 +90,8 @@ def gain_lines(verdicts: dict[str, list[LoopVerdict]]) -> list[str]:
                     f"unstable, grows at {verdict.growth_1_per_s:5.3f} 1/s, period {verdict.period_s:.2f} s"
                 )
             law = f"{verdict.gains:10} {reading[verdict.reading]:13} derivative of {verdict.derivative:12}"
-            out.append(f"  {law} {text}")
-    return out
+            lines.append(f"  {law} {text}")
+    return lines
 
 
 def tables_json(plant: Plant, line: Line, by_rig: RigTable, tables: Sequence[Table]) -> dict[str, Any]:

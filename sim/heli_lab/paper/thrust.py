@@ -17,17 +17,24 @@ class ThrustScale:
     """Scales under both rotors of a locked rig, with a resolution of one gram."""
 
     def __init__(self, plant: Plant) -> None:
+        """Build the thrust of both rotors as a function of state and voltages, with all effects of the
+        model.
+        """
         model = plant.model
         x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
-        at = model.operands(x, u, ca.SX(model.parameter_values(plant.rig)))
+        operands = model.operands(x, u, ca.SX(model.parameter_values(plant.rig)))
         for effect in model.effects:
-            at = replace(at, parameter={**at.parameter, **effect.modified_parameters(at)})
+            operands = replace(
+                operands, parameter={**operands.parameter, **effect.modified_parameters(operands)}
+            )
         for effect in model.effects:
-            at = replace(at, volts_V=effect.voltage_V(at, at.volts_V))
-        p = at.parameter
-        thrust = thrust_N(at.volts_V, p["thrust_gain"], p["dead_zone"], p["reverse_thrust"])
+            operands = replace(operands, volts_V=effect.voltage_V(operands, operands.volts_V))
+        parameter = operands.parameter
+        thrust = thrust_N(
+            operands.volts_V, parameter["thrust_gain"], parameter["dead_zone"], parameter["reverse_thrust"]
+        )
         for effect in model.effects:
-            thrust = effect.thrust_N(replace(at, thrust_N=thrust), thrust)
+            thrust = effect.thrust_N(replace(operands, thrust_N=thrust), thrust)
         self._thrust_N = ca.Function("thrust_N", [x, u], [thrust])
 
     def read_N(self, state: Floats, volts_V: Sequence[float]) -> Floats:

@@ -111,24 +111,24 @@ def calibrate(
                 "paper's"
             )
     data_on_stdout(json)
-    base = _base(rig)
+    nominal_rig = _load_nominal_rig(rig)
     new_rig = _new_rig_file(rig, save_rig)
-    _check_places(save_params, json)
+    _check_output_places(save_params, json)
     if log is not None:
         check_new(log)
-    limits = replace(default_limits(base), max_angle_deg=max_angle_deg)
+    limits = replace(default_limits(nominal_rig), max_angle_deg=max_angle_deg)
     if max_V is not None:
         limits = replace(limits, max_V=max_V)
     with contextlib.ExitStack() as stack:
-        heli = stack.enter_context(open_board(port, _address(rig, miswired) if sil else None))
+        heli = stack.enter_context(open_board(port, _simulated_board_address(rig, miswired) if sil else None))
         if clear_fault:
             clear_latched_fault(heli)
-        operator = _operator(heli, simulated=sil)
+        operator = _operator_of(heli, simulated=sil)
         path = log if log is not None else flight_folder() / "calibration.mcap"
-        recorder = stack.enter_context(Recorder(heli, path, rig_name=base.name))
-        # Before the log is closed, in every ending.
-        stack.callback(_off, heli)
-        before = dict(heli.params)
+        recorder = stack.enter_context(Recorder(heli, path, rig_name=nominal_rig.name))
+        # The motors stop before the log is closed, however the calibration ends.
+        stack.callback(_stop_motors, heli)
+        parameters_before = dict(heli.params)
 
         def mark(part: str) -> None:
             recorder.note("calibrate", part)
@@ -138,7 +138,7 @@ def calibrate(
             result = run(
                 heli,
                 operator,
-                base,
+                nominal_rig,
                 limits,
                 name=new_rig.stem,
                 motors=not skip_motors,
@@ -146,44 +146,52 @@ def calibrate(
                 check=recorder.check,
             )
         except BaseException:
-            _off(heli)
+            _stop_motors(heli)
             state = "may still run: use the stop switch" if heli.motors_may_run else "are off"
             say(f"the motors {state}; no rig file was written, the log is {path}")
             raise
-        _write_files(result, base, new_rig, save_params)
-        _say_result(result, base, before)
-        changed = {name: value for name, value in result.parameters.items() if value != before[name]}
-        saved = bool(changed) and operator.choose("Set and save these on the board?", ("yes", "no")) == "yes"
-        if saved:
-            set_parameters(heli, operator, changed)
-        recorder.note("calibrate", f"parameters {'saved' if saved else 'not saved'}: {changed}")
-    say("the board's parameters are saved" if saved else "the board's parameters stay as they were")
-    content = _content(result, base, before)
-    if not write_result(json, {**content, "saved": saved, "rig": str(new_rig), "log": str(path)}):
+        _write_files(result, nominal_rig, new_rig, save_params)
+        _say_result(result, nominal_rig, parameters_before)
+        changed_parameters = {
+            name: value for name, value in result.parameters.items() if value != parameters_before[name]
+        }
+        is_saved = (
+            bool(changed_parameters)
+            and operator.choose("Set and save these on the board?", ("yes", "no")) == "yes"
+        )
+        if is_saved:
+            set_parameters(heli, operator, changed_parameters)
+        recorder.note("calibrate", f"parameters {'saved' if is_saved else 'not saved'}: {changed_parameters}")
+    say("the board's parameters are saved" if is_saved else "the board's parameters stay as they were")
+    result_content = _content(result, nominal_rig, parameters_before)
+    if not write_result(json, {**result_content, "saved": is_saved, "rig": str(new_rig), "log": str(path)}):
         say_files([new_rig, save_params, path, json])
     if result.motors_exchanged:
         raise typer.Exit(1)
 
 
-def _base(rig: str | None) -> Rig:
+def _load_nominal_rig(rig: str | None) -> Rig:
+    """Return the rig whose values stay wherever nothing is measured."""
     from heli_sim.rig import load_rig
 
     return load_rig(rig if rig is not None else DEFAULT_RIG)
 
 
 def _new_rig_file(rig: str | None, save_rig: Path | None) -> Path:
+    """Return the path of the calibrated rig; a RigError is raised if the file exists."""
     from heli_host.cli.outputs import check_place
     from heli_sim.errors import RigError
 
     source = Path(rig if rig is not None else DEFAULT_RIG)
-    new = save_rig if save_rig is not None else source.with_name(f"{source.stem}-calibrated.toml")
-    check_place(new)
-    if new.exists():
-        raise RigError(f"{new} exists already", "give another --save-rig, because no rig is overwritten")
-    return new
+    path = save_rig if save_rig is not None else source.with_name(f"{source.stem}-calibrated.toml")
+    check_place(path)
+    if path.exists():
+        raise RigError(f"{path} exists already", "give another --save-rig, because no rig is overwritten")
+    return path
 
 
-def _check_places(save_params: Path | None, json: Path | None) -> None:
+def _check_output_places(save_params: Path | None, json: Path | None) -> None:
+    """Check that parameters and JSON can be written."""
     from heli_host.cli.outputs import check_parameters_place, check_result_places
 
     check_result_places(json)
@@ -191,8 +199,8 @@ def _check_places(save_params: Path | None, json: Path | None) -> None:
         check_parameters_place(save_params)
 
 
-def _address(rig: str | None, miswired: str) -> str:
-    """Spell the simulated board, in this process, with its wrong wires."""
+def _simulated_board_address(rig: str | None, miswired: str) -> str:
+    """Return the transport address of the simulated board, with wires exchanged as `miswired` lists them."""
     wires = list(filter(None, (word.strip() for word in miswired.split(","))))
     for wire in wires:
         if wire not in _WIRES:
@@ -206,7 +214,8 @@ def _address(rig: str | None, miswired: str) -> str:
     return "&".join(filter(None, (sil_address(rig=rig, speed=MAX_SPEED), query)))
 
 
-def _operator(heli: Heli, *, simulated: bool) -> Operator:
+def _operator_of(heli: Heli, *, simulated: bool) -> Operator:
+    """Return who moves the axes and answers questions: a simulated hand, or the person at the terminal."""
     import sys
 
     from heli_sim.sil.inprocess import InProcessTransport
@@ -220,7 +229,8 @@ def _operator(heli: Heli, *, simulated: bool) -> Operator:
     return TerminalOperator(sys.stdin, say)
 
 
-def _off(heli: Heli) -> None:
+def _stop_motors(heli: Heli) -> None:
+    """Stop motors that may run; a board that no longer answers is no error here."""
     from heli_host.errors import HeliError
 
     if heli.motors_may_run:
@@ -229,6 +239,7 @@ def _off(heli: Heli) -> None:
 
 
 def _write_files(result: BenchCalibration, base: Rig, new_rig: Path, save_params: Path | None) -> None:
+    """Write the calibrated rig and, if `save_params` is given, the board's parameters."""
     from heli_host.parameter_file import parameters_text
     from heli_sim.rig import write_rig
 
@@ -239,11 +250,12 @@ def _write_files(result: BenchCalibration, base: Rig, new_rig: Path, save_params
 
 
 def _say_result(result: BenchCalibration, base: Rig, before: dict[str, float]) -> None:
+    """Print each motor's wiring and thrust, each parameter before and after, and the notes."""
     from heli_lab.calibrate.thrust import ThrustLine
 
     say("+- is one standard error")
     for motor in result.motors:
-        leads = "as wired" if motor.sign > 0 else "reversed"
+        wiring = "as wired" if motor.sign > 0 else "reversed"
         line = motor.thrust
         thrust = (
             f"thrust {line.gain_N_per_V:.4g} +- {line.gain_std:.2g} N/V above "
@@ -251,22 +263,22 @@ def _say_result(result: BenchCalibration, base: Rig, before: dict[str, float]) -
             if isinstance(line, ThrustLine)
             else "thrust not known"
         )
-        begins = f"moves pitch from {motor.begins_V:g} V"
-        say(f"{motor.output} output: {motor.rotor} rotor, {leads}, {begins}; {thrust}")
-    for row in _changes(result, base, before):
+        onset = f"moves pitch from {motor.begins_V:g} V"
+        say(f"{motor.output} output: {motor.rotor} rotor, {wiring}, {onset}; {thrust}")
+    for row in _before_and_after(result, base, before):
         mark = "" if row["before"] == row["after"] else "  changed"
-        was, now = (f"{row[when]:.6g}" for when in ("before", "after"))
-        say(f"{row['of']:<5}  {row['name']:<28} {was:>10} -> {now:>10} {row['unit']}{mark}")
+        before_text, after_text = f"{row['before']:.6g}", f"{row['after']:.6g}"
+        say(f"{row['of']:<5}  {row['name']:<28} {before_text:>10} -> {after_text:>10} {row['unit']}{mark}")
     say(*(f"note: {note}" for note in result.notes))
 
 
-def _changes(result: BenchCalibration, base: Rig, before: dict[str, float]) -> list[dict[str, Any]]:
+def _before_and_after(result: BenchCalibration, base: Rig, before: dict[str, float]) -> list[dict[str, Any]]:
+    """Return the calibrated values of rig and board: of, name, before, after and unit."""
     from heli_host.parameters import spec_of
 
     from heli_lab.calibrate.calibration import SOURCE
 
-    names = [name for name in result.rig if result.rig[name].source.startswith(SOURCE)]
-    rows: list[dict[str, Any]] = [
+    rig_rows = [
         {
             "of": "rig",
             "name": name,
@@ -274,20 +286,23 @@ def _changes(result: BenchCalibration, base: Rig, before: dict[str, float]) -> l
             "after": result.rig[name].value,
             "unit": result.rig[name].unit.replace("1", ""),
         }
-        for name in names
+        for name in result.rig
+        if result.rig[name].source.startswith(SOURCE)
     ]
-    return rows + [
+    board_rows = [
         {"of": "board", "name": name, "before": before[name], "after": value, "unit": spec_of(name).unit}
         for name, value in result.parameters.items()
     ]
+    return [*rig_rows, *board_rows]
 
 
 def _content(result: BenchCalibration, base: Rig, before: dict[str, float]) -> dict[str, Any]:
+    """Return the calibration as a JSON object."""
     return {
         "encoders": asdict(result.encoders),
         "motors": [asdict(motor) for motor in result.motors],
         "motors_exchanged": result.motors_exchanged,
-        "changes": _changes(result, base, before),
+        "changes": _before_and_after(result, base, before),
         "notes": list(result.notes),
     }
 

@@ -81,19 +81,20 @@ def campaign(
 
     if scheduler is not None and workers is not None:
         raise typer.BadParameter("--workers applies to this machine only; remove it, or remove --scheduler")
-    loaded = load_campaign(file)
+    study = load_campaign(file)
     folder = output or Path(file.stem)
     check_result_places(json, report=folder)
     data_on_stdout(json)
-    for params in _parameter_files(loaded):
+    for params in _parameter_files(study):
         say_dropped(read_parameter_set(params).dropped, params)
     store = Store(folder)
-    ended = 0
+    ended_cases = 0
     with WorkBar() as bar:
 
         def show(state: State) -> None:
-            nonlocal ended
-            ended = state.ended
+            """Print notes and failures of cases, and update the progress bar."""
+            nonlocal ended_cases
+            ended_cases = state.ended
             if state.note:
                 say(state.note)
             if state.newest is not None and state.newest.failure:
@@ -103,7 +104,7 @@ def campaign(
 
         try:
             rows = run_campaign(
-                loaded,
+                study,
                 store,
                 scheduler=scheduler,
                 processes=workers or _cores(),
@@ -112,13 +113,13 @@ def campaign(
             )
         except KeyboardInterrupt:
             raise CampaignError(
-                f"stopped: {ended} of {len(loaded.cases)} cases have ended and are saved",
+                f"stopped: {ended_cases} of {len(study.cases)} cases have ended and are saved",
                 "run the same command again to continue with the others",
             ) from None
-    summary = summarise(loaded, rows)
-    page = write_summary(loaded, summary, folder)
-    _print(summary, len(loaded.cases))
-    write_result(json, _numbers(summary, len(loaded.cases)))
+    summary = summarise(study, rows)
+    page = write_summary(study, summary, folder)
+    _print(summary, len(study.cases))
+    write_result(json, _numbers(summary, len(study.cases)))
     say_files([page, folder / TABLE])
     if summary.failed:
         raise typer.Exit(1)
@@ -141,6 +142,7 @@ def _cores() -> int:
 
 
 def _numbers(summary: Summary, cases: int) -> dict[str, Any]:
+    """Return the summary of a campaign of `cases` cases as a JSON object."""
     return {
         "cases": cases,
         "ended": summary.cases,
@@ -155,12 +157,13 @@ def _numbers(summary: Summary, cases: int) -> dict[str, Any]:
 
 
 def _print(summary: Summary, cases: int) -> None:
+    """Print how the cases ended, and median and 5 to 95 % range of each numeric column."""
     say(f"{summary.cases} of {cases} cases have ended, {len(summary.failed)} of them without a result")
     if summary.outcomes:
-        ends = ", ".join(f"{outcome} {count}" for outcome, count in summary.outcomes.items())
+        outcome_counts = ", ".join(f"{outcome} {count}" for outcome, count in summary.outcomes.items())
         say(
             f"{summary.not_completed} of {sum(summary.outcomes.values())} cases "
-            f"did not end as completed: {ends}"
+            f"did not end as completed: {outcome_counts}"
         )
     for column in summary.columns:
         if len(column.values):

@@ -107,32 +107,31 @@ def class_(
     marking.fly_references()
     answers: list[Answer] = []
     try:
-        for submitted in folders:
-            answers.append(marking.answer(submitted))
+        for submission_folder in folders:
+            answers.append(marking.answer(submission_folder))
             say(str(answers[-1].mark))
     finally:
         _write_marks([answer.mark for answer in answers], folder / MARKS)
     marks = {answer.folder: answer.mark for answer in answers}
     if port is not None:
-        ready = [answer for answer in answers if answer.may_fly]
-        for answer, outcome in fly_on_rig(ready, FlightOptions(port=port, rig=rig), class_plan, _confirm):
+        flyable = [answer for answer in answers if answer.may_fly]
+        for answer, outcome in fly_on_rig(flyable, FlightOptions(port=port, rig=rig), class_plan, _confirm):
             say(f"{answer.mark.name}: rig: {outcome}")
             marks[answer.folder] = replace(answer.mark, rig=outcome)
             write_result(answer.folder / MARKED / MARK, marks[answer.folder].as_dict())
             _write_marks(list(marks.values()), folder / MARKS)
     write_result(json, {"plan": class_plan.title, "marks": [mark.as_dict() for mark in marks.values()]})
-    refused, ended = (
-        sum(mark.refused for mark in marks.values()),
-        sum(bool(mark.reason) for mark in marks.values()),
-    )
+    refused_count = sum(mark.refused for mark in marks.values())
+    incomplete_count = sum(bool(mark.reason) for mark in marks.values())
     say(
-        f"{len(marks)} submissions: {len(marks) - ended} flew to the end, {ended - refused} ended early, "
-        f"{refused} refused"
+        f"{len(marks)} submissions: {len(marks) - incomplete_count} flew to the end, "
+        f"{incomplete_count - refused_count} ended early, {refused_count} refused"
     )
     say_files((folder / MARKS, json))
 
 
 def _confirm(question: str) -> bool | None:
+    """Ask a yes-or-no question; None at the end of standard input."""
     try:
         return typer.confirm(question, err=True)
     except typer.Abort:  # the end of standard input
@@ -140,7 +139,7 @@ def _confirm(question: str) -> bool | None:
 
 
 def _write_marks(marks: Sequence[Mark], path: Path) -> None:
-    """Write a table of all marks, in place of a former one."""
+    """Write a CSV table of all marks; an existing file is replaced at once, after the table is complete."""
     import csv
     import tempfile
 
@@ -153,12 +152,12 @@ def _write_marks(marks: Sequence[Mark], path: Path) -> None:
         table.writerow(["submission", "points", "of", *WEIGHTS, "reason", "rig"])
         table.writerows(
             [
-                _plain(mark.name),
+                _without_formula(mark.name),
                 mark.points,
                 FULL,
                 *(mark.parts.get(name, "") for name in WEIGHTS),
-                _plain(mark.reason),
-                _plain(mark.rig),
+                _without_formula(mark.reason),
+                _without_formula(mark.rig),
             ]
             for mark in marks
         )
@@ -166,8 +165,8 @@ def _write_marks(marks: Sequence[Mark], path: Path) -> None:
     Path(file.name).replace(path)
 
 
-def _plain(text: str) -> str:
-    """Return a cell that no spreadsheet takes for a formula."""
+def _without_formula(text: str) -> str:
+    """Return the text of a cell, quoted if a spreadsheet would read it as a formula."""
     from heli_host.errors import printable
 
     return printable(f"'{text}" if text[:1] in ("=", "+", "-", "@") else text)

@@ -30,9 +30,9 @@ def course(
     """
     from heli_lab.classroom.notebook import NotebookError, write_editions
 
-    sources = [
-        path for given in notebooks for path in (sorted(given.glob("*.py")) if given.is_dir() else [given])
-    ]
+    sources: list[Path] = []
+    for path in notebooks:
+        sources += sorted(path.glob("*.py")) if path.is_dir() else [path]
     if not sources:
         raise NotebookError(f"{notebooks[0]} contains no notebook", "give Python files with cells")
     files = write_editions(sources, output)

@@ -98,7 +98,7 @@ def diagnose(
     from heli_sim.rig import write_rig
 
     from heli_lab.diagnose import InsufficientExcitation, insufficient_excitation, summary, to_json
-    from heli_lab.diagnose import diagnose as find
+    from heli_lab.diagnose import diagnose as run_diagnosis
     from heli_lab.diagnose.report import write_effect_file, write_insufficient_excitation, write_report
     from heli_lab.errors import NotExcited
     from heli_lab.fit_inputs import fit_inputs, part_of, parts, read_checked
@@ -108,31 +108,33 @@ def diagnose(
     # Exclude loaded libraries from garbage collection, which otherwise takes 8 % of a diagnosis.
     gc.freeze()
     limit_malloc_arenas()
-    others = validate or []
+    validation_paths = validate or []
     data_on_stdout(json)
     check_result_places(save_rig, json, resume, report=report)
-    given = fit_inputs(flights, others, rig, model, effect_file or ())
+    inputs = fit_inputs(flights, validation_paths, rig, model, effect_file or ())
     kinds = catalogue(effect_file or ())
     result: Diagnosis | InsufficientExcitation
-    written: list[Path | None] = []
+    output_files: list[Path | None] = []
     use_process = report is not None and default_thread_count() > 1
     with WorkBar() as bar, Drawing(use_process) as drawing:
-        spans = parts(start_s or (), stop_s or (), len(flights), len(others))
-        read = read_checked([*flights, *others], given, allow_gaps, skip_sign_check, bar.show)
+        spans = parts(start_s or (), stop_s or (), len(flights), len(validation_paths))
+        whole_flights = read_checked(
+            [*flights, *validation_paths], inputs, allow_gaps, skip_sign_check, bar.show
+        )
         # Flights are passed one by one and not kept: ten minutes at 1 kHz take 45 MB.
-        read.reverse()
-        used = (
-            part_of(read.pop(), given.rig, label, span)
-            for label, span in zip(given.labels, spans, strict=True)
+        whole_flights.reverse()
+        flight_parts = (
+            part_of(whole_flights.pop(), inputs.rig, label, span)
+            for label, span in zip(inputs.labels, spans, strict=True)
         )
         try:
-            result = find(
-                given.model,
-                given.rig,
-                itertools.islice(used, len(flights)),
-                used,
+            result = run_diagnosis(
+                inputs.model,
+                inputs.rig,
+                itertools.islice(flight_parts, len(flights)),
+                flight_parts,
                 kinds=kinds,
-                labels=given.labels,
+                labels=inputs.labels,
                 seed=seed,
                 calibrate_s=calibrate_s,
                 refits=budget,
@@ -140,26 +142,26 @@ def diagnose(
                 say=bar.show,
             )
         except NotExcited as error:
-            result = insufficient_excitation(str(error), given.model, given.rig, kinds)
+            result = insufficient_excitation(str(error), inputs.model, inputs.rig, kinds)
         if isinstance(result, InsufficientExcitation):
             if report is not None:
-                written.append(write_insufficient_excitation(result, report))
+                output_files.append(write_insufficient_excitation(result, report))
         else:
             if save_rig is not None:
                 extended = result.rig(save_rig.stem, with_term, with_unconfirmed)
-                source = f"heli-host diagnose, model {given.model.name}"
+                source = f"heli-host diagnose, model {inputs.model.name}"
                 write_rig(extended, save_rig, f"Found by {source}. {summary(result)}")
-                written.append(save_rig)
+                output_files.append(save_rig)
             if report is not None:
                 bar.show("drawing", 0.95)
-                written.append(write_report(result, report, drawing))
-            place = report or (save_rig.parent if save_rig is not None and with_term else None)
-            if result.proposed_term is not None and place is not None:
-                written.append(write_effect_file(result, place))
+                output_files.append(write_report(result, report, drawing))
+            effect_folder = report or (save_rig.parent if save_rig is not None and with_term else None)
+            if result.proposed_term is not None and effect_folder is not None:
+                output_files.append(write_effect_file(result, effect_folder))
         write_result(json, to_json(result))
-        written.append(json)
+        output_files.append(json)
     _print(result)
-    say_files(written)
+    say_files(output_files)
 
 
 def _print(result: Diagnosis | InsufficientExcitation) -> None:

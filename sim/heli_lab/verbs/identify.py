@@ -72,48 +72,50 @@ def identify(
 
     from heli_lab.fit_inputs import fit_inputs, part_of, parts, read_checked
     from heli_lab.identify.html_report import verdict, write_identification_report
-    from heli_lab.identify.run import identify as find
+    from heli_lab.identify.run import identify as run_identification
     from heli_lab.page.drawing import Drawing
     from heli_lab.threads import default_thread_count
 
-    others = validate or []
+    validation_paths = validate or []
     data_on_stdout(json)
     check_result_places(save_rig, json, report=report)
-    given = fit_inputs(flights, others, rig, model, effect_file or (), effect or ())
+    inputs = fit_inputs(flights, validation_paths, rig, model, effect_file or (), effect or ())
     use_process = report is not None and default_thread_count() > 1
     with WorkBar() as bar, Drawing(use_process) as drawing:
-        spans = parts(start_s or (), stop_s or (), len(flights), len(others))
-        read = read_checked([*flights, *others], given, allow_gaps, skip_sign_check, bar.show)
-        used = [
-            part_of(flight, given.rig, label, span)
-            for flight, label, span in zip(read, given.labels, spans, strict=True)
+        spans = parts(start_s or (), stop_s or (), len(flights), len(validation_paths))
+        whole_flights = read_checked(
+            [*flights, *validation_paths], inputs, allow_gaps, skip_sign_check, bar.show
+        )
+        flight_parts = [
+            part_of(flight, inputs.rig, label, span)
+            for flight, label, span in zip(whole_flights, inputs.labels, spans, strict=True)
         ]
-        identification = find(
-            given.model,
-            given.rig,
-            used[: len(flights)],
-            validation=used[len(flights) :],
+        identification = run_identification(
+            inputs.model,
+            inputs.rig,
+            flight_parts[: len(flights)],
+            validation=flight_parts[len(flights) :],
             free=free or None,
             fixed=fix or (),
-            labels=given.labels[: len(flights)],
-            validation_labels=given.labels[len(flights) :],
+            labels=inputs.labels[: len(flights)],
+            validation_labels=inputs.labels[len(flights) :],
             window_s=window_s,
             on_progress=lambda progress: bar.show(progress.stage, progress.done),
             as_is=skip_sign_check,
         )
-        written: list[Path | None] = []
+        output_files: list[Path | None] = []
         if save_rig is not None:
-            new = identification.rig(save_rig.stem)
-            write_rig(new, save_rig, f"Found by heli-host identify. {verdict(identification)}")
-            written.append(save_rig)
+            identified_rig = identification.rig(save_rig.stem)
+            write_rig(identified_rig, save_rig, f"Found by heli-host identify. {verdict(identification)}")
+            output_files.append(save_rig)
         if report is not None:
             bar.show("drawing", 0.9)
-            written.append(write_identification_report(identification, report, drawing))
+            output_files.append(write_identification_report(identification, report, drawing))
         write_result(json, identification.json())
-        written.append(json)
+        output_files.append(json)
     _print(identification)
     say(verdict(identification))
-    say_files(written)
+    say_files(output_files)
 
 
 def _print(identification: Identification) -> None:

@@ -83,7 +83,7 @@ def import_(
     if profile is None and not guess:
         raise typer.BadParameter("import needs --profile or --guess; give one of them")
     data_on_stdout(json)
-    known = load_rig(rig) if rig is not None else None
+    known_rig = load_rig(rig) if rig is not None else None
     tables = [read_table(path) for path in files]
     names = output_names(files)
     digests = [digest([path]) for path in files]
@@ -102,33 +102,34 @@ def import_(
     if not guess and profile is not None:
         write_result(json, {"flights": _write_flights(tables, read_profile(profile), targets)})
         return
-    guesses = _guesses(tables, known, rate, profile)
+    guesses = _guesses(tables, known_rig, rate, profile)
     best = guesses[0]
-    ranked = sorted(best.ambiguities, key=lambda ambiguity: ambiguity.danger)
-    ambiguities = {ambiguity.subject: ambiguity.sentence() for ambiguity in ranked}
-    written, lines = _write_profile(best, ranked, output)
+    ambiguities = sorted(best.ambiguities, key=lambda ambiguity: ambiguity.danger)
+    profile_path, profile_lines = _write_profile(best, ambiguities, output)
+    output_files = [profile_path]
     for path, file_guess, table, target in zip(files, guesses, tables, targets, strict=True):
-        written.append(_draw(file_guess, table, output / f"{target.name}.png"))
+        output_files.append(_draw(file_guess, table, output / f"{target.name}.png"))
         say(f"{path.name}: {'sure' if file_guess.sure else 'unsure'}")
     for sentence in best.evidence:
         say(f"  {sentence}")
-    for ambiguity in ranked:
+    for ambiguity in ambiguities:
         say(ambiguity.sentence())
-        if line := lines.get(ambiguity.entry):
-            say(f"  {written[0]}:{line}: {ambiguity.entry}")
-    say_files(written)
+        if line := profile_lines.get(ambiguity.entry):
+            say(f"  {profile_path}:{line}: {ambiguity.entry}")
+    say_files(output_files)
+    sentence_by_subject = {ambiguity.subject: ambiguity.sentence() for ambiguity in ambiguities}
     content = {
         "sure": not ambiguities,
-        "ambiguities": ambiguities,
+        "ambiguities": sentence_by_subject,
         "evidence": {str(path): guess.evidence for path, guess in zip(files, guesses, strict=True)},
-        "files": [str(path) for path in written],
+        "files": [str(path) for path in output_files],
     }
     if ambiguities and not force:
         write_result(json, {**content, "flights": []})
         from heli_lab.errors import UnsureGuess
 
         raise UnsureGuess(
-            f"unsure of {', '.join(ambiguities)}: no flight was written",
+            f"unsure of {', '.join(sentence_by_subject)}: no flight was written",
             f"correct {output / 'profile.toml'} and import with --profile, or use it unchanged with --force",
         )
     write_result(json, {**content, "flights": _write_flights(tables, best.profile, targets)})
@@ -137,6 +138,7 @@ def import_(
 def _guesses(
     tables: Sequence[Table], rig: Rig | None, rate_Hz: float | None, profile: Path | None
 ) -> Sequence[Guess]:
+    """Guess the profile of each table with a progress bar; the entries of a given `profile` stay."""
     from heli_host.cli.progress_bar import WorkBar
 
     from heli_lab.guess import guess_by_rigs
@@ -148,22 +150,31 @@ def _guesses(
 
 
 def _write_profile(
-    best: Guess, ambiguities: Sequence[Ambiguity], out: Path
-) -> tuple[list[Path], dict[str, int]]:
-    """Write the profile; return its path, and the line of each entry."""
+    best: Guess, ambiguities: Sequence[Ambiguity], folder: Path
+) -> tuple[Path, dict[str, int]]:
+    """Write ``profile.toml`` with ambiguities and evidence as comments.
+
+    Returns
+    -------
+    Path
+        The file.
+    dict of int
+        Line number of each entry in the file.
+    """
     from heli_host.tables import profile_text
 
     from heli_lab.guess.import_targets import entry_lines
 
-    target = out / "profile.toml"
-    doubts = [f"UNSURE: {ambiguity.sentence()}" for ambiguity in ambiguities]
-    comments = [f"# {line}" for line in (*doubts, *best.evidence)]
+    path = folder / "profile.toml"
+    warnings = [f"UNSURE: {ambiguity.sentence()}" for ambiguity in ambiguities]
+    comments = [f"# {line}" for line in (*warnings, *best.evidence)]
     text = "\n".join([*comments, "", profile_text(best.profile)])
-    target.write_text(text, encoding="utf-8")
-    return [target], entry_lines(text)
+    path.write_text(text, encoding="utf-8")
+    return path, entry_lines(text)
 
 
 def _draw(guess: Guess, table: Table, path: Path) -> Path:
+    """Draw the longest flight of a table with its guessed profile; return the figure's path."""
     from heli_host.tables import flights_of
 
     from heli_lab.guess.figure import draw
@@ -174,23 +185,24 @@ def _draw(guess: Guess, table: Table, path: Path) -> Path:
 def _write_flights(
     tables: Sequence[Table], profile: Profile, targets: Sequence[Target]
 ) -> list[dict[str, Any]]:
+    """Write each flight of the tables as CSV; return file, rows and duration [s] of each as JSON objects."""
     from heli_host.flight import check
     from heli_host.log.table import write_csv
     from heli_host.tables import flights_of
 
-    written: list[dict[str, Any]] = []
-    for table, goal in zip(tables, targets, strict=True):
+    flight_objects: list[dict[str, Any]] = []
+    for table, table_target in zip(tables, targets, strict=True):
         flights = flights_of(table, profile)
         for number, flight in enumerate(flights, 1):
             check(flight, table.source)
-            target = goal.path(number if len(flights) > 1 else None)
-            write_csv(goal.signed(flight), target)
-            say(f"{len(flight)} rows, {flight.duration_s:.1f} s at {1.0 / flight.step_s:.0f} Hz -> {target}")
+            path = table_target.path(number if len(flights) > 1 else None)
+            write_csv(table_target.signed(flight), path)
+            say(f"{len(flight)} rows, {flight.duration_s:.1f} s at {1.0 / flight.step_s:.0f} Hz -> {path}")
             for note in ("cut", "filled"):
                 if note in flight.meta:
                     say(f"  {note}: {flight.meta[note]}")
-            written.append({"file": str(target), "rows": len(flight), "duration_s": flight.duration_s})
-    return written
+            flight_objects.append({"file": str(path), "rows": len(flight), "duration_s": flight.duration_s})
+    return flight_objects
 
 
 VERB = Verb(import_, "Logs", variadic=False)

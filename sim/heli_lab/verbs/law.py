@@ -85,13 +85,13 @@ def check(
     from heli_lab.law.files import load_law
 
     data_on_stdout(json)
-    loaded = load_law(law, load_timeout)
-    program = loaded.program
-    spread = f", over {program.ticks} ticks" if program.ticks > 1 else ""
+    control_law = load_law(law, load_timeout)
+    program = control_law.program
+    tick_text = f", over {program.ticks} ticks" if program.ticks > 1 else ""
     say(
-        f"{loaded.name}: {loaded.rate_Hz:g} Hz, {len(program.instructions)} operations, "
-        f"{len(loaded.states)} states, {len(program.words)} words; at most {program.cost} instructions "
-        f"per call{spread} (limit per tick: {LAW_TICK_COST})"
+        f"{control_law.name}: {control_law.rate_Hz:g} Hz, {len(program.instructions)} operations, "
+        f"{len(control_law.states)} states, {len(program.words)} words; at most {program.cost} instructions "
+        f"per call{tick_text} (limit per tick: {LAW_TICK_COST})"
     )
     # Imported here so that an invalid law is refused without this delay.
     import numpy as np
@@ -102,9 +102,9 @@ def check(
     from heli_lab.law_flight import fly_trial
     from heli_lab.tune.plants import linear_plant
 
-    linear = linearised(loaded, linear_plant(load_rig(rig)))
-    slow = sorted(linear.poles, key=lambda pole: -pole.real)[:_MAX_POLES]
-    poles = ", ".join(f"{pole.real:.2f}{pole.imag:+.2f}j" for pole in slow)
+    linear = linearised(control_law, linear_plant(load_rig(rig)))
+    slowest_poles = sorted(linear.poles, key=lambda pole: -pole.real)[:_MAX_POLES]
+    poles = ", ".join(f"{pole.real:.2f}{pole.imag:+.2f}j" for pole in slowest_poles)
     say(f"{'stable' if linear.stable else 'UNSTABLE'} around level; slowest poles {poles} 1/s")
     for loop, gain, phase_deg in zip(
         ("collective", "differential"), linear.gain_up, linear.phase_deg, strict=True
@@ -129,8 +129,8 @@ def check(
     write_result(
         json,
         {
-            "law": loaded.name,
-            "rate_Hz": loaded.rate_Hz,
+            "law": control_law.name,
+            "rate_Hz": control_law.rate_Hz,
             "operations": len(program.instructions),
             "cost": program.cost,
             "stable": linear.stable,
@@ -168,11 +168,11 @@ def fly(
 
     check_target(options.port, options.sil)
     flown_plan = load_plan(plan) if plan is not None else trial_plan(duration_s)
-    loaded = load_law(law, load_timeout)
-    flown, trial = fly_law(loaded.program, options, flown_plan, plan or "")
-    flown.report()
-    say(f"law {loaded.name}: {trial}")
-    flown.write(law=loaded.name, trial=trial.as_dict())
+    control_law = load_law(law, load_timeout)
+    flight_result, trial = fly_law(control_law.program, options, flown_plan, plan or "")
+    flight_result.report()
+    say(f"law {control_law.name}: {trial}")
+    flight_result.write(law=control_law.name, trial=trial.as_dict())
 
 
 @app.command()
@@ -211,15 +211,14 @@ def compare(
     )
 
     check_result_places(json, figure=figure)
-    are_laws = {path.suffix == ".py" for path in compared}
-    if len(are_laws) > 1:
+    law_count = sum(path.suffix == ".py" for path in compared)
+    if 0 < law_count < len(compared):
         raise typer.BadParameter("laws and logs do not compare; give only laws (.py), or only logs")
-    if are_laws == {True}:
+    are_laws = law_count > 0
+    if are_laws:
         check_target(options.port, options.sil)
     data_on_stdout(json)
-    flights = (
-        _fly_laws(compared, options, duration_s, load_timeout) if are_laws == {True} else _read_logs(compared)
-    )
+    flights = _fly_laws(compared, options, duration_s, load_timeout) if are_laws else _read_logs(compared)
     numbers = comparison_numbers(flights)
     figures = write_comparisons(flights, figure)
     result = {"flights": numbers, "figure": str(figure), "figures": [str(file) for file in figures]}
@@ -268,7 +267,7 @@ def grade(
     from heli_sim.rig import load_rig
 
     from heli_lab.classroom.grade import REFERENCE, LawGrade, grade_lines
-    from heli_lab.classroom.grade import grade as graded
+    from heli_lab.classroom.grade import grade as grade_law
     from heli_lab.law.files import check_files, load_limited
     from heli_lab.law.limits import FileLimits
     from heli_lab.law.trial import trial_plan
@@ -288,7 +287,7 @@ def grade(
         options = FlightOptions(sil=True, rig=name, seed=seed, speed=MAX_SPEED, effect=effect)
         return fly_trial(program, options, flown_plan)
 
-    grades = [graded(REFERENCE, None, flights, fly_on)]
+    grades = [grade_law(REFERENCE, None, flights, fly_on)]
     for path in laws:
         label = path.stem if path.stem not in {known.label for known in grades} else str(path)
         try:
@@ -296,7 +295,7 @@ def grade(
         except BadLaw as error:
             grades.append(LawGrade(label, str(error)))
             continue
-        grades.append(graded(label, program, flights, fly_on, plant))
+        grades.append(grade_law(label, program, flights, fly_on, plant))
     content: dict[str, Any] = {
         "plan": flown_plan.title,
         "rigs": rigs,
@@ -312,9 +311,11 @@ def grade(
 
         page = write_grades(grades, content, report)
     say_files((json, page))
-    if failed := [law_grade.label for law_grade in grades[1:] if not law_grade.passed]:
+    incomplete_laws = [law_grade.label for law_grade in grades[1:] if not law_grade.passed]
+    if incomplete_laws:
+        names = ", ".join(incomplete_laws)
         raise FlightAborted(
-            f"{len(failed)} of {len(laws)} laws did not fly to the end: {', '.join(failed)}",
+            f"{len(incomplete_laws)} of {len(laws)} laws did not fly to the end: {names}",
             "look at the reasons above, or try one with heli-host law check",
         )
 
@@ -341,28 +342,32 @@ def export(
 
 
 def _read_logs(paths: Sequence[Path]) -> dict[str, Flight]:
+    """Read two or more different logs; return their flights by path."""
     from heli_host.errors import FlightDataError
 
     from heli_lab.law.compare import flight_of_law
 
     if len(paths) < _TWO:
         raise FlightDataError("a comparison needs two logs", "give two logs, or a law (.py)")
-    twice = next((path for k, path in enumerate(paths) if path in paths[:k]), None)
-    if twice is not None:
-        raise FlightDataError(f"{twice} is given twice", "give different logs")
+    for number, path in enumerate(paths):
+        if path in paths[:number]:
+            raise FlightDataError(f"{path} is given twice", "give different logs")
     return {str(path): flight_of_law(path) for path in paths}
 
 
 def _fly_laws(
     paths: Sequence[Path], options: FlightOptions, duration_s: float, limit_s: float
 ) -> dict[str, Flight]:
+    """Fly the trial plan with each control law; a single law is compared with the board's own."""
     from heli_lab.law.files import load_law
     from heli_lab.law.trial import trial_plan
     from heli_lab.law_flight import fly_trial
 
     flights = {}
     laws: list[tuple[Path | None, Law | None]] = [(path, load_law(path, limit_s)) for path in paths]
-    for path, law in laws if len(laws) > 1 else [*laws, (None, None)]:
+    if len(laws) == 1:
+        laws.append((None, None))
+    for path, law in laws:
         trial = fly_trial(law.program if law is not None else None, options, trial_plan(duration_s))
         name = law.name if law is not None else "the board's own"
         flights[name if name not in flights else str(path)] = trial.flight

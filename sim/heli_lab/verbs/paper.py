@@ -124,14 +124,16 @@ def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonOption = 
     data_on_stdout(json)
     plant = _plant(rig, _MODEL)
     with WorkBar() as bar:
-        flown = fly_plan("sine", plant, "sine", None, seed, lambda done: bar.show("flying", 0.5 * done))
+        sine_flight = fly_plan("sine", plant, "sine", None, seed, lambda done: bar.show("flying", 0.5 * done))
         bar.show("predicting", 0.5)
         errors_by_model = model_errors(
-            [model_named(name) for name in sorted(MODELS)], plant.rig, flown.flight
+            [model_named(name) for name in sorted(MODELS)], plant.rig, sine_flight.flight
         )
     for text in model_lines(errors_by_model):
         say(text)
-    write_result(json, {"models": {distance.model: asdict(distance) for distance in errors_by_model}})
+    write_result(
+        json, {"models": {model_error.model: asdict(model_error) for model_error in errors_by_model}}
+    )
 
 
 @app.command("equations")
@@ -200,31 +202,34 @@ def figures(
             write(f"fig{number}.png", flight.response_figure(flights[name], path, number))
             write(f"fig{number + 1}.png", flight.performance_figure(flights[name], path, number + 1))
     say_files(folder / name for name in written)
-    for name, flown in flights.items():
-        for flight_ in flown:
-            say(f"{name}, {flight_.label}: {flight_.outcome}{_errors_text(flight_)}")
+    for name, plan_flights in flights.items():
+        for plan_flight in plan_flights:
+            say(f"{name}, {plan_flight.label}: {plan_flight.outcome}{_errors_text(plan_flight)}")
 
 
 def _plant(rig: str, model: str) -> Plant:
+    """Return a rig with a model; an IdentifyError is raised if its hover voltage differs from the paper's."""
     from heli_sim.model.named import model_named
     from heli_sim.plant import Plant
     from heli_sim.rig import load_rig
 
     from heli_lab.paper.bench_tests import check_rig
 
-    loaded = load_rig(rig)
-    check_rig(loaded)
-    return Plant(model_named(model), loaded)
+    loaded_rig = load_rig(rig)
+    check_rig(loaded_rig)
+    return Plant(model_named(model), loaded_rig)
 
 
 def _with_heavier_rotor(plant: Plant) -> Plant:
+    """Return a plant whose front rotor is heavier by its tolerance."""
     from heli_sim.plant import Plant
 
-    number = plant.rig[_HEAVIER_ROTOR]
-    return Plant(plant.model, plant.rig.replace(**{_HEAVIER_ROTOR: number.value + number.tolerance}))
+    mass = plant.rig[_HEAVIER_ROTOR]
+    return Plant(plant.model, plant.rig.replace(**{_HEAVIER_ROTOR: mass.value + mass.tolerance}))
 
 
 def _records(plant: Plant, seed: int) -> dict[int, list[Record]]:
+    """Run all bench tests; return their records by the number of the table that they identify."""
     from heli_lab.paper.bench_tests import record_of
     from heli_lab.paper.experiments import run_bench_test
     from heli_lab.paper.tables import TESTS_OF_TABLE
@@ -238,31 +243,33 @@ def _records(plant: Plant, seed: int) -> dict[int, list[Record]]:
 def _flights(
     plant: Plant, seed: int, on_progress: Callable[[str, float], None]
 ) -> dict[str, list[PaperFlight]]:
+    """Fly each plan with the default gains and with Table 6; return the two flights by plan."""
     from heli_lab.paper.experiments import PLANS, fly_plan
 
-    sets = (("default gains", None), ("Table 6, P and I of travel exchanged", "paper"))
-    out: dict[str, list[PaperFlight]] = {}
-    for place, name in enumerate(PLANS):
-        for place_in_set, (label, gains) in enumerate(sets):
-            before = (2 * place + place_in_set) / (2 * len(PLANS))
+    gain_sets = (("default gains", None), ("Table 6, P and I of travel exchanged", "paper"))
+    flights: dict[str, list[PaperFlight]] = {}
+    for plan_number, name in enumerate(PLANS):
+        for set_number, (label, gains) in enumerate(gain_sets):
+            earlier_share = (2 * plan_number + set_number) / (2 * len(PLANS))
 
-            def report(done: float, before: float = before, name: str = name) -> None:
-                on_progress(f"flying {name}", before + done / (2 * len(PLANS)))
+            def report(done: float, earlier_share: float = earlier_share, name: str = name) -> None:
+                on_progress(f"flying {name}", earlier_share + done / (2 * len(PLANS)))
 
-            out.setdefault(name, []).append(fly_plan(name, plant, label, gains, seed, report))
-    return out
+            flights.setdefault(name, []).append(fly_plan(name, plant, label, gains, seed, report))
+    return flights
 
 
 def _errors_text(flight: PaperFlight) -> str:
+    """State the RMS errors of elevation and travel after the take-off; empty if there is no such part."""
     import numpy as np
 
     from heli_lab.paper.figures_flight import take_off_end_s
 
-    error = flight.error_deg[flight.flight.t_s > take_off_end_s(flight)]
-    if not len(error):
+    error_deg = flight.error_deg[flight.flight.t_s > take_off_end_s(flight)]
+    if not len(error_deg):
         return ""
-    rms = np.sqrt(np.mean(error**2, axis=0))
-    return f"; RMS error after take-off: elevation {rms[0]:.2f}, travel {rms[2]:.2f} deg"
+    rms_deg = np.sqrt(np.mean(error_deg**2, axis=0))
+    return f"; RMS error after take-off: elevation {rms_deg[0]:.2f}, travel {rms_deg[2]:.2f} deg"
 
 
 VERB = Verb(app, "Laboratory")

@@ -49,19 +49,19 @@ def pool(
     from heli_host.cli.outputs import check_result_places
     from heli_sim.rig import load_rig, write_rig
 
-    from heli_lab.pool import pool as pooled
+    from heli_lab.pool import pool as pool_diagnoses
     from heli_lab.pool import read_rig_diagnosis
 
     check_result_places(save_rig, json)
     data_on_stdout(json)
-    population = pooled([read_rig_diagnosis(path) for path in diagnoses])
+    population = pool_diagnoses([read_rig_diagnosis(path) for path in diagnoses])
     say(*_lines(population))
-    written: list[Path | None] = []
+    output_files: list[Path | None] = []
     if save_rig is not None:
-        base = load_rig(rig or population.diagnoses[0].rig)
+        type_rig = load_rig(rig or population.diagnoses[0].rig)
         comment = f"Pooled by heli-host pool from {len(population.diagnoses)} rigs."
-        write_rig(population.prior_rig(base, save_rig.stem), save_rig, comment)
-        written.append(save_rig)
+        write_rig(population.prior_rig(type_rig, save_rig.stem), save_rig, comment)
+        output_files.append(save_rig)
     if json is not None:
         content = {
             "machines": [diagnosis.label for diagnosis in population.diagnoses],
@@ -77,11 +77,14 @@ def pool(
             },
         }
         write_result(json, content)
-        written.append(json)
-    say_files(written)
+        output_files.append(json)
+    say_files(output_files)
 
 
 def _lines(population: RigPopulation) -> list[str]:
+    """Return the share of rigs with each cause, and the parameters' means and standard deviations, as
+    text.
+    """
     units = {
         name: quantity.unit
         for diagnosis in population.diagnoses

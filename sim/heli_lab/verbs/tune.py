@@ -88,14 +88,14 @@ def tune(
     check_result_places(json, figure=figure)
     if save_params is not None:
         check_parameters_place(save_params)
-    loaded = load_rig(rig)
-    all_effects = effects_with(loaded, effect or (), effect_file or ())
-    name = model or loaded.model or DEFAULT_MODEL
+    base_rig = load_rig(rig)
+    all_effects = effects_with(base_rig, effect or (), effect_file or ())
+    name = model or base_rig.model or DEFAULT_MODEL
     equations = model_named(name, all_effects)
     loop_effects = loop_effects_of(all_effects)
     with WorkBar() as bar:
         design = find_gains(
-            loaded,
+            base_rig,
             None,
             sensitivity,
             lambda stage: bar.show(stage, 0.05 if stage.startswith("elevation") else 0.2),
@@ -107,25 +107,25 @@ def tune(
             checked(parameter, value)
         models: list[tuple[str, Model]] = [(_label(loop_effects), equations)]
         if loop_effects.lag_s is None:
-            lagging = model_named(name, (*all_effects, RotorLag(TRIAL_LAG_s)))
-            models.append((f"lag {1e3 * TRIAL_LAG_s:.0f} ms", lagging))
-        trials = _fly(models, loaded, parameters, seed, bar)
-    say(*_head(loaded, name, design, loop_effects), *_margin_lines(design), *_flight_lines(trials))
-    written: list[Path | None] = []
+            model_with_lag = model_named(name, (*all_effects, RotorLag(TRIAL_LAG_s)))
+            models.append((f"lag {1e3 * TRIAL_LAG_s:.0f} ms", model_with_lag))
+        trials = _fly(models, base_rig, parameters, seed, bar)
+    say(*_rig_lines(base_rig, name, design, loop_effects), *_margin_lines(design), *_flight_lines(trials))
+    output_files: list[Path | None] = []
     if save_params is not None:
-        used = ", ".join((f"rig {loaded.name}", f"model {name}", *(effect.name for effect in all_effects)))
+        used = ", ".join((f"rig {base_rig.name}", f"model {name}", *(effect.name for effect in all_effects)))
         text = parameters_text(parameters, f"heli-host tune: gains for {used}")
         save_params.write_text(text, encoding="utf-8")
-        written.append(save_params)
-    write_result(json, _numbers(loaded, name, design, loop_effects, parameters, trials))
-    written.append(json)
+        output_files.append(save_params)
+    write_result(json, _numbers(base_rig, name, design, loop_effects, parameters, trials))
+    output_files.append(json)
     if figure is not None:
         from heli_lab.tune.figures import figure_of_design
 
         flights = [(trial.label, trial.flight) for trial in trials]
         figure_of_design(design, flights).savefig(figure, dpi=120)
-        written.append(figure)
-    say_files(written)
+        output_files.append(figure)
+    say_files(output_files)
     if save_params is not None:
         say(
             f"to fly with these gains: heli-host fly hover --sil --rig {rig} --params {save_params}; "
@@ -160,23 +160,29 @@ def _fly(
 
 
 def _label(loop_effects: LoopEffects) -> str:
+    """Return the label of a test flight: the rotor lag of its model."""
     return "no lag" if loop_effects.lag_s is None else f"lag {1e3 * loop_effects.lag_s:.0f} ms"
 
 
-def _head(rig: Rig, model: str, design: Design, loop_effects: LoopEffects) -> list[str]:
+def _rig_lines(rig: Rig, model: str, design: Design, loop_effects: LoopEffects) -> list[str]:
+    """Describe rig, model and plants of the design, encoder directions that are unknown, and excluded
+    effects.
+    """
     from heli_host.declaration import AXES
     from heli_sim.rig.encoders import direction_is_known
 
     lags_ms = [1e3 * plant.lag_s for plant in design.plants]
-    late = f", delay {1e3 * loop_effects.delay_s:.0f} ms" if loop_effects.delay_s else ""
+    delay_text = f", delay {1e3 * loop_effects.delay_s:.0f} ms" if loop_effects.delay_s else ""
     lines = [
         f"rig {rig.name}, model {model}: {len(design.plants)} plants, lag {min(lags_ms):.0f} to "
-        f"{max(lags_ms):.0f} ms{late}"
+        f"{max(lags_ms):.0f} ms{delay_text}"
     ]
-    undirected = [axis for axis, known in zip(AXES, direction_is_known(rig), strict=True) if not known]
-    if undirected:
+    unknown_axes = [
+        axis for axis, is_known in zip(AXES, direction_is_known(rig), strict=True) if not is_known
+    ]
+    if unknown_axes:
         lines.append(
-            f"the rig file states no encoder direction of {', '.join(undirected)}: the gains leave these "
+            f"the rig file states no encoder direction of {', '.join(unknown_axes)}: the gains leave these "
             "counts per turn as the board has them"
         )
     if loop_effects.excluded:
@@ -185,21 +191,25 @@ def _head(rig: Rig, model: str, design: Design, loop_effects: LoopEffects) -> li
 
 
 def _margin_lines(design: Design) -> list[str]:
+    """Return a table of the stability margins of each loop: at nominal thrust and mass, and the worst
+    case.
+    """
     from heli_lab.tune import LOOPS
 
-    nominal = [
+    nominal_plants = [
         index for index, plant in enumerate(design.plants) if plant.thrust == plant.counterweight == 1.0
     ]
-    chosen = [
-        (f"lag {1e3 * design.plants[index].lag_s:.0f} ms", [design.margins[index]]) for index in nominal
+    plant_rows = [
+        (f"lag {1e3 * design.plants[index].lag_s:.0f} ms", [design.margins[index]])
+        for index in nominal_plants
     ]
-    chosen.append(("worst case", design.margins))
+    plant_rows.append(("worst case", design.margins))
     lines = [f"{'loop':13}{'plant':13}{'gain up':>9}{'down':>8}{'phase':>9}{'delay':>10}{'peak S':>8}"]
     for loop in LOOPS:
-        for place, (label, margins) in enumerate(chosen):
+        for row, (label, margins) in enumerate(plant_rows):
             loop_margins = [margin[loop] for margin in margins]
             lines.append(
-                f"{loop if place == 0 else '':13}{label:13}"
+                f"{loop if row == 0 else '':13}{label:13}"
                 f"{min(margin.gain_up for margin in loop_margins):>9.2f}"
                 f"{max(margin.gain_down for margin in loop_margins):>8.2f}"
                 f"{min(margin.phase_deg for margin in loop_margins):>5.0f} deg"
@@ -209,9 +219,10 @@ def _margin_lines(design: Design) -> list[str]:
     return lines
 
 
-def _flight_lines(tried: Sequence[Trial]) -> list[str]:
+def _flight_lines(trials: Sequence[Trial]) -> list[str]:
+    """Return the outcome and step metrics of each simulated test flight as text."""
     lines = ["simulated test flights with the flight code, encoders and motor drivers:"]
-    for trial in tried:
+    for trial in trials:
         metrics = trial.metrics
         if metrics.outcome != "completed":
             lines.append(f"  {trial.label}: {metrics.outcome}")
@@ -235,8 +246,9 @@ def _numbers(
     design: Design,
     loop_effects: LoopEffects,
     parameters: Mapping[str, float],
-    tried: Sequence[Trial],
+    trials: Sequence[Trial],
 ) -> dict[str, Any]:
+    """Return design, margins and test flights as a JSON object."""
     from dataclasses import asdict
 
     plants = [
@@ -256,7 +268,7 @@ def _numbers(
         "sensitivity": design.sensitivity,
         "parameters": dict(parameters),
         "plants": plants,
-        "flights": [{"on": trial.label, **asdict(trial.metrics)} for trial in tried],
+        "flights": [{"on": trial.label, **asdict(trial.metrics)} for trial in trials],
     }
 
 

@@ -99,49 +99,52 @@ def twin(
         raise typer.BadParameter(f"--learn {learn} is not a TOML file; give a name that ends in .toml")
     check_result_places(learn, json, figure=figure)
     data_on_stdout(json)
-    chosen = open_rig(rig)
-    others = nominal or []
+    twin_rig = open_rig(rig)
+    nominal_paths = nominal or []
     reports: list[TwinReport] = []
     with WorkBar() as bar:
         bar.show("reading", 0.0)
-        read = [read_flight(path, allow_gaps=True) for path in others]
-        labels = [path.name for path in others]
+        nominal_flights = [read_flight(path, allow_gaps=True) for path in nominal_paths]
+        labels = [path.name for path in nominal_paths]
         if learn is not None:
-            calibration = learn_calibration(chosen.model, chosen.rig, read, labels, say=bar.show)
-            write_calibration(learn, calibration, chosen.name)
-            chosen = replace(chosen, calibration=calibration)
-        elif others:
-            disturbances, uncertainty = learn_rig(chosen.model, chosen.rig, read, labels)
-            calibration = replace(chosen.calibration, disturbances=disturbances, uncertainty=uncertainty)
-            chosen = replace(chosen, calibration=calibration)
+            calibration = learn_calibration(
+                twin_rig.model, twin_rig.rig, nominal_flights, labels, say=bar.show
+            )
+            write_calibration(learn, calibration, twin_rig.name)
+            twin_rig = replace(twin_rig, calibration=calibration)
+        elif nominal_paths:
+            disturbances, uncertainty = learn_rig(twin_rig.model, twin_rig.rig, nominal_flights, labels)
+            calibration = replace(twin_rig.calibration, disturbances=disturbances, uncertainty=uncertainty)
+            twin_rig = replace(twin_rig, calibration=calibration)
         for path in flights or ():
             bar.show(f"following {path.name}", 0.9)
-            reports.append(monitor_file(chosen, path, false_alarm_interval_h, start_s, stop_s))
-    written: list[Path | None] = [learn]
+            reports.append(monitor_file(twin_rig, path, false_alarm_interval_h, start_s, stop_s))
+    output_files: list[Path | None] = [learn]
     for flight in reports:
         say(*(f"{flight.label}: {text}" for text in flight.sentences()))
-        if flight.flown_rig not in ("", chosen.rig.name, Path(chosen.name).stem):
+        if flight.flown_rig not in ("", twin_rig.rig.name, Path(twin_rig.name).stem):
             say(
                 f"{flight.label} is a flight of rig {flight.flown_rig}, "
-                f"but the twin is of rig {chosen.rig.name}; give the right one with --rig"
+                f"but the twin is of rig {twin_rig.rig.name}; give the right one with --rig"
             )
-    if others and has_few_disturbances(chosen.calibration.disturbances):
+    if nominal_paths and has_few_disturbances(twin_rig.calibration.disturbances):
         say(
             "the nominal flights have almost no disturbances, so every later gust raises an alarm; "
             "give more flights"
         )
-    threshold_nats = chosen.calibration.threshold_nats(false_alarm_interval_h)
-    rate = _rate(chosen.calibration.tail, false_alarm_interval_h)
-    say(f"alarm threshold: {threshold_nats:.1f} nats, {rate}; {_source(chosen)}")
-    write_result(json, _numbers(chosen, reports, false_alarm_interval_h))
-    written.append(json)
+    threshold_nats = twin_rig.calibration.threshold_nats(false_alarm_interval_h)
+    false_alarm_text = _false_alarm_text(twin_rig.calibration.tail, false_alarm_interval_h)
+    say(f"alarm threshold: {threshold_nats:.1f} nats, {false_alarm_text}; {_calibration_source(twin_rig)}")
+    write_result(json, _numbers(twin_rig, reports, false_alarm_interval_h))
+    output_files.append(json)
     if figure is not None and reports:
         draw_evidence(reports, figure)
-        written.append(figure)
-    say_files(written)
+        output_files.append(figure)
+    say_files(output_files)
 
 
-def _rate(tail: Tail, false_alarm_interval_h: float) -> str:
+def _false_alarm_text(tail: Tail, false_alarm_interval_h: float) -> str:
+    """State the interval between false alarms that the healthy flights support."""
     if tail.supported_interval_h >= false_alarm_interval_h:
         return f"one false alarm in {false_alarm_interval_h:g} h in the air"
     return (
@@ -150,20 +153,22 @@ def _rate(tail: Tail, false_alarm_interval_h: float) -> str:
     )
 
 
-def _source(chosen: TwinRig) -> str:
+def _calibration_source(twin_rig: TwinRig) -> str:
+    """State the origin of disturbances and threshold."""
     return (
-        f"disturbances and threshold from {chosen.calibration.source}"
-        if chosen.calibration.source
+        f"disturbances and threshold from {twin_rig.calibration.source}"
+        if twin_rig.calibration.source
         else "default disturbances"
     )
 
 
-def _numbers(chosen: TwinRig, flights: list[TwinReport], false_alarm_interval_h: float) -> dict[str, Any]:
-    disturbances = chosen.calibration.disturbances
+def _numbers(twin_rig: TwinRig, flights: list[TwinReport], false_alarm_interval_h: float) -> dict[str, Any]:
+    """Return threshold, disturbances, alarms and rankings as a JSON object."""
+    disturbances = twin_rig.calibration.disturbances
     return {
-        "rig": chosen.name,
+        "rig": twin_rig.name,
         "false_alarm_interval_h": false_alarm_interval_h,
-        "threshold_nats": chosen.calibration.threshold_nats(false_alarm_interval_h),
+        "threshold_nats": twin_rig.calibration.threshold_nats(false_alarm_interval_h),
         "disturbances": {
             "fast_std_Nm": disturbances.fast_std.tolist(),
             "correlation_time_s": disturbances.correlation_time_s.tolist(),

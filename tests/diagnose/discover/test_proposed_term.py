@@ -13,9 +13,9 @@ import pytest
 from heli_host.log.table import write_csv
 from heli_lab.diagnose import to_json
 from heli_lab.diagnose.discover import discover
-from heli_lab.diagnose.discover.equation import Equation, EquationTerm, Group, equation_effect
+from heli_lab.diagnose.discover.equation import Equation, EquationTerm, TermGroup, equation_effect
 from heli_lab.diagnose.discover.equation_refit import EquationRefits, RefittedEquation
-from heli_lab.diagnose.discover.scoring import ScoredGroup, TermSignals, score
+from heli_lab.diagnose.discover.scoring import ScoredTermGroup, TermSignals, score
 from heli_lab.diagnose.discover.symbolic_regression import EquationSearch, free_name
 from heli_lab.diagnose.discover.terms import Factor, Term
 from heli_lab.diagnose.evaluate import failing_regions
@@ -128,9 +128,9 @@ def test_second_equation_gets_another_name() -> None:
     assert len(MultibodyModel(tuple(two)).parameters) == len(MultibodyModel().parameters) + 2
 
 
-def scored_as(channel: str, quantity: str, nats: float) -> ScoredGroup:
-    group = Group((EquationTerm(channel, Term((Factor("linear", quantity),))),), 1)
-    return ScoredGroup(group, nats, np.ones(1), (1.0,))
+def scored_as(channel: str, quantity: str, nats: float) -> ScoredTermGroup:
+    group = TermGroup((EquationTerm(channel, Term((Factor("linear", quantity),))),), 1)
+    return ScoredTermGroup(group, nats, np.ones(1), (1.0,))
 
 
 def equation_search(base: Hypothesis) -> EquationSearch:
@@ -181,7 +181,7 @@ def test_scores_of_all_channels_are_those_of_the_effect_itself() -> None:
         EquationTerm("measurement.pitch", Term((Factor("linear", "travel"),))),
     ]
     for term in every:
-        (scored,) = score(screening, signals, [Group((term,), 1)])
+        (scored,) = score(screening, signals, [TermGroup((term,), 1)])
         equation = Equation((term,))
         effect = equation_effect(equation, dict(zip(equation.coefficients, scored.prior_std, strict=True)))
         linear = tuple(f"proposed_term_{name}" for name in equation.coefficients)
@@ -212,7 +212,7 @@ def test_a_right_model_fails_nowhere_in_95_percent_of_all_cases() -> None:
     alarms = 0
     for _ in range(200):
         white = rng.standard_normal(rows)
-        screening._error = [white - nuisance @ screening._solved(nuisance.T @ white)]
+        screening._error = [white - nuisance @ screening._solve(nuisance.T @ white)]
         parts = screening.projected(only, [1] * cells.shape[1])
         z = np.array([gradient[0] / np.sqrt(information[0, 0]) for information, gradient in parts])
         p = 2.0 * ndtr(-np.abs(z))
@@ -283,7 +283,7 @@ def test_sine_and_cosine_of_a_wave_share_their_whole_number(monkeypatch: pytest.
         lambda equation, signals, start, *rest: SimpleNamespace(log_likelihood=99.0, start=start),
     )
     refitted = RefittedEquation(
-        equation, cast(Hypothesis, refitted_hypothesis), 20.0, Group(equation.terms, 2)
+        equation, cast(Hypothesis, refitted_hypothesis), 20.0, TermGroup(equation.terms, 2)
     )
     whole = refits.with_whole_periods(refitted, cast(TermSignals, None))
     assert whole.held == {"k1", "k2"}

@@ -14,7 +14,7 @@ from heli_lab.diagnose.discover.equation import (
     equation_effect,
     rotor_signs,
 )
-from heli_lab.diagnose.discover.grammar import groups, tried_up_to
+from heli_lab.diagnose.discover.grammar import count_by_complexity, groups
 from heli_lab.diagnose.discover.notation import effect_file, expression
 from heli_lab.diagnose.discover.terms import FORMS, SYMBOLS, Factor, Term
 from heli_lab.diagnose.discover.units import Unit
@@ -32,7 +32,7 @@ FIRST_OF_FORM = {
 OF_EACH_SORT = (
     *EVERY[::97],
     *FIRST_OF_FORM.values(),
-    *(group for group in EVERY if any(f.memory for term in group.terms for f in term.term.factors)),
+    *(group for group in EVERY if any(f.lag_filter for term in group.terms for f in term.term.factors)),
 )[:76]
 
 
@@ -82,7 +82,7 @@ def test_thousands_of_terms_are_tried_on_every_kind_of_channel_and_none_twice() 
         "voltage",
         "measurement",
     }
-    counts = tried_up_to(EVERY)
+    counts = count_by_complexity(EVERY)
     assert list(counts.values()) == sorted(counts.values())
     assert max(counts.values()) == len(EVERY)
     assert all(len(group.terms) <= 2 and len(group.terms[0].term.factors) <= 3 for group in EVERY)
@@ -97,7 +97,7 @@ def test_what_sympy_reads_is_what_is_computed_along_a_flight() -> None:
     for group in OF_EACH_SORT:
         equation = Equation(group.terms)
         known = dict.fromkeys(equation.coefficients, 0.7) | {
-            name: v for _, _, _, name, v, _ in equation.inner()
+            name: v for _, _, _, name, v, _ in equation.inner_parameters()
         }
         channel = equation.channels[0]
         names = {name: sympy.Symbol(name) for name in (*values, *known)}
@@ -108,7 +108,7 @@ def test_what_sympy_reads_is_what_is_computed_along_a_flight() -> None:
         for term in equation.terms:
             value = 0.7
             for factor in term.term.factors:
-                still = 0.0 if factor.memory == "washout" else values[factor.quantity]
+                still = 0.0 if factor.lag_filter == "washout" else values[factor.quantity]
                 value *= float(factor.value(np, still))
             wanted += value
         assert float(read) == pytest.approx(wanted, rel=1e-9, abs=1e-12), group.key

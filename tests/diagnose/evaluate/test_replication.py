@@ -49,7 +49,7 @@ def judged(
         ratio = float(np.mean(worst)) if reverse else 0.1
         return {"pitch": ErrorReduction(1.0, ratio, worst if reverse else (0.05, 0.2))}
 
-    monkeypatch.setattr(replication._Judge, "reductions", reductions)
+    monkeypatch.setattr(replication._CauseSubsets, "reductions", reductions)
     return replicate(comparison, diagnosis.search, diagnosis.assessment, diagnosis.held_out)
 
 

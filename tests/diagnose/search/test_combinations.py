@@ -26,7 +26,7 @@ def hypothesis(*ids: str) -> Hypothesis:
 
 def test_effects_in_the_place_of_an_equation_may_join_its_causes() -> None:
     listed = ListedEffects(cast(Any, None), hypothesis("input_delay"), KINDS, lambda _: None)
-    ids = {kind.id for kind in listed.remaining}
+    ids = {kind.id for kind in listed.eligible_effects}
     assert not ids & {"input_delay", "rotor_lag_with_delay"}
     assert ids >= {"rotor_lag", "rotor_speed_lag", "axis_tilt"}
 

@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from heli_lab.diagnose.search import ModelComparison, Screening
-from heli_lab.diagnose.search.concentrated_score import concentrated, with_concentrated_scores
+from heli_lab.diagnose.search.concentrated_score import concentrated_scores, with_concentrated_scores
 from heli_lab.identify import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
@@ -35,7 +35,7 @@ def test_concentrated_score_of_a_slip_predicts_the_gain_of_its_refit(comparison:
     base = comparison.refit([])
     screening = Screening(base.estimate)
     (plain,) = screening.effects([KIND])
-    (found,) = concentrated(screening, [plain])
+    (found,) = concentrated_scores(screening, [plain])
     made = comparison.refit([found.candidate], found.candidate.start_values(found.coefficients), base)
     gain = made.log_likelihood - base.log_likelihood
     assert 1.5 * plain.log_likelihood_gain < found.log_likelihood_gain

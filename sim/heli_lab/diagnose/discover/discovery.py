@@ -93,15 +93,15 @@ class Discovery:
             for q in self.effect.parameters
         }
 
-    def with_numbers(self, number: int) -> EquationTerm:
-        """Term `number`, from 0, with the refitted values of its inner parameters."""
+    def with_estimated_parameters(self, number: int) -> EquationTerm:
+        """Return term `number`, from 0, with the estimates of its inner parameters."""
         term, values = self.equation.terms[number], self.values
         factors = tuple(
             replace(
                 factor,
-                numbers=tuple(
+                parameters=tuple(
                     (inner_name, values[name][0])
-                    for inner_name, name in self.equation.numbers_of(number, j).items()
+                    for inner_name, name in self.equation.inner_names(number, j).items()
                 ),
             )
             for j, factor in enumerate(term.term.factors)

@@ -31,14 +31,14 @@ def accelerations(estimate: Estimate, name: str, index: int = 0) -> tuple[Floats
     """
     linear = estimate.filtered().linearised_flights[index]
     model = linear.model.source
-    less = type(model)(tuple(effect for effect in model.effects if effect.name != name))
+    reduced_model = type(model)(tuple(effect for effect in model.effects if effect.name != name))
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
     states = [state.name for state in model.states]
     names = [quantity.name for quantity in model.parameters]
-    x_less = ca.vertcat(*(x[states.index(state.name)] for state in less.states))
-    p_less = ca.vertcat(*(p[names.index(q.name)] for q in less.parameters))
-    change = model.dynamics(x, u, p, t)[3:6] - less.dynamics(x_less, u, p_less, t)[3:6]
-    function = ca.Function("change", [x, u, t, p], [ca.densify(change)])
-    (result,) = AlongTrajectory(function)(linear.trajectory)
-    return linear.trajectory.t_s, np.ascontiguousarray(result[:, :, 0])
+    reduced_x = ca.vertcat(*(x[states.index(state.name)] for state in reduced_model.states))
+    reduced_p = ca.vertcat(*(p[names.index(q.name)] for q in reduced_model.parameters))
+    change_rad_s2 = model.dynamics(x, u, p, t)[3:6] - reduced_model.dynamics(reduced_x, u, reduced_p, t)[3:6]
+    function = ca.Function("change", [x, u, t, p], [ca.densify(change_rad_s2)])
+    (values,) = AlongTrajectory(function)(linear.trajectory)
+    return linear.trajectory.t_s, np.ascontiguousarray(values[:, :, 0])

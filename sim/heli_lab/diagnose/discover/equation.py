@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import casadi as ca
 from heli_sim.model.effect import Effect, Operands, Stage
@@ -35,8 +35,8 @@ _MIN_s, _MAX_s = 0.02, 5.0
 
 
 def rotor_signs(channel: str) -> tuple[int, int]:
-    """Signs, 1, 0 or -1, with which a term of a thrust or voltage `channel` acts on the front and back
-    rotor.
+    """Return the signs, 1, 0 or -1, with which a term of a thrust or voltage `channel` acts on the front
+    rotor and on the back rotor.
     """
     return _ROTORS[channel.partition(".")[2]]
 
@@ -67,6 +67,27 @@ class EquationTerm:
         return f"{self.channel}: {self.term.key}"
 
 
+class InnerParameter(NamedTuple):
+    """Parameter inside a function of an equation, such as the periods per turn of a sine.
+
+    Parameters
+    ----------
+    term, factor : int
+        Index of the term in the equation, and of the factor in the term.
+    name_in_factor, name : str
+        Name in the factor, such as ``k``, and in the equation, such as ``k1b``.
+    value : float
+        Value in the grammar, in `unit`.
+    """
+
+    term: int
+    factor: int
+    name_in_factor: str
+    name: str
+    value: float
+    unit: Unit
+
+
 @dataclass(frozen=True)
 class Equation:
     """A sum of terms on one or more channels."""
@@ -88,47 +109,49 @@ class Equation:
         ``c1_Nm_per_rad``.
         """
         unit = str(self.terms[number].coefficient_unit)
-        spelled = unit.replace(" ", "").replace("/", "_per_").removeprefix("1_")
-        return f"c{number + 1}" + ("" if unit == "1" else f"_{spelled}")
+        unit_suffix = unit.replace(" ", "").replace("/", "_per_").removeprefix("1_")
+        return f"c{number + 1}" + ("" if unit == "1" else f"_{unit_suffix}")
 
     @property
     def coefficients(self) -> tuple[str, ...]:
         """Names of all coefficients, in the order of the terms."""
         return tuple(self.coefficient(i) for i in range(len(self.terms)))
 
-    def inner(self) -> Iterator[tuple[int, int, str, str, float, Unit]]:
-        """Yield the inner parameters: index of term and factor, name in the factor, name in the equation,
-        value, unit.
-        """
+    def inner_parameters(self) -> Iterator[InnerParameter]:
+        """Yield the parameters inside the functions, in the order of terms and factors."""
         for i, term in enumerate(self.terms):
             for j, factor in enumerate(term.term.factors):
-                for name, value in factor.numbers:
-                    unit = factor.number_unit(name)
-                    spelled = "" if str(unit) == "1" else "_" + str(unit).replace("/", "_per_")
+                for name, value in factor.parameters:
+                    unit = factor.parameter_unit(name)
+                    unit_suffix = "" if str(unit) == "1" else "_" + str(unit).replace("/", "_per_")
                     word = "lag" if name == "s" else name
-                    yield i, j, name, f"{word}{_place(i, j)}{spelled}", value, unit
+                    yield InnerParameter(i, j, name, f"{word}{_factor_label(i, j)}{unit_suffix}", value, unit)
 
-    def numbers_of(self, i: int, j: int) -> dict[str, str]:
-        """Names in the equation of the inner parameters of factor `j` of term `i`, by their names in the
-        factor.
+    def inner_names(self, i: int, j: int) -> dict[str, str]:
+        """Return the names in the equation of the inner parameters of factor `j` of term `i`, by their names
+        in the factor.
         """
-        return {inner_name: name for a, b, inner_name, name, _, _ in self.inner() if (a, b) == (i, j)}
+        return {
+            parameter.name_in_factor: parameter.name
+            for parameter in self.inner_parameters()
+            if (parameter.term, parameter.factor) == (i, j)
+        }
 
 
 @dataclass(frozen=True)
-class Group:
+class TermGroup:
     """Terms that are scored together, as one.
 
     Parameters
     ----------
     terms : tuple of EquationTerm
         A single term, or sine and cosine of one angle: a wave of any phase.
-    size : int
-        Complexity: number of factors, of functions other than the identity, and of lags.
+    complexity : int
+        Number of factors, of functions other than the identity, and of lags.
     """
 
     terms: tuple[EquationTerm, ...]
-    size: int
+    complexity: int
 
     @property
     def key(self) -> str:
@@ -136,13 +159,16 @@ class Group:
         return "; ".join(term.key for term in self.terms)
 
 
-def _place(i: int, j: int) -> str:
+def _factor_label(i: int, j: int) -> str:
+    """Return the label of factor `j` of term `i` in names: ``1``, ``1b``, ``1c`` for the factors of term
+    0.
+    """
     return f"{i + 1}{'' if j == 0 else chr(97 + j)}"
 
 
-def memory_name(i: int, j: int) -> str:
+def lag_state_name(i: int, j: int) -> str:
     """Name of the lag state of factor `j` of term `i`, without prefix and rotor."""
-    return f"memory{_place(i, j)}"
+    return f"memory{_factor_label(i, j)}"
 
 
 @dataclass(frozen=True)
@@ -164,55 +190,61 @@ class EquationEffect(Effect):
     def __hash__(self) -> int:
         return hash((self.name, self.equation, frozenset(self.values.items())))
 
-    def _values(self, at: Operands, kind: str) -> Iterator[tuple[str, ca.SX]]:
-        """Channel and value of each term, coefficient included, on a kind of channel."""
+    def _channel_values(self, at: Operands, kind: str) -> Iterator[tuple[str, ca.SX]]:
+        """Yield channel and value of each term, coefficient included, on channels of a kind such as
+        ``torque``.
+        """
         for i, term in enumerate(self.equation.terms):
             if not term.channel.startswith(kind):
                 continue
             value = self.own(at, self.equation.coefficient(i))
             for j, factor in enumerate(term.term.factors):
-                value = value * self._factor(at, i, j, factor)
+                value = value * self._factor_value(at, i, j, factor)
             yield term.channel, value
 
-    def _factor(self, at: Operands, i: int, j: int, factor: Factor) -> ca.SX:
+    def _factor_value(self, at: Operands, i: int, j: int, factor: Factor) -> ca.SX:
+        """Return the value of factor `j` of term `i`, shape (1, 1), or (2, 1) if each rotor has its own."""
         x = SYMBOLS[factor.quantity].value(at)
-        if factor.memory:
-            late = self._memory(at, i, j, factor)
-            x = late if factor.memory == "lag" else late - x
-        names = self.equation.numbers_of(i, j)
-        numbers = {inner_name: self.own(at, name) for inner_name, name in names.items()}
-        value: ca.SX = factor.value(ca, x, numbers)
+        if factor.lag_filter:
+            lagged = self._lag_state(at, i, j, factor)
+            x = lagged if factor.lag_filter == "lag" else lagged - x
+        names = self.equation.inner_names(i, j)
+        parameters = {inner_name: self.own(at, name) for inner_name, name in names.items()}
+        value: ca.SX = factor.value(ca, x, parameters)
         return value
 
-    def _memory(self, at: Operands, i: int, j: int, factor: Factor) -> ca.SX:
-        name = memory_name(i, j)
-        if not factor.each:
+    def _lag_state(self, at: Operands, i: int, j: int, factor: Factor) -> ca.SX:
+        """Return the state of the first-order lag of a factor, shape (1, 1), or (2, 1) if each rotor has
+        its own.
+        """
+        name = lag_state_name(i, j)
+        if not factor.per_rotor:
             return self.own(at, name)
         return ca.vertcat(self.own(at, f"{name}_front"), self.own(at, f"{name}_back"))
 
     def torque_Nm(self, at: Operands) -> ca.SX:
         """Torques of the equation [N m], shape (3, 1); see `Effect.torque_Nm`."""
-        parts: dict[str, ca.SX] = {}
-        for channel, value in self._values(at, "torque"):
+        torque_by_axis: dict[str, ca.SX] = {}
+        for channel, value in self._channel_values(at, "torque"):
             axis = channel.partition(".")[2]
-            parts[axis] = parts.get(axis, ca.SX(0)) + value
-        return ca.vertcat(*(parts.get(axis, ca.SX(0)) for axis in AXES))
+            torque_by_axis[axis] = torque_by_axis.get(axis, ca.SX(0)) + value
+        return ca.vertcat(*(torque_by_axis.get(axis, ca.SX(0)) for axis in AXES))
 
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         """Thrusts with the terms of the equation [N], shape (2, 1); see `Effect.thrust_N`."""
-        for channel, value in self._values(at, "thrust"):
+        for channel, value in self._channel_values(at, "thrust"):
             thrust_N = thrust_N + ca.DM(rotor_signs(channel)) * value
         return thrust_N
 
     def voltage_V(self, at: Operands, volts_V: ca.SX) -> ca.SX:
         """Voltages with the terms of the equation [V], shape (2, 1); see `Effect.voltage_V`."""
-        for channel, value in self._values(at, "voltage"):
+        for channel, value in self._channel_values(at, "voltage"):
             volts_V = volts_V + ca.DM(rotor_signs(channel)) * value
         return volts_V
 
     def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
         """Measured angles with the terms of the equation [rad], shape (3, 1); see `Effect.measured_rad`."""
-        for channel, value in self._values(at, "measurement"):
+        for channel, value in self._channel_values(at, "measurement"):
             axis = channel.partition(".")[2]
             angles_rad = angles_rad + ca.vertcat(*(value if axis == other else ca.SX(0) for other in AXES))
         return angles_rad
@@ -222,10 +254,10 @@ class EquationEffect(Effect):
         rates = []
         for i, term in enumerate(self.equation.terms):
             for j, factor in enumerate(term.term.factors):
-                if factor.memory:
-                    late = self._memory(at, i, j, factor)
-                    lag_s = self.own(at, self.equation.numbers_of(i, j)["s"])
-                    rates.append((SYMBOLS[factor.quantity].value(at) - late) / lag_s)
+                if factor.lag_filter:
+                    lagged = self._lag_state(at, i, j, factor)
+                    lag_s = self.own(at, self.equation.inner_names(i, j)["s"])
+                    rates.append((SYMBOLS[factor.quantity].value(at) - lagged) / lag_s)
         return ca.vertcat(*rates)
 
 
@@ -250,23 +282,27 @@ def equation_effect(
     """
     prefix = name.replace(".", "_")
     values, priors, parameters = dict[str, float](), dict[str, Prior](), []
-    for what, term in zip(equation.coefficients, equation.terms, strict=True):
-        full = f"{prefix}_{what}"
-        parameters.append(Quantity(full, str(term.coefficient_unit), f"coefficient of {term.term.key}"))
-        values[full], priors[full] = 0.0, Prior(0.0, prior_std[what])
-    for i, j, inner_name, what, value, unit in equation.inner():
-        full = f"{prefix}_{what}"
-        factor = equation.terms[i].term.factors[j]
-        parameters.append(Quantity(full, str(unit), f"{inner_name} of {factor.form} of {factor.quantity}"))
-        values[full] = value
-        if what not in (held or {}) and not (factor.form == "sign" and inner_name == "width"):
-            priors[full] = inner_prior(factor, inner_name, value)
+    for coefficient, term in zip(equation.coefficients, equation.terms, strict=True):
+        full_name = f"{prefix}_{coefficient}"
+        parameters.append(Quantity(full_name, str(term.coefficient_unit), f"coefficient of {term.term.key}"))
+        values[full_name], priors[full_name] = 0.0, Prior(0.0, prior_std[coefficient])
+    for inner in equation.inner_parameters():
+        full_name = f"{prefix}_{inner.name}"
+        factor = equation.terms[inner.term].term.factors[inner.factor]
+        meaning = f"{inner.name_in_factor} of {factor.form} of {factor.quantity}"
+        parameters.append(Quantity(full_name, str(inner.unit), meaning))
+        values[full_name] = inner.value
+        is_sign_width = factor.form == "sign" and inner.name_in_factor == "width"
+        if inner.name not in (held or {}) and not is_sign_width:
+            priors[full_name] = inner_prior(factor, inner.name_in_factor, inner.value)
     states = [
-        Quantity(f"{prefix}_{memory_name(i, j)}{rotor}", str(SYMBOLS[factor.quantity].unit), "a lagged copy")
+        Quantity(
+            f"{prefix}_{lag_state_name(i, j)}{rotor}", str(SYMBOLS[factor.quantity].unit), "a lagged copy"
+        )
         for i, term in enumerate(equation.terms)
         for j, factor in enumerate(term.term.factors)
-        if factor.memory
-        for rotor in (("_front", "_back") if factor.each else ("",))
+        if factor.lag_filter
+        for rotor in (("_front", "_back") if factor.per_rotor else ("",))
     ]
     return EquationEffect(
         name,
@@ -280,8 +316,8 @@ def equation_effect(
 
 
 def inner_prior(factor: Factor, inner_name: str, value: float) -> Prior:
-    """Prior of the inner parameter `inner_name` of a `factor`: mean `value` from the grid, as wide as the
-    grid.
+    """Return the prior of the parameter `inner_name` of a `factor`: its mean is `value`, from the grammar,
+    and its width the step of the grammar's grid.
     """
     if inner_name == "s":
         return Prior(value, value, _MIN_s, _MAX_s)
@@ -289,7 +325,7 @@ def inner_prior(factor: Factor, inner_name: str, value: float) -> Prior:
         return Prior(value, 0.3 * value, 0.3 * value, 3.0 * value)
     if inner_name == "slack":
         return Prior(value, 0.5 * value, 0.3 * value, 2.0 * value)
-    width = dict(factor.numbers)["width"]
+    width = dict(factor.parameters)["width"]
     if inner_name == "place":
         return Prior(value, width, value - 4.0 * width, value + 4.0 * width)
     return Prior(value, 0.5 * value, 0.2 * value, 5.0 * value)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from heli_lab.diagnose.discover.equation import Equation, Group, equation_effect
-from heli_lab.diagnose.discover.scoring import ScoredGroup, TermSignals, term_coefficient_std
+from heli_lab.diagnose.discover.equation import Equation, TermGroup, equation_effect
+from heli_lab.diagnose.discover.scoring import ScoredTermGroup, TermSignals, term_coefficient_std
 from heli_lab.diagnose.search import Candidate, Hypothesis, ModelComparison
 from heli_lab.diagnose.thresholds import MIN_MARGIN, NEAR_REST_NATS, SIGNIFICANT_STD_ERRORS
 
@@ -35,7 +35,7 @@ class RefittedEquation:
     equation: Equation
     hypothesis: Hypothesis
     penalty: float
-    group: Group
+    group: TermGroup
     held: frozenset[str] = frozenset()
 
     @property
@@ -82,19 +82,21 @@ class EquationRefits:
     name: str
     tried: dict[int, int] = field(default_factory=dict)
 
-    def penalty(self, group: Group, equation: Equation, held: frozenset[str]) -> float:
+    def penalty(self, group: TermGroup, equation: Equation, held: frozenset[str]) -> float:
         """Complexity penalty, in nats, of the terms of a `group` in an `equation`: BIC for its parameters
         that are not `held`, and the logarithm of the number of groups tried.
         """
-        free = len(group.terms) + sum(
-            1
-            for i, j, inner_name, name, _, _ in equation.inner()
-            if name not in held
-            and equation.terms[i] in group.terms
-            and not (inner_name == "width" and equation.terms[i].term.factors[j].form == "sign")
+        free_count = len(group.terms)
+        for inner in equation.inner_parameters():
+            term = equation.terms[inner.term]
+            form = term.term.factors[inner.factor].form
+            is_sign_width = inner.name_in_factor == "width" and form == "sign"
+            free_count += inner.name not in held and term in group.terms and not is_sign_width
+        near_rest_nats = sum(
+            NEAR_REST_NATS for term in group.terms if _on_own_rate(term.channel, term.term.key)
         )
-        rest = sum(NEAR_REST_NATS for term in group.terms if _on_own_rate(term.channel, term.term.key))
-        return 0.5 * free * math.log(self.comparison.rows) + math.log(self.tried[group.size]) + rest
+        bic_nats = 0.5 * free_count * math.log(self.comparison.rows)
+        return bic_nats + math.log(self.tried[group.complexity]) + near_rest_nats
 
     def refit(
         self,
@@ -121,15 +123,24 @@ class EquationRefits:
         """
         effect = equation_effect(equation, self.prior_std(equation, signals), dict.fromkeys(held), self.name)
         values = {f"{effect.prefix}_{name}": value for name, value in start.items()}
-        fixed = {n: v for n, v in values.items() if n in effect.values and n not in effect.priors}
-        effect = replace(effect, values={**effect.values, **fixed})
-        linear = tuple(f"{effect.prefix}_{name}" for name in equation.coefficients)
-        text = f"equation:{equation.key}" + "".join(f" [{n}={start[n]:g}]" for n in sorted(held))
-        candidate = Candidate(text, effect, linear)
+        # Parameters without a prior are not estimated.
+        fixed_values = {
+            name: value
+            for name, value in values.items()
+            if name in effect.values and name not in effect.priors
+        }
+        effect = replace(effect, values={**effect.values, **fixed_values})
+        linear_names = tuple(f"{effect.prefix}_{name}" for name in equation.coefficients)
+        key = f"equation:{equation.key}" + "".join(f" [{n}={start[n]:g}]" for n in sorted(held))
+        candidate = Candidate(key, effect, linear_names)
         return self.comparison.refit([*self.base.candidates, candidate], values, warm_start)
 
     def refit_extended(
-        self, scored: ScoredGroup, equation: Equation, known: RefittedEquation | None, signals: TermSignals
+        self,
+        scored: ScoredTermGroup,
+        equation: Equation,
+        current: RefittedEquation | None,
+        signals: TermSignals,
     ) -> RefittedEquation:
         """Refit an equation that has one more group of terms.
 
@@ -139,32 +150,32 @@ class EquationRefits:
             The group, with its score test.
         equation : Equation
             The equation with the group's terms at its end.
-        known : RefittedEquation or None
+        current : RefittedEquation or None
             The equation without them; None if it has no other terms.
         signals : TermSignals
             Terms along the flights.
         """
-        start = known.values if known else {}
-        first = len(equation.terms) - len(scored.group.terms)
+        start = current.values if current else {}
+        first_new = len(equation.terms) - len(scored.group.terms)
         for i, value in enumerate(scored.coefficients):
-            start[equation.coefficient(first + i)] = float(value)
-        # Disturbances of the base would replace the known terms once more: start from those that remain with
-        # these terms.
-        warm_start = known.hypothesis if known else self.base
-        held = known.held if known else frozenset()
+            start[equation.coefficient(first_new + i)] = float(value)
+        # Disturbances of the base would explain the torque of the current terms: start from those that remain
+        # with these terms.
+        warm_start = current.hypothesis if current else self.base
+        held = current.held if current else frozenset()
         hypothesis = self.refit(equation, signals, start, warm_start, held)
-        penalty = self.penalty(scored.group, equation, held) + (known.penalty if known else 0.0)
+        penalty = self.penalty(scored.group, equation, held) + (current.penalty if current else 0.0)
         return RefittedEquation(equation, hypothesis, penalty, scored.group, held)
 
     def prior_std(self, equation: Equation, signals: TermSignals) -> dict[str, float]:
         """Prior standard deviations of the coefficients of an `equation`, by name without prefix, from the
         size of its terms in `signals`.
         """
-        errors = {}
+        prior_std = {}
         for name, term in zip(equation.coefficients, equation.terms, strict=True):
             values = np.concatenate([signals.values(i, term) for i in range(len(signals.linearised_flights))])
-            errors[name] = term_coefficient_std(term, max(float(np.sqrt(np.mean(values**2))), 1e-9))
-        return errors
+            prior_std[name] = term_coefficient_std(term, max(float(np.sqrt(np.mean(values**2))), 1e-9))
+        return prior_std
 
     def simplified(self, best: RefittedEquation, signals: TermSignals) -> RefittedEquation:
         """Simplify the equation `best` as far as the likelihood allows, with its terms in `signals`: whole
@@ -174,36 +185,40 @@ class EquationRefits:
         while len(best.equation.terms) > 1:
             estimates = best.estimates
             names = best.equation.coefficients
-            z = [abs(estimates[name][0]) / estimates[name][1] for name in names]
-            weakest = min(range(len(names)), key=lambda i: z[i])
+            t_ratios = [abs(estimates[name][0]) / estimates[name][1] for name in names]
+            weakest = min(range(len(names)), key=lambda i: t_ratios[i])
             value, std = estimates[names[weakest]]
             if abs(value) > SIGNIFICANT_STD_ERRORS * std:
                 break
-            less = self._without(best, weakest, signals)
-            if less.margin <= best.margin:
+            shorter = self._without(best, weakest, signals)
+            if shorter.margin <= best.margin:
                 break
-            best = self.with_whole_periods(less, signals)
+            best = self.with_whole_periods(shorter, signals)
         return best
 
     def _without(self, refitted: RefittedEquation, number: int, signals: TermSignals) -> RefittedEquation:
-        """The equation without one of its terms; the parameters of later terms get new names."""
-        gone = refitted.equation.terms[number]
+        """Refit an equation without the term of index `number`; later terms and their parameters get new
+        names.
+        """
+        removed_term = refitted.equation.terms[number]
         equation = Equation(tuple(term for i, term in enumerate(refitted.equation.terms) if i != number))
-        values, held = refitted.values, set[str]()
-        renamed = dict[str, float]()
+        old_values = refitted.values
+        start, held = dict[str, float](), set[str]()
         for i in range(len(equation.terms)):
-            old = i + (i >= number)
-            renamed[equation.coefficient(i)] = values[refitted.equation.coefficient(old)]
+            old_i = i if i < number else i + 1
+            start[equation.coefficient(i)] = old_values[refitted.equation.coefficient(old_i)]
             for j in range(len(equation.terms[i].term.factors)):
-                for inner_name, name in refitted.equation.numbers_of(old, j).items():
-                    new = equation.numbers_of(i, j)[inner_name]
-                    renamed[new] = values[name]
-                    held |= {new} if name in refitted.held else set()
+                new_names = equation.inner_names(i, j)
+                for inner_name, old_name in refitted.equation.inner_names(old_i, j).items():
+                    start[new_names[inner_name]] = old_values[old_name]
+                    if old_name in refitted.held:
+                        held.add(new_names[inner_name])
         group = refitted.group
         penalty = refitted.penalty - 0.5 * math.log(self.comparison.rows)
-        if gone in group.terms:
-            group = Group(tuple(term for term in group.terms if term != gone), group.size)
-        hypothesis = self.refit(equation, signals, renamed, self.base, frozenset(held))
+        if removed_term in group.terms:
+            remaining_terms = tuple(term for term in group.terms if term != removed_term)
+            group = TermGroup(remaining_terms, group.complexity)
+        hypothesis = self.refit(equation, signals, start, self.base, frozenset(held))
         return RefittedEquation(equation, hypothesis, penalty, group, frozenset(held))
 
     def with_whole_periods(self, refitted: RefittedEquation, signals: TermSignals) -> RefittedEquation:
@@ -211,26 +226,28 @@ class EquationRefits:
         theirs. `signals` has its terms along the flights.
         """
         estimates = refitted.estimates
+        # Names of the periods that a sine and a cosine share, by channel, quantity and value in the grammar.
         waves = dict[tuple[str, str, float], list[str]]()
-        for i, j, inner_name, name, begun, _ in refitted.equation.inner():
-            if inner_name == "k" and name not in refitted.held:
-                term = refitted.equation.terms[i]
-                waves.setdefault((term.channel, term.term.factors[j].quantity, begun), []).append(name)
-        fixed = dict[str, float]()
+        for inner in refitted.equation.inner_parameters():
+            if inner.name_in_factor == "k" and inner.name not in refitted.held:
+                term = refitted.equation.terms[inner.term]
+                quantity = term.term.factors[inner.factor].quantity
+                waves.setdefault((term.channel, quantity, inner.value), []).append(inner.name)
+        whole_periods = dict[str, float]()
         for names in waves.values():
             values, errors = np.array([estimates[name] for name in names]).T
             weight = errors**-2.0
             value, std = float(values @ weight / weight.sum()), float(weight.sum() ** -0.5)
             if round(value) >= 1 and abs(value - round(value)) < max(SIGNIFICANT_STD_ERRORS * std, 0.02):
-                fixed |= dict.fromkeys(names, float(round(value)))
-        if not fixed:
+                whole_periods |= dict.fromkeys(names, float(round(value)))
+        if not whole_periods:
             return refitted
-        held = refitted.held | frozenset(fixed)
-        start = {**refitted.values, **fixed}
+        held = refitted.held | frozenset(whole_periods)
+        start = {**refitted.values, **whole_periods}
         hypothesis = self.refit(refitted.equation, signals, start, self.base, held)
-        penalty = refitted.penalty - 0.5 * len(fixed) * math.log(self.comparison.rows)
-        whole = RefittedEquation(refitted.equation, hypothesis, penalty, refitted.group, held)
-        return whole if whole.margin > refitted.margin - MIN_MARGIN else refitted
+        penalty = refitted.penalty - 0.5 * len(whole_periods) * math.log(self.comparison.rows)
+        restricted = RefittedEquation(refitted.equation, hypothesis, penalty, refitted.group, held)
+        return restricted if restricted.margin > refitted.margin - MIN_MARGIN else refitted
 
 
 def _on_own_rate(channel: str, key: str) -> bool:

@@ -12,7 +12,7 @@ from typing import Final
 
 from heli_sim.model.parts import AXES
 
-from heli_lab.diagnose.discover.equation import CHANNELS, EquationTerm, Group
+from heli_lab.diagnose.discover.equation import CHANNELS, EquationTerm, TermGroup
 from heli_lab.diagnose.discover.terms import SYMBOLS, Factor, Term
 
 _MULTIPLICITIES: Final[Mapping[str, tuple[float, ...]]] = {
@@ -33,24 +33,25 @@ _SLACKS: Final = (0.3, 0.55, 0.8)
 hangs. Refits find the place between two of them."""
 
 
-def _one(form: str, quantity: str, memory: str = "", **numbers: float) -> Factor:
-    return Factor(form, quantity, tuple(numbers.items()), memory)
+def _factor(form: str, quantity: str, lag_filter: str = "", **numbers: float) -> Factor:
+    """Return a factor; the keywords are its parameters."""
+    return Factor(form, quantity, tuple(numbers.items()), lag_filter)
 
 
-def _sign(quantity: str, memory: str = "", **numbers: float) -> Factor:
-    return _one("sign", quantity, memory, width=SYMBOLS[quantity].near_zero, **numbers)
+def _sign_factor(quantity: str, lag_filter: str = "", **numbers: float) -> Factor:
+    return _factor("sign", quantity, lag_filter, width=SYMBOLS[quantity].near_zero, **numbers)
 
 
-def _rate(axis: str) -> str:
+def _rate_of(axis: str) -> str:
     return f"{axis}_rate"
 
 
-_RATES: Final = tuple(_rate(axis) for axis in AXES)
-_TOGETHER: Final = (*AXES, *_RATES, "thrust", "thrust_difference")
+_RATES: Final = tuple(_rate_of(axis) for axis in AXES)
+_RIG_QUANTITIES: Final = (*AXES, *_RATES, "thrust", "thrust_difference")
 """Quantities of the whole rig."""
 
 
-def groups(spans: Mapping[str, tuple[float, float]]) -> list[Group]:
+def groups(spans: Mapping[str, tuple[float, float]]) -> list[TermGroup]:
     """List all groups of terms on all channels.
 
     Parameters
@@ -59,119 +60,137 @@ def groups(spans: Mapping[str, tuple[float, float]]) -> list[Group]:
         Lowest and highest value of each quantity in the flights, SI units, by name; bumps are placed between
         them.
     """
-    singles = list(_singles(spans))
-    pairs = list(_pairs())
-    triples = list(_triples())
-    result: list[Group] = []
+    singles = list(_single_factor_products(spans))
+    pairs = list(_two_factor_products())
+    triples = list(_three_factor_products())
+    result: list[TermGroup] = []
     for axis in AXES:
         channel = f"torque.{axis}"
         result += [_group(channel, terms) for terms in (*singles, *pairs, *triples)]
     for channel in CHANNELS:
         if channel.startswith("thrust") or channel == "voltage.both":
-            result += [_group(channel, terms) for terms in _of_rotors(channel, singles)]
+            result += [_group(channel, terms) for terms in _rotor_products(channel, singles)]
         if channel.startswith("measurement"):
-            result += [_group(channel, terms) for terms in _of_encoder(channel.partition(".")[2], singles)]
+            result += [
+                _group(channel, terms) for terms in _encoder_products(channel.partition(".")[2], singles)
+            ]
     return result
 
 
-def _group(channel: str, products: Sequence[tuple[Factor, ...]]) -> Group:
-    size = sum(1 + (factor.form != "linear") + bool(factor.memory) for factor in products[0])
-    return Group(tuple(EquationTerm(channel, Term(factors)) for factors in products), size)
+def _group(channel: str, products: Sequence[tuple[Factor, ...]]) -> TermGroup:
+    """Return a group of terms on a channel with its complexity: factors, non-linear functions and lags."""
+    complexity = sum(1 + (factor.form != "linear") + bool(factor.lag_filter) for factor in products[0])
+    return TermGroup(tuple(EquationTerm(channel, Term(factors)) for factors in products), complexity)
 
 
-_Products = tuple[tuple[Factor, ...], ...]
+_GroupProducts = tuple[tuple[Factor, ...], ...]
 """Products that belong to one group."""
 
 
-def _singles(spans: Mapping[str, tuple[float, float]]) -> Iterator[_Products]:
-    for quantity in _TOGETHER:
+def _single_factor_products(spans: Mapping[str, tuple[float, float]]) -> Iterator[_GroupProducts]:
+    """Yield the products of a single factor: every function of every quantity of the whole rig."""
+    for quantity in _RIG_QUANTITIES:
         forms = ["linear", "square", "cube", "abs", "signed_square"]
-        yield from (((_one(form, quantity),),) for form in forms)
-        yield ((_sign(quantity),),)
+        yield from (((_factor(form, quantity),),) for form in forms)
+        yield ((_sign_factor(quantity),),)
         if quantity in AXES:
             for k in _MULTIPLICITIES[quantity]:
-                yield (_one("sin", quantity, k=k),), (_one("cos", quantity, k=k),)
+                yield (_factor("sin", quantity, k=k),), (_factor("cos", quantity, k=k),)
             yield from (((bump,),) for bump in _bumps(quantity, spans))
             furthest = max(abs(bound) for bound in spans[quantity])
             for share in _SLACKS:
-                yield ((_one("beyond", quantity, slack=round(share * furthest, 3)),),)
+                yield ((_factor("beyond", quantity, slack=round(share * furthest, 3)),),)
         for s in _LAGS_s:
-            yield ((_one("linear", quantity, "lag", s=s),),)
-            yield ((_sign(quantity, "washout", s=s),),)
-    yield ((_one("linear", "time"),),)
+            yield ((_factor("linear", quantity, "lag", s=s),),)
+            yield ((_sign_factor(quantity, "washout", s=s),),)
+    yield ((_factor("linear", "time"),),)
 
 
 def _bumps(quantity: str, spans: Mapping[str, tuple[float, float]]) -> Iterator[Factor]:
+    """Yield Gaussian bumps of several widths, evenly spaced over the range of a quantity in the flights."""
     low, high = spans[quantity]
     for share in _BUMP_WIDTHS:
         for i in range(_BUMP_PLACES):
             place = low + (high - low) * i / (_BUMP_PLACES - 1)
-            yield _one("bump", quantity, place=round(place, 3), width=round(share * (high - low), 3))
+            yield _factor("bump", quantity, place=round(place, 3), width=round(share * (high - low), 3))
 
 
-def _simple(quantity: str) -> list[tuple[Factor, ...]]:
-    """Functions of one quantity that products consist of; sine and cosine of travel form one group."""
-    plain: list[tuple[Factor, ...]] = [(_one("linear", quantity),), (_one("square", quantity),)]
+def _product_functions(quantity: str) -> list[tuple[Factor, ...]]:
+    """Return the functions of a quantity that products of two consist of, each as the factors of a group.
+
+    Sine and cosine of travel are one group.
+    """
+    powers: list[tuple[Factor, ...]] = [(_factor("linear", quantity),), (_factor("square", quantity),)]
     if quantity == "thrust":
-        return plain[:1]
+        return powers[:1]
     if quantity == "travel":
-        waves = [(_one("sin", quantity, k=k), _one("cos", quantity, k=k)) for k in (1.0, 2.0)]
-        return [*plain, *waves]
+        waves = [(_factor("sin", quantity, k=k), _factor("cos", quantity, k=k)) for k in (1.0, 2.0)]
+        return [*powers, *waves]
     if quantity in AXES:
-        return [*plain, (_one("abs", quantity),), (_sign(quantity),)]
-    return [*plain, (_one("abs", quantity),), (_sign(quantity),), (_one("signed_square", quantity),)]
+        return [*powers, (_factor("abs", quantity),), (_sign_factor(quantity),)]
+    return [
+        *powers,
+        (_factor("abs", quantity),),
+        (_sign_factor(quantity),),
+        (_factor("signed_square", quantity),),
+    ]
 
 
-def _pairs() -> Iterator[_Products]:
-    for factor, other in itertools.combinations(_TOGETHER, 2):
-        for first, second in itertools.product(_simple(factor), _simple(other)):
+def _two_factor_products() -> Iterator[_GroupProducts]:
+    """Yield the products of functions of two different quantities."""
+    for quantity, other_quantity in itertools.combinations(_RIG_QUANTITIES, 2):
+        for first, second in itertools.product(
+            _product_functions(quantity), _product_functions(other_quantity)
+        ):
             yield tuple((a, b) for a in first for b in second)
 
 
-def _triples() -> Iterator[_Products]:
+def _three_factor_products() -> Iterator[_GroupProducts]:
     """Products of three quantities; a squared rate with the two angles of level flight as well."""
-    for three in itertools.combinations(_TOGETHER, 3):
-        if {"thrust", "thrust_difference"} <= set(three):
+    for quantities in itertools.combinations(_RIG_QUANTITIES, 3):
+        if {"thrust", "thrust_difference"} <= set(quantities):
             continue
-        yield (tuple(_one("linear", quantity) for quantity in three),)
+        yield (tuple(_factor("linear", quantity) for quantity in quantities),)
     for quantity in _RATES:
         for angle in ("elevation", "pitch"):
             for other in (q for q in ("elevation", "pitch") if q != angle):
-                yield ((_one("square", quantity), _one("linear", angle), _one("linear", other)),)
+                yield ((_factor("square", quantity), _factor("linear", angle), _factor("linear", other)),)
 
 
-def _of_rotors(channel: str, singles: Sequence[_Products]) -> Iterator[_Products]:
+def _rotor_products(channel: str, singles: Sequence[_GroupProducts]) -> Iterator[_GroupProducts]:
     """Terms of a rotor's thrust or voltage: a share of its own, or of the other rotor's."""
     rotor_quantity = "own_thrust" if channel.startswith("thrust") else "own_voltage"
-    share = _one("linear", rotor_quantity)
+    share = _factor("linear", rotor_quantity)
     for products in singles:
         # The terms after this loop are those of thrust that depends on thrust.
         if not any(SYMBOLS[f.quantity].kind == "thrust" for factors in products for f in factors):
             yield tuple((share, *factors) for factors in products)
-    yield ((_one("square", rotor_quantity),),)
-    yield ((share, _one("linear", "voltage" if rotor_quantity == "own_voltage" else "thrust")),)
+    yield ((_factor("square", rotor_quantity),),)
+    yield ((share, _factor("linear", "voltage" if rotor_quantity == "own_voltage" else "thrust")),)
     if rotor_quantity == "own_voltage":
         return
-    yield ((_one("linear", "other_thrust"),),)
+    yield ((_factor("linear", "other_thrust"),),)
     for s in _LAGS_s:
-        yield ((_one("linear", rotor_quantity, "washout", s=s),),)
-        yield ((_sign(rotor_quantity, "washout", s=s),),)
-        yield ((_one("linear", "other_thrust", "lag", s=s),),)
+        yield ((_factor("linear", rotor_quantity, "washout", s=s),),)
+        yield ((_sign_factor(rotor_quantity, "washout", s=s),),)
+        yield ((_factor("linear", "other_thrust", "lag", s=s),),)
 
 
-def _of_encoder(axis: str, singles: Sequence[_Products]) -> Iterator[_Products]:
+def _encoder_products(axis: str, singles: Sequence[_GroupProducts]) -> Iterator[_GroupProducts]:
     """Errors of an encoder depend on angles. An error that depends on thrust would be significant in any
     flight, because the controller feeds the quantisation error back; so would half a sample of the axis' own
     rate.
     """
     for products in singles:
         factors = [factor for product in products for factor in product]
-        angles = all(SYMBOLS[f.quantity].kind == "angle" and not f.memory for f in factors)
+        angles = all(SYMBOLS[f.quantity].kind == "angle" and not f.lag_filter for f in factors)
         if angles and (factors[0].quantity == axis or factors[0].form in ("sin", "linear")):
             yield products
 
 
-def tried_up_to(every: Sequence[Group]) -> dict[int, int]:
-    """Count the groups in `every` of each size or smaller, by size."""
-    sizes = sorted({group.size for group in every})
-    return {size: sum(group.size <= size for group in every) for size in sizes}
+def count_by_complexity(all_groups: Sequence[TermGroup]) -> dict[int, int]:
+    """Return the number of groups in `all_groups` of each complexity or less, by complexity."""
+    complexities = sorted({group.complexity for group in all_groups})
+    return {
+        complexity: sum(group.complexity <= complexity for group in all_groups) for complexity in complexities
+    }

@@ -56,7 +56,7 @@ class ListedEffects:
         """Find an effect that fits all flights as well as an equation, and that the equation does not
         encompass.
 
-        The search may have missed it, because its disturbances replaced what is missing.
+        The search may have missed it, because disturbances explained its torque there.
 
         Parameters
         ----------
@@ -72,80 +72,89 @@ class ListedEffects:
         """
         # Like a spline, an equation must beat an effect by a share of its own margin.
         margin = warm_start.log_likelihood - penalty + self.held_out(warm_start)
-        required = margin - max(MIN_MARGIN, SPLINE_MARGIN * (margin - self.base.log_likelihood))
+        required_margin = margin - max(MIN_MARGIN, SPLINE_MARGIN * (margin - self.base.log_likelihood))
         screening = Screening(replace(self.base.estimate, disturbances=warm_start.estimate.disturbances))
-        remaining = self.remaining
+        eligible = self.eligible_effects
 
-        def is_equivalent(listed: Candidate, start: Mapping[str, float]) -> tuple[bool, float]:
-            """Whether an effect is equivalent to the equation, and its margin over all flights [nats]."""
-            refitted = self.refit(listed, start, warm_start)
-            listed_margin = self.margin(refitted, listed) + self.held_out(refitted)
-            fits_as_well = listed_margin > required and self.comparison.in_flight(refitted)
-            equivalent = fits_as_well and not self.encompasses(warm_start, refitted, listed, penalty)
-            return equivalent, listed_margin
+        def is_equivalent(rival: Hypothesis, effect: Candidate, total_margin: float) -> bool:
+            return (
+                total_margin > required_margin
+                and self.comparison.in_flight(rival)
+                and not self.encompasses(warm_start, rival, effect, penalty)
+            )
 
         # Friction that holds an axis has no derivative, so no score shows it.
-        dry = {f"coulomb_friction.{axis}" for axis in _axes(equation)}
-        for kind in remaining:
-            if kind.id in dry and is_equivalent(typical_candidate(kind), kind.typical)[0]:
-                return kind.id
-        kept = 0
-        for scored in screening.effects(remaining)[: 2 * SHORTLIST]:
-            complexity_penalty = self.complexity_penalty(scored.candidate)
-            if (
-                kept >= SHORTLIST
-                or EXPECTED_REFIT_GAIN * scored.log_likelihood_gain <= complexity_penalty + MIN_MARGIN
-            ):
+        dry_friction = {f"coulomb_friction.{axis}" for axis in _axes(equation)}
+        for kind in eligible:
+            if kind.id in dry_friction:
+                effect = typical_candidate(kind)
+                rival = self.refit(effect, kind.typical, warm_start)
+                if is_equivalent(rival, effect, self._total_margin(rival, effect)):
+                    return kind.id
+        confirmed_scores = 0
+        for scored in screening.effects(eligible)[: 2 * SHORTLIST]:
+            effect = scored.candidate
+            complexity_penalty = self.complexity_penalty(effect)
+            expected_gain = EXPECTED_REFIT_GAIN * scored.log_likelihood_gain
+            if confirmed_scores >= SHORTLIST or expected_gain <= complexity_penalty + MIN_MARGIN:
                 break
-            equivalent, value = is_equivalent(
-                scored.candidate, scored.candidate.start_values(scored.coefficients)
-            )
-            if equivalent:
-                return scored.candidate.id
-            gain = value + complexity_penalty - self.base.log_likelihood
-            kept += gain >= SHORTLIST_SHARE * scored.log_likelihood_gain
+            rival = self.refit(effect, effect.start_values(scored.coefficients), warm_start)
+            total_margin = self._total_margin(rival, effect)
+            if is_equivalent(rival, effect, total_margin):
+                return effect.id
+            gain = total_margin + complexity_penalty - self.base.log_likelihood
+            if gain >= SHORTLIST_SHARE * scored.log_likelihood_gain:
+                confirmed_scores += 1
         return None
 
     @property
-    def remaining(self) -> list[EffectSpec]:
-        """Effects that may be added to the base."""
+    def eligible_effects(self) -> list[EffectSpec]:
+        """Effects of the catalogue that may be added to the base."""
         return [
             kind
             for kind in self.kinds.values()
             if not kind.baseline and not kind.noise_inputs and may_join(kind.id, self.base.ids, self.kinds)
         ]
 
-    def refit(self, listed: Candidate, start: Mapping[str, float], warm_start: Hypothesis) -> Hypothesis:
-        """Estimate the base with one more effect, `listed`, from the values `start` and the disturbances of
+    def refit(self, effect: Candidate, start: Mapping[str, float], warm_start: Hypothesis) -> Hypothesis:
+        """Estimate the base with one more `effect`, from the values `start` and the disturbances of
         `warm_start`.
         """
-        self.say(f"trying {listed.id} in its place")
-        return self.comparison.refit([*self.base.candidates, listed], start, warm_start)
+        self.say(f"trying {effect.id} in its place")
+        return self.comparison.refit([*self.base.candidates, effect], start, warm_start)
 
-    def margin(self, made: Hypothesis, listed: Candidate) -> float:
-        """Log-likelihood, in nats, of the model `made` with the effect `listed`, less the effect's penalty,
-        without the priors of its parameters: an equation's coefficients may have any size, too.
+    def margin(self, model: Hypothesis, effect: Candidate) -> float:
+        """Return the log-likelihood, in nats, of a `model` with an `effect`, less the effect's penalty.
+
+        The priors of the effect's parameters do not count, because an equation's coefficients may have any
+        size, too.
         """
         parameters = [
-            (made.values[name], prior) for name, prior in listed.effect.priors.items() if name in made.values
+            (model.values[name], prior)
+            for name, prior in effect.effect.priors.items()
+            if name in model.values
         ]
-        unusual = sum(0.5 * ((value - prior.mean) / prior.std) ** 2 for value, prior in parameters)
-        return made.log_likelihood + unusual - self.complexity_penalty(listed)
+        prior_nats = sum(0.5 * ((value - prior.mean) / prior.std) ** 2 for value, prior in parameters)
+        return model.log_likelihood + prior_nats - self.complexity_penalty(effect)
 
-    def held_out(self, made: Hypothesis) -> float:
-        """Log-likelihood ratio of the model `made` over the base on the held-out flights, nats; 0 without
+    def held_out(self, model: Hypothesis) -> float:
+        """Return the log-likelihood ratio of a `model` over the base on the held-out flights, nats; 0 without
         any.
         """
         if not self.comparison.held_out:
             return 0.0
-        return self.comparison.held_out_estimate(made).log_likelihood - self._base_held_out
+        return self.comparison.held_out_estimate(model).log_likelihood - self._base_held_out
+
+    def _total_margin(self, model: Hypothesis, effect: Candidate) -> float:
+        """Return the margin on the fitted flights plus the ratio on the held-out flights, nats."""
+        return self.margin(model, effect) + self.held_out(model)
 
     @cached_property
     def _base_held_out(self) -> float:
         return self.comparison.held_out_estimate(self.base).log_likelihood
 
     def encompasses(
-        self, warm_start: Hypothesis, made: Hypothesis, listed: Candidate, penalty: float
+        self, warm_start: Hypothesis, rival: Hypothesis, effect: Candidate, penalty: float
     ) -> bool:
         """Whether an equation encompasses an effect that fits equally well in its place.
 
@@ -156,38 +165,49 @@ class ListedEffects:
         ----------
         warm_start : Hypothesis
             The model with the equation.
-        made : Hypothesis
+        rival : Hypothesis
             The model with the effect.
-        listed : Candidate
+        effect : Candidate
             The effect.
         penalty : float
             Complexity penalty of the equation, nats.
         """
         equation = warm_start.candidates[-1]
-        start = {name: made.values[name] for name in listed.effect.priors if name in made.values}
-        both = self.comparison.refit([*self.base.candidates, listed, equation], start, warm_start)
-        by_equation, by_effect = (
-            both.log_likelihood - hypothesis.log_likelihood + self.held_out(both) - self.held_out(hypothesis)
-            for hypothesis in (made, warm_start)
-        )
-        return by_equation - penalty > max(MIN_MARGIN, by_effect - self.complexity_penalty(listed))
+        start = {name: rival.values[name] for name in effect.effect.priors if name in rival.values}
+        both = self.comparison.refit([*self.base.candidates, effect, equation], start, warm_start)
 
-    def complexity_penalty(self, listed: Candidate) -> float:
-        """Complexity penalty of the effect `listed`, nats: BIC for its parameters, and for multiple
-        testing.
+        def gain_over(model: Hypothesis) -> float:
+            fitted = both.log_likelihood - model.log_likelihood
+            return fitted + self.held_out(both) - self.held_out(model)
+
+        equation_gain, effect_gain = gain_over(rival), gain_over(warm_start)
+        return equation_gain - penalty > max(MIN_MARGIN, effect_gain - self.complexity_penalty(effect))
+
+    def complexity_penalty(self, effect: Candidate) -> float:
+        """Return the complexity penalty of an `effect`, nats: BIC for its parameters, and the logarithm of
+        the number of candidates.
         """
-        return 0.5 * len(listed.effect.priors) * math.log(self.comparison.rows) + math.log(CANDIDATES_TRIED)
+        return 0.5 * len(effect.effect.priors) * math.log(self.comparison.rows) + math.log(CANDIDATES_TRIED)
 
     def without_superfluous(self, with_equation: Hypothesis) -> tuple[Hypothesis, tuple[str, ...]]:
-        """Remove causes that are not significant in the model `with_equation`; return it and their ids."""
-        final, gone = with_equation, list[str]()
+        """Remove causes that are not significant in the model `with_equation`.
+
+        Returns
+        -------
+        Hypothesis
+            The model with the other causes and the equation.
+        tuple of str
+            Ids of the removed causes.
+        """
+        final, removed_ids = with_equation, list[str]()
         for candidate in self.base.candidates:
-            rest = [other for other in final.candidates[:-1] if other.id != candidate.id]
-            less = self.comparison.refit([*rest, final.candidates[-1]], None, final)
-            if final.log_likelihood - less.log_likelihood - self.complexity_penalty(candidate) <= MIN_MARGIN:
-                final = less
-                gone.append(candidate.id)
-        return final, tuple(gone)
+            other_causes = [other for other in final.candidates[:-1] if other.id != candidate.id]
+            reduced = self.comparison.refit([*other_causes, final.candidates[-1]], None, final)
+            ratio_nats = final.log_likelihood - reduced.log_likelihood
+            if ratio_nats - self.complexity_penalty(candidate) <= MIN_MARGIN:
+                final = reduced
+                removed_ids.append(candidate.id)
+        return final, tuple(removed_ids)
 
 
 def _axes(equation: Equation) -> set[str]:

@@ -11,7 +11,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -42,11 +42,11 @@ TIME: Final = "time of the flight"
 """Quantity over which a term is drawn that follows no single quantity."""
 _LAGS_s: Final = (0.03, 0.06, 0.1, 0.15)
 """Time constants of lags that measure how fast a thrust changes: those of rotors."""
-_SHOWN_PLACES: Final = 15
+_CURVE_POINTS: Final = 15
 """Points of the curve of an angle: two between knots."""
-_WIDE_rad: Final = 0.3
+_PRIOR_STD_rad: Final = 0.3
 """Prior standard deviation of that curve's coefficients: wide, so that no prior biases the points to zero."""
-_NUMBER: Final = 98
+_SPLINE_NUMBER: Final = 98
 """A number above those of a model's own spline terms, so that parameter names differ."""
 
 
@@ -107,133 +107,156 @@ def missing_term(estimate: Estimate, cause: Candidate) -> MissingTerm:
     cause : Candidate
         The effect or spline term that is removed.
     """
-    less = _without(estimate, cause.effect.name)
-    with_, without = estimate.filtered().linearised_flights, less.filtered().linearised_flights
-    torque = [_contributed_torque(*pair) for pair in zip(with_, without, strict=True)]
-    every = np.concatenate(torque)
-    if not every.any():
-        return _missing_angle(estimate, less, cause)
-    blocks = [_Blocks(linear) for linear in without]
-    equation = np.concatenate([block.mean(values) for block, values in zip(blocks, torque, strict=True)])
-    t_s, missing, std = _smoothed_torque(less)
-    _, remaining, _ = _smoothed_torque(estimate)
-    # With its mean, the elevation torque of a thrust curve hides the pitch torque of its lag.
-    axis = int(np.argmax(every.std(axis=0) / ((missing - equation).std(axis=0) + 1e-9)))
-    places = [
-        {name: block.mean(value) for name, value in _quantities(linear).items()}
-        for block, linear in zip(blocks, with_, strict=True)
+    reduced = _without(estimate, cause.effect.name)
+    flights = estimate.filtered().linearised_flights
+    reduced_flights = reduced.filtered().linearised_flights
+    torques_Nm = list(map(_contributed_torque, flights, reduced_flights))
+    all_torques_Nm = np.concatenate(torques_Nm)
+    if not all_torques_Nm.any():
+        return _missing_angle(estimate, reduced, cause)
+    blocks = [_MeasurementBlocks(linear) for linear in reduced_flights]
+    contribution_Nm = np.concatenate([block.mean(x) for block, x in zip(blocks, torques_Nm, strict=True)])
+    missing = _smoothed_torque(reduced)
+    remaining = _smoothed_torque(estimate)
+    # Without their means: the mean elevation torque of a thrust curve hides the pitch torque of its lag.
+    unexplained_std_Nm = (missing.torque_Nm - contribution_Nm).std(axis=0)
+    axis = int(np.argmax(all_torques_Nm.std(axis=0) / (unexplained_std_Nm + 1e-9)))
+    quantities = [
+        {name: block.mean(values) for name, values in _quantities(linear).items()}
+        for block, linear in zip(blocks, flights, strict=True)
     ]
-    place, on, on_unit = t_s, TIME, "s"
-    quantity = _best_quantity(places, equation[:, axis], cause)
-    if quantity is not None:
-        on_factor, on_unit = SHOWN.get(_unit(quantity), (1.0, _unit(quantity)))
-        place = on_factor * np.concatenate([values[quantity] for values in places])
-        on = quantity_in_words(quantity)
+    quantity, quantity_name, quantity_unit = missing.t_s, TIME, "s"
+    name = _best_quantity(quantities, contribution_Nm[:, axis], cause)
+    if name is not None:
+        quantity_factor, quantity_unit = SHOWN.get(_unit(name), (1.0, _unit(name)))
+        quantity = quantity_factor * np.concatenate([by_name[name] for by_name in quantities])
+        quantity_name = quantity_in_words(name)
     factor, unit = SHOWN["N m"]
     return MissingTerm(
-        cause.id,
-        "torque",
-        unit,
-        AXES[axis],
-        on,
-        on_unit,
-        place,
-        factor * _centred(missing[:, axis]),
-        factor * std[:, axis],
-        factor * _centred(remaining[:, axis]),
-        factor * _centred(equation[:, axis]),
+        id=cause.id,
+        what="torque",
+        unit=unit,
+        axis=AXES[axis],
+        on=quantity_name,
+        on_unit=quantity_unit,
+        quantity=quantity,
+        missing=factor * _without_mean(missing.torque_Nm[:, axis]),
+        std=factor * missing.std_Nm[:, axis],
+        remaining=factor * _without_mean(remaining.torque_Nm[:, axis]),
+        contribution=factor * _without_mean(contribution_Nm[:, axis]),
     )
 
 
-def _centred(values: Floats) -> Floats:
+def _without_mean(values: Floats) -> Floats:
+    """Return values less their mean."""
     centred: Floats = values - values.mean()
     return centred
 
 
-class _Blocks:
+class _MeasurementBlocks:
     """Steps of a flight, grouped by measurements of the filter."""
 
     def __init__(self, linear: LinearisedFlight) -> None:
-        firsts = np.concatenate([block.rows for block in linear.blocks])
-        self._rows = firsts[:, None] + np.arange(linear.block)
+        first_steps = np.concatenate([block.rows for block in linear.blocks])
+        self._steps = first_steps[:, None] + np.arange(linear.block)  # (measurements, steps of each)
 
-    def mean(self, value: Floats) -> Floats:
-        """Mean over each measurement of values (n, ...) of the steps."""
-        result: Floats = value[self._rows].mean(axis=1)
-        return result
+    def mean(self, values: Floats) -> Floats:
+        """Return the means, shape (measurements, ...), of values of the steps, shape (n, ...)."""
+        means: Floats = values[self._steps].mean(axis=1)
+        return means
 
 
 def _without(estimate: Estimate, name: str) -> Estimate:
-    """The same model without one of its effects: all other parameters stay, disturbances are estimated
-    again.
-    """
-    full = estimate.parameter_vector
-    model = type(full.model)(tuple(effect for effect in full.model.effects if effect.name != name))
+    """Return the estimate without the effect `name`: other parameters stay, disturbances are re-estimated."""
+    parameters_with_effect = estimate.parameter_vector
+    model = type(parameters_with_effect.model)(
+        tuple(effect for effect in parameters_with_effect.model.effects if effect.name != name)
+    )
     records = [reference.record for reference in estimate.references]
-    parameter_vector = RigParameters(model, full.rig, records)
-    values = dict(zip(full.names, estimate.theta, strict=True))
+    parameter_vector = RigParameters(model, parameters_with_effect.rig, records)
+    values = dict(zip(parameters_with_effect.names, estimate.theta, strict=True))
     start = zip(parameter_vector.names, parameter_vector.start, strict=True)
     theta = np.array([values.get(parameter, value) for parameter, value in start])
     functions = model_functions(model, parameter_vector.quantities)
-    less = replace(
+    reduced = replace(
         estimate,
         parameter_vector=parameter_vector,
         theta=theta,
         covariance=np.diag(parameter_vector.std**2),
         functions=functions,
     )
-    filtered = less.filtered()
+    filtered = reduced.filtered()
     disturbances = estimate_disturbances(filtered, filtered.perturbed_residual(), estimate.disturbances)
-    return replace(less, disturbances=disturbances)
+    return replace(reduced, disturbances=disturbances)
 
 
-def _held(estimate: Estimate, names: Iterable[str]) -> Estimate:
-    """The same estimate with the parameters `names` no longer free."""
-    full = estimate.parameter_vector
-    values = full.by_name(estimate.theta)
-    known = {name: values[name] for name in names if name in values}
+def _with_fixed_parameters(estimate: Estimate, names: Iterable[str]) -> Estimate:
+    """Return the estimate with the parameters `names` fixed at their values."""
+    all_parameters = estimate.parameter_vector
+    values = all_parameters.by_name(estimate.theta)
+    fixed_values = {name: values[name] for name in names if name in values}
     records = [reference.record for reference in estimate.references]
-    parameter_vector = RigParameters(full.model, full.rig, records, fixed=known)
+    parameter_vector = RigParameters(all_parameters.model, all_parameters.rig, records, fixed=fixed_values)
     return replace(
         estimate,
         parameter_vector=parameter_vector,
         theta=np.array([values[parameter] for parameter in parameter_vector.names]),
         covariance=np.diag(parameter_vector.std**2),
-        functions=model_functions(full.model, parameter_vector.quantities),
+        functions=model_functions(all_parameters.model, parameter_vector.quantities),
     )
 
 
 def _coefficients(screening: Screening, candidate: Candidate) -> tuple[Floats, Floats]:
-    """Coefficients of a spline term by a score test, and their covariance."""
+    """Estimate the coefficients of a spline term by a score test.
+
+    Returns
+    -------
+    ndarray (KNOTS,)
+        Coefficients.
+    ndarray (KNOTS, KNOTS)
+        Their covariance.
+    """
     ((information, score),) = screening.spline_information([candidate])
     precision = np.diag(coefficient_std(candidate) ** -2.0)
     covariance = np.asarray(np.linalg.inv(information + precision), float)
     return covariance @ score, covariance
 
 
-def _smoothed_torque(estimate: Estimate) -> tuple[Floats, Floats, Floats]:
-    """Times (k,) of all flights, smoothed disturbance torques about the three axes, (k, 3), and their
-    standard errors.
+class _SmoothedTorque(NamedTuple):
+    """Smoothed disturbances of all flights: times (k,), torques and standard errors (k, 3) [N m]."""
+
+    t_s: Floats
+    torque_Nm: Floats
+    std_Nm: Floats
+
+
+def _smoothed_torque(estimate: Estimate) -> _SmoothedTorque:
+    """Estimate the disturbance torques about the three axes by a fixed-interval smoother."""
+    by_flight = smoothed_disturbances(estimate.filtered(), estimate.disturbances)
+    t_s, torque_Nm, std_Nm = (np.concatenate(values) for values in zip(*by_flight, strict=True))
+    return _SmoothedTorque(t_s, torque_Nm, std_Nm)
+
+
+def _contributed_torque(flight: LinearisedFlight, flight_without: LinearisedFlight) -> Floats:
+    """Return the torque that is equivalent to an effect, along the trajectory, shape (n, 3) [N m].
+
+    It causes the difference of the accelerations with and without the effect.
     """
-    smoothed = smoothed_disturbances(estimate.filtered(), estimate.disturbances)
-    times, values, errors = (np.concatenate(every) for every in zip(*smoothed, strict=True))
-    return times, values, errors
-
-
-def _contributed_torque(with_: LinearisedFlight, without: LinearisedFlight) -> Floats:
-    """Torque about each axis that is equivalent to an effect, along the trajectory, shape (n, 3)."""
-    change = _accelerations(with_) - _accelerations(without)
-    return without.disturbance_for(change)
+    change_rad_s2 = _accelerations(flight) - _accelerations(flight_without)
+    return flight_without.disturbance_for(change_rad_s2)
 
 
 def _accelerations(linear: LinearisedFlight) -> Floats:
-    return _along(linear.model.source, linear.trajectory, lambda *at: linear.model.source.dynamics(*at)[3:6])
+    """Return the angular accelerations of the model along its trajectory, shape (n, 3) [rad/s2]."""
+    model = linear.model.source
+    return _evaluate_along(model, linear.trajectory, lambda x, u, p, t: model.dynamics(x, u, p, t)[3:6])
 
 
-def _along(model: Model, trajectory: Trajectory, of: Callable[..., ca.SX]) -> Floats:
+def _evaluate_along(model: Model, trajectory: Trajectory, expression: Callable[..., ca.SX]) -> Floats:
+    """Return an expression of states x, inputs u, parameters p and time t along a trajectory, (n, k)."""
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
-    function = ca.Function("along", [x, u, t, p], [ca.densify(of(x, u, p, t))])
+    function = ca.Function("along", [x, u, t, p], [ca.densify(expression(x, u, p, t))])
     (values,) = AlongTrajectory(function)(trajectory)
     return np.ascontiguousarray(values[:, :, 0])
 
@@ -244,79 +267,102 @@ def _quantities(linear: LinearisedFlight) -> dict[str, Floats]:
     """
     values = quantity_values(linear.model.source, linear.trajectory)
     for name, time_s in itertools.product(("thrust", "thrust_difference"), _LAGS_s):
-        late = _lagged(values[name], linear.trajectory.step_s / time_s)
-        values[f"change of {name} within {time_s:g} s"] = values[name] - late
+        lagged = _lagged(values[name], linear.trajectory.step_s / time_s)
+        values[f"change of {name} within {time_s:g} s"] = values[name] - lagged
     return values
 
 
 def _lagged(values: Floats, step: float) -> Floats:
-    """Values (n,) behind a first-order lag that starts at rest; `step` is a share of its time constant.
-    In plain Python, because the import of scipy.signal takes longer than this for an hour of flight.
+    """Return values (n,) behind a first-order lag that starts at rest; `step` is the sampling interval over
+    its time constant.
     """
-    share = -math.expm1(-step)
-    lagged = itertools.accumulate(values.tolist(), lambda held, value: held + share * (value - held))
+    # Without scipy.signal, whose import takes longer than this loop for an hour of flight.
+    gain = -math.expm1(-step)
+    lagged = itertools.accumulate(values.tolist(), lambda output, value: output + gain * (value - output))
     return np.fromiter(lagged, float)
 
 
-def _best_quantity(places: Sequence[Mapping[str, Floats]], equation: Floats, cause: Candidate) -> str | None:
-    """Name of the quantity over which a contribution is best drawn; None if it follows no single quantity."""
+def _best_quantity(
+    quantities: Sequence[Mapping[str, Floats]], contribution: Floats, cause: Candidate
+) -> str | None:
+    """Return the quantity of which a contribution is nearly a function; None if there is none.
+
+    `quantities` are those of each flight by name; `contribution` has the values of all flights.
+    """
     if isinstance(cause.effect, SplineTerm):
         return cause.effect.on
-    together = {name: np.concatenate([place[name] for place in places]) for name in places[0]}
-    followed = {name: _followed(value, equation) for name, value in together.items()}
-    name = max(followed, key=lambda candidate: followed[candidate])
-    return name if followed[name] >= CURVE_SHARE else None
+    shares = {
+        name: _explained_share(np.concatenate([by_name[name] for by_name in quantities]), contribution)
+        for name in quantities[0]
+    }
+    best = max(shares, key=lambda name: shares[name])
+    return best if shares[best] >= CURVE_SHARE else None
 
 
 def _unit(name: str) -> str:
+    """Return the SI unit of a quantity of `_quantities`."""
     return "N" if name.startswith("change of ") else QUANTITIES[name][1]
 
 
-def _followed(place: Floats, equation: Floats) -> float:
-    """Share of a contribution's variance that a smooth curve of one quantity follows."""
-    low, step = knot_span(place)
-    weights = bspline_basis(place, low, step)
-    fitted = weights @ np.linalg.lstsq(weights, equation, rcond=None)[0]
-    return 1.0 - float(np.var(equation - fitted)) / max(float(np.var(equation)), 1e-300)
+def _explained_share(quantity: Floats, contribution: Floats) -> float:
+    """Return the coefficient of determination (R2) of a spline of one quantity for a contribution."""
+    low, step = knot_span(quantity)
+    basis = bspline_basis(quantity, low, step)
+    fitted = basis @ np.linalg.lstsq(basis, contribution, rcond=None)[0]
+    return 1.0 - float(np.var(contribution - fitted)) / max(float(np.var(contribution)), 1e-300)
 
 
-def _missing_angle(estimate: Estimate, less: Estimate, cause: Candidate) -> MissingTerm:
-    """The same for an effect on a measured angle, in whose place a smooth curve is estimated."""
-    # The effect's parameters are held: free, they would replace what the curve is to show.
-    screenings = Screening(less), Screening(_held(estimate, cause.effect.values))
-    linearised_flights = screenings[1].filtered.linearised_flights
-    equations = [
-        _along(linear.model.source, linear.nodes, linear.model.source.measurement)
-        - _along(other.model.source, other.nodes, other.model.source.measurement)
-        for linear, other in zip(linearised_flights, screenings[0].filtered.linearised_flights, strict=True)
-    ]
-    equation = np.concatenate(equations)
-    axis = int(np.argmax(equation.std(axis=0)))
-    places = [quantity_values(linear.model.source, linear.nodes) for linear in linearised_flights]
-    name = _best_quantity(places, equation[:, axis], cause) or AXES[axis]
-    place = np.concatenate([quantities[name] for quantities in places])
-    low, step = knot_span(place)
-    term = spline_term(f"measurement.{AXES[axis]}", name, low, step, _NUMBER)
-    term = replace(term, priors={prior_name: Prior(0.0, _WIDE_rad) for prior_name in term.priors})
-    candidate = Candidate(f"spline:{term.channel}:{name}", term, tuple(term.priors))
-    shown = np.linspace(low, low + step * (KNOTS - 3), _SHOWN_PLACES)
-    weights = bspline_basis(shown, low, step)
-    weights -= weights.mean(axis=0)
-    (without, covariance), (remaining, _) = (_coefficients(screening, candidate) for screening in screenings)
-    std = np.sqrt(np.einsum("ni,ij,nj->n", weights, covariance, weights))
-    drawn = weights @ np.linalg.lstsq(bspline_basis(place, low, step), equation[:, axis], rcond=None)[0]
-    factor, unit = SHOWN["rad"]
-    on_factor, on_unit = SHOWN.get(QUANTITIES[name][1], (1.0, QUANTITIES[name][1]))
-    return MissingTerm(
-        cause.id,
-        "angle",
-        unit,
-        AXES[axis],
-        quantity_in_words(name),
-        on_unit,
-        on_factor * shown,
-        factor * (weights @ without),
-        factor * std,
-        factor * (weights @ remaining),
-        factor * drawn,
+def _missing_angle(estimate: Estimate, reduced: Estimate, cause: Candidate) -> MissingTerm:
+    """Estimate the missing angle of an effect on an encoder: a spline in the place of the effect.
+
+    `reduced` is the estimate without the effect.
+    """
+    # The effect's parameters are fixed: free, they would explain the angle that the spline is to show.
+    screening = Screening(_with_fixed_parameters(estimate, cause.effect.values))
+    reduced_screening = Screening(reduced)
+    flights = screening.filtered.linearised_flights
+    contribution_rad = np.concatenate(
+        [
+            _measured_angles(linear) - _measured_angles(reduced_linear)
+            for linear, reduced_linear in zip(
+                flights, reduced_screening.filtered.linearised_flights, strict=True
+            )
+        ]
     )
+    axis = int(np.argmax(contribution_rad.std(axis=0)))
+    quantities = [quantity_values(linear.model.source, linear.nodes) for linear in flights]
+    name = _best_quantity(quantities, contribution_rad[:, axis], cause) or AXES[axis]
+    quantity = np.concatenate([by_name[name] for by_name in quantities])
+    low, step = knot_span(quantity)
+    term = spline_term(f"measurement.{AXES[axis]}", name, low, step, _SPLINE_NUMBER)
+    term = replace(term, priors={prior_name: Prior(0.0, _PRIOR_STD_rad) for prior_name in term.priors})
+    candidate = Candidate(f"spline:{term.channel}:{name}", term, tuple(term.priors))
+    curve_points = np.linspace(low, low + step * (KNOTS - 3), _CURVE_POINTS)
+    basis = bspline_basis(curve_points, low, step)
+    basis -= basis.mean(axis=0)
+    missing, covariance = _coefficients(reduced_screening, candidate)
+    remaining, _ = _coefficients(screening, candidate)
+    std_rad = np.sqrt(np.einsum("ni,ij,nj->n", basis, covariance, basis))
+    flight_basis = bspline_basis(quantity, low, step)
+    contribution = np.linalg.lstsq(flight_basis, contribution_rad[:, axis], rcond=None)[0]
+    factor, unit = SHOWN["rad"]
+    quantity_factor, quantity_unit = SHOWN.get(QUANTITIES[name][1], (1.0, QUANTITIES[name][1]))
+    return MissingTerm(
+        id=cause.id,
+        what="angle",
+        unit=unit,
+        axis=AXES[axis],
+        on=quantity_in_words(name),
+        on_unit=quantity_unit,
+        quantity=quantity_factor * curve_points,
+        missing=factor * (basis @ missing),
+        std=factor * std_rad,
+        remaining=factor * (basis @ remaining),
+        contribution=factor * (basis @ contribution),
+    )
+
+
+def _measured_angles(linear: LinearisedFlight) -> Floats:
+    """Return the angles that the encoders of a model would measure along its trajectory, (n, 3) [rad]."""
+    model = linear.model.source
+    return _evaluate_along(model, linear.nodes, model.measurement)

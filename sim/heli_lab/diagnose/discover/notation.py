@@ -13,7 +13,7 @@ from heli_lab.diagnose.discover.equation import (
     Equation,
     EquationEffect,
     EquationTerm,
-    memory_name,
+    lag_state_name,
     rotor_signs,
 )
 from heli_lab.diagnose.discover.terms import SYMBOLS, Factor
@@ -34,7 +34,8 @@ def expression(equation: Equation, channel: str, numbers: Mapping[str, float] | 
     """Write the terms of an `equation` on a `channel` for SymPy, with names of parameters, or with their
     values if `numbers` gives these by name.
     """
-    return _sum(equation, channel, "sympy", {n: _digits(v) for n, v in numbers.items()} if numbers else None)
+    texts = {name: _number_text(value) for name, value in numbers.items()} if numbers else None
+    return _channel_sum(equation, channel, "sympy", texts)
 
 
 def latex(equation: Equation, numbers: Mapping[str, float] | None = None) -> str:
@@ -42,42 +43,42 @@ def latex(equation: Equation, numbers: Mapping[str, float] | None = None) -> str
     `numbers` gives these by name.
     """
     if numbers is not None:
-        texts = {name: _latex_number(value) for name, value in numbers.items()}
+        texts = {name: _number_latex(value) for name, value in numbers.items()}
     else:
-        texts = {name: _latex_name(name) for name in _names(equation)}
+        texts = {name: _parameter_latex(name) for name in _parameter_names(equation)}
     parts = [
-        f"{_CHANNEL_LATEX[channel]} = {_sum(equation, channel, 'latex', texts)}"
+        f"{_CHANNEL_LATEX[channel]} = {_channel_sum(equation, channel, 'latex', texts)}"
         for channel in equation.channels
     ]
     return r",\quad ".join(parts)
 
 
-def _sum(equation: Equation, channel: str, notation: str, texts: Mapping[str, str] | None) -> str:
-    texts = texts or {name: name for name in _names(equation)}
-    times = {"sympy": "*", "latex": r"\,"}[notation]
-    parts = []
+def _channel_sum(equation: Equation, channel: str, notation: str, texts: Mapping[str, str] | None) -> str:
+    """Write the sum of the terms on a channel in a notation; `texts` are those of the parameters by name."""
+    texts = texts or {name: name for name in _parameter_names(equation)}
+    times_sign = {"sympy": "*", "latex": r"\,"}[notation]
+    products = []
     for i, term in enumerate(equation.terms):
         if term.channel != channel:
             continue
-        factors = [
-            factor.written(
-                notation, {inner_name: texts[name] for inner_name, name in equation.numbers_of(i, j).items()}
-            )
-            for j, factor in enumerate(term.term.factors)
-        ]
-        parts.append(times.join((texts[equation.coefficient(i)], *factors)))
-    return " + ".join(parts).replace("+ -", "- ")
+        factors = []
+        for j, factor in enumerate(term.term.factors):
+            symbols = {inner: texts[name] for inner, name in equation.inner_names(i, j).items()}
+            factors.append(factor.formatted(notation, symbols))
+        products.append(times_sign.join((texts[equation.coefficient(i)], *factors)))
+    return " + ".join(products).replace("+ -", "- ")
 
 
-def _names(equation: Equation) -> list[str]:
-    return [*equation.coefficients, *(name for _, _, _, name, _, _ in equation.inner())]
+def _parameter_names(equation: Equation) -> list[str]:
+    """Return the names of all coefficients, then those of all inner parameters."""
+    return [*equation.coefficients, *(inner.name for inner in equation.inner_parameters())]
 
 
-def _digits(value: float) -> str:
+def _number_text(value: float) -> str:
     return f"{value:.5g}"
 
 
-def _latex_number(value: float) -> str:
+def _number_latex(value: float) -> str:
     text = f"{value:.3g}"
     if "e" in text:
         mantissa, _, power = text.partition("e")
@@ -85,7 +86,8 @@ def _latex_number(value: float) -> str:
     return text
 
 
-def _latex_name(name: str) -> str:
+def _parameter_latex(name: str) -> str:
+    """Return the symbol of a parameter in LaTeX, such as ``T_{1b}`` for ``lag1b_s``."""
     head = name.partition("_")[0]
     letters = head.rstrip("0123456789abc") or head[0]
     symbol = {"lag": "T", "place": "x", "width": "w", "slack": "s"}.get(letters, letters)
@@ -117,7 +119,7 @@ def effect_file(effect: EquationEffect, numbers: Mapping[str, tuple[float, float
     equation = effect.equation
     values = {name: value for name, (value, _, _) in numbers.items()}
     formula = sentence(equation, values)
-    body = [*_methods(equation)]
+    methods = list(_methods_code(equation))
     states = "".join(
         f'        Quantity("{state.name.removeprefix(effect.prefix + "_")}", "{state.unit}", '
         '"a copy behind a first-order lag"),\n'
@@ -126,12 +128,12 @@ def effect_file(effect: EquationEffect, numbers: Mapping[str, tuple[float, float
     stage = effect.stage.name
     acts_on = _ACTS_ON.get(equation.channels[0].partition(".")[0], equation.channels[0])
     parameters = "".join(
-        _parameter(
+        _parameter_code(
             name, *numbers[name], effect.priors.get(f"{effect.prefix}_{name}"), name in equation.coefficients
         )
-        for name in _names(equation)
+        for name in _parameter_names(equation)
     )
-    quantity = ", Quantity" if states else ""
+    quantity_import = ", Quantity" if states else ""
     docstring = "\n".join(line.replace("\\", "").replace('"""', "'") for line in head.splitlines())
     return f'''"""{docstring}
 
@@ -141,18 +143,18 @@ def effect_file(effect: EquationEffect, numbers: Mapping[str, tuple[float, float
 import casadi as ca
 from heli_sim.model import Effect, Stage
 from heli_sim.model.effects import EffectSpec, Parameter
-from heli_sim.rig import Prior{quantity}
+from heli_sim.rig import Prior{quantity_import}
 from typing_extensions import override
 
 
 class ProposedTerm(Effect):
     """{formula}"""
-{"".join(body)}
+{"".join(methods)}
 
 PROPOSED_TERM = EffectSpec(
     id="{effect.name}",
     effect=ProposedTerm,
-    sentence="{_sentence(equation)}",
+    sentence="{_sentence_template(equation)}",
     equation=r"{latex(equation)}",
     acts_on="{acts_on}",
     stage=Stage.{stage},
@@ -163,96 +165,108 @@ PROPOSED_TERM = EffectSpec(
 '''
 
 
-def _sentence(equation: Equation) -> str:
-    """Sentence of the effect, with its parameters in braces as `EffectSpec` expects them."""
+def _sentence_template(equation: Equation) -> str:
+    """Return the sentence of the effect with its parameters in braces, as `EffectSpec` expects them."""
     parts = []
     for channel in equation.channels:
-        texts = {name: f"[{{{name}}}]" for name in _names(equation)}
-        parts.append(f"{channel} = {_sum(equation, channel, 'sympy', texts)}")
+        texts = {name: f"[{{{name}}}]" for name in _parameter_names(equation)}
+        parts.append(f"{channel} = {_channel_sum(equation, channel, 'sympy', texts)}")
     return " and ".join(parts)
 
 
-def _parameter(name: str, value: float, std: float, unit: str, prior: Prior | None, size: bool) -> str:
-    source = f"{value:.4g} ± {std:.2g} {unit}" if std else "set"
-    known = ""
+def _parameter_code(name: str, value: float, std: float, unit: str, prior: Prior | None, size: bool) -> str:
+    """Return the Python code of a parameter; `size` states whether it is a coefficient, whose prior mean
+    is 0.
+    """
+    estimate_text = f"{value:.4g} ± {std:.2g} {unit}" if std else "set"
+    prior_code = ""
     if prior is not None:
         bounds = "" if size else f", {prior.low:.6g}, {prior.high:.6g}"
-        known = f"\n            prior=Prior({0.0 if size else value:.6g}, {prior.std:.6g}{bounds}),"
+        prior_code = f"\n            prior=Prior({0.0 if size else value:.6g}, {prior.std:.6g}{bounds}),"
     return f'''        Parameter(
             "{name}",
             "{unit}",
-            "found: {source}",
-            typical={value:.8g},{known}
+            "found: {estimate_text}",
+            typical={value:.8g},{prior_code}
             size={size},
         ),
 '''
 
 
-def _methods(equation: Equation) -> Iterator[str]:
+def _methods_code(equation: Equation) -> Iterator[str]:
+    """Yield the Python code of the methods of the effect, by the kinds of its channels."""
     kinds = {channel.partition(".")[0] for channel in equation.channels}
     if "torque" in kinds:
-        lines = [
-            _plus(equation, f"torque.{axis}") if f"torque.{axis}" in equation.channels else "0"
+        torques = [
+            _sum_code(equation, f"torque.{axis}") if f"torque.{axis}" in equation.channels else "0"
             for axis in AXES
         ]
-        yield _method("torque_Nm", "", equation, "torque", f"ca.vertcat({', '.join(lines)})")
-    for kind, name, before in (("thrust", "thrust_N", "thrust_N"), ("voltage", "voltage_V", "volts_V")):
+        yield _method_code("torque_Nm", "", equation, "torque", f"ca.vertcat({', '.join(torques)})")
+    for kind, method, argument in (("thrust", "thrust_N", "thrust_N"), ("voltage", "voltage_V", "volts_V")):
         if kind in kinds:
-            parts = [
-                f"ca.DM({list(rotor_signs(channel))}) * ({_plus(equation, channel)})"
+            increments = [
+                f"ca.DM({list(rotor_signs(channel))}) * ({_sum_code(equation, channel)})"
                 for channel in equation.channels
                 if channel.startswith(kind)
             ]
-            yield _method(name, before, equation, kind, " + ".join((before, *parts)))
+            yield _method_code(method, argument, equation, kind, " + ".join((argument, *increments)))
     if "measurement" in kinds:
-        lines = [
-            _plus(equation, f"measurement.{axis}") if f"measurement.{axis}" in equation.channels else "0"
+        torques = [
+            _sum_code(equation, f"measurement.{axis}") if f"measurement.{axis}" in equation.channels else "0"
             for axis in AXES
         ]
-        value = f"angles_rad + ca.vertcat({', '.join(lines)})"
-        yield _method("measured_rad", "angles_rad", equation, "measurement", value)
+        value = f"angles_rad + ca.vertcat({', '.join(torques)})"
+        yield _method_code("measured_rad", "angles_rad", equation, "measurement", value)
     rates = [
-        f"({SYMBOLS[factor.quantity].python} - {_memory(i, j, factor)})"
-        f' / self.own(at, "{equation.numbers_of(i, j)["s"]}")'
+        f"({SYMBOLS[factor.quantity].python} - {_lag_state_code(i, j, factor)})"
+        f' / self.own(at, "{equation.inner_names(i, j)["s"]}")'
         for i, term in enumerate(equation.terms)
         for j, factor in enumerate(term.term.factors)
-        if factor.memory
+        if factor.lag_filter
     ]
     if rates:
         value = f"ca.vertcat({', '.join(rates)})"
         yield f"\n    @override\n    def state_rates(self, at):\n        return {value}\n"
 
 
-def _method(name: str, argument: str, equation: Equation, kind: str, value: str) -> str:
+def _method_code(name: str, argument: str, equation: Equation, kind: str, value: str) -> str:
+    """Return the Python code of a method that computes the terms of a kind of channel and returns `value`."""
     lines = []
     for i, term in enumerate(equation.terms):
         if term.channel.startswith(kind):
-            lines.append(f"        term_{i + 1} = {_python(equation, i, term)}\n")
-    given = f", {argument}" if argument else ""
-    return f"\n    @override\n    def {name}(self, at{given}):\n{''.join(lines)}        return {value}\n"
+            lines.append(f"        term_{i + 1} = {_term_code(equation, i, term)}\n")
+    argument_code = f", {argument}" if argument else ""
+    return (
+        f"\n    @override\n    def {name}(self, at{argument_code}):\n{''.join(lines)}        return {value}\n"
+    )
 
 
-def _plus(equation: Equation, channel: str) -> str:
+def _sum_code(equation: Equation, channel: str) -> str:
+    """Return the Python code of the sum of the terms on a channel."""
     return " + ".join(f"term_{i + 1}" for i, term in enumerate(equation.terms) if term.channel == channel)
 
 
-def _python(equation: Equation, i: int, term: EquationTerm) -> str:
-    parts = [f'self.own(at, "{equation.coefficient(i)}")']
+def _term_code(equation: Equation, i: int, term: EquationTerm) -> str:
+    """Return the Python code of term `i`: the product of its coefficient and factors."""
+    factors = [f'self.own(at, "{equation.coefficient(i)}")']
     for j, factor in enumerate(term.term.factors):
         texts = {
-            inner_name: f'self.own(at, "{name}")' for inner_name, name in equation.numbers_of(i, j).items()
+            inner_name: f'self.own(at, "{name}")' for inner_name, name in equation.inner_names(i, j).items()
         }
         x = None
-        if factor.memory:
-            x = _memory(i, j, factor)
-            if factor.memory == "washout":
+        if factor.lag_filter:
+            x = _lag_state_code(i, j, factor)
+            if factor.lag_filter == "washout":
                 x = f"({x} - {SYMBOLS[factor.quantity].python})"
-        parts.append(factor.written("python", texts, x))
-    return " * ".join(parts)
+        factors.append(factor.formatted("python", texts, x))
+    return " * ".join(factors)
 
 
-def _memory(i: int, j: int, factor: Factor) -> str:
-    name = memory_name(i, j)
-    if not factor.each:
+def _lag_state_code(i: int, j: int, factor: Factor) -> str:
+    """Return the Python code of the lag state of factor `j` of term `i`, one per rotor if the quantity has
+    two.
+    """
+    name = lag_state_name(i, j)
+    if not factor.per_rotor:
         return f'self.own(at, "{name}")'
     return f'ca.vertcat(self.own(at, "{name}_front"), self.own(at, "{name}_back"))'

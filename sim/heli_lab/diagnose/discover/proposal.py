@@ -146,26 +146,24 @@ def term_trace(discovery: Discovery) -> TermTrace:
         discovery.base.estimate,
         discovery.hypothesis.estimate,
     )
-    label = with_equation.references[0].record.label
-    term_s, change = accelerations(with_equation, discovery.effect.name)
+    step_s, change_rad_s2 = accelerations(with_equation, discovery.effect.name)
     signals = TermSignals(Screening(with_equation))
-    torque = signals.linearised_flights[0].disturbance_for(change)
-    axis = int(np.argmax(torque.std(axis=0)))
-    t_s, missing, std = smoothed_disturbances(without.filtered(), without.disturbances)[0]
-    term_Nm = np.interp(t_s, term_s, torque[:, axis])
-    on = discovery.equation.terms[0].term.quantities[-1]
-    value = signals.quantity(0, on)
-    value = value if value.ndim == 1 else value.mean(axis=1)
+    torque_Nm = signals.linearised_flights[0].disturbance_for(change_rad_s2)
+    axis = int(np.argmax(torque_Nm.std(axis=0)))
+    # The smoother has one row per measurement of the filter, the equation one per step.
+    t_s, missing_Nm, std_Nm = smoothed_disturbances(without.filtered(), without.disturbances)[0]
+    term_Nm = np.interp(t_s, step_s, torque_Nm[:, axis])
+    quantity = discovery.equation.terms[0].term.quantities[-1]
     return TermTrace(
-        label,
-        AXES[axis],
-        t_s,
-        term_Nm - term_Nm.mean(),
-        missing[:, axis] - missing[:, axis].mean(),
-        std[:, axis],
-        on,
-        str(SYMBOLS[on].unit),
-        np.interp(t_s, term_s, value),
+        label=with_equation.references[0].record.label,
+        axis=AXES[axis],
+        t_s=t_s,
+        term_Nm=term_Nm - term_Nm.mean(),
+        missing_Nm=missing_Nm[:, axis] - missing_Nm[:, axis].mean(),
+        std_Nm=std_Nm[:, axis],
+        on=quantity,
+        unit=str(SYMBOLS[quantity].unit),
+        value=np.interp(t_s, step_s, _rotor_mean(signals.quantity(0, quantity))),
     )
 
 
@@ -175,29 +173,38 @@ def supported_ranges(discovery: Discovery) -> tuple[SupportedRange, ...]:
     flights = range(len(signals.linearised_flights))
     result = []
     for channel in discovery.equation.channels:
-        size = np.concatenate([np.abs(_along(discovery, signals, i, channel)).max(axis=1) for i in flights])
-        largest = float(np.quantile(size, 0.99))
-        there = size >= EQUATION_SUPPORT_SHARE * largest
-        names = dict.fromkeys(
-            q for term in discovery.equation.terms if term.channel == channel for q in term.term.quantities
+        magnitude = np.concatenate(
+            [np.abs(_channel_values(discovery, signals, i, channel)).max(axis=1) for i in flights]
         )
+        largest = float(np.quantile(magnitude, 0.99))
+        is_active = magnitude >= EQUATION_SUPPORT_SHARE * largest
+        channel_terms = [term.term for term in discovery.equation.terms if term.channel == channel]
+        names = dict.fromkeys(name for term in channel_terms for name in term.quantities)
         ranges = {}
         for name in names:
-            every = [signals.quantity(i, name) for i in flights]
-            values = np.concatenate([value if value.ndim == 1 else value.mean(axis=1) for value in every])
-            low, high = np.quantile(values[there], [0.05, 0.95])
+            values = np.concatenate([_rotor_mean(signals.quantity(i, name)) for i in flights])
+            low, high = np.quantile(values[is_active], [0.05, 0.95])
             ranges[name] = (float(low), float(high))
-        rms = float(np.sqrt(np.mean(size**2)))
-        result.append(SupportedRange(channel, rms, largest, ranges, float(there.mean())))
+        rms = float(np.sqrt(np.mean(magnitude**2)))
+        result.append(
+            SupportedRange(channel, rms, largest=largest, ranges=ranges, share=float(is_active.mean()))
+        )
     return tuple(result)
 
 
-def _along(discovery: Discovery, signals: TermSignals, index: int, channel: str) -> Floats:
-    """Values of the terms on a channel along a flight less their mean, (n, 1), or (n, 2) rotor by rotor."""
+def _rotor_mean(values: Floats) -> Floats:
+    """Return values of a quantity, shape (n,); if each rotor has its own, (n, 2), their mean."""
+    return values if values.ndim == 1 else np.asarray(values.mean(axis=1))
+
+
+def _channel_values(discovery: Discovery, signals: TermSignals, index: int, channel: str) -> Floats:
+    """Return the sum of the terms on a channel along a flight, less its mean: (n, 1), or (n, 2) rotor by
+    rotor.
+    """
     total: Floats = np.zeros((1, 1))
     values = discovery.values
     for i, term in enumerate(discovery.equation.terms):
         if term.channel == channel:
-            signal = signals.values(index, discovery.with_numbers(i))
+            signal = signals.values(index, discovery.with_estimated_parameters(i))
             total = total + values[discovery.equation.coefficient(i)][0] * signal
     return np.asarray(total - total.mean(axis=0), float)

@@ -16,7 +16,7 @@ from heli_sim.model.parts import AXES
 from heli_lab.diagnose.discover.equation import (
     Equation,
     EquationTerm,
-    Group,
+    TermGroup,
     equation_effect,
     rotor_signs,
 )
@@ -25,7 +25,7 @@ from heli_lab.diagnose.search import ExtendedModel, Screening, score_of
 from heli_lab.estimation import AlongTrajectory, LinearisedFlight, Trajectory
 from heli_lab.threads import parallel_map
 
-_LARGEST: Final[Mapping[str, float]] = {
+_PRIOR_RMS: Final[Mapping[str, float]] = {
     "torque.elevation": 0.3,
     "torque.pitch": 0.1,
     "torque.travel": 0.15,
@@ -36,12 +36,12 @@ _LARGEST: Final[Mapping[str, float]] = {
 """Prior standard deviation of a term's root mean square along the flights, in its channel's unit: of the
 size of what holds the arm up. Smaller: large terms are underestimated. Larger: no effect, the flights
 determine the size."""
-_STEADY: Final = 1e-6
+_CONSTANT_RANGE: Final = 1e-6
 """Relative range of a term below which it is a constant; constants are estimated per flight anyway."""
 
 
 @dataclass(frozen=True)
-class ScoredGroup:
+class ScoredTermGroup:
     """Score test of a group of terms.
 
     Parameters
@@ -56,7 +56,7 @@ class ScoredGroup:
         Prior standard deviations of the coefficients.
     """
 
-    group: Group
+    group: TermGroup
     log_likelihood_gain: float
     coefficients: Floats
     prior_std: tuple[float, ...]
@@ -65,60 +65,75 @@ class ScoredGroup:
 class TermSignals:
     """Values of terms along the flights of a `screening`, and their influence on rates and measured
     angles.
+
+    Factors and influences are computed once. In all shapes, n is the number of steps of the flight.
     """
 
     def __init__(self, screening: Screening) -> None:
         self.linearised_flights = screening.filtered.linearised_flights
+        # By quantity, shape (n,) or (n, 2): in the middle of the steps, and at their ends.
         self._middle = [_quantities(linear, linear.trajectory) for linear in self.linearised_flights]
         self._nodes = [_quantities(linear, linear.nodes) for linear in self.linearised_flights]
+        # By flight, factor and whether at the ends of the steps: shape (n, 1) or (n, 2).
         self._factors: dict[tuple[int, Factor, bool], Floats] = {}
+        # By flight and channel: shape (n, states, 1) or (n, 3, 1).
         self._influences: dict[tuple[int, str], Floats] = {}
+        # By channel: the model with a term that is 1 on that channel.
         self._extended: dict[str, ExtendedModel] = {}
 
     @property
     def spans(self) -> dict[str, tuple[float, float]]:
         """Lowest and highest value of each quantity over all flights, SI units, by name."""
-        every = {
+        all_values = {
             name: np.concatenate([quantities[name] for quantities in self._middle])
             for name in self._middle[0]
         }
-        return {name: (float(values.min()), float(values.max())) for name, values in every.items()}
+        return {name: (float(values.min()), float(values.max())) for name, values in all_values.items()}
 
     def quantity(self, index: int, name: str) -> Floats:
-        """Values of the quantity `name` in the middle of each step of the flight `index`, shape (n,), or (n,
-        2) if each rotor has its own.
+        """Return values of the quantity `name` in the middle of each step of the flight `index`.
+
+        The shape is (n,), or (n, 2) if each rotor has its own.
         """
         return self._middle[index][name]
 
     def values(self, index: int, term: EquationTerm) -> Floats:
-        """Values of a `term` along the flight `index`, shape (n, 1), or (n, 2) if each rotor has its own."""
-        nodes = term.channel.startswith("measurement")
-        value = np.ones((len(self._middle[index]["time"]), 1))
-        for factor in term.term.factors:
-            value = value * self._factor(index, factor, nodes)
-        return value
+        """Return values of a `term` along the flight `index`, shape (n, 1), or (n, 2) if each rotor has its
+        own.
 
-    def _factor(self, index: int, factor: Factor, nodes: bool) -> Floats:
-        key = index, factor, nodes
+        A term on an encoder is evaluated at the end of each step, any other in the middle.
+        """
+        at_nodes = term.channel.startswith("measurement")
+        product = np.ones((len(self._middle[index]["time"]), 1))
+        for factor in term.term.factors:
+            product = product * self._factor_values(index, factor, at_nodes)
+        return product
+
+    def _factor_values(self, index: int, factor: Factor, at_nodes: bool) -> Floats:
+        """Return values of a factor along a flight, shape (n, 1), or (n, 2) if each rotor has its own."""
+        key = index, factor, at_nodes
         if key not in self._factors:
-            at = (self._nodes if nodes else self._middle)[index]
-            x = self._remembered(index, at[factor.quantity], factor)
+            quantities = (self._nodes if at_nodes else self._middle)[index]
+            x = self._lagged_values(index, quantities[factor.quantity], factor)
             self._factors[key] = factor.value(np, x[:, None] if x.ndim == 1 else x)
         return self._factors[key]
 
-    def _remembered(self, index: int, x: Floats, factor: Factor) -> Floats:
-        if not factor.memory:
+    def _lagged_values(self, index: int, x: Floats, factor: Factor) -> Floats:
+        """Return the values `x` of a quantity, (n,) or (n, 2), behind the lag of a factor, which starts at
+        rest in each window.
+        """
+        if not factor.lag_filter:
             return x
         # Takes most of a second to import, and few diagnoses search for an equation.
         from scipy.signal import lfilter
 
         linear = self.linearised_flights[index]
-        keep = math.exp(-linear.trajectory.step_s / dict(factor.numbers)["s"])
-        late = np.empty_like(x)
+        pole = math.exp(-linear.trajectory.step_s / dict(factor.parameters)["s"])
+        lagged = np.empty_like(x)
         for window in linear.windows:
             part = x[window]
-            late[window] = lfilter([1.0 - keep], [1.0, -keep], part, axis=0, zi=keep * part[:1])[0]
-        return late if factor.memory == "lag" else late - x
+            lagged[window] = lfilter([1.0 - pole], [1.0, -pole], part, axis=0, zi=pole * part[:1])[0]
+        return lagged if factor.lag_filter == "lag" else lagged - x
 
     def signal(self, index: int, term: EquationTerm, value: Floats) -> Floats:
         """Change by one unit of a term's coefficient.
@@ -150,7 +165,9 @@ class TermSignals:
         return total[:, :, None]
 
     def _influence(self, index: int, channel: str) -> Floats:
-        """Change of the rates, or of the measured angles, by one unit on a channel: (n, states or 3, 1)."""
+        """Return the change of the rates, shape (n, states, 1), by one unit on a channel; for an encoder, the
+        change of the measured angles, shape (n, 3, 1).
+        """
         if (index, channel) not in self._influences:
             linear = self.linearised_flights[index]
             if channel not in self._extended:
@@ -159,13 +176,13 @@ class TermSignals:
                     equation, dict.fromkeys(equation.coefficients, 1.0), name="unit_term"
                 )
                 self._extended[channel] = ExtendedModel(linear.model.source, effect, tuple(effect.priors))
-            extended = self._extended[channel]
-            rates, angles = extended.run(linear.trajectory, extended.effect.values)
+            extended_model = self._extended[channel]
+            rates, angles = extended_model.run(linear.trajectory, extended_model.effect.values)
             self._influences[index, channel] = angles if channel.startswith("measurement") else rates
         return self._influences[index, channel]
 
 
-def score(screening: Screening, signals: TermSignals, groups: Sequence[Group]) -> list[ScoredGroup]:
+def score(screening: Screening, signals: TermSignals, groups: Sequence[TermGroup]) -> list[ScoredTermGroup]:
     """Score groups of terms, each by itself.
 
     Parameters
@@ -184,55 +201,56 @@ def score(screening: Screening, signals: TermSignals, groups: Sequence[Group]) -
     """
     batches = [
         (channel, batch)
-        for channel, some in itertools.groupby(groups, lambda group: group.terms[0].channel)
-        for batch in _batches(list(some), screening.batch)
+        for channel, channel_groups in itertools.groupby(groups, lambda group: group.terms[0].channel)
+        for batch in _batches(list(channel_groups), screening.batch)
     ]
-    scored = parallel_map(
-        lambda arguments: _scored(screening, signals, *arguments), batches, screening.threads
+    scores_by_batch = parallel_map(
+        lambda channel_and_batch: _score_batch(screening, signals, *channel_and_batch),
+        batches,
+        screening.threads,
     )
-    return sorted((group for some in scored for group in some), key=lambda group: -group.log_likelihood_gain)
+    scores = itertools.chain.from_iterable(scores_by_batch)
+    return sorted(scores, key=lambda scored: -scored.log_likelihood_gain)
 
 
-def _scored(
-    screening: Screening, signals: TermSignals, channel: str, batch: Sequence[Group]
-) -> list[ScoredGroup]:
-    """Score groups of terms of one channel, which are filtered together."""
+def _score_batch(
+    screening: Screening, signals: TermSignals, channel: str, batch: Sequence[TermGroup]
+) -> list[ScoredTermGroup]:
+    """Score groups of terms of one channel, which are filtered together; constant terms are left out."""
     flights = range(len(signals.linearised_flights))
-    kept, prior_std, values = [], [], []
+    varying_groups, prior_stds = [], []
+    values_by_term: list[list[Floats]] = []
     for group in batch:
-        by_term = [[signals.values(i, term) for i in flights] for term in group.terms]
-        together = [np.concatenate(by_flight) for by_flight in by_term]
-        if any(
-            float(np.ptp(term_value)) <= _STEADY * float(np.abs(term_value).max()) for term_value in together
-        ):
+        group_values = [[signals.values(i, term) for i in flights] for term in group.terms]
+        all_values = [np.concatenate(by_flight) for by_flight in group_values]
+        if any(_is_constant(term_values) for term_values in all_values):
             continue
-        kept.append(group)
-        values += by_term
-        prior_std.append(
-            np.array(
-                [
-                    term_coefficient_std(term, float(np.sqrt(np.mean(value**2))))
-                    for term, value in zip(group.terms, together, strict=True)
-                ]
-            )
-        )
-    if not kept:
+        varying_groups.append(group)
+        values_by_term += group_values
+        rms_values = [float(np.sqrt(np.mean(term_values**2))) for term_values in all_values]
+        prior_stds.append(np.array(list(map(term_coefficient_std, group.terms, rms_values))))
+    if not varying_groups:
         return []
-    terms = [term for group in kept for term in group.terms]
-    only = _regressors(screening, signals, channel, terms, values)
-    parts = screening.projected(only, [len(group.terms) for group in kept])
+    terms = [term for group in varying_groups for term in group.terms]
+    regressors = _regressors(screening, signals, channel, terms, values_by_term)
+    score_statistics = screening.projected(regressors, [len(group.terms) for group in varying_groups])
     scores = []
-    for group, std, (information, gradient) in zip(kept, prior_std, parts, strict=True):
-        gain, coefficients = _solved(information, gradient, std)
-        scores.append(ScoredGroup(group, gain, coefficients, tuple(map(float, std))))
+    for group, std, (information, gradient) in zip(varying_groups, prior_stds, score_statistics, strict=True):
+        gain, coefficients = _gain_and_coefficients(information, gradient, std)
+        scores.append(ScoredTermGroup(group, gain, coefficients, tuple(map(float, std))))
     return scores
 
 
-def _batches(groups: Sequence[Group], most: int) -> Iterator[list[Group]]:
-    """Groups in their order, in batches of at most `most` terms."""
-    batch: list[Group] = []
+def _is_constant(values: Floats) -> bool:
+    """Whether values along all flights hardly vary relative to their size."""
+    return float(np.ptp(values)) <= _CONSTANT_RANGE * float(np.abs(values).max())
+
+
+def _batches(groups: Sequence[TermGroup], max_terms: int) -> Iterator[list[TermGroup]]:
+    """Yield the groups in their order, in batches of at most `max_terms` terms."""
+    batch: list[TermGroup] = []
     for group in groups:
-        if batch and sum(len(member.terms) for member in batch) + len(group.terms) > most:
+        if batch and sum(len(member.terms) for member in batch) + len(group.terms) > max_terms:
             yield batch
             batch = []
         batch.append(group)
@@ -246,27 +264,39 @@ def _regressors(
     terms: Sequence[EquationTerm],
     values: Sequence[Sequence[Floats]],
 ) -> Iterator[Floats]:
-    """Derivative of the innovations to each term's coefficient, shape (m, s) for each flight."""
+    """Yield for each flight the derivative of the innovations by each term's coefficient, shape (m, terms).
+
+    `values` are those of each term along each flight.
+    """
     flights = range(len(signals.linearised_flights))
     disturbances = screening.estimate.disturbances
-    kind, _, where = channel.partition(".")
+    kind, _, place = channel.partition(".")
     if kind == "torque":
         torques = [np.concatenate([by_flight[i] for by_flight in values], axis=1) for i in flights]
-        return screening.filtered.disturbance_regressors(disturbances, AXES.index(where), torques)
+        return screening.filtered.disturbance_regressors(disturbances, AXES.index(place), torques)
     changes: list[tuple[Floats, Floats | None]] = []
     for i in flights:
         columns = np.concatenate(
             [signals.signal(i, term, value[i]) for term, value in zip(terms, values, strict=True)], axis=2
         )
         if kind == "measurement":
-            none = np.zeros((len(columns), signals.linearised_flights[i].states, columns.shape[2]))
-            changes.append((none, columns))
+            no_rates = np.zeros((len(columns), signals.linearised_flights[i].states, columns.shape[2]))
+            changes.append((no_rates, columns))
         else:
             changes.append((columns, None))
     return screening.filtered.regressors(disturbances, changes)
 
 
-def _solved(information: Floats, gradient: Floats, std: Floats) -> tuple[float, Floats]:
+def _gain_and_coefficients(information: Floats, gradient: Floats, std: Floats) -> tuple[float, Floats]:
+    """Maximise the quadratic log-likelihood of a score test with a normal prior.
+
+    Returns
+    -------
+    float
+            Gain of the log-likelihood, nats.
+    ndarray (g,)
+            Coefficients.
+    """
     if len(std) == 1:
         value = gradient / (information[0, 0] + std[0] ** -2.0)
         return float(0.5 * gradient[0] * value[0]), value
@@ -277,18 +307,18 @@ def _solved(information: Floats, gradient: Floats, std: Floats) -> tuple[float, 
 def term_coefficient_std(term: EquationTerm, rms: float) -> float:
     """Prior standard deviation of the coefficient of a `term` of root mean square `rms` along the flights."""
     kind = term.channel.partition(".")[0]
-    return _LARGEST.get(term.channel, _LARGEST.get(kind, 1.0)) / rms
+    return _PRIOR_RMS.get(term.channel, _PRIOR_RMS.get(kind, 1.0)) / rms
 
 
 def _quantities(linear: LinearisedFlight, trajectory: Trajectory) -> dict[str, Floats]:
-    """Values of every quantity along a trajectory, (n,), or (n, 2) if each rotor has its own."""
+    """Return every quantity along a trajectory by name, shape (n,), or (n, 2) if each rotor has its own."""
     model = linear.model.source
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
-    at = model.driven(x, u, p, t)
-    wanted = [ca.densify(ca.SX(quantity.value(at))) for quantity in SYMBOLS.values()]
-    values = AlongTrajectory(ca.Function("quantities", [x, u, t, p], wanted))(trajectory)
+    operands = model.driven(x, u, p, t)
+    expressions = [ca.densify(ca.SX(quantity.value(operands))) for quantity in SYMBOLS.values()]
+    values = AlongTrajectory(ca.Function("quantities", [x, u, t, p], expressions))(trajectory)
     return {
-        name: value[:, :, 0] if quantity.each else value[:, 0, 0]
+        name: value[:, :, 0] if quantity.per_rotor else value[:, 0, 0]
         for (name, quantity), value in zip(SYMBOLS.items(), values, strict=True)
     }

@@ -12,7 +12,7 @@ from heli_lab.diagnose.search import KNOTS, QUANTITIES, SplineTerm, bspline_basi
 from heli_lab.diagnose.wording import SHOWN, channel_in_words, quantity_in_words
 from heli_lab.estimation import Estimate
 
-_DRAWN: Final = 200
+_CURVE_POINTS: Final = 200
 """Points of a drawn curve."""
 
 
@@ -53,24 +53,24 @@ class SplineCurve:
 def spline_curve_of(effect: SplineTerm, estimate: Estimate) -> SplineCurve:
     """Evaluate a spline term, an `effect` of the model of an `estimate`, with its estimated coefficients."""
     low, step = effect.values[f"{effect.name}_low"], effect.values[f"{effect.name}_step"]
-    place = np.linspace(low, low + step * (KNOTS - 3), _DRAWN)
-    weights = bspline_basis(place, low, step)
+    quantity = np.linspace(low, low + step * (KNOTS - 3), _CURVE_POINTS)
+    basis = bspline_basis(quantity, low, step)
     # A constant torque, thrust or angle is a parameter of the rig already: only the variation is the curve.
-    weights -= weights.mean(axis=0)
+    basis -= basis.mean(axis=0)
     names = list(estimate.parameter_vector.names)
     columns = [names.index(f"{effect.name}_{i}") for i in range(KNOTS)]
     covariance = estimate.covariance[np.ix_(columns, columns)]
-    variance = np.einsum("ni,ij,nj->n", weights, covariance, weights)
+    variance = np.einsum("ni,ij,nj->n", basis, covariance, basis)
     unit = next(q.unit for q in effect.parameters if q.name == f"{effect.name}_0")
-    on_unit = QUANTITIES[effect.on][1]
+    quantity_si_unit = QUANTITIES[effect.on][1]
     factor, value_unit = SHOWN.get(unit, (1.0, unit))
-    on_factor, quantity_unit = SHOWN.get(on_unit, (1.0, on_unit))
+    quantity_factor, quantity_unit = SHOWN.get(quantity_si_unit, (1.0, quantity_si_unit))
     return SplineCurve(
-        effect.channel,
-        effect.on,
-        on_factor * place,
-        factor * (weights @ estimate.theta[columns]),
-        factor * np.sqrt(np.maximum(variance, 0.0)),
-        quantity_unit,
-        value_unit,
+        channel=effect.channel,
+        on=effect.on,
+        quantity=quantity_factor * quantity,
+        value=factor * (basis @ estimate.theta[columns]),
+        std=factor * np.sqrt(np.maximum(variance, 0.0)),
+        quantity_unit=quantity_unit,
+        value_unit=value_unit,
     )

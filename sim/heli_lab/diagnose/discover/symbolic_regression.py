@@ -13,17 +13,17 @@ import itertools
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from heli_sim.model.effects import EffectSpec
 
 from heli_lab.diagnose.discover.discovery import Discovery, Rival
-from heli_lab.diagnose.discover.equation import NAME, Equation, Group
+from heli_lab.diagnose.discover.equation import NAME, Equation, TermGroup
 from heli_lab.diagnose.discover.equation_refit import EquationRefits, RefittedEquation
-from heli_lab.diagnose.discover.grammar import groups, tried_up_to
+from heli_lab.diagnose.discover.grammar import count_by_complexity, groups
 from heli_lab.diagnose.discover.listed_effects import ListedEffects
-from heli_lab.diagnose.discover.scoring import ScoredGroup, TermSignals, score
+from heli_lab.diagnose.discover.scoring import ScoredTermGroup, TermSignals, score
 from heli_lab.diagnose.search import Hypothesis, ModelComparison, Screening
 from heli_lab.diagnose.thresholds import (
     ALTERNATIVES,
@@ -34,7 +34,7 @@ from heli_lab.diagnose.thresholds import (
     MIN_MARGIN,
     SHORTLIST_SHARE,
 )
-from heli_lab.estimation import DisturbanceModel
+from heli_lab.estimation import DisturbanceModel, Estimate
 
 _NO_DRIFT_Nm: Final = 2e-5
 """Practically zero; covariances stay regular."""
@@ -60,13 +60,13 @@ class EquationSearch:
     rivals: dict[str, float] = field(default_factory=dict)
 
     def round(
-        self, known: RefittedEquation | None, disturbances: DisturbanceModel
+        self, current: RefittedEquation | None, disturbances: DisturbanceModel
     ) -> RefittedEquation | None:
         """Add one more group of terms.
 
         Parameters
         ----------
-        known : RefittedEquation or None
+        current : RefittedEquation or None
             The equation so far.
         disturbances : DisturbanceModel
             Disturbances for the score tests.
@@ -76,51 +76,54 @@ class EquationSearch:
         RefittedEquation or None
             The extended equation; None if no group exceeds its penalty.
         """
-        warm_start = known.hypothesis if known else self.refits.base
+        warm_start = current.hypothesis if current else self.refits.base
         screening = Screening(replace(warm_start.estimate, disturbances=disturbances))
         signals = TermSignals(screening)
-        every = groups(signals.spans)
-        self.refits.tried = tried_up_to(every)
-        scored: dict[str, ScoredGroup] = {}
+        all_groups = groups(signals.spans)
+        self.refits.tried = count_by_complexity(all_groups)
+        finalists: dict[str, ScoredTermGroup] = {}
         for scored_group in (
-            *self.slow_finalists(warm_start, disturbances, signals, every),
-            *self.finalists(score(screening, signals, every)),
+            *self.slow_finalists(warm_start, disturbances, signals, all_groups),
+            *self.finalists(score(screening, signals, all_groups)),
         ):
-            scored.setdefault(scored_group.group.key, scored_group)
-        likely = [
-            (scored_group, equation)
-            for scored_group in scored.values()
-            if (equation := extended_equation(scored_group, known)) is not None
-        ]
-        best = self._best(likely, known, warm_start, signals)
+            finalists.setdefault(scored_group.group.key, scored_group)
+        best = self._best_refit(list(finalists.values()), current, warm_start, signals)
         return None if best is None else self.refits.simplified(best, signals)
 
-    def _best(
+    def _best_refit(
         self,
-        likely: Sequence[tuple[ScoredGroup, Equation]],
-        known: RefittedEquation | None,
+        finalists: Sequence[ScoredTermGroup],
+        current: RefittedEquation | None,
         warm_start: Hypothesis,
         signals: TermSignals,
     ) -> RefittedEquation | None:
-        """The refit of the largest margin; None if it does not exceed what was known by `MIN_MARGIN`."""
+        """Refit the current equation with each finalist; return the refit of the largest margin.
+
+        The result is None if its margin does not exceed that of the current equation by `MIN_MARGIN`. The
+        lead over each other finalist is stored in `rivals`.
+        """
         best: RefittedEquation | None = None
-        rivals = dict[str, float]()
-        kept = 0
-        known_penalty = known.penalty if known else 0.0
-        for scored_group, equation in likely:
-            if kept >= EQUATION_FINALISTS:
+        margin_by_group = dict[str, float]()
+        confirmed_scores = 0
+        current_penalty = current.penalty if current else 0.0
+        for scored_group in finalists:
+            equation = extended_equation(scored_group, current)
+            if equation is None:
+                continue
+            if confirmed_scores >= EQUATION_FINALISTS:
                 break
             self.say(f"trying {scored_group.group.key}")
-            made = self.refits.refit_extended(scored_group, equation, known, signals)
-            gain = made.hypothesis.log_likelihood - warm_start.log_likelihood
-            kept += gain >= SHORTLIST_SHARE * scored_group.log_likelihood_gain
-            rivals[scored_group.group.key] = gain - (made.penalty - known_penalty)
-            if best is None or made.margin > best.margin:
-                best = made
-        if best is None or best.margin - (warm_start.log_likelihood - known_penalty) <= MIN_MARGIN:
+            refit = self.refits.refit_extended(scored_group, equation, current, signals)
+            gain = refit.hypothesis.log_likelihood - warm_start.log_likelihood
+            if gain >= SHORTLIST_SHARE * scored_group.log_likelihood_gain:
+                confirmed_scores += 1
+            margin_by_group[scored_group.group.key] = gain - (refit.penalty - current_penalty)
+            if best is None or refit.margin > best.margin:
+                best = refit
+        if best is None or best.margin - (warm_start.log_likelihood - current_penalty) <= MIN_MARGIN:
             return None
-        chosen = rivals.pop(best.group.key)
-        self.rivals |= {key: chosen - margin for key, margin in rivals.items()}
+        best_margin = margin_by_group.pop(best.group.key)
+        self.rivals |= {key: best_margin - margin for key, margin in margin_by_group.items()}
         return best
 
     def slow_finalists(
@@ -128,10 +131,12 @@ class EquationSearch:
         warm_start: Hypothesis,
         disturbances: DisturbanceModel,
         signals: TermSignals,
-        every: Sequence[Group],
-    ) -> list[ScoredGroup]:
-        """Score terms without slow disturbances: next to a slow disturbance of its own size, a term of slow
-        quantities such as travel has hardly any score.
+        all_groups: Sequence[TermGroup],
+    ) -> list[ScoredTermGroup]:
+        """Score terms without slow disturbances, and choose the best.
+
+        A slow disturbance of its size explains a term of slow quantities such as travel, so that the term has
+        hardly any score.
 
         Parameters
         ----------
@@ -141,47 +146,53 @@ class EquationSearch:
             Its disturbances; if about no axis the slow part is larger than the fast one, nothing is scored.
         signals : TermSignals
             Values of all terms along the flights.
-        every : sequence of Group
-            All groups; those on encoders are not scored.
+        all_groups : sequence of TermGroup
+            Groups of terms; those on encoders are not scored.
         """
-        drifts = disturbances.slow_std > disturbances.fast_std
-        if not drifts.any():
+        is_slow = disturbances.slow_std > disturbances.fast_std
+        if not is_slow.any():
             return []
-        still = replace(
-            disturbances, slow_std=np.where(drifts, _NO_DRIFT_Nm, disturbances.slow_std), curvature=None
+        disturbances_without_drift = replace(
+            disturbances, slow_std=np.where(is_slow, _NO_DRIFT_Nm, disturbances.slow_std), curvature=None
         )
-        acting = [group for group in every if not group.terms[0].channel.startswith("measurement")]
-        scored = score(Screening(replace(warm_start.estimate, disturbances=still)), signals, acting)
-        return self.finalists(scored)[:ALTERNATIVES]
+        dynamic_groups = [
+            group for group in all_groups if not group.terms[0].channel.startswith("measurement")
+        ]
+        scores = score(
+            Screening(replace(warm_start.estimate, disturbances=disturbances_without_drift)),
+            signals,
+            dynamic_groups,
+        )
+        return self.finalists(scores)[:ALTERNATIVES]
 
-    def finalists(self, scored: Sequence[ScoredGroup]) -> list[ScoredGroup]:
+    def finalists(self, scored: Sequence[ScoredTermGroup]) -> list[ScoredTermGroup]:
         """Choose the groups of the largest score less penalty: twice `EQUATION_FINALISTS`, because not every
         score is confirmed, and at most `ALTERNATIVES` of the same channel and quantities.
         """
 
-        def penalty(scored_group: ScoredGroup) -> float:
+        def penalty(scored_group: ScoredTermGroup) -> float:
             return self.refits.penalty(scored_group.group, Equation(scored_group.group.terms), frozenset())
 
-        def worth(scored_group: ScoredGroup) -> float:
+        def net_gain(scored_group: ScoredTermGroup) -> float:
             return scored_group.log_likelihood_gain - penalty(scored_group)
 
-        chosen: list[ScoredGroup] = []
-        for scored_group in sorted(scored, key=worth, reverse=True):
-            gain = scored_group.log_likelihood_gain
-            paid = gain - worth(scored_group)
-            if EXPECTED_REFIT_GAIN * gain <= paid + MIN_MARGIN or len(chosen) >= 2 * EQUATION_FINALISTS:
+        finalists: list[ScoredTermGroup] = []
+        for scored_group in sorted(scored, key=net_gain, reverse=True):
+            expected_gain = EXPECTED_REFIT_GAIN * scored_group.log_likelihood_gain
+            if (
+                expected_gain <= penalty(scored_group) + MIN_MARGIN
+                or len(finalists) >= 2 * EQUATION_FINALISTS
+            ):
                 continue
-            like = [other for other in chosen if _place(other.group) == _place(scored_group.group)]
-            if len(like) < ALTERNATIVES:
-                chosen.append(scored_group)
-        return chosen
+            family = _family(scored_group.group)
+            if sum(_family(other.group) == family for other in finalists) < ALTERNATIVES:
+                finalists.append(scored_group)
+        return finalists
 
 
-def extended_equation(scored: ScoredGroup, known: RefittedEquation | None) -> Equation | None:
-    """Append the terms of the group `scored` to the equation `known` so far; None if a term would occur
-    twice.
-    """
-    terms = (*(known.equation.terms if known else ()), *scored.group.terms)
+def extended_equation(scored: ScoredTermGroup, current: RefittedEquation | None) -> Equation | None:
+    """Append the terms of the group `scored` to the `current` equation; None if a term would occur twice."""
+    terms = (*(current.equation.terms if current else ()), *scored.group.terms)
     return Equation(terms) if len(set(terms)) == len(terms) else None
 
 
@@ -189,6 +200,50 @@ def free_name(used: Collection[str]) -> str:
     """Choose a name for the effect that an equation becomes; the names `used` belong to other effects."""
     names = itertools.chain((NAME,), (f"{NAME}_{number}" for number in itertools.count(2)))
     return next(name for name in names if name not in used)
+
+
+class _ConfirmedEquation(NamedTuple):
+    """An equation whose last term the held-out flights confirmed.
+
+    `held_out` is its log-likelihood ratio there, nats, None without such flights. `rivals` are the leads over
+    other terms, nats, by key.
+    """
+
+    refitted: RefittedEquation
+    held_out: float | None
+    rivals: dict[str, float]
+
+
+def _select_terms(
+    search: EquationSearch, disturbances: DisturbanceModel, without: Estimate | None, max_refits: float
+) -> _ConfirmedEquation | None:
+    """Add groups of terms until none exceeds its penalty or is confirmed by the held-out flights.
+
+    `without` is the estimate of the held-out flights without an equation; None if there are none.
+    """
+    comparison = search.refits.comparison
+    confirmed: _ConfirmedEquation | None = None
+    previous_held_out = 0.0
+    while comparison.fits < max_refits:
+        current = confirmed.refitted if confirmed is not None else None
+        term_count = len(current.equation.terms) if current is not None else 0
+        if term_count >= EQUATION_MAX_TERMS:
+            break
+        if current is not None:
+            disturbances = current.hypothesis.estimate.disturbances
+        result = search.round(current, disturbances)
+        if result is None or len(result.equation.terms) <= term_count:
+            break
+        held_out = None
+        if without is not None:
+            with_equation = comparison.held_out_estimate(result.hypothesis)
+            held_out = with_equation.log_likelihood - without.log_likelihood
+            # Flights that had no part in its choice must confirm each term.
+            if held_out - previous_held_out < MIN_MARGIN:
+                break
+            previous_held_out = held_out
+        confirmed = _ConfirmedEquation(result, held_out, dict(search.rivals))
+    return confirmed
 
 
 def discover(
@@ -227,55 +282,40 @@ def discover(
     # An equation that was proposed earlier may be in the rig or among the causes, from its effect file.
     name = free_name({*base.ids, *(effect.name for effect in comparison.model.effects)})
     search = EquationSearch(EquationRefits(comparison, base, name), say or (lambda _step: None))
-    disturbances = (curve or base).estimate.disturbances
-    known: RefittedEquation | None = None
-    confirmed: tuple[RefittedEquation, float | None, dict[str, float]] | None = None
     without = comparison.held_out_estimate(base) if comparison.held_out else None
-    before = 0.0
-    while comparison.fits < refits and (known is None or len(known.equation.terms) < EQUATION_MAX_TERMS):
-        result = search.round(
-            known, disturbances if known is None else known.hypothesis.estimate.disturbances
-        )
-        if result is None or (known is not None and len(result.equation.terms) <= len(known.equation.terms)):
-            break
-        held_out = None
-        if without is not None:
-            with_equation = comparison.held_out_estimate(result.hypothesis)
-            held_out = with_equation.log_likelihood - without.log_likelihood
-            # Flights that had no part in its choice must confirm each term.
-            if held_out - before < MIN_MARGIN:
-                break
-            before = held_out
-        known, confirmed = result, (result, held_out, dict(search.rivals))
+    confirmed = _select_terms(search, (curve or base).estimate.disturbances, without, refits)
     if confirmed is None:
         return None
-    equation, held_out, others = confirmed
-    gained = equation.hypothesis.log_likelihood - base.log_likelihood
-    by_curve = curve.log_likelihood - base.log_likelihood if curve is not None and curve is not base else None
-    if by_curve is not None and gained < EQUATION_MIN_SPLINE_SHARE * by_curve:
+    refitted = confirmed.refitted
+    equation_gain = refitted.hypothesis.log_likelihood - base.log_likelihood
+    spline_gain = None
+    if curve is not None and curve is not base:
+        spline_gain = curve.log_likelihood - base.log_likelihood
+        if equation_gain < EQUATION_MIN_SPLINE_SHARE * spline_gain:
+            return None
+    catalogue = ListedEffects(comparison, base, kinds or {}, search.say)
+    if catalogue.equivalent_effect(refitted.equation, refitted.hypothesis, refitted.penalty) is not None:
         return None
-    listed = ListedEffects(comparison, base, kinds or {}, search.say)
-    if listed.equivalent_effect(equation.equation, equation.hypothesis, equation.penalty) is not None:
-        return None
-    hypothesis, superfluous = listed.without_superfluous(equation.hypothesis)
-    rivals = sorted((Rival(*item) for item in others.items()), key=lambda item: item.log_likelihood_ratio)
+    hypothesis, superfluous = catalogue.without_superfluous(refitted.hypothesis)
+    rivals = [Rival(key, ratio) for key, ratio in confirmed.rivals.items()]
     return Discovery(
-        equation.equation,
-        base,
-        hypothesis,
-        equation.penalty,
-        held_out,
-        by_curve,
-        tuple(rivals),
-        max(search.refits.tried.values()),
-        superfluous,
-        None if without is None else (without, comparison.held_out_estimate(hypothesis)),
+        equation=refitted.equation,
+        base=base,
+        hypothesis=hypothesis,
+        penalty=refitted.penalty,
+        held_out=confirmed.held_out,
+        curve=spline_gain,
+        rivals=tuple(sorted(rivals, key=lambda rival: rival.log_likelihood_ratio)),
+        tried=max(search.refits.tried.values()),
+        superfluous=superfluous,
+        elsewhere=None if without is None else (without, comparison.held_out_estimate(hypothesis)),
     )
 
 
-def _place(group: Group) -> tuple[str, frozenset[str]]:
-    """Channel and quantities of a group. All encoders count as one: an error of scale of one of them shifts
-    the filtered states of all.
+def _family(group: TermGroup) -> tuple[str, frozenset[str]]:
+    """Return channel and quantities of a group; groups of one family compete with each other.
+
+    All encoders count as one, because a scale error of one of them shifts the filtered states of all.
     """
     channel = group.terms[0].channel
     if channel.startswith("measurement"):

@@ -16,7 +16,7 @@ from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.discover.units import NONE, Unit
 
-_Value = Any
+_Expression = Any
 """A casadi.SX or a numpy array."""
 
 
@@ -39,7 +39,7 @@ class Quantity:
         ``angle``, ``rate``, ``thrust``, ``voltage`` or ``time``.
     near_zero : float
         Absolute value, in its unit, below which its sign is smoothed.
-    each : bool
+    per_rotor : bool
         Whether each rotor has its own.
     """
 
@@ -49,7 +49,7 @@ class Quantity:
     python: str
     kind: str
     near_zero: float = 0.0
-    each: bool = False
+    per_rotor: bool = False
 
 
 def _state(name: str) -> Callable[[Operands], ca.SX]:
@@ -57,11 +57,11 @@ def _state(name: str) -> Callable[[Operands], ca.SX]:
 
 
 _GREEK: Final = (r"\theta", r"\phi", r"\psi")
-_REST_rad_s: Final = 0.02
+_SIGN_WIDTH_rad_s: Final = 0.02
 """Rate below which the sign of a rate is not known: about two encoder counts within the filter's memory.
 Smaller: stiffer than a simulator's step allows. Larger: friction without a corner."""
-_STILL_N: Final = 0.05
-_STILL_V: Final = 0.05
+_SIGN_WIDTH_N: Final = 0.05
+_SIGN_WIDTH_V: Final = 0.05
 
 SYMBOLS: Final[Mapping[str, Quantity]] = {
     **{
@@ -77,7 +77,7 @@ SYMBOLS: Final[Mapping[str, Quantity]] = {
             rf"\dot{{{latex}}}",
             f'at.state["{axis}_rate_rad_s"]',
             "rate",
-            _REST_rad_s,
+            _SIGN_WIDTH_rad_s,
         )
         for axis, latex in zip(AXES, _GREEK, strict=True)
     },
@@ -87,7 +87,7 @@ SYMBOLS: Final[Mapping[str, Quantity]] = {
         "(F_f + F_b)",
         "(at.thrust_N[0] + at.thrust_N[1])",
         "thrust",
-        _STILL_N,
+        _SIGN_WIDTH_N,
     ),
     "thrust_difference": Quantity(
         lambda at: at.thrust_N[0] - at.thrust_N[1],
@@ -95,10 +95,10 @@ SYMBOLS: Final[Mapping[str, Quantity]] = {
         "(F_f - F_b)",
         "(at.thrust_N[0] - at.thrust_N[1])",
         "thrust",
-        _STILL_N,
+        _SIGN_WIDTH_N,
     ),
     "own_thrust": Quantity(
-        lambda at: at.thrust_N, Unit.parse("N"), "F", "at.thrust_N", "thrust", _STILL_N, each=True
+        lambda at: at.thrust_N, Unit.parse("N"), "F", "at.thrust_N", "thrust", _SIGN_WIDTH_N, per_rotor=True
     ),
     "other_thrust": Quantity(
         lambda at: ca.vertcat(at.thrust_N[1], at.thrust_N[0]),
@@ -106,11 +106,11 @@ SYMBOLS: Final[Mapping[str, Quantity]] = {
         r"F_{\mathrm{other}}",
         "ca.vertcat(at.thrust_N[1], at.thrust_N[0])",
         "thrust",
-        _STILL_N,
-        each=True,
+        _SIGN_WIDTH_N,
+        per_rotor=True,
     ),
     "own_voltage": Quantity(
-        lambda at: at.volts_V, Unit.parse("V"), "V", "at.volts_V", "voltage", _STILL_V, each=True
+        lambda at: at.volts_V, Unit.parse("V"), "V", "at.volts_V", "voltage", _SIGN_WIDTH_V, per_rotor=True
     ),
     "voltage": Quantity(
         lambda at: at.volts_V[0] + at.volts_V[1],
@@ -118,7 +118,7 @@ SYMBOLS: Final[Mapping[str, Quantity]] = {
         "(V_f + V_b)",
         "(at.volts_V[0] + at.volts_V[1])",
         "voltage",
-        _STILL_V,
+        _SIGN_WIDTH_V,
     ),
     "time": Quantity(lambda at: at.time_s, Unit.parse("s"), "t", "at.time_s", "time"),
 }
@@ -137,19 +137,19 @@ class Form:
         Notations, with ``{x}`` for the quantity and ``{NAME}`` for a parameter.
     power : int or None
         Power of the quantity's unit that its unit is; None for a pure number.
-    numbers : tuple of str
-        Names of its parameters.
-    pure : bool
+    parameter_names : tuple of str
+        Names of its parameters, in the order of the arguments of `value`.
+    needs_angle : bool
         Whether the quantity must be an angle.
     """
 
-    value: Callable[..., _Value]
+    value: Callable[..., _Expression]
     sympy: str
     latex: str
     python: str
     power: int | None
-    numbers: tuple[str, ...] = ()
-    pure: bool = False
+    parameter_names: tuple[str, ...] = ()
+    needs_angle: bool = False
 
 
 FORMS: Final[Mapping[str, Form]] = {
@@ -173,7 +173,7 @@ FORMS: Final[Mapping[str, Form]] = {
         "ca.sin({k} * {x})",
         None,
         ("k",),
-        pure=True,
+        needs_angle=True,
     ),
     "cos": Form(
         lambda m, x, k: m.cos(k * x),
@@ -182,7 +182,7 @@ FORMS: Final[Mapping[str, Form]] = {
         "ca.cos({k} * {x})",
         None,
         ("k",),
-        pure=True,
+        needs_angle=True,
     ),
     "bump": Form(
         lambda m, x, place, width: m.exp(-0.5 * ((x - place) / width) ** 2),
@@ -203,7 +203,7 @@ FORMS: Final[Mapping[str, Form]] = {
 }
 """Functions of which terms are products, by name."""
 
-MEMORIES: Final = ("", "lag", "washout")
+LAG_FILTERS: Final = ("", "lag", "washout")
 """The quantity itself, the quantity behind a first-order lag, or the difference of the two (lag less
 quantity)."""
 
@@ -218,9 +218,9 @@ class Factor:
         Function, a key of `FORMS`.
     quantity : str
         Quantity, a key of `SYMBOLS`.
-    numbers : tuple of (str, float)
-        Parameters of the function, and ``s``, the time constant of a lag in seconds.
-    memory : str
+    parameters : tuple of (str, float)
+        Name and value of the function's parameters, and of ``s``, the time constant of a lag in seconds.
+    lag_filter : str
         One of `MEMORIES`.
 
     Raises
@@ -231,11 +231,11 @@ class Factor:
 
     form: str
     quantity: str
-    numbers: tuple[tuple[str, float], ...] = ()
-    memory: str = ""
+    parameters: tuple[tuple[str, float], ...] = ()
+    lag_filter: str = ""
 
     def __post_init__(self) -> None:
-        if FORMS[self.form].pure and not SYMBOLS[self.quantity].unit.is_number:
+        if FORMS[self.form].needs_angle and not SYMBOLS[self.quantity].unit.is_number:
             raise ValueError(f"{self.form} of {self.quantity} [{SYMBOLS[self.quantity].unit}]")
 
     @property
@@ -245,11 +245,11 @@ class Factor:
         return NONE if power is None else SYMBOLS[self.quantity].unit ** power
 
     @property
-    def each(self) -> bool:
+    def per_rotor(self) -> bool:
         """Whether each rotor has its own."""
-        return SYMBOLS[self.quantity].each
+        return SYMBOLS[self.quantity].per_rotor
 
-    def value(self, module: Any, x: _Value, numbers: Mapping[str, Any] | None = None) -> _Value:
+    def value(self, module: Any, x: _Expression, parameters: Mapping[str, Any] | None = None) -> _Expression:
         """Evaluate the function.
 
         Parameters
@@ -258,20 +258,20 @@ class Factor:
             ``numpy`` or ``casadi``.
         x : ndarray or SX
             Values of the quantity, lag included.
-        numbers : Mapping[str, Any], optional
+        parameters : Mapping[str, Any], optional
             Parameters by name that replace the factor's own.
         """
-        given = {**dict(self.numbers), **(numbers or {})}
+        values = {**dict(self.parameters), **(parameters or {})}
         form = FORMS[self.form]
-        return form.value(module, x, *(given[name] for name in form.numbers))
+        return form.value(module, x, *(values[name] for name in form.parameter_names))
 
-    def number_unit(self, name: str) -> Unit:
+    def parameter_unit(self, name: str) -> Unit:
         """Unit of the parameter `name`."""
         if name == "s":
             return Unit.parse("s")
         return NONE if name == "k" else SYMBOLS[self.quantity].unit
 
-    def written(self, notation: str, symbols: Mapping[str, str], x: str | None = None) -> str:
+    def formatted(self, notation: str, symbols: Mapping[str, str], x: str | None = None) -> str:
         """Write the factor.
 
         Parameters
@@ -286,11 +286,11 @@ class Factor:
         quantity = SYMBOLS[self.quantity]
         if x is None:
             x = {"sympy": self.quantity, "latex": quantity.latex, "python": quantity.python}[notation]
-            if self.memory and notation == "sympy":
-                x = f"{self.memory}({x}, {symbols['s']})"
-            elif self.memory and notation == "latex":
+            if self.lag_filter and notation == "sympy":
+                x = f"{self.lag_filter}({x}, {symbols['s']})"
+            elif self.lag_filter and notation == "latex":
                 lag = rf"{x}_{{{symbols['s']}}}"
-                x = lag if self.memory == "lag" else rf"({lag} - {x})"
+                x = lag if self.lag_filter == "lag" else rf"({lag} - {x})"
         return str(getattr(FORMS[self.form], notation)).format(x=x, **symbols)
 
 
@@ -317,6 +317,6 @@ class Term:
     def key(self) -> str:
         """The term as text, with values of its inner parameters."""
         return "*".join(
-            factor.written("sympy", {name: f"{value:.4g}" for name, value in factor.numbers})
+            factor.formatted("sympy", {name: f"{value:.4g}" for name, value in factor.parameters})
             for factor in self.factors
         )

@@ -63,25 +63,22 @@ def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectSpec]) -> tuple[A
         names = [name for name in kind.override if name in values and rig[name].value > 0.0]
         if not kind.baseline or not names:
             continue
-        numbers = [
-            (
-                0.0 if name in fit.at_bound else values[name] / rig[name].value,
-                reported_std[name] / rig[name].value,
-            )
-            for name in names
-        ]
-        confidence = math.prod(absence_probability(value, std) for value, std in numbers)
+        # Estimates and standard errors in units of the rig file's values.
+        nominal = np.array([rig[name].value for name in names])
+        relative = np.array([0.0 if name in fit.at_bound else values[name] for name in names]) / nominal
+        relative_std = np.array([reported_std[name] for name in names]) / nominal
+        confidence = math.prod(map(absence_probability, relative.tolist(), relative_std.tolist()))
         if confidence < thresholds.ABSENT_MIN_CONFIDENCE:
             continue
-        share, std = 1.0 - numbers[0][0], max(numbers[0][1], thresholds.ABSENT_MIN_STD)
+        std = np.maximum(relative_std, thresholds.ABSENT_MIN_STD)
         terms.append(
             AbsentTerm(
                 id_,
-                min(max(share, 0.0), 1.0),
-                std,
-                confidence,
-                max(abs(value) / max(std, thresholds.ABSENT_MIN_STD) for value, std in numbers),
-                min((1.0 - value) / max(std, thresholds.ABSENT_MIN_STD) for value, std in numbers),
+                share=min(max(1.0 - float(relative[0]), 0.0), 1.0),
+                std=float(std[0]),
+                confidence=confidence,
+                z_from_zero=float(np.max(np.abs(relative) / std)),
+                z_from_rig=float(np.min((1.0 - relative) / std)),
             )
         )
     return tuple(sorted(terms, key=lambda term: -term.confidence))
@@ -102,10 +99,12 @@ def absence_probability(value: float, std: float) -> float:
         Probability, at most `MAX_CONFIDENCE`.
     """
     std = max(std, thresholds.ABSENT_MIN_STD)
-    there = np.geomspace(1e-3, 1e3, 4001)
-    likely = np.exp(-0.5 * (np.log(there) / thresholds.PRESENT_LOG_STD) ** 2)
-    likely /= likely.sum()
+    present_values = np.geomspace(1e-3, 1e3, 4001)
+    prior = np.exp(-0.5 * (np.log(present_values) / thresholds.PRESENT_LOG_STD) ** 2)
+    prior /= prior.sum()
     # The normal densities' common factor cancels.
-    absent = math.exp(-0.5 * min((value / std) ** 2, 1e3)) * thresholds.ABSENT_PRIOR
-    present = float(likely @ np.exp(-0.5 * ((value - there) / std) ** 2)) * (1.0 - thresholds.ABSENT_PRIOR)
-    return min(thresholds.MAX_CONFIDENCE, absent / max(absent + present, 1e-300))
+    absent_weight = math.exp(-0.5 * min((value / std) ** 2, 1e3)) * thresholds.ABSENT_PRIOR
+    present_weight = float(prior @ np.exp(-0.5 * ((value - present_values) / std) ** 2)) * (
+        1.0 - thresholds.ABSENT_PRIOR
+    )
+    return min(thresholds.MAX_CONFIDENCE, absent_weight / max(absent_weight + present_weight, 1e-300))

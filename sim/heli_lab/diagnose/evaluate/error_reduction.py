@@ -101,8 +101,10 @@ def error_reduction(
     count = len(rows)
     random = np.random.default_rng(seed)
     weights = random.multinomial(count, np.full(count, 1.0 / count), _RESAMPLES)
-    total = weights @ squares_before
-    ratios = np.sqrt(np.where(total > 0.0, weights @ squares_after, 1.0) / np.where(total > 0.0, total, 1.0))
+    resampled_before = weights @ squares_before
+    resampled_after = weights @ squares_after
+    has_error = resampled_before > 0.0
+    ratios = np.sqrt(np.where(has_error, resampled_after, 1.0) / np.where(has_error, resampled_before, 1.0))
     low, high = np.quantile(ratios, [0.025, 0.975], axis=0)
     rms_before = np.rad2deg(np.sqrt(squares_before.sum(axis=0) / rows.sum()))
     rms_after = np.rad2deg(np.sqrt(squares_after.sum(axis=0) / rows.sum()))

@@ -61,13 +61,14 @@ def extrapolations(fitted: Sequence[Record], runs: Sequence[FreeRun]) -> tuple[E
 def _extrapolation(
     run: FreeRun, ranges_V: dict[str, tuple[float, float]], low_V: Floats, high_V: Floats
 ) -> Extrapolation:
+    """Find the windows of a free run whose voltages are outside of `low_V` and `high_V`, shape (2,) each."""
     (record,) = run.fit.problem.records
     windows = run.fit.problem.windows(0)
     spans_s = []
     for first, count in windows:
         rows = slice(first, first + count)
         voltages_V = record.voltages_V[rows]
-        outside = ((voltages_V < low_V) | (voltages_V > high_V)).any(axis=1)
-        if outside.mean() > OUTSIDE_SHARE:
+        is_outside = ((voltages_V < low_V) | (voltages_V > high_V)).any(axis=1)
+        if is_outside.mean() > OUTSIDE_SHARE:
             spans_s.append((float(record.t_s[rows][0]), float(record.t_s[rows][-1])))
     return Extrapolation(run.label, ranges_V, len(windows), tuple(spans_s))

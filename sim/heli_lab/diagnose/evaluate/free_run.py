@@ -118,40 +118,34 @@ def free_run(
     horizons : sequence of str
         Keys of `HORIZONS` to predict; the fit of the result is that of the last.
     """
-    known = {**_mean_by_name(model, [model.parameter_values(rig)]), **values}
-    first, rest = split(record, calibrate_s)
-    priors = flight_constants(model, rig, known)
-    calibrated: dict[str, tuple[float, float]] = {}
-    if first.segments:
-        fit = solve(
-            _problem(model, rig, known, first, priors, threads),
-            robust=False,
-            scatter=False,
-            warm_start=True,
-        )
-        calibrated = {name: (value, fit.std[name]) for name, value in fit.values.items()}
-        known |= fit.values
-    # Equal bounds hold the constants: with the same free parameters the compiled kernel is reused.
-    held = {name: Prior(known[name], prior.std, known[name], known[name]) for name, prior in priors.items()}
-    problem = _problem(model, rig, known, rest, held, threads)
-    windows = [rows for _, rows in problem.windows(0)]
-    fits = {
-        key: solve(
-            problem.with_split_windows(HORIZONS[key]),
-            robust=False,
-            scatter=False,
-            warm_start=True,
-        )
-        for key in horizons
+    parameters = {**_mean_by_name(model, [model.parameter_values(rig)]), **values}
+    calibration, prediction = split(record, calibrate_s)
+    priors = flight_constants(model, rig, parameters)
+    constants: dict[str, tuple[float, float]] = {}
+    if calibration.segments:
+        problem = _problem(model, rig, parameters, calibration, priors, threads)
+        fit = solve(problem, robust=False, scatter=False, warm_start=True)
+        constants = {name: (value, fit.std[name]) for name, value in fit.values.items()}
+        parameters |= fit.values
+    # Equal bounds fix the constants: with the same free parameters the compiled kernel is reused.
+    fixed_priors = {
+        name: Prior(parameters[name], prior.std, parameters[name], parameters[name])
+        for name, prior in priors.items()
     }
+    problem = _problem(model, rig, parameters, prediction, fixed_priors, threads)
+    window_rows = [rows for _, rows in problem.windows(0)]
+    fits = {}
+    for key in horizons:
+        runs = problem.with_split_windows(HORIZONS[key])
+        fits[key] = solve(runs, robust=False, scatter=False, warm_start=True)
     return FreeRun(
-        record.label,
-        first.used_s,
-        rest.used_s,
-        calibrated,
-        priors if calibrated else {},
-        {key: _errors(fit, windows) for key, fit in fits.items()},
-        fits[horizons[-1]],
+        label=record.label,
+        calibrated_s=calibration.used_s,
+        evaluated_s=prediction.used_s,
+        constants=constants,
+        priors=priors if constants else {},
+        errors={key: _window_errors(fit, window_rows) for key, fit in fits.items()},
+        fit=fits[horizons[-1]],
     )
 
 
@@ -168,19 +162,14 @@ def estimated_free_runs(
         Keys of `HORIZONS` to predict.
     """
     vector = estimate.parameter_vector
-    every = [vector.parameters(estimate.theta, index) for index in range(len(estimate.references))]
-    values = _mean_by_name(vector.model, every)
-    return tuple(
-        free_run(
-            vector.model,
-            vector.rig,
-            values,
-            record,
-            min(CALIBRATE_s if calibrate_s is None else calibrate_s, CALIBRATE_SHARE * record.used_s),
-            horizons=horizons,
-        )
-        for record in flights
-    )
+    parameters = [vector.parameters(estimate.theta, index) for index in range(len(estimate.references))]
+    values = _mean_by_name(vector.model, parameters)
+    requested_s = CALIBRATE_s if calibrate_s is None else calibrate_s
+    runs = []
+    for record in flights:
+        duration_s = min(requested_s, CALIBRATE_SHARE * record.used_s)
+        runs.append(free_run(vector.model, vector.rig, values, record, duration_s, horizons=horizons))
+    return tuple(runs)
 
 
 def free_runs(
@@ -235,22 +224,22 @@ def calibration_s(record: Record, requested_s: float | None = None) -> float:
     IdentifyError
         If the requested duration is negative, or leaves nothing to predict.
     """
-    most_s = CALIBRATE_SHARE * record.used_s
+    max_s = CALIBRATE_SHARE * record.used_s
     if requested_s is None:
-        return min(CALIBRATE_s, most_s)
+        return min(CALIBRATE_s, max_s)
     if not requested_s >= 0.0:
         raise IdentifyError(f"{requested_s:g} s of calibration is not possible", "give --calibrate 0 or more")
     if requested_s > record.used_s - MIN_SEGMENT_S:
         raise IdentifyError(
             f"{requested_s:g} s of calibration leave no time of the {record.used_s:.3g} s of free flight in "
             f"{record.label}",
-            f"give {most_s:.2g} or less to --calibrate, or a longer flight to --validate",
+            f"give {max_s:.2g} or less to --calibrate, or a longer flight to --validate",
         )
-    return min(requested_s, most_s)
+    return min(requested_s, max_s)
 
 
 def _mean_by_name(model: Model, parameters: Sequence[Floats]) -> dict[str, float]:
-    """Mean of parameters, each an array of all of a model's, by name."""
+    """Return the mean of parameter vectors of a model, shape (p,) each, by name."""
     names = (quantity.name for quantity in model.parameters)
     return dict(zip(names, np.mean(parameters, axis=0).tolist(), strict=True))
 
@@ -263,6 +252,7 @@ def _problem(
     priors: Mapping[str, Prior],
     threads: int | None,
 ) -> Problem:
+    """Return the problem of simulating a flight in windows, in which the constants in `priors` are free."""
     return Problem(
         model,
         rig,
@@ -277,9 +267,9 @@ def _problem(
     )
 
 
-def _errors(fit: Fit, windows: Sequence[int]) -> WindowErrors:
-    """Squared errors summed over windows of so many rows, whatever the horizon of the runs."""
-    seen = trace(fit)
-    squares = (seen.residual * seen.sigma_rad) ** 2
-    first = np.concatenate(([0], np.cumsum(windows)[:-1]))
-    return WindowErrors(np.add.reduceat(squares, first, axis=0), np.array(windows, float))
+def _window_errors(fit: Fit, window_rows: Sequence[int]) -> WindowErrors:
+    """Sum the squared errors of a fit over windows of `window_rows` rows each, whatever its horizon."""
+    simulated = trace(fit)
+    squares_rad2 = (simulated.residual * simulated.sigma_rad) ** 2
+    first_rows = np.concatenate(([0], np.cumsum(window_rows)[:-1]))
+    return WindowErrors(np.add.reduceat(squares_rad2, first_rows, axis=0), np.array(window_rows, float))

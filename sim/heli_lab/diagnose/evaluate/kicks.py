@@ -20,7 +20,7 @@ from heli_lab.estimation.innovations_model import FlightErrors
 
 _MAX_KICKS: Final = 30
 """Kicks that are sought in all flights together; each takes one pass of the smoother."""
-_MAD: Final = 1.4826
+_STD_PER_MAD: Final = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
 
@@ -58,23 +58,23 @@ def kicks(
         As in `auxiliary_residuals`.
     """
     error = filtered.perturbed_residual() if error is None else error
-    sizes_Nms: dict[str, list[float]] = {}
+    impulses_Nms: dict[str, list[float]] = {}
     for _ in range(_MAX_KICKS):
         residuals = auxiliary_residuals(filtered, disturbances, error)
-        heights = [_heights(residual) for residual in residuals]
-        flight = int(np.argmax([height.max(initial=0.0) for height in heights]))
-        place, axis = np.unravel_index(int(heights[flight].argmax()), heights[flight].shape)
-        if heights[flight][place, axis] < KICK_STD_ERRORS:
+        statistics = [_robust_statistics(residual) for residual in residuals]
+        flight = int(np.argmax([statistic.max(initial=0.0) for statistic in statistics]))
+        interval, axis = np.unravel_index(int(statistics[flight].argmax()), statistics[flight].shape)
+        if statistics[flight][interval, axis] < KICK_STD_ERRORS:
             break
-        torque_Nm = float(residuals[flight].impulse.size[place, axis])
+        torque_Nm = float(residuals[flight].impulse.size[interval, axis])
         step_s = filtered.linearised_flights[flight].reference.step_s
-        sizes_Nms.setdefault(AXES[axis], []).append(abs(torque_Nm) * step_s)
-        error = with_impulse(filtered, error, flight, int(place), int(axis), torque_Nm)
-    return {axis: Kicks(len(sizes), max(sizes)) for axis, sizes in sizes_Nms.items()}
+        impulses_Nms.setdefault(AXES[axis], []).append(abs(torque_Nm) * step_s)
+        error = with_impulse(filtered, error, flight, int(interval), int(axis), torque_Nm)
+    return {axis: Kicks(len(sizes), max(sizes)) for axis, sizes in impulses_Nms.items()}
 
 
 def with_impulse(
-    filtered: InnovationsModel, error: FlightErrors, flight: int, place: int, axis: int, torque_Nm: float
+    filtered: InnovationsModel, error: FlightErrors, flight: int, interval: int, axis: int, torque_Nm: float
 ) -> FlightErrors:
     """Return the `error` of a model that has one more torque about an axis, in the first step of a
     measurement interval.
@@ -86,21 +86,22 @@ def with_impulse(
     """
     changed = [list(windows) for windows in error]
     for number, blocks in enumerate(filtered.linearised_flights[flight].blocks):
-        if place < len(blocks.rows):
-            drive, measured = changed[flight][number]
-            added = drive.copy()
-            added[place, :, 0] += blocks.part_input[0, place, :, axis] * torque_Nm
-            changed[flight][number] = added, measured
+        if interval < len(blocks.rows):
+            state_residual, output_residual = changed[flight][number]
+            new_state_residual = state_residual.copy()
+            new_state_residual[interval, :, 0] += blocks.part_input[0, interval, :, axis] * torque_Nm
+            changed[flight][number] = new_state_residual, output_residual
             break
-        place -= len(blocks.rows)
+        interval -= len(blocks.rows)
     return changed
 
 
-def _heights(residual: AuxiliaryResiduals) -> Floats:
-    """Absolute statistics of impulses, (k, 3), in robust standard errors: kicks inflate the estimated gusts,
-    and statistics are too small then.
+def _robust_statistics(residual: AuxiliaryResiduals) -> Floats:
+    """Return absolute t statistics of impulses, (k, 3), over their robust standard deviation.
+
+    Kicks inflate the estimated disturbances, so that the statistics themselves are too small.
     """
     statistic = residual.impulse.t_statistic
-    scale = _MAD * np.median(np.abs(statistic - np.median(statistic, axis=0)), axis=0)
+    scale = _STD_PER_MAD * np.median(np.abs(statistic - np.median(statistic, axis=0)), axis=0)
     result: Floats = np.abs(statistic) / np.clip(scale, 1e-6, 1.0)
     return result

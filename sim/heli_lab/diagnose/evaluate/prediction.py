@@ -104,11 +104,13 @@ def normalised_samples(fit: Fit) -> Floats:
 
 
 def _free_run(estimate: Estimate, records: Sequence[Record], own_calibration: bool) -> Fit:
-    """Fit zeros, constant torques and initial states of `records`, everything else as estimated. With
-    `own_calibration` they are the records of the estimate, and the fit has its parameters and covariance.
+    """Fit zeros, constant torques and initial states of `records`; all other parameters stay as estimated.
+
+    With `own_calibration`, the records are those of the estimate, and the fit has its parameters and
+    covariance.
     """
     parameter_vector = estimate.parameter_vector
-    local = {
+    flight_priors = {
         parameter.quantity: parameter.prior
         for parameter in parameter_vector.free
         if parameter.record is not None
@@ -117,11 +119,11 @@ def _free_run(estimate: Estimate, records: Sequence[Record], own_calibration: bo
         parameter_vector.model,
         parameter_vector.rig,
         records,
-        free=tuple(local),
-        per_flight=tuple(local),
+        free=tuple(flight_priors),
+        per_flight=tuple(flight_priors),
         window_s=_WINDOW_s,
         step_s=_STEP_s,
-        priors=local,
+        priors=flight_priors,
         values=parameter_vector.shared_by_name(estimate.theta),
     )
     fit = solve(problem, robust=False, scatter=False, warm_start=True)

@@ -65,13 +65,13 @@ def prior_conflicts(fit: Fit) -> tuple[PriorConflict, ...]:
     mean, the farthest first. Parameters of effects are not tested.
     """
     effect_names = {name for effect in fit.problem.model.effects for name in effect.priors}
-    every = (
+    conflicts = (
         PriorConflict(parameter.name, parameter.unit, float(value), fit.std[parameter.name], parameter.prior)
         for parameter, value in zip(fit.problem.free, fit.theta, strict=True)
         if parameter.quantity not in effect_names
     )
-    far = [conflict for conflict in every if abs(conflict.deviations) > PRIOR_CONFLICT_STD]
-    return tuple(sorted(far, key=lambda conflict: -abs(conflict.deviations)))
+    significant = [conflict for conflict in conflicts if abs(conflict.deviations) > PRIOR_CONFLICT_STD]
+    return tuple(sorted(significant, key=lambda conflict: -abs(conflict.deviations)))
 
 
 def tried_without(conflicts: Sequence[PriorConflict], estimate: Estimate) -> tuple[PriorConflict, ...]:
@@ -93,8 +93,8 @@ def tried_without(conflicts: Sequence[PriorConflict], estimate: Estimate) -> tup
         return ()
     parameters = estimate.parameter_vector
     names = [conflict.name for conflict in conflicts]
-    places = [parameters.names.index(name) for name in names]
-    free = estimated(
+    indices = [parameters.names.index(name) for name in names]
+    without_priors = estimated(
         parameters.without_priors(names),
         estimate.references,
         estimate.functions,
@@ -102,10 +102,16 @@ def tried_without(conflicts: Sequence[PriorConflict], estimate: Estimate) -> tup
         estimate.disturbances,
     )
     # log_likelihood includes the priors: subtract the part of those that were dropped.
-    off = (estimate.theta - parameters.mean) / parameters.std
-    gain = free.log_likelihood - estimate.log_likelihood - 0.5 * float(off[places] @ off[places])
-    std = np.sqrt(np.diag(free.covariance))
+    deviations = (estimate.theta - parameters.mean) / parameters.std
+    gain = (
+        without_priors.log_likelihood
+        - estimate.log_likelihood
+        - 0.5 * float(deviations[indices] @ deviations[indices])
+    )
+    std = np.sqrt(np.diag(without_priors.covariance))
     return tuple(
-        replace(conflict, freed=EstimateWithoutPrior(float(free.theta[place]), float(std[place]), gain))
-        for conflict, place in zip(conflicts, places, strict=True)
+        replace(
+            conflict, freed=EstimateWithoutPrior(float(without_priors.theta[place]), float(std[place]), gain)
+        )
+        for conflict, place in zip(conflicts, indices, strict=True)
     )

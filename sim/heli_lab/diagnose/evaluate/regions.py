@@ -26,7 +26,7 @@ _CELLS: Final = 8
 """Cells along each quantity: with fewer, regions blur; with more, cells are visited too briefly."""
 _VISITED_s: Final = 0.6
 """Time in a cell below which it is not tested: a correlation time of fast disturbances."""
-_TAIL: Final = 0.01
+_TAIL_SHARE: Final = 0.01
 """Share of the flight beyond each end of the cells; it counts into the outermost cells."""
 _MOTION: Final = (*AXES, *(f"{axis}_rate" for axis in AXES))
 """Quantities of a plane that a reader can picture: where the arm is and how fast it turns."""
@@ -117,82 +117,99 @@ def failing_regions(before: Estimate, after: Estimate, axis: str, first: str = "
     """
     # Before the extension, disturbances explain what is missing: test against those that remain after it.
     screening = Screening(replace(before, disturbances=after.disturbances))
-    values = _values(screening)
+    values = _plane_values(screening)
     if first not in _PLANES:
-        lines = {name: _gain(screening, axis, _cells(values[name]), _CELLS) for name in _MOTION}
-        first = max(lines, key=lambda name: lines[name])
-    gains = {
-        name: _gain(screening, axis, _cells(values[first]) * _CELLS + _cells(values[name]), _CELLS**2)
-        for name in _MOTION
-        if name != first
-    }
-    second = max(gains, key=lambda name: gains[name])
-    edges = {name: _edges(values[name]) for name in (first, second)}
-    then = _test(screening, before, axis, first, second, edges)
+        line_evidence = {
+            name: _evidence(screening, axis, _cell_numbers(values[name]), _CELLS) for name in _MOTION
+        }
+        first = max(line_evidence, key=lambda name: line_evidence[name])
+    plane_evidence = {}
+    for name in _MOTION:
+        if name != first:
+            cells = _cell_numbers(values[first]) * _CELLS + _cell_numbers(values[name])
+            plane_evidence[name] = _evidence(screening, axis, cells, _CELLS**2)
+    second = max(plane_evidence, key=lambda name: plane_evidence[name])
+    edges = {name: _cell_edges(values[name]) for name in (first, second)}
+    test_before = _test_cells(screening, before, axis, first, second, edges)
     screening.release()
-    now = _test(Screening(after), after, axis, first, second, edges)
-    return FailingRegions(axis, first, second, edges[first], edges[second], then, now)
+    test_after = _test_cells(Screening(after), after, axis, first, second, edges)
+    return FailingRegions(
+        axis,
+        x=first,
+        y=second,
+        x_edges=edges[first],
+        y_edges=edges[second],
+        before=test_before,
+        after=test_after,
+    )
 
 
-def _values(screening: Screening) -> dict[str, Floats]:
-    every = [
+def _plane_values(screening: Screening) -> dict[str, Floats]:
+    """Return the quantities of `_PLANES` at all steps of all flights, shape (n,), by name."""
+    values_by_flight = [
         quantity_values(linear.model.source, linear.trajectory)
         for linear in screening.filtered.linearised_flights
     ]
-    return {name: np.concatenate([values[name] for values in every]) for name in _PLANES}
+    return {name: np.concatenate([values[name] for values in values_by_flight]) for name in _PLANES}
 
 
-def _edges(values: Floats) -> Floats:
-    low, high = np.quantile(values, [_TAIL, 1.0 - _TAIL])
+def _cell_edges(values: Floats) -> Floats:
+    """Return the edges of the cells along a quantity, shape (cells + 1,)."""
+    low, high = np.quantile(values, [_TAIL_SHARE, 1.0 - _TAIL_SHARE])
     return np.linspace(low, max(high, low + 1e-9), _CELLS + 1)
 
 
-def _cells(values: Floats) -> Integers:
-    """Number of the cell of each value, if the cells divide their range."""
-    return _number(values, _edges(values))
+def _cell_numbers(values: Floats) -> Integers:
+    """Return the number of the cell of each value, (n,), if the cells divide their range."""
+    return _cell_number(values, _cell_edges(values))
 
 
-def _gain(screening: Screening, axis: str, place: Integers, count: int) -> float:
-    """Evidence that a model fails in some of `count` cells, `place` being that of each step: mean square of
-    their scores less 1, by the root of their number.
+def _evidence(screening: Screening, axis: str, cell: Integers, count: int) -> float:
+    """Return the evidence that a model fails in some of `count` cells: the sum of z^2 - 1 over the root of
+    the number of cells. `cell` is the cell of each step, (n,).
     """
-    z = _scores(screening, axis, place, count)
-    return float(np.nansum(z**2 - 1.0) / np.sqrt(max(1, np.isfinite(z).sum())))
+    score = _cell_scores(screening, axis, cell, count)
+    return float(np.nansum(score**2 - 1.0) / np.sqrt(max(1, np.isfinite(score).sum())))
 
 
-def _number(values: Floats, edges: Floats) -> Integers:
+def _cell_number(values: Floats, edges: Floats) -> Integers:
+    """Return the number, 0 to `_CELLS` - 1, of the cell between `edges` of each value, shape (n,)."""
     return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, _CELLS - 1)
 
 
-def _scores(screening: Screening, axis: str, place: Integers, count: int) -> Floats:
-    """Score of a torque in each of `count` cells in standard deviations, `place` being the cell of each step;
-    nan if there were too few steps.
+def _cell_scores(screening: Screening, axis: str, cell: Integers, count: int) -> Floats:
+    """Return the score of a torque in each of `count` cells in standard deviations, shape (count,).
+
+    `cell` is the cell of each step, (n,). The score is nan if the flights were in the cell too briefly.
     """
     step_s = screening.filtered.linearised_flights[0].trajectory.step_s
-    visited = np.nonzero(np.bincount(place, minlength=count) * step_s >= _VISITED_s)[0]
+    visited = np.nonzero(np.bincount(cell, minlength=count) * step_s >= _VISITED_s)[0]
     z = np.full(count, np.nan)
-    lengths = np.cumsum([linear.rows for linear in screening.filtered.linearised_flights])[:-1]
-    for low in range(0, len(visited), screening.batch):
-        some = visited[low : low + screening.batch]
-        inside = np.asarray(place[:, None] == some[None, :], float)
-        only = screening.filtered.disturbance_regressors(
-            screening.estimate.disturbances, AXES.index(axis), np.split(inside, lengths)
+    flight_ends = np.cumsum([linear.rows for linear in screening.filtered.linearised_flights])[:-1]
+    for first in range(0, len(visited), screening.batch):
+        batch = visited[first : first + screening.batch]
+        is_inside = np.asarray(cell[:, None] == batch[None, :], float)
+        regressors = screening.filtered.disturbance_regressors(
+            screening.estimate.disturbances, AXES.index(axis), np.split(is_inside, flight_ends)
         )
-        parts = screening.projected(only, [1] * len(some))
-        z[some] = [gradient[0] / np.sqrt(max(information[0, 0], 1e-12)) for information, gradient in parts]
+        statistics = screening.projected(regressors, [1] * len(batch))
+        z[batch] = [score[0] / np.sqrt(max(information[0, 0], 1e-12)) for information, score in statistics]
     return z
 
 
-def _test(
+def _test_cells(
     screening: Screening, estimate: Estimate, axis: str, x: str, y: str, edges: Mapping[str, Floats]
 ) -> RegionTest:
-    """Test the cells by a screening; the missing torque is smoothed with the estimate's own disturbances."""
+    """Test all cells of a plane about an estimate, with the false discovery rate controlled.
+
+    `screening` gives the scores; the missing torque is smoothed with the disturbances of `estimate`.
+    """
     # It takes most of a second to import.
     from scipy.stats import false_discovery_control
 
-    values = _values(screening)
-    place = _number(values[x], edges[x]) * _CELLS + _number(values[y], edges[y])
-    z = _scores(screening, axis, place, _CELLS**2)
+    values = _plane_values(screening)
+    cell = _cell_number(values[x], edges[x]) * _CELLS + _cell_number(values[y], edges[y])
+    z = _cell_scores(screening, axis, cell, _CELLS**2)
     tested = np.nonzero(np.isfinite(z))[0]
     fails = np.zeros(_CELLS**2, bool)
     # Two-sided p-values of standard normal scores, by the procedure of Benjamini and Hochberg.
@@ -203,14 +220,16 @@ def _test(
     trajectories = []
     for linear, (_, torque_Nm, _) in zip(screening.filtered.linearised_flights, smoothed, strict=True):
         rows = np.concatenate([blocks.rows for blocks in linear.blocks])
-        at = quantity_values(linear.model.source, linear.trajectory)
+        quantities = quantity_values(linear.model.source, linear.trajectory)
         axis_torque_Nm = torque_Nm[:, AXES.index(axis)]
-        trajectories.append(PlaneTrajectory(at[x][rows], at[y][rows], axis_torque_Nm - axis_torque_Nm.mean()))
-    every = np.concatenate([trajectory.torque_Nm for trajectory in trajectories])
+        trajectories.append(
+            PlaneTrajectory(quantities[x][rows], quantities[y][rows], axis_torque_Nm - axis_torque_Nm.mean())
+        )
+    missing_Nm = np.concatenate([trajectory.torque_Nm for trajectory in trajectories])
     return RegionTest(
-        z.reshape(_CELLS, _CELLS),
-        fails.reshape(_CELLS, _CELLS),
-        float(fails[place].mean()),
-        float(np.sqrt(np.mean(every**2))),
-        tuple(trajectories),
+        z=z.reshape(_CELLS, _CELLS),
+        fails=fails.reshape(_CELLS, _CELLS),
+        share=float(fails[cell].mean()),
+        rms_Nm=float(np.sqrt(np.mean(missing_Nm**2))),
+        flights=tuple(trajectories),
     )

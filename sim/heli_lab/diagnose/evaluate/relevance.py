@@ -54,11 +54,11 @@ def prediction_changes(
         less = (
             predict(comparison.refit(rest, None, extended).estimate, comparison.train, ()) if rest else before
         )
-        changes[candidate.id] = _counts(whole - normalised_samples(less.fit))
+        changes[candidate.id] = _largest_rms_counts(whole - normalised_samples(less.fit))
     return changes
 
 
-def _counts(difference: Floats) -> float:
+def _largest_rms_counts(difference: Floats) -> float:
     """Root mean square in counts, on the axis where it is largest, of a difference in standard deviations of
     the quantisation, which is count / sqrt(12).
     """

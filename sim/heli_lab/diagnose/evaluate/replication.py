@@ -126,21 +126,27 @@ def replicate(
     ids = [cause.effect for cause in assessment.verdict.causes]
     if not ids:
         return Replication({}, assessment.extended, assessment.after, evaluation, ())
-    judge = _Judge(comparison, search, assessment, evaluation, calibrate_s)
-    if judge.directions is None:
-        why = "no other flight was given, and this one is too short to be divided into two folds"
-        causes = {id_: CauseReplication(None, None, why) for id_ in ids}
-        return _replication(judge, causes, ())
-    forward, reverse = judge.ratios
-    why_not = {id_: judge.contradiction(id_) for id_ in ids}
-    worse = judge.worse(ids)
-    kept = [id_ for id_ in ids if not why_not[id_]]
-    while still := (worse if len(kept) == len(ids) else judge.worse(kept)):
-        blamed = judge.blamed(kept, still)
-        kept.remove(blamed)
-        why_not[blamed] = _in_words(still[0])
-    causes = {id_: CauseReplication(forward.get(id_), reverse.get(id_), why_not[id_]) for id_ in ids}
-    return _replication(judge, causes, worse)
+    models = _CauseSubsets(comparison, search, assessment, evaluation, calibrate_s)
+    if models.directions is None:
+        why_not = "no other flight was given, and this one is too short to be divided into two folds"
+        causes = {id_: CauseReplication(None, None, why_not) for id_ in ids}
+        return _replication(models, causes, ())
+    reasons = {id_: models.contradiction(id_) for id_ in ids}
+    worse_with_all = models.worse_axes(ids)
+    confirmed_ids = [id_ for id_ in ids if not reasons[id_]]
+    # Drop causes one by one until no axis is predicted worse than by the baseline.
+    while True:
+        worse = worse_with_all if len(confirmed_ids) == len(ids) else models.worse_axes(confirmed_ids)
+        if not worse:
+            break
+        harmful_id = models.most_harmful(confirmed_ids, worse)
+        confirmed_ids.remove(harmful_id)
+        reasons[harmful_id] = worse_axis_sentence(worse[0], "the model with it")
+    forward_ratios, reverse_ratios = models.ratios
+    causes = {
+        id_: CauseReplication(forward_ratios.get(id_), reverse_ratios.get(id_), reasons[id_]) for id_ in ids
+    }
+    return _replication(models, causes, worse_with_all)
 
 
 def worse_axis_sentence(worse: WorseAxis, model: str = "the extended model") -> str:
@@ -153,19 +159,23 @@ def worse_axis_sentence(worse: WorseAxis, model: str = "the extended model") -> 
     )
 
 
-def _in_words(worse: WorseAxis) -> str:
-    return worse_axis_sentence(worse, "the model with it")
-
-
 def _replication(
-    judge: _Judge, causes: Mapping[str, CauseReplication], worse: tuple[WorseAxis, ...]
+    models: _CauseSubsets, causes: Mapping[str, CauseReplication], worse: tuple[WorseAxis, ...]
 ) -> Replication:
-    kept = [id_ for id_, cause in causes.items() if cause.confirmed]
-    return Replication(causes, judge.hypothesis(kept), *judge.evaluated(kept), worse)
+    """Return the result with the model of the confirmed causes."""
+    confirmed_ids = [id_ for id_, cause in causes.items() if cause.confirmed]
+    prediction, evaluation = models.evaluation(confirmed_ids)
+    return Replication(
+        causes, models.hypothesis(confirmed_ids), prediction=prediction, evaluation=evaluation, worse=worse
+    )
 
 
-class _Judge:
-    """Judges models with some of the named causes in both directions; what was computed is kept."""
+class _CauseSubsets:
+    """Models with subsets of the named causes, compared in both directions; each is computed once.
+
+    The forward direction estimates on the fitted flights and evaluates on the held-out flights. The reverse
+    direction exchanges them. Without held-out flights, the directions use two folds.
+    """
 
     def __init__(
         self,
@@ -178,20 +188,23 @@ class _Judge:
         self.comparison, self.search, self.assessment = comparison, search, assessment
         self.calibrate_s = calibrate_s
         self.ids = tuple(cause.effect for cause in assessment.verdict.causes)
-        self._evaluated = {
-            frozenset(self.ids): (assessment.after, evaluation),
-        }
-        self._hypotheses = {frozenset(self.ids): assessment.extended, frozenset[str](): search.baseline}
+        all_ids = frozenset(self.ids)
+        # By the ids of a model's causes; runs by whether reverse.
+        self._evaluations = {all_ids: (assessment.after, evaluation)}
+        self._hypotheses = {all_ids: assessment.extended, frozenset[str](): search.baseline}
         self._baseline_runs: dict[bool, Sequence[FreeRun]] = {}
         self._reductions: dict[tuple[frozenset[str], bool], Mapping[str, ErrorReduction]] = {}
 
     @cached_property
     def directions(self) -> tuple[Direction | None, Direction] | None:
-        """Forward and reverse; no forward direction where the search has it. None if no side can judge."""
+        """Fits of the forward and the reverse direction.
+
+        The forward direction is None if the search has computed it. Both are None if a fold is too short.
+        """
         comparison, final = self.comparison, self.search.final
         if comparison.held_out:
-            near = comparison.held_out_estimate(final)
-            return None, direction(comparison.exchanged(), final, near, final.estimate)
+            held_out = comparison.held_out_estimate(final)
+            return None, direction(comparison.exchanged(), final, held_out, final.estimate)
         folds = comparison.folds()
         if folds is None:
             return None
@@ -200,75 +213,84 @@ class _Judge:
 
     @cached_property
     def ratios(self) -> tuple[Mapping[str, float], Mapping[str, float]]:
-        """Log-likelihood ratios of the causes in both directions."""
+        """Log-likelihood ratios of the causes in the forward and the reverse direction, nats, by id."""
         assert self.directions is not None
         forward, reverse = self.directions
         if forward is not None:
             return forward.log_likelihood_ratio, reverse.log_likelihood_ratio
-        known = {cause.effect: cause.held_out or 0.0 for cause in self.assessment.verdict.causes}
-        return known, reverse.log_likelihood_ratio
+        search_ratios = {cause.effect: cause.held_out or 0.0 for cause in self.assessment.verdict.causes}
+        return search_ratios, reverse.log_likelihood_ratio
 
     def contradiction(self, id_: str) -> str:
-        """Why the log-likelihood ratios of a cause do not confirm it; empty if they do."""
+        """Return the reason why the log-likelihood ratios do not confirm a cause; empty if they do."""
         if self._is_of_one_flight(id_):
             return "it happened in one flight only"
-        sides = self._labels()
-        for nats, (fitted, judged) in zip(self.ratios, (sides, sides[::-1]), strict=True):
-            if not nats[id_] > 0.0:
+        first, second = self._side_labels()
+        forward, reverse = self.ratios
+        for ratios, fitted, evaluated in ((forward, first, second), (reverse, second, first)):
+            if not ratios[id_] > 0.0:
                 return (
-                    f"fitted on {fitted}, it makes {judged} less likely "
-                    f"(log-likelihood ratio {nats[id_]:.1f} nats)"
+                    f"fitted on {fitted}, it makes {evaluated} less likely "
+                    f"(log-likelihood ratio {ratios[id_]:.1f} nats)"
                 )
         return ""
 
     def _with_events(self, ids: Sequence[str]) -> frozenset[str]:
-        """Some causes, and the events of one flight: these stay in the fit of their flight, and never happen
-        in another one.
+        """Return ids of causes, and of all events of one flight.
+
+        Such an event stays in the fit of its flight, and never happens in another flight.
         """
         return frozenset(ids) | {id_ for id_ in self.ids if self._is_of_one_flight(id_)}
 
     def _is_of_one_flight(self, id_: str) -> bool:
-        effect = next(c.effect for c in self.search.final.candidates if c.id == id_)
+        """Whether a cause is an event that no held-out flight has."""
+        effect = next(candidate.effect for candidate in self.search.final.candidates if candidate.id == id_)
         labels = {record.label for record in self.comparison.held_out}
         return bool(effect.flight) and not labels & effect.other_moments_s.keys()
 
-    def worse(self, ids: Sequence[str]) -> tuple[WorseAxis, ...]:
-        """Axes that the model with some causes predicts worse in one of the directions."""
+    def worse_axes(self, ids: Sequence[str]) -> tuple[WorseAxis, ...]:
+        """Return the axes that the model with some causes predicts worse than the baseline, in both
+        directions.
+        """
         if not ids:
             return ()
-        sides = self._labels()
-        return tuple(
-            WorseAxis(axis, *(sides[::-1] if reverse else sides), reduction)
-            for reverse in (False, True)
-            for axis, reduction in self.reductions(ids, reverse).items()
-            if reduction.interval95[0] > 1.0
-        )
+        first, second = self._side_labels()
+        worse = []
+        for is_reverse, fitted, evaluated in ((False, first, second), (True, second, first)):
+            for axis, reduction in self.reductions(ids, is_reverse).items():
+                if reduction.interval95[0] > 1.0:
+                    worse.append(WorseAxis(axis, fitted, evaluated, reduction))
+        return tuple(worse)
 
-    def blamed(self, ids: Sequence[str], worse: Sequence[WorseAxis]) -> str:
-        """The cause without which the errors of the axes that are predicted `worse` are smallest."""
+    def most_harmful(self, ids: Sequence[str], worse: Sequence[WorseAxis]) -> str:
+        """Return the cause without which the errors of the `worse` axes are smallest."""
         if len(ids) == 1:
             return ids[0]
+        first, _ = self._side_labels()
 
-        def left(without: str) -> float:
-            rest = [id_ for id_ in ids if id_ != without]
+        def log_error_without(id_: str) -> float:
+            other_ids = [other for other in ids if other != id_]
             return sum(
-                math.log(self.reductions(rest, entry.fitted != self._labels()[0])[entry.axis].ratio)
+                math.log(self.reductions(other_ids, entry.fitted != first)[entry.axis].ratio)
                 for entry in worse
             )
 
-        return min(ids, key=left)
+        return min(ids, key=log_error_without)
 
     def reductions(self, ids: Sequence[str], reverse: bool) -> Mapping[str, ErrorReduction]:
-        """Open-loop errors at `WORSE_HORIZON` of the model with some causes, compared with the baseline's."""
+        """Compare open-loop errors at `WORSE_HORIZON` of the model with some causes with the baseline's, by
+        axis.
+        """
         assert self.directions is not None
         side = self.directions[int(reverse)]
         if side is None:
-            return self.evaluated(ids)[1].extension.horizons[WORSE_HORIZON]
+            _, evaluation = self.evaluation(ids)
+            return evaluation.extension.horizons[WORSE_HORIZON]
         key = frozenset(ids), reverse
         if key not in self._reductions:
             if reverse not in self._baseline_runs:
-                self._baseline_runs[reverse] = self._runs(side, side.baseline)
-            runs = self._runs(side, self._fitted(side, ids))
+                self._baseline_runs[reverse] = self._free_runs(side, side.baseline)
+            runs = self._free_runs(side, self._refit(side, ids))
             self._reductions[key] = error_reduction(
                 [run.errors[WORSE_HORIZON] for run in self._baseline_runs[reverse]],
                 [run.errors[WORSE_HORIZON] for run in runs],
@@ -277,47 +299,55 @@ class _Judge:
         return self._reductions[key]
 
     def hypothesis(self, ids: Sequence[str]) -> Hypothesis:
-        """The model with some of the causes, on the fitted flights."""
+        """Return the model with some of the causes, estimated on the fitted flights."""
         key = self._with_events(ids)
         if key not in self._hypotheses:
             extended = self.assessment.extended
-            kept = [candidate for candidate in extended.candidates if candidate.id in key]
-            self._hypotheses[key] = self.comparison.refit(kept, None, extended)
+            candidates = [candidate for candidate in extended.candidates if candidate.id in key]
+            self._hypotheses[key] = self.comparison.refit(candidates, None, extended)
         return self._hypotheses[key]
 
-    def evaluated(self, ids: Sequence[str]) -> tuple[Prediction, HeldOutEvaluation]:
-        """Free runs of the model with some of the causes, and their errors on the held-out flights."""
+    def evaluation(self, ids: Sequence[str]) -> tuple[Prediction, HeldOutEvaluation]:
+        """Evaluate the model with some of the causes.
+
+        Returns
+        -------
+        Prediction
+            Free runs over all flights.
+        HeldOutEvaluation
+            Errors on the held-out flights.
+        """
         key = self._with_events(ids)
-        if key not in self._evaluated:
+        if key not in self._evaluations:
             comparison, before = self.comparison, self.assessment.before
             hypothesis = self.hypothesis(ids)
-            after = before if hypothesis is self.search.baseline else None
-            after = after or predict(hypothesis.estimate, comparison.train, comparison.held_out)
-            _, whole = self._evaluated[frozenset(self.ids)]
-            self._evaluated[key] = (
-                after,
-                evaluate_extension(comparison, before, after, whole, self.calibrate_s),
-            )
-        return self._evaluated[key]
+            if hypothesis is self.search.baseline:
+                after = before
+            else:
+                after = predict(hypothesis.estimate, comparison.train, comparison.held_out)
+            _, whole = self._evaluations[frozenset(self.ids)]
+            evaluation = evaluate_extension(comparison, before, after, whole, self.calibrate_s)
+            self._evaluations[key] = after, evaluation
+        return self._evaluations[key]
 
-    def _fitted(self, side: Direction, ids: Sequence[str]) -> Hypothesis:
-        """The model with some causes on the fitted flights of a direction, without splines."""
-        some = self._with_events(ids)
-        kept = tuple(candidate for candidate in side.whole.candidates if candidate.id in some)
-        if len(kept) == len(side.whole.candidates):
+    def _refit(self, side: Direction, ids: Sequence[str]) -> Hypothesis:
+        """Return the model with some causes on the fitted flights of a direction, without splines."""
+        key = self._with_events(ids)
+        candidates = tuple(candidate for candidate in side.whole.candidates if candidate.id in key)
+        if len(candidates) == len(side.whole.candidates):
             return side.whole
-        return side.comparison.refit_from(kept, side.whole.values, side.whole.estimate.disturbances)
+        return side.comparison.refit_from(candidates, side.whole.values, side.whole.estimate.disturbances)
 
-    def _runs(self, side: Direction, hypothesis: Hypothesis) -> Sequence[FreeRun]:
+    def _free_runs(self, side: Direction, hypothesis: Hypothesis) -> Sequence[FreeRun]:
+        """Simulate the held-out flights of a direction."""
         return estimated_free_runs(
             hypothesis.estimate, side.comparison.held_out, self.calibrate_s, (WORSE_HORIZON,)
         )
 
-    def _labels(self) -> tuple[str, str]:
+    def _side_labels(self) -> tuple[str, str]:
+        """Return labels of the fitted and of the held-out flights in the forward direction."""
         if not self.comparison.held_out:
             return "the first fold", "the second fold"
-        train, held_out = (
-            " and ".join(record.label for record in records)
-            for records in (self.comparison.train, self.comparison.held_out)
-        )
-        return train, held_out
+        fitted = " and ".join(record.label for record in self.comparison.train)
+        held_out = " and ".join(record.label for record in self.comparison.held_out)
+        return fitted, held_out

@@ -7,48 +7,30 @@ what is significant is structure that a better model could predict.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose import thresholds
+from heli_lab.diagnose.evaluate.dependence_functions import dependence_functions
 from heli_lab.diagnose.evaluate.kicks import Kicks, kicks
 from heli_lab.diagnose.search import (
     Scored,
+    ScoreStatistics,
     Screening,
     coefficient_std,
-    quantity_values,
     score_of,
     spline_candidates,
 )
-from heli_lab.estimation import BLOCK_s, DisturbanceModel, InnovationsModel, LinearisedFlight
+from heli_lab.estimation import BLOCK_s, DisturbanceModel, InnovationsModel
 
 _MAX_CORRELATES: Final = 4
 """Longest list that a report shows."""
-_PRODUCTS: Final = (
-    "elevation",
-    "pitch",
-    "travel",
-    "elevation_rate",
-    "pitch_rate",
-    "travel_rate",
-    "thrust",
-    "thrust_difference",
-)
-_RATES: Final = ("elevation_rate", "pitch_rate", "travel_rate")
-_THRUSTS: Final = ("thrust", "thrust_difference")
-_LOWPASS_s: Final = (0.05, 0.2, 1.0)
-"""Time constants of first-order lags of the thrust: those of rotors, of inflow, of warming motors."""
-_PLAY_WIDTHS: Final = (0.1, 0.3, 1.0)
-"""Widths of a play (hysteresis), in standard deviations of the thrust."""
-_REST_WIDTHS: Final = (0.05, 0.2)
-"""Rates up to which an axis is nearly at rest, in standard deviations: there dry friction acts."""
 _TORQUE_STD_Nm: Final = (0.1, 0.03, 0.05)
 """Prior standard deviation of the coefficients about each axis: wide, of the size of the rigs' frictions."""
 _TEST_SPLINES: Final = 99
@@ -145,21 +127,20 @@ def residual_analysis(screenings: Sequence[Screening]) -> ResidualAnalysis:
         if dependence.log_likelihood_gain > dependence.penalty
     ]
     autocorrelation, bound = _autocorrelation(first)
-    gains, thrust_gains = disturbance_gains(first), gain_ratios(first)
-    short = kicks(first.filtered, first.estimate.disturbances)
+    result = ResidualAnalysis(
+        disturbances=first.estimate.disturbances,
+        gains=disturbance_gains(first),
+        autocorrelation=autocorrelation,
+        lags_s=tuple(lag * BLOCK_s for lag in _WHITE_LAGS),
+        bound=bound,
+        measurements=sum(screening.measurements for screening in screenings),
+        dependences=tuple(significant[:_MAX_CORRELATES]),
+        kicks=kicks(first.filtered, first.estimate.disturbances),
+        thrust_gains=gain_ratios(first),
+    )
     for screening in screenings:
         screening.release()
-    return ResidualAnalysis(
-        first.estimate.disturbances,
-        gains,
-        autocorrelation,
-        tuple(lag * BLOCK_s for lag in _WHITE_LAGS),
-        bound,
-        sum(screening.measurements for screening in screenings),
-        tuple(significant[:_MAX_CORRELATES]),
-        short,
-        thrust_gains,
-    )
+    return result
 
 
 def penalty(coefficients: int) -> float:
@@ -170,51 +151,63 @@ def penalty(coefficients: int) -> float:
 
 
 def disturbance_gains(screening: Screening) -> Floats:
-    """Log-likelihood ratio of the disturbances about each axis over no disturbance there, nats,
+    """Return the log-likelihood ratio of the disturbances about each axis over no disturbance there, nats,
     shape (3,).
     """
-    disturbances, filtered = screening.estimate.disturbances, screening.filtered
-    less = [
+    disturbances = screening.estimate.disturbances
+    calm_axes = [
         replace(
             disturbances,
-            fast_std=np.where(gone, _NO_TORQUE_Nm, disturbances.fast_std),
-            slow_std=np.where(gone, _NO_TORQUE_Nm, disturbances.slow_std),
+            fast_std=np.where(is_axis, _NO_TORQUE_Nm, disturbances.fast_std),
+            slow_std=np.where(is_axis, _NO_TORQUE_Nm, disturbances.slow_std),
         )
-        for gone in np.eye(3, dtype=bool)
+        for is_axis in np.eye(3, dtype=bool)
     ]
-    return _ratios(filtered, disturbances, less)
+    return _ratios_over(screening.filtered, disturbances, calm_axes)
 
 
 def gain_ratios(screening: Screening) -> Floats:
-    """Log-likelihood ratio of each gain's random variation over none, nats, shape (g,)."""
+    """Return the log-likelihood ratio of each gain's random variation over none, nats, shape (g,)."""
     disturbances = screening.estimate.disturbances
     gains = disturbances.gains
-    less = [
+    without_one_gain = [
         replace(disturbances, gains=(*gains[:i], replace(gains[i], std=_NO_GAIN), *gains[i + 1 :]))
         for i in range(len(gains))
     ]
-    return _ratios(screening.filtered, disturbances, less)
+    return _ratios_over(screening.filtered, disturbances, without_one_gain)
 
 
-def _ratios(
+def _ratios_over(
     filtered: InnovationsModel, disturbances: DisturbanceModel, others: Sequence[DisturbanceModel]
 ) -> Floats:
-    """Log-likelihood ratios of the disturbances over each of some `others`, nats."""
+    """Return the log-likelihood ratios of the disturbances over each of some `others`, nats."""
     if not others:
         return np.zeros(0)
-    values = filtered.log_likelihoods([disturbances, *others], filtered.perturbed_residual()).sum(axis=1)
-    result: Floats = values[0] - values[1:]
-    return result
+    residuals = filtered.perturbed_residual()
+    log_likelihoods = filtered.log_likelihoods([disturbances, *others], residuals).sum(axis=1)
+    ratios: Floats = log_likelihoods[0] - log_likelihoods[1:]
+    return ratios
 
 
 def _autocorrelation(screening: Screening) -> tuple[Floats, float]:
+    """Compute the autocorrelation of the innovations of all flights.
+
+    Returns
+    -------
+    ndarray (lags, 3)
+            Autocorrelation at `_WHITE_LAGS`, by measured axis.
+    float
+            Three standard errors of the autocorrelation of white innovations.
+    """
     innovations = screening.filtered.innovations(screening.estimate.disturbances)
-    value = np.concatenate([flight[:, 0] for flight in innovations.flights]).reshape(-1, 3)
-    variance = np.maximum((value**2).mean(axis=0), 1e-12)
+    innovation = np.concatenate([flight[:, 0] for flight in innovations.flights]).reshape(-1, 3)
+    variance = np.maximum((innovation**2).mean(axis=0), 1e-12)
     correlations = [
-        (value[lag:] * value[:-lag]).mean(axis=0) / variance for lag in _WHITE_LAGS if lag < len(value)
+        (innovation[lag:] * innovation[:-lag]).mean(axis=0) / variance
+        for lag in _WHITE_LAGS
+        if lag < len(innovation)
     ]
-    return np.array(correlations), float(3.0 / np.sqrt(len(value)))
+    return np.array(correlations), float(3.0 / np.sqrt(len(innovation)))
 
 
 def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
@@ -233,68 +226,76 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
         All tests, the largest gain first.
     """
     linearised_flights = [
-        linear for each_screening in screenings for linear in each_screening.filtered.linearised_flights
+        linear for screening in screenings for linear in screening.filtered.linearised_flights
     ]
     candidates = [
         candidate
         for candidate in spline_candidates(linearised_flights, _TEST_SPLINES)
         if not candidate.id.startswith("spline:measurement")
     ]
-    names = [
-        (" on ".join(candidate.id.split(":")[1:]), len(candidate.linear_parameters))
+    tests = [
+        _Test(" on ".join(candidate.id.split(":")[1:]), coefficient_std(candidate))
         for candidate in candidates
     ]
-    priors = [coefficient_std(candidate) for candidate in candidates]
-    parts = [each_screening.spline_information(candidates) for each_screening in screenings]
-    functions = _functions(linearised_flights)
-    for what, curves in functions.items():
-        for axis, name in enumerate(AXES):
-            size = curves[0].shape[1]
-            names.append((f"torque.{name} on {what}", size))
-            priors.append(np.full(size, _TORQUE_STD_Nm[axis]))
+    statistics_by_screening = [screening.spline_information(candidates) for screening in screenings]
+    functions = dependence_functions(linearised_flights)
+    for name, curves in functions.items():
+        for axis, axis_name in enumerate(AXES):
+            prior_std = np.full(curves[0].shape[1], _TORQUE_STD_Nm[axis])
+            tests.append(_Test(f"torque.{axis_name} on {name}", prior_std))
     first = 0
-    for screening, part in zip(screenings, parts, strict=True):
+    for screening, statistics in zip(screenings, statistics_by_screening, strict=True):
         last = first + len(screening.filtered.linearised_flights)
-        in_flights = {name: curves[first:last] for name, curves in functions.items()}
-        part.extend(_function_information(screening, in_flights))
+        own_functions = {name: curves[first:last] for name, curves in functions.items()}
+        statistics.extend(_function_statistics(screening, own_functions))
         first = last
     result = []
-    for (what, size), std, *each in zip(names, priors, *parts, strict=True):
-        information, score = (np.sum(values, axis=0) for values in zip(*each, strict=True))
-        gain, _, _ = score_of(information, score, std)
-        more = thresholds.NEAR_REST_NATS if what.endswith("near rest") or _on_own_rate(what) else 0.0
-        result.append(Dependence(what, gain, penalty(size) + more))
+    for test, *statistics in zip(tests, *statistics_by_screening, strict=True):
+        information = np.sum([part.information for part in statistics], axis=0)
+        score = np.sum([part.score for part in statistics], axis=0)
+        gain = score_of(information, score, test.prior_std).log_likelihood_gain
+        is_near_rest = test.name.endswith("near rest") or _on_own_rate(test.name)
+        near_rest_nats = thresholds.NEAR_REST_NATS if is_near_rest else 0.0
+        result.append(Dependence(test.name, gain, penalty(len(test.prior_std)) + near_rest_nats))
     return sorted(result, key=lambda dependence: -dependence.log_likelihood_gain)
 
 
-def _function_information(
+class _Test(NamedTuple):
+    """Name of a test and the prior standard deviations of its coefficients, shape (g,)."""
+
+    name: str
+    prior_std: Floats
+
+
+def _function_statistics(
     screening: Screening, functions: Mapping[str, list[Floats]]
-) -> list[tuple[Floats, Floats]]:
-    """Fisher information and score of a torque about each axis in turn, for each of the `functions`."""
-    result = []
-    for group in _groups(functions, screening.batch):
-        sizes = [curves[0].shape[1] for curves in group]
-        torques_Nm = [np.hstack(of_flight) for of_flight in zip(*group, strict=True)]
-        by_axis = [
+) -> list[ScoreStatistics]:
+    """Return the score statistics of a torque about each axis in turn, for each of the `functions`."""
+    result: list[ScoreStatistics] = []
+    for batch in _batches(functions, screening.batch):
+        sizes = [curves[0].shape[1] for curves in batch]
+        torques_Nm = [np.hstack(flight_curves) for flight_curves in zip(*batch, strict=True)]
+        statistics_by_axis = [
             screening.projected(
                 screening.filtered.disturbance_regressors(screening.estimate.disturbances, axis, torques_Nm),
                 sizes,
             )
             for axis in range(len(AXES))
         ]
-        result += [part for of_function in zip(*by_axis, strict=True) for part in of_function]
+        for function_statistics in zip(*statistics_by_axis, strict=True):
+            result.extend(function_statistics)
     return result
 
 
-def _groups(functions: Mapping[str, list[Floats]], batch: int) -> Iterator[list[list[Floats]]]:
-    """Functions in their order, in groups of at most `batch` regressors about an axis."""
-    group: list[list[Floats]] = []
+def _batches(functions: Mapping[str, list[Floats]], max_regressors: int) -> Iterator[list[list[Floats]]]:
+    """Yield the functions in their order, in batches of at most `max_regressors` regressors about an axis."""
+    batch: list[list[Floats]] = []
     for curves in functions.values():
-        if group and sum(curve[0].shape[1] for curve in [*group, curves]) > batch:
-            yield group
-            group = []
-        group.append(curves)
-    yield group
+        if batch and sum(function[0].shape[1] for function in [*batch, curves]) > max_regressors:
+            yield batch
+            batch = []
+        batch.append(curves)
+    yield batch
 
 
 def _on_own_rate(what: str) -> bool:
@@ -317,59 +318,9 @@ def correlates(splines: Sequence[Scored]) -> list[str]:
         ``CHANNEL on QUANTITY``, the best first.
     """
     best = splines[0].log_likelihood_gain if splines else 0.0
-    least = max(thresholds.CORRELATE_SHARE * best, thresholds.CHANCE_NATS)
+    min_gain = max(thresholds.CORRELATE_SHARE * best, thresholds.CHANCE_NATS)
     return [
         " on ".join(spline.candidate.id.split(":")[1:])
         for spline in splines[:_MAX_CORRELATES]
-        if spline.log_likelihood_gain > least
+        if spline.log_likelihood_gain > min_gain
     ]
-
-
-def _functions(linearised_flights: Sequence[LinearisedFlight]) -> dict[str, list[Floats]]:
-    """Quantities, products of two, past thrusts, and rates near rest: (n, s) for each flight, by name."""
-    quantities = [quantity_values(linear.model.source, linear.trajectory) for linear in linearised_flights]
-    centre, scale = {}, {}
-    for name in _PRODUCTS:
-        together = np.concatenate([values[name] for values in quantities])
-        centre[name], scale[name] = together.mean(), together.std() + 1e-12
-    every = [{n: (values[n] - centre[n]) / scale[n] for n in _PRODUCTS} for values in quantities]
-    functions = {name: [at[name][:, None] for at in every] for name in _PRODUCTS}
-    for first, other in itertools.combinations(_PRODUCTS, 2):
-        functions[f"{first} times {other}"] = [(at[first] * at[other])[:, None] for at in every]
-    step_s = linearised_flights[0].trajectory.step_s
-    for name in _THRUSTS:
-        functions[f"past {name}"] = [_past(at[name], step_s) for at in every]
-    for name in _RATES:
-        rates = [values[name] / scale[name] for values in quantities]
-        functions[f"{name} near rest"] = [
-            np.column_stack([np.tanh(r / 0.1 / w) * np.exp(-((r / w) ** 2)) for w in _REST_WIDTHS])
-            for r in rates
-        ]
-    return functions
-
-
-def _past(signal: Floats, step_s: float) -> Floats:
-    """What lags and plays would change in a signal: shape (n, s)."""
-    values = signal.tolist()
-    followed = [_lowpass(values, math.exp(-step_s / time_s)) for time_s in _LOWPASS_s]
-    followed += [_play(values, width) for width in _PLAY_WIDTHS]
-    result: Floats = np.column_stack(followed) - signal[:, None]
-    return result
-
-
-def _lowpass(values: Sequence[float], memory: float) -> list[float]:
-    """A first-order lag with the autocorrelation `memory` over a step, at rest at first."""
-
-    def step(place: float, value: float) -> float:
-        return place + (1.0 - memory) * (value - place)
-
-    return list(itertools.accumulate(values, step))
-
-
-def _play(values: Sequence[float], width: float) -> list[float]:
-    """What follows the values within half a `width` on either side."""
-
-    def step(place: float, value: float) -> float:
-        return min(max(place, value - width / 2.0), value + width / 2.0)
-
-    return list(itertools.accumulate(values, step))

@@ -32,7 +32,7 @@ def justified_thrust_noise(
         return None
     named = without_splines(comparison, search)
     noisy = comparison.with_thrust_noise()
-    gained = _log_likelihood(noisy, noisy.with_gains(named)) - _log_likelihood(comparison, named)
+    gained = _log_likelihood(noisy, noisy.refit_with_thrust_noise(named)) - _log_likelihood(comparison, named)
     penalty = 0.5 * _NUMBERS * math.log(comparison.rows) + MIN_MARGIN
     replaced = 0.0
     if search.final is not named:

@@ -116,21 +116,26 @@ def judge(
     small : tuple of SmallEffect
         Effects that are not causes, because they are too small to matter.
     """
-    ignored = {effect.cause.effect for effect in small}
-    effects = tuple(
-        cause for cause in search.causes if not cause.candidate.is_spline and cause.effect not in ignored
+    small_ids = {effect.cause.effect for effect in small}
+    splines = tuple(cause for cause in search.causes if cause.candidate.is_spline)
+    is_above_quantisation = max(after.train.total, after.held_out.total) > thresholds.NOISE_FLOOR
+    is_predictable = bool(splines or residual.dependences)
+    is_unexplained = is_above_quantisation and is_predictable
+    random_torque = is_above_quantisation and not is_predictable and has_random_torque(residual, kinds)
+    causes = tuple(
+        _named_cause(cause, kinds, after.fit, is_unexplained)
+        for cause in search.causes
+        if not cause.candidate.is_spline and cause.effect not in small_ids
     )
-    unlisted = tuple(cause for cause in search.causes if cause.candidate.is_spline)
-    visible = max(after.train.total, after.held_out.total) > thresholds.NOISE_FLOOR
-    random = visible and not unlisted and not residual.dependences and has_random_torque(residual, kinds)
-    unexplained = visible and bool(unlisted or residual.dependences)
-    causes = tuple(_named(cause, kinds, after.fit, unexplained) for cause in effects)
-    if unexplained:
-        return Verdict("unexplained", causes, unlisted, False, small)
-    if causes:
-        unclear = any(cause.ambiguous_with for cause in causes)
-        return Verdict("ambiguous" if unclear else "cause_found", causes, (), random, small)
-    return Verdict("cause_found" if random or absent else "explained", (), (), random, small)
+    if is_unexplained:
+        return Verdict("unexplained", causes, unlisted=splines, random_torque=False, small=small)
+    if any(cause.ambiguous_with for cause in causes):
+        label = "ambiguous"
+    elif causes or random_torque or absent:
+        label = "cause_found"
+    else:
+        label = "explained"
+    return Verdict(label, causes, unlisted=(), random_torque=random_torque, small=small)
 
 
 def with_confirmation(verdict: Verdict, unconfirmed: Collection[str]) -> Verdict:
@@ -169,35 +174,39 @@ def small_effects(
         Parameters of the model that has them.
     """
     return tuple(
-        SmallEffect(_named(cause, kinds, fit, False), changes[cause.effect])
+        SmallEffect(_named_cause(cause, kinds, fit, False), changes[cause.effect])
         for cause in search.causes
         if cause.effect in changes
     )
 
 
-def _named(cause: Cause, kinds: Mapping[str, EffectSpec], fit: Fit, unexplained: bool) -> NamedCause:
+def _named_cause(cause: Cause, kinds: Mapping[str, EffectSpec], fit: Fit, unexplained: bool) -> NamedCause:
+    """Return a cause with its parameters, confidence and description.
+
+    `unexplained` states whether something unexplained remains, which lowers the confidence.
+    """
     kind = kinds[cause.effect]
     parameters = cause_parameters(fit, kind, cause.candidate.effect.values)
+    description = kind.describe(
+        {name: parameter.value for name, parameter in parameters.items()},
+        {name: parameter.std for name, parameter in parameters.items()},
+    )
     return NamedCause(
         cause.candidate,
         cause.train,
         cause.held_out,
         cause.penalty,
         cause.alternatives,
-        parameters,
-        confidence(cause, unexplained),
-        kind.describe(
-            {name: number.value for name, number in parameters.items()},
-            {name: number.std for name, number in parameters.items()},
-        )
-        + _flights_in_words(cause.candidate.effect),
-        kind.equation,
-        family_number(fit, kind, kinds, parameters),
+        parameters=parameters,
+        confidence=confidence(cause, unexplained),
+        sentence=description + _moments_text(cause.candidate.effect),
+        equation=kind.equation,
+        family=family_number(fit, kind, kinds, parameters),
     )
 
 
-def _flights_in_words(effect: Effect) -> str:
-    """The flight in which an effect with a moment happens, and its moments in others."""
+def _moments_text(effect: Effect) -> str:
+    """State the flight of an event, and its moments in other flights; empty without an event."""
     if not effect.flight:
         return ""
     others = (f", and at {at_s:.2f} s in {label}" for label, at_s in effect.other_moments_s.items())
@@ -208,12 +217,12 @@ def has_random_torque(residual: ResidualAnalysis, kinds: Mapping[str, EffectSpec
     """Whether the fast disturbance is significant about one axis only, and of notable size and correlation
     time; `kinds` is the catalogue, which has its typical size. A thrust that varies disturbs all axes.
     """
-    order, axis = np.sort(residual.gains), AXES.index(residual.axis)
+    sorted_gains, axis = np.sort(residual.gains), AXES.index(residual.axis)
     kind = kinds.get(f"random_torque.{residual.axis}")
     min_Nm = thresholds.RANDOM_TORQUE_MIN_SHARE * kind.typical[kind.size[0]] if kind else math.inf
     return bool(
         not residual.thrust_gains.size
-        and order[-1] > thresholds.RANDOM_TORQUE_NATS > order[-2]
+        and sorted_gains[-1] > thresholds.RANDOM_TORQUE_NATS > sorted_gains[-2]
         and residual.disturbances.fast_std[axis] > min_Nm
         and residual.disturbances.correlation_time_s[axis] > thresholds.RANDOM_TORQUE_MIN_CORRELATION_s
     )

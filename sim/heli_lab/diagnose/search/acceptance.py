@@ -27,15 +27,15 @@ class Acceptance:
     kinds: Mapping[str, EffectSpec]
 
     def penalty(self, candidate: Candidate, grid_points: int = 0) -> float:
-        """Complexity penalty in nats: BIC for the candidate's parameters, and the logarithm of the number of
-        tests, to which `grid_points` of the candidate's own grid are added.
+        """Return the complexity penalty of a `candidate`, nats: BIC for its parameters, and the logarithm of
+        the number of tests.
+
+        The tests are one per candidate of the catalogue, and `grid_points` of the candidate's grid.
         """
-        free = len(candidate.effect.priors) + sum(
-            1 for name in candidate.grid if name not in candidate.effect.priors
-        )
-        weight = thresholds.SPLINE_COEFFICIENT_WEIGHT if candidate.is_spline else 1.0
+        free_count = len(set(candidate.effect.priors) | set(candidate.grid))
+        coefficient_weight = thresholds.SPLINE_COEFFICIENT_WEIGHT if candidate.is_spline else 1.0
         tests = thresholds.CANDIDATES_TRIED + grid_points
-        return 0.5 * weight * free * math.log(self.comparison.rows) + math.log(tests)
+        return 0.5 * coefficient_weight * free_count * math.log(self.comparison.rows) + math.log(tests)
 
     def accepts(self, refit: Refit) -> bool:
         """Whether a refitted candidate may be added to the model."""
@@ -49,8 +49,9 @@ class Acceptance:
         """Whether the size of a candidate of `refit` differs from zero: by its standard error (Wald test),
         or, where a likelihood is one-sided and the Wald test fails, by the log-likelihood ratio.
         """
-        clear = refit.margin > thresholds.WALD_OVERRIDE_NATS
-        return clear or candidate.is_spline or is_significant(refit.hypothesis, candidate, self.kinds)
+        if candidate.is_spline or refit.margin > thresholds.WALD_OVERRIDE_NATS:
+            return True
+        return is_significant(refit.hypothesis, candidate, self.kinds)
 
     def worth_a_refit(self, screened: Sequence[Scored]) -> list[Scored]:
         """Candidates whose score leaves a chance that a refit is accepted, in their order."""

@@ -34,136 +34,160 @@ class BackwardElimination:
     rounds: Sequence[Round]
 
     def eliminate(self, final: Hypothesis) -> tuple[Hypothesis, list[Cause]]:
-        """Return the model `final` with the causes alone that are needed and that held-out flights do not
-        contradict, and the evidence of each cause, the strongest first.
+        """Remove causes from the model `final` that are not significant or that held-out flights contradict.
+
+        Returns
+        -------
+        Hypothesis
+            The model with the other causes.
+        list of Cause
+            Evidence of these causes, the strongest first.
         """
-        final, without = self._needed(with_held_out_moments(self.comparison, final))
-        held_out = self._held_out(final, without)
-        against = min(held_out, key=lambda id_: held_out[id_], default=None)
-        if against is not None and held_out[against] < thresholds.HELD_OUT_AGAINST:
-            return self.eliminate(self.restore_displaced(final, against, without[against]))
+        final, reduced_by_id = self._remove_superfluous(with_held_out_moments(self.comparison, final))
+        held_out_ratios = self._held_out_ratios(final, reduced_by_id)
+        weakest = min(held_out_ratios, key=lambda id_: held_out_ratios[id_], default=None)
+        if weakest is not None and held_out_ratios[weakest] < thresholds.HELD_OUT_AGAINST:
+            return self.eliminate(self.restore_displaced(final, weakest, reduced_by_id[weakest]))
         causes = [
             Cause(
                 candidate,
-                final.log_likelihood - without[candidate.id].log_likelihood,
-                held_out.get(candidate.id),
-                self.acceptance.penalty(candidate),
-                self._alternatives(final, candidate, without[candidate.id]),
+                train=final.log_likelihood - reduced_by_id[candidate.id].log_likelihood,
+                held_out=held_out_ratios.get(candidate.id),
+                penalty=self.acceptance.penalty(candidate),
+                alternatives=self._alternatives(final, candidate, reduced_by_id[candidate.id]),
             )
             for candidate in final.candidates
         ]
         return final, sorted(causes, key=lambda cause: -cause.train)
 
-    def restore_displaced(self, final: Hypothesis, against: str, less: Hypothesis) -> Hypothesis:
-        """Return the model without a cause that held-out flights contradict, and with what that had
+    def restore_displaced(self, final: Hypothesis, cause_id: str, reduced: Hypothesis) -> Hypothesis:
+        """Return the model without a cause that held-out flights contradict, and with the causes that it had
         displaced.
 
-        A spline may have followed a peculiarity of one flight. The causes before its round come back, and the
-        best accepted effect of its round.
+        A spline may have followed a peculiarity of one flight. Then the causes before its round are restored,
+        and the best accepted effect of its round.
 
         Parameters
         ----------
         final : Hypothesis
             The model with the cause.
-        against : str
+        cause_id : str
             Id of the cause.
-        less : Hypothesis
+        reduced : Hypothesis
             The model without it.
         """
-        round_ = next((round_ for round_ in self.rounds if round_.accepted_id == against), None)
-        gone = next(candidate for candidate in final.candidates if candidate.id == against)
-        if not gone.is_spline or round_ is None:
-            return less
+        round_ = self._round_of(cause_id)
+        cause = next(candidate for candidate in final.candidates if candidate.id == cause_id)
+        if not cause.is_spline or round_ is None:
+            return reduced
         displaced = list(round_.base.candidates)
         displaced += [refit.candidate for refit in round_.refits if self.acceptance.accepts(refit)][:1]
-        present, back = list(less.ids), list[Candidate]()
+        present_ids, restored = list(reduced.ids), list[Candidate]()
         for candidate in displaced:
             # A cause that was accepted after the spline may exclude an effect from before.
             if (
                 not candidate.is_spline
-                and candidate.id not in present
-                and may_join(candidate.id, present, self.acceptance.kinds)
+                and candidate.id not in present_ids
+                and may_join(candidate.id, present_ids, self.acceptance.kinds)
             ):
-                back.append(candidate)
-                present.append(candidate.id)
-        if not back:
-            return less
-        start = {**round_.base.values, **less.values}
-        return self.comparison.refit([*less.candidates, *back], start, less)
+                restored.append(candidate)
+                present_ids.append(candidate.id)
+        if not restored:
+            return reduced
+        start = {**round_.base.values, **reduced.values}
+        return self.comparison.refit([*reduced.candidates, *restored], start, reduced)
 
-    def _needed(self, final: Hypothesis) -> tuple[Hypothesis, dict[str, Hypothesis]]:
-        """The model with the causes alone that are needed, and by each of their ids the model without it."""
+    def _round_of(self, cause_id: str) -> Round | None:
+        """Return the round of the forward selection that accepted a cause."""
+        return next((round_ for round_ in self.rounds if round_.accepted_id == cause_id), None)
+
+    def _remove_superfluous(self, final: Hypothesis) -> tuple[Hypothesis, dict[str, Hypothesis]]:
+        """Remove causes one by one until all are significant.
+
+        Returns
+        -------
+        Hypothesis
+            The model with the significant causes.
+        dict of Hypothesis
+            The model without a cause, by the id of each cause.
+        """
         while True:
-            every = final.candidates
-            without: dict[str, Hypothesis] = {}
-            less = final
-            for number, candidate in enumerate(every):
-                self.progress.check(candidate.id, number, len(every))
-                rest = [other for other in every if other is not candidate]
-                less = self.comparison.refit(rest, None, final) if rest else self.baseline
-                gain = final.log_likelihood - less.log_likelihood
-                refit = Refit(final, gain, self.acceptance.penalty(candidate), 0.0)
-                if refit.margin <= thresholds.MIN_MARGIN or not self.acceptance.is_significant(
-                    refit, candidate
-                ):
+            causes = final.candidates
+            reduced_by_id: dict[str, Hypothesis] = {}
+            reduced = final
+            for number, candidate in enumerate(causes):
+                self.progress.check(candidate.id, number, len(causes))
+                other_causes = [other for other in causes if other is not candidate]
+                reduced = self.comparison.refit(other_causes, None, final) if other_causes else self.baseline
+                gain = final.log_likelihood - reduced.log_likelihood
+                refit = Refit(final, gain, penalty=self.acceptance.penalty(candidate), score=0.0)
+                exceeds_penalty = refit.margin > thresholds.MIN_MARGIN
+                if not exceeds_penalty or not self.acceptance.is_significant(refit, candidate):
                     break
-                without[candidate.id] = less
-            if len(without) == len(every):
-                return final, without
-            final = less
+                reduced_by_id[candidate.id] = reduced
+            if len(reduced_by_id) == len(causes):
+                return final, reduced_by_id
+            final = reduced
 
-    def _held_out(self, final: Hypothesis, without: Mapping[str, Hypothesis]) -> dict[str, float]:
-        """Log-likelihood ratio of each cause on the held-out flights, nats, by id."""
-        if not self.comparison.held_out or not without:
+    def _held_out_ratios(
+        self, final: Hypothesis, reduced_by_id: Mapping[str, Hypothesis]
+    ) -> dict[str, float]:
+        """Return the log-likelihood ratio of each cause on the held-out flights, nats, by id."""
+        if not self.comparison.held_out or not reduced_by_id:
             return {}
-        every = parallel_map(self.comparison.held_out_estimate, [final, *without.values()])
-        whole, *less = (estimate.log_likelihood for estimate in every)
-        return {id_: whole - log_likelihood for id_, log_likelihood in zip(without, less, strict=True)}
+        estimates = parallel_map(self.comparison.held_out_estimate, [final, *reduced_by_id.values()])
+        final_estimate, *reduced_estimates = estimates
+        return {
+            id_: final_estimate.log_likelihood - reduced.log_likelihood
+            for id_, reduced in zip(reduced_by_id, reduced_estimates, strict=True)
+        }
 
     def _alternatives(
-        self, final: Hypothesis, candidate: Candidate, less: Hypothesis
+        self, final: Hypothesis, candidate: Candidate, reduced: Hypothesis
     ) -> tuple[Alternative, ...]:
-        """Other effects in the place of a cause of the final model, the closest first."""
+        """Refit other effects of the cause's round in its place; return them, the closest first.
+
+        `reduced` is the model without the cause.
+        """
         if candidate.is_spline:
             return ()
-        round_ = next((round_ for round_ in self.rounds if round_.accepted_id == candidate.id), None)
+        round_ = self._round_of(candidate.id)
         if round_ is None:
             return ()
-        rest = [other for other in final.candidates if other is not candidate]
-        likely = self._likely_alternatives(final, rest, round_)
-        ratios: dict[str, float] = {}
-        for refit in likely:
-            if len(ratios) >= thresholds.ALTERNATIVES or (rest and not self.progress.refits_left()):
+        other_causes = [other for other in final.candidates if other is not candidate]
+        alternatives: list[Alternative] = []
+        for refit in self._likely_alternatives(final, other_causes, round_):
+            is_exhausted = bool(other_causes) and not self.progress.refits_left()
+            if len(alternatives) >= thresholds.ALTERNATIVES or is_exhausted:
                 break
-            other = refit.hypothesis
-            if rest:
-                other = self.comparison.refit([*rest, refit.candidate], refit.hypothesis.values, less)
-            if not self.comparison.in_flight(other):
+            replaced = refit.hypothesis
+            if other_causes:
+                replaced = self.comparison.refit(
+                    [*other_causes, refit.candidate], refit.hypothesis.values, reduced
+                )
+            if not self.comparison.in_flight(replaced):
                 continue
-            ratio = final.log_likelihood - other.log_likelihood
-            ratios[refit.candidate.id] = (
-                ratio + self.acceptance.penalty(refit.candidate) - self.acceptance.penalty(candidate)
-            )
-        return tuple(
-            Alternative(id_, ratio) for id_, ratio in sorted(ratios.items(), key=lambda item: item[1])
-        )
+            ratio = final.log_likelihood - replaced.log_likelihood
+            ratio = ratio + self.acceptance.penalty(refit.candidate) - self.acceptance.penalty(candidate)
+            alternatives.append(Alternative(refit.candidate.id, ratio))
+        return tuple(sorted(alternatives, key=lambda alternative: alternative.log_likelihood_ratio))
 
     def _likely_alternatives(
-        self, final: Hypothesis, rest: Sequence[Candidate], round_: Round
+        self, final: Hypothesis, other_causes: Sequence[Candidate], round_: Round
     ) -> list[Refit]:
-        """Refits of a round that may be tried together with the other causes `rest`, the best score first."""
+        """Return refits of a round that may join the other causes, the best score first."""
         kinds = self.acceptance.kinds
-        best = max(refit.score for refit in round_.refits)
+        best_score = max(refit.score for refit in round_.refits)
 
-        def possible(refit: Refit) -> bool:
-            if refit.score < thresholds.ALTERNATIVE_SHARE * best:
+        def may_join_other_causes(refit: Refit) -> bool:
+            if refit.score < thresholds.ALTERNATIVE_SHARE * best_score:
                 return False
-            return may_join(refit.candidate.id, [other.id for other in rest], kinds)
+            return may_join(refit.candidate.id, [other.id for other in other_causes], kinds)
 
         return [
             refit
             for refit in sorted(round_.refits, key=lambda refit: -refit.score)
             if refit.candidate.id not in final.ids
             and not refit.candidate.is_spline
-            and (not rest or possible(refit))
+            and (not other_causes or may_join_other_causes(refit))
         ]

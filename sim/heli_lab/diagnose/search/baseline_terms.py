@@ -19,10 +19,10 @@ from heli_lab.diagnose.search.candidate import Candidate
 from heli_lab.diagnose.search.model_comparison import ModelComparison
 from heli_lab.diagnose.search.screening import Screening
 
-_WHOLE: Final = Prior(1.0, 0.03, 0.0, 1.0)
+_ABSENT_PRIOR: Final = Prior(1.0, 0.03, 0.0, 1.0)
 """Prior of the share of a term that is absent: all of it. With a wider prior, a share of the term would
 replace a parameter that is merely wrong."""
-_ANY_SHARE: Final = Prior(0.0, 1.0, 0.0, 1.0)
+_SCORE_PRIOR: Final = Prior(0.0, 1.0, 0.0, 1.0)
 _START_SHARE: Final = 0.99
 """Just inside the bound of that prior."""
 
@@ -75,26 +75,26 @@ def tightly_specified_terms(
     screening : Screening
         Scores about the present estimate.
     """
-    known = {effect.name for effect in screening.estimate.parameter_vector.model.effects}
+    present_names = {effect.name for effect in screening.estimate.parameter_vector.model.effects}
     removals = [
         kind
         for kind in kinds
         if kind.baseline
-        and kind.id not in known
+        and kind.id not in present_names
         and kind.suits(comparison.model)
         and tightly_specified(kind, comparison.rig)
     ]
-    shares = [
-        Candidate(kind.id, replace(kind.make(), priors={kind.size[0]: _ANY_SHARE}), kind.size)
+    share_candidates = [
+        Candidate(kind.id, replace(kind.make(), priors={kind.size[0]: _SCORE_PRIOR}), kind.size)
         for kind in removals
     ]
     low, high = thresholds.ABSENT_SHARE_RANGE
-    terms = []
-    for kind, (gain, coefficients, _) in zip(removals, screening.score(shares), strict=True):
+    removed_terms = []
+    for kind, (gain, coefficients, _) in zip(removals, screening.score(share_candidates), strict=True):
         if gain < thresholds.ABSENT_MIN_NATS or not low < coefficients[0] < high:
             continue
         (name,) = kind.size
-        candidate = Candidate(kind.id, replace(kind.make({name: 1.0}), priors={name: _WHOLE}), (name,))
-        start = {number: comparison.rig[number].value for number in kind.override}
-        terms.append(RemovedTerm(candidate, {**start, name: _START_SHARE}, gain))
-    return terms
+        candidate = Candidate(kind.id, replace(kind.make({name: 1.0}), priors={name: _ABSENT_PRIOR}), (name,))
+        start = {parameter: comparison.rig[parameter].value for parameter in kind.override}
+        removed_terms.append(RemovedTerm(candidate, {**start, name: _START_SHARE}, gain))
+    return removed_terms

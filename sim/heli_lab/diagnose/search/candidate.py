@@ -95,12 +95,16 @@ class Scored:
 
 
 def effect_candidates(kind: EffectSpec, seconds: float) -> list[Candidate]:
-    """Lay out the grid of an effect of this `kind` over a flight of so many `seconds`."""
-    scan = kind.grid_values(seconds)
+    """Return one candidate per point of the grid of an effect of this `kind`, over a flight of so many
+    `seconds`.
+
+    At each point the effect has the size 0, or its typical values if it has no size.
+    """
+    grid_values = kind.grid_values(seconds)
+    values = kind.neutral if kind.size else kind.typical
     candidates = []
-    for point in itertools.product(*scan.values()):
-        grid = dict(zip(scan, point, strict=True))
-        values = kind.neutral if kind.size else kind.typical
+    for point in itertools.product(*grid_values.values()):
+        grid = dict(zip(grid_values, point, strict=True))
         candidates.append(Candidate(kind.id, kind.make({**values, **grid}), kind.size, grid))
     return candidates
 

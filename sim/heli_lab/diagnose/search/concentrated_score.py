@@ -20,7 +20,7 @@ from heli_lab.diagnose.thresholds import CHANCE_NATS
 from heli_lab.estimation import DisturbanceModel, estimate_disturbances
 from heli_lab.estimation.innovations_model import FlightErrors
 
-_TURNS: Final = 2
+_ITERATIONS: Final = 2
 """Turns of coefficient and disturbances: the second changes the coefficient by less than its error."""
 
 
@@ -46,74 +46,89 @@ def with_concentrated_scores(
     list of Scored
         The effects, the highest score first.
     """
-    refitted_ids = {scored.candidate.id for scored in worth_a_refit(screened)}
-    events = [
+    shortlist_ids = {scored.candidate.id for scored in worth_a_refit(screened)}
+    low_scores = [
         scored
         for scored in screened
         if scored.candidate.effect.moment
         and scored.log_likelihood_gain > CHANCE_NATS
-        and scored.candidate.id not in refitted_ids
+        and scored.candidate.id not in shortlist_ids
     ]
-    if not events:
+    if not low_scores:
         return list(screened)
-    concentrated_by_id = {scored.candidate.id: scored for scored in concentrated(screening, events)}
-    result = [concentrated_by_id.get(scored.candidate.id, scored) for scored in screened]
+    concentrated = {scored.candidate.id: scored for scored in concentrated_scores(screening, low_scores)}
+    result = [concentrated.get(scored.candidate.id, scored) for scored in screened]
     return sorted(result, key=lambda scored: -scored.log_likelihood_gain)
 
 
-def concentrated(screening: Screening, screened: Sequence[Scored]) -> list[Scored]:
+def concentrated_scores(screening: Screening, screened: Sequence[Scored]) -> list[Scored]:
     """Score each candidate with its own estimate of the disturbances; never less than its plain score."""
     filtered, start = screening.filtered, screening.estimate.disturbances
-    plain = filtered.perturbed_residual()
-    null = estimate_disturbances(filtered, plain, start)
-    before = float(filtered.log_likelihoods([null], plain).sum())
-    return [_concentrated(screening, scored, plain, null, before) for scored in screened]
+    residuals = filtered.perturbed_residual()
+    disturbances = estimate_disturbances(filtered, residuals, start)
+    log_likelihood = float(filtered.log_likelihoods([disturbances], residuals).sum())
+    return [
+        _concentrated_score(screening, scored, residuals, disturbances, log_likelihood) for scored in screened
+    ]
 
 
-def _concentrated(
-    screening: Screening, scored: Scored, plain: FlightErrors, null: DisturbanceModel, before: float
+def _concentrated_score(
+    screening: Screening,
+    scored: Scored,
+    residuals: FlightErrors,
+    disturbances: DisturbanceModel,
+    log_likelihood: float,
 ) -> Scored:
-    """The same for one candidate, over a model without it: its errors, disturbances and log-likelihood."""
+    """Maximise the likelihood of a candidate's coefficients and of the disturbances in turn.
+
+    `residuals`, `disturbances` and `log_likelihood` are those of the model without the candidate.
+    """
     filtered = screening.filtered
-    signals = [signals_of(maker, [scored.candidate]) for maker in screening.regressors]
+    signals = [signals_of(flight, [scored.candidate]) for flight in screening.regressors]
     prior_std = coefficient_std(scored.candidate)
-    coefficients, disturbances = scored.coefficients, null
+    coefficients = scored.coefficients
     information = np.diag(prior_std**-2.0)
-    for _ in range(_TURNS):
-        error = _without(screening, plain, signals, coefficients)
-        disturbances = estimate_disturbances(filtered, error, disturbances)
+    for _ in range(_ITERATIONS):
+        remaining = _residuals_after(screening, residuals, signals, coefficients)
+        disturbances = estimate_disturbances(filtered, remaining, disturbances)
         innovations = filtered.innovations(disturbances)
         information, score = np.diag(prior_std**-2.0), np.zeros(len(prior_std))
-        regressors_by_flight = filtered.regressors(disturbances, signals)
-        for regressors, flight in zip(regressors_by_flight, innovations.flights, strict=True):
+        flight_regressors = filtered.regressors(disturbances, signals)
+        for regressors, flight_innovations in zip(flight_regressors, innovations.flights, strict=True):
             information += regressors.T @ regressors
-            score += regressors.T @ flight[:, 0]
+            score += regressors.T @ flight_innovations[:, 0]
         coefficients = np.asarray(np.linalg.solve(information, score), float)
-    error = _without(screening, plain, signals, coefficients)
-    after = float(filtered.log_likelihoods([disturbances], error).sum())
-    gain = after - before - 0.5 * float(np.sum((coefficients / prior_std) ** 2))
+    remaining = _residuals_after(screening, residuals, signals, coefficients)
+    likelihood_with = float(filtered.log_likelihoods([disturbances], remaining).sum())
+    gain = likelihood_with - log_likelihood - 0.5 * float(np.sum((coefficients / prior_std) ** 2))
     if gain <= scored.log_likelihood_gain:
         return scored
     std = np.sqrt(np.diag(np.linalg.inv(information)))
     return replace(scored, log_likelihood_gain=gain, coefficients=coefficients, std=std)
 
 
-def _without(
+def _residuals_after(
     screening: Screening,
-    error: FlightErrors,
+    residuals: FlightErrors,
     signals: Sequence[tuple[Floats, Floats | None]],
     coefficients: Floats,
 ) -> FlightErrors:
-    """Errors of states and outputs that remain if a candidate with these coefficients is in the model."""
+    """Return the residuals that remain if a candidate with these coefficients is in the model.
+
+    `residuals` are those without it; `signals` are its changes of rates and of measured angles.
+    """
     result: list[list[tuple[Floats, Floats]]] = []
     flights = screening.filtered.linearised_flights
-    for linearised, windows, (rates, outputs) in zip(flights, error, signals, strict=True):
-        parts = []
-        drives = linearised.over_blocks(rates)
-        for blocks, added, (drive, measured) in zip(linearised.blocks, drives, windows, strict=True):
-            remaining = measured
-            if outputs is not None:
-                remaining = measured - (outputs[blocks.rows] @ coefficients)[:, :, None]
-            parts.append((drive + (added @ coefficients)[:, :, None], remaining))
-        result.append(parts)
+    for flight, flight_residuals, (rates, angles) in zip(flights, residuals, signals, strict=True):
+        windows = []
+        state_changes = flight.over_blocks(rates)
+        for blocks, state_change, (state_residual, output_residual) in zip(
+            flight.blocks, state_changes, flight_residuals, strict=True
+        ):
+            remaining_output = output_residual
+            if angles is not None:
+                remaining_output = output_residual - (angles[blocks.rows] @ coefficients)[:, :, None]
+            remaining_state = state_residual + (state_change @ coefficients)[:, :, None]
+            windows.append((remaining_state, remaining_output))
+        result.append(windows)
     return result

@@ -32,7 +32,7 @@ from heli_lab.estimation import (
 from heli_lab.identify import Record
 from heli_lab.identify.flight_model import RigParameters
 
-_ESTIMATED_BY: Final = ("heli_sim.model", "heli_lab.identify", "heli_lab.estimation")
+_PACKAGES: Final = ("heli_sim.model", "heli_lab.identify", "heli_lab.estimation")
 """Packages whose code, compiled code included, an estimate depends on."""
 _DISTURBANCES: Final = ("fast_std", "correlation_time_s", "slow_std", "quantisation", "curvature")
 """Arrays of a disturbance model."""
@@ -56,10 +56,10 @@ class EstimateCache:
 
     def __init__(self, path: Path | None = None, of: str = "") -> None:
         self._path = path
-        self._known: dict[str, Mapping[str, Any]] = {}
+        self._entries: dict[str, Mapping[str, Any]] = {}
         self.used_keys: set[str] = set()
         """Keys that this search has used."""
-        self._writing = threading.Lock()
+        self._write_lock = threading.Lock()
         if path is None:
             return
         if not path.exists() or not path.stat().st_size:
@@ -68,27 +68,28 @@ class EstimateCache:
         self._read(path, of)
 
     def _read(self, path: Path, of: str) -> None:
+        """Read the entries of a file, and remove an incomplete last line."""
         try:
             first, *lines = path.read_text(encoding="utf-8").splitlines()
-            head = json.loads(first)["search_of"]
+            file_fingerprint = json.loads(first)["search_of"]
         except (ValueError, KeyError, TypeError):
             raise IdentifyError(f"{path} is not a --resume file", "give --resume a new file name") from None
-        if head != of:
+        if file_fingerprint != of:
             raise IdentifyError(
                 f"{path} is from a search with other flights, another rig, model or program version",
                 "give another name to --resume, or the same flights, rig, model and effects",
             )
-        whole = 0
+        complete_lines = 0
         for line in lines:
             try:
                 entry = json.loads(line)
-                self._known[entry["key"]] = entry
+                self._entries[entry["key"]] = entry
             except (ValueError, KeyError):
                 break
-            whole += 1
+            complete_lines += 1
         # An interrupted search may have written a part of its last line.
-        if whole < len(lines):
-            path.write_text("\n".join([first, *lines[:whole]]) + "\n", encoding="utf-8")
+        if complete_lines < len(lines):
+            path.write_text("\n".join([first, *lines[:complete_lines]]) + "\n", encoding="utf-8")
 
     def estimate(
         self,
@@ -96,7 +97,7 @@ class EstimateCache:
         parameter_vector: RigParameters,
         references: Sequence[ReferenceTrajectory],
         functions: ModelFunctions,
-        work_out: Callable[[], Estimate],
+        compute: Callable[[], Estimate],
     ) -> Estimate:
         """Look up an estimate, or compute and keep it; threads may do so at the same time for different keys.
 
@@ -106,38 +107,40 @@ class EstimateCache:
             `cache_key` of the estimate.
         parameter_vector, references, functions
             Free parameters, reference trajectories and model functions of the estimate.
-        work_out : callable
-            Computes it.
+        compute : callable
+            Returns the estimate if the cache lacks it.
         """
         self.used_keys.add(key)
-        known = self._known.get(key)
-        if known is not None:
+        cached = self._entries.get(key)
+        if cached is not None:
             return Estimate(
-                parameter_vector,
-                np.array(known["theta"]),
-                np.array(known["covariance"]),
-                known["log_likelihood"],
-                _read_disturbances(known["disturbances"]),
-                known["converged"],
-                tuple(references),
-                functions,
+                parameter_vector=parameter_vector,
+                theta=np.array(cached["theta"]),
+                covariance=np.array(cached["covariance"]),
+                log_likelihood=cached["log_likelihood"],
+                disturbances=_disturbances_of(cached["disturbances"]),
+                converged=cached["converged"],
+                references=tuple(references),
+                functions=functions,
             )
-        estimate = work_out()
-        self._known[key] = kept = {
+        estimate = compute()
+        entry = {
             "key": key,
             "theta": estimate.theta.tolist(),
             "covariance": estimate.covariance.tolist(),
             "log_likelihood": float(estimate.log_likelihood),
-            "disturbances": _written(estimate.disturbances),
+            "disturbances": _disturbances_json(estimate.disturbances),
             "converged": bool(estimate.converged),
         }
+        self._entries[key] = entry
         if self._path is not None:
-            with self._writing, self._path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(kept) + "\n")
+            with self._write_lock, self._path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(entry) + "\n")
         return estimate
 
 
-def _written(disturbances: DisturbanceModel) -> dict[str, Any]:
+def _disturbances_json(disturbances: DisturbanceModel) -> dict[str, Any]:
+    """Return a disturbance model as JSON object."""
     arrays = {name: getattr(disturbances, name) for name in _DISTURBANCES}
     return {
         **{name: None if array is None else array.tolist() for name, array in arrays.items()},
@@ -145,11 +148,12 @@ def _written(disturbances: DisturbanceModel) -> dict[str, Any]:
     }
 
 
-def _read_disturbances(written: Mapping[str, Any]) -> DisturbanceModel:
+def _disturbances_of(content: Mapping[str, Any]) -> DisturbanceModel:
+    """Return the disturbance model of a JSON object of `_disturbances_json`."""
     arrays: dict[str, Any] = {
-        name: None if written[name] is None else np.array(written[name]) for name in _DISTURBANCES
+        name: None if content[name] is None else np.array(content[name]) for name in _DISTURBANCES
     }
-    return DisturbanceModel(**arrays, gains=tuple(GainDisturbance(*gain) for gain in written["gains"]))
+    return DisturbanceModel(**arrays, gains=tuple(GainDisturbance(*gain) for gain in content["gains"]))
 
 
 def cache_key(
@@ -164,7 +168,7 @@ def cache_key(
     Parameters
     ----------
     what : str
-        Which flights: ``train`` or ``held out``.
+        Fitted flights: ``train`` or ``held out``.
     candidates : iterable of Candidate
         Candidates with all their values.
     start : Mapping[str, float]
@@ -176,20 +180,24 @@ def cache_key(
     """
     digest = hashlib.sha256(what.encode())
     for candidate in candidates:
-        known = candidate.id, sorted(candidate.effect.values.items()), sorted(candidate.effect.priors.items())
+        candidate_values = (
+            candidate.id,
+            sorted(candidate.effect.values.items()),
+            sorted(candidate.effect.priors.items()),
+        )
         moments = candidate.effect.flight, sorted(candidate.effect.other_moments_s.items())
-        digest.update(repr((*known, *moments, _equations(candidate.effect))).encode())
+        digest.update(repr((*candidate_values, *moments, _effect_source(candidate.effect))).encode())
     digest.update(repr(sorted((name, float(value)) for name, value in start.items())).encode())
     if warm_start is not None:
         digest.update(repr((warm_start.parameter_vector.names, warm_start.log_likelihood)).encode())
         digest.update(np.ascontiguousarray(warm_start.theta).tobytes())
         disturbances = warm_start.disturbances
     if disturbances is not None:
-        digest.update(json.dumps(_written(disturbances)).encode())
+        digest.update(json.dumps(_disturbances_json(disturbances)).encode())
     return digest.hexdigest()
 
 
-def _equations(effect: Effect) -> str:
+def _effect_source(effect: Effect) -> str:
     """Source code of an effect, which may be in a user's effect file."""
     try:
         return inspect.getsource(type(effect))
@@ -198,10 +206,10 @@ def _equations(effect: Effect) -> str:
 
 
 def fingerprint(model: Model, rig: Rig, records: Iterable[Record]) -> str:
-    """Digest of what all estimates of a search share: `model`, `rig`, flights (`records`), the
+    """Return a digest of what all estimates of a search share: `model`, `rig`, flights (`records`), and the
     estimation code.
     """
-    digest = hashlib.sha256(code_digest(packages=_ESTIMATED_BY).encode())
+    digest = hashlib.sha256(code_digest(packages=_PACKAGES).encode())
     effects = [(effect.name, sorted(effect.values.items())) for effect in model.effects]
     digest.update(repr((model.name, effects)).encode())
     numbers = [

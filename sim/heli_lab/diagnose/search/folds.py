@@ -10,24 +10,32 @@ from heli_lab.identify.thresholds import MIN_SEGMENT_S
 
 
 def split(record: Record, seconds: float) -> tuple[Record, Record]:
-    """Return the first `seconds` of free flight of a `record`, and the rest; pieces of the rest that are too
-    short are dropped.
+    """Split the free flight of a `record` after so many `seconds`.
+
+    Returns
+    -------
+    Record
+        The beginning.
+    Record
+        The rest, without segments shorter than `MIN_SEGMENT_S` if it has longer ones.
     """
-    remaining = round(seconds / record.step_s)
-    first, rest = [], []
+    rows_left = round(seconds / record.step_s)
+    beginning, rest = [], []
     for start, stop in record.segments:
-        cut = min(stop, start + remaining)
-        remaining -= cut - start
-        first += [(start, cut)] if cut > start else []
-        rest += [(cut, stop)] if stop > cut else []
-    least = round(MIN_SEGMENT_S / record.step_s)
-    rest = [(start, stop) for start, stop in rest if stop - start >= least] or rest
-    return replace(record, segments=tuple(first)), replace(record, segments=tuple(rest))
+        split_row = min(stop, start + rows_left)
+        rows_left -= split_row - start
+        if split_row > start:
+            beginning.append((start, split_row))
+        if stop > split_row:
+            rest.append((split_row, stop))
+    min_rows = round(MIN_SEGMENT_S / record.step_s)
+    long_segments = [(start, stop) for start, stop in rest if stop - start >= min_rows]
+    return replace(record, segments=tuple(beginning)), replace(record, segments=tuple(long_segments or rest))
 
 
 def two_folds(records: Sequence[Record]) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
-    """Divide flights (`records`) into two folds: the first half of the flights and the second, or the halves
-    of the free flight of one.
+    """Divide flights (`records`) into two folds: the first and the second half of the flights, or of the free
+    flight if there is only one.
     """
     if len(records) > 1:
         middle = (len(records) + 1) // 2

@@ -31,10 +31,10 @@ from heli_lab.identify import Record
 from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
 from heli_lab.identify.rotor_gains import GAINS, ROTOR_GAINS
 
-_FILTERED: Final = 2
+_FILTER_PASSES: Final = 2
 """How often the reference trajectory is filtered again with the baseline's own estimate. After the second
 time it moves by less than a hundredth of the quantisation (simulated and field flights, 2026-11)."""
-_WORSE_NATS: Final = 0.1
+_ROUNDING_NATS: Final = 0.1
 """Rounding tolerance: a model may be less likely by this than one that it contains, nats."""
 
 
@@ -53,10 +53,10 @@ class ModelComparison:
         Flights for the evaluation.
     seed : int
         Seed of the bootstrap behind the intervals.
-    kept : EstimateCache, optional
+    cache : EstimateCache, optional
         Cached estimates.
     side : str
-        Part of the cache's key that states which flights are fitted, if several comparisons share a cache.
+        Part of the keys in the cache, which distinguishes comparisons that share it.
 
     Attributes
     ----------
@@ -72,15 +72,15 @@ class ModelComparison:
         held_out: Sequence[Record],
         *,
         seed: int = 0,
-        kept: EstimateCache | None = None,
+        cache: EstimateCache | None = None,
         side: str = "",
     ) -> None:
         self.model, self.rig, self.seed, self.side = model, rig, seed, side
-        self._kept = kept or EstimateCache()
+        self._cache = cache or EstimateCache()
         self.train, self.held_out = tuple(train), tuple(held_out)
         self.fits = 0
-        self._best: dict[frozenset[str], Hypothesis] = {}
-        """The most likely hypothesis for each set of candidate ids."""
+        # The most likely hypothesis for each set of candidate ids.
+        self._best_by_ids: dict[frozenset[str], Hypothesis] = {}
 
     @property
     def references(self) -> tuple[ReferenceTrajectory, ...]:
@@ -106,8 +106,8 @@ class ModelComparison:
         return reference_trajectories(self.model, self.rig, self.held_out)
 
     def exchanged(self) -> ModelComparison:
-        """Return the comparison with the fitted and the held-out flights exchanged; both stay filtered."""
-        other = self._like("exchanged", self.model, self.held_out, self.train)
+        """Exchange the fitted and the held-out flights, which stay filtered."""
+        other = self._variant("exchanged", self.model, self.held_out, self.train)
         other._filtered_train, other._filtered_held_out = self._filtered_held_out, self._filtered_train
         return other
 
@@ -116,37 +116,40 @@ class ModelComparison:
         likelihoods can be compared.
         """
         model = type(self.model)((*self.model.effects, ROTOR_GAINS))
-        other = self._like("thrust noise", model, self.train, self.held_out)
+        other = self._variant("thrust noise", model, self.train, self.held_out)
         other.fits = self.fits
-        other._filtered_train = _with_gains(model, self.rig, self.train, *self._filtered_train)
+        other._filtered_train = _with_thrust_noise(model, self.rig, self.train, *self._filtered_train)
         if self.held_out:
-            other._filtered_held_out = _with_gains(model, self.rig, self.held_out, *self._filtered_held_out)
+            other._filtered_held_out = _with_thrust_noise(
+                model, self.rig, self.held_out, *self._filtered_held_out
+            )
         return other
 
-    def with_gains(self, hypothesis: Hypothesis) -> Hypothesis:
-        """Estimate a `hypothesis` of a comparison without thrust noise again with it."""
+    def refit_with_thrust_noise(self, hypothesis: Hypothesis) -> Hypothesis:
+        """Refit, in a comparison with thrust noise, a `hypothesis` of the comparison without it."""
         if not hypothesis.candidates:
             return self.filtering_baseline
         disturbances = hypothesis.estimate.disturbances.with_gains(len(GAINS))
         return self.refit_from(hypothesis.candidates, hypothesis.values, disturbances)
 
     def folds(self) -> ModelComparison | None:
-        """Divide the fitted flights into two folds where no flight is held out: the first is fitted, the
-        second held out. None if one of them is shorter than `SHORT_s`.
+        """Return a comparison that fits one half of the fitted flights and holds the other half out.
+
+        It is None if one of the halves is shorter than `SHORT_s`.
         """
         folds = two_folds(self.train)
         if any(sum(record.used_s for record in fold) < SHORT_s for fold in folds):
             return None
-        return self._like("fold", self.model, *folds)
+        return self._variant("fold", self.model, *folds)
 
-    def _like(
+    def _variant(
         self, side: str, model: Model, train: Sequence[Record], held_out: Sequence[Record]
     ) -> ModelComparison:
-        """Return a comparison with the same rig, seed and cache; `side` is added to the key of its cached
-        estimates.
+        """Return a comparison with the same rig, seed and cache; `side` is added to the keys of its estimates
+        there.
         """
         side = f"{self.side}{side} "
-        return ModelComparison(model, self.rig, train, held_out, seed=self.seed, kept=self._kept, side=side)
+        return ModelComparison(model, self.rig, train, held_out, seed=self.seed, cache=self._cache, side=side)
 
     @cached_property
     def rows(self) -> int:
@@ -173,64 +176,69 @@ class ModelComparison:
             candidates, the result is never less likely than it: otherwise the estimate is repeated from
             neutral values.
         """
-        used_count = len(self._kept.used_keys)
+        previous_count = len(self._cache.used_keys)
         result = self._estimate(candidates, start or {}, warm_start)
         if warm_start is not None:
-            result = self._from_better_start(result, candidates, start or {}, warm_start)
-        self.fits += len(self._kept.used_keys) > used_count
-        key = frozenset(candidate.id for candidate in candidates)
-        best = self._best.get(key)
+            result = self._retry_from_better_start(result, candidates, start or {}, warm_start)
+        self.fits += len(self._cache.used_keys) > previous_count
+        ids = frozenset(candidate.id for candidate in candidates)
+        best = self._best_by_ids.get(ids)
         if (
             best is None
             or result.log_likelihood > best.log_likelihood
-            or _grids(best.candidates) != _grids(candidates)
+            or _fixed_values(best.candidates) != _fixed_values(candidates)
         ):
-            best = self._best[key] = Hypothesis(tuple(candidates), result)
+            best = self._best_by_ids[ids] = Hypothesis(tuple(candidates), result)
         return best
 
-    def _from_better_start(
+    def _retry_from_better_start(
         self,
         result: Estimate,
         candidates: Sequence[Candidate],
         start: Mapping[str, float],
         warm_start: Hypothesis,
     ) -> Estimate:
-        """Return the `result` of a refit, or a more likely one from another start, if that is worth a try."""
+        """Return the `result` of a refit, or a more likely estimate from another start.
+
+        Another start is tried if the result is less likely than a model that it contains.
+        """
         likelihood = result.log_likelihood
         if not set(warm_start.ids) <= {candidate.id for candidate in candidates}:
-            # A smaller model: an earlier estimate of a part of it may be a better start.
-            known = self._remembered(candidates)
-            if known is None or known.log_likelihood <= likelihood + _WORSE_NATS:
+            # The warm start has other candidates: an earlier estimate of a submodel may be a better start.
+            submodel = self._best_submodel(candidates)
+            if submodel is None or submodel.log_likelihood <= likelihood + _ROUNDING_NATS:
                 return result
-            again = self._estimate(candidates, start, known)
-        elif likelihood < warm_start.log_likelihood - _WORSE_NATS:
-            added = [candidate for candidate in candidates if candidate.id not in warm_start.ids]
-            neutral = {name: value for candidate in added for name, value in candidate.neutral.items()}
-            again = self._estimate(candidates, neutral, warm_start)
+            retry = self._estimate(candidates, start, submodel)
+        elif likelihood < warm_start.log_likelihood - _ROUNDING_NATS:
+            new_candidates = [candidate for candidate in candidates if candidate.id not in warm_start.ids]
+            neutral = {
+                name: value for candidate in new_candidates for name, value in candidate.neutral.items()
+            }
+            retry = self._estimate(candidates, neutral, warm_start)
         else:
             return result
-        return again if again.log_likelihood > likelihood else result
+        return retry if retry.log_likelihood > likelihood else result
 
     def in_flight(self, hypothesis: Hypothesis) -> bool:
-        """Whether the moments at which effects of a `hypothesis` change are within the free flight that they
-        belong to; at its edges, a step is a constant.
+        """Whether the moments of all effects of a `hypothesis` are within the free flight of their flights.
+
+        At the edges of a flight, a step is a constant.
         """
         values = hypothesis.values
-        return all(
-            any(
-                event_is_inside(record, values[candidate.effect.moment])
-                for record in self.train
-                if candidate.effect.flight in ("", record.label)
-            )
-            for candidate in hypothesis.candidates
-            if candidate.effect.moment in values
-        )
+        for candidate in hypothesis.candidates:
+            effect = candidate.effect
+            if effect.moment not in values:
+                continue
+            flights = [record for record in self.train if effect.flight in ("", record.label)]
+            if not any(event_is_inside(record, values[effect.moment]) for record in flights):
+                return False
+        return True
 
-    def _remembered(self, candidates: Sequence[Candidate]) -> Hypothesis | None:
-        """The most likely earlier hypothesis whose candidates are among these."""
+    def _best_submodel(self, candidates: Sequence[Candidate]) -> Hypothesis | None:
+        """Return the most likely hypothesis so far whose candidates are among these; None without one."""
         ids = {candidate.id for candidate in candidates}
-        known = [hypothesis for key, hypothesis in self._best.items() if key <= ids]
-        return max(known, key=lambda hypothesis: hypothesis.log_likelihood, default=None)
+        submodels = [hypothesis for subset, hypothesis in self._best_by_ids.items() if subset <= ids]
+        return max(submodels, key=lambda hypothesis: hypothesis.log_likelihood, default=None)
 
     def _estimate(
         self,
@@ -238,40 +246,45 @@ class ModelComparison:
         start: Mapping[str, float],
         warm_start: Hypothesis | None,
     ) -> Estimate:
-        parameter_vector = self._vector(candidates)
+        """Estimate the model with some candidates on the fitted flights, or take the estimate from the
+        cache.
+        """
+        parameter_vector = self._parameter_vector(candidates)
         functions = model_functions(parameter_vector.model, parameter_vector.quantities)
-        known = {**(warm_start.values if warm_start else {}), **start}
-        theta = parameter_vector.started_from(known)
-        return self._kept.estimate(
+        start_values = {**(warm_start.values if warm_start else {}), **start}
+        theta = parameter_vector.started_from(start_values)
+        return self._cache.estimate(
             cache_key(f"{self.side}train", candidates, start, warm_start.estimate if warm_start else None),
             parameter_vector,
             self.references,
             functions,
-            lambda: _estimated(parameter_vector, self.references, functions, theta, warm_start),
+            lambda: _estimate_from(parameter_vector, self.references, functions, theta, warm_start),
         )
 
     def with_effects(self, hypothesis: Hypothesis, candidates: Sequence[Candidate]) -> Hypothesis:
         """Return a `hypothesis` with other `candidates` that act alike in the fitted flights: the estimate is
         the same.
         """
-        estimate_ = replace(hypothesis.estimate, parameter_vector=self._vector(candidates))
+        estimate_ = replace(hypothesis.estimate, parameter_vector=self._parameter_vector(candidates))
         return Hypothesis(tuple(candidates), estimate_)
 
-    def _vector(self, candidates: Sequence[Candidate]) -> RigParameters:
-        """Free parameters of the model with some `candidates` in the fitted flights."""
+    def _parameter_vector(self, candidates: Sequence[Candidate]) -> RigParameters:
+        """Return the free parameters of a model with `candidates` in the fitted flights."""
         effects = (candidate.effect for candidate in candidates)
         return RigParameters(type(self.model)((*self.model.effects, *effects)), self.rig, self.train)
 
     def refit_from(
         self, candidates: Sequence[Candidate], start: Mapping[str, float], disturbances: DisturbanceModel
     ) -> Hypothesis:
-        """Estimate the model with some `candidates` from `start`, values by name, and from `disturbances` of
-        a similar model, perhaps of other flights.
+        """Estimate the model with some `candidates` on the fitted flights.
+
+        The estimation begins at `start`, values by name, and at the `disturbances` of a similar model, which
+        may be those of other flights.
         """
-        vector = self._vector(candidates)
+        vector = self._parameter_vector(candidates)
         functions = model_functions(vector.model, vector.quantities)
         theta, disturbances = vector.started_from(start), replace(disturbances, curvature=None)
-        result = self._kept.estimate(
+        result = self._cache.estimate(
             cache_key(f"{self.side}from", candidates, start, None, disturbances),
             vector,
             self.references,
@@ -280,21 +293,26 @@ class ModelComparison:
         )
         return Hypothesis(tuple(candidates), result)
 
-    def held_out_estimate(self, hypothesis: Hypothesis, near: Estimate | None = None) -> Estimate:
-        """Estimate the held-out flights: parameters that all flights share are those of the `hypothesis`;
-        constants of each flight and the disturbances are estimated, from an estimate `near` them if given.
+    def held_out_estimate(self, hypothesis: Hypothesis, warm_start: Estimate | None = None) -> Estimate:
+        """Estimate constants of each flight and disturbances of the held-out flights.
+
+        Parameters that all flights share stay at their values in `hypothesis`.
+
+        Parameters
+        ----------
+        warm_start : Estimate, optional
+            Estimate of the held-out flights whose constants and disturbances to start from.
         """
-        trained = hypothesis.estimate
-        shared = trained.parameter_vector.shared_by_name(trained.theta)
-        parameter_vector = RigParameters(
-            trained.parameter_vector.model, self.rig, self.held_out, fixed=shared
-        )
-        functions = model_functions(trained.parameter_vector.model, parameter_vector.quantities)
-        known = near.parameter_vector.by_name(near.theta) if near else {}
-        theta = parameter_vector.started_from(known)
-        disturbances = replace((near or trained).disturbances, curvature=None)
-        return self._kept.estimate(
-            cache_key(f"{self.side}held out", hypothesis.candidates, {**known, **shared}, trained),
+        fitted = hypothesis.estimate
+        model = fitted.parameter_vector.model
+        shared = fitted.parameter_vector.shared_by_name(fitted.theta)
+        parameter_vector = RigParameters(model, self.rig, self.held_out, fixed=shared)
+        functions = model_functions(model, parameter_vector.quantities)
+        start = warm_start.parameter_vector.by_name(warm_start.theta) if warm_start else {}
+        theta = parameter_vector.started_from(start)
+        disturbances = replace((warm_start or fitted).disturbances, curvature=None)
+        return self._cache.estimate(
+            cache_key(f"{self.side}held out", hypothesis.candidates, {**start, **shared}, fitted),
             parameter_vector,
             self.held_out_references,
             functions,
@@ -312,83 +330,69 @@ def event_is_inside(record: Record, moment_s: float) -> bool:
 def reference_trajectories(
     model: Model, rig: Rig, records: Sequence[Record]
 ) -> tuple[tuple[ReferenceTrajectory, ...], Estimate]:
-    """Filter flights (`records`) with the baseline, a `model` of a `rig`, estimated on them; return that
-    estimate too.
+    """Filter flights (`records`) with a baseline, a `model` of a `rig`, that is estimated on them.
+
+    Returns
+    -------
+    tuple of ReferenceTrajectory
+        Filtered states of each flight.
+    Estimate
+        Estimate of the baseline.
     """
     references = tuple(filter_record(record) for record in records)
     parameter_vector = RigParameters(model, rig, records)
     functions = model_functions(model, parameter_vector.quantities)
     disturbances, theta = None, parameter_vector.start
-    for _ in range(_FILTERED):
+    for _ in range(_FILTER_PASSES):
         estimate_ = estimate(parameter_vector, references, functions, theta, disturbances)
         disturbances, theta = estimate_.disturbances, estimate_.theta
         references = tuple(refiltered(estimate_.filtered(), disturbances))
     return references, estimate_
 
 
-def _with_gains(
+def _with_thrust_noise(
     model: Model,
     rig: Rig,
     records: Sequence[Record],
     references: tuple[ReferenceTrajectory, ...],
     baseline: Estimate,
 ) -> tuple[tuple[ReferenceTrajectory, ...], Estimate]:
-    """Estimate a model with random rotor gains, that is with thrust noise, on flights that stay filtered.
-
-    Parameters
-    ----------
-    model : Model
-        The model with `ROTOR_GAINS`.
-    references : tuple of ReferenceTrajectory
-        The flights, filtered without thrust noise.
-    baseline : Estimate
-        Estimate of the model without thrust noise, from which the search starts.
-
-    Returns
-    -------
-    references : tuple of ReferenceTrajectory
-        The same references.
-    estimate : Estimate
-        Estimate with thrust noise.
-    """
+    """Return the `references`, and an estimate with thrust noise that starts from the `baseline`."""
     vector = RigParameters(model, rig, records)
     functions = model_functions(model, vector.quantities)
     start = baseline.disturbances.with_gains(len(GAINS))
     return references, estimate(vector, references, functions, baseline.theta, start)
 
 
-def _estimated(
+def _estimate_from(
     parameter_vector: RigParameters,
     references: Sequence[ReferenceTrajectory],
     functions: ModelFunctions,
     theta: Floats,
     warm_start: Hypothesis | None,
 ) -> Estimate:
-    """Estimate from `theta` and the disturbances of `warm_start`; after a large gain from other
-    disturbances too.
+    """Estimate a model from `theta` and the disturbances of `warm_start`; after a large gain, also from other
+    disturbances.
     """
     if warm_start is None:
         return estimate(parameter_vector, references, functions, theta)
-    estimate_ = estimate(parameter_vector, references, functions, theta, warm_start.estimate.disturbances)
-    if estimate_.log_likelihood > warm_start.log_likelihood + NEW_DISTURBANCES_NATS:
-        # Disturbances had replaced what was missing: the likelihood may have another maximum now.
-        other = estimate_.other_disturbances()
-        if other is not None:
-            again = estimate(parameter_vector, references, functions, estimate_.theta, other)
-            return max(estimate_, again, key=lambda result: result.log_likelihood)
-    return estimate_
+    first = estimate(parameter_vector, references, functions, theta, warm_start.estimate.disturbances)
+    if first.log_likelihood <= warm_start.log_likelihood + NEW_DISTURBANCES_NATS:
+        return first
+    # Disturbances had explained the missing torque: the likelihood may have another maximum now.
+    other_disturbances = first.other_disturbances()
+    if other_disturbances is None:
+        return first
+    second = estimate(parameter_vector, references, functions, first.theta, other_disturbances)
+    return max(first, second, key=lambda result: result.log_likelihood)
 
 
-def _grids(candidates: Sequence[Candidate]) -> list[tuple[object, ...]]:
-    """Fixed values and flights of candidates, which distinguish two sets of the same ids."""
-    return sorted(
-        (
-            candidate.id,
-            candidate.effect.flight,
-            tuple(sorted(candidate.effect.other_moments_s.items())),
-            tuple(
-                sorted((n, v) for n, v in candidate.effect.values.items() if n not in candidate.effect.priors)
-            ),
-        )
-        for candidate in candidates
-    )
+def _fixed_values(candidates: Sequence[Candidate]) -> list[tuple[object, ...]]:
+    """Return the fixed values and flights of candidates, which distinguish two sets of the same ids."""
+    keys: list[tuple[object, ...]] = []
+    for candidate in candidates:
+        effect = candidate.effect
+        fixed = sorted((name, value) for name, value in effect.values.items() if name not in effect.priors)
+        moments_s = sorted(effect.other_moments_s.items())
+        keys.append((candidate.id, effect.flight, tuple(moments_s), tuple(fixed)))
+    return sorted(keys)

@@ -30,62 +30,66 @@ def with_held_out_moments(comparison: ModelComparison, hypothesis: Hypothesis) -
     hypothesis : Hypothesis
         The model; its fitted flights keep their estimate.
     """
-    for place, candidate in enumerate(hypothesis.candidates):
+    for index, candidate in enumerate(hypothesis.candidates):
         if not candidate.effect.flight:
             continue
         for record in comparison.held_out:
             if record.label not in candidate.effect.other_moments_s:
-                hypothesis = _Moment(comparison, record, place).sought(hypothesis)
+                hypothesis = _HeldOutMoment(comparison, record, index).estimate(hypothesis)
     return hypothesis
 
 
-class _Moment:
-    """Moment of the candidate number `place` of a model in the held-out flight `record`."""
+class _HeldOutMoment:
+    """Moment of the candidate number `index` of a model in the held-out flight `record`."""
 
-    def __init__(self, comparison: ModelComparison, record: Record, place: int) -> None:
-        self.comparison, self.record, self.place = comparison, record, place
+    def __init__(self, comparison: ModelComparison, record: Record, index: int) -> None:
+        self.comparison, self.record, self.index = comparison, record, index
 
-    def sought(self, hypothesis: Hypothesis) -> Hypothesis:
-        """The model with the moment, if the flight shows it."""
-        quiet = self.comparison.held_out_estimate(hypothesis)
-        effect = hypothesis.candidates[self.place].effect
-        moments_s = [hypothesis.values[effect.moment], *self._suggested_s(quiet)]
+    def estimate(self, hypothesis: Hypothesis) -> Hypothesis:
+        """Return the model with the moment in the held-out flight, if the flight shows it."""
+        without_event = self.comparison.held_out_estimate(hypothesis)
+        effect = hypothesis.candidates[self.index].effect
+        moments_s = [hypothesis.values[effect.moment], *self._suggested_s(without_event)]
         moments_s = [moment_s for moment_s in moments_s if event_is_inside(self.record, moment_s)]
-        tried = [self._at(hypothesis, moment_s) for moment_s in moments_s]
-        if not tried:
+        if not moments_s:
             return hypothesis
-        value, moment_s = max(tried, key=lambda pair: pair[0])
+        log_likelihoods = [self._log_likelihood(hypothesis, moment_s) for moment_s in moments_s]
+        best = max(log_likelihoods)
+        moment_s = moments_s[log_likelihoods.index(best)]
         # BIC for one parameter, and one test per instant.
         penalty = 1.5 * math.log(self.record.used_s / BLOCK_s)
-        if value - quiet.log_likelihood <= penalty + MIN_MARGIN:
+        if best - without_event.log_likelihood <= penalty + MIN_MARGIN:
             return hypothesis
-        return self._with(hypothesis, self._refined(hypothesis, value, moment_s))
+        return self._with_moment(hypothesis, self._refined_s(hypothesis, best, moment_s))
 
-    def _suggested_s(self, quiet: Estimate) -> list[float]:
-        """The instant at which the model without the event shows the largest level."""
-        number = self.comparison.held_out.index(self.record)
-        residuals = auxiliary_residuals(quiet.filtered(), quiet.disturbances)[number]
+    def _suggested_s(self, without_event: Estimate) -> list[float]:
+        """Return the instant of the largest auxiliary residual of a level, if it is significant [s]."""
+        flight = self.comparison.held_out.index(self.record)
+        residuals = auxiliary_residuals(without_event.filtered(), without_event.disturbances)[flight]
         level_s, statistic = residuals.largest_level()
         return [level_s] if statistic > EVENT_STD_ERRORS else []
 
-    def _refined(self, hypothesis: Hypothesis, value: float, moment_s: float) -> float:
-        """The vertex of a parabola through the log-likelihoods about a moment, at most a step away."""
-        before, after = (self._at(hypothesis, moment_s + step_s)[0] for step_s in (-_STEP_s, _STEP_s))
-        curvature = before - 2.0 * value + after
+    def _refined_s(self, hypothesis: Hypothesis, log_likelihood: float, moment_s: float) -> float:
+        """Return the vertex of a parabola through log-likelihoods about a moment, at most `_STEP_s` away
+        [s].
+        """
+        before = self._log_likelihood(hypothesis, moment_s - _STEP_s)
+        after = self._log_likelihood(hypothesis, moment_s + _STEP_s)
+        curvature = before - 2.0 * log_likelihood + after
         if curvature >= 0.0:
             return moment_s
         vertex = 0.5 * (before - after) / curvature
         return moment_s + _STEP_s * max(-1.0, min(1.0, vertex))
 
-    def _at(self, hypothesis: Hypothesis, moment_s: float) -> tuple[float, float]:
-        """Log-likelihood of the held-out flights if it happens at a moment, and that moment."""
-        other = self._with(hypothesis, moment_s)
-        return self.comparison.held_out_estimate(other).log_likelihood, moment_s
+    def _log_likelihood(self, hypothesis: Hypothesis, moment_s: float) -> float:
+        """Return the log-likelihood of the held-out flights if the event happens at a moment, nats."""
+        return self.comparison.held_out_estimate(self._with_moment(hypothesis, moment_s)).log_likelihood
 
-    def _with(self, hypothesis: Hypothesis, moment_s: float) -> Hypothesis:
+    def _with_moment(self, hypothesis: Hypothesis, moment_s: float) -> Hypothesis:
+        """Return the model in which the event of the held-out flight happens at a moment."""
         candidates: list[Candidate] = list(hypothesis.candidates)
-        candidate = candidates[self.place]
+        candidate = candidates[self.index]
         moments_s = {**candidate.effect.other_moments_s, self.record.label: moment_s}
         effect = replace(candidate.effect, other_moments_s=moments_s)
-        candidates[self.place] = replace(candidate, effect=effect)
+        candidates[self.index] = replace(candidate, effect=effect)
         return self.comparison.with_effects(hypothesis, candidates)

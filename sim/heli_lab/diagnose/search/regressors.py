@@ -27,7 +27,7 @@ from heli_lab.diagnose.search.splines import (
 from heli_lab.estimation import EFFECT_SUBSTEPS, AlongTrajectory, EffectStates, LinearisedFlight, Trajectory
 from heli_lab.identify.flight_model import known_directions
 
-_MIN_SPAN: Final = 1e-6
+_MIN_RANGE: Final = 1e-6
 """Range of a quantity, in its SI unit, below which it is constant and no curve over it is tried."""
 
 
@@ -38,9 +38,9 @@ class ChangeFunctions:
 
     def __init__(self, model: Model) -> None:
         self.model = model
-        self._made: dict[str, ExtendedModel] = {}
+        self._extended_models: dict[str, ExtendedModel] = {}
 
-    def of(self, name: str, effect: Effect, linear: Sequence[str]) -> ExtendedModel:
+    def extended(self, name: str, effect: Effect, linear: Sequence[str]) -> ExtendedModel:
         """Return the model extended by an effect.
 
         Parameters
@@ -51,9 +51,9 @@ class ChangeFunctions:
             Parameters that enter linearly; the change is that of one unit of each. If there is none, it is
             the change by the whole effect.
         """
-        if name not in self._made:
-            self._made[name] = ExtendedModel(self.model, effect, linear)
-        return self._made[name]
+        if name not in self._extended_models:
+            self._extended_models[name] = ExtendedModel(self.model, effect, linear)
+        return self._extended_models[name]
 
     @cached_property
     def rates(self) -> AlongTrajectory:
@@ -71,9 +71,11 @@ class Regressors:
         self.linear = linear
         self.model = linear.model.source
         self._functions = functions
+        # By channel: rates (n, states, 1), measured angles (n, 3, 1).
         self._channels: dict[str, tuple[Floats, Floats]] = {}
+        # By whether at the nodes or in the middle of steps, and by quantity: shape (n,).
         self._quantities: dict[str, dict[str, Floats]] = {}
-        self._directions: Floats = linear.reference.directions[linear.reference.rows]
+        self._directions: Floats = linear.reference.directions[linear.reference.rows]  # (n, 3)
 
     def release(self) -> None:
         """Free the memory of cached channels and quantities; they are computed again when needed."""
@@ -94,20 +96,31 @@ class Regressors:
         effect = candidate.effect
         assert isinstance(effect, SplineTerm)
         rates, measured = self.influence(effect)
-        where = "nodes" if effect.channel.startswith("measurement") else "middle"
-        if where not in self._quantities:
-            at = self.linear.nodes if where == "nodes" else self.linear.trajectory
-            self._quantities[where] = quantity_values(self.model, at)
+        instant = "nodes" if effect.channel.startswith("measurement") else "middle"
+        if instant not in self._quantities:
+            trajectory = self.linear.nodes if instant == "nodes" else self.linear.trajectory
+            self._quantities[instant] = quantity_values(self.model, trajectory)
         low, step = effect.values[f"{effect.name}_low"], effect.values[f"{effect.name}_step"]
-        weights = bspline_basis(self._quantities[where][effect.on], low, step)[:, None, :]
-        return rates * weights, measured * weights if np.any(measured) else None
+        basis = bspline_basis(self._quantities[instant][effect.on], low, step)[:, None, :]
+        return rates * basis, measured * basis if np.any(measured) else None
 
     def influence(self, effect: SplineTerm) -> tuple[Floats, Floats]:
-        """Changes of rates, (n, states, 1), and of measured angles, (n, 3, 1), by one unit on the channel of
-        a spline term `effect`; cached for all terms of the channel.
+        """Return the changes by one unit on the channel of a spline term; all terms of a channel share them.
+
+        Parameters
+        ----------
+        effect : SplineTerm
+            Any term of the channel.
+
+        Returns
+        -------
+        rates : ndarray (n, states, 1)
+            Changes of the rates.
+        measured_rad : ndarray (n, 3, 1)
+            Direct changes of the measured angles.
         """
         if effect.channel not in self._channels:
-            function = self._functions.of(f"spline:{effect.channel}", effect, ())
+            function = self._functions.extended(f"spline:{effect.channel}", effect, ())
             # With all coefficients 1 the basis functions of any term of the channel add up to 1.
             values = {**function.effect.values, **dict.fromkeys(function.effect.priors, 1.0)}
             self._channels[effect.channel] = function.run(self.linear.trajectory, values, self._directions)
@@ -127,8 +140,8 @@ class Regressors:
             return self.spline_signals(candidate)
         trajectory = self.linear.trajectory
         if candidate.effect.delay:
-            return self._delayed(candidate), None
-        function = self._functions.of(candidate.id, candidate.effect, candidate.linear_parameters)
+            return self._delayed_rates(candidate), None
+        function = self._functions.extended(candidate.id, candidate.effect, candidate.linear_parameters)
         values = candidate.effect.values_in(self.linear.reference.record.label, candidate.effect.values)
         rates, measured = function.run(trajectory, values, self._directions)
         if not np.any(measured):
@@ -136,20 +149,24 @@ class Regressors:
         # Encoders are read at the beginning of a step.
         return rates, function.run(self.linear.nodes, values, self._directions)[1]
 
-    def _delayed(self, candidate: Candidate) -> Floats:
-        """Changes of the rates by delayed voltages; the model itself is unchanged."""
+    def _delayed_rates(self, candidate: Candidate) -> Floats:
+        """Return the changes of the rates by delayed voltages, shape (n, states, 1).
+
+        The voltages are averaged over a step of the trajectory, and then interpolated.
+        """
         trajectory, record = self.linear.trajectory, self.linear.reference.record
+        row_middle_s = record.t_s - record.t_s[0] + 0.5 * record.step_s
+        window = np.ones(max(1, round(trajectory.step_s / record.step_s)))
+        mean_inputs = [np.convolve(column, window / len(window), mode="same") for column in record.inputs.T]
+
+        def rates_with_delay(delay_s: float) -> Floats:
+            times_s = trajectory.t_s - delay_s
+            inputs = np.column_stack([np.interp(times_s, row_middle_s, column) for column in mean_inputs])
+            (rates,) = self._functions.rates(replace(trajectory, inputs=inputs))
+            return rates
+
         delay_s = candidate.effect.values[candidate.effect.delay]
-        middle_s = record.t_s - record.t_s[0] + 0.5 * record.step_s
-        kernel = np.ones(max(1, round(trajectory.step_s / record.step_s)))
-        smooth = [np.convolve(v, kernel / len(kernel), mode="same") for v in record.inputs.T]
-        now, late = (
-            np.column_stack([np.interp(trajectory.t_s - d, middle_s, v) for v in smooth])
-            for d in (0.0, delay_s)
-        )
-        (after,) = self._functions.rates(replace(trajectory, inputs=late))
-        (before,) = self._functions.rates(replace(trajectory, inputs=now))
-        return after - before
+        return rates_with_delay(delay_s) - rates_with_delay(0.0)
 
 
 class ExtendedModel:
@@ -159,42 +176,44 @@ class ExtendedModel:
 
     def __init__(self, model: Model, effect: Effect, linear: Sequence[str]) -> None:
         effect = effect.with_measured_angles()
-        self.model, self.linear_parameters = model, linear
-        self.more = type(model)((*model.effects, effect))
-        self.effect = effect
-        names = [quantity.name for quantity in self.more.parameters]
-        state_names = [state.name for state in effect.states]
-        self.places = [names.index(q.name) for q in model.parameters]
-        self.own_places = {q.name: names.index(q.name) for q in effect.parameters}
-        states = [state.name for state in self.more.states]
-        base = [states.index(state.name) for state in model.states]
-        extra = [states.index(name) for name in state_names]
-        x, z = ca.SX.sym("x", len(model.states)), ca.SX.sym("z", len(state_names))
+        self.effect, self.linear_parameters = effect, linear
+        self.extended_model = type(model)((*model.effects, effect))
+        names = [quantity.name for quantity in self.extended_model.parameters]
+        # Indices of the parameters of model and effect among those of the extended model.
+        self.model_parameters = [names.index(quantity.name) for quantity in model.parameters]
+        self.effect_parameters = {quantity.name: names.index(quantity.name) for quantity in effect.parameters}
+        state_names = [state.name for state in self.extended_model.states]
+        model_states = [state_names.index(state.name) for state in model.states]
+        effect_states = [state_names.index(state.name) for state in effect.states]
+        self.effect_state_count = len(effect_states)
+
+        x, z = ca.SX.sym("x", len(model_states)), ca.SX.sym("z", len(effect_states))
         u, t, p = ca.SX.sym("u", 2), ca.SX.sym("t"), ca.SX.sym("p", len(names))
-        both = ca.SX(len(states), 1)
-        for i, place in enumerate(base):
-            both[place] = x[i]
-        for i, place in enumerate(extra):
-            both[place] = z[i]
-        rates, angles = self.more.dynamics(both, u, p, t), self.more.measurement(both, u, p, t)
-        after = self.more.reset_map(both, u, p, t)
-        p_base = ca.vertcat(*(p[i] for i in self.places))
+        extended_x = ca.SX(len(state_names), 1)
+        for i, row in enumerate(model_states):
+            extended_x[row] = x[i]
+        for i, row in enumerate(effect_states):
+            extended_x[row] = z[i]
+        rates = self.extended_model.dynamics(extended_x, u, p, t)
+        angles = self.extended_model.measurement(extended_x, u, p, t)
+        model_rates = _rows(rates, model_states)
         if linear:
-            by = ca.vertcat(*(p[self.own_places[name]] for name in linear))
-            outputs = [ca.jacobian(ca.vertcat(*(rates[i] for i in base)), by), ca.jacobian(angles, by)]
+            coefficients = _rows(p, [self.effect_parameters[name] for name in linear])
+            changes = [ca.jacobian(model_rates, coefficients), ca.jacobian(angles, coefficients)]
         else:
-            outputs = [
-                ca.vertcat(*(rates[i] for i in base)) - model.dynamics(x, u, p_base, t),
-                angles - model.measurement(x, u, p_base, t),
+            model_p = _rows(p, self.model_parameters)
+            changes = [
+                model_rates - model.dynamics(x, u, model_p, t),
+                angles - model.measurement(x, u, model_p, t),
             ]
-        self.state_count = len(state_names)
         inputs = [ca.vertcat(x, z), u, t, p]
-        self.change = AlongTrajectory(ca.Function("change", inputs, [ca.densify(o) for o in outputs]))
-        if state_names:
+        self.change = AlongTrajectory(ca.Function("change", inputs, [ca.densify(c) for c in changes]))
+        if effect_states:
+            reset_x = self.extended_model.reset_map(extended_x, u, p, t)
             inputs = [z, t, x, u, p]
-            self.own = EffectStates(
-                ca.Function("rates", inputs, [ca.densify(ca.vertcat(*(rates[i] for i in extra)))]),
-                ca.Function("resets", inputs, [ca.densify(ca.vertcat(*(after[i] for i in extra)))]),
+            self.effect_states = EffectStates(
+                ca.Function("rates", inputs, [ca.densify(_rows(rates, effect_states))]),
+                ca.Function("resets", inputs, [ca.densify(_rows(reset_x, effect_states))]),
             )
 
     def run(
@@ -213,35 +232,45 @@ class ExtendedModel:
 
         Returns
         -------
-        ndarray (n, states, g), ndarray (n, 3, g)
-            Changes of the rates, and of the measured angles.
+        rates : ndarray (n, states, g)
+            Changes of the rates.
+        measured_rad : ndarray (n, 3, g)
+            Changes of the measured angles.
         """
-        parameters = np.empty(len(self.more.parameters))
-        parameters[self.places] = trajectory.parameters
-        for name, place in self.own_places.items():
-            parameters[place] = values[name]
+        parameters = np.empty(len(self.extended_model.parameters))
+        parameters[self.model_parameters] = trajectory.parameters
+        for name, index in self.effect_parameters.items():
+            parameters[index] = values[name]
         state = trajectory.state
-        if self.state_count:
-            effect_states = self._own_states(trajectory, parameters)
-            for place, axis in known_directions([self.effect]):
+        if self.effect_state_count:
+            effect_states = self._simulate_effect_states(trajectory, parameters)
+            for column, axis in known_directions([self.effect]):
                 if directions is not None:
-                    effect_states[:, place] = directions[:, axis]
+                    effect_states[:, column] = directions[:, axis]
             state = np.column_stack((state, effect_states))
         rates, measured = self.change(
             Trajectory(trajectory.t_s, state, trajectory.inputs, trajectory.step_s, parameters)
         )
         return rates, measured
 
-    def _own_states(self, trajectory: Trajectory, parameters: Floats) -> Floats:
-        """States of the effect in the middle of each step, from rest at the beginning of the flight."""
-        return self.own.integrate(
+    def _simulate_effect_states(self, trajectory: Trajectory, parameters: Floats) -> Floats:
+        """Return the states of the effect in the middle of each step, shape (n, effect states), from rest at
+        the beginning of the flight.
+        """
+        middle_substep = EFFECT_SUBSTEPS // 2 - 1
+        return self.effect_states.integrate(
             [trajectory.state, trajectory.inputs],
             trajectory.t_s,
             parameters,
             trajectory.step_s,
             EFFECT_SUBSTEPS,
-            EFFECT_SUBSTEPS // 2 - 1,
+            middle_substep,
         )
+
+
+def _rows(column: ca.SX, rows: Sequence[int]) -> ca.SX:
+    """Return some rows of a column of symbols."""
+    return ca.vertcat(*(column[row] for row in rows))
 
 
 def spline_candidates(linearised_flights: Sequence[LinearisedFlight], number: int = 0) -> list[Candidate]:
@@ -255,15 +284,15 @@ def spline_candidates(linearised_flights: Sequence[LinearisedFlight], number: in
         Distinguishes spline terms of one model.
     """
     model = linearised_flights[0].model.source
-    together: dict[str, list[Floats]] = {}
+    values_by_quantity: dict[str, list[Floats]] = {}
     for linear in linearised_flights:
         for name, values in quantity_values(model, linear.trajectory).items():
-            together.setdefault(name, []).append(values)
+            values_by_quantity.setdefault(name, []).append(values)
     candidates = []
-    for channel, on in channel_quantity_pairs():
-        low, step = knot_span(np.concatenate(together[on]))
-        if step * (KNOTS - 1) < _MIN_SPAN:
+    for channel, quantity in channel_quantity_pairs():
+        low, step = knot_span(np.concatenate(values_by_quantity[quantity]))
+        if step * (KNOTS - 1) < _MIN_RANGE:
             continue
-        made = spline_term(channel, on, low, step, number)
-        candidates.append(Candidate(f"spline:{channel}:{on}", made, tuple(made.priors)))
+        term = spline_term(channel, quantity, low, step, number)
+        candidates.append(Candidate(f"spline:{channel}:{quantity}", term, tuple(term.priors)))
     return candidates

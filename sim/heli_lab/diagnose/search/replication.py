@@ -39,7 +39,7 @@ class Direction:
 
 
 def direction(
-    comparison: ModelComparison, final: Hypothesis, near: Estimate, judged_near: Estimate
+    comparison: ModelComparison, final: Hypothesis, fitted_start: Estimate, held_out_start: Estimate
 ) -> Direction:
     """Fit a model and the models without each of its causes on the fitted flights of a `comparison`, and
     compare them on its held-out flights.
@@ -50,36 +50,41 @@ def direction(
     ----------
     final : Hypothesis
         The model, perhaps estimated on other flights.
-    near, judged_near : Estimate
-        Estimates of constants and disturbances of the fitted and of the held-out flights.
+    fitted_start, held_out_start : Estimate
+        Estimates of the fitted and of the held-out flights, whose constants and disturbances to start from.
     """
     candidates = with_fixed_moments(final)
     baseline = comparison.filtering_baseline
-    whole = _fitted(comparison, candidates, final.estimate, near)
-    likelihood = comparison.held_out_estimate(whole, judged_near).log_likelihood
+    whole = _refit(comparison, candidates, final.estimate, fitted_start)
+    likelihood = comparison.held_out_estimate(whole, held_out_start).log_likelihood
 
     def ratio(candidate: Candidate) -> float:
-        rest = tuple(other for other in candidates if other is not candidate)
-        less = _fitted(comparison, rest, whole.estimate, whole.estimate) if rest else baseline
-        return likelihood - comparison.held_out_estimate(less, judged_near).log_likelihood
+        other_causes = tuple(other for other in candidates if other is not candidate)
+        reduced = baseline
+        if other_causes:
+            reduced = _refit(comparison, other_causes, whole.estimate, whole.estimate)
+        return likelihood - comparison.held_out_estimate(reduced, held_out_start).log_likelihood
 
     ratios = parallel_map(ratio, candidates)
     ids = (candidate.id for candidate in candidates)
     return Direction(comparison, baseline, whole, dict(zip(ids, ratios, strict=True)))
 
 
-def _fitted(
-    comparison: ModelComparison, candidates: tuple[Candidate, ...], shared: Estimate, near: Estimate
+def _refit(
+    comparison: ModelComparison, candidates: tuple[Candidate, ...], shared: Estimate, fitted_start: Estimate
 ) -> Hypothesis:
-    """Fit from what all flights of the estimate `shared` share, and the other numbers of `near`."""
-    start = near.parameter_vector.by_name(near.theta)
+    """Refit a model with some candidates on the fitted flights.
+
+    The start has the parameters that all flights share from `shared`, the others from `fitted_start`.
+    """
+    start = fitted_start.parameter_vector.by_name(fitted_start.theta)
     start |= shared.parameter_vector.shared_by_name(shared.theta)
-    return comparison.refit_from(candidates, start, near.disturbances)
+    return comparison.refit_from(candidates, start, fitted_start.disturbances)
 
 
 def with_fixed_moments(hypothesis: Hypothesis) -> tuple[Candidate, ...]:
-    """Candidates of a model whose moments are fixed in every flight: no other flight estimates when an event
-    happened.
+    """Return the candidates of a model with the moment of each event fixed, so that no other flight
+    estimates it.
     """
 
     def fixed(candidate: Candidate) -> Candidate:

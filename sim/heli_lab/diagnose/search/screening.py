@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from heli_host.arrays import Floats
@@ -24,12 +25,35 @@ _BATCH_NUMBERS: Final = 1_250_000
 of one minute. Memory and time depend on it, the result does not."""
 _BISECTIONS: Final = 6
 """How often the distance of a grid is halved about its best point: to a sixty-fourth."""
+_MIN_REFINED_NATS: Final = 0.5 * MIN_MARGIN
+"""Score below which the neighbourhood of a grid's best point is not searched."""
 _DIFFERENCE_STD: Final = 0.5
 """Prior standard deviation of the coefficient of a regressor that is the effect at a given size."""
 
 
-Score = tuple[float, Floats, Floats]
-"""Result of a score test: gain in nats, coefficients, standard errors of the coefficients."""
+class Score(NamedTuple):
+    """Result of a score test.
+
+    Parameters
+    ----------
+    log_likelihood_gain : float
+        Expected gain, nats.
+    coefficients, std : ndarray (g,)
+        Coefficients of the regressors, and their standard errors.
+    """
+
+    log_likelihood_gain: float
+    coefficients: Floats
+    std: Floats
+
+
+class ScoreStatistics(NamedTuple):
+    """Fisher information, shape (g, g), and score, shape (g,), of a candidate's coefficients, with the free
+    parameters projected out.
+    """
+
+    information: Floats
+    score: Floats
 
 
 class Screening:
@@ -66,60 +90,63 @@ class Screening:
         rows = max(model.rows for model in filtered.linearised_flights)
         batch = _BATCH_NUMBERS // (rows * filtered.linearised_flights[0].states)
         self.batch = max(KNOTS, batch)
-        # On a long flight, a single batch needs more memory than that.
+        """Number of regressors that are filtered together, one flight after the other."""
+        # On a long flight, one batch of the least size exceeds the memory of a thread.
         self.threads = default_thread_count() if batch >= KNOTS else 1
         self._innovations = innovations = filtered.innovations(disturbances)
         parameter_vector = estimate.parameter_vector
         self.measurements = sum(len(flight) for flight in innovations.flights)
-        self._arrowhead = (
-            innovations.information() + np.diag(parameter_vector.std**-2.0),
+        prior_precision = parameter_vector.std**-2.0
+        # Normal equations of the free parameters: (parameters, parameters), and the columns of each flight.
+        self._normal_equations = (
+            innovations.information() + np.diag(prior_precision),
             innovations.per_flight,
         )
-        offset = parameter_vector.std**-2.0 * (estimate.theta - parameter_vector.mean)
-        # Innovations after a refit of the free parameters, to first order.
-        self._error = innovations.after(self._solved(innovations.score() - offset))
+        prior_score = prior_precision * (estimate.theta - parameter_vector.mean)
+        # Whitened innovations of each flight after a Gauss-Newton step of the free parameters, (m,).
+        self._error = innovations.after(self._solve(innovations.score() - prior_score))
 
     def release(self) -> None:
         """Free the memory of cached signals, 0.2 GB for ten minutes of flight; they are computed
         again when needed.
         """
-        for linear, maker in zip(self.filtered.linearised_flights, self.regressors, strict=True):
+        for linear, regressors in zip(self.filtered.linearised_flights, self.regressors, strict=True):
             linear.release()
-            maker.release()
+            regressors.release()
 
     def effects(self, kinds: Iterable[EffectSpec]) -> list[Scored]:
         """Score the effects `kinds`, each at the best point of its grid, the highest score first."""
-        grids = [(kind, self._grids.candidates(kind)) for kind in {kind.id: kind for kind in kinds}.values()]
+        unique_kinds = {kind.id: kind for kind in kinds}.values()
+        grids = [(kind, self._grids.candidates(kind)) for kind in unique_kinds]
         scores = iter(self.score([candidate for _, candidates in grids for candidate in candidates]))
-        scored_grids = [(kind, candidates, [next(scores) for _ in candidates]) for kind, candidates in grids]
-        best = parallel_map(lambda grid: _best_on_grid(self, *grid), scored_grids, self.threads)
-        possible = [scored for scored in best if scored is not None]
-        return sorted(possible, key=lambda scored: -scored.log_likelihood_gain)
+        scored_grids = [(kind, grid, list(itertools.islice(scores, len(grid)))) for kind, grid in grids]
+        best_points = parallel_map(
+            lambda kind_grid_scores: _best_on_grid(self, *kind_grid_scores), scored_grids, self.threads
+        )
+        return _by_gain(scored for scored in best_points if scored is not None)
 
     def splines(self, number: int = 0) -> list[Scored]:
         """Score all spline terms, the highest score first; `number` distinguishes spline terms of
         one model.
         """
         candidates = spline_candidates(self.filtered.linearised_flights, number)
-        self._prepare(candidates)
-        scored_terms = [
-            Scored(candidate, *score, 1)
-            for candidate, score in zip(candidates, self.score(candidates), strict=True)
-        ]
-        return sorted(scored_terms, key=lambda scored: -scored.log_likelihood_gain)
+        self._precompute_influences(candidates)
+        scores = self.score(candidates)
+        return _by_gain(map(_scored, candidates, scores, itertools.repeat(1)))
 
     def score(self, candidates: Sequence[Candidate]) -> list[Score]:
         """Score each of the `candidates` by itself, in their order."""
-        groups: list[list[Candidate]] = []
-        width = self.batch
+        batches: list[list[Candidate]] = []
+        regressors_in_batch = self.batch
         for candidate in candidates:
-            size = max(1, len(candidate.linear_parameters))
-            if width + size > self.batch:
-                groups.append([])
-                width = 0
-            groups[-1].append(candidate)
-            width += size
-        return [score for scores in parallel_map(self._score_group, groups, self.threads) for score in scores]
+            regressors = max(1, len(candidate.linear_parameters))
+            if regressors_in_batch + regressors > self.batch:
+                batches.append([])
+                regressors_in_batch = 0
+            batches[-1].append(candidate)
+            regressors_in_batch += regressors
+        scores_by_batch = parallel_map(self._score_batch, batches, self.threads)
+        return list(itertools.chain.from_iterable(scores_by_batch))
 
     def score_signals(
         self, signals: Iterable[tuple[Floats, Floats | None]], sizes: Sequence[int], priors: Sequence[Floats]
@@ -136,30 +163,25 @@ class Screening:
         priors : sequence of ndarray (g,)
             Prior standard deviations of each candidate's coefficients about 0.
         """
+        statistics = self.information(signals, sizes)
         return [
-            score_of(*part, std) for part, std in zip(self.information(signals, sizes), priors, strict=True)
+            score_of(information, score, prior_std)
+            for (information, score), prior_std in zip(statistics, priors, strict=True)
         ]
 
     def information(
         self, signals: Iterable[tuple[Floats, Floats | None]], sizes: Sequence[int]
-    ) -> list[tuple[Floats, Floats]]:
-        """Fisher information and score of each candidate's coefficients over all flights, with the free
-        parameters projected out.
-
-        Parameters
-        ----------
-        signals, sizes
-            As in `score_signals`.
-
-        Returns
-        -------
-        list of (ndarray (g, g), ndarray (g,))
-            Information and score of each candidate.
+    ) -> list[ScoreStatistics]:
+        """Compute Fisher information and score of each candidate's coefficients over all flights; `signals`
+        and `sizes` as in `score_signals`.
         """
         return self.projected(self.filtered.regressors(self.estimate.disturbances, signals), sizes)
 
-    def projected(self, regressors: Iterable[Floats], sizes: Sequence[int]) -> list[tuple[Floats, Floats]]:
+    def projected(self, regressors: Iterable[Floats], sizes: Sequence[int]) -> list[ScoreStatistics]:
         """Compute Fisher information and score from derivatives of the innovations.
+
+        The free parameters are projected out (partitioned regression, Frisch-Waugh): with X the regressors
+        of a candidate and Z those of the free parameters, the information is X'X - X'Z (Z'Z)^-1 Z'X.
 
         Parameters
         ----------
@@ -170,69 +192,71 @@ class Screening:
 
         Returns
         -------
-        list of (ndarray (g, g), ndarray (g,))
-            Fisher information and score of each candidate, with the free parameters projected out.
+        list of ScoreStatistics
+            Those of each candidate.
         """
-        parts = [slice(high - size, high) for size, high in zip(sizes, np.cumsum(sizes), strict=True)]
-        width = sum(sizes)
-        # Blocks of the information: each candidate alone, and between free parameters and candidates.
-        own = [np.zeros((size, size)) for size in sizes]
-        cross = np.zeros((self._innovations.size, width))
-        score, free_score = np.zeros(width), np.zeros(self._innovations.size)
-        for candidates, flight, columns, error in zip(
+        candidate_columns = [
+            slice(stop - size, stop) for size, stop in zip(sizes, np.cumsum(sizes), strict=True)
+        ]
+        parameter_count, regressor_count = self._innovations.size, sum(sizes)
+        information_by_candidate = [np.zeros((size, size)) for size in sizes]  # X'X
+        score = np.zeros(regressor_count)  # X'e
+        parameter_score = np.zeros(parameter_count)  # Z'e
+        cross_information = np.zeros((parameter_count, regressor_count))  # Z'X
+        for flight_regressors, innovations, parameter_columns, error in zip(
             regressors, self._innovations.flights, self._innovations.columns, self._error, strict=True
         ):
-            free = flight[:, 1:]
-            cross[columns] += free.T @ candidates
-            free_score[columns] += free.T @ error
-            score += candidates.T @ error
-            for number, part in enumerate(parts):
-                own[number] += candidates[:, part].T @ candidates[:, part]
-        # Change of the free parameters per unit of each coefficient.
-        response = self._solved(cross)
-        score -= response.T @ free_score
-        results = []
-        for total, part in zip(own, parts, strict=True):
-            information = total - cross[:, part].T @ response[:, part]
-            results.append((0.5 * (information + information.T), score[part]))
-        return results
+            derivatives = innovations[:, 1:]
+            cross_information[parameter_columns] += derivatives.T @ flight_regressors
+            parameter_score[parameter_columns] += derivatives.T @ error
+            score += flight_regressors.T @ error
+            for number, columns in enumerate(candidate_columns):
+                own_regressors = flight_regressors[:, columns]
+                information_by_candidate[number] += own_regressors.T @ own_regressors
+        projection = self._solve(cross_information)  # (Z'Z)^-1 Z'X
+        score -= projection.T @ parameter_score
+        statistics = []
+        for information, columns in zip(information_by_candidate, candidate_columns, strict=True):
+            projected = information - cross_information[:, columns].T @ projection[:, columns]
+            statistics.append(ScoreStatistics(0.5 * (projected + projected.T), score[columns]))
+        return statistics
 
-    def _solved(self, right: Floats) -> Floats:
-        """Solution of the normal equations of the free parameters for a right-hand side."""
-        return solve_arrowhead(self._arrowhead[0], right, self._arrowhead[1])
+    def _solve(self, right: Floats) -> Floats:
+        """Solve the normal equations of the free parameters for a right-hand side, (parameters, ...)."""
+        matrix, per_flight = self._normal_equations
+        return solve_arrowhead(matrix, right, per_flight)
 
-    def spline_information(self, candidates: Sequence[Candidate]) -> list[tuple[Floats, Floats]]:
+    def spline_information(self, candidates: Sequence[Candidate]) -> list[ScoreStatistics]:
         """Compute Fisher information and score of each of the spline terms `candidates`, as
         `information` does.
         """
-        self._prepare(candidates)
-        group_size = self.batch // KNOTS
-        groups = [candidates[low : low + group_size] for low in range(0, len(candidates), group_size)]
-        return [
-            information
-            for group_information in parallel_map(self._spline_group, groups, self.threads)
-            for information in group_information
-        ]
+        self._precompute_influences(candidates)
+        batch_size = self.batch // KNOTS
+        batches = [candidates[first : first + batch_size] for first in range(0, len(candidates), batch_size)]
+        statistics_by_batch = parallel_map(self._spline_statistics, batches, self.threads)
+        return list(itertools.chain.from_iterable(statistics_by_batch))
 
-    def _prepare(self, candidates: Iterable[Candidate]) -> None:
-        """Compute what spline terms of a channel share before threads need it."""
-        first: dict[str, SplineTerm] = {}
+    def _precompute_influences(self, candidates: Iterable[Candidate]) -> None:
+        """Compute the influence of each channel of spline terms once, before threads share it."""
+        term_of_channel: dict[str, SplineTerm] = {}
         for candidate in candidates:
             if isinstance(candidate.effect, SplineTerm):
-                first.setdefault(candidate.effect.channel, candidate.effect)
+                term_of_channel.setdefault(candidate.effect.channel, candidate.effect)
         parallel_map(
-            lambda term: [maker.influence(term) for maker in self.regressors],
-            list(first.values()),
+            lambda term: [flight.influence(term) for flight in self.regressors],
+            list(term_of_channel.values()),
             self.threads,
         )
 
-    def _spline_group(self, group: Sequence[Candidate]) -> list[tuple[Floats, Floats]]:
-        signals = (signals_of(maker, group) for maker in self.regressors)
-        return self.information(signals, [len(candidate.linear_parameters) for candidate in group])
+    def _spline_statistics(self, candidates: Sequence[Candidate]) -> list[ScoreStatistics]:
+        """Return the score statistics of spline terms, which are filtered together."""
+        signals = (signals_of(flight, candidates) for flight in self.regressors)
+        return self.information(signals, [len(candidate.linear_parameters) for candidate in candidates])
 
-    def _score_group(self, candidates: Sequence[Candidate]) -> list[Score]:
+    def _score_batch(self, candidates: Sequence[Candidate]) -> list[Score]:
+        """Score candidates, which are filtered together."""
         sizes = [max(1, len(candidate.linear_parameters)) for candidate in candidates]
-        signals = (signals_of(maker, candidates) for maker in self.regressors)
+        signals = (signals_of(flight, candidates) for flight in self.regressors)
         return self.score_signals(signals, sizes, [coefficient_std(candidate) for candidate in candidates])
 
 
@@ -256,40 +280,49 @@ def score_of(information: Floats, score: Floats, prior_std: Floats) -> Score:
     covariance = np.linalg.pinv(information + np.diag(prior_std**-2.0), hermitian=True)
     coefficients = covariance @ score
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    return float(0.5 * score @ coefficients), coefficients, std
+    return Score(float(0.5 * score @ coefficients), coefficients, std)
 
 
-def signals_of(maker: Regressors, candidates: Sequence[Candidate]) -> tuple[Floats, Floats | None]:
-    """Signals of `candidates` in the flight of a `maker`, one candidate after the other along the last axis.
+def signals_of(flight: Regressors, candidates: Sequence[Candidate]) -> tuple[Floats, Floats | None]:
+    """Return the changes by one unit of each coefficient of several `candidates` in a `flight`.
 
     Returns
     -------
-    rates : ndarray (n, states, s)
-        Changes of the rates.
-    angles : ndarray (n, 3, s) or None
-        Changes of the measured angles; None if no candidate changes them.
+    ndarray (n, states, g)
+        Changes of the rates; g counts the coefficients of all candidates.
+    ndarray (n, 3, g) or None
+        Changes of the measured angles; None if no candidate changes them directly.
     """
-    pairs = [maker.signals(candidate) for candidate in candidates]
+    pairs = [flight.signals(candidate) for candidate in candidates]
     if len(pairs) == 1:
         return pairs[0]
-    rates = np.concatenate([candidate_rates for candidate_rates, _ in pairs], axis=2)
-    if all(candidate_angles is None for _, candidate_angles in pairs):
-        return rates, None
-    parts = []
-    for candidate_rates, candidate_angles in pairs:
-        unchanged = np.zeros((len(rates), 3, candidate_rates.shape[2]))
-        parts.append(unchanged if candidate_angles is None else candidate_angles)
-    return rates, np.concatenate(parts, axis=2)
+    all_rates = np.concatenate([rates for rates, _ in pairs], axis=2)
+    if all(angles is None for _, angles in pairs):
+        return all_rates, None
+    all_angles = [
+        np.zeros((len(rates), 3, rates.shape[2])) if angles is None else angles for rates, angles in pairs
+    ]
+    return all_rates, np.concatenate(all_angles, axis=2)
+
+
+def _by_gain(scored: Iterable[Scored]) -> list[Scored]:
+    """Sort candidates by their gain, the highest first."""
+    return sorted(scored, key=lambda candidate: -candidate.log_likelihood_gain)
+
+
+def _scored(candidate: Candidate, score: Score, tried: int) -> Scored:
+    """Return a candidate with its score, the best of so many points that were `tried`."""
+    return Scored(candidate, score.log_likelihood_gain, score.coefficients, score.std, tried)
 
 
 def coefficient_std(candidate: Candidate) -> Floats:
-    """Prior standard deviations of a candidate's coefficients about 0, shape (g,)."""
+    """Return the prior standard deviations of a candidate's coefficients about 0, shape (g,)."""
     if not candidate.linear_parameters:
         return np.array([_DIFFERENCE_STD])
     return np.array([candidate.effect.priors[name].std for name in candidate.linear_parameters])
 
 
-def _possible(candidate: Candidate, coefficients: Floats) -> bool:
+def _signs_are_allowed(candidate: Candidate, coefficients: Floats) -> bool:
     """Whether the priors allow the signs of the coefficients that a score test estimates."""
     for name, change in zip(candidate.linear_parameters, coefficients, strict=False):
         prior = candidate.effect.priors[name]
@@ -301,33 +334,45 @@ def _possible(candidate: Candidate, coefficients: Floats) -> bool:
 def _best_on_grid(
     screening: Screening, kind: EffectSpec, candidates: Sequence[Candidate], scores: Sequence[Score]
 ) -> Scored | None:
-    """The best point of an effect's grid, refined; None if the priors forbid the signs at all points."""
+    """Return the best point of an effect's grid, refined; None if the priors forbid the signs of all
+    points.
+    """
     allowed = [
-        (gain, number)
-        for number, (candidate, (gain, coefficients, _)) in enumerate(zip(candidates, scores, strict=True))
-        if _possible(candidate, coefficients)
+        index
+        for index, (candidate, score) in enumerate(zip(candidates, scores, strict=True))
+        if _signs_are_allowed(candidate, score.coefficients)
     ]
     if not allowed:
         return None
-    _, best_number = max(allowed)
-    best = Scored(candidates[best_number], *scores[best_number], len(candidates))
-    if best.candidate.grid and len(candidates) > 1 and best.log_likelihood_gain > 0.5 * MIN_MARGIN:
-        best = _refined(screening, kind, candidates, best)
+    # Of equal scores the last point counts.
+    best_index = max(allowed, key=lambda index: (scores[index].log_likelihood_gain, index))
+    best = _scored(candidates[best_index], scores[best_index], len(candidates))
+    has_neighbours = bool(best.candidate.grid) and len(candidates) > 1
+    if has_neighbours and best.log_likelihood_gain > _MIN_REFINED_NATS:
+        best = _refine_on_grid(screening, kind, candidates, best)
     return best
 
 
-def _refined(screening: Screening, kind: EffectSpec, candidates: Sequence[Candidate], best: Scored) -> Scored:
-    """Halve the grid's distance about its best point, in parameters with three values and more."""
+def _refine_on_grid(
+    screening: Screening, kind: EffectSpec, candidates: Sequence[Candidate], best: Scored
+) -> Scored:
+    """Search the neighbourhood of a grid's best point by bisection, one parameter after the other.
+
+    Only parameters with three values or more in the grid, and with a prior, are searched.
+    """
     for name in best.candidate.grid:
         flight = best.candidate.effect.flight
-        values = sorted({tried.grid[name] for tried in candidates if tried.effect.flight == flight})
+        values = sorted(
+            {candidate.grid[name] for candidate in candidates if candidate.effect.flight == flight}
+        )
         prior = kind.priors.get(name)
         if len(values) < 3 or prior is None:
             continue
-        gaps = np.diff(values)
-        place = int(np.argmin(np.abs(np.array(values) - best.candidate.grid[name])))
-        step = float(gaps[min(place, len(gaps) - 1)])
+        distances = np.diff(values)
+        nearest = int(np.argmin(np.abs(np.array(values) - best.candidate.grid[name])))
+        step = float(distances[min(nearest, len(distances) - 1)])
         if name.endswith("Hz"):
+            # A quarter of the resolution of a spectrum.
             step = 0.25 / screening.seconds
         for _ in range(_BISECTIONS):
             step *= 0.5
@@ -343,7 +388,8 @@ def _refined(screening: Screening, kind: EffectSpec, candidates: Sequence[Candid
                 if prior.low <= value <= prior.high
             ]
             best = replace(best, tried=best.tried + len(neighbours))
-            for other, (gain, coefficients, std) in zip(neighbours, screening.score(neighbours), strict=True):
-                if gain > best.log_likelihood_gain and _possible(other, coefficients):
-                    best = Scored(other, gain, coefficients, std, best.tried)
+            for neighbour, score in zip(neighbours, screening.score(neighbours), strict=True):
+                is_better = score.log_likelihood_gain > best.log_likelihood_gain
+                if is_better and _signs_are_allowed(neighbour, score.coefficients):
+                    best = _scored(neighbour, score, best.tried)
     return best

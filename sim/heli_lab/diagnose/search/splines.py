@@ -24,19 +24,19 @@ from heli_lab.estimation import AlongTrajectory, Trajectory
 
 KNOTS: Final = 8
 """Basis functions of a curve: fewer do not follow a kink or bump, more have a higher penalty."""
-_TAIL: Final = 0.005
+_TAIL_SHARE: Final = 0.005
 """Share of the flight beyond each end of the curve, where it is constant, so that few samples do not stretch
 it."""
 # Prior standard deviations of a coefficient: about what holds the arm up, and what no machine exceeds.
 # Smaller: large unlisted effects are not followed. Larger: coefficients with few samples diverge.
-_TORQUE_Nm: Final = 0.3
-_SHARE: Final = 0.2
-_ANGLE_rad: Final = 0.02
+_TORQUE_STD_Nm: Final = 0.3
+_THRUST_STD: Final = 0.2
+_ANGLE_STD_rad: Final = 0.02
 
-_UNITS: Final = {
-    "torque": ("N m", _TORQUE_Nm),
-    "thrust": ("1", _SHARE),
-    "measurement": ("rad", _ANGLE_rad),
+_UNIT_AND_STD: Final = {
+    "torque": ("N m", _TORQUE_STD_Nm),
+    "thrust": ("1", _THRUST_STD),
+    "measurement": ("rad", _ANGLE_STD_rad),
 }
 
 _Expression = Callable[[Operands], ca.SX]
@@ -46,7 +46,7 @@ def _state(name: str) -> _Expression:
     return lambda at: at.state[name]
 
 
-def _static(at: Operands) -> ca.SX:
+def _static_thrust_N(at: Operands) -> ca.SX:
     p = at.parameter
     return static_thrust_N(at.volts_V, p["thrust_gain"], p["dead_zone"], p["reverse_thrust"])
 
@@ -58,10 +58,10 @@ QUANTITIES: Final[Mapping[str, tuple[_Expression, str]]] = {
     "elevation_rate": (_state("elevation_rate_rad_s"), "rad/s"),
     "pitch_rate": (_state("pitch_rate_rad_s"), "rad/s"),
     "travel_rate": (_state("travel_rate_rad_s"), "rad/s"),
-    "thrust": (lambda at: ca.sum1(_static(at)), "N"),
-    "thrust_difference": (lambda at: _static(at)[0] - _static(at)[1], "N"),
-    "front_thrust": (lambda at: _static(at)[0], "N"),
-    "back_thrust": (lambda at: _static(at)[1], "N"),
+    "thrust": (lambda at: ca.sum1(_static_thrust_N(at)), "N"),
+    "thrust_difference": (lambda at: _static_thrust_N(at)[0] - _static_thrust_N(at)[1], "N"),
+    "front_thrust": (lambda at: _static_thrust_N(at)[0], "N"),
+    "back_thrust": (lambda at: _static_thrust_N(at)[1], "N"),
     "time": (lambda at: at.time_s, "s"),
 }
 """Quantities that a spline term may depend on, by name: expression and unit."""
@@ -94,10 +94,13 @@ class SplineTerm(Effect):
     on: str = ""
 
     def _curve(self, at: Operands) -> ca.SX:
+        """Return the value of the curve: the sum of coefficients times basis functions."""
         p = at.parameter
-        place = 1.0 + (QUANTITIES[self.on][0](at) - p[f"{self.name}_low"]) / p[f"{self.name}_step"]
-        place = ca.fmin(ca.fmax(place, 1.0), KNOTS - 2.0)
-        return sum((p[f"{self.name}_{i}"] * bspline(place - i) for i in range(KNOTS)), ca.SX(0))
+        quantity, _ = QUANTITIES[self.on]
+        # Position in units of the knots' distance; basis function i has its centre at i.
+        position = 1.0 + (quantity(at) - p[f"{self.name}_low"]) / p[f"{self.name}_step"]
+        position = ca.fmin(ca.fmax(position, 1.0), KNOTS - 2.0)
+        return sum((p[f"{self.name}_{i}"] * bspline(position - i) for i in range(KNOTS)), ca.SX(0))
 
     def torque_Nm(self, at: Operands) -> ca.SX:
         """Torque of the curve about its axis [N m], shape (3, 1); see `Effect.torque_Nm`."""
@@ -143,15 +146,16 @@ def spline_term(channel: str, on: str, low: float, step: float, number: int = 0)
         Distinguishes spline terms of one model.
     """
     name = f"spline{number}"
-    unit, std = _UNITS[channel.partition(".")[0]]
+    unit, std = _UNIT_AND_STD[channel.partition(".")[0]]
+    _, quantity_unit = QUANTITIES[on]
     coefficients = [Quantity(f"{name}_{i}", unit, f"coefficient {i} of the curve") for i in range(KNOTS)]
-    span = [
-        Quantity(f"{name}_low", QUANTITIES[on][1], "second knot of the curve, where it begins"),
-        Quantity(f"{name}_step", QUANTITIES[on][1], "distance of its knots"),
+    knots = [
+        Quantity(f"{name}_low", quantity_unit, "second knot of the curve, where it begins"),
+        Quantity(f"{name}_step", quantity_unit, "distance of its knots"),
     ]
     return SplineTerm(
         name,
-        parameters=(*coefficients, *span),
+        parameters=(*coefficients, *knots),
         values={q.name: 0.0 for q in coefficients} | {f"{name}_low": low, f"{name}_step": step},
         priors={q.name: Prior(0.0, std) for q in coefficients},
         channel=channel,
@@ -167,7 +171,7 @@ def knot_span(values: Floats) -> tuple[float, float]:
     low, step : float
         Second knot, and distance of the knots.
     """
-    low, high = np.quantile(values, [_TAIL, 1.0 - _TAIL])
+    low, high = np.quantile(values, [_TAIL_SHARE, 1.0 - _TAIL_SHARE])
     step = max(float(high - low), 1e-9) / (KNOTS - 3)
     return float(low), step
 
@@ -187,30 +191,34 @@ def bspline_basis(values: Floats, low: float, step: float) -> Floats:
     ndarray (n, KNOTS)
         Values of the basis functions; each row sums to 1.
     """
-    place = np.clip(1.0 + (values - low) / step, 1.0, KNOTS - 2.0)
-    distance = np.abs(place[:, None] - np.arange(KNOTS))
-    result: Floats = (np.maximum(2.0 - distance, 0.0) ** 3 - 4.0 * np.maximum(1.0 - distance, 0.0) ** 3) / 6.0
-    return result
+    position = np.clip(1.0 + (values - low) / step, 1.0, KNOTS - 2.0)
+    distance = np.abs(position[:, None] - np.arange(KNOTS))
+    basis: Floats = (np.maximum(2.0 - distance, 0.0) ** 3 - 4.0 * np.maximum(1.0 - distance, 0.0) ** 3) / 6.0
+    return basis
 
 
 def quantity_values(model: Model, trajectory: Trajectory) -> dict[str, Floats]:
     """Evaluate all `QUANTITIES` of a `model` along a `trajectory`; shape (n,) each, by name."""
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
-    at = model.operands(x, u, p, t)
-    values = ca.vertcat(*(evaluation(at) for evaluation, _ in QUANTITIES.values()))
-    (result,) = AlongTrajectory(ca.Function("quantities", [x, u, t, p], [ca.densify(values)]))(trajectory)
-    return dict(zip(QUANTITIES, result[:, :, 0].T, strict=True))
+    operands = model.operands(x, u, p, t)
+    expressions = ca.vertcat(*(evaluation(operands) for evaluation, _ in QUANTITIES.values()))
+    (values,) = AlongTrajectory(ca.Function("quantities", [x, u, t, p], [ca.densify(expressions)]))(
+        trajectory
+    )
+    return dict(zip(QUANTITIES, values[:, :, 0].T, strict=True))
 
 
 def channel_quantity_pairs() -> list[tuple[str, str]]:
     """List the spline terms that are tried, as pairs of channel and quantity."""
 
     # The controller feeds the quantisation error back: a measurement that depends on thrust would be
-    # significant in any flight. One that depends on its own axis' rate is read late or early: half a sample
-    # of that is in any log.
-    def tried(channel: str, on: str) -> bool:
-        _, _, axis = channel.partition("measurement.")
-        return not axis or not ("thrust" in on or on == f"{axis}_rate")
+    # significant in any flight. A measurement that depends on the rate of its own axis is read late or early,
+    # and half a sample of that is in any log.
+    def is_testable(channel: str, quantity: str) -> bool:
+        _, _, measured_axis = channel.partition("measurement.")
+        if not measured_axis:
+            return True
+        return "thrust" not in quantity and quantity != f"{measured_axis}_rate"
 
-    return [pair for pair in itertools.product(SPLINE_CHANNELS, QUANTITIES) if tried(*pair)]
+    return [pair for pair in itertools.product(SPLINE_CHANNELS, QUANTITIES) if is_testable(*pair)]

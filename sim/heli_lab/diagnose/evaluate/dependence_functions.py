@@ -1,0 +1,102 @@
+"""Functions of states and inputs on which the innovations of a flight may depend."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from heli_host.arrays import Floats
+
+from heli_lab.diagnose.search import quantity_values
+from heli_lab.estimation import LinearisedFlight
+
+_PRODUCTS: Final = (
+    "elevation",
+    "pitch",
+    "travel",
+    "elevation_rate",
+    "pitch_rate",
+    "travel_rate",
+    "thrust",
+    "thrust_difference",
+)
+_RATES: Final = ("elevation_rate", "pitch_rate", "travel_rate")
+_THRUSTS: Final = ("thrust", "thrust_difference")
+_LOWPASS_s: Final = (0.05, 0.2, 1.0)
+"""Time constants of first-order lags of the thrust: those of rotors, of inflow, of warming motors."""
+_PLAY_WIDTHS: Final = (0.1, 0.3, 1.0)
+"""Widths of a play (hysteresis), in standard deviations of the thrust."""
+_REST_WIDTHS: Final = (0.05, 0.2)
+"""Rates up to which an axis is nearly at rest, in standard deviations: there dry friction acts."""
+
+
+def dependence_functions(linearised_flights: Sequence[LinearisedFlight]) -> dict[str, list[Floats]]:
+    """Return test functions along each flight, shape (n, s), by name.
+
+    They are standardised quantities, products of two of them, past thrusts, and rates near rest.
+
+    Parameters
+    ----------
+    linearised_flights : sequence of LinearisedFlight
+        The flights; the quantities are standardised over all of them.
+    """
+    quantities = [quantity_values(linear.model.source, linear.trajectory) for linear in linearised_flights]
+    mean, std = {}, {}
+    for name in _PRODUCTS:
+        all_values = np.concatenate([values[name] for values in quantities])
+        mean[name], std[name] = all_values.mean(), all_values.std() + 1e-12
+    standardised = [
+        {name: (values[name] - mean[name]) / std[name] for name in _PRODUCTS} for values in quantities
+    ]
+    functions = {name: [values[name][:, None] for values in standardised] for name in _PRODUCTS}
+    for first, second in itertools.combinations(_PRODUCTS, 2):
+        functions[f"{first} times {second}"] = [
+            (values[first] * values[second])[:, None] for values in standardised
+        ]
+    step_s = linearised_flights[0].trajectory.step_s
+    for name in _THRUSTS:
+        functions[f"past {name}"] = [_memory_curves(values[name], step_s) for values in standardised]
+    for name in _RATES:
+        functions[f"{name} near rest"] = [
+            _near_rest_curves(values[name] / std[name]) for values in quantities
+        ]
+    return functions
+
+
+def _near_rest_curves(rate: Floats) -> Floats:
+    """Return curves of a scaled rate (n,) that are odd and vanish far from rest, shape (n, widths)."""
+    return np.column_stack(
+        [np.tanh(rate / 0.1 / width) * np.exp(-((rate / width) ** 2)) for width in _REST_WIDTHS]
+    )
+
+
+def _memory_curves(signal: Floats, step_s: float) -> Floats:
+    """Return the changes of a signal (n,) by first-order lags and plays, shape (n, s)."""
+    values = signal.tolist()
+    outputs = [_low_pass(values, math.exp(-step_s / time_s)) for time_s in _LOWPASS_s]
+    outputs += [_play(values, width) for width in _PLAY_WIDTHS]
+    changes: Floats = np.column_stack(outputs) - signal[:, None]
+    return changes
+
+
+def _low_pass(values: Sequence[float], pole: float) -> list[float]:
+    """Return values behind a first-order lag with the given pole, which starts at rest."""
+
+    def step(output: float, value: float) -> float:
+        return output + (1.0 - pole) * (value - output)
+
+    return list(itertools.accumulate(values, step))
+
+
+def _play(values: Sequence[float], width: float) -> list[float]:
+    """Return values behind a play (backlash): the output moves only at the edges of a gap of the given
+    `width` about the value.
+    """
+
+    def step(output: float, value: float) -> float:
+        return min(max(output, value - width / 2.0), value + width / 2.0)
+
+    return list(itertools.accumulate(values, step))
