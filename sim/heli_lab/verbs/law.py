@@ -17,6 +17,8 @@ from heli_host.cli.simulated import DEFAULT_RIG, MAX_SPEED, SeedOption
 from heli_host.cli.verb import Verb
 from heli_host.laws import FILE_LIMIT_s
 
+from heli_lab.fit_options import ReportOption
+
 if TYPE_CHECKING:
     from heli_host.flight import Flight
     from heli_host.law_program import LawProgram
@@ -246,10 +248,7 @@ def grade(
     seeds: SeedsOption = 3,
     plan: GradedPlanOption = None,
     duration_s: DurationOption = 30.0,
-    report: Annotated[
-        Path | None,
-        typer.Option("--report", metavar="DIR", help="Write an HTML page with figures into this folder."),
-    ] = None,
+    report: ReportOption = None,
     json: JsonOption = None,
     load_timeout: LoadTimeoutOption = FILE_LIMIT_s,
 ) -> None:

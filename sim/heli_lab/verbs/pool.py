@@ -10,6 +10,8 @@ from heli_host.cli.options import JsonOption
 from heli_host.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.cli.verb import Verb
 
+from heli_lab.fit_options import SaveRigOption
+
 if TYPE_CHECKING:
     from heli_lab.pool import RigPopulation
 
@@ -30,10 +32,7 @@ def pool(
             show_default=False,
         ),
     ] = None,
-    save_rig: Annotated[
-        Path | None,
-        typer.Option("--save-rig", metavar="FILE", help="Write the prior for another rig as a rig, TOML."),
-    ] = None,
+    save_rig: SaveRigOption = None,
     json: JsonOption = None,
 ) -> None:
     """Combine diagnoses of several rigs and estimate how their parameters vary.

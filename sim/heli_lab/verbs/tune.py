@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from heli_host.cli.options import JsonOption
+from heli_host.cli.options import FigureOption, JsonOption
 from heli_host.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.cli.simulated import DEFAULT_RIG, EffectFilesOption, SeedOption
 from heli_host.cli.verb import Verb
@@ -60,10 +60,7 @@ def tune(
         typer.Option("--save-params", metavar="FILE", help="Write the board's parameters, TOML."),
     ] = None,
     json: JsonOption = None,
-    figure: Annotated[
-        Path | None,
-        typer.Option("--figure", metavar="FILE", help="Draw flights and loops: .png, .pdf or .svg."),
-    ] = None,
+    figure: FigureOption = None,
 ) -> None:
     """Design gains for a rig, print stability margins, and test them in simulation.
 

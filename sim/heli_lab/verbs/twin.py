@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from heli_host.cli.options import JsonOption
+from heli_host.cli.options import FigureOption, JsonOption
 from heli_host.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.cli.simulated import DEFAULT_RIG
 from heli_host.cli.verb import Verb
@@ -67,10 +67,7 @@ def twin(
         float | None, typer.Option("--to", "--to-s", metavar="S", help="Ignore rows from this time on.")
     ] = None,
     json: JsonOption = None,
-    figure: Annotated[
-        Path | None,
-        typer.Option("--figure", metavar="FILE", help="Draw the evidence over time: .png, .pdf or .svg."),
-    ] = None,
+    figure: FigureOption = None,
 ) -> None:
     """Detect when a rig diverges from its model, and report what changed.
 
