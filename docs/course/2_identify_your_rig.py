@@ -80,7 +80,9 @@ for name, truth in {"thrust_gain": 0.63, "friction_travel": 0.055}.items():
     # Two standard errors hold the truth in 95 of 100 flights; three in 997 of 1000.
     assert abs(number.value - truth) < 1.5 * number.tolerance, (name, number)
 assert ratio > 3.0
-assert np.isclose(mine["M_h"].value, believed["M_h"].value, rtol=0.05), "a prior holds what no flight tells"
+assert np.isclose(mine["M_h"].value, believed["M_h"].value, rtol=0.05), (
+    "the prior determines what no flight shows"
+)
 
 # %% [markdown]
 # **Common mistakes.**

@@ -93,10 +93,10 @@ def sealed_of(path: Path) -> str:
 @pytest.mark.slow
 def test_a_blind_flight_gives_nothing_away_in_any_of_its_files(short: Terminal, tmp_path: Path) -> None:
     files = ("--log", "a.mcap", "--json", "a.json", "--figure", "a.svg")
-    said = short("fly", *FLOWN, "--seed", SEED, "--blind", *files)
-    assert said.code == 0, said
-    assert "truth (keep it, share only the other files): a.truth.json" in said.out
-    assert not [word for word in SECRETS if word in said.out.replace("a.truth.json", "")]
+    result = short("fly", *FLOWN, "--seed", SEED, "--blind", *files)
+    assert result.code == 0, result
+    assert "truth (keep it, share only the other files): a.truth.json" in result.out
+    assert not [word for word in SECRETS if word in result.out.replace("a.truth.json", "")]
     for name in ("a.mcap", "a.json", "a.svg"):
         assert given_away(tmp_path / name) == set(), name
     log = read_log("a.mcap")
@@ -165,8 +165,8 @@ def test_the_truth_file_settles_what_flew(short: Terminal, tmp_path: Path) -> No
 def test_blind_is_refused_where_it_would_hide_nothing(short: Terminal, tmp_path: Path) -> None:
     refused = short("fly", "short.toml", "--port", "/dev/null", "--blind")
     assert refused.code == 2 and "--blind is for a simulated board only; add --sil" in refused.err
-    told = short("fly", *FLOWN, "--blind", "--twin", "makki2024")
-    assert told.code == 2 and "--twin names what has changed" in told.err
+    result = short("fly", *FLOWN, "--blind", "--twin", "makki2024")
+    assert result.code == 2 and "--twin names what has changed" in result.err
     assert not list(tmp_path.glob("*.truth.json"))
 
 
@@ -185,7 +185,9 @@ def test_an_export_leaves_out_what_a_twin_said_and_notes_of_others(short: Termin
         f"# event.{EVENT}: 3.0 the rotors lag by {SIZE} s\n# remark: hidden is {EFFECT}\n# {EFFECT} it is\n"
     )
     table.write_text(notes + table.read_text())
-    assert EFFECT in str(read_flight(table).meta) and EVENT in {one.name for one in read_flight(table).events}
+    assert EFFECT in str(read_flight(table).meta) and EVENT in {
+        event.name for event in read_flight(table).events
+    }
     bare = blind(read_flight(table), "sha256:0")
     assert not [word for word in SECRETS if word in str(bare.meta) + str(bare.events)]
     assert bare.meta["sealed"] == "sha256:0"

@@ -53,7 +53,7 @@ def test_from_a_flight_to_a_rig_that_flies(terminal: Terminal, tmp_path: Path) -
     files = ("--save-rig", "new.toml", "--report", "report", "--json", "new.json")
     ended = terminal("identify", "a.mcap", "--validate", "b.csv.gz", *files)
     assert ended.code == 0, ended
-    assert "Nothing but the encoders' quantisation is left on flights that it never saw" in ended.out
+    assert "Only the encoders' quantisation remains on the validation flights" in ended.out
     assert "thrust_gain" in ended.out
 
     result = json.loads((tmp_path / "new.json").read_text())

@@ -104,7 +104,7 @@ def hostile(
         bad = volts(now, good, state.grown)
         late = state.t_s > HOSTILE_AFTER_s
         front_V, back_V = (
-            if_else(late, one, other) for one, other in zip(bad, (good.front_V, good.back_V), strict=True)
+            if_else(late, worse, other) for worse, other in zip(bad, (good.front_V, good.back_V), strict=True)
         )
         grown = if_else(late, state.grown + 1e-3 * grows(now), 0.0)
         wanted = None
@@ -379,17 +379,17 @@ def main() -> None:
     for name in arguments.law or HOSTILE:
         for rig in arguments.rig or RIGS:
             all_tried = [tries(name, rig, seed) for seed in range(arguments.first, arguments.last + 1)]
-            problems = [one for one in all_tried if one.problem()]
+            problems = [attempt for attempt in all_tried if attempt.problem()]
             flights, bad = flights + len(all_tried), bad + len(problems)
             print(
                 f"{name:32} {rig:12} {len(problems):3} of {len(all_tried)}; up to "
-                f"{max(one.highest_deg for one in all_tried):.1f} deg, pitch "
-                f"{max(one.most_pitch_deg for one in all_tried):.0f} deg; "
-                f"{', '.join(sorted({one.taken_over or '-' for one in all_tried}))[:100]}",
+                f"{max(attempt.highest_deg for attempt in all_tried):.1f} deg, pitch "
+                f"{max(attempt.most_pitch_deg for attempt in all_tried):.0f} deg; "
+                f"{', '.join(sorted({attempt.taken_over or '-' for attempt in all_tried}))[:100]}",
                 flush=True,
             )
-            for one in problems:
-                print(f"    {one.which}: {one.problem()}", flush=True)
+            for attempt in problems:
+                print(f"    {attempt.which}: {attempt.problem()}", flush=True)
     print(f"{bad} of {flights} flights")
 
 

@@ -29,7 +29,7 @@ LANDED = (State.IDLE, Trigger.STALE_LAND)
 TRIPPED = (State.FAULT, Trigger.TRIP, Fault.PITCH_LIMIT)
 
 
-def told(tick: int, state: State, cause: Trigger) -> EventMessage:
+def event(tick: int, state: State, cause: Trigger) -> EventMessage:
     return EventMessage(tick, Event.STATE, state, cause, 0.0)
 
 
@@ -45,51 +45,51 @@ def test_the_first_samples_report_no_change() -> None:
 
 def test_a_change_with_a_lost_event_is_reported_with_trigger_and_tick() -> None:
     missed = watching(FLYING)
-    found = missed.take_ticks(ticks(101, FLYING, HOLDING, HOLDING, LANDING))
-    assert found == [
-        told(102, State.HOLD, Trigger.STALE_HOLD),
-        told(104, State.LANDING, Trigger.STALE_LAND),
+    events = missed.take_ticks(ticks(101, FLYING, HOLDING, HOLDING, LANDING))
+    assert events == [
+        event(102, State.HOLD, Trigger.STALE_HOLD),
+        event(104, State.LANDING, Trigger.STALE_LAND),
     ]
     assert missed.take_ticks(ticks(105, LANDING, LANDING)) == []
 
 
 def test_a_change_that_an_event_reported_is_not_reported_again() -> None:
     missed = watching(FLYING)
-    missed.take_event(told(102, State.HOLD, Trigger.STALE_HOLD))
+    missed.take_event(event(102, State.HOLD, Trigger.STALE_HOLD))
     assert missed.take_ticks(ticks(101, FLYING, HOLDING, LANDING)) == [
-        told(103, State.LANDING, Trigger.STALE_LAND)
+        event(103, State.LANDING, Trigger.STALE_LAND)
     ]
 
 
 def test_an_event_within_a_gap_of_the_telemetry_counts_and_one_from_before_it_does_not() -> None:
     for tick, missing in ((101, 0), (900, 0), (1000, 0), (100, 1), (1001, 1)):
         missed = watching(FLYING)
-        missed.take_event(told(tick, State.HOLD, Trigger.STALE_HOLD))
+        missed.take_event(event(tick, State.HOLD, Trigger.STALE_HOLD))
         assert len(missed.take_ticks(ticks(1000, HOLDING))) == missing, tick
 
 
 def test_an_unseen_landing_is_reported_with_its_cause() -> None:
     missed = watching(FLYING)
-    assert missed.take_ticks(ticks(9000, LANDED)) == [told(9000, State.IDLE, Trigger.STALE_LAND)]
+    assert missed.take_ticks(ticks(9000, LANDED)) == [event(9000, State.IDLE, Trigger.STALE_LAND)]
 
 
 def test_an_unseen_hold_is_reported_although_the_state_is_the_same() -> None:
     back = (State.CLOSED_LOOP, Trigger.SETPOINT_FRESH)
     assert watching(FLYING).take_ticks(ticks(900, back)) == [
-        told(900, State.CLOSED_LOOP, Trigger.SETPOINT_FRESH)
+        event(900, State.CLOSED_LOOP, Trigger.SETPOINT_FRESH)
     ]
 
 
 def test_ticks_may_pass_2_to_the_32() -> None:
     missed = MissedEvents()
     missed.take_ticks(ticks(2**32 - 10, FLYING))
-    missed.take_event(told(3, State.HOLD, Trigger.STALE_HOLD))
+    missed.take_event(event(3, State.HOLD, Trigger.STALE_HOLD))
     assert missed.take_ticks(ticks(5, HOLDING)) == []
 
 
 def test_a_fault_is_reported_by_its_code() -> None:
     missed = watching(FLYING)
-    missed.take_event(told(101, State.FAULT, Trigger.TRIP))
+    missed.take_event(event(101, State.FAULT, Trigger.TRIP))
     [fault] = missed.take_ticks(ticks(101, TRIPPED, TRIPPED))
     assert (fault.kind, fault.detail, fault.tick) == (Event.FAULT, Fault.PITCH_LIMIT, 101)
     assert math.isnan(fault.value)

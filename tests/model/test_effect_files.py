@@ -35,11 +35,11 @@ DOCUMENT = DOCS / "reference" / "effects.md"
 
 def example() -> str:
     """The file that the document shows, under an id that a reader who has added it does not have."""
-    found = re.search(
+    block = re.search(
         r"^```python\n(.*?)^```$", (DOCS / "how-to/extending.md").read_text(), re.MULTILINE | re.DOTALL
     )
-    assert found is not None
-    return found[1].replace('id="draught"', 'id="window_draught"')
+    assert block is not None
+    return block[1].replace('id="draught"', 'id="window_draught"')
 
 
 def written(folder: Path, text: str) -> Path:
@@ -138,8 +138,8 @@ def test_the_documents_own_effect_passes_the_rules_for_docstrings(tmp_path: Path
     path = written(tmp_path, example())
     rules = ["--select", "D,F,I", "--isolated", "--config", 'lint.pydocstyle.convention = "numpy"']
     ruff = [sys.executable, "-m", "ruff", "check", "--no-cache", *rules]
-    found = subprocess.run([*ruff, path], capture_output=True, text=True, check=False)
-    assert found.returncode == 0, found.stdout
+    checked = subprocess.run([*ruff, path], capture_output=True, text=True, check=False)
+    assert checked.returncode == 0, checked.stdout
     path.write_text(example().replace("    @override\n", ""))
     assert "D102" in subprocess.run([*ruff, path], capture_output=True, text=True, check=False).stdout
 

@@ -78,9 +78,9 @@ class Index:
         scores: dict[int, float] = {}
         words = self._words(query)
         by_word = [self._by_page(word) for word in words]
-        known = [found for found in by_word if found]
+        known = [pages for pages in by_word if pages]
         for page in set[int]().union(*known) if known else ():
-            holds = [found[page] for found in by_word if page in found]
+            holds = [pages[page] for pages in by_word if page in pages]
             if len(holds) in (len(words), sum(len(word) > 2 for word in words)):
                 scores[page] = max(holds)
         lower = query.lower().strip()

@@ -31,16 +31,16 @@ from pathlib import Path
 from heli_host.errors import HeliError
 from heli_host.tables import read_table
 resource.setrlimit(resource.RLIMIT_CPU, (int(sys.argv[1]),) * 2)
-said = {}
+outcomes = {}
 for path in map(Path, sys.argv[2:]):
     try:
-        said[path.name] = f"read {len(read_table(path))}"
+        outcomes[path.name] = f"read {len(read_table(path))}"
     except HeliError as error:
-        said[path.name] = str(error)
+        outcomes[path.name] = str(error)
     # The most that this program had; getrusage counts what the process had before it was this program.
     peak = next(row for row in open("/proc/self/status") if row.startswith("VmHWM"))
-    said[path.name] = said[path.name], int(peak.split()[1]) / 1024
-print(json.dumps(said))
+    outcomes[path.name] = outcomes[path.name], int(peak.split()[1]) / 1024
+print(json.dumps(outcomes))
 """
 ZERO_MiB = bytes(1 << 20)
 
@@ -193,11 +193,11 @@ def test_small_files_that_unpack_to_gigabytes_are_refused_in_a_line(tmp_path: Pa
         paths.append(tmp_path / name)
         assert paths[-1].stat().st_size < 2_000_000, name
     words = [sys.executable, "-c", CHILD, str(MAX_CPU_S), *map(str, paths)]
-    said = json.loads(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
+    outcomes = json.loads(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
     for name, (_, most) in BOMBS.items():
-        text, memory_MiB = said[name]
+        text, memory_MiB = outcomes[name]
         assert text.startswith(f"{tmp_path / name} unpacks to more than {most}; cut it into pieces"), text
-        assert memory_MiB < MAX_MiB, said
+        assert memory_MiB < MAX_MiB, outcomes
 
 
 @pytest.mark.medium

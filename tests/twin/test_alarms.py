@@ -39,14 +39,14 @@ def of(seed: int) -> Known:
 
 
 def test_alarms_are_as_seldom_as_stated_and_changes_have_their_names() -> None:
-    alarms, chance, found = 0, [], []
+    alarms, chance, changes = 0, [], []
     for seed in range(1, SEEDS + 1):
         rig = of(seed)
         healthy = of_healthy(rig, HEALTHY)["healthy"]
-        alarms += sum(one["alarms"] > 0 for one in healthy)
-        chance += [1.0 - math.exp(-one["free_s"] / 3600.0 / HOURS) for one in healthy]
+        alarms += sum(flight["alarms"] > 0 for flight in healthy)
+        chance += [1.0 - math.exp(-flight["free_s"] / 3600.0 / HOURS) for flight in healthy]
         cases = enumerate(CASES[: samples(3, 1)])
-        found += [of_changed(rig, name, size, 2_000 + 20 * number) for number, (name, size) in cases]
+        changes += [of_changed(rig, name, size, 2_000 + 20 * number) for number, (name, size) in cases]
     assert bdtrc(alarms - 1, len(chance), float(np.mean(chance))) > 0.01
-    named = [one for one in found if one.get("name") == one["change"]]
-    assert len(named) >= 0.9 * len(found)
+    named = [flight for flight in changes if flight.get("name") == flight["change"]]
+    assert len(named) >= 0.9 * len(changes)

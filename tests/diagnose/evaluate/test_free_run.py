@@ -64,14 +64,14 @@ RIGHT: Final = f"rotor_lag={LAG_s}"
 
 
 def test_first_seconds_give_the_zeros_and_torques_of_that_day() -> None:
-    found = predicted(RIGHT).constants
-    assert found.keys() == {"torque_elevation", *TODAY, *ZEROS_deg}
+    constants = predicted(RIGHT).constants
+    assert constants.keys() == {"torque_elevation", *TODAY, *ZEROS_deg}
     for name, truth in {**TODAY, **ZEROS_deg}.items():
-        value, std = found[name]
+        value, std = constants[name]
         # The board takes the arm to lie at its rest when it zeroes: a part of a count is the flight's own.
         slack = 0.09 if name in ZEROS_deg else 0.0
         assert abs(value - truth) < 3.0 * std + slack, name
-    assert abs(found["torque_pitch"][0]) > 10.0 * found["torque_pitch"][1]
+    assert abs(constants["torque_pitch"][0]) > 10.0 * constants["torque_pitch"][1]
 
 
 def test_with_them_only_quantisation_is_left_of_the_rest_and_without_them_much_more() -> None:
@@ -122,8 +122,8 @@ def test_what_is_judged_takes_no_part_in_the_calibration() -> None:
 
 
 def test_values_found_on_other_flights_are_the_means_of_the_priors() -> None:
-    found = {"rotor_lag_s": LAG_s, "torque_pitch": 0.008, "offset_elevation": 0.5}
-    run = free_run(MultibodyModel(parse_effects(["rotor_lag=0.02"])), the_rig(), found, that_day())
+    values = {"rotor_lag_s": LAG_s, "torque_pitch": 0.008, "offset_elevation": 0.5}
+    run = free_run(MultibodyModel(parse_effects(["rotor_lag=0.02"])), the_rig(), values, that_day())
     assert run.priors["torque_pitch"].mean == 0.008
     assert run.priors["offset_elevation"].mean == 0.5
     assert run.errors["2"].rms_deg[1] == pytest.approx(predicted(RIGHT).errors["2"].rms_deg[1], rel=0.02)
@@ -145,15 +145,15 @@ def test_two_thirds_of_a_flight_are_judged_however_short_it_is() -> None:
 
 
 @pytest.mark.parametrize(
-    ("asked_s", "said"),
+    ("asked_s", "message"),
     [
         (-1.0, r"-1 s of calibration is not possible; give --calibrate 0 or more"),
         (float("nan"), "give --calibrate 0 or more"),
         (12.0, r"leave no time of the 12 s of free flight in that day; give 4 or less to --calibrate"),
     ],
 )
-def test_more_than_a_flight_leaves_is_refused_with_what_it_leaves(asked_s: float, said: str) -> None:
-    with pytest.raises(IdentifyError, match=said):
+def test_more_than_a_flight_leaves_is_refused_with_what_it_leaves(asked_s: float, message: str) -> None:
+    with pytest.raises(IdentifyError, match=message):
         calibration_s(_cut(that_day(), 12.0), asked_s)
 
 

@@ -34,7 +34,7 @@ function open(address) {
   // With the time: how old a status is must not depend on how slowly the page draws.
   socket.onmessage = ({ data }) => (typeof data === "string" ? postMessage(take(data, performance.now())) : postMessage({ rows: data }, [data]));
   socket.onclose = () => {
-    [shown, shownMs] = [0, -Infinity]; // numbers of frames begin anew
+    [shown, shownMs] = [0, -Infinity]; // numbers of frames begin again
     postMessage({ open: false });
     setTimeout(() => open(address), 500);
   };

@@ -63,15 +63,15 @@ def verdict(identification: Identification) -> str:
     residual = numbers["normalised_residual"]
     judged = residual["train"] if residual["validation"] is None else residual["validation"]
     held_out = residual["validation"] is not None
-    where = "flights that it never saw" if held_out else "the flights that it was fitted to"
+    where = "the validation flights" if held_out else "the fitted flights"
     window_s = identification.fit.problem.grids.window_s
     errors = ", ".join(f"{axis} {numbers['free_run_rms_deg'][axis]:.3g}" for axis in AXES)
     if judged <= QUANTISATION_ONLY:
-        first = f"Nothing but the encoders' quantisation is left on {where}: normalised error {judged:.3f}."
+        first = f"Only the encoders' quantisation remains on {where}: normalised error {judged:.3f}."
     else:
         first = (
-            f"The model is wrong by {judged:.3g} times the encoders' quantisation on {where}: something is "
-            "missing in it, and its parameters are biased."
+            f"The model has an error of {judged:.3g} times the encoders' quantisation on {where}: it lacks "
+            "something, and its parameters are biased."
         )
     return f"{first} Free-run error over {window_s:g} s, rms in degrees: {errors}."
 
