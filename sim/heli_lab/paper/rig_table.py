@@ -13,6 +13,7 @@ from heli_sim.model.locked import Locked
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
+from heli_lab.identify.fit import Fit
 from heli_lab.identify.free import NOT_FREE
 from heli_lab.identify.problem import Problem
 from heli_lab.identify.record import Record
@@ -113,27 +114,56 @@ def fit_rig(
     IdentifyError
         When the tests cannot be fitted.
     """
-    best: dict[str, tuple[float, float, str]] = {
-        "thrust_gain": (line.gain_N_per_V, line.gain_half, "Fig. 15"),
-        "dead_zone": (line.dead_zone_V, line.dead_zone_half, "Fig. 15"),
+    best = {
+        "thrust_gain": _Estimate(line.gain_N_per_V, line.gain_half, "Fig. 15"),
+        "dead_zone": _Estimate(line.dead_zone_V, line.dead_zone_half, "Fig. 15"),
     }
     normalised = {}
     for done, (number, tests) in enumerate(TESTS_OF_TABLE.items()):
         if on_progress is not None:
             on_progress(done / len(TESTS_OF_TABLE))
-        model = Locked(MultibodyModel(), tests[0].locked)
-        free = [
-            q.name
-            for q in model.parameters
-            if rig[q.name].tolerance > 0.0 and q.name not in NOT_FREE and _is_excited(q.name, tests)
-        ]
-        problem = Problem(model, rig, records[number], free=free, window_s=WINDOW_S)
-        fit = solve(problem)
+        fit = _fit(rig, records[number], tests)
         normalised[number] = free_axes_normalised(fit, tests[0].locked)
         for name, std in fit.std.items():
-            if name in rig and (name not in best or 2.0 * std < best[name][1]):
-                best[name] = fit.values[name], 2.0 * std, f"Fig. {tests[0].panel[:2]}"
-    rows = [_row(name, rig, best) for name in (*_IN_TABLE, *_NOT_IN_TABLE)]
+            estimate = _Estimate(fit.values[name], 2.0 * std, f"Fig. {tests[0].panel[:2]}")
+            if name in rig and (name not in best or estimate.half_width < best[name].half_width):
+                best[name] = estimate
+    rows = [_row(name, rig, best.get(name)) for name in (*_IN_TABLE, *_NOT_IN_TABLE)]
+    return RigTable((*rows, *_inertia_rows(rig)), normalised)
+
+
+@dataclass(frozen=True)
+class _Estimate:
+    """Estimate of a parameter from one group of tests.
+
+    Parameters
+    ----------
+    value, half_width : float
+        Estimate, and half its 95 % interval.
+    source : str
+        Figure of the tests.
+    """
+
+    value: float
+    half_width: float
+    source: str
+
+
+def _fit(rig: Rig, records: Sequence[Record], tests: Sequence[BenchTest]) -> Fit:
+    """Fit the parameters that some tests with the same locked axes excite."""
+    model = Locked(MultibodyModel(), tests[0].locked)
+    free = [
+        quantity.name
+        for quantity in model.parameters
+        if rig[quantity.name].tolerance > 0.0
+        and quantity.name not in NOT_FREE
+        and _is_excited(quantity.name, tests)
+    ]
+    return solve(Problem(model, rig, records, free=free, window_s=WINDOW_S))
+
+
+def _inertia_rows(rig: Rig) -> list[RigRow]:
+    """Rows of the moments of inertia, computed from the rig's masses and lengths."""
     inertia = printed_inertias_kg_m2(rig)
     at_90_deg = printed_inertias_kg_m2(rig, pitch_rad=math.pi / 2)["J_theta"]
     notes = {
@@ -141,11 +171,10 @@ def fit_rig(
         "J_phi": "(28)",
         "J_psi": "(29)",
     }
-    rows += [
+    return [
         RigRow(name, "kg m2", PRINTED_TABLE_2[name], inertia[name], 0.0, None, None, notes[name])
         for name in inertia
     ]
-    return RigTable(tuple(rows), normalised)
 
 
 _IN_TABLE: Final = tuple(name for name in PRINTED_TABLE_2 if not name.startswith("J_"))
@@ -160,12 +189,13 @@ def _is_excited(name: str, tests: Sequence[BenchTest]) -> bool:
     return not axis_locked and not (motors_off and name in ("thrust_gain", "dead_zone"))
 
 
-def _row(name: str, rig: Rig, best: Mapping[str, tuple[float, float, str]]) -> RigRow:
+def _row(name: str, rig: Rig, estimate: _Estimate | None) -> RigRow:
+    """Row of a parameter; an estimate that hardly narrows its tolerance is left out."""
     number = rig[name]
     notes = ["printed as a second L_h"] if name == "L_b" else []
     value = half = None
-    if name in best and best[name][1] < _IDENTIFIED * number.tolerance:
-        value, half, source = best[name]
-        notes.append(source)
+    if estimate is not None and estimate.half_width < _IDENTIFIED * number.tolerance:
+        value, half = estimate.value, estimate.half_width
+        notes.append(estimate.source)
     printed = PRINTED_TABLE_2.get(name)
     return RigRow(name, number.unit, printed, number.value, number.tolerance, value, half, ", ".join(notes))

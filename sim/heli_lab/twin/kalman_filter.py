@@ -77,26 +77,25 @@ class TwinModel:
     """
 
     def __init__(self, model: Model, rig: Rig, uncertainty: ParameterUncertainty = EXACT) -> None:
-        calm = type(model)(tuple(effect for effect in model.effects if not effect.noise_inputs))
-        self.rig, self.model = rig, calm
-        self.changes: tuple[Change, ...] = changes_of(calm)
-        more = extended(calm)
+        without_noise = type(model)(tuple(effect for effect in model.effects if not effect.noise_inputs))
+        self.rig, self.model = rig, without_noise
+        self.changes: tuple[Change, ...] = changes_of(without_noise)
         free = tuple(dict.fromkeys((*free_numbers(self.changes), *uncertainty.names)))
-        self.functions = model_functions(more, free)
+        self.functions = model_functions(extended(without_noise), free)
         self.uncertainty = uncertainty
         self.directions: Floats = uncertainty.directions(free)
         """Amount of each free parameter per standard deviation of each unknown error, (parameters + 1,
         errors); the last row is the supply."""
-        more = self.functions.model.source
-        self.plain = model_functions(more, ())
+        with_changes = self.functions.model.source
+        self.plain = model_functions(with_changes, ())
         """The same functions without derivatives by changes, which is faster."""
-        self.parameters: Floats = more.parameter_values(rig)
+        self.parameters: Floats = with_changes.parameter_values(rig)
         names = self.functions.names
-        self.delay_s = float(self.parameters[names.index(more.delay)]) if more.delay else 0.0
-        dead_zone_V = more.dead_zone_V(self.parameters)
+        self.delay_s = float(self.parameters[names.index(with_changes.delay)]) if with_changes.delay else 0.0
+        dead_zone_V = with_changes.dead_zone_V(self.parameters)
         self.least_V = -np.inf if dead_zone_V is None else dead_zone_V
         """Voltage below which a motor gives no thrust, V."""
-        self.states = len(more.states)
+        self.states = len(with_changes.states)
         self.frictions = [
             (place, axis)
             for axis, name in enumerate(AXES)
@@ -104,9 +103,9 @@ class TwinModel:
             if free == f"coulomb_friction_{name}_Nm"
         ]
         """For each axis with dry friction: its place among the free parameters, and the axis."""
-        self.measure = self._measurement(more)
-        resets = any(type(effect).reset_map is not Effect.reset_map for effect in calm.effects)
-        self.resets = self._resets(more) if resets else None
+        self.measure = self._measurement(with_changes)
+        resets = any(type(effect).reset_map is not Effect.reset_map for effect in without_noise.effects)
+        self.resets = self._resets(with_changes) if resets else None
         self.weights: Floats = self._weights()
         """Amount of each free parameter per unit of each number of the changes, (parameters + 1, columns);
         the last row is the supply."""
@@ -122,6 +121,7 @@ class TwinModel:
         self.zero_tolerance_rad: Floats = np.deg2rad(tolerances)
 
     def _weights(self) -> Floats:
+        """Value of `weights`: a number of a change may move several free parameters, joined by ``+``."""
         free = self.functions.free
         columns = [entry for change in self.changes for entry in change.numbers]
         weights = np.zeros((len(free) + 1, len(columns)))
@@ -132,6 +132,7 @@ class TwinModel:
         return weights
 
     def _symbols(self, model: Model) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """Symbols of state, voltages, time and parameters."""
         return (
             ca.SX.sym("x", len(model.states)),
             ca.SX.sym("u", 2),
@@ -142,9 +143,9 @@ class TwinModel:
     def _measurement(self, model: Model) -> AlongTrajectory:
         x, u, t, p = self._symbols(model)
         angles = model.measurement(x, u, p, t)
-        by = ca.vertcat(*(p[i] for i in self.functions.places))
-        wanted = [angles, ca.jacobian(angles, x), ca.jacobian(angles, by)]
-        return AlongTrajectory(ca.Function("measure", [x, u, t, p], [ca.densify(w) for w in wanted]))
+        free = ca.vertcat(*(p[i] for i in self.functions.places))
+        results = [angles, ca.jacobian(angles, x), ca.jacobian(angles, free)]
+        return AlongTrajectory(ca.Function("measure", [x, u, t, p], [ca.densify(r) for r in results]))
 
     def _resets(self, model: Model) -> AlongTrajectory:
         x, u, t, p = self._symbols(model)
@@ -379,14 +380,16 @@ class KalmanFilter:
         """
         twin, nx = self.twin, self._nx
         angles, c, by_free = twin.measure(twin.at(t_s, self.state, volts_V, self.step_s))
-        direct = np.zeros((3, twin.weights.shape[0]))
-        direct[:, :-1] = by_free[0]
-        by_error = direct @ self._directions
+        # Direct effect of parameters and changes on the measured angles, not by way of the state.
+        by_parameter = np.zeros((3, twin.weights.shape[0]))
+        by_parameter[:, :-1] = by_free[0]
+        by_error = by_parameter @ self._directions
         for place, axis, std in self._scale_errors:
             by_error[axis, place] += std * (self.mean[axis] - self._start_rad[axis])
         predicted = angles[0, :, 0] + np.array([*self.zero_rad, 0.0]) + by_error @ self.mean[self._errors]
-        shown = direct @ twin.weights
-        turned = {
+        by_change = by_parameter @ twin.weights
+        # A change of an encoder's scale counts the angle that its axis has turned since the onset.
+        by_scale = {
             axis: (column, (self.mean[axis] - onset_rad[row]) * amount[column])
             for row, (column, axis) in enumerate(twin.scales)
         }
@@ -395,7 +398,7 @@ class KalmanFilter:
         value = np.zeros(3)
         sensitivity = np.empty((3, *self.state_sensitivity.shape[1:]))
         order, columns, onsets = self.state_sensitivity.shape
-        moved = self.state_sensitivity.reshape(order, columns * onsets)
+        flat_sensitivity = self.state_sensitivity.reshape(order, columns * onsets)
         change = np.zeros(order)
         for axis in range(3):
             row = np.zeros(order)
@@ -408,13 +411,14 @@ class KalmanFilter:
             total = float(by_root @ by_root) + variance[axis]
             scale = total**-0.5
             value[axis] = (residual[axis] - row @ change) * scale
-            projection = (row @ moved).reshape(columns, onsets) + shown[axis][:, None] * amount
-            column, counted = turned[axis]
-            projection[column] += counted
+            projection = (row @ flat_sensitivity).reshape(columns, onsets)
+            projection = projection + by_change[axis][:, None] * amount
+            column, turned_rad = by_scale[axis]
+            projection[column] += turned_rad
             projection *= scale
             sensitivity[axis] = projection
             change += gain * (scale * value[axis])
-            moved -= np.outer(gain * scale, projection)
+            flat_sensitivity -= np.outer(gain * scale, projection)
             # The measurement update of the root by Potter.
             self._root -= np.outer(gain, by_root) / (total + (total * variance[axis]) ** 0.5)
         self.mean += change

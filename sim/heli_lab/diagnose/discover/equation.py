@@ -117,7 +117,7 @@ class Equation:
 
 @dataclass(frozen=True)
 class Group:
-    """Terms that are scored together, as one.
+    """Candidate term of an equation: one term, or a few terms that are scored together.
 
     Parameters
     ----------
@@ -132,11 +132,12 @@ class Group:
 
     @property
     def key(self) -> str:
-        """The group as text."""
+        """The terms as text, by which the group is recognised."""
         return "; ".join(term.key for term in self.terms)
 
 
 def _place(i: int, j: int) -> str:
+    """Short name of factor `j` of term `i`, such as ``2b``; ``2`` for its first factor."""
     return f"{i + 1}{'' if j == 0 else chr(97 + j)}"
 
 
@@ -175,6 +176,7 @@ class EquationEffect(Effect):
             yield term.channel, value
 
     def _factor(self, at: Operands, i: int, j: int, factor: Factor) -> ca.SX:
+        """Value of factor `j` of term `i`."""
         x = SYMBOLS[factor.quantity].value(at)
         if factor.memory:
             late = self._memory(at, i, j, factor)

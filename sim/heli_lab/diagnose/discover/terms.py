@@ -210,7 +210,7 @@ quantity)."""
 
 @dataclass(frozen=True)
 class Factor:
-    """A factor of a term: a function of one quantity.
+    """A factor of a term: a function of one quantity, or of its lagged value.
 
     Parameters
     ----------
@@ -219,9 +219,9 @@ class Factor:
     quantity : str
         Quantity, a key of `SYMBOLS`.
     numbers : tuple of (str, float)
-        Parameters of the function, and ``s``, the time constant of a lag in seconds.
+        Name and value of each parameter of the function; ``s`` is the time constant of the lag [s].
     memory : str
-        One of `MEMORIES`.
+        Dynamics between quantity and function, one of `MEMORIES`; empty for none.
 
     Raises
     ------
@@ -246,7 +246,7 @@ class Factor:
 
     @property
     def each(self) -> bool:
-        """Whether each rotor has its own."""
+        """Whether the factor has one value per rotor."""
         return SYMBOLS[self.quantity].each
 
     def value(self, module: Any, x: _Value, numbers: Mapping[str, Any] | None = None) -> _Value:

@@ -76,7 +76,7 @@ SPLINE_CHANNELS: Final = (
 
 @dataclass(frozen=True)
 class SplineTerm(Effect):
-    """A smooth dependence of one channel on one quantity.
+    """Effect of a cubic B-spline: a smooth dependence of one channel on one quantity.
 
     Parameters
     ----------
@@ -94,8 +94,11 @@ class SplineTerm(Effect):
     on: str = ""
 
     def _curve(self, at: Operands) -> ca.SX:
+        """Value of the curve at the quantity, which is held at the ends of its range."""
         p = at.parameter
-        place = 1.0 + (QUANTITIES[self.on][0](at) - p[f"{self.name}_low"]) / p[f"{self.name}_step"]
+        quantity = QUANTITIES[self.on][0](at)
+        # In steps between knots; the first and the last knot are outside of the range.
+        place = 1.0 + (quantity - p[f"{self.name}_low"]) / p[f"{self.name}_step"]
         place = ca.fmin(ca.fmax(place, 1.0), KNOTS - 2.0)
         return sum((p[f"{self.name}_{i}"] * bspline(place - i) for i in range(KNOTS)), ca.SX(0))
 
