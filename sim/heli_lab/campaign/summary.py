@@ -89,48 +89,60 @@ class Summary:
 def summarise(campaign: Campaign, rows: Sequence[Row]) -> Summary:
     """Summarise the table of a campaign, its `rows`."""
     settings = {name for case in campaign.cases for name in case.settings}
-    good = [row for row in rows if not row.get("failure")]
-    names = [
-        name
-        for name in dict.fromkeys(n for row in good for n in row)
-        if name not in {"case", OUTCOME, *RESULT_COLUMNS, *settings} and not name.startswith(PREFIX)
-    ]
+    complete = [row for row in rows if not row.get("failure")]
+    not_results = {"case", OUTCOME, *RESULT_COLUMNS, *settings}
     columns, words = [], {}
-    for name in names:
-        values = [row[name] for row in good if row.get(name) is not None]
+    for name in dict.fromkeys(column for row in complete for column in row):
+        if name in not_results or name.startswith(PREFIX):
+            continue
+        values = [row[name] for row in complete if row.get(name) is not None]
         if all(isinstance(value, bool | int | float) for value in values):
             columns.append(_column(name, values))
         else:
-            counted = Counter(str(value) or "nothing" for value in values)
-            words[name] = dict(counted.most_common())
-    groups = {}
-    for name in sorted(settings):
-        by_value: dict[str, list[Row]] = {}
-        for row in good:
-            by_value.setdefault(str(row.get(name, "")) or "nothing", []).append(row)
-        if 1 < len(by_value) <= _MAX_GROUPS and len(by_value) < len(good):
-            groups[name] = {value: tuple(some) for value, some in by_value.items()}
-    by = campaign.worst.removeprefix("-")
-    sign = -1.0 if campaign.worst.startswith("-") else 1.0
-    ranked = sorted(
-        (row for row in good if isinstance(row.get(by), int | float)), key=lambda row: -sign * float(row[by])
-    )
-    failed = tuple(row for row in rows if row.get("failure"))
-    ends = Counter(_kind(str(row[OUTCOME])) for row in good if row.get(OUTCOME))
+            words[name] = dict(Counter(str(value) or "nothing" for value in values).most_common())
+    outcomes = Counter(_without_numbers(str(row[OUTCOME])) for row in complete if row.get(OUTCOME))
     return Summary(
-        len(rows), tuple(columns), words, groups, tuple(ranked[:_WORST]), failed, dict(ends.most_common())
+        cases=len(rows),
+        columns=tuple(columns),
+        words=words,
+        groups=_groups(complete, sorted(settings)),
+        worst=_worst(complete, campaign.worst),
+        failed=tuple(row for row in rows if row.get("failure")),
+        outcomes=dict(outcomes.most_common()),
     )
 
 
-def _kind(outcome: str) -> str:
-    """Return an outcome without its numbers: its first word, and the fault that it names."""
+def _groups(rows: Sequence[Row], settings: Sequence[str]) -> dict[str, dict[str, tuple[Row, ...]]]:
+    """Rows by setting and value, for the settings that group them."""
+    groups = {}
+    for name in settings:
+        by_value: dict[str, list[Row]] = {}
+        for row in rows:
+            by_value.setdefault(str(row.get(name, "")) or "nothing", []).append(row)
+        if 1 < len(by_value) <= _MAX_GROUPS and len(by_value) < len(rows):
+            groups[name] = {value: tuple(members) for value, members in by_value.items()}
+    return groups
+
+
+def _worst(rows: Sequence[Row], worst: str) -> tuple[Row, ...]:
+    """The worst rows by the column `worst`, as in `Campaign`, the worst first."""
+    column = worst.removeprefix("-")
+    sign = -1.0 if worst.startswith("-") else 1.0
+    with_value = [row for row in rows if isinstance(row.get(column), int | float)]
+    return tuple(sorted(with_value, key=lambda row: -sign * float(row[column]))[:_WORST])
+
+
+def _without_numbers(outcome: str) -> str:
+    """An `outcome` without its numbers: its first word, and the fault that it names."""
     first, _, rest = outcome.partition(":")
     fault = next((word for word in re.findall(r"\w+", rest) if word in _FAULTS), "")
     return f"{first} ({fault})" if fault else first
 
 
 def _column(name: str, values: Sequence[float]) -> Column:
+    """Distribution of the finite `values` of a column."""
     array = np.array([float(value) for value in values if math.isfinite(value)])
     if not len(array):
-        return Column(name, array, *[math.nan] * 4)
-    return Column(name, array, float(array.mean()), *map(float, np.quantile(array, _QUANTILES)))
+        return Column(name, array, mean=math.nan, low=math.nan, median=math.nan, high=math.nan)
+    low, median, high = (float(quantile) for quantile in np.quantile(array, _QUANTILES))
+    return Column(name, array, mean=float(array.mean()), low=low, median=median, high=high)

@@ -66,8 +66,14 @@ class Part:
 
 
 def gap_free_parts(flight: Flight, rows: Booleans, least_V: float) -> list[Part]:
-    """Cut the `rows` of a flight into parts without gaps, each longer than the longest test function;
-    voltages below `least_V` act like it.
+    """Cut a flight into parts without gaps, each longer than the longest test function, on a coarse grid.
+
+    Parameters
+    ----------
+    rows : ndarray of bool (n,)
+        Rows in free flight.
+    least_V : float
+        Dead zone: voltages below it act like it [V].
     """
     step_s = flight.step_s
     if not step_s > 0.0:
@@ -92,6 +98,7 @@ def gap_free_parts(flight: Flight, rows: Booleans, least_V: float) -> list[Part]
 
 
 def _rates(values: Floats, step_s: float) -> Floats:
+    """Rates of the columns of `values`, smoothed by a Gaussian bell, shape (n, k)."""
     reach = max(1, round(3.0 * _SMOOTH_s / step_s))
     bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step_s / _SMOOTH_s) ** 2)
     bell /= bell.sum()
@@ -101,37 +108,40 @@ def _rates(values: Floats, step_s: float) -> Floats:
 
 
 class TestFunctions:
-    """Test functions w(t) = c (1 - x^2)^4, |x| < 1, with integral 1, at even distances over a part; one width
-    for each axis.
+    """Test functions of the weak form: w(t) = c (1 - x^2)^4, |x| < 1, with integral 1, at even distances over
+    a part; one width for each axis.
+
+    Integrated by parts, the mean of an acceleration weighted by w is the mean of the angle weighted by the
+    second derivative of w.
     """
 
     __test__ = False
 
     def __init__(self, part: Part) -> None:
         self._weights: list[Floats] = []
-        self._bent: list[Floats] = []
+        self._second_derivatives: list[Floats] = []
         self._starts: list[Integers] = []
         for width_s in WIDTHS_s:
             count = round(width_s / part.step_s)
             x = (np.arange(count) + 0.5) / count * 2.0 - 1.0
             scale = 2.0 / width_s
             w = (1.0 - x**2) ** 4
-            bent = scale**2 * (-8.0 * (1.0 - x**2) ** 3 + 48.0 * x**2 * (1.0 - x**2) ** 2)
-            # On a grid these two have to be a function and its second derivative to the second order of the
-            # angle: a constant and a slope give nothing, and t^2 / 2 gives 1.
-            bent -= bent.mean()
+            second = scale**2 * (-8.0 * (1.0 - x**2) ** 3 + 48.0 * x**2 * (1.0 - x**2) ** 2)
+            # On the grid, the weights must be exact for angles up to second order: a constant and a slope
+            # have no acceleration, and t^2 / 2 has 1.
+            second -= second.mean()
             t_s = x / scale
-            unit = float(bent @ (0.5 * t_s**2))
+            parabola = float(second @ (0.5 * t_s**2))
             self._weights.append(w / w.sum())
-            self._bent.append(bent / unit)
-            hop = max(1, round(_OVERLAP * count))
-            self._starts.append(np.arange(0, len(part.angles_rad) - count + 1, hop))
+            self._second_derivatives.append(second / parabola)
+            spacing = max(1, round(_OVERLAP * count))
+            self._starts.append(np.arange(0, len(part.angles_rad) - count + 1, spacing))
 
     def second_derivative(self, angles_rad: Floats) -> list[Floats]:
-        """Mean second derivative of each axis' angle, `angles_rad` of shape (n, 3), weighted by its test
-        functions: one array per axis.
+        """Weighted mean accelerations of each axis, from `angles_rad`, shape (n, 3): one array per axis
+        [rad/s^2].
         """
-        return [_apply(self._bent[i], self._starts[i], angles_rad[:, i]) for i in range(3)]
+        return [_apply(self._second_derivatives[i], self._starts[i], angles_rad[:, i]) for i in range(3)]
 
     def mean(self, axis: int, values: Floats) -> Floats:
         """Weighted means of `values`, (n,) or (n, k), with the test functions of an `axis`, 0 to 2."""
@@ -139,5 +149,6 @@ class TestFunctions:
 
 
 def _apply(weights: Floats, starts: Integers, values: Floats) -> Floats:
+    """Weighted sums of `values`, shape (n,) or (n, k), with the `weights` placed at each of the `starts`."""
     windows = np.lib.stride_tricks.sliding_window_view(values, len(weights), axis=0)[starts]
     return np.asarray(windows @ weights)

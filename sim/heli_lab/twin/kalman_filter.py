@@ -264,14 +264,16 @@ class KalmanFilter:
         """
         twin, nx = self.twin, self._nx
         angles, c, by_free = twin.measure(twin.at(t_s, self.state, volts_V, self.step_s))
-        direct = np.zeros((3, twin.weights.shape[0]))
-        direct[:, :-1] = by_free[0]
-        by_error = direct @ self._directions
+        # Direct effect of parameters and changes on the measured angles, not by way of the state.
+        by_parameter = np.zeros((3, twin.weights.shape[0]))
+        by_parameter[:, :-1] = by_free[0]
+        by_error = by_parameter @ self._directions
         for place, axis, std in self._scale_errors:
             by_error[axis, place] += std * (self.mean[axis] - self._start_rad[axis])
         predicted = angles[0, :, 0] + np.array([*self.zero_rad, 0.0]) + by_error @ self.mean[self._errors]
-        shown = direct @ twin.weights
-        turned = {
+        by_change = by_parameter @ twin.weights
+        # A change of an encoder's scale counts the angle that its axis has turned since the onset.
+        by_scale = {
             axis: (column, (self.mean[axis] - onset_rad[row]) * amount[column])
             for row, (column, axis) in enumerate(twin.scales)
         }
@@ -280,7 +282,7 @@ class KalmanFilter:
         value = np.zeros(3)
         sensitivity = np.empty((3, *self.state_sensitivity.shape[1:]))
         order, columns, onsets = self.state_sensitivity.shape
-        moved = self.state_sensitivity.reshape(order, columns * onsets)
+        flat_sensitivity = self.state_sensitivity.reshape(order, columns * onsets)
         change = np.zeros(order)
         for axis in range(3):
             row = np.zeros(order)
@@ -293,13 +295,14 @@ class KalmanFilter:
             total = float(by_root @ by_root) + variance[axis]
             scale = total**-0.5
             value[axis] = (residual[axis] - row @ change) * scale
-            projection = (row @ moved).reshape(columns, onsets) + shown[axis][:, None] * amount
-            column, counted = turned[axis]
-            projection[column] += counted
+            projection = (row @ flat_sensitivity).reshape(columns, onsets)
+            projection = projection + by_change[axis][:, None] * amount
+            column, turned_rad = by_scale[axis]
+            projection[column] += turned_rad
             projection *= scale
             sensitivity[axis] = projection
             change += gain * (scale * value[axis])
-            moved -= np.outer(gain * scale, projection)
+            flat_sensitivity -= np.outer(gain * scale, projection)
             # The measurement update of the root by Potter.
             self._root -= np.outer(gain, by_root) / (total + (total * variance[axis]) ** 0.5)
         self.mean += change

@@ -159,6 +159,7 @@ class LikelihoodRatio:
         self._onset[:, place] = block
 
     def _keep(self, state_sensitivity: Floats) -> None:
+        """Move the most likely recent onset of each change to the older onsets."""
         to = RECENT + self._halves % KEPT
         self._halves += 1
         best = np.argmax(self.evidence[:, :RECENT], axis=1)
@@ -205,7 +206,17 @@ class LikelihoodRatio:
         return np.asarray(evidence.max(axis=(-2, -1)))
 
     def _solved(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """Estimate of the first number, its standard error, b' (S + 1/P)^-1 b, and det(1 + P S)."""
+        """Estimates of all changes at all onsets.
+
+        Returns
+        -------
+        size, std : ndarray (..., changes, onsets)
+            Estimate of the first number and its standard error, SI.
+        gain : ndarray (..., changes, onsets)
+            The form b' (S + 1/P)^-1 b of the evidence.
+        determinant : ndarray (changes, onsets)
+            The determinant det(1 + P S) of the evidence.
+        """
         p1, p2 = self._precision[0][:, None], self._precision[1][:, None]
         a, b, d = self._s11 + p1, self._s12, self._s22 + p2
         determinant = a * d - b**2

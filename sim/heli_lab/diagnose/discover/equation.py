@@ -155,7 +155,7 @@ class TermGroup:
 
     @property
     def key(self) -> str:
-        """The group as text."""
+        """The terms as text, by which the group is recognised."""
         return "; ".join(term.key for term in self.terms)
 
 

@@ -210,7 +210,7 @@ quantity)."""
 
 @dataclass(frozen=True)
 class Factor:
-    """A factor of a term: a function of one quantity.
+    """A factor of a term: a function of one quantity, or of its lagged value.
 
     Parameters
     ----------

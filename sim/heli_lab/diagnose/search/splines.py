@@ -76,7 +76,7 @@ SPLINE_CHANNELS: Final = (
 
 @dataclass(frozen=True)
 class SplineTerm(Effect):
-    """A smooth dependence of one channel on one quantity.
+    """Effect of a cubic B-spline: a smooth dependence of one channel on one quantity.
 
     Parameters
     ----------
