@@ -15,7 +15,7 @@ import numpy as np
 from heli_host.arrays import Floats
 
 from heli_lab.diagnose.search.acceptance import Acceptance
-from heli_lab.diagnose.search.candidate import Scored
+from heli_lab.diagnose.search.candidate import ScoredCandidate
 from heli_lab.diagnose.search.screening import Screening, coefficient_std, signals_of
 from heli_lab.diagnose.thresholds import CHANCE_NATS
 from heli_lab.estimation import DisturbanceModel, estimate_disturbances
@@ -28,8 +28,8 @@ _Residuals = list[list[tuple[Floats, Floats]]]
 
 
 def with_concentrated_scores(
-    screening: Screening, acceptance: Acceptance, screened: Sequence[Scored]
-) -> list[Scored]:
+    screening: Screening, acceptance: Acceptance, screened: Sequence[ScoredCandidate]
+) -> list[ScoredCandidate]:
     """Replace the scores of effects that happen at a moment, if the plain score would not lead to a refit.
 
     Parameters
@@ -38,12 +38,12 @@ def with_concentrated_scores(
         Scores about the present estimate.
     acceptance : Acceptance
         Decides which scores lead to a refit.
-    screened : sequence of Scored
+    screened : sequence of ScoredCandidate
         Effects with their scores.
 
     Returns
     -------
-    list of Scored
+    list of ScoredCandidate
         The effects, the highest score first.
     """
     shortlist_ids = {scored.candidate.id for scored in acceptance.worth_a_refit(screened)}
@@ -61,7 +61,7 @@ def with_concentrated_scores(
     return sorted(result, key=lambda scored: -scored.log_likelihood_gain)
 
 
-def concentrated_scores(screening: Screening, screened: Sequence[Scored]) -> list[Scored]:
+def concentrated_scores(screening: Screening, screened: Sequence[ScoredCandidate]) -> list[ScoredCandidate]:
     """Score each candidate with its own estimate of the disturbances; never less than its plain score."""
     filtered, start = screening.filtered, screening.estimate.disturbances
     residuals = filtered.perturbed_residual()
@@ -74,11 +74,11 @@ def concentrated_scores(screening: Screening, screened: Sequence[Scored]) -> lis
 
 def _concentrated_score(
     screening: Screening,
-    scored: Scored,
+    scored: ScoredCandidate,
     residuals: _Residuals,
     disturbances: DisturbanceModel,
     log_likelihood: float,
-) -> Scored:
+) -> ScoredCandidate:
     """Maximise the likelihood of a candidate's coefficients and of the disturbances in turn.
 
     `residuals`, `disturbances` and `log_likelihood` are those of the model without the candidate.
