@@ -118,7 +118,13 @@ class ReferenceTrajectory:
         )
 
     def refiltered(self, predicted: Floats, filtered: Floats) -> ReferenceTrajectory:
-        """Return the same flight with the states of a better filter, shape (n, 2 m) each."""
+        """Return the same flight with the states of a better filter.
+
+        Parameters
+        ----------
+        predicted, filtered : ndarray (n, 2 m)
+            Positions and rates before and after each measurement.
+        """
         return replace(
             self,
             predicted=_without_rates(predicted, self.at_rest),

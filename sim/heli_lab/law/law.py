@@ -148,11 +148,6 @@ class Law:
 class Runner:
     """Runs a law with numpy, one call at a time.
 
-    Parameters
-    ----------
-    law : Law
-        The law.
-
     Attributes
     ----------
     state : ndarray (n,)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from heli_lab.diagnose.search import Hypothesis, ModelComparison, Refit, Screening, forward, typical_candidate
 from heli_lab.diagnose.search.acceptance import Acceptance
-from heli_lab.diagnose.search.candidate import Scored
+from heli_lab.diagnose.search.candidate import ScoredCandidate
 from heli_lab.diagnose.search.forward import ForwardSelection, paused_play, resting_friction
 from heli_lab.diagnose.search.progress import Progress
 from heli_sim.model.effects import catalogue
@@ -68,7 +68,7 @@ def test_play_is_refitted_next_to_a_better_score(monkeypatch: pytest.MonkeyPatch
     selection = ForwardSelection(
         cast(ModelComparison, None), cast(Acceptance, acceptance), cast(Progress, progress), ()
     )
-    lag = Scored(typical_candidate(KINDS["rotor_lag"]), 90.0, np.zeros(1), np.ones(1), 1)
+    lag = ScoredCandidate(typical_candidate(KINDS["rotor_lag"]), 90.0, np.zeros(1), np.ones(1), 1)
     base = cast(Hypothesis, SimpleNamespace(ids=()))
     refits, likely = selection._refit_effects(base, cast(Screening, screening), [lag])
     assert [refit.candidate.id for refit in refits] == ["rotor_lag", "backlash.pitch"]

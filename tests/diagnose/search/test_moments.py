@@ -13,7 +13,7 @@ from heli_lab.diagnose.search import (
     ModelComparison,
     Refit,
     Round,
-    Scored,
+    ScoredCandidate,
     Screening,
     spline_term,
     typical_candidate,
@@ -110,7 +110,7 @@ def test_grid_parameter_is_refitted_on_both_sides_of_the_best_score() -> None:
     acceptance = cast(Acceptance, SimpleNamespace(kinds=KINDS, penalty=lambda candidate, tried: 10.0))
     base = hypothesis([])
     base.log_likelihood = 0.0  # type: ignore[misc]
-    scored = Scored(second, 48.0, np.full(2, 0.01), np.ones(2), 2)
+    scored = ScoredCandidate(second, 48.0, np.full(2, 0.01), np.ones(2), 2)
     best = refit_on_grid(comparison, acceptance, base, scored)
     assert asked == [2.0, 1.0]
     assert best.candidate.effect.values[order] == 1.0

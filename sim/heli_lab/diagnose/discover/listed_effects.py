@@ -168,7 +168,7 @@ class ListedEffects:
         rival : Hypothesis
             The model with the effect.
         effect : Candidate
-            The effect.
+            The effect that `rival` has.
         penalty : float
             Complexity penalty of the equation, nats.
         """

@@ -6,18 +6,20 @@ from collections.abc import Mapping, Sequence
 
 from heli_sim.model.effects import EffectSpec
 
-from heli_lab.diagnose.search import Scored
+from heli_lab.diagnose.search import ScoredCandidate
 from heli_lab.diagnose.thresholds import DETECTION_STD_ERRORS
 from heli_lab.estimation import Estimate
 from heli_lab.identify.estimation_problem import uninformed_parameters
 
 
-def undetectable_effects(screened: Sequence[Scored], kinds: Mapping[str, EffectSpec]) -> tuple[str, ...]:
+def undetectable_effects(
+    screened: Sequence[ScoredCandidate], kinds: Mapping[str, EffectSpec]
+) -> tuple[str, ...]:
     """Find the effects that would not be significant in these flights at their typical size.
 
     Parameters
     ----------
-    screened : sequence of Scored
+    screened : sequence of ScoredCandidate
         Score test of each effect about the final model.
 
     Returns

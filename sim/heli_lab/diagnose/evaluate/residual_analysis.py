@@ -20,7 +20,7 @@ from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.evaluate.dependence_functions import dependence_functions
 from heli_lab.diagnose.evaluate.kicks import Kicks, kicks
 from heli_lab.diagnose.search import (
-    Scored,
+    ScoredCandidate,
     ScoreStatistics,
     Screening,
     coefficient_std,
@@ -304,12 +304,12 @@ def _on_own_rate(what: str) -> bool:
     return quantity == f"{channel.rpartition('.')[2]}_rate"
 
 
-def correlates(splines: Sequence[Scored]) -> list[str]:
+def correlates(splines: Sequence[ScoredCandidate]) -> list[str]:
     """Name the dependences with the best scores.
 
     Parameters
     ----------
-    splines : sequence of Scored
+    splines : sequence of ScoredCandidate
         Spline terms, the best score first.
 
     Returns

@@ -1,6 +1,6 @@
 """Search for the causes of what a model lacks: candidates, score tests, refits, stepwise selection."""
 
-from heli_lab.diagnose.search.candidate import Candidate, Scored, may_join, typical_candidate
+from heli_lab.diagnose.search.candidate import Candidate, ScoredCandidate, may_join, typical_candidate
 from heli_lab.diagnose.search.estimate_cache import EstimateCache, fingerprint
 from heli_lab.diagnose.search.folds import split
 from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, Refit, Round
@@ -33,7 +33,7 @@ __all__ = [
     "Refit",
     "Round",
     "ScoreStatistics",
-    "Scored",
+    "ScoredCandidate",
     "Screening",
     "Search",
     "SplineTerm",

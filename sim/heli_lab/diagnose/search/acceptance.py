@@ -10,7 +10,7 @@ import numpy as np
 from heli_sim.model.effects.spec import EffectSpec
 
 from heli_lab.diagnose import thresholds
-from heli_lab.diagnose.search.candidate import Candidate, Scored
+from heli_lab.diagnose.search.candidate import Candidate, ScoredCandidate
 from heli_lab.diagnose.search.hypothesis import Hypothesis, Refit
 from heli_lab.diagnose.search.model_comparison import ModelComparison
 
@@ -53,7 +53,7 @@ class Acceptance:
             return True
         return is_significant(refit.hypothesis, candidate, self.kinds)
 
-    def worth_a_refit(self, screened: Sequence[Scored]) -> list[Scored]:
+    def worth_a_refit(self, screened: Sequence[ScoredCandidate]) -> list[ScoredCandidate]:
         """Candidates whose score leaves a chance that a refit is accepted, in their order."""
         return [
             scored

@@ -71,7 +71,7 @@ def typical_candidate(kind: EffectSpec) -> Candidate:
 
 
 @dataclass(frozen=True)
-class Scored:
+class ScoredCandidate:
     """Score test of a candidate at the best point of its grid.
 
     Parameters

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from heli_host.arrays import Floats
 
-from heli_lab.diagnose.search.candidate import Scored
+from heli_lab.diagnose.search.candidate import ScoredCandidate
 from heli_lab.diagnose.search.screening import Screening, coefficient_std, signals_of
 from heli_lab.diagnose.thresholds import CHANCE_NATS
 from heli_lab.estimation import DisturbanceModel, estimate_disturbances
@@ -26,11 +26,10 @@ _ITERATIONS: Final = 2
 
 def with_concentrated_scores(
     screening: Screening,
-    worth_a_refit: Callable[[Sequence[Scored]], Sequence[Scored]],
-    screened: Sequence[Scored],
-) -> list[Scored]:
-    """Replace the scores of effects that happen at a moment by concentrated scores: maxima of the likelihood
-    over the disturbances too. Effects whose plain score leads to a refit keep it.
+    worth_a_refit: Callable[[Sequence[ScoredCandidate]], Sequence[ScoredCandidate]],
+    screened: Sequence[ScoredCandidate],
+) -> list[ScoredCandidate]:
+    """Replace the scores of effects that happen at a moment, if the plain score would not lead to a refit.
 
     Parameters
     ----------
@@ -38,12 +37,12 @@ def with_concentrated_scores(
         Scores about the present estimate.
     worth_a_refit : callable
         Returns those of some effects whose scores lead to a refit.
-    screened : sequence of Scored
+    screened : sequence of ScoredCandidate
         Effects with their scores.
 
     Returns
     -------
-    list of Scored
+    list of ScoredCandidate
         The effects, the highest score first.
     """
     shortlist_ids = {scored.candidate.id for scored in worth_a_refit(screened)}
@@ -61,7 +60,7 @@ def with_concentrated_scores(
     return sorted(result, key=lambda scored: -scored.log_likelihood_gain)
 
 
-def concentrated_scores(screening: Screening, screened: Sequence[Scored]) -> list[Scored]:
+def concentrated_scores(screening: Screening, screened: Sequence[ScoredCandidate]) -> list[ScoredCandidate]:
     """Score each candidate with its own estimate of the disturbances; never less than its plain score."""
     filtered, start = screening.filtered, screening.estimate.disturbances
     residuals = filtered.perturbed_residual()
@@ -74,11 +73,11 @@ def concentrated_scores(screening: Screening, screened: Sequence[Scored]) -> lis
 
 def _concentrated_score(
     screening: Screening,
-    scored: Scored,
+    scored: ScoredCandidate,
     residuals: FlightErrors,
     disturbances: DisturbanceModel,
     log_likelihood: float,
-) -> Scored:
+) -> ScoredCandidate:
     """Maximise the likelihood of a candidate's coefficients and of the disturbances in turn.
 
     `residuals`, `disturbances` and `log_likelihood` are those of the model without the candidate.

@@ -15,7 +15,7 @@ from heli_sim.model.parts import AXES
 from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.search.acceptance import Acceptance
 from heli_lab.diagnose.search.baseline_terms import RemovedTerm, tightly_specified_terms
-from heli_lab.diagnose.search.candidate import Candidate, Scored, may_join, typical_candidate
+from heli_lab.diagnose.search.candidate import Candidate, ScoredCandidate, may_join, typical_candidate
 from heli_lab.diagnose.search.concentrated_score import with_concentrated_scores
 from heli_lab.diagnose.search.hypothesis import Hypothesis, Refit, Round
 from heli_lab.diagnose.search.model_comparison import ModelComparison
@@ -64,45 +64,50 @@ class ForwardSelection:
             number = len(self.rounds)
             self.progress.round(number)
             screening = Screening(hypothesis.estimate)
-            remaining = [
+            compatible = [
                 kind for kind in self.kinds.values() if may_join(kind.id, hypothesis.ids, self.kinds)
             ]
             screened = with_concentrated_scores(
-                screening, self.acceptance.worth_a_refit, screening.effects(remaining)
+                screening, self.acceptance.worth_a_refit, screening.effects(compatible)
             )
             splines = screening.splines(number)
-            full = len(hypothesis.candidates) >= thresholds.MAX_CAUSES or not self.progress.refits_left()
+            is_full = len(hypothesis.candidates) >= thresholds.MAX_CAUSES or not self.progress.refits_left()
             refits: list[Refit] = []
             accepted: Refit | None = None
-            absent = [] if full else tightly_specified_terms(self.comparison, self.removable, screening)
+            absent_terms = (
+                [] if is_full else tightly_specified_terms(self.comparison, self.removable, screening)
+            )
             screening.release()
-            if not full:
-                refits, accepted = self._choose(hypothesis, screening, screened, splines, absent)
+            if not is_full:
+                refits, accepted = self._refit_round(hypothesis, screening, screened, splines, absent_terms)
             accepted_id = accepted.candidate.id if accepted else ""
             self.rounds.append(Round(hypothesis, tuple(screened), tuple(splines), tuple(refits), accepted_id))
             if accepted is None:
-                return hypothesis, screening, not full and self.progress.refits_left()
+                return hypothesis, screening, not is_full and self.progress.refits_left()
             self.progress.accepted += 1
             hypothesis = accepted.hypothesis
 
-    def _choose(
+    def _refit_round(
         self,
         base: Hypothesis,
         screening: Screening,
-        screened: Sequence[Scored],
-        splines: Sequence[Scored],
+        screened: Sequence[ScoredCandidate],
+        splines: Sequence[ScoredCandidate],
         absent: Sequence[RemovedTerm],
     ) -> tuple[list[Refit], Refit | None]:
-        """Refit the candidates of a round, and accept at most one.
+        """Refit the best candidates of a round.
+
+        `screened` are the scores of effects, `splines` of spline terms, `absent` of terms of the baseline
+        that the rig may lack.
 
         Returns
         -------
-        refits : list of Refit
+        list of Refit
             All refits, the largest margin first.
-        accepted : Refit or None
-            The refit to accept.
+        Refit or None
+            The accepted one.
         """
-        refits, likely = self._refit_effects(base, screening, screened)
+        refits, refitted = self._refit_effects(base, screening, screened)
         best_score = max((scored.log_likelihood_gain for scored in screened), default=0.0)
         for term in absent:
             if (
@@ -110,108 +115,122 @@ class ForwardSelection:
                 and term.candidate.id not in base.ids
                 and term.log_likelihood_gain > thresholds.SHORTLIST_SHARE * best_score
             ):
-                refits.append(self._refit_without(base, term))
-        best = self._best(refits)
+                refits.append(self._refit_without_term(base, term))
+        best = self._best_accepted(refits)
         if splines:
-            more, best = self._try_spline(base, splines[0], best, screened, likely, refits)
-            refits += more
+            spline_refits, best = self._try_spline(base, splines[0], best, screened, refitted, refits)
+            refits += spline_refits
         return sorted(refits, key=lambda refit: -refit.margin), best
 
     def _try_spline(
         self,
         base: Hypothesis,
-        spline: Scored,
+        spline: ScoredCandidate,
         best: Refit | None,
-        screened: Sequence[Scored],
-        likely: Sequence[Scored],
+        screened: Sequence[ScoredCandidate],
+        refitted: Sequence[ScoredCandidate],
         refits: Sequence[Refit],
     ) -> tuple[list[Refit], Refit | None]:
         """Let the best `spline` compete with the `best` effect.
 
         Returns
         -------
-        refits : list of Refit
-            Refits in addition to `refits`.
-        accepted : Refit or None
-            The refit to accept: of the effect, of the spline, or of an effect of the spline's channel.
+        list of Refit
+            Refits of the spline, and of further effects on its channel.
+        Refit or None
+            The refit to accept.
         """
-        needed = max(thresholds.SPLINE_MIN, best.margin if best else 0.0)
-        promised = thresholds.EXPECTED_REFIT_GAIN * spline.log_likelihood_gain
-        if promised <= needed or not self.progress.refits_left():
+        required_margin = max(thresholds.SPLINE_MIN, best.margin if best else 0.0)
+        expected_gain = thresholds.EXPECTED_REFIT_GAIN * spline.log_likelihood_gain
+        if expected_gain <= required_margin or not self.progress.refits_left():
             return [], best
         spline_refit = self._refit(base, spline)
-        more: list[Refit] = []
-        if spline_refit.margin > needed:
-            more = self._refit_same_channel(base, spline, screened, likely)
-            best = self._best([*refits, *more])
+        channel_refits: list[Refit] = []
+        if spline_refit.margin > required_margin:
+            channel_refits = self._refit_same_channel(base, spline, screened, refitted)
+            best = self._best_accepted([*refits, *channel_refits])
         lead = spline_refit.margin - (best.margin if best else 0.0)
         if lead > max(thresholds.SPLINE_MIN, thresholds.SPLINE_MARGIN * spline_refit.margin):
             best = spline_refit
-        return [*more, spline_refit], best
+        return [*channel_refits, spline_refit], best
 
-    def _best(self, refits: Sequence[Refit]) -> Refit | None:
+    def _best_accepted(self, refits: Sequence[Refit]) -> Refit | None:
+        """Return the refit of the largest margin among those that are accepted; None without one."""
         accepted = [refit for refit in refits if self.acceptance.accepts(refit)]
         return max(accepted, key=lambda refit: refit.margin, default=None)
 
     def _refit_effects(
-        self, base: Hypothesis, screening: Screening, screened: Sequence[Scored]
-    ) -> tuple[list[Refit], list[Scored]]:
+        self, base: Hypothesis, screening: Screening, screened: Sequence[ScoredCandidate]
+    ) -> tuple[list[Refit], list[ScoredCandidate]]:
         """Refit the effects with the best scores.
 
         Returns
         -------
-        refits : list of Refit
+        list of Refit
             The refits.
-        likely : list of Scored
-            The effects that were refitted.
+        list of ScoredCandidate
+            The effects with their scores.
         """
-        remaining, likely, refits = self.acceptance.worth_a_refit(screened), list[Scored](), list[Refit]()
+        remaining, refitted, refits = (
+            self.acceptance.worth_a_refit(screened),
+            list[ScoredCandidate](),
+            list[Refit](),
+        )
         # A high score that no refit confirms, such as that of an encoder at rest, must not end the round.
-        while remaining and self._best(refits) is None:
-            share = thresholds.SHORTLIST_SHARE * remaining[0].log_likelihood_gain
-            some = [scored for scored in remaining if scored.log_likelihood_gain >= share][
-                : thresholds.SHORTLIST
-            ]
-            refits += [self._refit(base, scored) for scored in some if self.progress.refits_left()]
-            likely += some
-            remaining = remaining[len(some) :]
-        known = {scored.candidate.id for scored in likely}
-        unscored = paused_play(base, screening, self.kinds, known)
-        if self._best(refits) is None:
-            unscored += resting_friction(base, screening, self.kinds, known)
+        while remaining and self._best_accepted(refits) is None:
+            min_gain = thresholds.SHORTLIST_SHARE * remaining[0].log_likelihood_gain
+            shortlist = [scored for scored in remaining if scored.log_likelihood_gain >= min_gain]
+            shortlist = shortlist[: thresholds.SHORTLIST]
+            refits += [self._refit(base, scored) for scored in shortlist if self.progress.refits_left()]
+            refitted += shortlist
+            remaining = remaining[len(shortlist) :]
+        refitted_ids = {scored.candidate.id for scored in refitted}
+        unscored = paused_play(base, screening, self.kinds, refitted_ids)
+        if self._best_accepted(refits) is None:
+            unscored += resting_friction(base, screening, self.kinds, refitted_ids)
         refits += [self._refit(base, scored) for scored in unscored if self.progress.refits_left()]
-        return refits, [*likely, *unscored]
+        return refits, [*refitted, *unscored]
 
     def _refit_same_channel(
-        self, base: Hypothesis, spline: Scored, screened: Sequence[Scored], likely: Sequence[Scored]
+        self,
+        base: Hypothesis,
+        spline: ScoredCandidate,
+        screened: Sequence[ScoredCandidate],
+        refitted: Sequence[ScoredCandidate],
     ) -> list[Refit]:
-        """Refits of further effects on a spline's channel: the spline displaces a listed effect only after
-        that was refitted over its grid.
+        """Refit further effects on a spline's channel.
+
+        A spline displaces a listed effect only after that effect was refitted over its grid.
         """
         channel = spline.candidate.id.split(":")[1]
-        known = {scored.candidate.id for scored in likely}
-        like = [
+        refitted_ids = {scored.candidate.id for scored in refitted}
+        on_channel = [
             scored
             for scored in screened
-            if scored.candidate.id not in known and _acts_on(self.kinds[scored.candidate.id], channel)
+            if scored.candidate.id not in refitted_ids and _acts_on(self.kinds[scored.candidate.id], channel)
         ]
-        like = [scored for scored in like[: thresholds.ALTERNATIVES] if scored.log_likelihood_gain > 0.0]
-        return [self._refit(base, scored) for scored in like if self.progress.refits_left()]
+        return [
+            self._refit(base, scored)
+            for scored in on_channel[: thresholds.ALTERNATIVES]
+            if scored.log_likelihood_gain > 0.0 and self.progress.refits_left()
+        ]
 
-    def _refit_without(self, base: Hypothesis, term: RemovedTerm) -> Refit:
-        less = self.comparison.refit([*base.candidates, term.candidate], term.start, base)
-        gain = less.log_likelihood - base.log_likelihood
-        return Refit(less, gain, self.acceptance.penalty(term.candidate), term.log_likelihood_gain)
+    def _refit_without_term(self, base: Hypothesis, term: RemovedTerm) -> Refit:
+        """Refit the model without a term of the baseline."""
+        reduced = self.comparison.refit([*base.candidates, term.candidate], term.start, base)
+        gain = reduced.log_likelihood - base.log_likelihood
+        return Refit(reduced, gain, self.acceptance.penalty(term.candidate), term.log_likelihood_gain)
 
-    def _refit(self, base: Hypothesis, scored: Scored) -> Refit:
+    def _refit(self, base: Hypothesis, scored: ScoredCandidate) -> Refit:
+        """Refit the model with one more candidate over its grid."""
         self.progress.trial(scored.candidate.id, len(self.rounds))
         return refit_on_grid(self.comparison, self.acceptance, base, scored)
 
 
 def refit_on_grid(
-    comparison: ModelComparison, acceptance: Acceptance, base: Hypothesis, scored: Scored
+    comparison: ModelComparison, acceptance: Acceptance, base: Hypothesis, scored: ScoredCandidate
 ) -> Refit:
-    """Refit a model with one more candidate; of a parameter that no refit moves, search the grid.
+    """Refit a model with one more candidate; search the grid of a parameter that has no prior.
 
     Parameters
     ----------
@@ -219,15 +238,16 @@ def refit_on_grid(
         Knows the penalty and the grids of the catalogue.
     base : Hypothesis
         The model before.
-    scored : Scored
+    scored : ScoredCandidate
         The candidate at the best point of its grid by score; the search goes up and down from there as long
         as the likelihood grows.
     """
-    (first,), *directions = _grid_neighbours(scored, acceptance.kinds)
-    best = comparison.refit([*base.candidates, first], first.start_values(scored.coefficients), base)
-    for further in directions:
-        for candidate in further:
-            start = {**best.values, **{n: candidate.effect.values[n] for n in candidate.grid}}
+    (nearest,), *directions = _grid_neighbours(scored, acceptance.kinds)
+    best = comparison.refit([*base.candidates, nearest], nearest.start_values(scored.coefficients), base)
+    for neighbours in directions:
+        for candidate in neighbours:
+            grid_values = {name: candidate.effect.values[name] for name in candidate.grid}
+            start = {**best.values, **grid_values}
             hypothesis = comparison.refit([*base.candidates, candidate], start, base)
             if hypothesis.log_likelihood <= best.log_likelihood:
                 break
@@ -238,8 +258,8 @@ def refit_on_grid(
 
 
 def resting_friction(
-    base: Hypothesis, screening: Screening, kinds: Mapping[str, EffectSpec], known: Collection[str]
-) -> list[Scored]:
+    base: Hypothesis, screening: Screening, kinds: Mapping[str, EffectSpec], refitted_ids: Collection[str]
+) -> list[ScoredCandidate]:
     """Propose dry friction of typical size for axes that rest for long: a score test linearises, and friction
     that holds an axis has no derivative.
 
@@ -249,16 +269,18 @@ def resting_friction(
         The present model.
     screening : Screening
         Scores about it; shows when each axis rests.
-    known : collection of str
-        Effects that were refitted already.
+    refitted_ids : collection of str
+        Effects that the round has refitted.
     """
-    shares = _mean_over_time(reference.at_rest[reference.rows] for reference in _references(screening))
-    return _typical("coulomb_friction", shares > thresholds.MIN_REST_SHARE, kinds, base, known)
+    shares = _flagged_share(reference.at_rest[reference.rows] for reference in _references(screening))
+    return _typical_proposals(
+        "coulomb_friction", shares > thresholds.MIN_REST_SHARE, kinds, base, refitted_ids
+    )
 
 
 def paused_play(
-    base: Hypothesis, screening: Screening, kinds: Mapping[str, EffectSpec], known: Collection[str]
-) -> list[Scored]:
+    base: Hypothesis, screening: Screening, kinds: Mapping[str, EffectSpec], refitted_ids: Collection[str]
+) -> list[ScoredCandidate]:
     """Propose play of typical size for axes whose count often pauses: a score test leaves out that a play
     changes the variance of measurements within it. On four simulated flights with a play, scores were 29 to
     243 nats, and refits gained 625 to 1958 nats (2026-11). Next to other causes a score may be too low for a
@@ -270,69 +292,78 @@ def paused_play(
         The present model.
     screening : Screening
         Scores about it; shows when the count of each axis pauses.
-    known : collection of str
-        Effects that were refitted already.
+    refitted_ids : collection of str
+        Effects that the round has refitted.
     """
-    shares = _mean_over_time(
+    shares = _flagged_share(
         reference.pause_s[reference.rows] > RETURN_s for reference in _references(screening)
     )
-    return _typical("backlash", shares > thresholds.MIN_PAUSE_SHARE, kinds, base, known)
+    return _typical_proposals("backlash", shares > thresholds.MIN_PAUSE_SHARE, kinds, base, refitted_ids)
 
 
 def _references(screening: Screening) -> list[ReferenceTrajectory]:
+    """Return the reference trajectory of each fitted flight."""
     return [linear.reference for linear in screening.filtered.linearised_flights]
 
 
-def _mean_over_time(flights: Iterable[Booleans]) -> Floats:
-    """Share of the time in all flights for which each axis is flagged, shape (3,)."""
+def _flagged_share(flights: Iterable[Booleans]) -> Floats:
+    """Return the share of the time in all flights for which each axis is flagged, shape (3,)."""
     shares: Floats = np.concatenate(list(flights)).mean(axis=0)
     return shares
 
 
-def _typical(
+def _typical_proposals(
     family: str,
     is_proposed: Booleans,
     kinds: Mapping[str, EffectSpec],
     base: Hypothesis,
-    known: Collection[str],
-) -> list[Scored]:
-    """Effects of a `family` with their typical size that may join `base`, one for each proposed axis, unless
-    they are `known`.
+    refitted_ids: Collection[str],
+) -> list[ScoredCandidate]:
+    """Return effects of a `family` with their typical size, one for each proposed axis.
+
+    Effects that may not join `base`, and those in `refitted_ids`, are left out.
     """
     proposals = []
     for axis, proposed in zip(AXES, is_proposed, strict=True):
         id_ = f"{family}.{axis}"
-        if proposed and id_ in kinds and id_ not in {*base.ids, *known} and may_join(id_, base.ids, kinds):
+        if (
+            proposed
+            and id_ in kinds
+            and id_ not in {*base.ids, *refitted_ids}
+            and may_join(id_, base.ids, kinds)
+        ):
             candidate = typical_candidate(kinds[id_])
-            none = np.zeros(len(candidate.linear_parameters))
-            proposals.append(Scored(candidate, 0.0, none, none, 1))
+            zeros = np.zeros(len(candidate.linear_parameters))
+            proposals.append(ScoredCandidate(candidate, 0.0, zeros, zeros, 1))
     return proposals
 
 
-def _grid_neighbours(scored: Scored, kinds: Mapping[str, EffectSpec]) -> list[list[Candidate]]:
-    """The candidate itself; then, if only a grid searches one of its parameters, the candidates at larger
-    values, and those at smaller values, each list from the nearest on.
+def _grid_neighbours(scored: ScoredCandidate, kinds: Mapping[str, EffectSpec]) -> list[list[Candidate]]:
+    """Return the neighbours of a candidate on the grid of a parameter without a prior.
+
+    The lists have the nearest grid point, the points of larger values, and those of smaller values, each
+    from the nearest on. Without exactly one such parameter, there is one list with the candidate.
     """
     candidate, kind = scored.candidate, kinds.get(scored.candidate.id)
-    fixed = [name for name in candidate.grid if name not in candidate.effect.priors]
-    if kind is None or len(fixed) != 1:
+    grid_only = [name for name in candidate.grid if name not in candidate.effect.priors]
+    if kind is None or len(grid_only) != 1:
         return [[candidate]]
-    (name,) = fixed
+    (name,) = grid_only
     values = kind.grid_values(1.0)[name]
     nearest = int(np.argmin(np.abs(np.array(values) - candidate.grid[name])))
-    return [
-        [
-            Candidate(
-                candidate.id,
-                kind.make({**candidate.effect.values, name: value}),
-                candidate.linear_parameters,
-                {**candidate.grid, name: value},
-            )
-            for value in some
-        ]
-        for some in ((values[nearest],), values[nearest + 1 :], values[:nearest][::-1])
-    ]
+
+    def at(value: float) -> Candidate:
+        return Candidate(
+            candidate.id,
+            kind.make({**candidate.effect.values, name: value}),
+            candidate.linear_parameters,
+            {**candidate.grid, name: value},
+        )
+
+    larger, smaller = values[nearest + 1 :], values[:nearest][::-1]
+    return [[at(values[nearest])], list(map(at, larger)), list(map(at, smaller))]
 
 
 def _acts_on(kind: EffectSpec, channel: str) -> bool:
+    """Whether an effect acts on a channel; one on the input acts on both channels of thrust."""
     return kind.acts_on == channel or (channel.startswith("thrust") and kind.acts_on in ("thrust", "input"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from heli_lab.diagnose import thresholds
-from heli_lab.diagnose.search.candidate import Candidate, Scored
+from heli_lab.diagnose.search.candidate import Candidate, ScoredCandidate
 from heli_lab.estimation import Estimate
 
 
@@ -81,9 +81,9 @@ class Round:
     ----------
     base : Hypothesis
         The model before the round.
-    screened : tuple of Scored
+    screened : tuple of ScoredCandidate
         All effects with their scores, the best first.
-    splines : tuple of Scored
+    splines : tuple of ScoredCandidate
         All spline terms with their scores, the best first.
     refits : tuple of Refit
         Candidates that were refitted, the largest margin first.
@@ -92,8 +92,8 @@ class Round:
     """
 
     base: Hypothesis
-    screened: tuple[Scored, ...]
-    splines: tuple[Scored, ...]
+    screened: tuple[ScoredCandidate, ...]
+    splines: tuple[ScoredCandidate, ...]
     refits: tuple[Refit, ...]
     accepted_id: str
 

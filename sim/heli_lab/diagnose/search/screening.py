@@ -11,7 +11,7 @@ import numpy as np
 from heli_host.arrays import Floats
 from heli_sim.model.effects.spec import EffectSpec
 
-from heli_lab.diagnose.search.candidate import Candidate, Scored
+from heli_lab.diagnose.search.candidate import Candidate, ScoredCandidate
 from heli_lab.diagnose.search.effect_grids import EffectGrids
 from heli_lab.diagnose.search.regressors import ChangeFunctions, Regressors, spline_candidates
 from heli_lab.diagnose.search.splines import KNOTS, SplineTerm
@@ -114,7 +114,7 @@ class Screening:
             linear.release()
             regressors.release()
 
-    def effects(self, kinds: Iterable[EffectSpec]) -> list[Scored]:
+    def effects(self, kinds: Iterable[EffectSpec]) -> list[ScoredCandidate]:
         """Score the effects `kinds`, each at the best point of its grid, the highest score first."""
         unique_kinds = {kind.id: kind for kind in kinds}.values()
         grids = [(kind, self._grids.candidates(kind)) for kind in unique_kinds]
@@ -125,7 +125,7 @@ class Screening:
         )
         return _by_gain(scored for scored in best_points if scored is not None)
 
-    def splines(self, number: int = 0) -> list[Scored]:
+    def splines(self, number: int = 0) -> list[ScoredCandidate]:
         """Score all spline terms, the highest score first; `number` distinguishes spline terms of
         one model.
         """
@@ -305,14 +305,14 @@ def signals_of(flight: Regressors, candidates: Sequence[Candidate]) -> tuple[Flo
     return all_rates, np.concatenate(all_angles, axis=2)
 
 
-def _by_gain(scored: Iterable[Scored]) -> list[Scored]:
+def _by_gain(scored: Iterable[ScoredCandidate]) -> list[ScoredCandidate]:
     """Sort candidates by their gain, the highest first."""
     return sorted(scored, key=lambda candidate: -candidate.log_likelihood_gain)
 
 
-def _scored(candidate: Candidate, score: Score, tried: int) -> Scored:
+def _scored(candidate: Candidate, score: Score, tried: int) -> ScoredCandidate:
     """Return a candidate with its score, the best of so many points that were `tried`."""
-    return Scored(candidate, score.log_likelihood_gain, score.coefficients, score.std, tried)
+    return ScoredCandidate(candidate, score.log_likelihood_gain, score.coefficients, score.std, tried)
 
 
 def coefficient_std(candidate: Candidate) -> Floats:
@@ -333,7 +333,7 @@ def _signs_are_allowed(candidate: Candidate, coefficients: Floats) -> bool:
 
 def _best_on_grid(
     screening: Screening, kind: EffectSpec, candidates: Sequence[Candidate], scores: Sequence[Score]
-) -> Scored | None:
+) -> ScoredCandidate | None:
     """Return the best point of an effect's grid, refined; None if the priors forbid the signs of all
     points.
     """
@@ -354,8 +354,8 @@ def _best_on_grid(
 
 
 def _refine_on_grid(
-    screening: Screening, kind: EffectSpec, candidates: Sequence[Candidate], best: Scored
-) -> Scored:
+    screening: Screening, kind: EffectSpec, candidates: Sequence[Candidate], best: ScoredCandidate
+) -> ScoredCandidate:
     """Search the neighbourhood of a grid's best point by bisection, one parameter after the other.
 
     Only parameters with three values or more in the grid, and with a prior, are searched.
