@@ -22,7 +22,7 @@ from heli_lab.identify.record import Record
 from heli_lab.identify.results import check
 from heli_lab.identify.shooting import solve
 from heli_lab.paper.bench_tests import ELEVATION_STEPS, PITCH_RELEASES, TRAVEL_STEPS, BenchTest
-from heli_lab.paper.coefficients import PRINTED, analytic
+from heli_lab.paper.coefficients import PRINTED, Printed, analytic
 from heli_lab.paper.lumped import Coefficients, LumpedModel
 
 _PRIOR_STD: Final = {
@@ -182,28 +182,22 @@ def free_axes_normalised(fit: Fit, locked: tuple[bool, bool, bool]) -> float:
 
 
 def _printed_rows(number: int, plan: _FitPlan, fit: Fit, from_masses: Mapping[str, float]) -> list[TableRow]:
-    rows = []
-    for coefficient in PRINTED:
-        if coefficient.table != number:
-            continue
-        value, half = (
-            (None, None)
-            if coefficient.name in plan.unidentified
-            else _estimate_and_interval(fit, coefficient.name, coefficient.per_si)
-        )
-        rows.append(
-            TableRow(
-                coefficient.name,
-                coefficient.unit,
-                coefficient.value,
-                coefficient.tolerance,
-                coefficient.per_si * from_masses[coefficient.name],
-                value,
-                half,
-                plan.unidentified.get(coefficient.name, ""),
-            )
-        )
-    return rows
+    return [
+        _row(coefficient, from_masses, None, plan.unidentified[coefficient.name])
+        if coefficient.name in plan.unidentified
+        else _row(coefficient, from_masses, fit)
+        for coefficient in PRINTED
+        if coefficient.table == number
+    ]
+
+
+def _row(coefficient: Printed, from_masses: Mapping[str, float], fit: Fit | None, note: str = "") -> TableRow:
+    name, per_si = coefficient.name, coefficient.per_si
+    value, half = (None, None) if fit is None else _estimate_and_interval(fit, name, per_si)
+    by_masses = per_si * from_masses[name]
+    return TableRow(
+        name, coefficient.unit, coefficient.value, coefficient.tolerance, by_masses, value, half, note
+    )
 
 
 def _extra_rows(number: int, fit: Fit, from_masses: Mapping[str, float]) -> list[TableRow]:
@@ -227,21 +221,7 @@ def _extra_rows(number: int, fit: Fit, from_masses: Mapping[str, float]) -> list
             )
             for test in TRAVEL_STEPS
         ]
-        first = printed["P_11"]
-        note = "of Table 3; here the motors run"
-        gain = _estimate_and_interval(fit, "P_11", first.per_si)
-        return [
-            *rows,
-            TableRow(
-                "P_11",
-                first.unit,
-                first.value,
-                first.tolerance,
-                first.per_si * from_masses["P_11"],
-                *gain,
-                note,
-            ),
-        ]
+        return [*rows, _row(printed["P_11"], from_masses, fit, "of Table 3; here the motors run")]
     return []
 
 

@@ -31,7 +31,7 @@ def table_lines(line: Line, by_rig: RigTable, tables: Sequence[Table]) -> list[s
         f"  {'':19} {'printed':>8} {'rig file':>22} {'bench tests':>27}",
     ]
     for row in by_rig.rows:
-        estimate = _interval(row.estimate, row.half) if row.estimate is not None else "-"
+        estimate = _interval(row.estimate, row.half)
         printed = "-" if row.printed is None else f"{row.printed:g}"
         was = f"{row.value:.4g} within {row.tolerance:g}" if row.tolerance else f"{row.value:.4f}"
         out.append(f"  {row.name:19} {printed:>8} {was:>22} {estimate:>27} {row.unit:9} {row.note}".rstrip())
@@ -46,9 +46,7 @@ def table_lines(line: Line, by_rig: RigTable, tables: Sequence[Table]) -> list[s
         for row_ in table.rows:
             tolerance = "" if row_.tolerance is None else f" within {row_.tolerance:.3g}"
             printed = "-" if row_.printed is None else f"{row_.printed:.5g}{tolerance}"
-            estimate = (
-                "-" if row_.estimate is None or row_.half is None else _interval(row_.estimate, row_.half)
-            )
+            estimate = _interval(row_.estimate, row_.half)
             numbers = f"{printed:>22} {row_.analytic:>10.4g} {estimate:>27}"
             out.append(f"  {row_.name:22} {numbers} {row_.unit:14} {row_.note}".rstrip())
         out.append(
@@ -116,7 +114,7 @@ def tables_json(plant: Plant, line: Line, by_rig: RigTable, tables: Sequence[Tab
 
 
 def _interval(value: float | None, half: float | None) -> str:
-    """Format a value with two significant digits of half its interval."""
+    """Format a value with two significant digits of half its interval; a dash if there is none."""
     if value is None or half is None:
         return "-"
     digits = max(0, 1 - math.floor(math.log10(half))) if half > 0.0 else 4
