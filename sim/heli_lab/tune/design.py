@@ -27,6 +27,14 @@ from heli_sim.rig.encoders import direction_is_known
 from heli_sim.rig.inertia import inertias_kg_m2
 
 from heli_lab.tune import loops
+from heli_lab.tune.cost import (
+    bound_penalty,
+    count_nominal,
+    initial_crossover_rad_s,
+    log_cost,
+    minimise_gains,
+    slowest_rate_1_s,
+)
 from heli_lab.tune.loops import CascadeGains, Margin, Pid
 from heli_lab.tune.plants import LinearPlant, LoopEffects, Spread, spread_plants
 from heli_lab.tune.shaping import shaped_step
@@ -54,7 +62,6 @@ _MIN_DECAY_1_s: Final = 0.02
 _OVERSHOOT_WEIGHT: Final = 0.5
 _FINAL_ERROR_WEIGHT: Final = 30.0
 """Weight of the squared error after the end of the path, by which users judge a step."""
-_BOUND_WEIGHT: Final = 30.0
 _UNSTABLE_COST: Final = 1e3
 _PARAMETERS: Final = {spec.name: spec for spec in PARAMS}
 
@@ -169,7 +176,7 @@ def _law_parameters(law: CascadeGains) -> dict[str, float]:
 def _design_elevation(
     rig: Rig, plants: Sequence[LinearPlant], sensitivity: float
 ) -> tuple[Pid, dict[str, float]]:
-    nominal, nominal_count = plants[0], _count_nominal(plants)
+    nominal, nominal_count = plants[0], count_nominal(plants)
     gain = nominal.elevation_gain
     # The hover voltage rises with elevation, because masses below the axis pull the arm back to level.
     slope_V_rad = -float(nominal.elevation_A[1, 0]) / gain
@@ -197,20 +204,20 @@ def _design_elevation(
     def cost(gains: Floats) -> float:
         pid = _pid(gains, _FILTERS_Hz[0])
         closed = np.array([loops.elevation_closed(plant, pid) for plant in plants])
-        slowest_1_s = _slowest_1_s(closed)
+        slowest_1_s = slowest_rate_1_s(closed)
         if slowest_1_s > -_MIN_DECAY_1_s:
             return _UNSTABLE_COST + slowest_1_s
         response = pid.response(loops.FREQUENCY_rad_s)
         peak = loops.peak_sensitivity(response * plant_responses)
-        return _log_cost(np.mean(error_deg(pid, closed) ** 2, axis=0), nominal_count) + _bound_penalty(
+        return log_cost(np.mean(error_deg(pid, closed) ** 2, axis=0), nominal_count) + bound_penalty(
             peak, sensitivity
         )
 
     unit = CascadeGains(Pid(1.0, 0.0, 0.0, 1.0), Pid(0.0, 0.0, 0.0, 1.0), Pid(0.0, 0.0, 0.0, 1.0))
     plant_responses = np.array([loops.open_loops(plant, unit)["elevation"] for plant in plants])
-    crossover = _initial_crossover_rad_s(plants)
+    crossover = initial_crossover_rad_s(plants)
     start = np.array([0.5 * crossover**2, 0.1 * crossover**3, crossover]) / gain
-    pid = _pid(_minimise(cost, start), _FILTERS_Hz[0])
+    pid = _pid(minimise_gains(cost, start), _FILTERS_Hz[0])
     return pid, {
         "hover_V": nominal.hover_V,
         "hover_slope": float(np.radians(slope_V_rad)),
@@ -250,7 +257,7 @@ class _TravelStep:
         self, pitch: Pid, travel: Pid, acceleration_ff: float, closed: Floats
     ) -> tuple[Floats, float]:
         """Return each plant's weighted mean squared error [deg^2], and the rig's largest differential [V]."""
-        path, nominal_count = self.path, _count_nominal(self.plants)
+        path, nominal_count = self.path, count_nominal(self.plants)
         unloaded = np.zeros((len(path), len(self.loads_deg_s2)))
         input_matrices = np.zeros((len(self.plants), 11, 2 + len(self.loads_deg_s2)))
         for index, plant in enumerate(self.plants):
@@ -280,7 +287,7 @@ class _TravelStep:
 def _design_tilt(
     rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensitivity: float
 ) -> tuple[Pid, Pid, float, dict[str, float]]:
-    nominal, nominal_count = plants[0], _count_nominal(plants)
+    nominal, nominal_count = plants[0], count_nominal(plants)
     # Masses below the pitch axis pull a tilt back. The feed-forward holds the tilt instead of the gain.
     hold = -float(nominal.tilt_A[2, 0]) / nominal.pitch_gain
     acceleration_deg_s2 = min(_MAX_TRAVEL_DEG_S2, _PITCH_SHARE * PITCH_SETPOINT_MAX_DEG * nominal.travel_gain)
@@ -299,7 +306,7 @@ def _design_tilt(
     def cost(gains: Floats) -> float:
         pitch, travel, acceleration_ff = pids(gains)
         closed = np.array([loops.tilt_closed(plant, pitch, travel, hold) for plant in plants])
-        slowest_1_s = _slowest_1_s(closed)
+        slowest_1_s = slowest_rate_1_s(closed)
         if slowest_1_s > -_MIN_DECAY_1_s:
             return _UNSTABLE_COST + slowest_1_s
         inner = pitch.response(loops.FREQUENCY_rad_s) * to_pitch
@@ -307,18 +314,18 @@ def _design_tilt(
         outer = travel.response(loops.FREQUENCY_rad_s) * forward * to_travel
         peaks = map(loops.peak_sensitivity, (inner, outer / (1.0 + inner), inner + outer))
         squares, largest_V = travel_step.simulate(pitch, travel, acceleration_ff, closed)
-        penalty = sum(_bound_penalty(peak, sensitivity) for peak in peaks) + _bound_penalty(
+        penalty = sum(bound_penalty(peak, sensitivity) for peak in peaks) + bound_penalty(
             largest_V, differential_max_V
         )
-        return _log_cost(squares, nominal_count) + penalty
+        return log_cost(squares, nominal_count) + penalty
 
-    inner_rad_s = _initial_crossover_rad_s(plants)
+    inner_rad_s = initial_crossover_rad_s(plants)
     outer_rad_s = inner_rad_s / 2.0
     pitch_kp = (0.5 * inner_rad_s**2 - 0.5 * nominal.tilt_A[2, 0]) / nominal.pitch_gain
     travel_kp = 0.5 * outer_rad_s**2 / nominal.travel_gain
     start = [pitch_kp, 0.2 * pitch_kp, inner_rad_s / nominal.pitch_gain]
     start += [travel_kp, 0.1 * travel_kp, outer_rad_s / nominal.travel_gain, 1.0 / nominal.travel_gain]
-    pitch, travel, acceleration_ff = pids(_minimise(cost, np.array(start)))
+    pitch, travel, acceleration_ff = pids(minimise_gains(cost, np.array(start)))
     return (
         pitch,
         travel,
@@ -379,51 +386,3 @@ def _constant_loads_deg_s2(rig: Rig, spread: Spread) -> dict[int, tuple[float, f
 
 def _pid(gains: Floats, filter_Hz: float) -> Pid:
     return Pid(float(gains[0]), float(gains[1]), float(gains[2]), filter_Hz)
-
-
-def _count_nominal(plants: Sequence[LinearPlant]) -> int:
-    return sum(plant.thrust == 1.0 and plant.counterweight == 1.0 for plant in plants)
-
-
-def _initial_crossover_rad_s(plants: Sequence[LinearPlant]) -> float:
-    """Crossover frequency of a double integrator with the longest lag, by the symmetrical optimum."""
-    return 1.0 / (2.2 * (max(plant.lag_s for plant in plants) + 0.03))
-
-
-def _slowest_1_s(closed: Floats) -> float:
-    return float(np.linalg.eigvals(closed).real.max())
-
-
-def _log_cost(squares: Floats, nominal_count: int) -> float:
-    """Mean of two logarithms: of the squared error of the nominal plants, and of that of the corners."""
-    return float(0.5 * (np.log(squares[:nominal_count].mean()) + np.log(squares[nominal_count:].mean())))
-
-
-def _bound_penalty(peak: float, bound: float) -> float:
-    return _BOUND_WEIGHT * max(0.0, float(np.log(peak / bound)))
-
-
-def _minimise(cost: Callable[[Floats], float], start: Floats) -> Floats:
-    """Minimise over positive gains; restart Nelder-Mead until the cost falls by less than 0.01."""
-    from scipy.optimize import minimize
-
-    best, best_cost = np.log(start), np.inf
-    for spread in (0.4, 0.3, 0.2, 0.2):
-        simplex = np.vstack([best, *(best + spread * row for row in np.eye(len(best)))])
-        optimum = minimize(
-            lambda logs: cost(np.exp(logs)),
-            best,
-            method="Nelder-Mead",
-            options={
-                "initial_simplex": simplex,
-                "xatol": 3e-3,
-                "fatol": 1e-3,
-                "maxiter": 300,
-                "adaptive": True,
-            },
-        )
-        improvement = best_cost - optimum.fun
-        best, best_cost = optimum.x, optimum.fun
-        if improvement < 0.01:
-            break
-    return np.asarray(np.exp(best), float)
