@@ -13,6 +13,8 @@ pytestmark = pytest.mark.medium
 ROOT = Path(__file__).resolve().parents[2]
 LONGEST = 200
 """Lines of a class without docstrings, comments and blank lines."""
+LONGEST_FILE = 400
+"""Lines of a file, with docstrings and comments."""
 MAX_LEVELS = 6
 """Files in the longest chain of imports in a package."""
 MAX_JUDGEMENTS = 78
@@ -70,6 +72,11 @@ def test_no_class_is_longer_than_two_hundred_lines_of_code() -> None:
                     if lines > LONGEST:
                         long.append(f"{path}: {node.name} has {lines} lines; split it by subject")
     assert not long, "\n".join(long)
+
+
+def test_no_file_of_the_laboratory_is_longer_than_four_hundred_lines() -> None:
+    files = (ROOT / "sim" / "heli_lab").rglob("*.py")
+    assert not [path.name for path in files if len(path.read_text().splitlines()) > LONGEST_FILE]
 
 
 def test_few_constants_of_the_laboratory_are_set_by_judgement() -> None:

@@ -31,7 +31,7 @@ def table_lines(line: Line, by_rig: RigTable, tables: Sequence[Table]) -> list[s
         f"  {'':19} {'printed':>8} {'rig file':>22} {'bench tests':>27}",
     ]
     for row in by_rig.rows:
-        estimate = _interval(row.estimate, row.half) if row.estimate is not None else "-"
+        estimate = _interval(row.estimate, row.half)
         printed = "-" if row.printed is None else f"{row.printed:g}"
         rig_file = f"{row.value:.4g} within {row.tolerance:g}" if row.tolerance else f"{row.value:.4f}"
         lines.append(
@@ -48,9 +48,7 @@ def table_lines(line: Line, by_rig: RigTable, tables: Sequence[Table]) -> list[s
         for term in table.rows:
             tolerance = "" if term.tolerance is None else f" within {term.tolerance:.3g}"
             printed = "-" if term.printed is None else f"{term.printed:.5g}{tolerance}"
-            estimate = (
-                "-" if term.estimate is None or term.half is None else _interval(term.estimate, term.half)
-            )
+            estimate = _interval(term.estimate, term.half)
             numbers = f"{printed:>22} {term.analytic:>10.4g} {estimate:>27}"
             lines.append(f"  {term.name:22} {numbers} {term.unit:14} {term.note}".rstrip())
         lines.append(
@@ -118,7 +116,7 @@ def tables_json(plant: Plant, line: Line, by_rig: RigTable, tables: Sequence[Tab
 
 
 def _interval(value: float | None, half: float | None) -> str:
-    """Format a value with two significant digits of half its interval."""
+    """Format a value with two significant digits of half its interval; a dash if there is none."""
     if value is None or half is None:
         return "-"
     digits = max(0, 1 - math.floor(math.log10(half))) if half > 0.0 else 4
