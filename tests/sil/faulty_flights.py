@@ -214,9 +214,9 @@ def wrong(flight: Flown) -> list[str]:
             complaints.append(f"{int(np.sum(steps - 1))} ticks are missing, {counted.ticks_lost} counted")
     if any(flight.volts_V):
         complaints.append(f"the motors run: {flight.volts_V} V")
-    told = reason(flight)
-    if told not in flight.outcome or (told != "completed" and "completed" in flight.outcome):
-        complaints.append(f"told {flight.outcome!r}, true is {told!r}")
+    true_reason = reason(flight)
+    if true_reason not in flight.outcome or (true_reason != "completed" and "completed" in flight.outcome):
+        complaints.append(f"reported {flight.outcome!r}, true is {true_reason!r}")
     return complaints
 
 
