@@ -48,6 +48,10 @@ class Heard:
         parser, decoder, spoil = FrameParser(), TelemetryDecoder(), world.to_host.pass_through
 
         def pass_through(data: bytes) -> bytes:
+            nonlocal parser
+            if world.unplugged:
+                # The host opens the port again after that, without the frame that the cable cut.
+                parser = FrameParser()
             for frame in parser.feed(data):
                 if frame.id == MessageId.TELEMETRY:
                     self.rows.update(rows_of(decoder.decode([frame.payload])))
