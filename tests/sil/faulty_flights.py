@@ -49,14 +49,14 @@ class Heard:
 
         def pass_through(data: bytes) -> bytes:
             nonlocal parser
-            if world.unplugged:
-                # The host opens the port again after that, without the frame that the cable cut.
-                parser = FrameParser()
             for frame in parser.feed(data):
                 if frame.id == MessageId.TELEMETRY:
                     self.rows.update(rows_of(decoder.decode([frame.payload])))
                 elif frame.id == MessageId.EVENT:
                     self.events.append(EventMessage.unpack(frame.payload))
+            if world.unplugged:
+                # The host opens the port again after that, without the frame that the cable cut.
+                parser = FrameParser()
             return spoil(data)
 
         world.to_host.pass_through = pass_through  # type: ignore[method-assign]
