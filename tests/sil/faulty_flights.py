@@ -48,11 +48,15 @@ class Heard:
         parser, decoder, spoil = FrameParser(), TelemetryDecoder(), world.to_host.pass_through
 
         def pass_through(data: bytes) -> bytes:
+            nonlocal parser
             for frame in parser.feed(data):
                 if frame.id == MessageId.TELEMETRY:
                     self.rows.update(rows_of(decoder.decode([frame.payload])))
                 elif frame.id == MessageId.EVENT:
                     self.events.append(EventMessage.unpack(frame.payload))
+            if world.unplugged:
+                # The host opens the port again after that, without the frame that the cable cut.
+                parser = FrameParser()
             return spoil(data)
 
         world.to_host.pass_through = pass_through  # type: ignore[method-assign]
@@ -214,9 +218,9 @@ def wrong(flight: Flown) -> list[str]:
             complaints.append(f"{int(np.sum(steps - 1))} ticks are missing, {counted.ticks_lost} counted")
     if any(flight.volts_V):
         complaints.append(f"the motors run: {flight.volts_V} V")
-    told = reason(flight)
-    if told not in flight.outcome or (told != "completed" and "completed" in flight.outcome):
-        complaints.append(f"told {flight.outcome!r}, true is {told!r}")
+    true_reason = reason(flight)
+    if true_reason not in flight.outcome or (true_reason != "completed" and "completed" in flight.outcome):
+        complaints.append(f"reported {flight.outcome!r}, true is {true_reason!r}")
     return complaints
 
 
