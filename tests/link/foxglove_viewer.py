@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from heli_host.log.schema import EVENT_TOPIC, TICK_TOPIC, parse_layout
 from websockets.sync import client
+from websockets.typing import Subprotocol
 
 PATIENCE_S = 60.0
 _DATA = struct.Struct("<BIQ")
@@ -37,7 +38,7 @@ class Viewer:
     @classmethod
     @contextmanager
     def of(cls, address: str) -> Iterator[Viewer]:
-        with client.connect(address, subprotocols=["foxglove.sdk.v1"]) as socket:
+        with client.connect(address, subprotocols=[Subprotocol("foxglove.sdk.v1")]) as socket:
             yield cls(socket)
 
     def subscribe(self, topic: str) -> None:
@@ -72,7 +73,12 @@ def main(address: str) -> None:
         URL of the feed.
     """
     ended = threading.Event()
-    threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
+
+    def wait_for_the_end() -> None:
+        sys.stdin.read()
+        ended.set()
+
+    threading.Thread(target=wait_for_the_end, daemon=True).start()
     with Viewer.of(address) as viewer:
         viewer.subscribe(TICK_TOPIC)
         layout = parse_layout(viewer.channels[TICK_TOPIC]["schema"])
