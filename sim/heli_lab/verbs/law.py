@@ -86,7 +86,7 @@ def check(
     from heli_lab.law.files import load_law
 
     data_on_stdout(json)
-    loaded = load_law(law, load_timeout)
+    loaded = load_law(law, load_timeout, rig)
     program = loaded.program
     spread = f", over {program.ticks} ticks" if program.ticks > 1 else ""
     say(
@@ -206,7 +206,7 @@ def fly(
     )
     check_target(port, sil)
     flown_plan = load_plan(plan) if plan is not None else trial_plan(duration_s)
-    loaded = load_law(law, load_timeout)
+    loaded = load_law(law, load_timeout, rig)
     flown, trial = fly_law(loaded.program, options, flown_plan, plan or "")
     flown.report()
     say(f"law {loaded.name}: {trial}")
@@ -321,7 +321,7 @@ def grade(
 
     The board's own control law is the first row. --duration applies without --plan. A file may use processor
     time and 1 GB of memory, and may not write files, open sockets or start processes. The exit code is 4 if a
-    law was refused, or was taken over.
+    law was refused, or was taken over. Laws that take the rig are designed for the first one.
 
     Example: `heli-host law grade lqi.py lqr.py --seeds 5 --report grades`
     """
@@ -355,7 +355,7 @@ def grade(
     for path in laws:
         label = path.stem if path.stem not in {known.label for known in grades} else str(path)
         try:
-            program = load_limited(path, FileLimits(load_timeout))
+            program = load_limited(path, FileLimits(load_timeout), rigs[0])
         except BadLaw as error:
             grades.append(LawGrade(label, str(error)))
             continue
@@ -388,6 +388,10 @@ def export(
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="FILE.c", help="Write the C code to this file.")
     ],
+    rig: Annotated[
+        str | None,
+        typer.Option("--rig", metavar="NAME|FILE", help="Design the law for this rig.", show_default=False),
+    ] = None,
     load_timeout: LoadTimeoutOption = FILE_LIMIT_s,
 ) -> None:
     """Export a control law as a C file in single precision.
@@ -399,7 +403,7 @@ def export(
     from heli_lab.law.export_c import c_source
     from heli_lab.law.files import load_law
 
-    output.write_text(c_source(load_law(law, load_timeout)), encoding="utf-8")
+    output.write_text(c_source(load_law(law, load_timeout, rig)), encoding="utf-8")
     say_files((output,))
 
 
@@ -424,7 +428,9 @@ def _fly_laws(
     from heli_lab.law_flight import fly_trial
 
     flights = {}
-    laws: list[tuple[Path | None, Law | None]] = [(path, load_law(path, limit_s)) for path in paths]
+    laws: list[tuple[Path | None, Law | None]] = [
+        (path, load_law(path, limit_s, options.rig)) for path in paths
+    ]
     for path, law in laws if len(laws) > 1 else [*laws, (None, None)]:
         trial = fly_trial(law.program if law is not None else None, options, trial_plan(duration_s))
         name = law.name if law is not None else "the board's own"
