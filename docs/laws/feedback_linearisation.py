@@ -1,10 +1,9 @@
 """Feedback linearisation: the travel that tilted thrust gives is inverted, sine and all."""
 
-from heli_lab.law import Command, atan2, control_law, cos, fmax, motor_volts, saturated
+from heli_lab.law import Command, atan2, control_law, cos, fmax, law_rig, motor_volts, saturated
 from heli_lab.tune.plants import linear_plant
-from heli_sim.rig import load_rig
 
-plant = linear_plant(load_rig("makki2024"))
+plant = linear_plant(law_rig())
 DT_s = 1e-3
 
 

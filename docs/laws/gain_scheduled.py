@@ -2,12 +2,11 @@
 
 import control
 import numpy as np
-from heli_lab.law import Command, control_law, motor_volts, saturated
+from heli_lab.law import Command, control_law, law_rig, motor_volts, saturated
 from heli_sim.model import MultibodyModel
 from heli_sim.model.linear import derivatives, trim
-from heli_sim.rig import load_rig
 
-rig = load_rig("makki2024")
+rig = law_rig()
 model = MultibodyModel()
 MIX = np.array([[0.5, 0.5], [0.5, -0.5]])
 HEIGHTS_rad = np.radians([-10.0, 0.0, 10.0])

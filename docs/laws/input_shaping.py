@@ -1,10 +1,9 @@
 """Input shaping: a step of travel in two parts; the swing of the second undoes that of the first."""
 
-from heli_lab.law import Command, control_law, motor_volts, saturated
+from heli_lab.law import Command, control_law, law_rig, motor_volts, saturated
 from heli_lab.tune.plants import linear_plant
-from heli_sim.rig import load_rig
 
-plant = linear_plant(load_rig("makki2024"))
+plant = linear_plant(law_rig())
 RATE_Hz = 50
 # Half a period of the slow mode that the gains below leave.
 HALF_s = 1.2

@@ -2,13 +2,12 @@
 
 import control
 import numpy as np
-from heli_lab.law import Command, control_law, motor_volts, saturated
+from heli_lab.law import Command, control_law, law_rig, motor_volts, saturated
 from heli_lab.tune.plants import linear_plant
-from heli_sim.rig import load_rig
 from heli_sim.rig.encoders import count_rad
 
 DT_s = 2e-3
-rig = load_rig("makki2024")
+rig = law_rig()
 plant = linear_plant(rig, lag_s=0.05)
 
 

@@ -2,11 +2,10 @@
 
 import control
 import numpy as np
-from heli_lab.law import from_gain
+from heli_lab.law import from_gain, law_rig
 from heli_lab.tune.plants import linear_plant
-from heli_sim.rig import load_rig
 
-plant = linear_plant(load_rig("makki2024"))
+plant = linear_plant(law_rig())
 
 
 def without_rotors(A, B):

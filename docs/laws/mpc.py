@@ -2,11 +2,10 @@
 
 import control
 import numpy as np
-from heli_lab.law import Command, control_law, motor_volts, saturated
+from heli_lab.law import Command, control_law, law_rig, motor_volts, saturated
 from heli_lab.tune.plants import linear_plant
-from heli_sim.rig import load_rig
 
-plant = linear_plant(load_rig("makki2024"))
+plant = linear_plant(law_rig())
 HORIZON, STEP_s, ITERATIONS = 8, 0.12, 8
 A = plant.elevation_A[:2, :2]
 B = np.array([[0.0], [plant.elevation_gain]])

@@ -1,10 +1,9 @@
 """Sliding mode: each error is driven onto a line and kept there; tanh for the sign, against chattering."""
 
-from heli_lab.law import Command, control_law, motor_volts, saturated, tanh
+from heli_lab.law import Command, control_law, law_rig, motor_volts, saturated, tanh
 from heli_lab.tune.plants import linear_plant
-from heli_sim.rig import load_rig
 
-plant = linear_plant(load_rig("makki2024"))
+plant = linear_plant(law_rig())
 
 
 @control_law(rate_Hz=1000, parameters={"reach_V": 1.0, "layer_rad_s": 0.15, "hover_V": plant.hover_V})

@@ -19,16 +19,18 @@ FILE_LIMIT_s: Final = 30.0
 """How long the file of a law may run [s]. The laws of the documents take under 2 s. A shorter limit refuses
 files that solve a large problem first; with a longer limit people wait longer for a loop without an end."""
 
-LawReader = Callable[[Path], LawProgram]
+LawReader = Callable[[Path, str | None], LawProgram]
 
 
-def read_law(path: Path) -> LawProgram:
+def read_law(path: Path, rig: str | None = None) -> LawProgram:
     """Compile the law in a file to a program; the code of the file is run.
 
     Parameters
     ----------
     path : Path
         The file.
+    rig : str or None
+        Name or path of the rig that the law is designed for; None for the file's default.
 
     Returns
     -------
@@ -43,5 +45,5 @@ def read_law(path: Path) -> LawProgram:
     """
     for entry in entry_points(group=ENTRY_POINT_GROUP):
         reader: LawReader = entry.load()
-        return reader(path)
+        return reader(path, rig)
     raise BadLaw("no installed package can read control laws", "reinstall heli-host")

@@ -151,7 +151,7 @@ def test_what_an_endless_file_has_started_ends_with_it(tmp_path: Path) -> None:
 
 
 def test_a_page_refuses_a_law_whose_file_never_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(files.load_law, "__defaults__", (0.3,))
+    monkeypatch.setattr(files.load_law, "__defaults__", (0.3, None))
     (tmp_path / "endless.py").write_text("while True: pass\n")
     with pytest.raises(BadLaw, match=r"endless\.py did not end within 0\.3 s"):
         read_law(tmp_path / "endless.py")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
 import threading
 import time
@@ -117,6 +118,13 @@ def test_the_link_does_not_wait_for_a_server_that_hangs(heli: Heli, monkeypatch:
         heli.wait(0.5)
         assert heli.latest.t_s >= before_s + 0.5 and feed.dropped >= 10
         hangs.set()
+
+
+@pytest.mark.skipif(not hasattr(os, "getpriority"), reason="this system has no niceness")
+def test_link_and_stop_go_before_the_server_on_a_busy_computer(heli: Heli) -> None:
+    with feeds.foxglove_feed(heli, 0) as feed:
+        assert feed is not None
+        assert os.getpriority(os.PRIO_PROCESS, feed.server_pid) > os.getpriority(os.PRIO_PROCESS, 0)
 
 
 def test_a_server_that_ends_does_not_end_the_session(heli: Heli) -> None:

@@ -75,7 +75,7 @@ class Mark:
         return f"{self.name}: {self.points:.1f} of {FULL:.0f} points{reason}"
 
 
-def points_by_number(score: FlightScore, reference: FlightScore) -> dict[str, float]:
+def points_by_measure(score: FlightScore, reference: FlightScore) -> dict[str, float]:
     """Return the points for each number: full points if it is as good as the reference.
 
     Numbers that the reference lacks do not count, and the others count for more. Little effort and little
@@ -102,8 +102,8 @@ def points_by_number(score: FlightScore, reference: FlightScore) -> dict[str, fl
 
 
 def points_of(score: FlightScore, reference: FlightScore) -> float:
-    """Return the points of a flight: the sum of `points_by_number`, and full points if no number counts."""
-    points = points_by_number(score, reference)
+    """Return the points of a flight: the sum of `points_by_measure`, and full points if no number counts."""
+    points = points_by_measure(score, reference)
     if not points:
         return 0.0 if score.ended else FULL
     return sum(points.values())
@@ -133,8 +133,11 @@ def mark_of(name: str, scores: Sequence[FlightScore], references: Sequence[Fligh
         Its flights, and those of the board's own law, in the same order.
     """
     points = [points_of(score, reference) for score, reference in zip(scores, references, strict=True)]
-    parts = [points_by_number(score, reference) for score, reference in zip(scores, references, strict=True)]
-    means = {part: round(sum(one.get(part, 0.0) for one in parts) / len(parts), 2) for part in parts[0]}
+    parts = [points_by_measure(score, reference) for score, reference in zip(scores, references, strict=True)]
+    means = {
+        measure: round(sum(of_flight.get(measure, 0.0) for of_flight in parts) / len(parts), 2)
+        for measure in parts[0]
+    }
     reason = ", ".join(sorted({score.ended for score in scores if score.ended}))
     mean = round(sum(points) / len(points), 1)
     return Mark(name, mean, reason, tuple(scores), means, tuple(references))

@@ -96,7 +96,7 @@ class Marking:
                 raise HeliError("the folder is a link", "submit the folder itself")
             with returned_files(folder) as files:
                 try:
-                    submission = read_submission(folder, self.limits)
+                    submission = read_submission(folder, self.limits, self.options.rig)
                     mark = self._mark(submission, files)
                 except HeliError as error:
                     mark = replace(mark, reason=str(error))

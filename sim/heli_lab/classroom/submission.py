@@ -77,7 +77,7 @@ def submissions_in(folder: Path) -> list[Path]:
     return folders
 
 
-def read_submission(folder: Path, limits: FileLimits) -> Submission:
+def read_submission(folder: Path, limits: FileLimits, rig: str | None = None) -> Submission:
     """Read a submission; its law's code is run behind `limits`.
 
     Parameters
@@ -86,6 +86,8 @@ def read_submission(folder: Path, limits: FileLimits) -> Submission:
         Folder with ``law.py`` or a single Python file, a plan, parameters, or several of these.
     limits : FileLimits
         Limits of the law's file.
+    rig : str or None
+        Name or path of the rig that the law is designed for; None for the file's default.
 
     Raises
     ------
@@ -122,7 +124,7 @@ def read_submission(folder: Path, limits: FileLimits) -> Submission:
         )
     return Submission(
         name=folder.name,
-        program=load_limited(law, limits) if law is not None else None,
+        program=load_limited(law, limits, rig) if law is not None else None,
         plan=plans[0] if plans else None,
         gains=gains[0] if gains else {},
     )

@@ -22,6 +22,7 @@ from heli_host.law_program import LawProgram
 
 from heli_lab.law.blocks import motor_volts, saturated
 from heli_lab.law.law import Command, Law, control_law
+from heli_lab.law.rig import law_rig
 from heli_lab.law.sources import from_function, from_gain, from_state_space
 
 __all__ = [
@@ -41,6 +42,7 @@ __all__ = [
     "from_gain",
     "from_state_space",
     "if_else",
+    "law_rig",
     "logic_and",
     "logic_not",
     "logic_or",

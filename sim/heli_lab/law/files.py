@@ -22,6 +22,7 @@ from heli_host.laws import FILE_LIMIT_s
 from heli_lab.law.law import Law
 from heli_lab.law.limits import FileLimits
 from heli_lab.law.program_data import program_of_json
+from heli_lab.law.rig import rig_environment
 
 _START_s: Final = 120.0
 """Longest wait until a process begins with the file [s]: a busy machine imports CasADi in some seconds."""
@@ -54,7 +55,7 @@ def check_files(paths: Sequence[Path]) -> None:
             raise BadLaw(f"{path} is not a file", "give a Python file that ends with LAW = ...")
 
 
-def load_law(path: Path, limit_s: float = FILE_LIMIT_s) -> Law:
+def load_law(path: Path, limit_s: float = FILE_LIMIT_s, rig: str | None = None) -> Law:
     """Run a file in a separate process, and return its ``LAW``.
 
     Parameters
@@ -63,6 +64,8 @@ def load_law(path: Path, limit_s: float = FILE_LIMIT_s) -> Law:
         The file; its code is run, with its folder on the path of imports. Its output goes to standard error.
     limit_s : float
         Longest time that the file may run [s].
+    rig : str or None
+        Name or path of the rig that `heli_lab.law.law_rig` returns to the file; None for the file's default.
 
     Raises
     ------
@@ -71,7 +74,7 @@ def load_law(path: Path, limit_s: float = FILE_LIMIT_s) -> Law:
     """
     check_files([path])
     try:
-        pickled, status = _run_in_process(path, limit_s)
+        pickled, status = _run_in_process(path, limit_s, rig)
     except TimeoutError:
         raise BadLaw(
             f"{path.name} did not end within {limit_s:g} s",
@@ -86,7 +89,7 @@ def load_law(path: Path, limit_s: float = FILE_LIMIT_s) -> Law:
     return law
 
 
-def load_limited(path: Path, limits: FileLimits) -> LawProgram:
+def load_limited(path: Path, limits: FileLimits, rig: str | None = None) -> LawProgram:
     """Run a stranger's file in a fenced process, and return the program of its ``LAW``.
 
     The process has limits of time and memory, and can write no file, open no socket and start no process. Its
@@ -98,6 +101,8 @@ def load_limited(path: Path, limits: FileLimits) -> LawProgram:
         The file; its code is run, with its folder on the path of imports.
     limits : FileLimits
         Processor time and memory; the file may take five times this time, because the processor is shared.
+    rig : str or None
+        As for `load_law`.
 
     Raises
     ------
@@ -114,7 +119,7 @@ def load_limited(path: Path, limits: FileLimits) -> LawProgram:
     )
     try:
         answer, status = _run_in_process(
-            path, _WAIT_PER_s * limits.cpu_s + _WAIT_s, options, _MAX_ANSWER_BYTES
+            path, _WAIT_PER_s * limits.cpu_s + _WAIT_s, rig, options, _MAX_ANSWER_BYTES
         )
     except TimeoutError:
         raise endless from None
@@ -139,7 +144,7 @@ def load_limited(path: Path, limits: FileLimits) -> LawProgram:
 
 
 def _run_in_process(
-    path: Path, limit_s: float, options: tuple[str, ...] = (), max_bytes: int = -1
+    path: Path, limit_s: float, rig: str | None, options: tuple[str, ...] = (), max_bytes: int = -1
 ) -> tuple[bytes, int]:
     """Run a law file in another process. A process that does not end in time raises a TimeoutError.
 
@@ -173,6 +178,7 @@ def _run_in_process(
         env={
             **os.environ,
             "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+            **rig_environment(rig),
             **(_FENCED if fenced else {}),
         },
         stdin=subprocess.DEVNULL,
@@ -219,17 +225,19 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     process.wait()
 
 
-def load_program(path: Path) -> LawProgram:
+def load_program(path: Path, rig: str | None = None) -> LawProgram:
     """Compile the ``LAW`` of a file; the entry point ``heli_host.laws``.
 
     Parameters
     ----------
     path : Path
         The file; its code is run.
+    rig : str or None
+        As for `load_law`.
 
     Raises
     ------
     BadLaw
         It is missing, fails, does not end, holds no law, or one that a board does not take.
     """
-    return load_law(path).program
+    return load_law(path, rig=rig).program

@@ -87,7 +87,7 @@ def check(
     from heli_lab.law.files import load_law
 
     data_on_stdout(json)
-    control_law = load_law(law, load_timeout)
+    control_law = load_law(law, load_timeout, rig)
     program = control_law.program
     tick_text = f", over {program.ticks} ticks" if program.ticks > 1 else ""
     say(
@@ -170,7 +170,7 @@ def fly(
 
     check_target(options.port, options.sil)
     flown_plan = load_plan(plan) if plan is not None else trial_plan(duration_s)
-    control_law = load_law(law, load_timeout)
+    control_law = load_law(law, load_timeout, options.rig)
     flight_result, trial = fly_law(control_law.program, options, flown_plan, plan or "")
     flight_result.report()
     say(f"law {control_law.name}: {trial}")
@@ -256,7 +256,7 @@ def grade(
 
     The board's own control law is the first row. --duration applies without --plan. A file may use processor
     time and 1 GB of memory, and may not write files, open sockets or start processes. The exit code is 4 if a
-    law was refused, or was taken over.
+    law was refused, or was taken over. Laws that take the rig are designed for the first one.
 
     Example: `heli-host law grade lqi.py lqr.py --seeds 5 --report grades`
     """
@@ -290,7 +290,7 @@ def grade(
     for path in laws:
         label = path.stem if path.stem not in {known.label for known in grades} else str(path)
         try:
-            program = load_limited(path, FileLimits(load_timeout))
+            program = load_limited(path, FileLimits(load_timeout), rigs[0])
         except BadLaw as error:
             grades.append(LawGrade(label, str(error)))
             continue
@@ -325,6 +325,10 @@ def export(
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="FILE.c", help="Write the C code to this file.")
     ],
+    rig: Annotated[
+        str | None,
+        typer.Option("--rig", metavar="NAME|FILE", help="Design the law for this rig.", show_default=False),
+    ] = None,
     load_timeout: LoadTimeoutOption = FILE_LIMIT_s,
 ) -> None:
     """Export a control law as a C file in single precision.
@@ -336,7 +340,7 @@ def export(
     from heli_lab.law.export_c import c_source
     from heli_lab.law.files import load_law
 
-    output.write_text(c_source(load_law(law, load_timeout)), encoding="utf-8")
+    output.write_text(c_source(load_law(law, load_timeout, rig)), encoding="utf-8")
     say_files((output,))
 
 
@@ -363,7 +367,9 @@ def _fly_laws(
     from heli_lab.law_flight import fly_trial
 
     flights = {}
-    laws: list[tuple[Path | None, Law | None]] = [(path, load_law(path, limit_s)) for path in paths]
+    laws: list[tuple[Path | None, Law | None]] = [
+        (path, load_law(path, limit_s, options.rig)) for path in paths
+    ]
     if len(laws) == 1:
         laws.append((None, None))
     for path, law in laws:

@@ -111,7 +111,7 @@ def dashboard(
     named = [one for one in (*(plans or ()), *(flown or ())) if one not in plan_names()]
     offered = [load_plan(name) for name in (*plan_names(), *dict.fromkeys(named))]
     begun = [load_plan(name).name for name in flown or ()]
-    tapes = [read_law(path) for path in laws or ()]
+    tapes = [read_law(path, rig) for path in laws or ()]
     address = simulated.sil_address(
         rig=rig, seed=seed, board=board, elf=elf, model=model, effect=effect, effect_files=effect_file
     )
