@@ -226,7 +226,7 @@ def _calibration(
 ) -> BenchCalibration:
     signs, notes = _motor_signs(motors)
     numbers = dict(rig)
-    dead_zone, more = _put_thrust(numbers, motors, rig)
+    dead_zone, thrust_notes = _put_thrust(numbers, motors, rig)
     for axis, quantity in zip(AXES, ENCODER_DIRECTIONS, strict=True):
         numbers[quantity] = Number(float(encoders.direction[axis]), "1", 0.0, f"{SOURCE}: turned by hand")
     numbers["elevation_min"] = Number(
@@ -236,7 +236,7 @@ def _calibration(
         rig, name=name, description=f"calibrated on the bench, the rest as {rig.name}", numbers=numbers
     )
     values = dict(encoder_values) | signs | dead_zone
-    return BenchCalibration(encoders, tuple(motors), calibrated, values, (*notes, *more))
+    return BenchCalibration(encoders, tuple(motors), calibrated, values, (*notes, *thrust_notes))
 
 
 def _motor_signs(motors: Sequence[MotorResult]) -> tuple[dict[str, float], list[str]]:

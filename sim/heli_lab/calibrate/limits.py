@@ -68,7 +68,7 @@ def pulse_limits(heli: Heli, *, max_V: float, max_angle_deg: float) -> dict[str,
         Angle by which pitch, travel and elevation may differ from level, zero and the present angle [deg].
     """
     specs = heli.params.spec
-    wanted = {
+    needed = {
         "excitation_max_V": max_V,
         "arm_elevation_tolerance_deg": specs("arm_elevation_tolerance_deg").max,
         "pitch_setpoint_max_deg": min(heli.params["pitch_setpoint_max_deg"], max_angle_deg - 1.0),
@@ -76,4 +76,4 @@ def pulse_limits(heli: Heli, *, max_V: float, max_angle_deg: float) -> dict[str,
         "travel_max_deg": abs(heli.latest.travel_deg) + max_angle_deg,
         "elevation_max_deg": heli.latest.elevation_deg + max_angle_deg,
     }
-    return {name: min(max(value, specs(name).min), specs(name).max) for name, value in wanted.items()}
+    return {name: min(max(value, specs(name).min), specs(name).max) for name, value in needed.items()}

@@ -164,9 +164,11 @@ def thrust_of(pulses: Sequence[Pulse], sign: int, rig: Rig) -> ThrustLine | str:
     swing = _fitted_swing(measured, _stated_swing(rig))
     lines = [_line(volts, newton_per_acceleration * swing.accelerations(measured))]
     for index in range(len(pulses)):
-        rest = np.delete(measured, index, axis=1)
-        other = _fitted_swing(rest, swing)
-        lines.append(_line(np.delete(volts, index), newton_per_acceleration * other.accelerations(rest)))
+        others_rad = np.delete(measured, index, axis=1)
+        other = _fitted_swing(others_rad, swing)
+        lines.append(
+            _line(np.delete(volts, index), newton_per_acceleration * other.accelerations(others_rad))
+        )
     (gain, zero), *others = lines
     spread = np.array(others) - np.mean(others, axis=0)
     gain_std, zero_std = np.sqrt((len(others) - 1) / len(others) * np.sum(spread**2, axis=0))

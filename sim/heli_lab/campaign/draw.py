@@ -30,7 +30,7 @@ class DrawnRig:
     effects : tuple of str
         Effects as the command line spells them, each with its size.
     numbers : Mapping of str to float
-        DrawnRig values: by the rig file's name of a parameter, in its unit, or by the name of an effect.
+        Drawn values: by the rig file's name of a parameter, in its unit, or by the name of an effect.
     """
 
     rig: Rig

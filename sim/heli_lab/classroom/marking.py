@@ -109,11 +109,11 @@ class Marking:
         return self._references[key]
 
     def _score(self, submission: Submission, plan: Plan, seed: int, files: Path | None) -> FlightScore:
-        with tempfile.TemporaryDirectory() as made:
+        with tempfile.TemporaryDirectory() as temporary:
             options = replace(
                 self.options,
                 seed=seed,
-                log=(files or Path(made)) / LOG,
+                log=(files or Path(temporary)) / LOG,
                 figure=files / FIGURE if files is not None else None,
             )
             return scored_flight(submission, options, plan, {**_SIMULATED, **submission.gains})
@@ -141,9 +141,9 @@ def scored_flight(
     program = judged(submission.program) if submission.program is not None else None
     before = QUIET.set(True)
     try:
-        with tempfile.TemporaryDirectory() as made:
+        with tempfile.TemporaryDirectory() as temporary:
             if parameters:
-                file = Path(made) / "parameters.toml"
+                file = Path(temporary) / "parameters.toml"
                 file.write_text(parameters_text(parameters, "Parameters of a submission"), encoding="utf-8")
                 options = replace(options, params=file)
             flown, taken_over = flown_with(program, options, plan)

@@ -268,8 +268,8 @@ def _shown(cells: Sequence[NotebookCell]) -> list[NotebookCell]:
 
 
 def _marked(code: str) -> str:
-    lead, rest = _lead(code)
-    return "\n".join([*lead, BEGIN, rest, END])
+    lead, body = _lead(code)
+    return "\n".join([*lead, BEGIN, body, END])
 
 
 def _lead(code: str) -> tuple[list[str], str]:

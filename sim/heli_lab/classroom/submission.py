@@ -198,17 +198,17 @@ def returned_files(folder: Path) -> Iterator[Path]:
     """
     place = folder / MARKED
     try:
-        with tempfile.TemporaryDirectory(dir=folder, prefix=".marked-") as made:
-            yield Path(made)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".marked-") as temporary:
+            yield Path(temporary)
             if place.is_symlink() or place.is_file():
                 place.unlink()
             elif place.exists():
                 for path in place.iterdir():
                     if _RIG_FILES.fullmatch(path.name) and path.is_file() and not path.is_symlink():
-                        path.rename(Path(made) / path.name)
+                        path.rename(Path(temporary) / path.name)
                 shutil.rmtree(place)
-            Path(made).chmod(0o755)
-            Path(made).rename(place)
-            Path(made).mkdir()  # for the end of the temporary folder
+            Path(temporary).chmod(0o755)
+            Path(temporary).rename(place)
+            Path(temporary).mkdir()  # for the end of the temporary folder
     except OSError as error:
         raise HeliError(f"cannot write {place}: {error.strerror or error}", file_remedy(error)) from error

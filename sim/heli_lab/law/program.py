@@ -184,9 +184,9 @@ class Program:
         if code in _SAME:
             name = _SAME[code]
             return self.do(name, a, b) if CODE[name] in BINARY else self.do(name, a)
-        made = _MADE.get(code)
-        if made is not None:
-            return made(self, a, b)
+        composed = _MADE.get(code)
+        if composed is not None:
+            return composed(self, a, b)
         if code in (ca.OP_POW, ca.OP_CONSTPOW):
             return self._power(a, b)
         known = ", ".join(sorted(set(_SAME.values())))

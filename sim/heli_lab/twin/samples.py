@@ -165,27 +165,27 @@ class Stepper:
         self._next += len(angles)
 
     def _steps(self) -> Iterator[Step]:
-        every, half = self.samples_per_step, self.samples_per_step // 2
-        at = -self._first % every
-        while at + every <= len(self._angles):
-            width = min(half, at)
-            near = self._angles[at - width : at + width + 1]
+        samples_per_step, half = self.samples_per_step, self.samples_per_step // 2
+        first = -self._first % samples_per_step
+        while first + samples_per_step <= len(self._angles):
+            width = min(half, first)
+            near = self._angles[first - width : first + width + 1]
             known = ~np.isnan(near[:, 0])
             count = int(known.sum())
-            whole = slice(at, at + every)
+            part = slice(first, first + samples_per_step)
             yield Step(
-                (self._first + at) // every,
+                (self._first + first) // samples_per_step,
                 near[known].mean(axis=0) if count else None,
                 count,
-                self._volts[whole],
-                bool(self._flying[whole].all()),
-                bool(self._landing[whole].any()),
+                self._volts[part],
+                bool(self._flying[part].all()),
+                bool(self._landing[part].any()),
                 self._begins,
             )
             self._begins = False
-            at += every
+            first += samples_per_step
         # The mean about the next step's beginning needs those before it.
-        done = max(0, at - half)
+        done = max(0, first - half)
         self._first += done
         self._angles, self._volts = self._angles[done:], self._volts[done:]
         self._flying, self._landing = self._flying[done:], self._landing[done:]

@@ -306,10 +306,10 @@ class Twin:
 
     def _onset_rad(self) -> Floats:
         """Angle of its axis [rad] at each onset of an encoder's scale, (scales, onsets)."""
-        kept = len(self._angles_rad)
+        row_count = len(self._angles_rad)
         return np.array(
             [
-                self._angles_rad[self._ratio.onset_blocks(column) % kept, axis]
+                self._angles_rad[self._ratio.onset_blocks(column) % row_count, axis]
                 for column, axis in self.model.scales
             ]
         )
@@ -352,7 +352,7 @@ def format_ranking(ranking: Sequence[ChangeCandidate], onset_s: float) -> str:
     odds = math.exp(min(first.log_evidence - second.log_evidence, 50.0))
     times = f"{odds:.0f} times" if odds < _MAX_REPORTED_ODDS else f"over {_MAX_REPORTED_ODDS:.0f} times"
     if odds < 1.5:
-        rest = f"equally likely: {second.change.words(second.size, second.std)}"
+        comparison = f"equally likely: {second.change.words(second.size, second.std)}"
     else:
-        rest = f"{times} more likely than the next change ({second.change.id})"
-    return f"{first.change.words(first.size, first.std)} since {onset_s:.1f} s; {rest}"
+        comparison = f"{times} more likely than the next change ({second.change.id})"
+    return f"{first.change.words(first.size, first.std)} since {onset_s:.1f} s; {comparison}"

@@ -31,7 +31,9 @@ def course(
     from heli_lab.classroom.notebook import NotebookError, write_editions
 
     sources = [
-        path for given in notebooks for path in (sorted(given.glob("*.py")) if given.is_dir() else [given])
+        path
+        for notebook in notebooks
+        for path in (sorted(notebook.glob("*.py")) if notebook.is_dir() else [notebook])
     ]
     if not sources:
         raise NotebookError(f"{notebooks[0]} contains no notebook", "give Python files with cells")

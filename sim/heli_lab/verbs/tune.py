@@ -182,21 +182,21 @@ def _head(rig: Rig, model: str, design: Design, loop_effects: LoopEffects) -> li
 
 
 def _margin_lines(design: Design) -> list[str]:
+    """Table of the stability margins: of each loop at each lag of the nominal rig, and in the worst case."""
     from heli_lab.tune import LOOPS
 
-    nominal = [
-        index for index, plant in enumerate(design.plants) if plant.thrust == plant.counterweight == 1.0
+    rows = [
+        (f"lag {1e3 * plant.lag_s:.0f} ms", [margins])
+        for plant, margins in zip(design.plants, design.margins, strict=True)
+        if plant.thrust == plant.counterweight == 1.0
     ]
-    chosen = [
-        (f"lag {1e3 * design.plants[index].lag_s:.0f} ms", [design.margins[index]]) for index in nominal
-    ]
-    chosen.append(("worst case", design.margins))
+    rows.append(("worst case", design.margins))
     lines = [f"{'loop':13}{'plant':13}{'gain up':>9}{'down':>8}{'phase':>9}{'delay':>10}{'peak S':>8}"]
     for loop in LOOPS:
-        for place, (label, margins) in enumerate(chosen):
+        for number, (label, margins) in enumerate(rows):
             loop_margins = [margin[loop] for margin in margins]
             lines.append(
-                f"{loop if place == 0 else '':13}{label:13}"
+                f"{loop if number == 0 else '':13}{label:13}"
                 f"{min(margin.gain_up for margin in loop_margins):>9.2f}"
                 f"{max(margin.gain_down for margin in loop_margins):>8.2f}"
                 f"{min(margin.phase_deg for margin in loop_margins):>5.0f} deg"

@@ -93,8 +93,10 @@ class EquationRefits:
             and equation.terms[i] in group.terms
             and not (inner_name == "width" and equation.terms[i].term.factors[j].form == "sign")
         )
-        rest = sum(NEAR_REST_NATS for term in group.terms if _on_own_rate(term.channel, term.term.key))
-        return 0.5 * free * math.log(self.comparison.rows) + math.log(self.tried[group.size]) + rest
+        at_rest_nats = sum(
+            NEAR_REST_NATS for term in group.terms if _on_own_rate(term.channel, term.term.key)
+        )
+        return 0.5 * free * math.log(self.comparison.rows) + math.log(self.tried[group.size]) + at_rest_nats
 
     def refit(
         self,
@@ -229,8 +231,8 @@ class EquationRefits:
         start = {**refitted.values, **fixed}
         hypothesis = self.refit(refitted.equation, signals, start, self.base, held)
         penalty = refitted.penalty - 0.5 * len(fixed) * math.log(self.comparison.rows)
-        whole = RefittedEquation(refitted.equation, hypothesis, penalty, refitted.group, held)
-        return whole if whole.margin > refitted.margin - MIN_MARGIN else refitted
+        with_fixed = RefittedEquation(refitted.equation, hypothesis, penalty, refitted.group, held)
+        return with_fixed if with_fixed.margin > refitted.margin - MIN_MARGIN else refitted
 
 
 def _on_own_rate(channel: str, key: str) -> bool:

@@ -89,11 +89,11 @@ class ListedEffects:
         for kind in remaining:
             if kind.id in dry and is_equivalent(typical_candidate(kind), kind.typical)[0]:
                 return kind.id
-        kept = 0
+        promising = 0
         for scored in screening.effects(remaining)[: 2 * SHORTLIST]:
             complexity_penalty = self.complexity_penalty(scored.candidate)
             if (
-                kept >= SHORTLIST
+                promising >= SHORTLIST
                 or EXPECTED_REFIT_GAIN * scored.log_likelihood_gain <= complexity_penalty + MIN_MARGIN
             ):
                 break
@@ -103,7 +103,7 @@ class ListedEffects:
             if equivalent:
                 return scored.candidate.id
             gain = value + complexity_penalty - self.base.log_likelihood
-            kept += gain >= SHORTLIST_SHARE * scored.log_likelihood_gain
+            promising += gain >= SHORTLIST_SHARE * scored.log_likelihood_gain
         return None
 
     @property
@@ -182,8 +182,8 @@ class ListedEffects:
         """Remove causes that are not significant in the model `with_equation`; return it and their ids."""
         final, gone = with_equation, list[str]()
         for candidate in self.base.candidates:
-            rest = [other for other in final.candidates[:-1] if other.id != candidate.id]
-            less = self.comparison.refit([*rest, final.candidates[-1]], None, final)
+            others = [other for other in final.candidates[:-1] if other.id != candidate.id]
+            less = self.comparison.refit([*others, final.candidates[-1]], None, final)
             if final.log_likelihood - less.log_likelihood - self.complexity_penalty(candidate) <= MIN_MARGIN:
                 final = less
                 gone.append(candidate.id)

@@ -110,15 +110,15 @@ def missing_term(estimate: Estimate, cause: Candidate) -> MissingTerm:
     less = _without(estimate, cause.effect.name)
     with_, without = estimate.filtered().linearised_flights, less.filtered().linearised_flights
     torque = [_contributed_torque(*pair) for pair in zip(with_, without, strict=True)]
-    every = np.concatenate(torque)
-    if not every.any():
+    all_torques = np.concatenate(torque)
+    if not all_torques.any():
         return _missing_angle(estimate, less, cause)
     blocks = [_Blocks(linear) for linear in without]
     equation = np.concatenate([block.mean(values) for block, values in zip(blocks, torque, strict=True)])
     t_s, missing, std = _smoothed_torque(less)
     _, remaining, _ = _smoothed_torque(estimate)
     # With its mean, the elevation torque of a thrust curve hides the pitch torque of its lag.
-    axis = int(np.argmax(every.std(axis=0) / ((missing - equation).std(axis=0) + 1e-9)))
+    axis = int(np.argmax(all_torques.std(axis=0) / ((missing - equation).std(axis=0) + 1e-9)))
     places = [
         {name: block.mean(value) for name, value in _quantities(linear).items()}
         for block, linear in zip(blocks, with_, strict=True)
@@ -216,7 +216,7 @@ def _smoothed_torque(estimate: Estimate) -> tuple[Floats, Floats, Floats]:
     standard errors.
     """
     smoothed = smoothed_disturbances(estimate.filtered(), estimate.disturbances)
-    times, values, errors = (np.concatenate(every) for every in zip(*smoothed, strict=True))
+    times, values, errors = (np.concatenate(parts) for parts in zip(*smoothed, strict=True))
     return times, values, errors
 
 

@@ -228,8 +228,8 @@ def _method(name: str, argument: str, equation: Equation, kind: str, value: str)
     for i, term in enumerate(equation.terms):
         if term.channel.startswith(kind):
             lines.append(f"        term_{i + 1} = {_python(equation, i, term)}\n")
-    given = f", {argument}" if argument else ""
-    return f"\n    @override\n    def {name}(self, at{given}):\n{''.join(lines)}        return {value}\n"
+    arguments = f", {argument}" if argument else ""
+    return f"\n    @override\n    def {name}(self, at{arguments}):\n{''.join(lines)}        return {value}\n"
 
 
 def _plus(equation: Equation, channel: str) -> str:

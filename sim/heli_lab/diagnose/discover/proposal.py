@@ -141,31 +141,33 @@ def proposed_term(discovery: Discovery) -> ProposedTerm:
 
 
 def term_trace(discovery: Discovery) -> TermTrace:
-    """Evaluate the equation of a `discovery` along a flight."""
-    without, with_equation = discovery.elsewhere or (
+    """Torque of the equation of a `discovery` along the first flight, and the torque that the model without
+    it lacks: about the axis on which the equation acts most.
+    """
+    without_equation, with_equation = discovery.elsewhere or (
         discovery.base.estimate,
         discovery.hypothesis.estimate,
     )
     label = with_equation.references[0].record.label
-    term_s, change = accelerations(with_equation, discovery.effect.name)
+    term_s, accelerations_rad_s2 = accelerations(with_equation, discovery.effect.name)
     signals = TermSignals(Screening(with_equation))
-    torque = signals.linearised_flights[0].disturbance_for(change)
+    torque = signals.linearised_flights[0].disturbance_for(accelerations_rad_s2)
     axis = int(np.argmax(torque.std(axis=0)))
-    t_s, missing, std = smoothed_disturbances(without.filtered(), without.disturbances)[0]
+    t_s, missing, std = smoothed_disturbances(without_equation.filtered(), without_equation.disturbances)[0]
     term_Nm = np.interp(t_s, term_s, torque[:, axis])
     on = discovery.equation.terms[0].term.quantities[-1]
     value = signals.quantity(0, on)
     value = value if value.ndim == 1 else value.mean(axis=1)
     return TermTrace(
-        label,
-        AXES[axis],
-        t_s,
-        term_Nm - term_Nm.mean(),
-        missing[:, axis] - missing[:, axis].mean(),
-        std[:, axis],
-        on,
-        str(SYMBOLS[on].unit),
-        np.interp(t_s, term_s, value),
+        label=label,
+        axis=AXES[axis],
+        t_s=t_s,
+        term_Nm=term_Nm - term_Nm.mean(),
+        missing_Nm=missing[:, axis] - missing[:, axis].mean(),
+        std_Nm=std[:, axis],
+        on=on,
+        unit=str(SYMBOLS[on].unit),
+        value=np.interp(t_s, term_s, value),
     )
 
 
@@ -177,7 +179,7 @@ def supported_ranges(discovery: Discovery) -> tuple[SupportedRange, ...]:
     for channel in discovery.equation.channels:
         size = np.concatenate([np.abs(_along(discovery, signals, i, channel)).max(axis=1) for i in flights])
         largest = float(np.quantile(size, 0.99))
-        there = size >= EQUATION_SUPPORT_SHARE * largest
+        matters = size >= EQUATION_SUPPORT_SHARE * largest
         names = dict.fromkeys(
             q for term in discovery.equation.terms if term.channel == channel for q in term.term.quantities
         )
@@ -185,10 +187,10 @@ def supported_ranges(discovery: Discovery) -> tuple[SupportedRange, ...]:
         for name in names:
             every = [signals.quantity(i, name) for i in flights]
             values = np.concatenate([value if value.ndim == 1 else value.mean(axis=1) for value in every])
-            low, high = np.quantile(values[there], [0.05, 0.95])
+            low, high = np.quantile(values[matters], [0.05, 0.95])
             ranges[name] = (float(low), float(high))
         rms = float(np.sqrt(np.mean(size**2)))
-        result.append(SupportedRange(channel, rms, largest, ranges, float(there.mean())))
+        result.append(SupportedRange(channel, rms, largest, ranges, float(matters.mean())))
     return tuple(result)
 
 

@@ -78,11 +78,11 @@ class TermSignals:
     @property
     def spans(self) -> dict[str, tuple[float, float]]:
         """Lowest and highest value of each quantity over all flights, SI units, by name."""
-        every = {
+        values_by_name = {
             name: np.concatenate([quantities[name] for quantities in self._middle])
             for name in self._middle[0]
         }
-        return {name: (float(values.min()), float(values.max())) for name, values in every.items()}
+        return {name: (float(values.min()), float(values.max())) for name, values in values_by_name.items()}
 
     def quantity(self, index: int, name: str) -> Floats:
         """Values of the quantity `name` in the middle of each step of the flight `index`, shape (n,), or (n,
@@ -184,13 +184,16 @@ def score(screening: Screening, signals: TermSignals, groups: Sequence[Group]) -
     """
     batches = [
         (channel, batch)
-        for channel, some in itertools.groupby(groups, lambda group: group.terms[0].channel)
-        for batch in _batches(list(some), screening.batch)
+        for channel, channel_groups in itertools.groupby(groups, lambda group: group.terms[0].channel)
+        for batch in _batches(list(channel_groups), screening.batch)
     ]
     scored = parallel_map(
         lambda arguments: _scored(screening, signals, *arguments), batches, screening.threads
     )
-    return sorted((group for some in scored for group in some), key=lambda group: -group.log_likelihood_gain)
+    return sorted(
+        (group for channel_groups in scored for group in channel_groups),
+        key=lambda group: -group.log_likelihood_gain,
+    )
 
 
 def _scored(
@@ -286,8 +289,8 @@ def _quantities(linear: LinearisedFlight, trajectory: Trajectory) -> dict[str, F
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
     at = model.driven(x, u, p, t)
-    wanted = [ca.densify(ca.SX(quantity.value(at))) for quantity in SYMBOLS.values()]
-    values = AlongTrajectory(ca.Function("quantities", [x, u, t, p], wanted))(trajectory)
+    results = [ca.densify(ca.SX(quantity.value(at))) for quantity in SYMBOLS.values()]
+    values = AlongTrajectory(ca.Function("quantities", [x, u, t, p], results))(trajectory)
     return {
         name: value[:, :, 0] if quantity.each else value[:, 0, 0]
         for (name, quantity), value in zip(SYMBOLS.items(), values, strict=True)

@@ -79,12 +79,12 @@ class EquationSearch:
         warm_start = known.hypothesis if known else self.refits.base
         screening = Screening(replace(warm_start.estimate, disturbances=disturbances))
         signals = TermSignals(screening)
-        every = groups(signals.spans)
-        self.refits.tried = tried_up_to(every)
+        all_groups = groups(signals.spans)
+        self.refits.tried = tried_up_to(all_groups)
         scored: dict[str, ScoredGroup] = {}
         for scored_group in (
-            *self.slow_finalists(warm_start, disturbances, signals, every),
-            *self.finalists(score(screening, signals, every)),
+            *self.slow_finalists(warm_start, disturbances, signals, all_groups),
+            *self.finalists(score(screening, signals, all_groups)),
         ):
             scored.setdefault(scored_group.group.key, scored_group)
         likely = [
@@ -102,21 +102,37 @@ class EquationSearch:
         warm_start: Hypothesis,
         signals: TermSignals,
     ) -> RefittedEquation | None:
-        """The refit of the largest margin; None if it does not exceed what was known by `MIN_MARGIN`."""
+        """Refit the `likely` groups in turn, and choose the refit of the largest margin.
+
+        Parameters
+        ----------
+        likely : sequence of (ScoredGroup, Equation)
+            Groups in the order of their scores, each with the equation that it extends.
+        known, warm_start
+            The equation so far, and the model with it.
+        signals : TermSignals
+            Values of all terms along the flights.
+
+        Returns
+        -------
+        RefittedEquation or None
+            None if no margin exceeds that of the equation so far by `MIN_MARGIN`.
+        """
         best: RefittedEquation | None = None
         rivals = dict[str, float]()
-        kept = 0
+        # Refits that gain about what their score has promised.
+        promising = 0
         known_penalty = known.penalty if known else 0.0
         for scored_group, equation in likely:
-            if kept >= EQUATION_FINALISTS:
+            if promising >= EQUATION_FINALISTS:
                 break
             self.say(f"trying {scored_group.group.key}")
-            made = self.refits.refit_extended(scored_group, equation, known, signals)
-            gain = made.hypothesis.log_likelihood - warm_start.log_likelihood
-            kept += gain >= SHORTLIST_SHARE * scored_group.log_likelihood_gain
-            rivals[scored_group.group.key] = gain - (made.penalty - known_penalty)
-            if best is None or made.margin > best.margin:
-                best = made
+            refitted = self.refits.refit_extended(scored_group, equation, known, signals)
+            gain = refitted.hypothesis.log_likelihood - warm_start.log_likelihood
+            promising += gain >= SHORTLIST_SHARE * scored_group.log_likelihood_gain
+            rivals[scored_group.group.key] = gain - (refitted.penalty - known_penalty)
+            if best is None or refitted.margin > best.margin:
+                best = refitted
         if best is None or best.margin - (warm_start.log_likelihood - known_penalty) <= MIN_MARGIN:
             return None
         chosen = rivals.pop(best.group.key)
@@ -147,11 +163,11 @@ class EquationSearch:
         drifts = disturbances.slow_std > disturbances.fast_std
         if not drifts.any():
             return []
-        still = replace(
+        without_drift = replace(
             disturbances, slow_std=np.where(drifts, _NO_DRIFT_Nm, disturbances.slow_std), curvature=None
         )
         acting = [group for group in every if not group.terms[0].channel.startswith("measurement")]
-        scored = score(Screening(replace(warm_start.estimate, disturbances=still)), signals, acting)
+        scored = score(Screening(replace(warm_start.estimate, disturbances=without_drift)), signals, acting)
         return self.finalists(scored)[:ALTERNATIVES]
 
     def finalists(self, scored: Sequence[ScoredGroup]) -> list[ScoredGroup]:

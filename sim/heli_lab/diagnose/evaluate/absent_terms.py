@@ -102,10 +102,10 @@ def absence_probability(value: float, std: float) -> float:
         Probability, at most `MAX_CONFIDENCE`.
     """
     std = max(std, thresholds.ABSENT_MIN_STD)
-    there = np.geomspace(1e-3, 1e3, 4001)
-    likely = np.exp(-0.5 * (np.log(there) / thresholds.PRESENT_LOG_STD) ** 2)
+    sizes = np.geomspace(1e-3, 1e3, 4001)
+    likely = np.exp(-0.5 * (np.log(sizes) / thresholds.PRESENT_LOG_STD) ** 2)
     likely /= likely.sum()
     # The normal densities' common factor cancels.
     absent = math.exp(-0.5 * min((value / std) ** 2, 1e3)) * thresholds.ABSENT_PRIOR
-    present = float(likely @ np.exp(-0.5 * ((value - there) / std) ** 2)) * (1.0 - thresholds.ABSENT_PRIOR)
+    present = float(likely @ np.exp(-0.5 * ((value - sizes) / std) ** 2)) * (1.0 - thresholds.ABSENT_PRIOR)
     return min(thresholds.MAX_CONFIDENCE, absent / max(absent + present, 1e-300))

@@ -119,12 +119,12 @@ def free_run(
         Keys of `HORIZONS` to predict; the fit of the result is that of the last.
     """
     known = {**_mean_by_name(model, [model.parameter_values(rig)]), **values}
-    first, rest = split(record, calibrate_s)
+    calibration_part, evaluated_part = split(record, calibrate_s)
     priors = flight_constants(model, rig, known)
     calibrated: dict[str, tuple[float, float]] = {}
-    if first.segments:
+    if calibration_part.segments:
         fit = solve(
-            _problem(model, rig, known, first, priors, threads),
+            _problem(model, rig, known, calibration_part, priors, threads),
             robust=False,
             scatter=False,
             warm_start=True,
@@ -133,7 +133,7 @@ def free_run(
         known |= fit.values
     # Equal bounds hold the constants: with the same free parameters the compiled kernel is reused.
     held = {name: Prior(known[name], prior.std, known[name], known[name]) for name, prior in priors.items()}
-    problem = _problem(model, rig, known, rest, held, threads)
+    problem = _problem(model, rig, known, evaluated_part, held, threads)
     windows = [rows for _, rows in problem.windows(0)]
     fits = {
         key: solve(
@@ -146,8 +146,8 @@ def free_run(
     }
     return FreeRun(
         record.label,
-        first.used_s,
-        rest.used_s,
+        calibration_part.used_s,
+        evaluated_part.used_s,
         calibrated,
         priors if calibrated else {},
         {key: _errors(fit, windows) for key, fit in fits.items()},
@@ -168,8 +168,8 @@ def estimated_free_runs(
         Keys of `HORIZONS` to predict.
     """
     vector = estimate.parameter_vector
-    every = [vector.parameters(estimate.theta, index) for index in range(len(estimate.references))]
-    values = _mean_by_name(vector.model, every)
+    by_flight = [vector.parameters(estimate.theta, index) for index in range(len(estimate.references))]
+    values = _mean_by_name(vector.model, by_flight)
     return tuple(
         free_run(
             vector.model,
@@ -279,7 +279,7 @@ def _problem(
 
 def _errors(fit: Fit, windows: Sequence[int]) -> WindowErrors:
     """Squared errors summed over windows of so many rows, whatever the horizon of the runs."""
-    seen = trace(fit)
-    squares = (seen.residual * seen.sigma_rad) ** 2
+    flight = trace(fit)
+    squares = (flight.residual * flight.sigma_rad) ** 2
     first = np.concatenate(([0], np.cumsum(windows)[:-1]))
     return WindowErrors(np.add.reduceat(squares, first, axis=0), np.array(windows, float))

@@ -65,12 +65,12 @@ def prior_conflicts(fit: Fit) -> tuple[PriorConflict, ...]:
     mean, the farthest first. Parameters of effects are not tested.
     """
     effect_names = {name for effect in fit.problem.model.effects for name in effect.priors}
-    every = (
+    estimates = (
         PriorConflict(parameter.name, parameter.unit, float(value), fit.std[parameter.name], parameter.prior)
         for parameter, value in zip(fit.problem.free, fit.theta, strict=True)
         if parameter.quantity not in effect_names
     )
-    far = [conflict for conflict in every if abs(conflict.deviations) > PRIOR_CONFLICT_STD]
+    far = [conflict for conflict in estimates if abs(conflict.deviations) > PRIOR_CONFLICT_STD]
     return tuple(sorted(far, key=lambda conflict: -abs(conflict.deviations)))
 
 
@@ -102,8 +102,8 @@ def tried_without(conflicts: Sequence[PriorConflict], estimate: Estimate) -> tup
         estimate.disturbances,
     )
     # log_likelihood includes the priors: subtract the part of those that were dropped.
-    off = (estimate.theta - parameters.mean) / parameters.std
-    gain = free.log_likelihood - estimate.log_likelihood - 0.5 * float(off[places] @ off[places])
+    moved_std = (estimate.theta - parameters.mean) / parameters.std
+    gain = free.log_likelihood - estimate.log_likelihood - 0.5 * float(moved_std[places] @ moved_std[places])
     std = np.sqrt(np.diag(free.covariance))
     return tuple(
         replace(conflict, freed=EstimateWithoutPrior(float(free.theta[place]), float(std[place]), gain))

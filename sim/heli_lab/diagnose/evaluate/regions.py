@@ -135,11 +135,11 @@ def failing_regions(before: Estimate, after: Estimate, axis: str, first: str = "
 
 
 def _values(screening: Screening) -> dict[str, Floats]:
-    every = [
+    by_flight = [
         quantity_values(linear.model.source, linear.trajectory)
         for linear in screening.filtered.linearised_flights
     ]
-    return {name: np.concatenate([values[name] for values in every]) for name in _PLANES}
+    return {name: np.concatenate([values[name] for values in by_flight]) for name in _PLANES}
 
 
 def _edges(values: Floats) -> Floats:
@@ -173,13 +173,13 @@ def _scores(screening: Screening, axis: str, place: Integers, count: int) -> Flo
     z = np.full(count, np.nan)
     lengths = np.cumsum([linear.rows for linear in screening.filtered.linearised_flights])[:-1]
     for low in range(0, len(visited), screening.batch):
-        some = visited[low : low + screening.batch]
-        inside = np.asarray(place[:, None] == some[None, :], float)
-        only = screening.filtered.disturbance_regressors(
+        cells = visited[low : low + screening.batch]
+        inside = np.asarray(place[:, None] == cells[None, :], float)
+        regressors = screening.filtered.disturbance_regressors(
             screening.estimate.disturbances, AXES.index(axis), np.split(inside, lengths)
         )
-        parts = screening.projected(only, [1] * len(some))
-        z[some] = [gradient[0] / np.sqrt(max(information[0, 0], 1e-12)) for information, gradient in parts]
+        parts = screening.projected(regressors, [1] * len(cells))
+        z[cells] = [gradient[0] / np.sqrt(max(information[0, 0], 1e-12)) for information, gradient in parts]
     return z
 
 
@@ -206,11 +206,11 @@ def _test(
         at = quantity_values(linear.model.source, linear.trajectory)
         axis_torque_Nm = torque_Nm[:, AXES.index(axis)]
         trajectories.append(PlaneTrajectory(at[x][rows], at[y][rows], axis_torque_Nm - axis_torque_Nm.mean()))
-    every = np.concatenate([trajectory.torque_Nm for trajectory in trajectories])
+    all_torques_Nm = np.concatenate([trajectory.torque_Nm for trajectory in trajectories])
     return RegionTest(
         z.reshape(_CELLS, _CELLS),
         fails.reshape(_CELLS, _CELLS),
         float(fails[place].mean()),
-        float(np.sqrt(np.mean(every**2))),
+        float(np.sqrt(np.mean(all_torques_Nm**2))),
         tuple(trajectories),
     )

@@ -134,11 +134,11 @@ def replicate(
     forward, reverse = judge.ratios
     why_not = {id_: judge.contradiction(id_) for id_ in ids}
     worse = judge.worse(ids)
-    kept = [id_ for id_ in ids if not why_not[id_]]
-    while still := (worse if len(kept) == len(ids) else judge.worse(kept)):
-        blamed = judge.blamed(kept, still)
-        kept.remove(blamed)
-        why_not[blamed] = _in_words(still[0])
+    confirmed = [id_ for id_ in ids if not why_not[id_]]
+    while remaining_axes := (worse if len(confirmed) == len(ids) else judge.worse(confirmed)):
+        blamed = judge.blamed(confirmed, remaining_axes)
+        confirmed.remove(blamed)
+        why_not[blamed] = _in_words(remaining_axes[0])
     causes = {id_: CauseReplication(forward.get(id_), reverse.get(id_), why_not[id_]) for id_ in ids}
     return _replication(judge, causes, worse)
 
@@ -160,8 +160,8 @@ def _in_words(worse: WorseAxis) -> str:
 def _replication(
     judge: _Judge, causes: Mapping[str, CauseReplication], worse: tuple[WorseAxis, ...]
 ) -> Replication:
-    kept = [id_ for id_, cause in causes.items() if cause.confirmed]
-    return Replication(causes, judge.hypothesis(kept), *judge.evaluated(kept), worse)
+    confirmed = [id_ for id_, cause in causes.items() if cause.confirmed]
+    return Replication(causes, judge.hypothesis(confirmed), *judge.evaluated(confirmed), worse)
 
 
 class _Judge:
@@ -250,9 +250,9 @@ class _Judge:
             return ids[0]
 
         def left(without: str) -> float:
-            rest = [id_ for id_ in ids if id_ != without]
+            others = [id_ for id_ in ids if id_ != without]
             return sum(
-                math.log(self.reductions(rest, entry.fitted != self._labels()[0])[entry.axis].ratio)
+                math.log(self.reductions(others, entry.fitted != self._labels()[0])[entry.axis].ratio)
                 for entry in worse
             )
 
@@ -281,8 +281,8 @@ class _Judge:
         key = self._with_events(ids)
         if key not in self._hypotheses:
             extended = self.assessment.extended
-            kept = [candidate for candidate in extended.candidates if candidate.id in key]
-            self._hypotheses[key] = self.comparison.refit(kept, None, extended)
+            candidates = [candidate for candidate in extended.candidates if candidate.id in key]
+            self._hypotheses[key] = self.comparison.refit(candidates, None, extended)
         return self._hypotheses[key]
 
     def evaluated(self, ids: Sequence[str]) -> tuple[Prediction, HeldOutEvaluation]:
@@ -302,11 +302,11 @@ class _Judge:
 
     def _fitted(self, side: Direction, ids: Sequence[str]) -> Hypothesis:
         """The model with some causes on the fitted flights of a direction, without splines."""
-        some = self._with_events(ids)
-        kept = tuple(candidate for candidate in side.whole.candidates if candidate.id in some)
-        if len(kept) == len(side.whole.candidates):
+        with_events = self._with_events(ids)
+        candidates = tuple(candidate for candidate in side.whole.candidates if candidate.id in with_events)
+        if len(candidates) == len(side.whole.candidates):
             return side.whole
-        return side.comparison.refit_from(kept, side.whole.values, side.whole.estimate.disturbances)
+        return side.comparison.refit_from(candidates, side.whole.values, side.whole.estimate.disturbances)
 
     def _runs(self, side: Direction, hypothesis: Hypothesis) -> Sequence[FreeRun]:
         return estimated_free_runs(

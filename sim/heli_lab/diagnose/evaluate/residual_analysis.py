@@ -262,8 +262,8 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
     for (what, size), std, *each in zip(names, priors, *parts, strict=True):
         information, score = (np.sum(values, axis=0) for values in zip(*each, strict=True))
         gain, _, _ = score_of(information, score, std)
-        more = thresholds.NEAR_REST_NATS if what.endswith("near rest") or _on_own_rate(what) else 0.0
-        result.append(Dependence(what, gain, penalty(size) + more))
+        at_rest_nats = thresholds.NEAR_REST_NATS if what.endswith("near rest") or _on_own_rate(what) else 0.0
+        result.append(Dependence(what, gain, penalty(size) + at_rest_nats))
     return sorted(result, key=lambda dependence: -dependence.log_likelihood_gain)
 
 
@@ -332,13 +332,13 @@ def _functions(linearised_flights: Sequence[LinearisedFlight]) -> dict[str, list
     for name in _PRODUCTS:
         together = np.concatenate([values[name] for values in quantities])
         centre[name], scale[name] = together.mean(), together.std() + 1e-12
-    every = [{n: (values[n] - centre[n]) / scale[n] for n in _PRODUCTS} for values in quantities]
-    functions = {name: [at[name][:, None] for at in every] for name in _PRODUCTS}
+    standardised = [{n: (values[n] - centre[n]) / scale[n] for n in _PRODUCTS} for values in quantities]
+    functions = {name: [at[name][:, None] for at in standardised] for name in _PRODUCTS}
     for first, other in itertools.combinations(_PRODUCTS, 2):
-        functions[f"{first} times {other}"] = [(at[first] * at[other])[:, None] for at in every]
+        functions[f"{first} times {other}"] = [(at[first] * at[other])[:, None] for at in standardised]
     step_s = linearised_flights[0].trajectory.step_s
     for name in _THRUSTS:
-        functions[f"past {name}"] = [_past(at[name], step_s) for at in every]
+        functions[f"past {name}"] = [_past(at[name], step_s) for at in standardised]
     for name in _RATES:
         rates = [values[name] / scale[name] for values in quantities]
         functions[f"{name} near rest"] = [

@@ -94,13 +94,13 @@ class BackwardElimination:
     def _needed(self, final: Hypothesis) -> tuple[Hypothesis, dict[str, Hypothesis]]:
         """The model with the causes alone that are needed, and by each of their ids the model without it."""
         while True:
-            every = final.candidates
+            candidates = final.candidates
             without: dict[str, Hypothesis] = {}
             less = final
-            for number, candidate in enumerate(every):
-                self.progress.check(candidate.id, number, len(every))
-                rest = [other for other in every if other is not candidate]
-                less = self.comparison.refit(rest, None, final) if rest else self.baseline
+            for number, candidate in enumerate(candidates):
+                self.progress.check(candidate.id, number, len(candidates))
+                others = [other for other in candidates if other is not candidate]
+                less = self.comparison.refit(others, None, final) if others else self.baseline
                 gain = final.log_likelihood - less.log_likelihood
                 refit = Refit(final, gain, self.acceptance.penalty(candidate), 0.0)
                 if refit.margin <= thresholds.MIN_MARGIN or not self.acceptance.is_significant(
@@ -108,7 +108,7 @@ class BackwardElimination:
                 ):
                     break
                 without[candidate.id] = less
-            if len(without) == len(every):
+            if len(without) == len(candidates):
                 return final, without
             final = less
 
@@ -116,8 +116,8 @@ class BackwardElimination:
         """Log-likelihood ratio of each cause on the held-out flights, nats, by id."""
         if not self.comparison.held_out or not without:
             return {}
-        every = parallel_map(self.comparison.held_out_estimate, [final, *without.values()])
-        whole, *less = (estimate.log_likelihood for estimate in every)
+        estimates = parallel_map(self.comparison.held_out_estimate, [final, *without.values()])
+        whole, *less = (estimate.log_likelihood for estimate in estimates)
         return {id_: whole - log_likelihood for id_, log_likelihood in zip(without, less, strict=True)}
 
     def _alternatives(
@@ -129,15 +129,15 @@ class BackwardElimination:
         round_ = next((round_ for round_ in self.rounds if round_.accepted_id == candidate.id), None)
         if round_ is None:
             return ()
-        rest = [other for other in final.candidates if other is not candidate]
-        likely = self._likely_alternatives(final, rest, round_)
+        others = [other for other in final.candidates if other is not candidate]
+        likely = self._likely_alternatives(final, others, round_)
         ratios: dict[str, float] = {}
         for refit in likely:
-            if len(ratios) >= thresholds.ALTERNATIVES or (rest and not self.progress.refits_left()):
+            if len(ratios) >= thresholds.ALTERNATIVES or (others and not self.progress.refits_left()):
                 break
             other = refit.hypothesis
-            if rest:
-                other = self.comparison.refit([*rest, refit.candidate], refit.hypothesis.values, less)
+            if others:
+                other = self.comparison.refit([*others, refit.candidate], refit.hypothesis.values, less)
             if not self.comparison.in_flight(other):
                 continue
             ratio = final.log_likelihood - other.log_likelihood

@@ -78,17 +78,17 @@ class EstimateCache:
                 f"{path} is from a search with other flights, another rig, model or program version",
                 "give another name to --resume, or the same flights, rig, model and effects",
             )
-        whole = 0
+        complete_lines = 0
         for line in lines:
             try:
                 entry = json.loads(line)
                 self._known[entry["key"]] = entry
             except (ValueError, KeyError):
                 break
-            whole += 1
+            complete_lines += 1
         # An interrupted search may have written a part of its last line.
-        if whole < len(lines):
-            path.write_text("\n".join([first, *lines[:whole]]) + "\n", encoding="utf-8")
+        if complete_lines < len(lines):
+            path.write_text("\n".join([first, *lines[:complete_lines]]) + "\n", encoding="utf-8")
 
     def estimate(
         self,
@@ -123,7 +123,7 @@ class EstimateCache:
                 functions,
             )
         estimate = work_out()
-        self._known[key] = kept = {
+        self._known[key] = entry = {
             "key": key,
             "theta": estimate.theta.tolist(),
             "covariance": estimate.covariance.tolist(),
@@ -133,7 +133,7 @@ class EstimateCache:
         }
         if self._path is not None:
             with self._writing, self._path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(kept) + "\n")
+                file.write(json.dumps(entry) + "\n")
         return estimate
 
 

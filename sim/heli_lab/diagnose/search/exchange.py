@@ -27,11 +27,11 @@ def exchange(
         for kind in kinds.values():
             if candidate.id not in kind.contains or kind.id in final.ids or not progress.refits_left():
                 continue
-            rest = [other for other in final.candidates if other is not candidate]
-            if not may_join(kind.id, [other.id for other in rest], kinds):
+            others = [other for other in final.candidates if other is not candidate]
+            if not may_join(kind.id, [other.id for other in others], kinds):
                 continue
             wider = Candidate(kind.id, kind.make(kind.from_contained(final.values)), (), {})
-            refit = comparison.refit([*rest, wider], wider.start_values(np.zeros(0)), final)
+            refit = comparison.refit([*others, wider], wider.start_values(np.zeros(0)), final)
             gain = refit.log_likelihood - final.log_likelihood
             margin = gain - acceptance.penalty(wider) + acceptance.penalty(candidate)
             if margin > thresholds.MIN_MARGIN and all(

@@ -20,8 +20,8 @@ def split(record: Record, seconds: float) -> tuple[Record, Record]:
         remaining -= cut - start
         first += [(start, cut)] if cut > start else []
         rest += [(cut, stop)] if stop > cut else []
-    least = round(MIN_SEGMENT_S / record.step_s)
-    rest = [(start, stop) for start, stop in rest if stop - start >= least] or rest
+    min_rows = round(MIN_SEGMENT_S / record.step_s)
+    rest = [(start, stop) for start, stop in rest if stop - start >= min_rows] or rest
     return replace(record, segments=tuple(first)), replace(record, segments=tuple(rest))
 
 

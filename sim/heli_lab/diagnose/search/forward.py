@@ -108,8 +108,8 @@ class ForwardSelection:
                 refits.append(self._refit_without(base, term))
         best = self._best(refits)
         if splines:
-            more, best = self._try_spline(base, splines[0], best, screened, likely, refits)
-            refits += more
+            additional, best = self._try_spline(base, splines[0], best, screened, likely, refits)
+            refits += additional
         return sorted(refits, key=lambda refit: -refit.margin), best
 
     def _try_spline(
@@ -164,12 +164,12 @@ class ForwardSelection:
         # A high score that no refit confirms, such as that of an encoder at rest, must not end the round.
         while remaining and self._best(refits) is None:
             share = thresholds.SHORTLIST_SHARE * remaining[0].log_likelihood_gain
-            some = [scored for scored in remaining if scored.log_likelihood_gain >= share][
+            likely_effects = [scored for scored in remaining if scored.log_likelihood_gain >= share][
                 : thresholds.SHORTLIST
             ]
-            refits += [self._refit(base, scored) for scored in some if self.progress.refits_left()]
-            likely += some
-            remaining = remaining[len(some) :]
+            refits += [self._refit(base, scored) for scored in likely_effects if self.progress.refits_left()]
+            likely += likely_effects
+            remaining = remaining[len(likely_effects) :]
         if self._best(refits) is None:
             dry = resting_friction(base, screening, self.kinds, {scored.candidate.id for scored in likely})
             refits += [self._refit(base, scored) for scored in dry if self.progress.refits_left()]
@@ -277,9 +277,9 @@ def _grid_neighbours(scored: Scored, kinds: Mapping[str, EffectSpec]) -> list[li
                 candidate.linear_parameters,
                 {**candidate.grid, name: value},
             )
-            for value in some
+            for value in direction
         ]
-        for some in ((values[nearest],), values[nearest + 1 :], values[:nearest][::-1])
+        for direction in ((values[nearest],), values[nearest + 1 :], values[:nearest][::-1])
     ]
 
 

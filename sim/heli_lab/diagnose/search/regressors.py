@@ -264,6 +264,6 @@ def spline_candidates(linearised_flights: Sequence[LinearisedFlight], number: in
         low, step = knot_span(np.concatenate(together[on]))
         if step * (KNOTS - 1) < _MIN_SPAN:
             continue
-        made = spline_term(channel, on, low, step, number)
-        candidates.append(Candidate(f"spline:{channel}:{on}", made, tuple(made.priors)))
+        effect = spline_term(channel, on, low, step, number)
+        candidates.append(Candidate(f"spline:{channel}:{on}", effect, tuple(effect.priors)))
     return candidates

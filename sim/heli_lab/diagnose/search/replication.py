@@ -55,17 +55,17 @@ def direction(
     """
     candidates = with_fixed_moments(final)
     baseline = comparison.filtering_baseline
-    whole = _fitted(comparison, candidates, final.estimate, near)
-    likelihood = comparison.held_out_estimate(whole, judged_near).log_likelihood
+    with_all = _fitted(comparison, candidates, final.estimate, near)
+    likelihood = comparison.held_out_estimate(with_all, judged_near).log_likelihood
 
     def ratio(candidate: Candidate) -> float:
         rest = tuple(other for other in candidates if other is not candidate)
-        less = _fitted(comparison, rest, whole.estimate, whole.estimate) if rest else baseline
+        less = _fitted(comparison, rest, with_all.estimate, with_all.estimate) if rest else baseline
         return likelihood - comparison.held_out_estimate(less, judged_near).log_likelihood
 
     ratios = parallel_map(ratio, candidates)
     ids = (candidate.id for candidate in candidates)
-    return Direction(comparison, baseline, whole, dict(zip(ids, ratios, strict=True)))
+    return Direction(comparison, baseline, with_all, dict(zip(ids, ratios, strict=True)))
 
 
 def _fitted(
