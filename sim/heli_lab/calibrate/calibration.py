@@ -160,6 +160,7 @@ def set_parameters(heli: Heli, operator: Operator, values: Mapping[str, float]) 
 
 
 def _check_idle(heli: Heli) -> None:
+    """Check that the board is idle and has no fault. Otherwise raise a CalibrationError."""
     if heli.state is State.FAULT:
         raise CalibrationError(
             f"the board has a fault: {fault_text(heli.fault)}", "add --clear-fault when its cause is gone"
@@ -169,6 +170,7 @@ def _check_idle(heli: Heli) -> None:
 
 
 def _check_counts(heli: Heli, rig: Rig) -> None:
+    """Check that board and rig file have the same counts per turn, which are not measured."""
     for axis, counts in zip(AXES, counts_per_turn(rig), strict=True):
         board = abs(heli.params[f"{axis}_counts_per_rev"])
         if board != counts:
@@ -179,6 +181,7 @@ def _check_counts(heli: Heli, rig: Rig) -> None:
 
 
 def _check_voltages(heli: Heli, limits: PulseLimits) -> None:
+    """Check that the range of the pulses is possible with this board."""
     most_V = min(HARD_MAX_V, heli.params["motor_max_V"])
     if not 0.0 < limits.start_V < limits.max_V <= most_V:
         raise CalibrationError(
@@ -188,6 +191,7 @@ def _check_voltages(heli: Heli, limits: PulseLimits) -> None:
 
 
 def _encoder_values(heli: Heli, encoders: EncoderResult) -> dict[str, float]:
+    """Parameters of the board that the encoders' calibration gives: signed counts per turn, and the rest."""
     spec = heli.params.spec("elevation_rest_deg")
     rest_deg = round(encoders.rest_deg, 2)
     if not spec.min <= rest_deg <= spec.max:
@@ -203,6 +207,7 @@ def _encoder_values(heli: Heli, encoders: EncoderResult) -> dict[str, float]:
 
 
 def _tie(heli: Heli, operator: Operator) -> None:
+    """Let the operator tie the arm above its table, and check that it is high enough."""
     rest_deg = heli.params["elevation_rest_deg"]
     for _ in range(_TRIES):
         operator.act(HandAction.TIE)
@@ -224,6 +229,9 @@ def _calibration(
     rig: Rig,
     name: str,
 ) -> BenchCalibration:
+    """Combine the results of encoders and motors into a calibrated rig, called `name`, and parameters of the
+    board.
+    """
     signs, notes = _motor_signs(motors)
     numbers = dict(rig)
     dead_zone, thrust_notes = _put_thrust(numbers, motors, rig)

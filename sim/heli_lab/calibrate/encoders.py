@@ -89,6 +89,9 @@ def sample_angles_deg(sample: Sample) -> Floats:
 
 
 def _movement(heli: Heli, operator: Operator, axis: str, action: HandAction) -> float:
+    """Let the operator move one `axis`, and return by how much its encoder counted [deg]; repeat if another
+    encoder counted.
+    """
     reason = remedy = ""
     for attempt in range(_TRIES):
         if attempt:
@@ -114,6 +117,7 @@ def _movement(heli: Heli, operator: Operator, axis: str, action: HandAction) -> 
 
 
 def _check_return(heli: Heli, start_deg: Floats, axis: str) -> None:
+    """Check that the elevation reads the same at rest as at the start, `start_deg`, shape (3,)."""
     error_deg = angles_deg(heli) - start_deg
     # Nothing stops pitch and travel at a place: only the elevation has a table.
     if abs(error_deg[0]) > RETURNED_deg:

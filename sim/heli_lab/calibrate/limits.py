@@ -36,6 +36,7 @@ def temporary_parameters(
 
 
 def _off_and_back(heli: Heli, before: Mapping[str, float]) -> None:
+    """Switch the motors off, and give the board the parameters that it had `before`."""
     if heli.motors_may_run:
         heli.stop()
     if heli.state is State.FAULT:

@@ -207,6 +207,7 @@ class _Pulser:
         return min(STEP_V, (_SHARE * self._limits.max_angle_deg - peak_deg) / slope)
 
     def _see(self, volts_V: float) -> str:
+        """Ask the operator which rotor turned in a pulse of `volts_V` that moved pitch."""
         rotor = self._operator.choose(
             f"{self._output} output, {volts_V:g} V: which rotor turned?", ("front", "back", "neither")
         )
@@ -241,6 +242,7 @@ class _Pulser:
         return _cut(samples, self._output, volts_V)
 
     def _arm(self) -> None:
+        """Arm the board; repeat if a drift passed for a motion."""
         for attempt in range(_ARM_TRIES):
             try:
                 # Heli.arm compares a simulated board with its rig, which wrong wires contradict on purpose.
@@ -254,6 +256,9 @@ class _Pulser:
                 return
 
     def _driven(self, volts_V: float) -> Samples:
+        """Give one pulse, and return the samples from before it until pitch has responded. A FlightAborted
+        ends a pulse that moves too far, loses the board, or that the operator stops.
+        """
         heli = self._heli
         before_deg = angles_deg(heli)
         heli.control(Axes(0))
@@ -281,6 +286,7 @@ class _Pulser:
         return heli.samples(BEFORE_s + PULSE_s + AFTER_s + 1.0)
 
     def _steady(self) -> None:
+        """Wait until pitch is at rest near level; otherwise ask the operator to hold it still."""
         for _ in range(_TRIES):
             end_s = self._heli.latest.t_s + _QUIET_WITHIN_s
             while self._heli.latest.t_s < end_s:
@@ -298,6 +304,7 @@ class _Pulser:
 
 
 def _cut(samples: Samples, output: str, volts_V: float) -> Pulse:
+    """Cut the pitch angles of one pulse out of the samples, on an even grid about its beginning."""
     driven = np.flatnonzero(getattr(samples, f"{output}_V"))
     if not len(driven):
         raise CalibrationError(

@@ -80,6 +80,7 @@ class SimulatedOperator:
                 self._turned = rotor
 
     def _turn(self, target_rad: tuple[float, float, float]) -> None:
+        """Turn the simulated arm by hand to the angles `target_rad`, and wait until it is there."""
         self._world.native.hand_rad = target_rad
         end_s = self._heli.latest.t_s + _TIMEOUT_s
         while self._heli.latest.t_s < end_s:

@@ -61,6 +61,9 @@ class TerminalOperator:
         return bool(ready)
 
     def _line(self, *, may_stop: bool = True) -> str:
+        """Read one answer of the operator, in lower case. A FlightAborted ends the calibration if the
+        answers end, or at the word for a stop if it `may_stop`.
+        """
         line = self._answers.readline()
         answer = line.strip().lower()
         if not line:

@@ -23,8 +23,6 @@ class Job:
 
     Parameters
     ----------
-    case : Case
-        The case.
     key : str
         Key under which the result is stored.
     code : str

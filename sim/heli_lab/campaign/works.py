@@ -30,7 +30,7 @@ from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
 
 from heli_lab.campaign.case import Cell
-from heli_lab.campaign.draw import DrawnRig, draw_rig
+from heli_lab.campaign.draw import RigDraw, draw_rig
 
 Settings = Mapping[str, Any]
 Result = tuple[dict[str, Cell], Any]
@@ -188,7 +188,7 @@ def drawn_row(settings: Settings) -> dict[str, Cell]:
     return drawn.row
 
 
-def _draw(settings: Settings) -> tuple[Rig, DrawnRig]:
+def _draw(settings: Settings) -> tuple[Rig, RigDraw]:
     """The rig of the file, and the rig with drawn parameters."""
     nominal = load_rig(settings["rig"])
     return nominal, draw_rig(nominal, settings["effects"], settings["draw"], settings["seed"])
@@ -202,7 +202,7 @@ class _SimulatedFlight:
     ----------
     nominal : Rig
         The rig of the file.
-    drawn : DrawnRig
+    drawn : RigDraw
         The rig that flew, and its effects.
     flight : Flight
         The log.
@@ -211,7 +211,7 @@ class _SimulatedFlight:
     """
 
     nominal: Rig
-    drawn: DrawnRig
+    drawn: RigDraw
     flight: Flight
     summary: FlightSummary
 

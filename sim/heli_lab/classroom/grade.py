@@ -241,6 +241,9 @@ def grade(
 
 
 def _margins(program: LawProgram | None, plant: LinearPlant | None) -> tuple[float, float]:
+    """Smallest gain margin and phase margin [deg] of a law on a linear plant; nan without either or if the
+    loop is unstable.
+    """
     if program is None or plant is None:
         return math.nan, math.nan
     with warnings.catch_warnings(), np.errstate(all="ignore"):

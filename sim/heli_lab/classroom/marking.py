@@ -95,6 +95,9 @@ class Marking:
         return Answer(folder, mark, submission)
 
     def _mark(self, submission: Submission, files: Path) -> Mark:
+        """Fly a submission from every seed, and mark it against the reference flights; log and figure of the
+        first seed are written into the folder `files`.
+        """
         plan = submission.plan or self.plan
         scores = [
             self._score(submission, plan, seed, files if seed == self.seeds[0] else None)
@@ -109,6 +112,9 @@ class Marking:
         return self._references[key]
 
     def _score(self, submission: Submission, plan: Plan, seed: int, files: Path | None) -> FlightScore:
+        """Fly a submission from one seed, and score the flight; without a folder `files`, its log is
+        temporary.
+        """
         with tempfile.TemporaryDirectory() as temporary:
             options = replace(
                 self.options,

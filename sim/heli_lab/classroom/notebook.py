@@ -242,6 +242,7 @@ def write_editions(sources: Sequence[Path], output: Path) -> list[Path]:
 
 
 def _tags(head: str, name: str) -> tuple[str, ...]:
+    """Tags in the `head` of a cell of the notebook `name`."""
     listed = _TAG_LIST.search(head)
     if listed is None:
         return ()
@@ -284,6 +285,7 @@ def _stub(cell: NotebookCell) -> str:
 
 
 def _grading(cell: NotebookCell, place: int, points: int, has_points: bool) -> dict[str, Any]:
+    """Metadata of a cell for nbgrader: what students may edit, and the points of its task."""
     is_solution = "solution" in cell.tags
     # A text that students write is always graded.
     has_grade = has_points or not is_solution or not cell.is_code

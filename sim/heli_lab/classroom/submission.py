@@ -151,6 +151,7 @@ def _law_among(scripts: list[Path]) -> Path | None:
 
 
 def _short(plan: Plan) -> Plan:
+    """Return a plan that is short enough to be flown; otherwise raise a PlanError."""
     if plan.duration_s > LONGEST_PLAN_s:
         raise PlanError(
             f"{plan.source} lasts {plan.duration_s:.0f} s", f"shorten it to at most {LONGEST_PLAN_s:.0f} s"

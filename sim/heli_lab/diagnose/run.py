@@ -246,6 +246,7 @@ def _prepared(
 
 
 def _refuse_duplicates(train: Sequence[Record], held_out: Sequence[Record]) -> None:
+    """Raise an IdentifyError if a flight is both fitted and held out."""
     for record in train:
         for other in held_out:
             if np.array_equal(record.angles_rad, other.angles_rad):

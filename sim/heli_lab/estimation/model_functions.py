@@ -34,10 +34,10 @@ class ModelFunctions:
     places : list of int
         Indices of the free parameters among them.
     along : AlongTrajectory
-        Function of n points of a trajectory, with six results: the rates and their negative derivatives by
-        the free parameters, (n, states, 1 + f); the derivatives of the rates by the state, (n, states,
-        states), by the disturbances, (n, states, m + g), and by the inputs, (n, states, inputs); the outputs
-        and their derivatives by the free parameters, (n, m, 1 + f); those by the state, (n, m, states).
+        Function of n points of a trajectory, with six results. The first four are the rates with their
+        negative derivatives by the free parameters, (n, states, 1 + f), and the derivatives of the rates by
+        state, disturbances and inputs, (n, states, k) each. The last two are the outputs with their
+        derivatives by the free parameters, (n, m, 1 + f), and those by the state, (n, m, states).
     extra_states : int
         Number of states beyond positions and rates.
     """

@@ -118,7 +118,7 @@ class ReferenceTrajectory:
         )
 
     def refiltered(self, predicted: Floats, filtered: Floats) -> ReferenceTrajectory:
-        """Return the same flight with the states of a better filter, shape (n, 2 m) each."""
+        """Return the flight with the states `predicted` and `filtered` of a better filter, shape (n, 2 m)."""
         return replace(
             self,
             predicted=_without_rates(predicted, self.at_rest),

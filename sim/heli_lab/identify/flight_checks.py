@@ -13,8 +13,17 @@ from heli_lab.identify import thresholds
 
 
 def even_step_s(flight: Flight, label: str) -> float:
-    """Time from row to row [s]: the mean, because times are often printed in whole milliseconds. An
-    IdentifyError reports times that deviate from even steps.
+    """Time from row to row [s]: the mean, because times are often printed in whole milliseconds.
+
+    Parameters
+    ----------
+    label : str
+        Name of the flight in messages.
+
+    Raises
+    ------
+    IdentifyError
+        When the times deviate from even steps.
     """
     steps_s = np.diff(flight.t_s)
     steps_s = np.delete(steps_s, flight.gaps)
@@ -31,7 +40,22 @@ def even_step_s(flight: Flight, label: str) -> float:
 
 
 def refuse_constant_columns(flight: Flight, label: str, count_rad: Floats) -> None:
-    """Refuse a flight in which no axis moves, or in which a voltage is constant."""
+    """Refuse a flight in which no axis moves, or in which a voltage is constant.
+
+    Parameters
+    ----------
+    label : str
+        Name of the flight in messages.
+    count_rad : ndarray (3,)
+        Angle of one count of each encoder [rad].
+
+    Raises
+    ------
+    NotExcited
+        When no axis moves by some counts.
+    IdentifyError
+        When a voltage is constant.
+    """
     rows = len(flight)
     moved = np.ptp(flight.angles_rad, axis=0) / count_rad
     if np.all(moved < thresholds.MIN_MOTION_COUNTS):
@@ -56,7 +80,18 @@ def refuse_constant_columns(flight: Flight, label: str, count_rad: Floats) -> No
 
 
 def refuse_duty_cycles(flight: Flight, label: str, rig: Rig) -> None:
-    """Refuse voltages that never leave the dead zone: they are probably duty cycles."""
+    """Refuse voltages that never leave the dead zone: they are probably duty cycles.
+
+    Parameters
+    ----------
+    label : str
+        Name of the flight in messages.
+
+    Raises
+    ------
+    IdentifyError
+        When both voltages stay within the dead zone of the `rig`.
+    """
     dead_zone = rig["dead_zone"]
     min_V = dead_zone.value - dead_zone.tolerance
     highest = max(("front_V", "back_V"), key=lambda name: float(np.max(np.abs(getattr(flight, name)))))
@@ -71,7 +106,20 @@ def refuse_duty_cycles(flight: Flight, label: str, rig: Rig) -> None:
 
 
 def refuse_jumps(flight: Flight, label: str, segments: tuple[tuple[int, int], ...]) -> None:
-    """Refuse angles that jump within a segment (first row, last row plus one), as if not unwrapped."""
+    """Refuse angles that jump, as those do that were not unwrapped.
+
+    Parameters
+    ----------
+    label : str
+        Name of the flight in messages.
+    segments : tuple of (int, int)
+        First row and last row plus one of each part that is checked.
+
+    Raises
+    ------
+    IdentifyError
+        When an angle jumps within a segment.
+    """
     for index, axis in enumerate(AXES):
         for start, stop in segments:
             moves = np.abs(np.diff(flight.angles_rad[start:stop, index]))

@@ -128,6 +128,7 @@ def flight_constants(model: Model, rig: Rig, about: Mapping[str, float] | None =
 
 
 def _unknown(model: Model, name: str) -> IdentifyError:
+    """The error for an unknown parameter `name` of a model, with a similar name as a hint."""
     known = [quantity.name for quantity in model.parameters]
     close = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean {close[0]}? " if close else ""

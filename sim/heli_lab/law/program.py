@@ -196,6 +196,7 @@ class Program:
         )
 
     def _power(self, a: int, b: int) -> int:
+        """Compose a power of the value `a` from products; the exponent `b` must be a whole number or 1/2."""
         known = self.number(b)
         number = math.nan if known is None else known
         if number == 0.5:
@@ -248,6 +249,7 @@ def _difference(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int
 
 
 def _product(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+    """A simpler value than a product with 1, -1 or 0; None if there is none."""
     for number, other in zip(numbers, reversed(operands), strict=True):
         if number == 1.0:
             return other

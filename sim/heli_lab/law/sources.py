@@ -68,6 +68,7 @@ def from_gain(
 
     @control_law(rate_Hz=rate_Hz, name=name, parameters={"hover_V": hover_V})
     def law(now: Any, state: Any, parameter: Any) -> Command:
+        """Call the CasADi function with the columns that it takes."""
         command_V = -ca.mtimes(ca.DM(gains), _errors(now))
         return Command(*motor_volts(parameter.hover_V + command_V[0], command_V[1], dead_zone_V))
 
@@ -114,6 +115,7 @@ def from_state_space(
         rate_Hz=rate_Hz, name=name, states=dict.fromkeys(names, 0.0), parameters={"hover_V": hover_V}
     )
     def law(now: Any, state: Any, parameter: Any) -> Command:
+        """One step of the state space: voltages, and new states."""
         x = ca.vertcat(*(getattr(state, key) for key in names)) if names else ca.SX(0, 1)
         errors = _errors(now)
         command_V = ca.mtimes(C, x) + ca.mtimes(D, errors)

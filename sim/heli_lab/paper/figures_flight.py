@@ -161,6 +161,7 @@ def _finish(panel: Axes, label: str) -> None:
 
 
 def _response(panel: Axes, flights: Sequence[PaperFlight], axis: int, *, desired: bool) -> None:
+    """Draw the response of an axis in several flights; `desired` also draws the desired angle."""
     if desired:
         first = flights[0]
         panel.plot(

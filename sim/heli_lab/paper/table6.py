@@ -197,6 +197,7 @@ def _step(A: Floats) -> tuple[float, float]:
 
 
 def _max_stable_lag_s(plant: _TiltPlant, law: _TiltGains) -> float:
+    """Longest rotor lag at which a law stabilises a plant [s]."""
     longest = 0.0
     for lag_s in _LAGS_s:
         if _dominant_pole(plant.closed(law, float(lag_s))).real >= 0.0:

@@ -183,6 +183,7 @@ def free_axes_normalised(fit: Fit, locked: tuple[bool, bool, bool]) -> float:
 
 
 def _printed_rows(number: int, plan: _FitPlan, fit: Fit, from_masses: Mapping[str, float]) -> list[TableRow]:
+    """Rows of the coefficients that the paper's table `number` prints."""
     rows = []
     for coefficient in PRINTED:
         if coefficient.table != number:
@@ -208,6 +209,7 @@ def _printed_rows(number: int, plan: _FitPlan, fit: Fit, from_masses: Mapping[st
 
 
 def _extra_rows(number: int, fit: Fit, from_masses: Mapping[str, float]) -> list[TableRow]:
+    """Rows of sums of coefficients, which the tests identify better than the single ones."""
     printed = {coefficient.name: coefficient for coefficient in PRINTED}
     if number == 4:
         first, other = printed["P_1"], printed["P_5"]

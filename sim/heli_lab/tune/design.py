@@ -189,6 +189,7 @@ def _design_elevation(
     )
 
     def error_deg(pid: Pid, closed: Floats) -> Floats:
+        """Error of the elevation along the take-off on every plant, shape (times, plants) [deg]."""
         input_matrices = np.zeros((len(plants), 6, 3))
         for index, plant in enumerate(plants):
             input_matrices[index, :3, 0] = plant.elevation_B
@@ -199,6 +200,7 @@ def _design_elevation(
         return discretise(closed, input_matrices).simulate(inputs)[:, :, 0] - path[:, :1]
 
     def cost(gains: Floats) -> float:
+        """Cost of the elevation loop's gains kp, ki and kd, shape (3,)."""
         pid = _pid(gains, _FILTERS_Hz[0])
         closed = np.array([loops.elevation_closed(plant, pid) for plant in plants])
         pole_1_s = slowest_pole_1_s(closed)
@@ -265,6 +267,7 @@ def _design_tilt(rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensit
         return _pid(gains[0:3], _FILTERS_Hz[1]), _pid(gains[3:6], _FILTERS_Hz[2]), float(gains[6])
 
     def cost(gains: Floats) -> float:
+        """Cost of the gains of pitch and travel and of the feed-forward, shape (7,)."""
         pitch, travel, acceleration_ff = pids(gains)
         closed = np.array([loops.tilt_closed(plant, pitch, travel, hold) for plant in plants])
         pole_1_s = slowest_pole_1_s(closed)

@@ -73,6 +73,7 @@ class Change:
 
 
 def _of_catalogue() -> tuple[Change, ...]:
+    """Changes that effects of the catalogue declare."""
     return tuple(
         Change(
             spec.id,

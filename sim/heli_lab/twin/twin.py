@@ -175,6 +175,7 @@ class Twin:
         return list(self._diagnose(self._began + self._blocks * self._block))
 
     def _update_step(self, step: Step) -> Iterator[TwinEvent]:
+        """Process one step of the flight: wait for free flight, begin the comparison, or continue it."""
         if step.after_gap:
             yield from self._wait(step.index, "samples are missing")
             self._inputs.restart()
@@ -214,6 +215,7 @@ class Twin:
         return LikelihoodRatio(self.model.changes, self._count_rad, draws=2)
 
     def _begin(self, index: int) -> KalmanFilter:
+        """Begin the comparison at step `index`, from the state that the latest measured steps show."""
         times_s, angles_rad, volts_V = self._inputs.kept()
         self.free = True
         self.contradicts = False
@@ -315,6 +317,7 @@ class Twin:
         )
 
     def _wait(self, index: int, why: str) -> Iterator[TwinEvent]:
+        """End the comparison at step `index` because of `why`, until the flight is free again."""
         if self._kalman is None:
             return
         yield from self._diagnose(index)
@@ -324,6 +327,7 @@ class Twin:
         yield TwinEvent("waits", index * self.step_s - self._zero_s, f"the comparison stops: {why}")
 
     def _diagnose(self, index: int) -> Iterator[TwinEvent]:
+        """Yield the final ranking of an alarm that has none yet."""
         if self._alarm_block is None or self._diagnosed:
             return
         t_s = index * self.step_s - self._zero_s

@@ -172,6 +172,7 @@ def _base(rig: str | None) -> Rig:
 
 
 def _new_rig_file(rig: str | None, save_rig: Path | None) -> Path:
+    """File of the calibrated rig, which must not exist yet."""
     from heli_host.cli.outputs import check_place
     from heli_sim.errors import RigError
 
@@ -205,6 +206,7 @@ def _address(rig: str | None, miswired: str) -> str:
 
 
 def _operator(heli: Heli, *, simulated: bool) -> Operator:
+    """The operator of the calibration: simulated, or a person at the terminal."""
     import sys
 
     from heli_sim.sil.inprocess import InProcessTransport
@@ -227,6 +229,7 @@ def _off(heli: Heli) -> None:
 
 
 def _write_files(result: BenchCalibration, base: Rig, new_rig: Path, save_params: Path | None) -> None:
+    """Write the calibrated rig, and the board's parameters if they are wanted."""
     from heli_host.parameter_file import parameters_text
     from heli_sim.rig import write_rig
 
@@ -237,6 +240,7 @@ def _write_files(result: BenchCalibration, base: Rig, new_rig: Path, save_params
 
 
 def _say_result(result: BenchCalibration, base: Rig, before: dict[str, float]) -> None:
+    """Print the result: motors, thrust and all changed numbers of rig and board."""
     from heli_lab.calibrate.thrust import ThrustLine
 
     say("+- is one standard error")
@@ -259,6 +263,7 @@ def _say_result(result: BenchCalibration, base: Rig, before: dict[str, float]) -
 
 
 def _changes(result: BenchCalibration, base: Rig, before: dict[str, float]) -> list[dict[str, Any]]:
+    """Rows of the measured numbers of rig and board, before and after."""
     from heli_host.parameters import spec_of
 
     from heli_lab.calibrate.calibration import SOURCE
@@ -281,6 +286,7 @@ def _changes(result: BenchCalibration, base: Rig, before: dict[str, float]) -> l
 
 
 def _content(result: BenchCalibration, base: Rig, before: dict[str, float]) -> dict[str, Any]:
+    """The result as JSON."""
     return {
         "encoders": asdict(result.encoders),
         "motors": [asdict(motor) for motor in result.motors],

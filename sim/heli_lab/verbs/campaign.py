@@ -91,6 +91,7 @@ def campaign(
     with WorkBar() as bar:
 
         def show(state: State) -> None:
+            """Show the progress, and print a failure or a problem with a worker."""
             nonlocal ended
             ended = state.ended
             if state.note:
@@ -140,6 +141,7 @@ def _cores() -> int:
 
 
 def _numbers(summary: Summary, cases: int) -> dict[str, Any]:
+    """The summary as JSON."""
     return {
         "cases": cases,
         "ended": summary.cases,
@@ -154,6 +156,7 @@ def _numbers(summary: Summary, cases: int) -> dict[str, Any]:
 
 
 def _print(summary: Summary, cases: int) -> None:
+    """Print the summary: counts, outcomes and medians."""
     say(f"{summary.cases} of {cases} cases have ended, {len(summary.failed)} of them without a result")
     if summary.outcomes:
         ends = ", ".join(f"{outcome} {count}" for outcome, count in summary.outcomes.items())

@@ -84,6 +84,7 @@ _Products = tuple[tuple[Factor, ...], ...]
 
 
 def _singles(spans: Mapping[str, tuple[float, float]]) -> Iterator[_Products]:
+    """Yield the products of one factor: all functions of all quantities, with and without lag."""
     for quantity in _TOGETHER:
         forms = ["linear", "square", "cube", "abs", "signed_square"]
         yield from (((_one(form, quantity),),) for form in forms)

@@ -53,6 +53,9 @@ def latex(equation: Equation, numbers: Mapping[str, float] | None = None) -> str
 
 
 def _sum(equation: Equation, channel: str, notation: str, texts: Mapping[str, str] | None) -> str:
+    """The terms of an equation on one `channel` as a sum, in a `notation`; `texts` are the texts of its
+    parameters, by default their names.
+    """
     texts = texts or {name: name for name in _names(equation)}
     times = {"sympy": "*", "latex": r"\,"}[notation]
     parts = []
@@ -173,6 +176,7 @@ def _sentence(equation: Equation) -> str:
 
 
 def _parameter(name: str, value: float, std: float, unit: str, prior: Prior | None, size: bool) -> str:
+    """Source text of a parameter in an effect file."""
     source = f"{value:.4g} ± {std:.2g} {unit}" if std else "set"
     known = ""
     if prior is not None:
@@ -189,6 +193,9 @@ def _parameter(name: str, value: float, std: float, unit: str, prior: Prior | No
 
 
 def _methods(equation: Equation) -> Iterator[str]:
+    """Yield the source text of the methods of an effect file, one per kind of channel, and the rates of its
+    lags.
+    """
     kinds = {channel.partition(".")[0] for channel in equation.channels}
     if "torque" in kinds:
         lines = [
@@ -224,6 +231,7 @@ def _methods(equation: Equation) -> Iterator[str]:
 
 
 def _method(name: str, argument: str, equation: Equation, kind: str, value: str) -> str:
+    """Source text of one method, which returns `value`: an expression of the terms on a `kind` of channel."""
     lines = []
     for i, term in enumerate(equation.terms):
         if term.channel.startswith(kind):
@@ -237,6 +245,7 @@ def _plus(equation: Equation, channel: str) -> str:
 
 
 def _python(equation: Equation, i: int, term: EquationTerm) -> str:
+    """Python expression of term number `i` of an equation."""
     parts = [f'self.own(at, "{equation.coefficient(i)}")']
     for j, factor in enumerate(term.term.factors):
         texts = {

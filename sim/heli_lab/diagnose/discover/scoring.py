@@ -99,6 +99,9 @@ class TermSignals:
         return value
 
     def _factor(self, index: int, factor: Factor, nodes: bool) -> Floats:
+        """Values of a factor along flight number `index`, at the `nodes` or in the middle of each step;
+        cached.
+        """
         key = index, factor, nodes
         if key not in self._factors:
             at = (self._nodes if nodes else self._middle)[index]
@@ -107,6 +110,9 @@ class TermSignals:
         return self._factors[key]
 
     def _remembered(self, index: int, x: Floats, factor: Factor) -> Floats:
+        """Values `x` of a quantity after the lag or washout of a `factor`, if it has one, at rest before
+        each window.
+        """
         if not factor.memory:
             return x
         # Takes most of a second to import, and few diagnoses search for an equation.

@@ -61,6 +61,7 @@ def extrapolations(fitted: Sequence[Record], runs: Sequence[FreeRun]) -> tuple[E
 def _extrapolation(
     run: FreeRun, ranges_V: dict[str, tuple[float, float]], low_V: Floats, high_V: Floats
 ) -> Extrapolation:
+    """Windows of a free run whose voltages are mostly outside of `low_V` to `high_V`, shape (2,) each."""
     (record,) = run.fit.problem.records
     windows = run.fit.problem.windows(0)
     spans_s = []

@@ -263,6 +263,7 @@ def _problem(
     priors: Mapping[str, Prior],
     threads: int | None,
 ) -> Problem:
+    """Estimation problem of one record whose only free parameters are those with `priors`."""
     return Problem(
         model,
         rig,

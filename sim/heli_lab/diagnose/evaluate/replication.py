@@ -314,6 +314,7 @@ class _Judge:
         )
 
     def _labels(self) -> tuple[str, str]:
+        """Names of the fitted and of the held-out flights, or of the two folds."""
         if not self.comparison.held_out:
             return "the first fold", "the second fold"
         train, held_out = (

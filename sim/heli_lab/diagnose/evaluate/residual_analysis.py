@@ -208,6 +208,9 @@ def _ratios(
 
 
 def _autocorrelation(screening: Screening) -> tuple[Floats, float]:
+    """Autocorrelation of the innovations, shape (lags, 3), and its bound of three standard errors for white
+    noise.
+    """
     innovations = screening.filtered.innovations(screening.estimate.disturbances)
     value = np.concatenate([flight[:, 0] for flight in innovations.flights]).reshape(-1, 3)
     variance = np.maximum((value**2).mean(axis=0), 1e-12)

@@ -176,6 +176,7 @@ def small_effects(
 
 
 def _named(cause: Cause, kinds: Mapping[str, EffectSpec], fit: Fit, unexplained: bool) -> NamedCause:
+    """A cause with its parameters, confidence, sentence and equation, for the verdict."""
     kind = kinds[cause.effect]
     parameters = cause_parameters(fit, kind, cause.candidate.effect.values)
     return NamedCause(

@@ -68,6 +68,7 @@ class EstimateCache:
         self._read(path, of)
 
     def _read(self, path: Path, of: str) -> None:
+        """Read the estimates that an interrupted search, of the fingerprint `of`, has written to `path`."""
         try:
             first, *lines = path.read_text(encoding="utf-8").splitlines()
             head = json.loads(first)["search_of"]

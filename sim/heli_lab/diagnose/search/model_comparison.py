@@ -238,6 +238,9 @@ class ModelComparison:
         start: Mapping[str, float],
         warm_start: Hypothesis | None,
     ) -> Estimate:
+        """Estimate of the model with `candidates` on the fitted flights, from `start` values and a
+        `warm_start`; cached.
+        """
         parameter_vector = self._vector(candidates)
         functions = model_functions(parameter_vector.model, parameter_vector.quantities)
         known = {**(warm_start.values if warm_start else {}), **start}

@@ -83,6 +83,7 @@ class _Moment:
         return self.comparison.held_out_estimate(other).log_likelihood, moment_s
 
     def _with(self, hypothesis: Hypothesis, moment_s: float) -> Hypothesis:
+        """The hypothesis with another moment of the event in this flight."""
         candidates: list[Candidate] = list(hypothesis.candidates)
         candidate = candidates[self.place]
         moments_s = {**candidate.effect.other_moments_s, self.record.label: moment_s}
