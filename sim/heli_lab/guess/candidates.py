@@ -22,9 +22,9 @@ def candidates(
 ) -> tuple[list[str], dict[str, str]]:
     """Columns of a table that may be an angle or a voltage, those that are known first.
 
-    Constants, rates and duplicates are left out. One of several duplicates stays: one in `encoders`, otherwise
-    one that is not the rate of an angle. Under state feedback, the sum of the voltages is proportional to the
-    rate of elevation.
+    Constants, rates and duplicates are left out. One of several duplicates stays: one in `encoders`,
+    otherwise one that is not the rate of an angle. Under state feedback, the sum of the voltages is
+    proportional to the rate of elevation.
 
     Parameters
     ----------

@@ -44,7 +44,8 @@ class Kicks:
 def kicks(
     filtered: InnovationsModel, disturbances: DisturbanceModel, error: _Error | None = None
 ) -> dict[str, Kicks]:
-    """Count the kicks about each axis; axes without any are left out.
+    """Count the kicks about each axis: torques at single instants that the disturbances do not explain. Axes
+    without kicks are left out.
 
     The most significant impulse is subtracted before the next one is sought, because it also raises the
     statistics of instants close to it.
@@ -54,7 +55,7 @@ def kicks(
     filtered : InnovationsModel
         The final model along the flights.
     disturbances : DisturbanceModel
-        Sizes and correlation times of the random torques; a kick is what they do not explain.
+        Sizes and correlation times of the random torques.
     error : list, optional
         As in `auxiliary_residuals`.
     """
@@ -64,13 +65,13 @@ def kicks(
         residuals = auxiliary_residuals(filtered, disturbances, error)
         heights = [_heights(residual) for residual in residuals]
         flight = int(np.argmax([height.max(initial=0.0) for height in heights]))
-        place, axis = np.unravel_index(int(heights[flight].argmax()), heights[flight].shape)
-        if heights[flight][place, axis] < KICK_STD_ERRORS:
+        instant, axis = np.unravel_index(int(heights[flight].argmax()), heights[flight].shape)
+        if heights[flight][instant, axis] < KICK_STD_ERRORS:
             break
-        torque_Nm = float(residuals[flight].impulse.size[place, axis])
+        torque_Nm = float(residuals[flight].impulse.size[instant, axis])
         step_s = filtered.linearised_flights[flight].reference.step_s
         sizes_Nms.setdefault(AXES[axis], []).append(abs(torque_Nm) * step_s)
-        error = with_impulse(filtered, error, flight, int(place), int(axis), torque_Nm)
+        error = with_impulse(filtered, error, flight, int(instant), int(axis), torque_Nm)
     return {axis: Kicks(len(sizes), max(sizes)) for axis, sizes in sizes_Nms.items()}
 
 

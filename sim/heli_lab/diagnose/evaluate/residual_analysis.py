@@ -236,7 +236,7 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
         All tests, the largest gain first.
     """
     linearised_flights = [
-        linear for each_screening in screenings for linear in each_screening.filtered.linearised_flights
+        linear for screening in screenings for linear in screening.filtered.linearised_flights
     ]
     candidates = [
         candidate
@@ -248,7 +248,8 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
         for candidate in candidates
     ]
     priors = [coefficient_std(candidate) for candidate in candidates]
-    parts = [each_screening.spline_information(candidates) for each_screening in screenings]
+    # For each set of flights, information and score of each test, in the order of `names`.
+    parts = [screening.spline_information(candidates) for screening in screenings]
     functions = _functions(linearised_flights)
     for what, curves in functions.items():
         for axis, name in enumerate(AXES):
@@ -262,8 +263,8 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
         part.extend(_function_information(screening, in_flights))
         first = last
     result = []
-    for (what, size), std, *each in zip(names, priors, *parts, strict=True):
-        information, score = (np.sum(values, axis=0) for values in zip(*each, strict=True))
+    for (what, size), std, *by_set in zip(names, priors, *parts, strict=True):
+        information, score = (np.sum(values, axis=0) for values in zip(*by_set, strict=True))
         gain, _, _ = score_of(information, score, std)
         at_rest_nats = thresholds.NEAR_REST_NATS if what.endswith("near rest") or _on_own_rate(what) else 0.0
         result.append(Dependence(what, gain, penalty(size) + at_rest_nats))

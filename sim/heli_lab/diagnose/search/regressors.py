@@ -155,6 +155,22 @@ class Regressors:
 class ExtendedModel:
     """A `model` with one more `effect`, and the change of rates and measured angles by its `linear`
     parameters, or by the whole effect if there are none.
+
+    Attributes
+    ----------
+    more : Model
+        The model with the effect.
+    places : list of int
+        Indices of the model's parameters among those of `more`.
+    own_places : dict of int
+        Indices of the effect's parameters among them, by full name.
+    state_count : int
+        Number of states of the effect.
+    change : AlongTrajectory
+        Function of a trajectory with two results: derivatives of rates and measured angles by each linear
+        parameter, or their changes by the whole effect.
+    own : EffectStates
+        Integrator of the effect's states, if it has any.
     """
 
     def __init__(self, model: Model, effect: Effect, linear: Sequence[str]) -> None:
@@ -213,8 +229,10 @@ class ExtendedModel:
 
         Returns
         -------
-        ndarray (n, states, g), ndarray (n, 3, g)
-            Changes of the rates, and of the measured angles.
+        rates : ndarray (n, states, g)
+            Changes of the rates, per unit of each of g linear parameters or by the whole effect.
+        angles : ndarray (n, 3, g)
+            Changes of the measured angles.
         """
         parameters = np.empty(len(self.more.parameters))
         parameters[self.places] = trajectory.parameters
