@@ -62,8 +62,8 @@ def fly_trial(program: LawProgram | None, options: FlightOptions, plan: Plan) ->
     before = QUIET.set(True)
     try:
         with tempfile.TemporaryDirectory() as folder:
-            kept = replace(options, log=Path(folder) / "trial.mcap")
-            flown, taken_over = flown_with(program, kept, plan)
+            trial_options = replace(options, log=Path(folder) / "trial.mcap")
+            flown, taken_over = flown_with(program, trial_options, plan)
             flown.end()
             return LawTrial.of_log(flown.log, taken_over)
     finally:

@@ -89,31 +89,31 @@ def workers_of(scheduler: str | None, processes: int) -> Iterator[Client]:
 def usable(
     client: Client, code: str, works: tuple[str, ...], modules: str = ""
 ) -> tuple[list[str], dict[str, str]]:
-    """Find the workers that have the campaign's code.
+    """Sort the workers of a cluster by whether their code is that of the campaign.
 
     Parameters
     ----------
     client : distributed.Client
         Connected to the cluster.
     code : str
-        Digest of the campaign's.
+        Digest of the campaign's code.
     works : tuple of str
-        Functions that it covers.
+        Functions that the digest covers.
     modules : str
         Folder of modules that are not installed.
 
     Returns
     -------
-    good : list of str
-        Addresses of the workers that have the same.
-    bad : dict of str
-        Why each other worker cannot be used, by address.
+    usable_workers : list of str
+        Addresses of the workers whose code has this digest.
+    unusable : dict of str
+        Why each of the other workers cannot be used, by address.
     """
     replies = client.run(code_difference, code, works, modules, on_error="return")
-    bad = {}
+    unusable = {}
     for address, reply in replies.items():
         if isinstance(reply, BaseException):
-            bad[address] = " ".join(f"{type(reply).__name__}: {reply}".split())
+            unusable[address] = " ".join(f"{type(reply).__name__}: {reply}".split())
         elif reply:
-            bad[address] = reply
-    return [address for address in replies if address not in bad], bad
+            unusable[address] = reply
+    return [address for address in replies if address not in unusable], unusable

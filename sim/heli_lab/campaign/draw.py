@@ -20,7 +20,7 @@ _FORMS: Final = ("share", "factor", "range")
 
 
 @dataclass(frozen=True)
-class DrawnRig:
+class RigDraw:
     """A rig and effects with parameters drawn at random from one seed.
 
     Parameters
@@ -45,7 +45,7 @@ class DrawnRig:
 
 def draw_rig(
     rig: Rig, effects: Sequence[str], draw: str | Mapping[str, Mapping[str, Any]], seed: int
-) -> DrawnRig:
+) -> RigDraw:
     """Draw parameters of a rig and sizes of effects at random.
 
     Parameters
@@ -73,7 +73,7 @@ def draw_rig(
         if draw != TOLERANCES:
             raise CampaignError(f'unknown draw = "{draw}"', f'write draw = "{TOLERANCES}", or a table')
         values = _draw_within_tolerances(rig, random)
-        return DrawnRig(rig.replace(**values), tuple(effects), values)
+        return RigDraw(rig.replace(**values), tuple(effects), values)
     values, sizes = {}, {}
     effects_with_sizes = list(effects)
     for pattern, distribution in draw.items():
@@ -92,7 +92,7 @@ def draw_rig(
         size = f"{_draw(0.0, distribution, random):.6g}"
         effects_with_sizes[effects_with_sizes.index(pattern)] = f"{pattern}={size}"
         sizes[pattern] = float(size)
-    return DrawnRig(rig.replace(**values), tuple(effects_with_sizes), {**values, **sizes})
+    return RigDraw(rig.replace(**values), tuple(effects_with_sizes), {**values, **sizes})
 
 
 def _draw_within_tolerances(rig: Rig, random: np.random.Generator) -> dict[str, float]:

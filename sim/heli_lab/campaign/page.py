@@ -28,7 +28,9 @@ def write_summary(campaign: Campaign, summary: Summary, folder: Path) -> Path:
     drawn = [column for column in summary.columns if len(np.unique(column.values)) > 1][:_MAX_DRAWN]
     picture = ""
     if drawn:
-        picture = str(Drawing().add(figure_of_drawn(drawn, campaign.worst), folder / "distributions.png"))
+        picture = str(
+            Drawing().add(figure_of_distributions(drawn, campaign.worst), folder / "distributions.png")
+        )
     return write_page(
         folder,
         _TEMPLATE,
@@ -46,7 +48,7 @@ def write_summary(campaign: Campaign, summary: Summary, folder: Path) -> Path:
     )
 
 
-def figure_of_drawn(columns: Sequence[Column], worst: str) -> Figure:
+def figure_of_distributions(columns: Sequence[Column], worst: str) -> Figure:
     """Draw histograms of some `columns`. The column that ranks the `worst` cases has another colour."""
     rows = math.ceil(len(columns) / _IN_A_ROW)
     figure = Figure(figsize=(3.3 * _IN_A_ROW, 2.4 * rows), layout="constrained")

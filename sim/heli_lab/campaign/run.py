@@ -224,6 +224,7 @@ def _run_on_workers(
     from distributed import as_completed
 
     def submit(job: Job) -> Future[Any]:
+        """Submit a job to the workers that are not unusable."""
         workers = None
         if unusable:
             # If none remains, an unusable worker reports its code; a job without a worker would wait forever.

@@ -22,7 +22,7 @@ from heli_sim.plant import Plant
 from heli_sim.rig import Rig, load_rig
 
 from heli_lab.campaign.case import Cell
-from heli_lab.campaign.draw import DrawnRig, draw_rig
+from heli_lab.campaign.draw import RigDraw, draw_rig
 from heli_lab.simulated_board import connected, fly_and_read, world_of
 
 Settings = Mapping[str, Any]
@@ -181,7 +181,7 @@ def drawn_row(settings: Settings) -> dict[str, Cell]:
     return drawn.row
 
 
-def _draw(settings: Settings) -> tuple[Rig, DrawnRig]:
+def _draw(settings: Settings) -> tuple[Rig, RigDraw]:
     """The rig of the file, and the rig with drawn parameters."""
     nominal = load_rig(settings["rig"])
     return nominal, draw_rig(nominal, settings["effects"], settings["draw"], settings["seed"])
@@ -195,7 +195,7 @@ class _SimulatedFlight:
     ----------
     nominal : Rig
         The rig of the file.
-    drawn : DrawnRig
+    drawn : RigDraw
         The rig that flew, and its effects.
     flight : Flight
         The log.
@@ -204,7 +204,7 @@ class _SimulatedFlight:
     """
 
     nominal: Rig
-    drawn: DrawnRig
+    drawn: RigDraw
     flight: Flight
     summary: FlightSummary
 

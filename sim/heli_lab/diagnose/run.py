@@ -123,9 +123,9 @@ def diagnose(
     with using_threads(threads), threadpool_limits(1, "blas"):
         started_s = time.perf_counter()
         report = say or (lambda _step, _share: None)
-        every = catalogue() if kinds is None else dict(kinds)
-        given = tuple(labels or ())
-        names = itertools.chain(given, (f"flight {n}" for n in itertools.count(1 + len(given))))
+        available = catalogue() if kinds is None else dict(kinds)
+        given_labels = tuple(labels or ())
+        names = itertools.chain(given_labels, (f"flight {n}" for n in itertools.count(1 + len(given_labels))))
         train, skipped = _prepared(flights, names, rig, start_s, stop_s)
         if not train:
             raise skipped[0]
@@ -136,14 +136,14 @@ def diagnose(
         kept = EstimateCache(resume, fingerprint(model, rig, [*train, *held_out])) if resume else None
         comparison = ModelComparison(model, rig, train, held_out, seed=seed, cache=kept)
         known = {effect.name for effect in model.effects}
-        tried = {id_: kind for id_, kind in every.items() if _is_candidate(kind, model, known, every)}
-        result, assessment = _search_and_assess(comparison, tried, every, report, refits)
+        tried = {id_: kind for id_, kind in available.items() if _is_candidate(kind, model, known, available)}
+        result, assessment = _search_and_assess(comparison, tried, available, report, refits)
         noisy = justified_thrust_noise(comparison, result, assessment)
         if noisy is not None:
-            again = _search_and_assess(noisy, tried, every, report, refits)
+            again = _search_and_assess(noisy, tried, available, report, refits)
             if again[1].verdict.label != "unexplained":
                 comparison, (result, assessment) = noisy, again
-        undetectable = undetectable_effects(result.rounds[-1].screened, every)
+        undetectable = undetectable_effects(result.rounds[-1].screened, available)
         evaluation = evaluate_held_out(comparison, result, assessment, calibrate_s)
         report("judging the causes in the reverse direction", 0.91)
         replication = replicate(comparison, result, assessment, evaluation, calibrate_s)
@@ -153,12 +153,12 @@ def diagnose(
             proposal = _propose(
                 comparison, result, assessment, evaluation, tried, calibrate_s, refits, report
             )
-        next_flight = propose_experiment(comparison, result, assessment, every, undetectable)
+        next_flight = propose_experiment(comparison, result, assessment, available, undetectable)
         return Diagnosis(
             result,
             assessment,
             replication,
-            every,
+            available,
             undetectable,
             unidentifiable_parameters(result.baseline.estimate),
             tuple(str(why) for why in (*skipped, *skipped_held_out)),
@@ -249,6 +249,7 @@ def _prepared(
 
 
 def _refuse_duplicates(train: Sequence[Record], held_out: Sequence[Record]) -> None:
+    """Raise an IdentifyError if a flight is both fitted and held out."""
     for record in train:
         for other in held_out:
             if np.array_equal(record.angles_rad, other.angles_rad):

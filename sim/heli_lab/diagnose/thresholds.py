@@ -358,7 +358,7 @@ that quantity: the eye sees such a curve. Below, the missing torque is drawn ove
 
 @dataclass(frozen=True)
 class Threshold:
-    """A row of the table.
+    """A constant of this file, as a row of the table of thresholds.
 
     Parameters
     ----------
@@ -367,9 +367,9 @@ class Threshold:
     unit : str
         Unit of the value; ``1`` for a pure number.
     value : float, int or tuple of float
-        A pair is a range.
+        Value in the unit; a pair is a range.
     source : Source
-        Theory, measurement or judgement.
+        Whether the value comes from theory, measurement or judgement.
     """
 
     name: str

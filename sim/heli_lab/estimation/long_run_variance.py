@@ -27,8 +27,8 @@ def autocovariance(residual: Floats, windows: Sequence[slice], lags: int) -> Flo
         size = 1 << int(2 * len(part) - 1).bit_length()
         power = np.abs(np.fft.rfft(part, size, axis=0)) ** 2
         products = np.fft.irfft(power, size, axis=0)
-        kept = min(lags + 1, len(part))
-        total[:kept] += products[:kept]
+        lag_count = min(lags + 1, len(part))
+        total[:lag_count] += products[:lag_count]
     result: Floats = total / max(1, sum(window.stop - window.start for window in windows))
     return result
 

@@ -34,9 +34,10 @@ class ModelFunctions:
     places : list of int
         Indices of the free parameters among them.
     along : AlongTrajectory
-        Function of n points of a trajectory. It returns the rates and their negative derivatives by the free
-        parameters, (n, states, 1 + f), and the derivatives of the rates by state, disturbances and inputs. It
-        also returns the outputs and their derivatives by the free parameters, (n, m, 1 + f), and by state.
+        Function of n points of a trajectory, with six results. The first four are the rates with their
+        negative derivatives by the free parameters, (n, states, 1 + f), and the derivatives of the rates by
+        state, disturbances and inputs, (n, states, k) each. The last two are the outputs with their
+        derivatives by the free parameters, (n, m, 1 + f), and those by the state, (n, m, states).
     extra_states : int
         Number of states beyond positions and rates.
     """
@@ -50,6 +51,7 @@ class ModelFunctions:
         rates, outputs = model.dynamics(x, u, p, t), model.measurement(x, u, p, t)
 
         def by_free(value: ca.SX) -> ca.SX:
+            """Derivatives of a column by the free parameters; no columns without any."""
             if not self.places:
                 return ca.SX(value.numel(), 0)
             return ca.jacobian(value, ca.vertcat(*(p[i] for i in self.places)))
@@ -102,7 +104,7 @@ class ModelFunctions:
             trajectory.step_s,
             EFFECT_SUBSTEPS,
         )
-        every: Floats = np.vstack((np.zeros(self.extra_states), ends))
-        for place, output in self.model.known_directions:
-            every[:, place] = np.append(directions[:, output], directions[-1, output])
-        return every
+        states: Floats = np.vstack((np.zeros(self.extra_states), ends))
+        for column, output in self.model.known_directions:
+            states[:, column] = np.append(directions[:, output], directions[-1, output])
+        return states

@@ -71,12 +71,15 @@ def _most_excited_part(record: Record) -> Record:
         return record
     moves = np.array([record.angles_rad[first:last, :2].std(axis=0) for first, last in pieces])
     rank = np.argsort(-(moves / np.maximum(moves.mean(axis=0), 1e-9)).sum(axis=1))
-    most = max(1, round(thresholds.SIMULATED_S / PIECE_S))
-    kept = sorted(pieces[i] for i in rank[:most])
-    return replace(record, segments=tuple(kept))
+    max_pieces = max(1, round(thresholds.SIMULATED_S / PIECE_S))
+    chosen = sorted(pieces[i] for i in rank[:max_pieces])
+    return replace(record, segments=tuple(chosen))
 
 
 def _error_deg(record: Record, rig: Rig) -> Floats:
+    """Open-loop rms error of the baseline model on a record, shape (3,) [deg]; 180 if the simulation
+    diverges.
+    """
     problem = Problem(MultibodyModel(), rig, [record], window_s=TRIAL_WINDOW_S, step_s=0.02)
     try:
         fit = solve(problem, budget=Budget(evaluations=EVALUATIONS), fine=False, scatter=False)

@@ -13,7 +13,7 @@ from heli_sim.rig import Rig
 
 from heli_lab.errors import IdentifyError
 from heli_lab.guess import thresholds
-from heli_lab.guess.elevation_zero import rest_elevation
+from heli_lab.guess.elevation_zero import RestElevation, rest_elevation
 from heli_lab.guess.regression.assignment import ColumnAssignment, RegressionFit
 from heli_lab.guess.regression.axis_regression import axis_regressions
 from heli_lab.guess.regression.reference import Reference, reference_of
@@ -85,25 +85,37 @@ def wrong_signs(flight: Flight, rig: Rig) -> tuple[WrongSign, ...]:
     regressions = axis_regressions(signals, assignment, reference, dict.fromkeys(AXES, 1.0))
     suspects = _sign_suspects(regressions)
     if suspects:
-        error_ratios = {choice.name: choice.error_ratio for choice in try_sign_choices(flight, rig)}
-        suspects = [
-            sign
-            for sign in suspects
-            if not error_ratios
-            or error_ratios[" and ".join(sign.inverted_axes)] < thresholds.WRONG_SIGN_ERROR_RATIO
-        ]
+        suspects = _confirmed_by_simulation(suspects, flight, rig)
     up = 1.0 if regressions["elevation"].gain >= 0.0 else -1.0
-    rest = rest_elevation(signals, "elevation_rad", math.degrees(up))
-    far = thresholds.REST_TOLERANCE_DEG + reference.rest_tolerance_deg
-    if rest.deg is not None and rest.lowest and abs(rest.deg) < far < abs(reference.rest_deg) - far:
-        suspects.append(
-            WrongSign(
-                f"elevation is {rest.deg:.1f} deg while the flight rests: it was zeroed there, not at level",
-                f"add the rig file's table angle, {reference.rest_deg:g} deg, as offset_deg in a profile for "
-                "heli-host import",
-            )
-        )
-    return tuple(suspects)
+    wrong_zero = _zeroed_at_rest(rest_elevation(signals, "elevation_rad", math.degrees(up)), reference)
+    return (*suspects, wrong_zero) if wrong_zero is not None else tuple(suspects)
+
+
+def _confirmed_by_simulation(suspects: list[WrongSign], flight: Flight, rig: Rig) -> list[WrongSign]:
+    """Suspects with whose signs inverted the baseline model fits clearly better; all of them if the flight is
+    too short to simulate.
+    """
+    error_ratios = {choice.name: choice.error_ratio for choice in try_sign_choices(flight, rig)}
+    if not error_ratios:
+        return suspects
+    return [
+        sign
+        for sign in suspects
+        if error_ratios[" and ".join(sign.inverted_axes)] < thresholds.WRONG_SIGN_ERROR_RATIO
+    ]
+
+
+def _zeroed_at_rest(rest: RestElevation, reference: Reference) -> WrongSign | None:
+    """Report that the elevation is 0 at rest on the table instead of at level; None if it is not."""
+    tolerance_deg = thresholds.REST_TOLERANCE_DEG + reference.rest_tolerance_deg
+    is_far_from_level = abs(reference.rest_deg) - tolerance_deg > tolerance_deg
+    if rest.deg is None or not rest.lowest or abs(rest.deg) >= tolerance_deg or not is_far_from_level:
+        return None
+    return WrongSign(
+        f"elevation is {rest.deg:.1f} deg while the flight rests: it was zeroed there, not at level",
+        f"add the rig file's table angle, {reference.rest_deg:g} deg, as offset_deg in a profile for "
+        "heli-host import",
+    )
 
 
 def _angles_in_degrees(regressions: dict[str, RegressionFit], reference: Reference) -> WrongSign | None:

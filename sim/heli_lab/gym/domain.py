@@ -96,6 +96,7 @@ class Domain:
         return EpisodeRig(rig, effects_with(rig, texts), texts)
 
     def _rig(self, random: np.random.Generator) -> Rig:
+        """Draw one of the rigs, with parameters within a multiple of their tolerances."""
         rig = load_rig(self.rigs[int(random.integers(len(self.rigs)))])
         if not self.tolerances:
             return rig

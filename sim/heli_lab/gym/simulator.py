@@ -138,10 +138,10 @@ class PlantAlone(Simulator):
         self._run.clear()
 
     def _settle(self, hover_V: Floats) -> None:
-        kept = self._state[:6].copy()
+        mechanical_state = self._state[:6].copy()
         for _ in range(_SETTLING_STEPS):
             self._advance(hover_V, _SETTLING_TICKS)
-            self._state[:6] = kept
+            self._state[:6] = mechanical_state
 
     def _advance(self, volts_V: Floats, ticks: int) -> Floats:
         """Simulate some milliseconds, and return the measured angles [rad], shape (3,)."""

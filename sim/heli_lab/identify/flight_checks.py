@@ -59,9 +59,9 @@ def refuse_constant_columns(flight: Flight, label: str, count_rad: Floats) -> No
     rows = len(flight)
     moved = np.ptp(flight.angles_rad, axis=0) / count_rad
     if np.all(moved < thresholds.MIN_MOTION_COUNTS):
-        most = int(np.argmax(moved))
+        most_moved = int(np.argmax(moved))
         raise NotExcited(
-            f"{label}: the rig never moves: {AXES[most]}_rad varies by {moved[most]:.0f} counts "
+            f"{label}: the rig never moves: {AXES[most_moved]}_rad varies by {moved[most_moved]:.0f} counts "
             f"from data row 1 to {rows}",
             "fly it, for example with heli-host fly identify",
         )

@@ -49,26 +49,26 @@ def free_parameters(
         When a name is unknown, or nothing is known of it beforehand.
     """
     known = {quantity.name: quantity for quantity in model.parameters}
-    given: dict[str, AnyPrior] = {
+    all_priors: dict[str, AnyPrior] = {
         name: prior for effect in model.effects for name, prior in effect.priors.items()
     }
-    given |= priors
+    all_priors |= priors
     if free is None:
         free = [
             name
             for name in known
-            if name in given or (name in rig and rig[name].tolerance > 0 and name not in NOT_FREE)
+            if name in all_priors or (name in rig and rig[name].tolerance > 0 and name not in NOT_FREE)
         ]
     parameters = []
     for name in dict.fromkeys(free):
         if name not in known:
             raise _unknown(model, name)
-        if name not in given and (name not in rig or rig[name].tolerance == 0):
+        if name not in all_priors and (name not in rig or rig[name].tolerance == 0):
             raise IdentifyError(
                 f"parameter '{name}' has no prior", "give it a tolerance in the rig file, or fix it"
             )
         parameters.append(
-            FreeParameter(name, known[name].unit, given.get(name) or rig_prior(rig, name), name)
+            FreeParameter(name, known[name].unit, all_priors.get(name) or rig_prior(rig, name), name)
         )
     return tuple(parameters)
 
@@ -128,6 +128,7 @@ def flight_constants(model: Model, rig: Rig, about: Mapping[str, float] | None =
 
 
 def _unknown(model: Model, name: str) -> IdentifyError:
+    """The error for an unknown parameter `name` of a model, with a similar name as a hint."""
     known = [quantity.name for quantity in model.parameters]
     close = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean {close[0]}? " if close else ""

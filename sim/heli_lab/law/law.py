@@ -214,6 +214,7 @@ def control_law(
     initial, values = dict(states or {}), dict(parameters or {})
 
     def make(function: Callable[..., Command]) -> Law:
+        """Call the function with symbols, and make the law of its result."""
         law_name = name or function.__name__
         inputs = ca.SX.sym("inputs", len(LAW_INPUTS))
         states, parameters = ca.SX.sym("states", len(initial)), ca.SX.sym("parameters", len(values))

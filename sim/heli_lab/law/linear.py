@@ -60,9 +60,9 @@ def linearised(law: Law, plant: LinearPlant) -> LinearisedLaw:
         [ca.jacobian(given, by) for given in (new, outputs) for by in (states, inputs)],
     )  # fmt: skip
     A, B, C, D = (np.asarray(ca.DM(matrix)) for matrix in jacobian(u0, x0))
-    seen = [LAW_INPUTS.index(name) for name in (*angles, *rates)]
+    columns = [LAW_INPUTS.index(name) for name in (*angles, *rates)]
     mix = np.array([[1.0, 1.0], [1.0, -1.0]])
-    regulator = control.ss(A, B[:, seen], mix @ C[:2], mix @ D[:2][:, seen], law.dt_s)
+    regulator = control.ss(A, B[:, columns], mix @ C[:2], mix @ D[:2][:, columns], law.dt_s)
     rig = control.append(
         control.ss(plant.elevation_A, plant.elevation_B[:, None], np.eye(2, 3), 0),
         control.ss(plant.tilt_A, plant.tilt_B[:, None], np.eye(4, 5), 0),

@@ -47,6 +47,7 @@ def with_no_number(function: ca.Function) -> ca.Function:
 
 
 def _computed(code: int, operands: list[ca.SX]) -> ca.SX:
+    """Result of an operation that is NaN if an operand is, also where CasADi's hides it."""
     if len(operands) == 1:
         result = ca.SX.unary(code, operands[0])
     else:

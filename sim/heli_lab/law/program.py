@@ -60,6 +60,13 @@ class Program:
     ----------
     name : str
         Name of the law, for messages.
+
+    Attributes
+    ----------
+    values : list of Value
+        The values; operations name their operands by index in this list.
+    constants : list of float
+        The constants, in single precision.
     """
 
     def __init__(self, name: str) -> None:
@@ -102,7 +109,7 @@ class Program:
             new_index[index] = self.put(replace(value, operands=operands))
 
     def constant(self, number: float) -> int:
-        """Add a constant; return its place.
+        """Add a constant; return the index of its value.
 
         Parameters
         ----------
@@ -131,15 +138,15 @@ class Program:
             self.constants.append(single)
         return self.put(Value("constant", self.constants.index(single)))
 
-    def number(self, place: int) -> float | None:
-        """Value of a constant; None if the value at this place is not a constant.
+    def number(self, index: int) -> float | None:
+        """Number of a constant; None if the value is not a constant.
 
         Parameters
         ----------
-        place : int
+        index : int
             Index of the value in the program.
         """
-        value = self.values[place]
+        value = self.values[index]
         return self.constants[value.place] if value.kind == "constant" else None
 
     def do(self, name: str, *operands: int) -> int:
@@ -167,14 +174,14 @@ class Program:
         return self.put(Value(name, 0, operands))
 
     def casadi(self, code: int, a: int, b: int) -> int:
-        """Put an operation of CasADi; return its place.
+        """Append an operation of CasADi, composed of those of the board; return the index of its value.
 
         Parameters
         ----------
         code : int
-            CasADi's number of it.
+            CasADi's code of the operation.
         a, b : int
-            Places of its operands; `b` does not count where it has one.
+            Indices of its operands; `b` is ignored for an operation with one operand.
 
         Raises
         ------
@@ -184,9 +191,9 @@ class Program:
         if code in _SAME:
             name = _SAME[code]
             return self.do(name, a, b) if CODE[name] in BINARY else self.do(name, a)
-        made = _MADE.get(code)
-        if made is not None:
-            return made(self, a, b)
+        composed = _MADE.get(code)
+        if composed is not None:
+            return composed(self, a, b)
         if code in (ca.OP_POW, ca.OP_CONSTPOW):
             return self._power(a, b)
         known = ", ".join(sorted(set(_SAME.values())))
@@ -196,6 +203,7 @@ class Program:
         )
 
     def _power(self, a: int, b: int) -> int:
+        """Compose a power of the value `a` from products; the exponent `b` must be a whole number or 1/2."""
         known = self.number(b)
         number = math.nan if known is None else known
         if number == 0.5:
@@ -248,6 +256,7 @@ def _difference(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int
 
 
 def _product(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+    """A simpler value than a product with 1, -1 or 0; None if there is none."""
     for number, other in zip(numbers, reversed(operands), strict=True):
         if number == 1.0:
             return other

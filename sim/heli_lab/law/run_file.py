@@ -91,9 +91,9 @@ def run_law(path: Path) -> Law:
 
 def _answers() -> IO[bytes]:
     """Keep standard output for the answer; what the file prints goes to standard error."""
-    kept = os.fdopen(os.dup(1), "wb")
+    answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    return kept
+    return answers
 
 
 def _remedy(name: str) -> str:

@@ -23,8 +23,10 @@ ERRORS = (*(f"{axis}_rad" for axis in AXES), *(f"{axis}_rad_s" for axis in AXES)
 
 def _errors(now: Any) -> Any:
     level = {"pitch_rad": 0.0, "pitch_rad_s": 0.0}
-    wanted = [level.get(name, getattr(now, name.replace("_rad", "_setpoint_rad", 1), 0.0)) for name in ERRORS]
-    return ca.vertcat(*(getattr(now, name) - r for name, r in zip(ERRORS, wanted, strict=True)))
+    targets = [
+        level.get(name, getattr(now, name.replace("_rad", "_setpoint_rad", 1), 0.0)) for name in ERRORS
+    ]
+    return ca.vertcat(*(getattr(now, name) - r for name, r in zip(ERRORS, targets, strict=True)))
 
 
 def from_gain(
@@ -66,8 +68,9 @@ def from_gain(
 
     @control_law(rate_Hz=rate_Hz, name=name, parameters={"hover_V": hover_V})
     def law(now: Any, state: Any, parameter: Any) -> Command:
-        wanted = -ca.mtimes(ca.DM(gains), _errors(now))
-        return Command(*motor_volts(parameter.hover_V + wanted[0], wanted[1], dead_zone_V))
+        """Call the CasADi function with the columns that it takes."""
+        command_V = -ca.mtimes(ca.DM(gains), _errors(now))
+        return Command(*motor_volts(parameter.hover_V + command_V[0], command_V[1], dead_zone_V))
 
     return law
 
@@ -112,11 +115,12 @@ def from_state_space(
         rate_Hz=rate_Hz, name=name, states=dict.fromkeys(names, 0.0), parameters={"hover_V": hover_V}
     )
     def law(now: Any, state: Any, parameter: Any) -> Command:
+        """One step of the state space: voltages, and new states."""
         x = ca.vertcat(*(getattr(state, key) for key in names)) if names else ca.SX(0, 1)
         errors = _errors(now)
-        wanted = ca.mtimes(C, x) + ca.mtimes(D, errors)
+        command_V = ca.mtimes(C, x) + ca.mtimes(D, errors)
         new = ca.mtimes(A, x) + ca.mtimes(B, errors)
-        volts = motor_volts(parameter.hover_V + wanted[0], wanted[1], dead_zone_V)
+        volts = motor_volts(parameter.hover_V + command_V[0], command_V[1], dead_zone_V)
         return Command(*volts, states={key: new[k] for k, key in enumerate(names)})
 
     return law
@@ -152,14 +156,14 @@ def from_function(
         The function has other arguments or results.
     """
     values = dict(parameters or {})
-    wanted = [len(LAW_INPUTS), len(states), len(values)]
+    expected_sizes = [len(LAW_INPUTS), len(states), len(values)]
     sizes = [function.numel_in(k) for k in range(function.n_in())]
-    given = [function.numel_out(k) for k in range(function.n_out())]
-    takes = sizes == wanted[: len(sizes)] and not any(wanted[len(sizes) :])
-    if not takes or given not in ([2], [2, len(states)]) or (len(given) == 1 and len(states)):
+    output_sizes = [function.numel_out(k) for k in range(function.n_out())]
+    takes = sizes == expected_sizes[: len(sizes)] and not any(expected_sizes[len(sizes) :])
+    if not takes or output_sizes not in ([2], [2, len(states)]) or (len(output_sizes) == 1 and len(states)):
         raise BadLaw(
-            f"the function {function.name()} takes {sizes} and gives {given} numbers",
-            f"write it with {wanted} arguments (inputs, states, parameters) "
+            f"the function {function.name()} takes {sizes} and gives {output_sizes} numbers",
+            f"write it with {expected_sizes} arguments (inputs, states, parameters) "
             f"and results [2, {len(states)}] (voltages, states)",
         )
     names = [f"x{k}" for k in range(len(states))]

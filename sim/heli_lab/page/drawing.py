@@ -118,6 +118,7 @@ class Drawing:
             self._thread.join()
 
     def _draw(self) -> None:
+        """Draw waiting figures in this process until none is left."""
         while self._waiting:
             try:
                 picture = self._waiting.pop()
@@ -131,6 +132,9 @@ class Drawing:
             return self._waiting.popleft() if self._waiting else None
 
     def _feed_process(self) -> None:
+        """Give waiting figures to the second process, one after the other, and keep the pictures that it
+        returns.
+        """
         try:
             self.process = process = subprocess.Popen(
                 [sys.executable, "-m", "heli_lab.page.drawing"],

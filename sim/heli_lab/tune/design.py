@@ -189,6 +189,7 @@ def _design_elevation(
     )
 
     def error_deg(pid: Pid, closed: Floats) -> Floats:
+        """Error of the elevation along the take-off on every plant, shape (times, plants) [deg]."""
         input_matrices = np.zeros((len(plants), 6, 3))
         for index, plant in enumerate(plants):
             input_matrices[index, :3, 0] = plant.elevation_B
@@ -199,6 +200,7 @@ def _design_elevation(
         return discretise(closed, input_matrices).simulate(inputs)[:, :, 0] - path[:, :1]
 
     def cost(gains: Floats) -> float:
+        """Cost of the elevation loop's gains kp, ki and kd, shape (3,)."""
         pid = _pid(gains, _FILTERS_Hz[0])
         closed = np.array([loops.elevation_closed(plant, pid) for plant in plants])
         pole_1_s = slowest_pole_1_s(closed)
@@ -249,29 +251,32 @@ class _TiltDesign:
 def _design_tilt(rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensitivity: float) -> _TiltDesign:
     """Design the loops of pitch and travel together."""
     nominal, nominal_count = plants[0], count_nominal(plants)
-    # Masses below the pitch axis pull a tilt back. The feed-forward holds the tilt instead of the gain.
-    hold = -float(nominal.tilt_A[2, 0]) / nominal.pitch_gain
+    # Masses below the pitch axis pull a tilt back. The feed-forward holds the tilt instead.
+    pitch_hold = -float(nominal.tilt_A[2, 0]) / nominal.pitch_gain
     acceleration_deg_s2 = min(_MAX_TRAVEL_DEG_S2, _PITCH_SHARE * PITCH_SETPOINT_MAX_DEG * nominal.travel_gain)
     path = shaped_step(TRAVEL_STEP_DEG, TRAVEL_SLEW_DEG_S, acceleration_deg_s2, 10.0, SIMULATION_STEP_s)
     arrival_row = round(2.0 * np.sqrt(TRAVEL_STEP_DEG / acceleration_deg_s2) / SIMULATION_STEP_s)
-    travel_step = TravelStep(plants, hold, path, arrival_row, constant_loads_deg_s2(rig, spread))
+    travel_step = TravelStep(plants, pitch_hold, path, arrival_row, constant_loads_deg_s2(rig, spread))
     differential_max_V = _differential_max_V(rig, nominal.hover_V)
+    # With unit gains, the loops are the responses of pitch and travel to the differential.
     unit = CascadeGains(Pid(0.0, 0.0, 0.0, 1.0), Pid(1.0, 0.0, 0.0, 1.0), Pid(1.0, 0.0, 0.0, 1.0))
     plant_responses = [loops.open_loops(plant, unit) for plant in plants]
     to_pitch = np.array([response["pitch"] for response in plant_responses])
     to_travel = np.array([response["differential"] - response["pitch"] for response in plant_responses])
 
     def pids(gains: Floats) -> tuple[Pid, Pid, float]:
+        """Both loops, and the feed-forward of the travel acceleration, from the seven gains."""
         return _pid(gains[0:3], _FILTERS_Hz[1]), _pid(gains[3:6], _FILTERS_Hz[2]), float(gains[6])
 
     def cost(gains: Floats) -> float:
+        """Cost of the gains of pitch and travel and of the feed-forward, shape (7,)."""
         pitch, travel, acceleration_ff = pids(gains)
-        closed = np.array([loops.tilt_closed(plant, pitch, travel, hold) for plant in plants])
+        closed = np.array([loops.tilt_closed(plant, pitch, travel, pitch_hold) for plant in plants])
         pole_1_s = slowest_pole_1_s(closed)
         if pole_1_s > -MIN_DECAY_1_s:
             return UNSTABLE_COST + pole_1_s
         inner = pitch.response(loops.FREQUENCY_rad_s) * to_pitch
-        forward = pitch.kp + hold + pitch.ki / (1j * loops.FREQUENCY_rad_s)
+        forward = pitch.kp + pitch_hold + pitch.ki / (1j * loops.FREQUENCY_rad_s)
         outer = travel.response(loops.FREQUENCY_rad_s) * forward * to_travel
         peaks = map(loops.peak_sensitivity, (inner, outer / (1.0 + inner), inner + outer))
         squares, largest_V = travel_step.simulate(pitch, travel, acceleration_ff, closed)
@@ -280,19 +285,14 @@ def _design_tilt(rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensit
         )
         return log_cost(squares, nominal_count) + penalty
 
-    inner_rad_s = initial_crossover_rad_s(plants)
-    outer_rad_s = inner_rad_s / 2.0
-    pitch_kp = (0.5 * inner_rad_s**2 - 0.5 * nominal.tilt_A[2, 0]) / nominal.pitch_gain
-    travel_kp = 0.5 * outer_rad_s**2 / nominal.travel_gain
-    start = [pitch_kp, 0.2 * pitch_kp, inner_rad_s / nominal.pitch_gain]
-    start += [travel_kp, 0.1 * travel_kp, outer_rad_s / nominal.travel_gain, 1.0 / nominal.travel_gain]
-    pitch, travel, acceleration_ff = pids(minimise_positive(cost, np.array(start)))
+    start = _initial_tilt_gains(nominal, initial_crossover_rad_s(plants))
+    pitch, travel, acceleration_ff = pids(minimise_positive(cost, start))
     return _TiltDesign(
         pitch=pitch,
         travel=travel,
-        pitch_hold=hold,
+        pitch_hold=pitch_hold,
         parameters={
-            "pitch_hold_ff": float(np.radians(hold)),
+            "pitch_hold_ff": float(np.radians(pitch_hold)),
             "travel_rate_ff": 1.0,
             "travel_acceleration_ff": acceleration_ff,
             "travel_slew_deg_s": TRAVEL_SLEW_DEG_S,
@@ -304,6 +304,18 @@ def _design_tilt(rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensit
             "travel_motion_deg": _travel_motion_deg(nominal.travel_gain),
         },
     )
+
+
+def _initial_tilt_gains(nominal: LinearPlant, inner_rad_s: float) -> Floats:
+    """Start of the search, shape (7,): kp, ki and kd of pitch and of travel, and the feed-forward. The pitch
+    loop crosses over at about `inner_rad_s`, the travel loop at half of it.
+    """
+    outer_rad_s = inner_rad_s / 2.0
+    pitch_kp = (0.5 * inner_rad_s**2 - 0.5 * nominal.tilt_A[2, 0]) / nominal.pitch_gain
+    travel_kp = 0.5 * outer_rad_s**2 / nominal.travel_gain
+    pitch = [pitch_kp, 0.2 * pitch_kp, inner_rad_s / nominal.pitch_gain]
+    travel = [travel_kp, 0.1 * travel_kp, outer_rad_s / nominal.travel_gain]
+    return np.array([*pitch, *travel, 1.0 / nominal.travel_gain])
 
 
 def _travel_motion_deg(gain: float) -> float:

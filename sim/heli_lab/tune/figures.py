@@ -54,6 +54,7 @@ def figure_of_design(design: Design, flights: Sequence[tuple[str, Flight]]) -> F
 
 
 def _draw_flights(panels: Sequence[Axes], flights: Sequence[tuple[str, Flight]]) -> None:
+    """Draw angles with their setpoints, and the front motor's voltage, over time."""
     for (label, flight), colour in zip(flights, _COLOURS, strict=False):
         angles_deg = np.rad2deg(flight.angles_rad)
         for index, axes in enumerate(panels[:3]):
@@ -77,6 +78,9 @@ def _draw_flights(panels: Sequence[Axes], flights: Sequence[tuple[str, Flight]])
 
 
 def _draw_loop(axes: Axes, loop: str, design: Design) -> None:
+    """Draw the Nyquist curves of a `loop` on all plants, with the disc that the bound on the sensitivity
+    excludes.
+    """
     frequency = np.geomspace(0.05, 200.0, 600)
     nominal = [plant for plant in design.plants if plant.thrust == plant.counterweight == 1.0]
     for plant in design.plants:

@@ -225,25 +225,43 @@ def _crossings(
     grid: dict[str, ComplexArray],
     value: Callable[[ComplexArray], Floats],
 ) -> dict[str, tuple[Floats, ComplexArray]]:
-    """Find the frequencies at which a value of each loop gain changes sign [rad/s], and the loop gain there.
+    """Frequencies at which a real function of each loop gain changes sign, by bisection.
 
     All loops are bisected together: `control.stability_margins` interpolates one point per call and takes a
     hundred times as long.
+
+    Parameters
+    ----------
+    grid : dict of ndarray (n,)
+        Loop gains at `MARGIN_FREQUENCY_rad_s`, by name of the loop.
+    value : callable
+        The function: `_sine` for phase crossings, `_log_gain` for gain crossings.
+
+    Returns
+    -------
+    dict of (ndarray (k,), ndarray (k,))
+        By name of the loop, the frequencies [rad/s], and the loop gains there.
     """
     changes = {name: np.flatnonzero(np.diff(np.sign(value(loop)))) for name, loop in grid.items()}
+    # One element per crossing: its interval of the grid, and the number of its loop.
     interval = np.concatenate(list(changes.values()))
-    loop_index = np.repeat(np.arange(len(grid)), [len(places) for places in changes.values()])
-    column = np.arange(len(interval))
+    loop_index = np.repeat(np.arange(len(grid)), [len(intervals) for intervals in changes.values()])
+    crossing = np.arange(len(interval))
+
+    def gains_at(frequency_rad_s: Floats) -> ComplexArray:
+        """Gain of each crossing's loop at its own frequency."""
+        loops = np.array(list(open_loops(plant, law, frequency_rad_s).values()))
+        return np.asarray(loops[loop_index, crossing])
+
     low, high = MARGIN_FREQUENCY_rad_s[interval], MARGIN_FREQUENCY_rad_s[interval + 1]
-    below = value(np.array(list(grid.values()))[loop_index, interval]) < 0.0
+    is_negative_at_low = value(np.array(list(grid.values()))[loop_index, interval]) < 0.0
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        response = np.array(list(open_loops(plant, law, middle).values()))[loop_index, column]
-        is_low = (value(response) < 0.0) == below
+        is_low = (value(gains_at(middle)) < 0.0) == is_negative_at_low
         low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
     middle = 0.5 * (low + high)
-    response = np.array(list(open_loops(plant, law, middle).values()))[loop_index, column]
-    return {name: (middle[loop_index == i], response[loop_index == i]) for i, name in enumerate(grid)}
+    gains = gains_at(middle)
+    return {name: (middle[loop_index == i], gains[loop_index == i]) for i, name in enumerate(grid)}
 
 
 def is_stable(plant: LinearPlant, law: CascadeGains) -> bool:

@@ -83,6 +83,7 @@ def calibration_text(calibration: Calibration, rig: str) -> str:
 
 
 def _uncertainty_text(uncertainty: ParameterUncertainty) -> str:
+    """TOML text of the uncertain parameters; empty if there are none."""
     if not uncertainty.names and not uncertainty.supply_std:
         return ""
     names = ", ".join(map(_quoted, uncertainty.names))
@@ -148,6 +149,7 @@ def parse_calibration(data: Mapping[str, Any], name: str) -> Calibration:
 
 
 def _parse_uncertainty(table: Mapping[str, Any], name: str) -> ParameterUncertainty:
+    """Read the table of the uncertain parameters of the file `name`."""
     names = table.get("names")
     if not isinstance(names, list) or not all(isinstance(entry, str) for entry in names):
         raise TwinError(f"{name}: parameters.names is not a list of names", _AGAIN)

@@ -73,6 +73,7 @@ class Change:
 
 
 def _of_catalogue() -> tuple[Change, ...]:
+    """Changes that effects of the catalogue declare."""
     return tuple(
         Change(
             spec.id,
@@ -119,13 +120,13 @@ def extended(model: Model) -> Model:
     """Add the effects of all possible changes to a model, at values at which they do nothing."""
     kinds = catalogue()
     stated = {effect.name for effect in model.effects}
-    wanted: dict[str, Effect] = {}
+    effects: dict[str, Effect] = {}
     for change in changes_of(model):
         if change.id in kinds and change.id not in stated:
             kind = kinds[change.id]
             values = {name: 0.0 for name in kind.neutral if name.endswith("_at_s")}
-            wanted[change.id] = kind.make({**kind.neutral, **values})
-    return type(model)((*model.effects, *wanted.values()))
+            effects[change.id] = kind.make({**kind.neutral, **values})
+    return type(model)((*model.effects, *effects.values()))
 
 
 def changes_of(model: Model) -> tuple[Change, ...]:

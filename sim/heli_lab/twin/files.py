@@ -75,6 +75,7 @@ def open_rig(name: str) -> TwinRig:
 
 
 def _parsed(path: Path) -> dict[str, Any]:
+    """Read a TOML file at `path`; a TwinError states what is wrong."""
     try:
         return parse_toml(read_file(path, TOML_BYTES).decode("utf-8"))
     except OSError as error:

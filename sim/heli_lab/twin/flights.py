@@ -40,9 +40,9 @@ def samples_of(flight: Flight) -> tuple[Samples, float]:
     else:
         even = np.diff(t_s)
         sample_s = float(even[even < 1.5 * step_s].mean())
-    whole = t_s / sample_s if sample_s == 1e-3 else (t_s - t_s[0]) / sample_s
-    number: Integers = np.rint(whole).astype(np.int64)
-    if np.any(np.diff(number) < 1) or np.max(np.abs(whole - number)) > _STRAY:
+    ticks = t_s / sample_s if sample_s == 1e-3 else (t_s - t_s[0]) / sample_s
+    number: Integers = np.rint(ticks).astype(np.int64)
+    if np.any(np.diff(number) < 1) or np.max(np.abs(ticks - number)) > _STRAY:
         raise TwinError("the rows of the flight are not evenly spaced", "log with an even clock, or resample")
     flying, landing = np.ones(len(flight), bool), np.zeros(len(flight), bool)
     if flight.state is not None and flight.state_names:

@@ -52,6 +52,7 @@ class FreeFlight:
         return self._clear > self._settle
 
     def _touches(self, angles_rad: Floats) -> bool:
+        """Whether the arm touches its table or a stop at these angles, shape (3,)."""
         elevation_deg, pitch_deg, travel_deg = np.rad2deg(angles_rad)
         if elevation_deg < self._low_deg:
             return True

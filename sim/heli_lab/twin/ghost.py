@@ -47,10 +47,10 @@ class Ghost:
         encoder zeros `zero_rad`, (2,).
         """
         if self._steps % self._every == 0:
-            kept = slice(max(0, len(self._runs) + 1 - _RUNS), None)
-            self._runs = np.vstack((self._runs[kept], state))
-            self._torque_Nm = np.vstack((self._torque_Nm[kept], torque_Nm))
-            self._zero_rad = np.vstack((self._zero_rad[kept], zero_rad))
+            latest = slice(max(0, len(self._runs) + 1 - _RUNS), None)
+            self._runs = np.vstack((self._runs[latest], state))
+            self._torque_Nm = np.vstack((self._torque_Nm[latest], torque_Nm))
+            self._zero_rad = np.vstack((self._zero_rad[latest], zero_rad))
         self._steps += 1
         twin, h = self._twin, self._step_s
         rates, a, by_torque, _, _, _ = twin.plain.along(twin.at(t_s + 0.5 * h, self._runs, volts_V, h))

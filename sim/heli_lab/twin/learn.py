@@ -125,10 +125,10 @@ def learn_rig(
     fixed = {name: float(values[name]) for name in shared}
     vector = RigParameters(calm, rig, records, fixed)
     references = [filter_record(record) for record in records]
-    found = estimate(vector, references, model_functions(calm, vector.quantities), vector.start)
+    estimates = estimate(vector, references, model_functions(calm, vector.quantities), vector.start)
     count_rad = np.min([count_rad_of(flight, rig) for flight in healthy], axis=0)
-    disturbances = at_least_rounding(found.disturbances, calm, rig, count_rad)
-    theta = np.concatenate(([fixed[name] for name in shared], found.theta))
+    disturbances = at_least_rounding(estimates.disturbances, calm, rig, count_rad)
+    theta = np.concatenate(([fixed[name] for name in shared], estimates.theta))
     functions = model_functions(calm, every.quantities)
     linearised = [
         LinearisedFlight(reference, functions, every.parameters(theta, index))
@@ -139,13 +139,13 @@ def learn_rig(
     step = posterior_step(
         every, theta, innovations.information(), innovations.score(), per_flight=innovations.per_flight
     )
-    own = step.covariance[: len(shared), : len(shared)]
+    shared_covariance = step.covariance[: len(shared), : len(shared)]
     free_V = np.vstack(
         [record.voltages_V[start:stop] for record in records for start, stop in record.segments]
     )
     least_V, most_V = free_V.min(axis=0), free_V.max(axis=0)
     low_V, high_V = least_V - _BEYOND * (most_V - least_V), (1.0 + _BEYOND) * most_V
-    return disturbances, ParameterUncertainty(tuple(shared), own, SUPPLY_STD, low_V, high_V)
+    return disturbances, ParameterUncertainty(tuple(shared), shared_covariance, SUPPLY_STD, low_V, high_V)
 
 
 def learn(

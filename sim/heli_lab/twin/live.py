@@ -78,6 +78,7 @@ def open_twin(name: str) -> Callable[[Mapping[str, float], float], TickTwin]:
 
 
 def _make_twin(chosen: TwinRig, parameters: Mapping[str, float], false_alarm_interval_h: float) -> TickTwin:
+    """Twin of a connected board, which samples at every tick."""
     count_rad = rad_per_count(parameters)
     if not np.all(np.isfinite(count_rad)):
         raise TwinError(

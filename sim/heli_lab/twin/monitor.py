@@ -152,6 +152,7 @@ def _monitor(
     false_alarm_interval_h: float,
     span: tuple[float | None, float | None],
 ) -> TwinReport:
+    """Run a twin over the part `span` (s) of a flight, and report its events."""
     low = -math.inf if span[0] is None else span[0]
     high = math.inf if span[1] is None else span[1]
     t_s = samples.number * sample_s - zero_s

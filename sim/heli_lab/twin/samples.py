@@ -110,6 +110,7 @@ class Stepper:
         self._clear(0)
 
     def _clear(self, first: int) -> None:
+        """Forget all samples; the next one has the number `first`."""
         self._first = first
         self._angles: Floats = np.empty((0, 3))
         self._volts: Floats = np.empty((0, 2))
@@ -128,6 +129,9 @@ class Stepper:
             yield from self._take_piece(samples, slice(int(part[0]), int(part[-1]) + 1))
 
     def _take_piece(self, samples: Samples, rows: slice) -> Iterator[Step]:
+        """Add consecutive samples, the `rows` of `samples`, and yield the steps that they complete. A short
+        gap before them is filled.
+        """
         number = int(samples.number[rows.start])
         missing = number - self._next
         if not len(self._angles) or missing < 0 or missing > self._max_gap:
@@ -158,6 +162,7 @@ class Stepper:
         flying: npt.NDArray[np.bool_],
         landing: npt.NDArray[np.bool_],
     ) -> None:
+        """Add samples at the end."""
         self._angles = np.concatenate((self._angles, angles))
         self._volts = np.concatenate((self._volts, volts))
         self._flying = np.concatenate((self._flying, flying))
@@ -165,27 +170,28 @@ class Stepper:
         self._next += len(angles)
 
     def _steps(self) -> Iterator[Step]:
-        every, half = self.samples_per_step, self.samples_per_step // 2
-        at = -self._first % every
-        while at + every <= len(self._angles):
-            width = min(half, at)
-            near = self._angles[at - width : at + width + 1]
+        """Yield all complete steps, and forget the samples that no later step needs."""
+        samples_per_step, half = self.samples_per_step, self.samples_per_step // 2
+        first = -self._first % samples_per_step
+        while first + samples_per_step <= len(self._angles):
+            width = min(half, first)
+            near = self._angles[first - width : first + width + 1]
             known = ~np.isnan(near[:, 0])
             count = int(known.sum())
-            whole = slice(at, at + every)
+            part = slice(first, first + samples_per_step)
             yield Step(
-                (self._first + at) // every,
+                (self._first + first) // samples_per_step,
                 near[known].mean(axis=0) if count else None,
                 count,
-                self._volts[whole],
-                bool(self._flying[whole].all()),
-                bool(self._landing[whole].any()),
+                self._volts[part],
+                bool(self._flying[part].all()),
+                bool(self._landing[part].any()),
                 self._begins,
             )
             self._begins = False
-            at += every
+            first += samples_per_step
         # The mean about the next step's beginning needs those before it.
-        done = max(0, at - half)
+        done = max(0, first - half)
         self._first += done
         self._angles, self._volts = self._angles[done:], self._volts[done:]
         self._flying, self._landing = self._flying[done:], self._landing[done:]

@@ -72,14 +72,14 @@ class Tail:
         support counts as the longest that they do.
         """
         interval_h = min(false_alarm_interval_h, self.supported_interval_h)
-        wanted = self.per_hour * interval_h
-        if wanted <= 1.0 or not math.isfinite(self.level_nats):
+        allowed_alarms = self.per_hour * interval_h
+        if allowed_alarms <= 1.0 or not math.isfinite(self.level_nats):
             return self.level_nats
         shapes, scales_nats, weights = self._tails()
 
         def surplus(excess_nats: float) -> float:
             chance = weights @ genpareto.sf(excess_nats, shapes, scale=scales_nats)
-            return math.log(max(float(chance), 1e-300)) + math.log(wanted)
+            return math.log(max(float(chance), 1e-300)) + math.log(allowed_alarms)
 
         high_nats = self.scale_nats
         while surplus(high_nats) > 0.0:

@@ -176,6 +176,7 @@ class Twin:
         return list(self._diagnose(self._began + self._blocks * self._block))
 
     def _update_step(self, step: Step) -> Iterator[TwinEvent]:
+        """Process one step of the flight: wait for free flight, begin the comparison, or continue it."""
         if step.after_gap:
             yield from self._wait(step.index, "samples are missing")
             self._inputs.restart()
@@ -215,6 +216,7 @@ class Twin:
         return LikelihoodRatio(self.model.changes, self._count_rad, draws=2)
 
     def _begin(self, index: int) -> KalmanFilter:
+        """Begin the comparison at step `index`, from the state that the latest measured steps show."""
         times_s, angles_rad, volts_V = self._inputs.kept()
         self.free = True
         self.contradicts = False
@@ -307,15 +309,16 @@ class Twin:
 
     def _onset_rad(self) -> Floats:
         """Angle of its axis [rad] at each onset of an encoder's scale, (scales, onsets)."""
-        kept = len(self._angles_rad)
+        row_count = len(self._angles_rad)
         return np.array(
             [
-                self._angles_rad[self._ratio.onset_blocks(column) % kept, axis]
+                self._angles_rad[self._ratio.onset_blocks(column) % row_count, axis]
                 for column, axis in self.model.scales
             ]
         )
 
     def _wait(self, index: int, why: str) -> Iterator[TwinEvent]:
+        """End the comparison at step `index` because of `why`, until the flight is free again."""
         if self._kalman is None:
             return
         yield from self._diagnose(index)
@@ -325,6 +328,7 @@ class Twin:
         yield TwinEvent("waits", index * self.step_s - self._zero_s, f"the comparison stops: {why}")
 
     def _diagnose(self, index: int) -> Iterator[TwinEvent]:
+        """Yield the final ranking of an alarm that has none yet."""
         if self._alarm_block is None or self._diagnosed:
             return
         t_s = index * self.step_s - self._zero_s
@@ -353,7 +357,7 @@ def format_ranking(ranking: Sequence[ChangeCandidate], onset_s: float) -> str:
     odds = math.exp(min(first.log_evidence - second.log_evidence, 50.0))
     times = f"{odds:.0f} times" if odds < _MAX_REPORTED_ODDS else f"over {_MAX_REPORTED_ODDS:.0f} times"
     if odds < 1.5:
-        rest = f"equally likely: {second.change.words(second.size, second.std)}"
+        comparison = f"equally likely: {second.change.words(second.size, second.std)}"
     else:
-        rest = f"{times} more likely than the next change ({second.change.id})"
-    return f"{first.change.words(first.size, first.std)} since {onset_s:.1f} s; {rest}"
+        comparison = f"{times} more likely than the next change ({second.change.id})"
+    return f"{first.change.words(first.size, first.std)} since {onset_s:.1f} s; {comparison}"

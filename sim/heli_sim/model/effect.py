@@ -158,12 +158,19 @@ class Effect:
             result[self.moment] = self.other_moments_s.get(label, NEVER_s)
         return result
 
-    def own(self, at: Operands, what: str) -> ca.SX:
-        """Return a parameter or a state of the effect in its unit. `what` is its name after the prefix, such
-        as ``share`` of ``thrust_step_front_share``.
+    def own(self, at: Operands, short_name: str) -> ca.SX:
+        """Value of one of the effect's own parameters or states, in its unit.
+
+        Parameters
+        ----------
+        at : Operands
+            All parameters and states of the model, by full name.
+        short_name : str
+            Name without the effect's prefix, such as ``share``: the model knows that of the effect
+            ``thrust_step.front`` as ``thrust_step_front_share``.
         """
-        name = f"{self.prefix}_{what}"
-        return at.parameter[name] if name in at.parameter else at.state[name]
+        full_name = f"{self.prefix}_{short_name}"
+        return at.parameter[full_name] if full_name in at.parameter else at.state[full_name]
 
     def modified_parameters(self, at: Operands) -> Mapping[str, ca.SX]:
         """Rig parameters by name, after the effect has modified them and before they are used."""

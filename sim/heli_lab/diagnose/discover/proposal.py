@@ -141,8 +141,10 @@ def proposed_term(discovery: Discovery) -> ProposedTerm:
 
 
 def term_trace(discovery: Discovery) -> TermTrace:
-    """Evaluate the equation of a `discovery` along a flight."""
-    without, with_equation = discovery.elsewhere or (
+    """Torque of the equation of a `discovery` along the first flight, and the torque that the model without
+    it lacks: about the axis on which the equation acts most.
+    """
+    without_equation, with_equation = discovery.elsewhere or (
         discovery.base.estimate,
         discovery.hypothesis.estimate,
     )
@@ -151,7 +153,9 @@ def term_trace(discovery: Discovery) -> TermTrace:
     torque_Nm = signals.linearised_flights[0].disturbance_for(change_rad_s2)
     axis = int(np.argmax(torque_Nm.std(axis=0)))
     # The smoother has one row per measurement of the filter, the equation one per step.
-    t_s, missing_Nm, std_Nm = smoothed_disturbances(without.filtered(), without.disturbances)[0]
+    t_s, missing_Nm, std_Nm = smoothed_disturbances(
+        without_equation.filtered(), without_equation.disturbances
+    )[0]
     term_Nm = np.interp(t_s, step_s, torque_Nm[:, axis])
     quantity = discovery.equation.terms[0].term.quantities[-1]
     return TermTrace(

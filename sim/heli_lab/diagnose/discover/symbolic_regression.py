@@ -42,7 +42,7 @@ _NO_DRIFT_Nm: Final = 2e-5
 
 @dataclass
 class EquationSearch:
-    """Forward selection of the terms of an equation.
+    """Forward selection of the terms of an equation: each round adds the group of terms of largest margin.
 
     Parameters
     ----------

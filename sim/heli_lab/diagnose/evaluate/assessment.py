@@ -85,5 +85,5 @@ def without(
     comparison: ModelComparison, search: Search, extended: Hypothesis, ids: Collection[str]
 ) -> Hypothesis:
     """Refit an `extended` model without the effects `ids`."""
-    kept = [candidate for candidate in extended.candidates if candidate.id not in ids]
-    return comparison.refit(kept, None, extended) if kept else search.baseline
+    candidates = [candidate for candidate in extended.candidates if candidate.id not in ids]
+    return comparison.refit(candidates, None, extended) if candidates else search.baseline

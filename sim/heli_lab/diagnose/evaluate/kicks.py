@@ -43,7 +43,8 @@ class Kicks:
 def kicks(
     filtered: InnovationsModel, disturbances: DisturbanceModel, error: FlightErrors | None = None
 ) -> dict[str, Kicks]:
-    """Count the kicks about each axis; axes without any are left out.
+    """Count the kicks about each axis: torques at single instants that the disturbances do not explain. Axes
+    without kicks are left out.
 
     The most significant impulse is subtracted before the next one is sought, because it also raises the
     statistics of instants close to it.
@@ -53,7 +54,7 @@ def kicks(
     filtered : InnovationsModel
         The final model along the flights.
     disturbances : DisturbanceModel
-        Sizes and correlation times of the random torques; a kick is what they do not explain.
+        Sizes and correlation times of the random torques.
     error : list, optional
         As in `auxiliary_residuals`.
     """

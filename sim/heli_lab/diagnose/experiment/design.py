@@ -229,8 +229,8 @@ def informative_experiment(
     baseline : Hypothesis
         The refitted baseline, with which the plan is simulated.
     """
-    wanted = [kinds[id_] for id_ in undetectable]
-    flight = compose_experiment(reason, {segment_for(kind) for kind in wanted})
+    wanted_kinds = [kinds[id_] for id_ in undetectable]
+    flight = compose_experiment(reason, {segment_for(kind) for kind in wanted_kinds})
     record = simulate_experiment(baseline.estimate, flight.plan)
     if record is None:
         return flight
@@ -239,13 +239,13 @@ def informative_experiment(
         new = ModelComparison(parameter_vector.model, parameter_vector.rig, [record], ()).refit(
             [], baseline.values
         )
-        still = undetectable_effects(Screening(new.estimate).effects(wanted), kinds)
+        missed = undetectable_effects(Screening(new.estimate).effects(wanted_kinds), kinds)
     except SimError:
         return flight
-    but = f", not {', '.join(still)}" if still else ""
+    but = f", not {', '.join(missed)}" if missed else ""
     return ExperimentDesign(
-        f"{flight.why} Simulated on this rig, it shows {len(wanted) - len(still)} of these "
-        f"{len(wanted)} at a typical size{but}.",
+        f"{flight.why} Simulated on this rig, it shows {len(wanted_kinds) - len(missed)} of these "
+        f"{len(wanted_kinds)} at a typical size{but}.",
         flight.plan,
     )
 

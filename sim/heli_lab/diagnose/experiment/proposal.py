@@ -46,9 +46,9 @@ def propose_experiment(
         return _wider_range(search, assessment)
     seconds = sum(record.used_s for record in comparison.train)
     if seconds < SHORT_s or len(undetectable) > MANY_UNDETECTABLE:
-        which = ", ".join(undetectable) or "small effects"
+        missing_effects = ", ".join(undetectable) or "small effects"
         return informative_experiment(
-            f"{seconds:.0f} s of free flight are too short to show {which}.",
+            f"{seconds:.0f} s of free flight are too short to show {missing_effects}.",
             undetectable,
             search.baseline,
             kinds,
@@ -95,10 +95,10 @@ def _closest_pair(comparison: ModelComparison, search: Search, assessment: Asses
     if refit is None:
         return None
     extended = assessment.extended
-    rest = [candidate for candidate in extended.candidates if candidate.id != least_certain.candidate.id]
+    others = [candidate for candidate in extended.candidates if candidate.id != least_certain.candidate.id]
     second = refit.hypothesis
-    if rest:
-        second = comparison.refit([*rest, refit.candidate], second.values, extended)
+    if others:
+        second = comparison.refit([*others, refit.candidate], second.values, extended)
     return Pair(
         extended, second, (least_certain.candidate.id, alternative.id), alternative.log_likelihood_ratio
     )

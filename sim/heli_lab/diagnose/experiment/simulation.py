@@ -89,15 +89,15 @@ def expected_log_likelihood_ratio(
         return None
     new = ModelComparison(comparison.model, comparison.rig, [record], (), seed=comparison.seed)
     try:
-        more = new.refit(truth.candidates, truth.values)
-        less = new.refit(alternative.candidates, alternative.values)
+        with_truth = new.refit(truth.candidates, truth.values)
+        with_alternative = new.refit(alternative.candidates, alternative.values)
     except SimError:
         return None
-    return more.log_likelihood - less.log_likelihood
+    return with_truth.log_likelihood - with_alternative.log_likelihood
 
 
 def _thinned(flight: Flight) -> Flight:
     rows = len(flight) // _DECIMATION * _DECIMATION
     mean_V = flight.voltages_V[:rows].reshape(-1, _DECIMATION, 2).mean(axis=1)
-    kept = slice(0, rows, _DECIMATION)
-    return Flight(flight.t_s[kept], mean_V[:, 0], mean_V[:, 1], *flight.angles_rad[kept].T)
+    decimated = slice(0, rows, _DECIMATION)
+    return Flight(flight.t_s[decimated], mean_V[:, 0], mean_V[:, 1], *flight.angles_rad[decimated].T)

@@ -165,8 +165,8 @@ def _rank(round_: Round, number: int, panel: Axes) -> None:
                 fontsize=7,
             )
     panel.set_xscale("log")
-    most = max([*gains, *(refit.gain for refit in refits.values())])
-    panel.set_xlim(1.0, max(10.0, 5.0 * most))
+    largest_nats = max([*gains, *(refit.gain for refit in refits.values())])
+    panel.set_xlim(1.0, max(10.0, 5.0 * largest_nats))
     panel.set_yticks(place, names, fontsize=8)
     outcome = f"accepted: {readable_id(round_.accepted_id)}" if round_.accepted_id else "nothing accepted"
     panel.set_title(f"round {number}: {outcome}", fontsize=10, loc="left")

@@ -18,14 +18,14 @@ def regions_section(diagnosis: Diagnosis, kept: Kept) -> dict[str, Any]:
     verdict is the first.
     """
     first = diagnosis.failing
-    every = [first, *(diagnosis.failing_about(axis) for axis in AXES if axis != first.axis)]
+    all_regions = [first, *(diagnosis.failing_about(axis) for axis in AXES if axis != first.axis)]
     models = ["baseline", "model with all named causes"]
     if diagnosis.proposal is not None:
         models = [models[1], "with the proposed equation"]
     elif not diagnosis.assessment.extended.candidates:
         models = models[:1]
     return {
-        "address": kept("regions", equation_figures.figure_of_failing_regions(every, models)),
+        "address": kept("regions", equation_figures.figure_of_failing_regions(all_regions, models)),
         "said": [
             f"About {regions.axis}: "
             + "; ".join(
@@ -37,7 +37,7 @@ def regions_section(diagnosis: Diagnosis, kept: Kept) -> dict[str, Any]:
                     strict=False,
                 )
             )
-            for regions in every
+            for regions in all_regions
         ],
         "note": _regions_note(diagnosis, len(models) > 1),
     }

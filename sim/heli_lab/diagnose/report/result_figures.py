@@ -43,9 +43,9 @@ def figure_of_missing_terms(terms: Sequence[MissingTerm]) -> Figure:
     panels = figure.subplots(rows, 2, sharey="row", squeeze=False)
     high = 4.1 * rows
     figure.subplots_adjust(0.085, 0.62 / high, 0.985, 1.0 - 0.6 / high, wspace=0.05, hspace=0.48)
-    for whole, (before, after) in zip(terms, panels, strict=True):
-        along_time = whole.on == TIME
-        term = _busy_part(whole) if along_time else whole
+    for full_term, (before, after) in zip(terms, panels, strict=True):
+        along_time = full_term.on == TIME
+        term = _busy_part(full_term) if along_time else full_term
         noun = f"torque about {term.axis}" if term.what == "torque" else f"angle of the {term.axis} encoder"
         name, whose = readable_id(term.id), "cause"
         if name != term.id:

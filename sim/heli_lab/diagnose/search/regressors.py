@@ -172,6 +172,22 @@ class Regressors:
 class ExtendedModel:
     """A `model` with one more `effect`, and the change of rates and measured angles by its `linear`
     parameters, or by the whole effect if there are none.
+
+    Attributes
+    ----------
+    more : Model
+        The model with the effect.
+    places : list of int
+        Indices of the model's parameters among those of `more`.
+    own_places : dict of int
+        Indices of the effect's parameters among them, by full name.
+    state_count : int
+        Number of states of the effect.
+    change : AlongTrajectory
+        Function of a trajectory with two results: derivatives of rates and measured angles by each linear
+        parameter, or their changes by the whole effect.
+    own : EffectStates
+        Integrator of the effect's states, if it has any.
     """
 
     def __init__(self, model: Model, effect: Effect, linear: Sequence[str]) -> None:

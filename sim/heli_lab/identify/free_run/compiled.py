@@ -341,6 +341,7 @@ class CompiledKernel(Kernel):
         start_s = np.ascontiguousarray(inputs.start_s, float)
 
         def run_windows(low: int, high: int) -> None:
+            """Run the windows `low` to `high` - 1 in C."""
             self._windows(
                 ctypes.c_longlong(high - low),
                 *(ctypes.c_void_p(array[low:].ctypes.data) for array in (first, steps, start_s)),

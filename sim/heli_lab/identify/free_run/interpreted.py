@@ -119,10 +119,11 @@ class InterpretedKernel(Kernel):
             running = np.flatnonzero(inputs.steps > step)
             rows = inputs.first[running] + step
             states = _States(value[running], sensitivity[running])
-            instants = _Step(self, inputs, rows, inputs.start_s[running] + step * inputs.step_s, parameters)
-            measured = instants.evaluate("angles", 0.0, states)
+            start_s = inputs.start_s[running] + step * inputs.step_s
+            present = _Step(self, inputs, rows, start_s, parameters)
+            measured = present.evaluate("angles", 0.0, states)
             angles[rows], jacobian[rows] = measured.value, measured.sensitivity
-            states = instants.advance(states)
+            states = present.advance(states)
             value[running], sensitivity[running] = states.value, states.sensitivity
         return angles, jacobian, value
 

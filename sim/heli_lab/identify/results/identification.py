@@ -178,6 +178,7 @@ class Identification:
         }
 
     def _flight(self, check: FreeRunErrors, role: str) -> dict[str, Any]:
+        """Entry of one flight in the JSON."""
         records = {record.label: record for record in self.fit.problem.records}
         entry: dict[str, Any] = {
             "flight": check.label,

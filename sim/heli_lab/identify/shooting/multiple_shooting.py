@@ -73,6 +73,7 @@ class MultipleShooting:
         )
 
         def iterate_after_step() -> Iterate:
+            """Evaluate the model after the step, and recover the windows that it lost."""
             states = []
             for index, columns in enumerate(problem.columns):
                 response = np.einsum("wsf,f->ws", reduced.state_responses[index], step.move[columns])

@@ -162,9 +162,9 @@ class ShootingCost:
         for _ in range(thresholds.WEIGHT_TURNS if self.robust else 1):
             rows = np.repeat(weight, grid.inputs.steps)[:, None]
             share = float(np.mean(rows))
-            kept = evaluation.residual * np.sqrt(rows)
-            variance = np.maximum(1.0, long_run_variance(kept, grid.slices, grid.inputs.step_s) / share)
-            variance = floor_axes(variance, np.mean(kept**2, axis=0) / share, grid.record.sigma_rad)
+            weighted = evaluation.residual * np.sqrt(rows)
+            variance = np.maximum(1.0, long_run_variance(weighted, grid.slices, grid.inputs.step_s) / share)
+            variance = floor_axes(variance, np.mean(weighted**2, axis=0) / share, grid.record.sigma_rad)
             before = weight
             if self.robust:
                 weight = window_weights(evaluation.residual, grid.slices, variance)

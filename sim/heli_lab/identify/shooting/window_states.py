@@ -140,6 +140,7 @@ class _WindowSearch:
     def _replace(
         self, is_better: Booleans, states: Floats, normal_matrix: Floats, cost: Floats, residual: Floats
     ) -> None:
+        """Replace the windows `is_better`, shape (k,), by states with their evaluation and cost."""
         self.states[is_better] = states[is_better]
         self.normal_matrix[is_better] = normal_matrix[is_better]
         self.cost[is_better] = cost[is_better]

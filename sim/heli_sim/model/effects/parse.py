@@ -54,7 +54,7 @@ def effects_of(rig: Rig, extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]
     for name, numbers in rig.effects.items():
         where = f"rig '{rig.name}'"
         kind = _known(kinds, name, where)
-        units = {one.name: one.unit for one in kind.numbers}
+        units = {parameter.name: parameter.unit for parameter in kind.numbers}
         for what, number in numbers.items():
             if what not in units:
                 raise EffectError(
@@ -64,7 +64,11 @@ def effects_of(rig: Rig, extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]
                 raise EffectError(
                     f"{where}: {what} of '{name}' is in '{number.unit}'", f"give it in '{units[what]}'"
                 )
-        missing = [one.name for one in kind.numbers if one.prior is not None and one.name not in numbers]
+        missing = [
+            parameter.name
+            for parameter in kind.numbers
+            if parameter.prior is not None and parameter.name not in numbers
+        ]
         if missing:
             raise EffectError(f"{where}: effect '{name}' lacks {', '.join(missing)}", "add each")
         effect = kind.make({kind.full(what): number.value for what, number in numbers.items()})
@@ -98,7 +102,7 @@ def _stated_priors(kind: EffectSpec, numbers: Mapping[str, Number]) -> dict[str,
     """
     return {
         name: replace(prior, mean=numbers[what].value, std=0.5 * numbers[what].tolerance)
-        for what, name in ((one.name, kind.full(one.name)) for one in kind.numbers)
+        for what, name in ((parameter.name, kind.full(parameter.name)) for parameter in kind.numbers)
         for prior in [kind.priors.get(name)]
         if prior is not None and what in numbers and numbers[what].tolerance > 0.0
     }
@@ -120,10 +124,13 @@ def effect_numbers(
     """
     known = {**kind.neutral, **values}
     return {
-        one.name: Number(
-            known[kind.full(one.name)], one.unit, tolerances.get(kind.full(one.name), 0.0), source
+        parameter.name: Number(
+            known[kind.full(parameter.name)],
+            parameter.unit,
+            tolerances.get(kind.full(parameter.name), 0.0),
+            source,
         )
-        for one in kind.numbers
+        for parameter in kind.numbers
     }
 
 
@@ -152,12 +159,12 @@ def _known(kinds: Mapping[str, EffectSpec], name: str, where: str) -> EffectSpec
 
 def _in_proportion(kind: EffectSpec, value: str) -> dict[str, str]:
     """Return the texts of the other sizes in proportion to the first one, if that is a number."""
-    first, *others = (one for one in kind.numbers if one.size)
+    first, *others = (parameter for parameter in kind.numbers if parameter.size)
     try:
         factor = float(value) / first.typical
     except ValueError:
         return {}
-    return {one.name: repr(factor * one.typical) for one in others}
+    return {parameter.name: repr(factor * parameter.typical) for parameter in others}
 
 
 def _values(kind: EffectSpec, rest: str, text: str) -> dict[str, float]:
@@ -169,7 +176,7 @@ def _values(kind: EffectSpec, rest: str, text: str) -> dict[str, float]:
     else:
         pairs = [pair.partition(":") for pair in rest.split(",")]
         given = {what.strip(): value for what, _, value in pairs}
-    names = [one.name for one in kind.numbers]
+    names = [parameter.name for parameter in kind.numbers]
     values = {}
     for spelled, value in given.items():
         what = spelled.removeprefix(f"{kind.prefix}_")

@@ -43,12 +43,12 @@ class RotorLag(Effect):
                 raise PlantError(
                     f"rotor_lag_s = {lag_s} must not be negative", "leave the effect out instead"
                 )
-            made = SPEC.make({"rotor_lag_s": lag_s})
-            fields = {name: getattr(made, name) for name in Effect.__dataclass_fields__}
+            effect = SPEC.make({"rotor_lag_s": lag_s})
+            fields = {name: getattr(effect, name) for name in Effect.__dataclass_fields__}
         super().__init__(**fields)  # type: ignore[arg-type]
 
     time_constant: ClassVar[str] = "s"
-    """Which of its parameters is the time constant, without the prefix."""
+    """Short name of the parameter that is the time constant: ``s`` for ``rotor_lag_s``."""
 
     @property
     def lag_s(self) -> float:
@@ -93,3 +93,4 @@ SPEC: Final = EffectSpec(
     rank=10,
     source="first-order model of a motor with a propeller about an operating point",
 )
+"""In a model: the parameter `rotor_lag_s`, and the states `rotor_lag_front_N` and `rotor_lag_back_N`."""

@@ -207,32 +207,43 @@ class EffectSpec:
     @property
     def parameters(self) -> tuple[Quantity, ...]:
         """The effect's parameters by their full names, as in a model with the effect."""
-        return tuple(Quantity(self.full(one.name), one.unit, one.meaning) for one in self.numbers)
+        return tuple(
+            Quantity(self.full(parameter.name), parameter.unit, parameter.meaning)
+            for parameter in self.numbers
+        )
 
     @property
     def priors(self) -> dict[str, Prior]:
         """Prior of each parameter that flights may estimate, by full name."""
-        return {self.full(one.name): one.prior for one in self.numbers if one.prior is not None}
+        return {
+            self.full(parameter.name): parameter.prior
+            for parameter in self.numbers
+            if parameter.prior is not None
+        }
 
     @property
     def neutral(self) -> dict[str, float]:
         """Values of all parameters at which the effect does nothing, by full name."""
-        return {self.full(one.name): one.neutral_value for one in self.numbers}
+        return {self.full(parameter.name): parameter.neutral_value for parameter in self.numbers}
 
     @property
     def typical(self) -> dict[str, float]:
         """Values of all parameters at which the effect is clearly visible, by full name."""
-        return {self.full(one.name): one.typical for one in self.numbers}
+        return {self.full(parameter.name): parameter.typical for parameter in self.numbers}
 
     @property
     def size(self) -> tuple[str, ...]:
         """Full names of the parameters that enter almost linearly and measure the size."""
-        return tuple(self.full(one.name) for one in self.numbers if one.size)
+        return tuple(self.full(parameter.name) for parameter in self.numbers if parameter.size)
 
     @property
     def grid(self) -> dict[str, GridValues]:
         """Parameters in which the likelihood is multimodal, by full name, with the values to start from."""
-        return {self.full(one.name): one.grid for one in self.numbers if one.grid is not None}
+        return {
+            self.full(parameter.name): parameter.grid
+            for parameter in self.numbers
+            if parameter.grid is not None
+        }
 
     @property
     def is_one_sided(self) -> bool:
@@ -241,7 +252,9 @@ class EffectSpec:
         return prior is not None and prior.low >= 0.0
 
     def full(self, name: str) -> str:
-        """Full name of a parameter, such as ``thrust_step_front_share``, whose last part is `name`."""
+        """Full name of a parameter or state in a model, from its short `name`: ``share`` of the effect
+        ``thrust_step.front`` is ``thrust_step_front_share``. `Effect.own` finds it again by the short name.
+        """
         return f"{self.prefix}_{name}"
 
     def suits(self, model: Model) -> bool:
@@ -269,19 +282,19 @@ class EffectSpec:
         Parameters
         ----------
         values : Mapping[str, float]
-            Values of theirs by full name; `neutral` for those not given, and what belongs to no contained
-            effect is left out.
+            Values of the contained effects' parameters by full name, others are ignored; parameters without a
+            value become `neutral`.
         """
-        found = dict(self.neutral)
+        result = dict(self.neutral)
         for contained, names in self.contains.items():
-            for theirs, own in names.items():
-                full = f"{contained.replace('.', '_')}_{theirs}"
-                if full in values:
-                    found[self.full(own)] = values[full]
-        return found
+            for contained_name, name in names.items():
+                contained_full = f"{contained.replace('.', '_')}_{contained_name}"
+                if contained_full in values:
+                    result[self.full(name)] = values[contained_full]
+        return result
 
     def make(self, values: Mapping[str, float] | None = None) -> Effect:
-        """Make the effect.
+        """Make an effect of this kind, for a model.
 
         Parameters
         ----------
@@ -293,13 +306,14 @@ class EffectSpec:
         EffectError
             When a name is unknown or a value is out of range.
         """
-        given = dict(values or {})
-        for name, value in given.items():
+        all_values = dict(self.neutral)
+        for name, value in (values or {}).items():
             self._check(name, value)
+            all_values[name] = float(value)
         return self.effect(
             name=self.id,
             parameters=self.parameters,
-            values={**self.neutral, **{name: float(value) for name, value in given.items()}},
+            values=all_values,
             states=tuple(Quantity(self.full(s.name), s.unit, s.meaning) for s in self.states),
             priors=self.priors,
             delay=self.full(self.delay) if self.delay else "",
@@ -315,8 +329,8 @@ class EffectSpec:
         the prior are left out.
         """
         return {
-            name: self._in_range(name, one(seconds) if callable(one) else one)
-            for name, one in self.grid.items()
+            name: self._in_range(name, grid(seconds) if callable(grid) else grid)
+            for name, grid in self.grid.items()
         }
 
     def describe(self, values: Mapping[str, float], stds: Mapping[str, float] | None = None) -> str:
@@ -332,10 +346,10 @@ class EffectSpec:
         """
         known = {**self.neutral, **values}
         texts = {
-            one.name: format_estimate(
-                known[self.full(one.name)], (stds or {}).get(self.full(one.name)), one.unit
+            parameter.name: format_estimate(
+                known[self.full(parameter.name)], (stds or {}).get(self.full(parameter.name)), parameter.unit
             )
-            for one in self.numbers
+            for parameter in self.numbers
         }
         return self.sentence.format(**texts)
 
