@@ -14,11 +14,12 @@ from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.draws import evidence
 from heli_lab.twin.flights import count_rad_of, samples_of
 from heli_lab.twin.healthy_flights import fly_simulated, random_plan, with_process_noise
-from heli_lab.twin.kalman_filter import KalmanFilter, TwinModel
+from heli_lab.twin.kalman_filter import KalmanFilter
 from heli_lab.twin.likelihood_ratio import ONSETS
 from heli_lab.twin.parameter_uncertainty import EXACT, SUPPLY_STD
 from heli_lab.twin.tail import Tail
 from heli_lab.twin.twin import Twin
+from heli_lab.twin.twin_model import TwinModel
 from heli_sim.model import MultibodyModel
 from heli_sim.model.linear import trim
 from heli_sim.rig import Rig, load_rig

@@ -15,24 +15,18 @@ from __future__ import annotations
 
 from typing import Final
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 from heli_host.arrays import Floats
-from heli_sim.model.base import Effect, Model
 from heli_sim.model.parts import AXES
-from heli_sim.rig import Rig
 from scipy.special import erf
 
-from heli_lab.estimation import AlongTrajectory, DisturbanceModel, Trajectory, _kalman
-from heli_lab.identify.flight_model import TORQUE_STD_Nm, model_functions
-from heli_lab.twin.changes import SCALES, SUPPLY, Change, changes_of, extended, free_numbers
+from heli_lab.estimation import DisturbanceModel, _kalman
+from heli_lab.identify.flight_model import TORQUE_STD_Nm
 from heli_lab.twin.likelihood_ratio import ONSETS, Innovation
-from heli_lab.twin.parameter_uncertainty import EXACT, ParameterUncertainty
+from heli_lab.twin.twin_model import ZEROS, TwinModel
 
-ZEROS: Final = ("offset_elevation", "offset_pitch")
-"""Encoders with an observable zero. The zero of travel cannot be distinguished from a constant torque."""
-_COUNT_SHARE: Final = 12.0**-0.5
+_ROUNDING_STD_COUNTS: Final = 12.0**-0.5
 """Standard deviation of a zero that is uniformly distributed over a count, in counts."""
 _ANGLE_STD_rad: Final = 0.005
 _RATE_STD_rad_s: Final = 0.3
@@ -41,127 +35,18 @@ _EFFECT_STATE_STD: Final = 0.3
 effects after a simulation from rest."""
 
 
-_HELD_s: Final = 0.2
+_EXCURSION_s: Final = 0.2
 """Length of an excursion of the voltage beyond those of the nominal flights, s: for so long, the effect of
 the excess is unknown by as much as it is. A rotor that is braked for a moment, for example. Longer: a
 single excursion hides changes for seconds. Shorter: what the rig does there is taken for a change."""
-_REPEATS: Final = 10.0
+_MAX_REPEATS: Final = 10.0
 """Greatest number of measurements, 40 ms apart, of an angle within one count that together count as one,
 because their errors are equal, not independent. At 1, slow travel in hover shows 19 nats of dry friction in
 ten minutes of nominal flight. More: an axis at rest is hardly measured at all."""
-_SLIDES: Final = 2.0 * 2.0**0.5
+_SIGN_WIDTH_STDS: Final = 2.0 * 2.0**0.5
 """Scale of the smoothed sign of a rate in the derivative by dry friction, in standard errors of the rate. It
 is the mean of the sign of an uncertain rate. Less: at rest, quantisation is taken for friction. More: slow
 axes show no friction."""
-
-
-class TwinModel:
-    """Equations of a rig with their derivatives by the state and by possible changes.
-
-    Parameters
-    ----------
-    model : Model
-        Equations with the rig's effects; effects with driving noise are left out, as the filter models the
-        disturbances.
-    rig : Rig
-        Parameters of the rig.
-    uncertainty : ParameterUncertainty
-        Errors of these parameters; exact without it.
-
-    Attributes
-    ----------
-    changes : tuple of Change
-        Possible changes of this rig.
-    parameters : ndarray (p,)
-        Values of all parameters of the extended model.
-    """
-
-    def __init__(self, model: Model, rig: Rig, uncertainty: ParameterUncertainty = EXACT) -> None:
-        calm = type(model)(tuple(effect for effect in model.effects if not effect.noise_inputs))
-        self.rig, self.model = rig, calm
-        self.changes: tuple[Change, ...] = changes_of(calm)
-        more = extended(calm)
-        free = tuple(dict.fromkeys((*free_numbers(self.changes), *uncertainty.names)))
-        self.functions = model_functions(more, free)
-        self.uncertainty = uncertainty
-        self.directions: Floats = uncertainty.directions(free)
-        """Amount of each free parameter per standard deviation of each unknown error, (parameters + 1,
-        errors); the last row is the supply."""
-        more = self.functions.model.source
-        self.plain = model_functions(more, ())
-        """The same functions without derivatives by changes, which is faster."""
-        self.parameters: Floats = more.parameter_values(rig)
-        names = self.functions.names
-        self.delay_s = float(self.parameters[names.index(more.delay)]) if more.delay else 0.0
-        dead_zone_V = more.dead_zone_V(self.parameters)
-        self.least_V = -np.inf if dead_zone_V is None else dead_zone_V
-        """Voltage below which a motor gives no thrust, V."""
-        self.states = len(more.states)
-        self.frictions = [
-            (place, axis)
-            for axis, name in enumerate(AXES)
-            for place, free in enumerate(self.functions.free)
-            if free == f"coulomb_friction_{name}_Nm"
-        ]
-        """For each axis with dry friction: its place among the free parameters, and the axis."""
-        self.measure = self._measurement(more)
-        resets = any(type(effect).reset_map is not Effect.reset_map for effect in calm.effects)
-        self.resets = self._resets(more) if resets else None
-        self.weights: Floats = self._weights()
-        """Amount of each free parameter per unit of each number of the changes, (parameters + 1, columns);
-        the last row is the supply."""
-        entries = [entry for change in self.changes for entry in change.numbers]
-        self.prior_sizes: Floats = np.array([size for change in self.changes for size in change.sizes])
-        """Prior standard deviation of each number of the changes, (columns,)."""
-        self.prior_changes: Floats = self.weights * self.prior_sizes
-        self.scales = [
-            (column, AXES.index(SCALES[entry])) for column, entry in enumerate(entries) if entry in SCALES
-        ]
-        """For each encoder scale: its column among the numbers of the changes, and its axis."""
-        tolerances = [rig[name].tolerance for name in ZEROS]
-        self.zero_tolerance_rad: Floats = np.deg2rad(tolerances)
-
-    def _weights(self) -> Floats:
-        free = self.functions.free
-        columns = [entry for change in self.changes for entry in change.numbers]
-        weights = np.zeros((len(free) + 1, len(columns)))
-        for column, entry in enumerate(columns):
-            for name in entry.split("+"):
-                if name not in SCALES:
-                    weights[len(free) if name == SUPPLY else free.index(name), column] = 1.0
-        return weights
-
-    def _symbols(self, model: Model) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        return (
-            ca.SX.sym("x", len(model.states)),
-            ca.SX.sym("u", 2),
-            ca.SX.sym("t"),
-            ca.SX.sym("p", len(model.parameters)),
-        )
-
-    def _measurement(self, model: Model) -> AlongTrajectory:
-        x, u, t, p = self._symbols(model)
-        angles = model.measurement(x, u, p, t)
-        by = ca.vertcat(*(p[i] for i in self.functions.places))
-        wanted = [angles, ca.jacobian(angles, x), ca.jacobian(angles, by)]
-        return AlongTrajectory(ca.Function("measure", [x, u, t, p], [ca.densify(w) for w in wanted]))
-
-    def _resets(self, model: Model) -> AlongTrajectory:
-        x, u, t, p = self._symbols(model)
-        return AlongTrajectory(ca.Function("resets", [x, u, t, p], [ca.densify(model.reset_map(x, u, p, t))]))
-
-    def at(self, t_s: float, state: Floats, volts_V: Floats, step_s: float) -> Trajectory:
-        """Return the point at which the functions are evaluated: time `t_s`, `state` of shape (n,) or (k, n),
-        voltages `volts_V`, (2,), in a step of `step_s`.
-        """
-        rows = np.atleast_2d(state)
-        return Trajectory(
-            np.full(len(rows), t_s),
-            rows,
-            np.broadcast_to(volts_V, (len(rows), 2)),
-            step_s,
-            self.parameters,
-        )
 
 
 class KalmanFilter:
@@ -186,6 +71,8 @@ class KalmanFilter:
 
     Attributes
     ----------
+    mean : ndarray (order,)
+        Estimate of z, with the unknown errors of the parameters as its last part.
     state_sensitivity : ndarray (order, columns, onsets)
         Error of the filter's state per unit of each change from each onset. `LikelihoodRatio.begin_onset`
         overwrites the columns of replaced onsets.
@@ -203,50 +90,54 @@ class KalmanFilter:
         is_changed: bool = False,
     ) -> None:
         self.twin, self.disturbances, self.step_s = twin, disturbances, step_s
-        nx = self._nx = twin.states
-        known = twin.directions.shape[1]
-        self._directions = np.hstack((twin.directions, twin.prior_changes)) if is_changed else twin.directions
-        """Amount of each free parameter per standard deviation of each unknown error."""
-        self._scale_errors = (
-            [(known + column, axis, twin.prior_sizes[column]) for column, axis in twin.scales]
-            if is_changed
-            else []
-        )
-        """For each unknown encoder scale: its place among the errors, its axis and standard deviation."""
+        self._count_rad, self._block_s = count_rad, block * step_s
+        # Free parameters per standard deviation of each unknown error, (parameters + 1, errors)
+        self._directions: Floats = twin.directions
+        # For each unknown encoder scale: its index among the errors, its axis and standard deviation.
+        self._scale_errors: list[tuple[int, int, float]] = []
+        if is_changed:
+            first_change = twin.directions.shape[1]
+            self._directions = np.hstack((twin.directions, twin.prior_changes))
+            self._scale_errors = [
+                (first_change + column, axis, twin.prior_sizes[column]) for column, axis in twin.scales
+            ]
         self._start_rad: Floats = state[:3].copy()
-        errors = self._directions.shape[1]
-        self._errors = slice(nx + 9 + len(ZEROS), nx + 9 + len(ZEROS) + errors)
+        # Parts of z: model's state, gusts, drift and constant torques about three axes, zeros, errors.
+        nx = self._nx = twin.states
+        error_count = self._directions.shape[1]
         self._zeros = slice(nx + 9, nx + 9 + len(ZEROS))
+        self._errors = slice(self._zeros.stop, self._zeros.stop + error_count)
         order = self._order = self._errors.stop
         self.mean: Floats = np.concatenate((state, np.zeros(order - nx)))
-        constant = np.array([TORQUE_STD_Nm[f"torque_{axis}"] for axis in AXES])
-        zeros = np.hypot(_COUNT_SHARE * count_rad[: len(ZEROS)], 0.5 * twin.zero_tolerance_rad)
-        initial = np.concatenate(
+        zero_rounding_rad = _ROUNDING_STD_COUNTS * count_rad[: len(ZEROS)]
+        initial_std = np.concatenate(
             (
                 [_ANGLE_STD_rad] * 3,
                 [_RATE_STD_rad_s] * 3,
                 [_EFFECT_STATE_STD] * (nx - 6),
                 disturbances.fast_std,
                 disturbances.slow_std,
-                constant,
-                zeros,
-                np.ones(errors),
+                [TORQUE_STD_Nm[f"torque_{axis}"] for axis in AXES],
+                np.hypot(zero_rounding_rad, 0.5 * twin.zero_tolerance_rad),
+                np.ones(error_count),
             )
         )
-        self._root: Floats = np.diag(initial)
-        """Square root of the covariance, P = R R'. It cannot give a negative variance; P itself, updated in
-        place, does by rounding where a flight contradicts the model."""
-        memory = disturbances.memory(step_s)
-        self._memory: Floats = np.ones(order)
-        self._memory[nx : nx + 6] = memory
+        # Square root of the covariance, P = R R'. It cannot give a negative variance; P itself, updated in
+        # place, does by rounding if a flight contradicts the model.
+        self._root: Floats = np.diag(initial_std)
+        # Autocorrelation of each part of z over a step, (order,), and roots of the process noise, (6, order).
+        autocorrelation = disturbances.memory(step_s)
+        self._autocorrelation: Floats = np.ones(order)
+        self._autocorrelation[nx : nx + 6] = autocorrelation
         self._noise: Floats = np.zeros((6, order))
-        self._noise[:, nx : nx + 6] = np.diag(np.sqrt((1.0 - memory**2) * disturbances.variance))
-        self._count_rad = count_rad
+        noise_variance = (1.0 - autocorrelation**2) * disturbances.variance
+        self._noise[:, nx : nx + 6] = np.diag(np.sqrt(noise_variance))
         self._variance_rad2: Floats = count_rad**2 / 12.0 * disturbances.quantisation
-        self.state_sensitivity: Floats = np.zeros((order, twin.weights.shape[1], ONSETS))
+        # Since the last measurement: transition of z, (order, order), and its derivative by each free
+        # parameter, (order, parameters + 1).
         self._transition: Floats = np.eye(order)
-        self._drive: Floats = np.zeros((order, twin.weights.shape[0]))
-        self._block_s = block * step_s
+        self._parameter_sensitivity: Floats = np.zeros((order, twin.weights.shape[0]))
+        self.state_sensitivity: Floats = np.zeros((order, twin.weights.shape[1], ONSETS))
 
     @property
     def covariance(self) -> Floats:
@@ -278,48 +169,53 @@ class KalmanFilter:
     def predict(self, t_s: float, volts_V: Floats) -> None:
         """Predict over a step that begins at `t_s`, with the mean acting voltages `volts_V`, (2,)."""
         twin, nx, h = self.twin, self._nx, self.step_s
-        point = twin.at(t_s + 0.5 * h, self.state, volts_V, h)
-        rates, a, by_torque, by_volts, _, _ = twin.functions.along(point)
-        phi, gamma = _kalman.midpoint(a, h)
-        phi, gamma = phi[0], gamma[0]
-        push = gamma @ by_torque[0]
-        drive = np.empty((nx, self._drive.shape[1]))
+        midpoint = twin.at(t_s + 0.5 * h, self.state, volts_V, h)
+        rates, jacobian, by_torque, by_volts, _, _ = twin.functions.along(midpoint)
+        phi, gamma = (matrices[0] for matrices in _kalman.midpoint(jacobian, h))
+        state_by_torque = gamma @ by_torque[0]
+        state_by_parameter = np.empty((nx, self._parameter_sensitivity.shape[1]))
         # The functions return the negative derivative of the rates by a parameter.
-        drive[:, :-1] = -gamma @ rates[0, :, 1:]
-        drive[:, -1] = -gamma @ (by_volts[0] @ volts_V)
+        state_by_parameter[:, :-1] = -gamma @ rates[0, :, 1:]
+        state_by_parameter[:, -1] = -gamma @ (by_volts[0] @ volts_V)
         rate_std = np.linalg.norm(self._root[3:6], axis=1)
-        for place, axis in twin.frictions:
-            drive[:, place] *= erf(abs(self.mean[3 + axis]) / (_SLIDES * rate_std[axis]))
-        by_error = drive @ self._directions
+        for column, axis in twin.frictions:
+            mean_sign = erf(abs(self.mean[3 + axis]) / (_SIGN_WIDTH_STDS * rate_std[axis]))
+            state_by_parameter[:, column] *= mean_sign
+        state_by_error = state_by_parameter @ self._directions
         transition = np.zeros((self._order, self._order))
         transition[:nx, :nx] = phi
-        for first in (nx, nx + 3, nx + 6):
-            transition[:nx, first : first + 3] = push
-        transition[:nx, self._errors] = by_error
-        np.fill_diagonal(transition[nx:, nx:], self._memory[nx:])
-        after = (
-            self.state + gamma @ rates[0, :, 0] + push @ self.torque_Nm + by_error @ self.mean[self._errors]
+        for first in (nx, nx + 3, nx + 6):  # gusts, drift, constant torques
+            transition[:nx, first : first + 3] = state_by_torque
+        transition[:nx, self._errors] = state_by_error
+        np.fill_diagonal(transition[nx:, nx:], self._autocorrelation[nx:])
+        predicted = (
+            self.state
+            + gamma @ rates[0, :, 0]
+            + state_by_torque @ self.torque_Nm
+            + state_by_error @ self.mean[self._errors]
         )
-        self.mean[nx:] *= self._memory[nx:]
-        self.mean[:nx] = after
+        self.mean[nx:] *= self._autocorrelation[nx:]
+        self.mean[:nx] = predicted
         if twin.resets is not None:
-            (reset,) = twin.resets(twin.at(t_s + h, after, volts_V, h))
+            (reset,) = twin.resets(twin.at(t_s + h, predicted, volts_V, h))
             self.mean[:nx] = reset[0, :, 0]
         self._propagate_root(transition, gamma @ by_volts[0], volts_V)
-        self._drive = transition @ self._drive
-        self._drive[:nx] += drive
+        self._parameter_sensitivity = transition @ self._parameter_sensitivity
+        self._parameter_sensitivity[:nx] += state_by_parameter
         self._transition = transition @ self._transition
 
     def _propagate_root(self, transition: Floats, by_volts: Floats, volts_V: Floats) -> None:
-        """Propagate the root of the covariance. Voltages that no nominal flight shows add noise, by the
-        derivatives `by_volts` of the state, (n, 2).
+        """Propagate the root of the covariance by a QR decomposition (array algorithm).
+
+        Voltages that no nominal flight shows add noise, by the derivatives `by_volts` of the state, (n, 2).
         """
         rows = np.vstack(((transition @ self._root).T, self._noise))
         outside_V = self.twin.uncertainty.outside_V(volts_V)
         if np.any(outside_V > 0.0):
-            unknown = np.zeros((2, self._order))
-            unknown[:, : self._nx] = (by_volts * (outside_V * (_HELD_s / self.step_s) ** 0.5)).T
-            rows = np.vstack((rows, unknown))
+            voltage_noise = np.zeros((2, self._order))
+            std_V = outside_V * (_EXCURSION_s / self.step_s) ** 0.5
+            voltage_noise[:, : self._nx] = (by_volts * std_V).T
+            rows = np.vstack((rows, voltage_noise))
         self._root = np.asarray(np.linalg.qr(rows, mode="r")).T
 
     def propagate_sensitivity(self, ages_s: Floats, is_ramp: npt.NDArray[np.bool_]) -> None:
@@ -335,21 +231,21 @@ class KalmanFilter:
         amount = np.where(is_ramp[:, None], np.maximum(ages_s - 0.5 * self._block_s, 0.0), 1.0)
         amount = np.where(ages_s > 0.0, amount, 0.0)
         order, columns, onsets = self.state_sensitivity.shape
-        moved = self._transition @ self.state_sensitivity.reshape(order, columns * onsets)
-        self.state_sensitivity = moved.reshape(order, columns, onsets)
-        self.state_sensitivity += (self._drive @ self.twin.weights)[:, :, None] * amount
+        propagated = self._transition @ self.state_sensitivity.reshape(order, columns * onsets)
+        self.state_sensitivity = propagated.reshape(order, columns, onsets)
+        self.state_sensitivity += (self._parameter_sensitivity @ self.twin.weights)[:, :, None] * amount
         self._transition = np.eye(order)
-        self._drive = np.zeros_like(self._drive)
+        self._parameter_sensitivity = np.zeros_like(self._parameter_sensitivity)
 
     def _measurement_variance(self, samples: int) -> Floats:
-        """Variance of the mean of so many `samples` of each angle, (3,)."""
-        speed = np.abs(self.mean[3:6])
-        crossings = np.minimum(speed * self.step_s / self._count_rad, 1.0)
+        """Return the variance of the mean of so many `samples` of each angle, (3,) [rad2]."""
+        speed_rad_s = np.abs(self.mean[3:6])
+        crossings = np.minimum(speed_rad_s * self.step_s / self._count_rad, 1.0)
         # Repeated measurements of an angle within one count carry no new information.
-        passed_s = self._count_rad / np.maximum(speed, 1e-6)
-        repeats = np.clip(passed_s / self._block_s, 1.0, _REPEATS)
-        result: Floats = self._variance_rad2 * repeats / (1.0 + (samples - 1) * crossings)
-        return result
+        time_per_count_s = self._count_rad / np.maximum(speed_rad_s, 1e-6)
+        repeats = np.clip(time_per_count_s / self._block_s, 1.0, _MAX_REPEATS)
+        variance_rad2: Floats = self._variance_rad2 * repeats / (1.0 + (samples - 1) * crossings)
+        return variance_rad2
 
     def update(
         self,
@@ -377,75 +273,61 @@ class KalmanFilter:
         onset_rad : ndarray (scales, onsets)
             For each of the twin's `scales`, the angle of its axis at each onset [rad].
         """
-        twin, nx = self.twin, self._nx
-        angles, c, by_free = twin.measure(twin.at(t_s, self.state, volts_V, self.step_s))
-        direct = np.zeros((3, twin.weights.shape[0]))
-        direct[:, :-1] = by_free[0]
+        angles, by_state, by_parameter = self.twin.measure(
+            self.twin.at(t_s, self.state, volts_V, self.step_s)
+        )
+        direct = np.zeros((3, self.twin.weights.shape[0]))
+        direct[:, :-1] = by_parameter[0]
         by_error = direct @ self._directions
-        for place, axis, std in self._scale_errors:
-            by_error[axis, place] += std * (self.mean[axis] - self._start_rad[axis])
-        predicted = angles[0, :, 0] + np.array([*self.zero_rad, 0.0]) + by_error @ self.mean[self._errors]
-        shown = direct @ twin.weights
-        turned = {
-            axis: (column, (self.mean[axis] - onset_rad[row]) * amount[column])
-            for row, (column, axis) in enumerate(twin.scales)
-        }
-        variance = self._measurement_variance(samples)
-        residual = measured_rad - predicted
+        for index, axis, std in self._scale_errors:
+            by_error[axis, index] += std * (self.mean[axis] - self._start_rad[axis])
+        output_matrix = np.zeros((3, self._order))
+        output_matrix[:, : self._nx] = by_state[0]
+        output_matrix[: len(ZEROS), self._zeros] = np.eye(len(ZEROS))
+        output_matrix[:, self._errors] = by_error
+        # Increase of the measured angles by each change directly, and not through the state.
+        direct_changes = (direct @ self.twin.weights)[:, :, None] * amount
+        for row, (column, axis) in enumerate(self.twin.scales):
+            direct_changes[axis, column] += (self.mean[axis] - onset_rad[row]) * amount[column]
+        predicted_rad = angles[0, :, 0] + np.array([*self.zero_rad, 0.0]) + by_error @ self.mean[self._errors]
+        return self._update_axes(
+            measured_rad - predicted_rad, output_matrix, direct_changes, self._measurement_variance(samples)
+        )
+
+    def _update_axes(
+        self, residual_rad: Floats, output_matrix: Floats, direct_changes: Floats, variance_rad2: Floats
+    ) -> Innovation:
+        """Update mean, root and sensitivities with one angle after the other.
+
+        Parameters
+        ----------
+        residual_rad : ndarray (3,)
+            Measured minus predicted angles [rad].
+        output_matrix : ndarray (3, order)
+            Derivatives of the angles by z.
+        direct_changes : ndarray (3, columns, onsets)
+            Direct increase of the measured angles by one unit of each change [rad].
+        variance_rad2 : ndarray (3,)
+            Variances of the measured angles.
+        """
         value = np.zeros(3)
         sensitivity = np.empty((3, *self.state_sensitivity.shape[1:]))
         order, columns, onsets = self.state_sensitivity.shape
-        moved = self.state_sensitivity.reshape(order, columns * onsets)
-        change = np.zeros(order)
-        for axis in range(3):
-            row = np.zeros(order)
-            row[:nx] = c[0, axis]
-            if axis < len(ZEROS):
-                row[self._zeros.start + axis] = 1.0
-            row[self._errors] = by_error[axis]
-            by_root = self._root.T @ row
-            gain = self._root @ by_root
-            total = float(by_root @ by_root) + variance[axis]
-            scale = total**-0.5
-            value[axis] = (residual[axis] - row @ change) * scale
-            projection = (row @ moved).reshape(columns, onsets) + shown[axis][:, None] * amount
-            column, counted = turned[axis]
-            projection[column] += counted
-            projection *= scale
-            sensitivity[axis] = projection
-            change += gain * (scale * value[axis])
-            moved -= np.outer(gain * scale, projection)
-            # The measurement update of the root by Potter.
-            self._root -= np.outer(gain, by_root) / (total + (total * variance[axis]) ** 0.5)
-        self.mean += change
+        state_sensitivity = self.state_sensitivity.reshape(order, columns * onsets)  # a view
+        correction = np.zeros(order)
+        for axis, output_row in enumerate(output_matrix):
+            root_row = self._root.T @ output_row
+            covariance = self._root @ root_row
+            innovation_variance = float(root_row @ root_row) + variance_rad2[axis]
+            scale = innovation_variance**-0.5
+            value[axis] = (residual_rad[axis] - output_row @ correction) * scale
+            sensitivity[axis] = (output_row @ state_sensitivity).reshape(columns, onsets)
+            sensitivity[axis] += direct_changes[axis]
+            sensitivity[axis] *= scale
+            correction += covariance * (scale * value[axis])
+            state_sensitivity -= np.outer(covariance * scale, sensitivity[axis])
+            # Measurement update of the root by Potter.
+            potter = innovation_variance + (innovation_variance * variance_rad2[axis]) ** 0.5
+            self._root -= np.outer(covariance, root_row) / potter
+        self.mean += correction
         return Innovation(value, sensitivity)
-
-
-def start_state(twin: TwinModel, t_s: Floats, angles_rad: Floats, volts_V: Floats, step_s: float) -> Floats:
-    """Return the state at the end of some measured steps, (states,).
-
-    Parameters
-    ----------
-    twin : TwinModel
-        Equations of the rig.
-    t_s : ndarray (n,)
-        Beginning of each step [s].
-    angles_rad : ndarray (n, 3)
-        Measured angles at these times [rad].
-    volts_V : ndarray (n, 2)
-        Mean voltages of each step [V].
-    step_s : float
-        Length of a step [s].
-    """
-    span = min(10, len(t_s) - 1)
-    rates = np.gradient(angles_rad, step_s, axis=0) if len(t_s) > 1 else np.zeros_like(angles_rad)
-    rate = (angles_rad[-1] - angles_rad[-1 - span]) / (span * step_s) if span else np.zeros(3)
-    state = np.concatenate((angles_rad[-1], rate))
-    offset = np.deg2rad([twin.rig[name].value for name in ZEROS])
-    state[: len(ZEROS)] -= offset
-    if twin.functions.extra_states:
-        course = Trajectory(
-            t_s + 0.5 * step_s, np.hstack((angles_rad, rates)), volts_V, step_s, twin.parameters
-        )
-        state = np.concatenate((state, twin.functions.integrate(course, np.sign(rates))[-2]))
-    return state

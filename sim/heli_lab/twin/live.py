@@ -16,8 +16,8 @@ from heli_host.twins import TwinNews
 from heli_lab.errors import TwinError
 from heli_lab.twin.files import TwinRig, open_rig
 from heli_lab.twin.flights import samples_of_ticks
-from heli_lab.twin.kalman_filter import TwinModel
 from heli_lab.twin.twin import Twin
+from heli_lab.twin.twin_model import TwinModel
 
 _WAITS: Final = "The twin waits for free flight."
 _COMPARES: Final = "The twin compares: no change of the rig."
@@ -77,13 +77,14 @@ def open_twin(name: str) -> Callable[[Mapping[str, float], float], TickTwin]:
     return partial(_make_twin, open_rig(name))
 
 
-def _make_twin(chosen: TwinRig, parameters: Mapping[str, float], false_alarm_interval_h: float) -> TickTwin:
+def _make_twin(twin_rig: TwinRig, parameters: Mapping[str, float], false_alarm_interval_h: float) -> TickTwin:
+    """Return the twin of a board with these parameters."""
     count_rad = rad_per_count(parameters)
     if not np.all(np.isfinite(count_rad)):
         raise TwinError(
             "the board does not report the counts per turn of its encoders",
             "set elevation_counts_per_rev, pitch_counts_per_rev and travel_counts_per_rev on the board",
         )
-    model = TwinModel(chosen.model, chosen.rig, chosen.calibration.uncertainty)
-    twin = Twin(model, chosen.calibration, count_rad, TICK_S, false_alarm_interval_h, with_ghost=True)
+    model = TwinModel(twin_rig.model, twin_rig.rig, twin_rig.calibration.uncertainty)
+    twin = Twin(model, twin_rig.calibration, count_rad, TICK_S, false_alarm_interval_h, with_ghost=True)
     return TickTwin(twin, count_rad)
