@@ -83,7 +83,7 @@ def with_impulse(
 
     Parameters
     ----------
-    flight, place, axis : int
+    flight, interval, axis : int
         Number of the flight, of the interval among all of the flight, and of the axis.
     """
     changed = [list(windows) for windows in error]
