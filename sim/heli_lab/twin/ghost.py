@@ -65,6 +65,6 @@ class Ghost:
         """Angles that the encoders would show for the oldest run [rad], (3,); None if all are too young."""
         if len(self._runs) < _RUNS:
             return None
-        shown = self._runs[0, :3].copy()
-        shown[: len(ZEROS)] += self._zero_rad[0]
-        return np.asarray(shown + np.deg2rad([*(self._twin.rig[name].value for name in ZEROS), 0.0]))
+        angles_rad = self._runs[0, :3].copy()
+        angles_rad[: len(ZEROS)] += self._zero_rad[0]
+        return np.asarray(angles_rad + np.deg2rad([*(self._twin.rig[name].value for name in ZEROS), 0.0]))

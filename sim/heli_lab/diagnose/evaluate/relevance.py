@@ -43,18 +43,20 @@ def prediction_changes(
     """
     if not extended.candidates or after.train.total > DISTURBED_STD:
         return {}
-    whole = normalised_samples(after.fit)
+    samples_with_all = normalised_samples(after.fit)
     changes = {}
     evidence = {cause.effect: cause.train for cause in search.causes}
     for candidate in extended.candidates:
         if len(extended.candidates) > 1 and (evidence[candidate.id] > MATTERS_NATS_PER_ROW * comparison.rows):
             continue
-        rest = [other for other in extended.candidates if other is not candidate]
+        other_causes = [other for other in extended.candidates if other is not candidate]
         # The elimination has estimated this model: it is in the cache.
-        less = (
-            predict(comparison.refit(rest, None, extended).estimate, comparison.train, ()) if rest else before
+        reduced = (
+            predict(comparison.refit(other_causes, None, extended).estimate, comparison.train, ())
+            if other_causes
+            else before
         )
-        changes[candidate.id] = _largest_rms_counts(whole - normalised_samples(less.fit))
+        changes[candidate.id] = _largest_rms_counts(samples_with_all - normalised_samples(reduced.fit))
     return changes
 
 

@@ -70,24 +70,24 @@ def figure_of_equation(proposed: ProposedTerm) -> Figure:
     return figure
 
 
-def figure_of_failing_regions(every: Sequence[FailingRegions], models: Sequence[str]) -> Figure:
+def figure_of_failing_regions(all_regions: Sequence[FailingRegions], models: Sequence[str]) -> Figure:
     """Draw the fitted flights in the plane of each axis, coloured by the missing torque; cells in which a
     model fails are outlined.
 
     Parameters
     ----------
-    every : sequence of FailingRegions
+    all_regions : sequence of FailingRegions
         One row each.
     models : sequence of str
         Names of the models before and after, one column each; without the second, the first is drawn alone.
     """
     from matplotlib.figure import Figure
 
-    height = 0.8 + 4.1 * len(every)
+    height = 0.8 + 4.1 * len(all_regions)
     figure = Figure(figsize=(11, height))
-    rows = figure.subplots(len(every), len(models), sharex="row", sharey="row", squeeze=False)
+    rows = figure.subplots(len(all_regions), len(models), sharex="row", sharey="row", squeeze=False)
     figure.subplots_adjust(0.075, 0.55 / height, 0.9, 1.0 - 0.85 / height, wspace=0.1, hspace=0.34)
-    for regions, panels in zip(every, rows, strict=True):
+    for regions, panels in zip(all_regions, rows, strict=True):
         _regions_row(figure, panels, regions, models)
     figure.suptitle(
         f"{100 * FALSE_DISCOVERY_RATE:.0f} % of the outlined cells may be by chance",

@@ -174,8 +174,8 @@ def missing_terms(diagnosis: Diagnosis) -> list[MissingTerm]:
     verdict = diagnosis.verdict
     terms = []
     for cause in (*verdict.unlisted, *verdict.causes)[:2]:
-        whole = diagnosis.search.final if cause.candidate.is_spline else diagnosis.assessment.extended
-        terms.append(missing_term(whole.estimate, cause.candidate))
+        model = diagnosis.search.final if cause.candidate.is_spline else diagnosis.assessment.extended
+        terms.append(missing_term(model.estimate, cause.candidate))
     return terms
 
 
@@ -382,8 +382,8 @@ def _ranking(ranking: Sequence[dict[str, Any]]) -> list[list[str]]:
 
 
 def _more_rounds(diagnosis: Diagnosis) -> str:
-    more = len(diagnosis.search.rounds) - figures.MAX_ROUNDS
-    return f" {more} later rounds are in the table." if more > 0 else ""
+    remaining_rounds = len(diagnosis.search.rounds) - figures.MAX_ROUNDS
+    return f" {remaining_rounds} later rounds are in the table." if remaining_rounds > 0 else ""
 
 
 def _flights(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

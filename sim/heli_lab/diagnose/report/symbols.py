@@ -121,11 +121,11 @@ def legend(effect: str, equation: str, parameters: Sequence[str] = ()) -> list[M
     parameters : sequence of str
         Meanings of its parameters, which contain their symbols.
     """
-    known = {**_MEANINGS, **_DIFFERENT.get(effect.partition(".")[0], {})}
+    meanings = {**_MEANINGS, **_DIFFERENT.get(effect.partition(".")[0], {})}
     return [
-        Meaning(*_letter_and_index(symbol), known[symbol])
+        Meaning(*_letter_and_index(symbol), meanings[symbol])
         for symbol in symbols_of(equation)
-        if symbol in known and not explained_by(symbol, parameters)
+        if symbol in meanings and not explained_by(symbol, parameters)
     ]
 
 
