@@ -17,8 +17,8 @@ LONGEST_FILE = 400
 """Lines of a file, with docstrings and comments."""
 MAX_LEVELS = 6
 """Files in the longest chain of imports in a package."""
-MAX_JUDGEMENTS = 78
-"""Constants that no record of a measurement and no theory supports. The goal is 80."""
+MAX_JUDGEMENTS = 80
+"""Constants that no record of a measurement and no theory supports."""
 
 
 def trees(folder: Path) -> Iterator[tuple[Path, str, ast.Module]]:

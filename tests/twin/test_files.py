@@ -12,7 +12,7 @@ from heli_host.errors import HeliError
 from heli_lab.estimation import DisturbanceModel
 from heli_lab.twin import learn
 from heli_lab.twin.calibration import Calibration, write_calibration
-from heli_lab.twin.draws import Followed
+from heli_lab.twin.draws import FollowedFlight
 from heli_lab.twin.files import DEFAULT_CALIBRATION, open_rig
 from heli_lab.twin.parameter_uncertainty import ParameterUncertainty
 from heli_lab.twin.tail import Tail
@@ -115,7 +115,7 @@ def test_learning_from_a_healthy_flight_writes_a_file_that_the_twin_takes(
     assert run(["fly", "hover", "--sil", "--speed", "max", "--log", str(flown)]) == 0
     # Draws take seconds: here the evidence of each is this.
     evidence = [(0.04 * number, 0.001 * (number % 977)) for number in range(1500)]
-    monkeypatch.setattr(learn, "evidence", lambda *_: Followed(evidence, np.ones((1500, 3)), ()))
+    monkeypatch.setattr(learn, "evidence", lambda *_: FollowedFlight(evidence, np.ones((1500, 3)), ()))
     monkeypatch.setattr(learn, "drawn_evidence", lambda *_: 12 * [evidence])
     assert run(["twin", "--rig", "makki2024", "--nominal", str(flown), "--learn", str(file)]) == 0
     printed = capsys.readouterr().out

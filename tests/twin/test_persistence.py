@@ -75,7 +75,7 @@ def reported_events(
     model: Any = SimpleNamespace(
         rig=load_rig("makki2024"),
         delay_s=0.0,
-        least_V=-math.inf,
+        min_thrust_V=-math.inf,
         changes=CHANGES,
         scales=(),
         uncertainty=uncertainty,

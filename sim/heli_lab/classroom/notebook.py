@@ -268,6 +268,7 @@ def _tags(head: str, name: str) -> tuple[str, ...]:
 
 
 def _markdown(body: str) -> str:
+    """Return the text of a Markdown cell without comment signs; links to pages become names of files."""
     lines = [line.removeprefix("#").removeprefix(" ") for line in body.strip("\n").split("\n")]
     # An edition is in another folder than the pages, so that a link would lead nowhere.
     return _LINK.sub(lambda link: f"*{link[1]}* (`docs/{link[2].lstrip('./')}`)", "\n".join(lines))
@@ -278,8 +279,9 @@ def _without_rubric(cells: Sequence[NotebookCell]) -> list[NotebookCell]:
 
 
 def _with_solution_marks(code: str) -> str:
-    lead, rest = _split_comments(code)
-    return "\n".join([*lead, BEGIN, rest, END])
+    """Put code after its leading comments between the marks of nbgrader."""
+    comments, code_lines = _split_comments(code)
+    return "\n".join([*comments, BEGIN, code_lines, END])
 
 
 def _split_comments(code: str) -> tuple[list[str], str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from heli_host.arrays import Floats
 from heli_host.flight import Flight
@@ -9,7 +11,15 @@ from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
 from heli_lab.errors import IdentifyError, NotExcited
-from heli_lab.identify import thresholds
+
+_MIN_MOTION_COUNTS: Final = 10
+"""Encoder counts that an axis must span to have moved. Set by judgement: noise and drift give one or two."""
+_JUMP_RAD: Final = 1.0
+"""A move between two rows that no arm makes, rad: an angle that was not unwrapped jumps by 2 pi. Set by
+judgement; at 500 Hz it is 500 rad/s."""
+_MAX_STRAY_STEPS: Final = 5.0
+"""Largest deviation of the times from an even clock, in steps. Five steps of 2 ms at the fastest travel are
+half a degree: far more than any other error. Below 1, times in whole milliseconds are refused."""
 
 
 def even_step_s(flight: Flight, label: str) -> float:
@@ -30,7 +40,7 @@ def even_step_s(flight: Flight, label: str) -> float:
     step_s = float(steps_s.mean())
     stray_steps = np.abs(np.cumsum(steps_s - step_s)) / step_s
     worst = int(np.argmax(stray_steps))
-    if stray_steps[worst] > thresholds.MAX_STRAY_STEPS:
+    if stray_steps[worst] > _MAX_STRAY_STEPS:
         raise IdentifyError(
             f"{label}: t_s differs by {stray_steps[worst]:.0f} steps of {step_s:.4g} s from even steps at "
             f"data row {worst + 2}",
@@ -58,7 +68,7 @@ def refuse_constant_columns(flight: Flight, label: str, count_rad: Floats) -> No
     """
     rows = len(flight)
     moved = np.ptp(flight.angles_rad, axis=0) / count_rad
-    if np.all(moved < thresholds.MIN_MOTION_COUNTS):
+    if np.all(moved < _MIN_MOTION_COUNTS):
         most_moved = int(np.argmax(moved))
         raise NotExcited(
             f"{label}: the rig never moves: {AXES[most_moved]}_rad varies by {moved[most_moved]:.0f} counts "
@@ -123,7 +133,7 @@ def refuse_jumps(flight: Flight, label: str, segments: tuple[tuple[int, int], ..
     for index, axis in enumerate(AXES):
         for start, stop in segments:
             moves = np.abs(np.diff(flight.angles_rad[start:stop, index]))
-            if moves.size and moves.max() > thresholds.JUMP_RAD:
+            if moves.size and moves.max() > _JUMP_RAD:
                 row = start + int(np.argmax(moves)) + 2
                 raise IdentifyError(
                     f"{label}: {axis}_rad jumps by {moves.max():.3g} in data row {row}",

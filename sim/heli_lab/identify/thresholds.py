@@ -45,17 +45,9 @@ are fitted."""
 BEYOND_STOP_DEG: Final = 5.0
 """If a flight goes beyond a stop by more than its tolerance and this, deg, the stop of the rig file is
 ignored, with a note. Set by judgement."""
-MIN_MOTION_COUNTS: Final = 10
-"""Encoder counts that an axis must span to have moved. Set by judgement: noise and drift give one or two."""
 MIN_SEGMENT_S: Final = 1.0
 """Shortest piece of free flight that is fitted, s. Set by judgement: a shorter piece has more unknown
 initial states than information about the parameters."""
-JUMP_RAD: Final = 1.0
-"""A move between two rows that no arm makes, rad: an angle that was not unwrapped jumps by 2 pi. Set by
-judgement; at 500 Hz it is 500 rad/s."""
-MAX_STRAY_STEPS: Final = 5.0
-"""Largest deviation of the times from an even clock, in steps. Five steps of 2 ms at the fastest travel are
-half a degree: far more than any other error. Below 1, times in whole milliseconds are refused."""
 
 # Windows and their initial states
 

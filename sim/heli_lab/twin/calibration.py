@@ -83,7 +83,7 @@ def calibration_text(calibration: Calibration, rig: str) -> str:
 
 
 def _uncertainty_text(uncertainty: ParameterUncertainty) -> str:
-    """TOML text of the uncertain parameters; empty if there are none."""
+    """Return the table [parameters] of a twin file; empty for exact parameters."""
     if not uncertainty.names and not uncertainty.supply_std:
         return ""
     names = ", ".join(map(_quoted, uncertainty.names))
@@ -127,50 +127,51 @@ def parse_calibration(data: Mapping[str, Any], name: str) -> Calibration:
         ("slow_std", "_Nm"),
         ("quantisation", ""),
     ):
-        values = _table(data, "disturbances", name).get(f"{key}{unit}")
+        values = _table_of(data, "disturbances", name).get(f"{key}{unit}")
         if not isinstance(values, list) or len(values) != _AXES or not all(map(_is_positive, values)):
-            raise TwinError(f"{name}: disturbances.{key}{unit} is not three positive numbers", _AGAIN)
+            raise TwinError(f"{name}: disturbances.{key}{unit} is not three positive numbers", _REMEDY)
         numbers[key] = np.array(values, float)
-    excesses = _table(data, "tail", name).get("excesses")
+    excesses = _table_of(data, "tail", name).get("excesses")
     if not isinstance(excesses, int) or isinstance(excesses, bool) or excesses < 1:
-        raise TwinError(f"{name}: tail.excesses is not a count", _AGAIN)
+        raise TwinError(f"{name}: tail.excesses is not a count", _REMEDY)
     tail = {}
     for key, usual in _TAIL_NUMBERS.items():
-        value = _table(data, "tail", name).get(key, usual)
+        value = _table_of(data, "tail", name).get(key, usual)
         if not _is_number(value) and value != math.inf:
-            raise TwinError(f"{name}: tail.{key} is not a number", _AGAIN)
+            raise TwinError(f"{name}: tail.{key} is not a number", _REMEDY)
         tail[key] = float(value)
     return Calibration(
         DisturbanceModel(**numbers),
         Tail(**tail, excesses=excesses),
         str(data.get("source", "")),
-        _parse_uncertainty(_table(data, "parameters", name), name) if "parameters" in data else EXACT,
+        _parse_uncertainty(_table_of(data, "parameters", name), name) if "parameters" in data else EXACT,
     )
 
 
 def _parse_uncertainty(table: Mapping[str, Any], name: str) -> ParameterUncertainty:
-    """Read the table of the uncertain parameters of the file `name`."""
+    """Read the table [parameters] of a twin file."""
     names = table.get("names")
     if not isinstance(names, list) or not all(isinstance(entry, str) for entry in names):
-        raise TwinError(f"{name}: parameters.names is not a list of names", _AGAIN)
+        raise TwinError(f"{name}: parameters.names is not a list of names", _REMEDY)
     count = len(names)
     rows = table.get("covariance")
     if not isinstance(rows, list) or len(rows) != count:
-        raise TwinError(f"{name}: parameters.covariance does not have {count} rows", _AGAIN)
-    covariance = [_numbers(row, count, f"{name}: a row of parameters.covariance") for row in rows]
-    (supply_std,) = _numbers([table.get("supply_std")], 1, f"{name}: parameters.supply_std")
+        raise TwinError(f"{name}: parameters.covariance does not have {count} rows", _REMEDY)
+    covariance = [_number_array(row, count, f"{name}: a row of parameters.covariance") for row in rows]
+    (supply_std,) = _number_array([table.get("supply_std")], 1, f"{name}: parameters.supply_std")
     return ParameterUncertainty(
         tuple(names),
         np.array(covariance, float).reshape(count, count),
         float(supply_std),
-        _numbers(table.get("low_V"), _ROTORS, f"{name}: parameters.low_V"),
-        _numbers(table.get("high_V"), _ROTORS, f"{name}: parameters.high_V"),
+        _number_array(table.get("low_V"), _ROTORS, f"{name}: parameters.low_V"),
+        _number_array(table.get("high_V"), _ROTORS, f"{name}: parameters.high_V"),
     )
 
 
-def _numbers(values: Any, count: int, what: str) -> Floats:
+def _number_array(values: Any, count: int, what: str) -> Floats:
+    """Check that `values` are `count` numbers, and return them, (count,)."""
     if not isinstance(values, list) or len(values) != count or not all(map(_is_number, values)):
-        raise TwinError(f"{what} is not {count} numbers", _AGAIN)
+        raise TwinError(f"{what} is not {count} numbers", _REMEDY)
     return np.array(values, float)
 
 
@@ -184,13 +185,14 @@ _TAIL_NUMBERS: Final[Mapping[str, float | None]] = {
 """Numbers of the tail in a twin file, and what holds where a file has none."""
 
 
-_AGAIN: Final = "write it again with heli-host twin --learn"
+_REMEDY: Final = "write it again with heli-host twin --learn"
 
 
-def _table(data: Mapping[str, Any], key: str, name: str) -> Mapping[str, Any]:
+def _table_of(data: Mapping[str, Any], key: str, name: str) -> Mapping[str, Any]:
+    """Return a table of a twin file; a TwinError is raised if it is missing."""
     table = data.get(key)
     if not isinstance(table, dict):
-        raise TwinError(f"{name} has no [{key}]", _AGAIN)
+        raise TwinError(f"{name} has no [{key}]", _REMEDY)
     return table
 
 

@@ -72,8 +72,8 @@ class Change:
         )
 
 
-def _of_catalogue() -> tuple[Change, ...]:
-    """Changes that effects of the catalogue declare."""
+def _catalogue_changes() -> tuple[Change, ...]:
+    """Return the changes that the effects of the catalogue describe."""
     return tuple(
         Change(
             spec.id,
@@ -113,16 +113,16 @@ _ENCODER_SCALES: Final = tuple(
 
 def all_changes() -> tuple[Change, ...]:
     """Return the changes that effects of the catalogue describe, then those that are no effect."""
-    return (*_of_catalogue(), _SUPPLY_STEP, *_ENCODER_SCALES)
+    return (*_catalogue_changes(), _SUPPLY_STEP, *_ENCODER_SCALES)
 
 
 def extended(model: Model) -> Model:
     """Add the effects of all possible changes to a model, at values at which they do nothing."""
     kinds = catalogue()
-    stated = {effect.name for effect in model.effects}
+    present_names = {effect.name for effect in model.effects}
     effects: dict[str, Effect] = {}
     for change in changes_of(model):
-        if change.id in kinds and change.id not in stated:
+        if change.id in kinds and change.id not in present_names:
             kind = kinds[change.id]
             values = {name: 0.0 for name in kind.neutral if name.endswith("_at_s")}
             effects[change.id] = kind.make({**kind.neutral, **values})
@@ -132,12 +132,14 @@ def extended(model: Model) -> Model:
 def changes_of(model: Model) -> tuple[Change, ...]:
     """Return the possible changes of a rig with these equations."""
     kinds = catalogue()
-    return tuple(
-        change for change in all_changes() if change.id not in kinds or kinds[change.id].suits(model)
-    )
+
+    def is_possible(change: Change) -> bool:
+        return change.id not in kinds or kinds[change.id].suits(model)
+
+    return tuple(filter(is_possible, all_changes()))
 
 
 def free_numbers(changes: Sequence[Change]) -> tuple[str, ...]:
     """Return the parameters of the extended model by which the changes are derivatives."""
-    every = (name for change in changes for entry in change.numbers for name in entry.split("+"))
-    return tuple(dict.fromkeys(name for name in every if name != SUPPLY and name not in SCALES))
+    names = (name for change in changes for entry in change.numbers for name in entry.split("+"))
+    return tuple(dict.fromkeys(name for name in names if name != SUPPLY and name not in SCALES))

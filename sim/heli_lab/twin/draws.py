@@ -49,30 +49,32 @@ class Draws:
     """
 
     def __init__(self, innovations: Sequence[Floats], count: int, rng: np.random.Generator) -> None:
-        self._every: Floats = np.vstack([flight[~_near_kicks(flight)] for flight in innovations])
+        """Draw `count` sequences of innovations, (n, 3) for each flight, with a random generator."""
+        self._innovations: Floats = np.vstack([flight[~_near_kicks(flight)] for flight in innovations])
         self._rng, self.count = rng, count
-        self._place, self._sign = np.zeros(count, int), np.ones(count)
-        self._size: Floats = np.exp(_DAY_STD * rng.normal(size=(count, 3)))
-        self._left = 0
+        # Of each draw: row of its next innovation, sign of its piece, and scale about each axis.
+        self._row, self._sign = np.zeros(count, int), np.ones(count)
+        self._scale: Floats = np.exp(_DAY_STD * rng.normal(size=(count, 3)))
+        self._rows_left = 0
 
     def next(self) -> Floats:
         """Return the next innovation of each draw, (count, 3)."""
-        if not self._left:
-            self._place = self._rng.integers(len(self._every), size=self.count)
+        if not self._rows_left:
+            self._row = self._rng.integers(len(self._innovations), size=self.count)
             self._sign = self._rng.choice((-1.0, 1.0), size=self.count)
-            self._left = PIECE
-        self._left -= 1
-        values = self._size * self._sign[:, None] * self._every[self._place % len(self._every)]
-        self._place = self._place + 1
+            self._rows_left = PIECE
+        self._rows_left -= 1
+        values = self._scale * self._sign[:, None] * self._innovations[self._row % len(self._innovations)]
+        self._row = self._row + 1
         return np.asarray(values)
 
 
 def _near_kicks(innovations: Floats) -> npt.NDArray[np.bool_]:
-    """Which rows of innovations, (n, 3), are no farther than `PIECE` from a kick; none if all are."""
+    """Whether each row of innovations, (n, 3), is within `PIECE` rows of a kick; False if all rows are."""
     kicks = np.flatnonzero(np.any(np.abs(innovations) > CUT_OFF_STD, axis=1))
     rows = np.arange(len(innovations))
-    near = np.any(np.abs(rows[:, None] - kicks) <= PIECE, axis=1)
-    return near if not near.all() else np.zeros(len(rows), bool)
+    is_near = np.any(np.abs(rows[:, None] - kicks) <= PIECE, axis=1)
+    return is_near if not is_near.all() else np.zeros(len(rows), bool)
 
 
 class _RecordingTwin(Twin):
@@ -87,11 +89,12 @@ class _RecordingTwin(Twin):
         self.kicks_s: list[float] = []
 
     @override
-    def _weigh(self, innovation: Innovation) -> None:
+    def _update_evidence(self, innovation: Innovation) -> None:
+        """Record the innovation, and add it to the evidence."""
         self.innovations.append(innovation.value)
         if np.any(np.abs(innovation.value) > CUT_OFF_STD):
             self.kicks_s.append(self._block_end_s())
-        super()._weigh(innovation)
+        super()._update_evidence(innovation)
 
 
 class _DrawnTwin(Twin):
@@ -111,19 +114,20 @@ class _DrawnTwin(Twin):
         return LikelihoodRatio(self.model.changes, self._count_rad, self._draws.count)
 
     @override
-    def _weigh(self, innovation: Innovation) -> None:
+    def _update_evidence(self, innovation: Innovation) -> None:
+        """Add the next drawn innovations instead of the measured one, with its sensitivity."""
         value = np.clip(self._draws.next(), -CUT_OFF_STD, CUT_OFF_STD)
         evidence = self._ratio.update_draws(value, innovation.sensitivity)
         self._latest = [*self._latest[1 - PERSISTENCE_BLOCKS :], evidence]
         if len(self._latest) == PERSISTENCE_BLOCKS:
-            lasting = np.min(self._latest, axis=0)
+            persistent_nats = np.min(self._latest, axis=0)
             t_s = self._block_end_s()
-            for history, nats in zip(self.histories, lasting, strict=True):
+            for history, nats in zip(self.histories, persistent_nats, strict=True):
                 history.append((t_s, float(nats)))
 
 
 @dataclass(frozen=True)
-class Followed:
+class FollowedFlight:
     """A flight that a twin followed without raising an alarm.
 
     Parameters
@@ -149,14 +153,14 @@ class Followed:
         ]
 
 
-def evidence(twin: TwinModel, disturbances: DisturbanceModel, flight: Flight) -> Followed:
+def evidence(twin: TwinModel, disturbances: DisturbanceModel, flight: Flight) -> FollowedFlight:
     """Follow a flight without raising an alarm."""
     samples, sample_s = samples_of(flight)
-    never = Calibration(disturbances, NO_ALARM)
-    follower = _RecordingTwin(twin, never, count_rad_of(flight, twin.rig), sample_s)
-    follower.update(samples)
-    innovations = np.array(follower.innovations).reshape(-1, 3)
-    return Followed(follower.evidence_history, innovations, tuple(follower.kicks_s))
+    no_alarm = Calibration(disturbances, NO_ALARM)
+    twin_of_flight = _RecordingTwin(twin, no_alarm, count_rad_of(flight, twin.rig), sample_s)
+    twin_of_flight.update(samples)
+    innovations = np.array(twin_of_flight.innovations).reshape(-1, 3)
+    return FollowedFlight(twin_of_flight.evidence_history, innovations, tuple(twin_of_flight.kicks_s))
 
 
 def drawn_evidence(
@@ -164,7 +168,7 @@ def drawn_evidence(
 ) -> list[History]:
     """Return the times [s] and the evidence [nats] of each draw along a flight."""
     samples, sample_s = samples_of(flight)
-    never = Calibration(disturbances, NO_ALARM)
-    follower = _DrawnTwin(twin, never, count_rad_of(flight, twin.rig), sample_s, draws)
-    follower.update(samples)
-    return follower.histories
+    no_alarm = Calibration(disturbances, NO_ALARM)
+    twin_of_flight = _DrawnTwin(twin, no_alarm, count_rad_of(flight, twin.rig), sample_s, draws)
+    twin_of_flight.update(samples)
+    return twin_of_flight.histories

@@ -20,10 +20,10 @@ def draw_evidence(flights: Sequence[TwinReport], path: Path) -> None:
     axes = figure.subplots(len(flights), 1, squeeze=False)[:, 0]
     for ax, flight in zip(axes, flights, strict=True):
         times, evidence = np.array(flight.evidence_nats, float).reshape(-1, 2).T
-        known = np.isfinite(evidence)
+        is_known = np.isfinite(evidence)
         ax.plot(
-            times[known],
-            np.maximum(evidence[known], 0.0),
+            times[is_known],
+            np.maximum(evidence[is_known], 0.0),
             color="#0b5394",
             lw=1.2,
             label="most likely change",
@@ -32,8 +32,8 @@ def draw_evidence(flights: Sequence[TwinReport], path: Path) -> None:
         for event in flight.events:
             if event.kind == "alarm":
                 ax.axvline(event.t_s, color="#990000", lw=1.0)
-        words = "; ".join(flight.sentences())
-        ax.set_title(f"{flight.label}: {words}"[:140], fontsize=8, loc="left")
+        text = "; ".join(flight.sentences())
+        ax.set_title(f"{flight.label}: {text}"[:140], fontsize=8, loc="left")
         ax.set_ylabel("evidence, nats")
         ax.legend(loc="upper left", fontsize=7)
     axes[-1].set_xlabel("time, s")

@@ -61,21 +61,21 @@ def open_rig(name: str) -> TwinRig:
     calibration = DEFAULT_CALIBRATION
     rig_name = name
     if path.suffix == ".toml" and path.is_file():
-        data = _parsed(path)
+        data = _parse_file(path)
         if "tail" in data and "disturbances" in data:
             calibration = parse_calibration(data, name)
-            stated = data.get("rig")
-            if not isinstance(stated, str) or not stated:
+            rig_entry = data.get("rig")
+            if not isinstance(rig_entry, str) or not rig_entry:
                 raise TwinError(f"{name} names no rig", "write it again with heli-host twin --learn")
-            rig_path = path.parent / stated
-            rig_name = str(rig_path) if rig_path.is_file() else stated
+            rig_path = path.parent / rig_entry
+            rig_name = str(rig_path) if rig_path.is_file() else rig_entry
     rig = load_rig(rig_name)
     model = model_named(rig.model or "multibody", effects_of(rig))
     return TwinRig(rig, model, calibration, rig_name)
 
 
-def _parsed(path: Path) -> dict[str, Any]:
-    """Read a TOML file at `path`; a TwinError states what is wrong."""
+def _parse_file(path: Path) -> dict[str, Any]:
+    """Return the content of a TOML file; a TwinError is raised if it cannot be read."""
     try:
         return parse_toml(read_file(path, TOML_BYTES).decode("utf-8"))
     except OSError as error:

@@ -18,15 +18,22 @@ from heli_lab.errors import TwinError
 from heli_lab.identify.record import ON_GROUND, encoder_counts
 from heli_lab.twin.samples import Samples
 
-_OFF: Final = np.array([int(state) for state in State if state.name.lower() in ON_GROUND])
-_LANDING: Final = frozenset({"landing", "emergency_landing"})
-_LANDS: Final = np.array([int(state) for state in State if state.name.lower() in _LANDING])
-_STRAY: Final = 0.3
+_OFF_STATES: Final = np.array([int(state) for state in State if state.name.lower() in ON_GROUND])
+_LANDING_NAMES: Final = frozenset({"landing", "emergency_landing"})
+_LANDING_STATES: Final = np.array([int(state) for state in State if state.name.lower() in _LANDING_NAMES])
+_MAX_TIME_ERROR_STEPS: Final = 0.3
 """Steps by which a row's time may stray from the even grid."""
 
 
 def samples_of(flight: Flight) -> tuple[Samples, float]:
-    """Return the samples of a flight, numbered on an even grid, and the time between two numbers [s].
+    """Convert the rows of a flight to samples that are numbered on an even grid.
+
+    Returns
+    -------
+    Samples
+        The rows.
+    float
+        Time between two numbers [s].
 
     Raises
     ------
@@ -38,23 +45,30 @@ def samples_of(flight: Flight) -> tuple[Samples, float]:
     if abs(step_s - 1e-3) < 1e-5:
         sample_s = 1e-3
     else:
-        even = np.diff(t_s)
-        sample_s = float(even[even < 1.5 * step_s].mean())
-    ticks = t_s / sample_s if sample_s == 1e-3 else (t_s - t_s[0]) / sample_s
-    number: Integers = np.rint(ticks).astype(np.int64)
-    if np.any(np.diff(number) < 1) or np.max(np.abs(ticks - number)) > _STRAY:
+        intervals_s = np.diff(t_s)
+        sample_s = float(intervals_s[intervals_s < 1.5 * step_s].mean())
+    steps = t_s / sample_s if sample_s == 1e-3 else (t_s - t_s[0]) / sample_s
+    number: Integers = np.rint(steps).astype(np.int64)
+    if np.any(np.diff(number) < 1) or np.max(np.abs(steps - number)) > _MAX_TIME_ERROR_STEPS:
         raise TwinError("the rows of the flight are not evenly spaced", "log with an even clock, or resample")
     flying, landing = np.ones(len(flight), bool), np.zeros(len(flight), bool)
     if flight.state is not None and flight.state_names:
-        off = [number for number, name in flight.state_names.items() if name in ON_GROUND]
-        flying = ~np.isin(flight.state, off)
-        lands = [number for number, name in flight.state_names.items() if name in _LANDING]
-        landing = np.isin(flight.state, lands)
+        off_states = [number for number, name in flight.state_names.items() if name in ON_GROUND]
+        flying = ~np.isin(flight.state, off_states)
+        landing_states = [number for number, name in flight.state_names.items() if name in _LANDING_NAMES]
+        landing = np.isin(flight.state, landing_states)
     return Samples(number, flight.angles_rad, flight.voltages_V, flying, landing), sample_s
 
 
 def samples_of_log(log: Log) -> tuple[Samples, float]:
-    """Return the samples of a log, numbered by the board's ticks, and the board's time at 0 s of the log [s].
+    """Convert a log to samples that are numbered by the board's ticks.
+
+    Returns
+    -------
+    Samples
+        The ticks.
+    float
+        Time of the board at 0 s of the log [s].
 
     Raises
     ------
@@ -87,7 +101,7 @@ def samples_of_ticks(tick: Integers, raw: npt.NDArray[np.int32], count_rad: Floa
     )
     volts = np.column_stack([physical(raw, channel) for channel in (Channel.FRONT, Channel.BACK)])
     state = numbers(raw, Channel.STATE)
-    return Samples(tick, angles, volts, ~np.isin(state, _OFF), np.isin(state, _LANDS))
+    return Samples(tick, angles, volts, ~np.isin(state, _OFF_STATES), np.isin(state, _LANDING_STATES))
 
 
 def count_rad_of(flight: Flight, rig: Rig) -> Floats:

@@ -29,14 +29,14 @@ class FreeFlight:
     """
 
     def __init__(self, rig: Rig, step_s: float) -> None:
-        self._settle = round(SETTLE_s / step_s)
-        self._clear = 0
-        unsure = min(rig["elevation_min"].tolerance, thresholds.MAX_UNSURE_DEG)
+        self._settling_steps = round(SETTLE_s / step_s)
+        self._clear_steps = 0
+        uncertainty_deg = min(rig["elevation_min"].tolerance, thresholds.MAX_UNSURE_DEG)
         self._table_deg = rig["elevation_min"].value
-        self._low_deg = self._table_deg + unsure + thresholds.TABLE_MARGIN_DEG
-        self._share = (rig["L_h"].value + thresholds.ROTOR_m) / rig["L_a"].value
+        self._low_deg = self._table_deg + uncertainty_deg + thresholds.TABLE_MARGIN_DEG
+        self._rotor_reach = (rig["L_h"].value + thresholds.ROTOR_m) / rig["L_a"].value
         stops = [rig[name] for name in ("elevation_max", "pitch_max", "travel_max")]
-        self._most_deg = [
+        self._stop_deg = [
             stop.value - min(stop.tolerance, thresholds.MAX_UNSURE_DEG) - thresholds.STOP_MARGIN_DEG
             for stop in stops
         ]
@@ -46,21 +46,23 @@ class FreeFlight:
         the motors may run.
         """
         if not flying:
-            self._clear = 0
+            self._clear_steps = 0
         elif angles_rad is not None:
-            self._clear = 0 if self._touches(angles_rad) else self._clear + 1
-        return self._clear > self._settle
+            self._clear_steps = 0 if self._touches(angles_rad) else self._clear_steps + 1
+        return self._clear_steps > self._settling_steps
 
     def _touches(self, angles_rad: Floats) -> bool:
-        """Whether the arm touches its table or a stop at these angles, shape (3,)."""
+        """Whether the arm or a rotor may touch the table, or an axis a stop, at angles [rad]."""
         elevation_deg, pitch_deg, travel_deg = np.rad2deg(angles_rad)
         if elevation_deg < self._low_deg:
             return True
         # An arm that leans far reaches the table with its lower rotor long before it stands on it.
-        reach = self._share * abs(math.sin(angles_rad[1])) * math.cos(angles_rad[0])
+        reach = self._rotor_reach * abs(math.sin(angles_rad[1])) * math.cos(angles_rad[0])
         if math.sin(angles_rad[0]) - reach < math.sin(math.radians(self._table_deg)):
             return True
-        elevation_most, pitch_most, travel_most = self._most_deg
+        elevation_max_deg, pitch_max_deg, travel_max_deg = self._stop_deg
         return bool(
-            elevation_deg > elevation_most or abs(pitch_deg) > pitch_most or abs(travel_deg) > travel_most
+            elevation_deg > elevation_max_deg
+            or abs(pitch_deg) > pitch_max_deg
+            or abs(travel_deg) > travel_max_deg
         )

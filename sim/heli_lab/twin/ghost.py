@@ -30,7 +30,7 @@ class Ghost:
 
     def __init__(self, twin: TwinModel, step_s: float) -> None:
         self._twin, self._step_s = twin, step_s
-        self._every = max(1, round(FREE_RUN_s / _RUNS / step_s))
+        self._steps_between_runs = max(1, round(FREE_RUN_s / _RUNS / step_s))
         self._runs: Floats = np.empty((0, twin.states))
         self._torque_Nm: Floats = np.empty((0, 3))
         self._zero_rad: Floats = np.empty((0, len(ZEROS)))
@@ -46,23 +46,25 @@ class Ghost:
         run may start from the filter's `state`, its steady torques `torque_Nm`, (3,), and its errors of the
         encoder zeros `zero_rad`, (2,).
         """
-        if self._steps % self._every == 0:
-            latest = slice(max(0, len(self._runs) + 1 - _RUNS), None)
-            self._runs = np.vstack((self._runs[latest], state))
-            self._torque_Nm = np.vstack((self._torque_Nm[latest], torque_Nm))
-            self._zero_rad = np.vstack((self._zero_rad[latest], zero_rad))
+        if self._steps % self._steps_between_runs == 0:
+            newest = slice(max(0, len(self._runs) + 1 - _RUNS), None)
+            self._runs = np.vstack((self._runs[newest], state))
+            self._torque_Nm = np.vstack((self._torque_Nm[newest], torque_Nm))
+            self._zero_rad = np.vstack((self._zero_rad[newest], zero_rad))
         self._steps += 1
         twin, h = self._twin, self._step_s
-        rates, a, by_torque, _, _, _ = twin.plain.along(twin.at(t_s + 0.5 * h, self._runs, volts_V, h))
-        _, gamma = _kalman.midpoint(a, h)
-        push = rates[:, :, 0] + np.einsum("kij,kj->ki", by_torque, self._torque_Nm)
-        self._runs = self._runs + np.einsum("kij,kj->ki", gamma, push)
+        rates, jacobian, by_torque, _, _, _ = twin.functions_without_derivatives.along(
+            twin.at(t_s + 0.5 * h, self._runs, volts_V, h)
+        )
+        _, gamma = _kalman.midpoint(jacobian, h)
+        rates_with_torque = rates[:, :, 0] + np.einsum("kij,kj->ki", by_torque, self._torque_Nm)
+        self._runs = self._runs + np.einsum("kij,kj->ki", gamma, rates_with_torque)
 
     @property
     def angles_rad(self) -> Floats | None:
         """Angles that the encoders would show for the oldest run [rad], (3,); None if all are too young."""
         if len(self._runs) < _RUNS:
             return None
-        shown = self._runs[0, :3].copy()
-        shown[: len(ZEROS)] += self._zero_rad[0]
-        return np.asarray(shown + np.deg2rad([*(self._twin.rig[name].value for name in ZEROS), 0.0]))
+        angles_rad = self._runs[0, :3].copy()
+        angles_rad[: len(ZEROS)] += self._zero_rad[0]
+        return np.asarray(angles_rad + np.deg2rad([*(self._twin.rig[name].value for name in ZEROS), 0.0]))

@@ -88,12 +88,15 @@ def with_process_noise(model: Model, disturbances: DisturbanceModel) -> Model:
             }
         )
         slow_std_Nm = float(disturbances.slow_std[axis])
-        effects += [gusts, _renamed(gusts, f"slow_drift.{name}", slow_std_Nm, SLOW_CORRELATION_TIME_s)]
+        effects += [
+            gusts,
+            _with_other_parameters(gusts, f"slow_drift.{name}", slow_std_Nm, SLOW_CORRELATION_TIME_s),
+        ]
     return type(model)(tuple(effects))
 
 
-def _renamed(gusts: Effect, name: str, std_Nm: float, correlation_time_s: float) -> Effect:
-    """The same process with another name, standard deviation and correlation time."""
+def _with_other_parameters(gusts: Effect, name: str, std_Nm: float, correlation_time_s: float) -> Effect:
+    """Return the same process with another name, standard deviation and correlation time."""
     old, new = gusts.prefix, name.replace(".", "_")
 
     def quantity(original: Quantity) -> Quantity:
@@ -131,10 +134,10 @@ def fly_simulated(model: Model, rig: Rig, plans: Plan | Sequence[Plan], seed: in
         The motors never turned, because gusts moved the arm on the table and the board did not arm.
     """
     rng = np.random.default_rng(seed)
-    flown = rig.replace(
+    rig_with_torques = rig.replace(
         **{name: rig[name].value + _TORQUE_SHARE * std * rng.normal() for name, std in TORQUE_STD_Nm.items()}
     )
-    with connected(world_of(Plant(model, flown, seed), seed)) as heli:
+    with connected(world_of(Plant(model, rig_with_torques, seed), seed)) as heli:
         set_hover(heli, model, rig)
         flight, summary = fly_and_read(heli, plans)
     if not np.any(flight.voltages_V):

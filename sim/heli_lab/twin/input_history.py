@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from heli_host.arrays import Floats
@@ -15,6 +15,24 @@ from heli_lab.twin.twin_model import TwinModel
 _HISTORY_s: Final = 2.0
 """Length of the flight before the filter begins from which the states of effects are integrated, s: far
 longer than the lag of any rotor."""
+
+
+class Motion(NamedTuple):
+    """Motion over some steps.
+
+    Parameters
+    ----------
+    times_s : ndarray (n,)
+        Times since the motors started.
+    angles_rad : ndarray (n, 3)
+        Measured angles.
+    volts_V : ndarray (n, 2)
+        Acting voltages.
+    """
+
+    times_s: Floats
+    angles_rad: Floats
+    volts_V: Floats
 
 
 class InputHistory:
@@ -38,22 +56,22 @@ class InputHistory:
     def __init__(self, model: TwinModel, step_s: float) -> None:
         self.since_s = 0.0
         self.acting_V: Floats = np.zeros(2)
-        self._least_V = model.least_V
-        self._volts: deque[Floats] = deque(maxlen=round(model.delay_s / step_s) + 1)
+        self._least_V = model.min_thrust_V
+        self._delayed_volts_V: deque[Floats] = deque(maxlen=round(model.delay_s / step_s) + 1)
         self._motors_since_s = math.nan
-        self._latest: deque[tuple[float, Floats, Floats]] = deque(maxlen=round(_HISTORY_s / step_s))
+        self._motion: deque[tuple[float, Floats, Floats]] = deque(maxlen=round(_HISTORY_s / step_s))
 
     def update(self, step: Step, t_s: float) -> None:
         """Take the inputs of a `step` at time `t_s` [s]."""
-        self._volts.append(np.maximum(step.volts_V, self._least_V).mean(axis=0))
-        self.acting_V = self._volts[0]
+        self._delayed_volts_V.append(np.maximum(step.volts_V, self._least_V).mean(axis=0))
+        self.acting_V = self._delayed_volts_V[0]
         if not step.flying:
             self._motors_since_s = math.nan
         elif math.isnan(self._motors_since_s) and np.any(step.volts_V):
             self._motors_since_s = t_s
         self.since_s = 0.0 if math.isnan(self._motors_since_s) else t_s - self._motors_since_s
 
-    def keep(self, measured_rad: Floats) -> None:
+    def remember(self, measured_rad: Floats) -> None:
         """Keep the present inputs with angles that were measured at the same step.
 
         Parameters
@@ -61,19 +79,19 @@ class InputHistory:
         measured_rad : ndarray (3,)
             Measured angles [rad].
         """
-        self._latest.append((self.since_s, measured_rad, self.acting_V))
+        self._motion.append((self.since_s, measured_rad, self.acting_V))
 
-    def forget_kept(self) -> None:
+    def forget_motion(self) -> None:
         """Discard the kept inputs."""
-        self._latest.clear()
+        self._motion.clear()
 
     def restart(self) -> None:
         """Discard everything, because samples are missing."""
-        self._latest.clear()
-        self._volts.clear()
+        self._motion.clear()
+        self._delayed_volts_V.clear()
         self._motors_since_s = math.nan
 
-    def kept(self) -> tuple[Floats, Floats, Floats]:
-        """Return times since the motors started [s], angles [rad] and voltages [V] of the kept steps."""
-        times_s, angles_rad, volts_V = (np.array(values) for values in zip(*self._latest, strict=True))
-        return times_s, angles_rad, volts_V
+    def initial_motion(self) -> Motion:
+        """Return the motion before the present step, from which the filter starts."""
+        times_s, angles_rad, volts_V = (np.array(values) for values in zip(*self._motion, strict=True))
+        return Motion(times_s, angles_rad, volts_V)

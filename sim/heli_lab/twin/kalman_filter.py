@@ -26,7 +26,7 @@ from heli_lab.identify.flight_model import TORQUE_STD_Nm
 from heli_lab.twin.likelihood_ratio import ONSETS, Innovation
 from heli_lab.twin.twin_model import ZEROS, TwinModel
 
-_COUNT_SHARE: Final = 12.0**-0.5
+_ROUNDING_STD_COUNTS: Final = 12.0**-0.5
 """Standard deviation of a zero that is uniformly distributed over a count, in counts."""
 _ANGLE_STD_rad: Final = 0.005
 _RATE_STD_rad_s: Final = 0.3
@@ -35,15 +35,15 @@ _EFFECT_STATE_STD: Final = 0.3
 effects after a simulation from rest."""
 
 
-_HELD_s: Final = 0.2
+_EXCURSION_s: Final = 0.2
 """Length of an excursion of the voltage beyond those of the nominal flights, s: for so long, the effect of
 the excess is unknown by as much as it is. A rotor that is braked for a moment, for example. Longer: a
 single excursion hides changes for seconds. Shorter: what the rig does there is taken for a change."""
-_REPEATS: Final = 10.0
+_MAX_REPEATS: Final = 10.0
 """Greatest number of measurements, 40 ms apart, of an angle within one count that together count as one,
 because their errors are equal, not independent. At 1, slow travel in hover shows 19 nats of dry friction in
 ten minutes of nominal flight. More: an axis at rest is hardly measured at all."""
-_SLIDES: Final = 2.0 * 2.0**0.5
+_SIGN_WIDTH_STDS: Final = 2.0 * 2.0**0.5
 """Scale of the smoothed sign of a rate in the derivative by dry friction, in standard errors of the rate. It
 is the mean of the sign of an uncertain rate. Less: at rest, quantisation is taken for friction. More: slow
 axes show no friction."""
@@ -71,6 +71,8 @@ class KalmanFilter:
 
     Attributes
     ----------
+    mean : ndarray (order,)
+        Estimate of z, with the unknown errors of the parameters as its last part.
     state_sensitivity : ndarray (order, columns, onsets)
         Error of the filter's state per unit of each change from each onset. `LikelihoodRatio.begin_onset`
         overwrites the columns of replaced onsets.
@@ -88,50 +90,54 @@ class KalmanFilter:
         is_changed: bool = False,
     ) -> None:
         self.twin, self.disturbances, self.step_s = twin, disturbances, step_s
-        nx = self._nx = twin.states
-        known = twin.directions.shape[1]
-        self._directions = np.hstack((twin.directions, twin.prior_changes)) if is_changed else twin.directions
-        """Amount of each free parameter per standard deviation of each unknown error."""
-        self._scale_errors = (
-            [(known + column, axis, twin.prior_sizes[column]) for column, axis in twin.scales]
-            if is_changed
-            else []
-        )
-        """For each unknown encoder scale: its place among the errors, its axis and standard deviation."""
+        self._count_rad, self._block_s = count_rad, block * step_s
+        # Free parameters per standard deviation of each unknown error, (parameters + 1, errors)
+        self._directions: Floats = twin.directions
+        # For each unknown encoder scale: its index among the errors, its axis and standard deviation.
+        self._scale_errors: list[tuple[int, int, float]] = []
+        if is_changed:
+            first_change = twin.directions.shape[1]
+            self._directions = np.hstack((twin.directions, twin.prior_changes))
+            self._scale_errors = [
+                (first_change + column, axis, twin.prior_sizes[column]) for column, axis in twin.scales
+            ]
         self._start_rad: Floats = state[:3].copy()
-        errors = self._directions.shape[1]
-        self._errors = slice(nx + 9 + len(ZEROS), nx + 9 + len(ZEROS) + errors)
+        # Parts of z: model's state, gusts, drift and constant torques about three axes, zeros, errors.
+        nx = self._nx = twin.states
+        error_count = self._directions.shape[1]
         self._zeros = slice(nx + 9, nx + 9 + len(ZEROS))
+        self._errors = slice(self._zeros.stop, self._zeros.stop + error_count)
         order = self._order = self._errors.stop
         self.mean: Floats = np.concatenate((state, np.zeros(order - nx)))
-        constant = np.array([TORQUE_STD_Nm[f"torque_{axis}"] for axis in AXES])
-        zeros = np.hypot(_COUNT_SHARE * count_rad[: len(ZEROS)], 0.5 * twin.zero_tolerance_rad)
-        initial = np.concatenate(
+        zero_rounding_rad = _ROUNDING_STD_COUNTS * count_rad[: len(ZEROS)]
+        initial_std = np.concatenate(
             (
                 [_ANGLE_STD_rad] * 3,
                 [_RATE_STD_rad_s] * 3,
                 [_EFFECT_STATE_STD] * (nx - 6),
                 disturbances.fast_std,
                 disturbances.slow_std,
-                constant,
-                zeros,
-                np.ones(errors),
+                [TORQUE_STD_Nm[f"torque_{axis}"] for axis in AXES],
+                np.hypot(zero_rounding_rad, 0.5 * twin.zero_tolerance_rad),
+                np.ones(error_count),
             )
         )
-        self._root: Floats = np.diag(initial)
-        """Square root of the covariance, P = R R'. It cannot give a negative variance; P itself, updated in
-        place, does by rounding where a flight contradicts the model."""
-        memory = disturbances.memory(step_s)
-        self._memory: Floats = np.ones(order)
-        self._memory[nx : nx + 6] = memory
+        # Square root of the covariance, P = R R'. It cannot give a negative variance; P itself, updated in
+        # place, does by rounding if a flight contradicts the model.
+        self._root: Floats = np.diag(initial_std)
+        # Autocorrelation of each part of z over a step, (order,), and roots of the process noise, (6, order).
+        autocorrelation = disturbances.memory(step_s)
+        self._autocorrelation: Floats = np.ones(order)
+        self._autocorrelation[nx : nx + 6] = autocorrelation
         self._noise: Floats = np.zeros((6, order))
-        self._noise[:, nx : nx + 6] = np.diag(np.sqrt((1.0 - memory**2) * disturbances.variance))
-        self._count_rad = count_rad
+        noise_variance = (1.0 - autocorrelation**2) * disturbances.variance
+        self._noise[:, nx : nx + 6] = np.diag(np.sqrt(noise_variance))
         self._variance_rad2: Floats = count_rad**2 / 12.0 * disturbances.quantisation
-        self.state_sensitivity: Floats = np.zeros((order, twin.weights.shape[1], ONSETS))
+        # Since the last measurement: transition of z, (order, order), and its derivative by each free
+        # parameter, (order, parameters + 1).
         self._transition: Floats = np.eye(order)
-        self._drive: Floats = np.zeros((order, twin.weights.shape[0]))
-        self._block_s = block * step_s
+        self._parameter_sensitivity: Floats = np.zeros((order, twin.weights.shape[0]))
+        self.state_sensitivity: Floats = np.zeros((order, twin.weights.shape[1], ONSETS))
 
     @property
     def covariance(self) -> Floats:
@@ -163,48 +169,53 @@ class KalmanFilter:
     def predict(self, t_s: float, volts_V: Floats) -> None:
         """Predict over a step that begins at `t_s`, with the mean acting voltages `volts_V`, (2,)."""
         twin, nx, h = self.twin, self._nx, self.step_s
-        point = twin.at(t_s + 0.5 * h, self.state, volts_V, h)
-        rates, a, by_torque, by_volts, _, _ = twin.functions.along(point)
-        phi, gamma = _kalman.midpoint(a, h)
-        phi, gamma = phi[0], gamma[0]
-        push = gamma @ by_torque[0]
-        drive = np.empty((nx, self._drive.shape[1]))
+        midpoint = twin.at(t_s + 0.5 * h, self.state, volts_V, h)
+        rates, jacobian, by_torque, by_volts, _, _ = twin.functions.along(midpoint)
+        phi, gamma = (matrices[0] for matrices in _kalman.midpoint(jacobian, h))
+        state_by_torque = gamma @ by_torque[0]
+        state_by_parameter = np.empty((nx, self._parameter_sensitivity.shape[1]))
         # The functions return the negative derivative of the rates by a parameter.
-        drive[:, :-1] = -gamma @ rates[0, :, 1:]
-        drive[:, -1] = -gamma @ (by_volts[0] @ volts_V)
+        state_by_parameter[:, :-1] = -gamma @ rates[0, :, 1:]
+        state_by_parameter[:, -1] = -gamma @ (by_volts[0] @ volts_V)
         rate_std = np.linalg.norm(self._root[3:6], axis=1)
-        for place, axis in twin.frictions:
-            drive[:, place] *= erf(abs(self.mean[3 + axis]) / (_SLIDES * rate_std[axis]))
-        by_error = drive @ self._directions
+        for column, axis in twin.frictions:
+            mean_sign = erf(abs(self.mean[3 + axis]) / (_SIGN_WIDTH_STDS * rate_std[axis]))
+            state_by_parameter[:, column] *= mean_sign
+        state_by_error = state_by_parameter @ self._directions
         transition = np.zeros((self._order, self._order))
         transition[:nx, :nx] = phi
-        for first in (nx, nx + 3, nx + 6):
-            transition[:nx, first : first + 3] = push
-        transition[:nx, self._errors] = by_error
-        np.fill_diagonal(transition[nx:, nx:], self._memory[nx:])
-        after = (
-            self.state + gamma @ rates[0, :, 0] + push @ self.torque_Nm + by_error @ self.mean[self._errors]
+        for first in (nx, nx + 3, nx + 6):  # gusts, drift, constant torques
+            transition[:nx, first : first + 3] = state_by_torque
+        transition[:nx, self._errors] = state_by_error
+        np.fill_diagonal(transition[nx:, nx:], self._autocorrelation[nx:])
+        predicted = (
+            self.state
+            + gamma @ rates[0, :, 0]
+            + state_by_torque @ self.torque_Nm
+            + state_by_error @ self.mean[self._errors]
         )
-        self.mean[nx:] *= self._memory[nx:]
-        self.mean[:nx] = after
+        self.mean[nx:] *= self._autocorrelation[nx:]
+        self.mean[:nx] = predicted
         if twin.resets is not None:
-            (reset,) = twin.resets(twin.at(t_s + h, after, volts_V, h))
+            (reset,) = twin.resets(twin.at(t_s + h, predicted, volts_V, h))
             self.mean[:nx] = reset[0, :, 0]
         self._propagate_root(transition, gamma @ by_volts[0], volts_V)
-        self._drive = transition @ self._drive
-        self._drive[:nx] += drive
+        self._parameter_sensitivity = transition @ self._parameter_sensitivity
+        self._parameter_sensitivity[:nx] += state_by_parameter
         self._transition = transition @ self._transition
 
     def _propagate_root(self, transition: Floats, by_volts: Floats, volts_V: Floats) -> None:
-        """Propagate the root of the covariance. Voltages that no nominal flight shows add noise, by the
-        derivatives `by_volts` of the state, (n, 2).
+        """Propagate the root of the covariance by a QR decomposition (array algorithm).
+
+        Voltages that no nominal flight shows add noise, by the derivatives `by_volts` of the state, (n, 2).
         """
         rows = np.vstack(((transition @ self._root).T, self._noise))
         outside_V = self.twin.uncertainty.outside_V(volts_V)
         if np.any(outside_V > 0.0):
-            unknown = np.zeros((2, self._order))
-            unknown[:, : self._nx] = (by_volts * (outside_V * (_HELD_s / self.step_s) ** 0.5)).T
-            rows = np.vstack((rows, unknown))
+            voltage_noise = np.zeros((2, self._order))
+            std_V = outside_V * (_EXCURSION_s / self.step_s) ** 0.5
+            voltage_noise[:, : self._nx] = (by_volts * std_V).T
+            rows = np.vstack((rows, voltage_noise))
         self._root = np.asarray(np.linalg.qr(rows, mode="r")).T
 
     def propagate_sensitivity(self, ages_s: Floats, is_ramp: npt.NDArray[np.bool_]) -> None:
@@ -220,21 +231,21 @@ class KalmanFilter:
         amount = np.where(is_ramp[:, None], np.maximum(ages_s - 0.5 * self._block_s, 0.0), 1.0)
         amount = np.where(ages_s > 0.0, amount, 0.0)
         order, columns, onsets = self.state_sensitivity.shape
-        moved = self._transition @ self.state_sensitivity.reshape(order, columns * onsets)
-        self.state_sensitivity = moved.reshape(order, columns, onsets)
-        self.state_sensitivity += (self._drive @ self.twin.weights)[:, :, None] * amount
+        propagated = self._transition @ self.state_sensitivity.reshape(order, columns * onsets)
+        self.state_sensitivity = propagated.reshape(order, columns, onsets)
+        self.state_sensitivity += (self._parameter_sensitivity @ self.twin.weights)[:, :, None] * amount
         self._transition = np.eye(order)
-        self._drive = np.zeros_like(self._drive)
+        self._parameter_sensitivity = np.zeros_like(self._parameter_sensitivity)
 
     def _measurement_variance(self, samples: int) -> Floats:
-        """Variance of the mean of so many `samples` of each angle, (3,)."""
-        speed = np.abs(self.mean[3:6])
-        crossings = np.minimum(speed * self.step_s / self._count_rad, 1.0)
+        """Return the variance of the mean of so many `samples` of each angle, (3,) [rad2]."""
+        speed_rad_s = np.abs(self.mean[3:6])
+        crossings = np.minimum(speed_rad_s * self.step_s / self._count_rad, 1.0)
         # Repeated measurements of an angle within one count carry no new information.
-        passed_s = self._count_rad / np.maximum(speed, 1e-6)
-        repeats = np.clip(passed_s / self._block_s, 1.0, _REPEATS)
-        result: Floats = self._variance_rad2 * repeats / (1.0 + (samples - 1) * crossings)
-        return result
+        time_per_count_s = self._count_rad / np.maximum(speed_rad_s, 1e-6)
+        repeats = np.clip(time_per_count_s / self._block_s, 1.0, _MAX_REPEATS)
+        variance_rad2: Floats = self._variance_rad2 * repeats / (1.0 + (samples - 1) * crossings)
+        return variance_rad2
 
     def update(
         self,
@@ -262,48 +273,61 @@ class KalmanFilter:
         onset_rad : ndarray (scales, onsets)
             For each of the twin's `scales`, the angle of its axis at each onset [rad].
         """
-        twin, nx = self.twin, self._nx
-        angles, c, by_free = twin.measure(twin.at(t_s, self.state, volts_V, self.step_s))
-        # Direct effect of parameters and changes on the measured angles, not by way of the state.
-        by_parameter = np.zeros((3, twin.weights.shape[0]))
-        by_parameter[:, :-1] = by_free[0]
-        by_error = by_parameter @ self._directions
-        for place, axis, std in self._scale_errors:
-            by_error[axis, place] += std * (self.mean[axis] - self._start_rad[axis])
-        predicted = angles[0, :, 0] + np.array([*self.zero_rad, 0.0]) + by_error @ self.mean[self._errors]
-        by_change = by_parameter @ twin.weights
-        # A change of an encoder's scale counts the angle that its axis has turned since the onset.
-        by_scale = {
-            axis: (column, (self.mean[axis] - onset_rad[row]) * amount[column])
-            for row, (column, axis) in enumerate(twin.scales)
-        }
-        variance = self._measurement_variance(samples)
-        residual = measured_rad - predicted
+        angles, by_state, by_parameter = self.twin.measure(
+            self.twin.at(t_s, self.state, volts_V, self.step_s)
+        )
+        direct = np.zeros((3, self.twin.weights.shape[0]))
+        direct[:, :-1] = by_parameter[0]
+        by_error = direct @ self._directions
+        for index, axis, std in self._scale_errors:
+            by_error[axis, index] += std * (self.mean[axis] - self._start_rad[axis])
+        output_matrix = np.zeros((3, self._order))
+        output_matrix[:, : self._nx] = by_state[0]
+        output_matrix[: len(ZEROS), self._zeros] = np.eye(len(ZEROS))
+        output_matrix[:, self._errors] = by_error
+        # Increase of the measured angles by each change directly, and not through the state.
+        direct_changes = (direct @ self.twin.weights)[:, :, None] * amount
+        for row, (column, axis) in enumerate(self.twin.scales):
+            direct_changes[axis, column] += (self.mean[axis] - onset_rad[row]) * amount[column]
+        predicted_rad = angles[0, :, 0] + np.array([*self.zero_rad, 0.0]) + by_error @ self.mean[self._errors]
+        return self._update_axes(
+            measured_rad - predicted_rad, output_matrix, direct_changes, self._measurement_variance(samples)
+        )
+
+    def _update_axes(
+        self, residual_rad: Floats, output_matrix: Floats, direct_changes: Floats, variance_rad2: Floats
+    ) -> Innovation:
+        """Update mean, root and sensitivities with one angle after the other.
+
+        Parameters
+        ----------
+        residual_rad : ndarray (3,)
+            Measured minus predicted angles [rad].
+        output_matrix : ndarray (3, order)
+            Derivatives of the angles by z.
+        direct_changes : ndarray (3, columns, onsets)
+            Direct increase of the measured angles by one unit of each change [rad].
+        variance_rad2 : ndarray (3,)
+            Variances of the measured angles.
+        """
         value = np.zeros(3)
         sensitivity = np.empty((3, *self.state_sensitivity.shape[1:]))
         order, columns, onsets = self.state_sensitivity.shape
-        flat_sensitivity = self.state_sensitivity.reshape(order, columns * onsets)
-        change = np.zeros(order)
-        for axis in range(3):
-            row = np.zeros(order)
-            row[:nx] = c[0, axis]
-            if axis < len(ZEROS):
-                row[self._zeros.start + axis] = 1.0
-            row[self._errors] = by_error[axis]
-            by_root = self._root.T @ row
-            gain = self._root @ by_root
-            total = float(by_root @ by_root) + variance[axis]
-            scale = total**-0.5
-            value[axis] = (residual[axis] - row @ change) * scale
-            projection = (row @ flat_sensitivity).reshape(columns, onsets)
-            projection = projection + by_change[axis][:, None] * amount
-            column, turned_rad = by_scale[axis]
-            projection[column] += turned_rad
-            projection *= scale
-            sensitivity[axis] = projection
-            change += gain * (scale * value[axis])
-            flat_sensitivity -= np.outer(gain * scale, projection)
-            # The measurement update of the root by Potter.
-            self._root -= np.outer(gain, by_root) / (total + (total * variance[axis]) ** 0.5)
-        self.mean += change
+        state_sensitivity = self.state_sensitivity.reshape(order, columns * onsets)  # a view
+        correction = np.zeros(order)
+        for axis, output_row in enumerate(output_matrix):
+            root_row = self._root.T @ output_row
+            covariance = self._root @ root_row
+            innovation_variance = float(root_row @ root_row) + variance_rad2[axis]
+            scale = innovation_variance**-0.5
+            value[axis] = (residual_rad[axis] - output_row @ correction) * scale
+            sensitivity[axis] = (output_row @ state_sensitivity).reshape(columns, onsets)
+            sensitivity[axis] += direct_changes[axis]
+            sensitivity[axis] *= scale
+            correction += covariance * (scale * value[axis])
+            state_sensitivity -= np.outer(covariance * scale, sensitivity[axis])
+            # Measurement update of the root by Potter.
+            potter = innovation_variance + (innovation_variance * variance_rad2[axis]) ** 0.5
+            self._root -= np.outer(covariance, root_row) / potter
+        self.mean += correction
         return Innovation(value, sensitivity)

@@ -28,7 +28,7 @@ from heli_lab.estimation.posterior_step import posterior_step
 from heli_lab.identify import prepare
 from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
 from heli_lab.twin.calibration import DEFAULT_DISTURBANCES, Calibration
-from heli_lab.twin.draws import Draws, Followed, drawn_evidence, evidence
+from heli_lab.twin.draws import Draws, FollowedFlight, drawn_evidence, evidence
 from heli_lab.twin.flights import count_rad_of
 from heli_lab.twin.healthy_flights import fly_simulated, random_plan, with_process_noise
 from heli_lab.twin.parameter_uncertainty import SUPPLY_STD, ParameterUncertainty
@@ -41,7 +41,7 @@ DRAWN_s: Final = 720.0
 18 % for the scale of the tail. More: minutes of waiting. Less: thresholds that chance sets."""
 FLIGHTS: Final = 12
 """Number of simulated flights of a rig without nominal flights, one minute each, for the same reason."""
-_LEAST_s: Final = 10.0
+_MIN_FREE_s: Final = 10.0
 """Shortest free flight along which evidence is drawn, s: an onset needs some seconds to show. Longer: short
 flights are refused. Shorter: the draws contain no whole excursion."""
 _BEYOND: Final = 0.1
@@ -49,13 +49,13 @@ _BEYOND: Final = 0.1
 their range below, so that a rotor that brakes or reverses for the first time is noticed; of the voltage
 above, where a weaker supply leads. Larger: unknown physics is taken for a change. Smaller: little of
 another flight counts."""
-_TRIES: Final = 3
+_MAX_ATTEMPTS_PER_FLIGHT: Final = 3
 """Greatest number of attempts per flight: the board does not arm if gusts move the arm on the table."""
 DETECTABLE_WITHIN_s: Final = 0.5
 """Time within which a gust must move an axis by the rounding of its encoder to be detectable, s. It equals
 the correlation time of the gusts of a quiet room. Longer: the lower bound admits gusts that no flight shows.
 Shorter: the lower bound exceeds the gusts of a quiet room."""
-_FEW: Final = 1.0 / 3.0
+_FEW_SHARE: Final = 1.0 / 3.0
 """Share of a quiet room's gusts below which a warning is given."""
 Say = Callable[[str, float], None]
 
@@ -79,20 +79,22 @@ def at_least_rounding(
     count_rad : ndarray (3,)
         Angle of one count of each encoder [rad].
     """
-    bare = type(model)()
-    hover = trim(bare, rig)
-    names = [quantity.name for quantity in bare.parameters]
+    model_without_effects = type(model)()
+    hover = trim(model_without_effects, rig)
+    names = [quantity.name for quantity in model_without_effects.parameters]
     torques = [names.index(f"torque_{axis}") for axis in AXES]
-    by_torque = derivatives(bare, rig, hover.state, hover.volts_V).P[3:6, torques]
+    by_torque = derivatives(model_without_effects, rig, hover.state, hover.volts_V).P[3:6, torques]
     rounding_rad = count_rad / 12.0**0.5
-    least_Nm = 2.0 * rounding_rad / (np.abs(np.diagonal(by_torque)) * DETECTABLE_WITHIN_s**2)
+    min_Nm = 2.0 * rounding_rad / (np.abs(np.diagonal(by_torque)) * DETECTABLE_WITHIN_s**2)
     # A shorter gust moves an axis less: by the square root of the number of impulses that add up.
-    share = np.minimum(np.sqrt(8.0 * disturbances.correlation_time_s / (3.0 * DETECTABLE_WITHIN_s)), 1.0)
-    small = disturbances.fast_std * share < least_Nm
+    averaging_factor = np.minimum(
+        np.sqrt(8.0 * disturbances.correlation_time_s / (3.0 * DETECTABLE_WITHIN_s)), 1.0
+    )
+    is_undetectable = disturbances.fast_std * averaging_factor < min_Nm
     return replace(
         disturbances,
-        fast_std=np.where(small, least_Nm, disturbances.fast_std),
-        correlation_time_s=np.where(small, DETECTABLE_WITHIN_s, disturbances.correlation_time_s),
+        fast_std=np.where(is_undetectable, min_Nm, disturbances.fast_std),
+        correlation_time_s=np.where(is_undetectable, DETECTABLE_WITHIN_s, disturbances.correlation_time_s),
         quantisation=np.maximum(disturbances.quantisation, 1.0),
         curvature=None,
     )
@@ -100,52 +102,67 @@ def at_least_rounding(
 
 def has_few_disturbances(disturbances: DisturbanceModel) -> bool:
     """Whether the gusts about an axis are so small that those of an ordinary day will raise an alarm."""
-    return bool(np.any(disturbances.fast_std < _FEW * DEFAULT_DISTURBANCES.fast_std))
+    return bool(np.any(disturbances.fast_std < _FEW_SHARE * DEFAULT_DISTURBANCES.fast_std))
 
 
 def learn_rig(
     model: Model, rig: Rig, healthy: Sequence[Flight], labels: Sequence[str]
 ) -> tuple[DisturbanceModel, ParameterUncertainty]:
-    """Estimate the disturbances in nominal flights, named `labels`, with the bounds of `at_least_rounding`,
-    and how uncertain these flights leave the rig's parameters.
+    """Estimate disturbances and the uncertainty of parameters from nominal flights, named `labels`.
 
     The parameters keep the rig's values; encoder zeros and constant torques are estimated per flight. The
-    tolerances of the rig file are what is known beforehand.
+    tolerances of the rig file are the priors.
+
+    Returns
+    -------
+    DisturbanceModel
+        Disturbances, with the bounds of `at_least_rounding`.
+    ParameterUncertainty
+        Posterior covariance of the rig's parameters, and the range of the voltages.
 
     Raises
     ------
     IdentifyError
         A flight is damaged, or has no free flight.
     """
-    calm = TwinModel(model, rig).model
+    twin_model = TwinModel(model, rig).model
     records = [prepare(flight, rig, label) for flight, label in zip(healthy, labels, strict=True)]
-    every = RigParameters(calm, rig, records)
-    values = dict(zip((q.name for q in calm.parameters), calm.parameter_values(rig), strict=True))
-    shared = [parameter.quantity for parameter in every.free if parameter.record is None]
-    fixed = {name: float(values[name]) for name in shared}
-    vector = RigParameters(calm, rig, records, fixed)
     references = [filter_record(record) for record in records]
-    estimates = estimate(vector, references, model_functions(calm, vector.quantities), vector.start)
+    # First the disturbances and constants of each flight, with the rig's parameters fixed.
+    all_parameters = RigParameters(twin_model, rig, records)
+    names = [quantity.name for quantity in twin_model.parameters]
+    rig_values = dict(zip(names, twin_model.parameter_values(rig), strict=True))
+    shared = [parameter.quantity for parameter in all_parameters.free if parameter.record is None]
+    fixed = {name: float(rig_values[name]) for name in shared}
+    flight_constants = RigParameters(twin_model, rig, records, fixed)
+    functions = model_functions(twin_model, flight_constants.quantities)
+    constants = estimate(flight_constants, references, functions, flight_constants.start)
     count_rad = np.min([count_rad_of(flight, rig) for flight in healthy], axis=0)
-    disturbances = at_least_rounding(estimates.disturbances, calm, rig, count_rad)
-    theta = np.concatenate(([fixed[name] for name in shared], estimates.theta))
-    functions = model_functions(calm, every.quantities)
+    disturbances = at_least_rounding(constants.disturbances, twin_model, rig, count_rad)
+    # Then the covariance of all parameters about this point.
+    theta = np.concatenate(([fixed[name] for name in shared], constants.theta))
+    functions = model_functions(twin_model, all_parameters.quantities)
     linearised = [
-        LinearisedFlight(reference, functions, every.parameters(theta, index))
+        LinearisedFlight(reference, functions, all_parameters.parameters(theta, index))
         for index, reference in enumerate(references)
     ]
-    filtered = InnovationsModel(linearised, every.columns, len(theta))
+    filtered = InnovationsModel(linearised, all_parameters.columns, len(theta))
     innovations = filtered.innovations(disturbances)
-    step = posterior_step(
-        every, theta, innovations.information(), innovations.score(), per_flight=innovations.per_flight
+    posterior = posterior_step(
+        all_parameters,
+        theta,
+        innovations.information(),
+        innovations.score(),
+        per_flight=innovations.per_flight,
     )
-    shared_covariance = step.covariance[: len(shared), : len(shared)]
+    covariance = posterior.covariance[: len(shared), : len(shared)]
     free_V = np.vstack(
         [record.voltages_V[start:stop] for record in records for start, stop in record.segments]
     )
-    least_V, most_V = free_V.min(axis=0), free_V.max(axis=0)
-    low_V, high_V = least_V - _BEYOND * (most_V - least_V), (1.0 + _BEYOND) * most_V
-    return disturbances, ParameterUncertainty(tuple(shared), shared_covariance, SUPPLY_STD, low_V, high_V)
+    lowest_V, highest_V = free_V.min(axis=0), free_V.max(axis=0)
+    low_V = lowest_V - _BEYOND * (highest_V - lowest_V)
+    high_V = (1.0 + _BEYOND) * highest_V
+    return disturbances, ParameterUncertainty(tuple(shared), covariance, SUPPLY_STD, low_V, high_V)
 
 
 def learn(
@@ -186,23 +203,23 @@ def learn(
         The free flight is too short.
     """
     if not healthy:
-        return _learn_simulated(model, rig, seed, say)
+        return _calibrate_by_simulation(model, rig, seed, say)
     say("disturbances of the nominal flights", 0.0)
     disturbances, uncertainty = learn_rig(model, rig, healthy, labels)
     twin = TwinModel(model, rig, uncertainty)
-    followed: list[Followed] = []
+    followed_flights: list[FollowedFlight] = []
     for flight, label in zip(healthy, labels, strict=True):
         say(f"evidence in {label}", 0.1)
-        followed.append(evidence(twin, disturbances, flight))
-    healthy_s = BLOCK_s * sum(len(flight.history) for flight in followed)
-    if healthy_s < _LEAST_s:
+        followed_flights.append(evidence(twin, disturbances, flight))
+    healthy_s = BLOCK_s * sum(len(flight.history) for flight in followed_flights)
+    if healthy_s < _MIN_FREE_s:
         raise TwinError(
             f"{healthy_s:.1f} s of free nominal flight are too short for a threshold",
-            f"give flights with at least {_LEAST_s:g} s in the air",
+            f"give flights with at least {_MIN_FREE_s:g} s in the air",
         )
-    settled = round(FILTER_SETTLING_s / BLOCK_s)
-    innovations = [flight.innovations[settled:] for flight in followed]
-    histories = [flight.history_without_kicks() for flight in followed]
+    first_settled = round(FILTER_SETTLING_s / BLOCK_s)
+    innovations = [flight.innovations[first_settled:] for flight in followed_flights]
+    histories = [flight.history_without_kicks() for flight in followed_flights]
     draws = Draws(innovations, math.ceil(seconds / healthy_s), np.random.default_rng([seed, 32]))
     for number, flight in enumerate(healthy):
         say(f"draws along {labels[number]}", 0.3 + 0.7 * number / len(healthy))
@@ -210,19 +227,19 @@ def learn(
     return Calibration(disturbances, fit_tail(histories, healthy_s), ", ".join(labels), uncertainty)
 
 
-def _learn_simulated(model: Model, rig: Rig, seed: int, say: Say) -> Calibration:
+def _calibrate_by_simulation(model: Model, rig: Rig, seed: int, say: Say) -> Calibration:
     """Set the threshold by simulated flights in the disturbances of a quiet room."""
     twin = TwinModel(model, rig)
-    flown = with_process_noise(twin.model, DEFAULT_DISTURBANCES)
+    noisy_model = with_process_noise(twin.model, DEFAULT_DISTURBANCES)
     histories: list[list[tuple[float, float]]] = []
-    for number in range(_TRIES * FLIGHTS):
+    for number in range(_MAX_ATTEMPTS_PER_FLIGHT * FLIGHTS):
         if len(histories) == FLIGHTS:
             break
         say(f"simulated flight {len(histories) + 1} of {FLIGHTS}", len(histories) / FLIGHTS)
         # Users choose small seeds: these flights must differ from theirs.
         flight_seed = 1_000_000 * seed + number
         try:
-            flight = fly_simulated(flown, rig, random_plan(flight_seed), flight_seed)
+            flight = fly_simulated(noisy_model, rig, random_plan(flight_seed), flight_seed)
         except FlightAborted:
             continue
         histories.append(evidence(twin, DEFAULT_DISTURBANCES, flight).history)

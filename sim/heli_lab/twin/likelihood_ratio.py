@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -79,6 +79,27 @@ class Innovation:
     sensitivity: Floats
 
 
+class _Estimates(NamedTuple):
+    """Estimates of each change at each onset, with S, b and the prior covariance P of its numbers.
+
+    Parameters
+    ----------
+    size : ndarray (draws, changes, onsets) or (changes, onsets)
+        Estimate of the first number.
+    std : ndarray (changes, onsets)
+        Its standard error.
+    quadratic_form : ndarray like size
+        b' (S + 1/P)^-1 b.
+    determinant : ndarray (changes, onsets)
+        det(1 + P S).
+    """
+
+    size: Floats
+    std: Floats
+    quadratic_form: Floats
+    determinant: Floats
+
+
 class LikelihoodRatio:
     """Generalised likelihood ratio of every change at every onset, updated with each innovation.
 
@@ -101,41 +122,43 @@ class LikelihoodRatio:
 
     def __init__(self, changes: Sequence[Change], count_rad: Floats, draws: int | None = None) -> None:
         self.changes = tuple(changes)
-        least = {
+        # Properties of each change. A change has one or two numbers, each with a column of sensitivities.
+        min_sizes_rad = {
             f"zero_offset.{axis}": MIN_ZERO_SHIFT_COUNTS * count
             for axis, count in zip(AXES, count_rad, strict=True)
         }
-        self._least: Floats = np.array([[least.get(change.id, 0.0)] for change in changes])
-        firsts = np.cumsum([0, *(len(change.numbers) for change in changes)])
-        self._first: Integers = firsts[:-1].astype(np.int64)
-        pairs = np.array([len(change.numbers) > 1 for change in changes])
-        self._second: Integers = np.where(pairs, self._first + 1, self._first)
-        self._pairs = pairs[:, None]
+        self._min_size: Floats = np.array([[min_sizes_rad.get(change.id, 0.0)] for change in changes])
+        counts = [len(change.numbers) for change in changes]
+        has_second = np.array([count > 1 for count in counts])
+        self._first_column: Integers = np.cumsum([0, *counts])[:-1].astype(np.int64)
+        self._second_column: Integers = np.where(has_second, self._first_column + 1, self._first_column)
+        self._has_second = has_second[:, None]
+        self._change_of_column = np.repeat(np.arange(len(changes)), counts)
         self._precision = np.array([[size**-2.0 for size in (*c.sizes, 1.0)[:2]] for c in changes]).T
         self._non_negative = np.array([change.non_negative for change in changes])
-        columns = [change.is_ramp for change in changes for _ in change.numbers]
-        self.is_ramp: npt.NDArray[np.bool_] = np.array(columns)
+        self._is_jump_change = np.array([change.is_jump for change in changes])
+        self.is_ramp: npt.NDArray[np.bool_] = np.repeat([change.is_ramp for change in changes], counts)
+        # Sums over innovations: S = sum of s s', (changes, onsets), and b = sum of s e, (draws, changes,
+        # onsets), with the sensitivities s of an innovation e by the first and the second number.
         shape = (len(self.changes), ONSETS)
         self._s11, self._s12, self._s22 = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-        each = shape if draws is None else (draws, *shape)
-        self._b1, self._b2 = np.zeros(each), np.zeros(each)
+        draws_shape = shape if draws is None else (draws, *shape)
+        self._b1, self._b2 = np.zeros(draws_shape), np.zeros(draws_shape)
         # Block of each onset; infinite for unused onsets.
         self._onset: Floats = np.full(shape, np.inf)
-        self._column_of = np.repeat(np.arange(len(changes)), [len(c.numbers) for c in changes])
-        self._halves = 0
+        self._kept_count = 0
         self.evidence: Floats = np.full(shape, -np.inf)
-        self._last_evidence = self._first_evidence = self.evidence
-        self._is_jump = np.array([change.is_jump for change in self.changes])
+        self._last_evidence = self._first_evidence = self.evidence  # of the last and the first draw
 
     def ages(self, block: int) -> Floats:
         """Return the age of each onset at the end of `block`, in blocks, (columns, onsets); negative for
         unused onsets.
         """
-        return np.asarray(np.maximum(block - self._onset, -1.0)[self._column_of])
+        return np.asarray(np.maximum(block - self._onset, -1.0)[self._change_of_column])
 
     def onset_blocks(self, column: int) -> Integers:
         """Return the block of each onset of a `column` of the sensitivities, (onsets,); -1 if unused."""
-        onset = self._onset[self._column_of[column]]
+        onset = self._onset[self._change_of_column[column]]
         return np.where(np.isfinite(onset), onset, -1.0).astype(np.int64)
 
     def begin_onset(self, block: int, state_sensitivity: Floats) -> None:
@@ -150,80 +173,78 @@ class LikelihoodRatio:
         state_sensitivity : ndarray (order, columns, onsets)
             Array of the filter. The columns of the replaced onsets are overwritten.
         """
-        place = block % RECENT
-        if place == 0 and np.isfinite(self._onset[:, :RECENT]).all():
-            self._keep(state_sensitivity)
-        state_sensitivity[:, :, place] = 0.0
+        recent = block % RECENT
+        if recent == 0 and np.isfinite(self._onset[:, :RECENT]).all():
+            self._keep_best_onset(state_sensitivity)
+        state_sensitivity[:, :, recent] = 0.0
         for sums in (self._s11, self._s12, self._s22, self._b1, self._b2):
-            sums[..., place] = 0.0
-        self._onset[:, place] = block
+            sums[..., recent] = 0.0
+        self._onset[:, recent] = block
 
-    def _keep(self, state_sensitivity: Floats) -> None:
-        """Move the most likely recent onset of each change to the older onsets."""
-        to = RECENT + self._halves % KEPT
-        self._halves += 1
+    def _keep_best_onset(self, state_sensitivity: Floats) -> None:
+        """Copy the most likely recent onset of each change over the oldest kept one."""
+        oldest = RECENT + self._kept_count % KEPT
+        self._kept_count += 1
         best = np.argmax(self.evidence[:, :RECENT], axis=1)
-        rows = np.arange(len(best))
+        changes = np.arange(len(best))
         for sums in (self._s11, self._s12, self._s22, self._b1, self._b2, self._onset):
-            sums[..., to] = sums[..., rows, best]
-        columns = np.arange(len(self._column_of))
-        state_sensitivity[:, :, to] = state_sensitivity[:, columns, best[self._column_of]]
+            sums[..., oldest] = sums[..., changes, best]
+        columns = np.arange(len(self._change_of_column))
+        state_sensitivity[:, :, oldest] = state_sensitivity[:, columns, best[self._change_of_column]]
 
     def update(self, innovation: Innovation) -> float:
         """Add an innovation; return the evidence of the most likely change and onset [nats]."""
         return float(self.update_draws(innovation.value, innovation.sensitivity))
 
     def update_cut(self, innovation: Innovation, outlier: float) -> float:
-        """Add an innovation to two draws: cut off at `outlier` standard deviations, and as it is. Return
-        the evidence of the most likely change [nats]: of the cut draw, but for the jump of an encoder,
-        which is an outlier itself.
+        """Add an innovation to two draws: cut off at `outlier` standard deviations, and as it is.
+
+        Returns the evidence of the most likely change of the cut draw [nats]. A jump of an encoder is an
+        outlier itself, so its evidence is that of the other draw.
         """
         values = np.stack((np.clip(innovation.value, -outlier, outlier), innovation.value))
         self.update_draws(values, innovation.sensitivity)
-        jumps = self._last_evidence[self._is_jump]
+        jumps = self._last_evidence[self._is_jump_change]
         return float(max(self._first_evidence.max(), jumps.max(initial=-np.inf)))
 
     def update_draws(self, value: Floats, sensitivity: Floats) -> Floats:
         """Add the innovation `value`, (3,) or (draws, 3), with a `sensitivity` as of `Innovation`; return the
         evidence of the most likely change and onset of each draw [nats].
         """
-        direction = sensitivity[:, self._first]
-        two = sensitivity[:, self._second]
-        self._s11 += np.einsum("aho,aho->ho", direction, direction)
-        self._b1 += np.einsum("aho,...a->...ho", direction, value)
-        self._s12 += np.where(self._pairs, np.einsum("aho,aho->ho", direction, two), 0.0)
-        self._s22 += np.where(self._pairs, np.einsum("aho,aho->ho", two, two), 0.0)
-        self._b2 += np.where(self._pairs, np.einsum("aho,...a->...ho", two, value), 0.0)
-        size, std, gain, determinant = self._solved()
-        evidence = 0.5 * gain - 0.5 * np.log(determinant)
+        first = sensitivity[:, self._first_column]
+        second = sensitivity[:, self._second_column]
+        self._s11 += np.einsum("aho,aho->ho", first, first)
+        self._b1 += np.einsum("aho,...a->...ho", first, value)
+        self._s12 += np.where(self._has_second, np.einsum("aho,aho->ho", first, second), 0.0)
+        self._s22 += np.where(self._has_second, np.einsum("aho,aho->ho", second, second), 0.0)
+        self._b2 += np.where(self._has_second, np.einsum("aho,...a->...ho", second, value), 0.0)
+        estimates = self._estimates()
+        # Log of the Bayes factor with normal priors: 1/2 b' (S + 1/P)^-1 b - 1/2 log det(1 + P S).
+        evidence = 0.5 * estimates.quadratic_form - 0.5 * np.log(estimates.determinant)
         # A half-normal prior: twice the posterior mass above zero.
-        sided = self._non_negative
-        evidence[..., sided, :] += np.log(2.0) + log_ndtr(size[..., sided, :] / std[sided])
-        evidence = np.where(np.isfinite(self._onset) & (np.abs(size) >= self._least), evidence, -np.inf)
-        each = evidence.reshape(-1, *self._onset.shape)
-        self.evidence, self._last_evidence = each.max(axis=0), each[-1]
-        self._first_evidence = each[0]
+        non_negative = self._non_negative
+        z = estimates.size[..., non_negative, :] / estimates.std[non_negative]
+        evidence[..., non_negative, :] += np.log(2.0) + log_ndtr(z)
+        is_candidate = np.isfinite(self._onset) & (np.abs(estimates.size) >= self._min_size)
+        evidence = np.where(is_candidate, evidence, -np.inf)
+        evidence_by_draw = evidence.reshape(-1, *self._onset.shape)
+        self.evidence, self._last_evidence = evidence_by_draw.max(axis=0), evidence_by_draw[-1]
+        self._first_evidence = evidence_by_draw[0]
         return np.asarray(evidence.max(axis=(-2, -1)))
 
-    def _solved(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """Estimates of all changes at all onsets.
-
-        Returns
-        -------
-        size, std : ndarray (..., changes, onsets)
-            Estimate of the first number and its standard error, SI.
-        gain : ndarray (..., changes, onsets)
-            The form b' (S + 1/P)^-1 b of the evidence.
-        determinant : ndarray (changes, onsets)
-            The determinant det(1 + P S) of the evidence.
-        """
-        p1, p2 = self._precision[0][:, None], self._precision[1][:, None]
-        a, b, d = self._s11 + p1, self._s12, self._s22 + p2
-        determinant = a * d - b**2
-        size = (d * self._b1 - b * self._b2) / determinant
-        other = (a * self._b2 - b * self._b1) / determinant
-        std = np.sqrt(d / determinant)
-        return size, std, size * self._b1 + other * self._b2, determinant / (p1 * p2)
+    def _estimates(self) -> _Estimates:
+        """Estimate the numbers of each change at each onset by the normal equations of two unknowns."""
+        precision1, precision2 = self._precision[0][:, None], self._precision[1][:, None]
+        a11, a12, a22 = self._s11 + precision1, self._s12, self._s22 + precision2
+        determinant = a11 * a22 - a12**2
+        size = (a22 * self._b1 - a12 * self._b2) / determinant
+        second_size = (a11 * self._b2 - a12 * self._b1) / determinant
+        return _Estimates(
+            size=size,
+            std=np.sqrt(a22 / determinant),
+            quadratic_form=size * self._b1 + second_size * self._b2,
+            determinant=determinant / (precision1 * precision2),
+        )
 
     def standard_error(self, change: str, onset_block: float) -> float | None:
         """Return the standard error of the first number of a change, SI; None while the window is empty.
@@ -236,25 +257,29 @@ class LikelihoodRatio:
             Block near which the change began; the nearest onset counts.
         """
         row = [change_.id for change_ in self.changes].index(change)
-        away = np.abs(self._onset[row] - onset_block)
-        nearest = int(np.argmin(away))
-        return float(self._solved()[1][row, nearest]) if np.isfinite(away[nearest]) else None
+        distance_blocks = np.abs(self._onset[row] - onset_block)
+        nearest = int(np.argmin(distance_blocks))
+        if not np.isfinite(distance_blocks[nearest]):
+            return None
+        return float(self._estimates().std[row, nearest])
 
     def ranking(self) -> list[ChangeCandidate]:
         """Return all changes, the most likely first; all onsets have the same prior probability."""
-        size, std, _, _ = self._solved()
-        size = size.reshape(-1, *self._onset.shape)[-1]
-        best = np.argmax(self._last_evidence, axis=1)
-        used = max(1, int(np.isfinite(self._onset[0]).sum()))
-        together = logsumexp(self._last_evidence, axis=1) - np.log(used)
-        candidates = [
-            ChangeCandidate(
-                change,
-                int(self._onset[i, best[i]]) if np.isfinite(self._onset[i, best[i]]) else 0,
-                float(size[i, best[i]]),
-                float(std[i, best[i]]),
-                float(together[i]),
+        estimates = self._estimates()
+        size = estimates.size.reshape(-1, *self._onset.shape)[-1]
+        best_onsets = np.argmax(self._last_evidence, axis=1)
+        onset_count = max(1, int(np.isfinite(self._onset[0]).sum()))
+        log_evidence = logsumexp(self._last_evidence, axis=1) - np.log(onset_count)
+        candidates = []
+        for i, (change, best) in enumerate(zip(self.changes, best_onsets, strict=True)):
+            onset = self._onset[i, best]
+            candidates.append(
+                ChangeCandidate(
+                    change,
+                    onset_block=int(onset) if np.isfinite(onset) else 0,
+                    size=float(size[i, best]),
+                    std=float(estimates.std[i, best]),
+                    log_evidence=float(log_evidence[i]),
+                )
             )
-            for i, change in enumerate(self.changes)
-        ]
         return sorted(candidates, key=lambda candidate: -candidate.log_evidence)

@@ -77,14 +77,14 @@ def open_twin(name: str) -> Callable[[Mapping[str, float], float], TickTwin]:
     return partial(_make_twin, open_rig(name))
 
 
-def _make_twin(chosen: TwinRig, parameters: Mapping[str, float], false_alarm_interval_h: float) -> TickTwin:
-    """Twin of a connected board, which samples at every tick."""
+def _make_twin(twin_rig: TwinRig, parameters: Mapping[str, float], false_alarm_interval_h: float) -> TickTwin:
+    """Return the twin of a board with these parameters."""
     count_rad = rad_per_count(parameters)
     if not np.all(np.isfinite(count_rad)):
         raise TwinError(
             "the board does not report the counts per turn of its encoders",
             "set elevation_counts_per_rev, pitch_counts_per_rev and travel_counts_per_rev on the board",
         )
-    model = TwinModel(chosen.model, chosen.rig, chosen.calibration.uncertainty)
-    twin = Twin(model, chosen.calibration, count_rad, TICK_S, false_alarm_interval_h, with_ghost=True)
+    model = TwinModel(twin_rig.model, twin_rig.rig, twin_rig.calibration.uncertainty)
+    twin = Twin(model, twin_rig.calibration, count_rad, TICK_S, false_alarm_interval_h, with_ghost=True)
     return TickTwin(twin, count_rad)

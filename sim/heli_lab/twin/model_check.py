@@ -32,8 +32,8 @@ class ModelCheck:
         if not self._count:
             return ""
         mean_square = self._squares / self._count
-        worst = int(np.argmax(mean_square))
-        if not mean_square[worst] > MAX_MEAN_SQUARE:
+        worst_axis = int(np.argmax(mean_square))
+        if not mean_square[worst_axis] > MAX_MEAN_SQUARE:
             return ""
-        spread = mean_square[worst] ** 0.5
-        return f"{AXES[worst]} differs from its predictions by {spread:.1f} times the stated deviation"
+        rms = mean_square[worst_axis] ** 0.5
+        return f"{AXES[worst_axis]} differs from its predictions by {rms:.1f} times the stated deviation"

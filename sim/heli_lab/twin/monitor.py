@@ -75,7 +75,7 @@ class TwinReport:
 
 
 def monitor_flight(
-    chosen: TwinRig,
+    twin_rig: TwinRig,
     flight: Flight,
     label: str,
     false_alarm_interval_h: float,
@@ -104,14 +104,14 @@ def monitor_flight(
     """
     samples, sample_s = samples_of(flight)
     zero_s = float(samples.number[0]) * sample_s - float(flight.t_s[0])
-    count_rad = count_rad_of(flight, chosen.rig)
-    return _monitor(
-        chosen, samples, count_rad, sample_s, zero_s, label, false_alarm_interval_h, (start_s, stop_s)
+    count_rad = count_rad_of(flight, twin_rig.rig)
+    return _monitor_samples(
+        twin_rig, samples, count_rad, sample_s, zero_s, label, false_alarm_interval_h, (start_s, stop_s)
     )
 
 
 def monitor_file(
-    chosen: TwinRig,
+    twin_rig: TwinRig,
     path: Path,
     false_alarm_interval_h: float,
     start_s: float | None = None,
@@ -131,19 +131,19 @@ def monitor_file(
     """
     if path.suffix.lower() != ".mcap":
         flight = read_flight(path, allow_gaps=True)
-        report = monitor_flight(chosen, flight, path.name, false_alarm_interval_h, start_s, stop_s)
+        report = monitor_flight(twin_rig, flight, path.name, false_alarm_interval_h, start_s, stop_s)
         return replace(report, flown_rig=str(flight.meta.get("rig") or ""))
     log = read_log(path)
     samples, zero_s = samples_of_log(log)
     count_rad = rad_per_count(log.parameters)
-    report = _monitor(
-        chosen, samples, count_rad, TICK_S, zero_s, path.name, false_alarm_interval_h, (start_s, stop_s)
+    report = _monitor_samples(
+        twin_rig, samples, count_rad, TICK_S, zero_s, path.name, false_alarm_interval_h, (start_s, stop_s)
     )
     return replace(report, flown_rig=log.metadata.get("session", {}).get("rig", ""))
 
 
-def _monitor(
-    chosen: TwinRig,
+def _monitor_samples(
+    twin_rig: TwinRig,
     samples: Samples,
     count_rad: Floats,
     sample_s: float,
@@ -152,19 +152,20 @@ def _monitor(
     false_alarm_interval_h: float,
     span: tuple[float | None, float | None],
 ) -> TwinReport:
-    """Run a twin over the part `span` (s) of a flight, and report its events."""
-    low = -math.inf if span[0] is None else span[0]
-    high = math.inf if span[1] is None else span[1]
+    """Compare the samples between two times with the twin; `span` has the times, None without a limit."""
+    start_s = -math.inf if span[0] is None else span[0]
+    stop_s = math.inf if span[1] is None else span[1]
     t_s = samples.number * sample_s - zero_s
-    rows = (t_s >= low) & (t_s < high)
-    if not np.any(rows):
+    is_inside = (t_s >= start_s) & (t_s < stop_s)
+    if not np.any(is_inside):
         raise TwinError(
-            f"{label} has no row between {low:g} and {high:g} s", "give --from and --to within the flight"
+            f"{label} has no row between {start_s:g} and {stop_s:g} s",
+            "give --from and --to within the flight",
         )
-    part = samples.select(rows)
-    model = TwinModel(chosen.model, chosen.rig, chosen.calibration.uncertainty)
-    twin = Twin(model, chosen.calibration, count_rad, sample_s, false_alarm_interval_h, zero_s=zero_s)
+    part = samples.select(is_inside)
+    model = TwinModel(twin_rig.model, twin_rig.rig, twin_rig.calibration.uncertainty)
+    twin = Twin(model, twin_rig.calibration, count_rad, sample_s, false_alarm_interval_h, zero_s=zero_s)
     twin.records_evidence = True
     events = twin.update(part) + twin.finish()
-    compared = len(twin.evidence_history) * twin.block_s
-    return TwinReport(label, tuple(events), tuple(twin.evidence_history), twin.threshold_nats, compared)
+    free_s = len(twin.evidence_history) * twin.block_s
+    return TwinReport(label, tuple(events), tuple(twin.evidence_history), twin.threshold_nats, free_s)

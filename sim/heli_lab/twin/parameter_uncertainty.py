@@ -52,10 +52,10 @@ class ParameterUncertainty:
         amounts = vectors * np.sqrt(np.maximum(variance, 0.0))
         rows = [free.index(name) for name in self.names]
         count = len(rows)
-        result = np.zeros((len(free) + 1, count + 1))
-        result[rows, :count] = amounts
-        result[-1, count] = self.supply_std
-        return result[:, np.any(result != 0.0, axis=0)]
+        directions = np.zeros((len(free) + 1, count + 1))
+        directions[rows, :count] = amounts
+        directions[-1, count] = self.supply_std
+        return directions[:, np.any(directions != 0.0, axis=0)]
 
 
 EXACT: Final = ParameterUncertainty((), np.zeros((0, 0)), 0.0, np.full(2, -np.inf), np.full(2, np.inf))

@@ -106,11 +106,11 @@ class Stepper:
         self.samples_per_step = max(1, int(STEP_s / sample_s + 1e-6))
         self.step_s = self.samples_per_step * sample_s
         self._max_gap = round(MAX_GAP_s / sample_s)
-        self._begins = True
-        self._clear(0)
+        self._after_gap = True
+        self._reset(0)
 
-    def _clear(self, first: int) -> None:
-        """Forget all samples; the next one has the number `first`."""
+    def _reset(self, first: int) -> None:
+        """Discard all samples; `first` is the number of the next one."""
         self._first = first
         self._angles: Floats = np.empty((0, 3))
         self._volts: Floats = np.empty((0, 2))
@@ -126,11 +126,11 @@ class Stepper:
             return
         breaks = np.flatnonzero(np.diff(samples.number) != 1) + 1
         for part in np.split(np.arange(len(samples)), breaks):
-            yield from self._take_piece(samples, slice(int(part[0]), int(part[-1]) + 1))
+            yield from self._update_contiguous(samples, slice(int(part[0]), int(part[-1]) + 1))
 
-    def _take_piece(self, samples: Samples, rows: slice) -> Iterator[Step]:
-        """Add consecutive samples, the `rows` of `samples`, and yield the steps that they complete. A short
-        gap before them is filled.
+    def _update_contiguous(self, samples: Samples, rows: slice) -> Iterator[Step]:
+        """Process samples with successive numbers, and yield the steps that they complete. A short gap is
+        filled.
         """
         number = int(samples.number[rows.start])
         missing = number - self._next
@@ -139,11 +139,11 @@ class Stepper:
             skipped = -number % self.samples_per_step
             rows = slice(rows.start + skipped, rows.stop)
             if rows.start >= rows.stop:
-                self._clear(number)
-                self._begins = True
+                self._reset(number)
+                self._after_gap = True
                 return
-            self._clear(number + skipped)
-            self._begins = True
+            self._reset(number + skipped)
+            self._after_gap = True
         elif missing:
             self._append(
                 np.full((missing, 3), np.nan),
@@ -151,9 +151,9 @@ class Stepper:
                 np.repeat(self._flying[-1:], missing),
                 np.repeat(self._landing[-1:], missing),
             )
-        new = samples.select(rows)
-        self._append(new.angles_rad, new.volts_V, new.flying, new.landing)
-        yield from self._steps()
+        part = samples.select(rows)
+        self._append(part.angles_rad, part.volts_V, part.flying, part.landing)
+        yield from self._complete_steps()
 
     def _append(
         self,
@@ -162,36 +162,35 @@ class Stepper:
         flying: npt.NDArray[np.bool_],
         landing: npt.NDArray[np.bool_],
     ) -> None:
-        """Add samples at the end."""
+        """Append samples: angles (n, 3) [rad], nan where missing, voltages (n, 2) [V], and flags (n,)."""
         self._angles = np.concatenate((self._angles, angles))
         self._volts = np.concatenate((self._volts, volts))
         self._flying = np.concatenate((self._flying, flying))
         self._landing = np.concatenate((self._landing, landing))
         self._next += len(angles)
 
-    def _steps(self) -> Iterator[Step]:
-        """Yield all complete steps, and forget the samples that no later step needs."""
-        samples_per_step, half = self.samples_per_step, self.samples_per_step // 2
-        first = -self._first % samples_per_step
-        while first + samples_per_step <= len(self._angles):
-            width = min(half, first)
-            near = self._angles[first - width : first + width + 1]
-            known = ~np.isnan(near[:, 0])
-            count = int(known.sum())
-            part = slice(first, first + samples_per_step)
+    def _complete_steps(self) -> Iterator[Step]:
+        """Yield the complete steps, and discard samples that no later step needs."""
+        step_rows, half_step = self.samples_per_step, self.samples_per_step // 2
+        start = -self._first % step_rows
+        while start + step_rows <= len(self._angles):
+            width = min(half_step, start)
+            angles_rad = self._angles[start - width : start + width + 1]
+            angles_rad = angles_rad[~np.isnan(angles_rad[:, 0])]
+            rows = slice(start, start + step_rows)
             yield Step(
-                (self._first + first) // samples_per_step,
-                near[known].mean(axis=0) if count else None,
-                count,
-                self._volts[part],
-                bool(self._flying[part].all()),
-                bool(self._landing[part].any()),
-                self._begins,
+                index=(self._first + start) // step_rows,
+                measured_rad=angles_rad.mean(axis=0) if len(angles_rad) else None,
+                samples=len(angles_rad),
+                volts_V=self._volts[rows],
+                flying=bool(self._flying[rows].all()),
+                landing=bool(self._landing[rows].any()),
+                after_gap=self._after_gap,
             )
-            self._begins = False
-            first += samples_per_step
-        # The mean about the next step's beginning needs those before it.
-        done = max(0, first - half)
-        self._first += done
-        self._angles, self._volts = self._angles[done:], self._volts[done:]
-        self._flying, self._landing = self._flying[done:], self._landing[done:]
+            self._after_gap = False
+            start += step_rows
+        # The mean about the next step's beginning needs half a step before it.
+        used = max(0, start - half_step)
+        self._first += used
+        self._angles, self._volts = self._angles[used:], self._volts[used:]
+        self._flying, self._landing = self._flying[used:], self._landing[used:]

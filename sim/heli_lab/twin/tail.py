@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from heli_host.arrays import Floats
@@ -72,32 +72,45 @@ class Tail:
         support counts as the longest that they do.
         """
         interval_h = min(false_alarm_interval_h, self.supported_interval_h)
-        allowed_alarms = self.per_hour * interval_h
-        if allowed_alarms <= 1.0 or not math.isfinite(self.level_nats):
+        expected_excursions = self.per_hour * interval_h
+        if expected_excursions <= 1.0 or not math.isfinite(self.level_nats):
             return self.level_nats
-        shapes, scales_nats, weights = self._tails()
+        shapes, scales_nats, weights = self._posterior_tails()
 
-        def surplus(excess_nats: float) -> float:
+        def log_ratio(excess_nats: float) -> float:
             chance = weights @ genpareto.sf(excess_nats, shapes, scale=scales_nats)
-            return math.log(max(float(chance), 1e-300)) + math.log(allowed_alarms)
+            return math.log(max(float(chance), 1e-300)) + math.log(expected_excursions)
 
         high_nats = self.scale_nats
-        while surplus(high_nats) > 0.0:
+        while log_ratio(high_nats) > 0.0:
             high_nats *= 2.0
-        return self.level_nats + float(brentq(surplus, 0.0, high_nats, xtol=1e-6))
+        return self.level_nats + float(brentq(log_ratio, 0.0, high_nats, xtol=1e-6))
 
-    def _tails(self) -> tuple[Floats, Floats, Floats]:
-        """Shapes, scales [nats] and weights of tails that could have given the excesses."""
+    def _posterior_tails(self) -> _PosteriorTails:
+        """Return the posterior of shape and log scale, approximately normal, by Gauss-Hermite quadrature.
+
+        Its precision is the Fisher information of the generalised Pareto distribution and the shape's prior.
+        """
         xi = max(self.shape, -0.4)
         fisher = np.array([[2.0 / (1.0 + xi), 1.0 / (1.0 + xi)], [1.0 / (1.0 + xi), 1.0]]) / (1.0 + 2.0 * xi)
         precision = self.excesses * fisher + np.diag([_SHAPE_STD**-2.0, 0.0])
         root = np.linalg.cholesky(np.linalg.inv(precision))
-        nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES)
+        nodes, node_weights = np.polynomial.hermite_e.hermegauss(_NODES)
         first, second = (grid.ravel() for grid in np.meshgrid(nodes, nodes))
-        shape = self.shape + root[0, 0] * first
-        scale_nats = self.scale_nats * np.exp(root[1, 0] * first + root[1, 1] * second)
-        weight = np.outer(weights, weights).ravel()
-        return shape, scale_nats, weight / weight.sum()
+        weights = np.outer(node_weights, node_weights).ravel()
+        return _PosteriorTails(
+            shapes=self.shape + root[0, 0] * first,
+            scales_nats=self.scale_nats * np.exp(root[1, 0] * first + root[1, 1] * second),
+            weights=weights / weights.sum(),
+        )
+
+
+class _PosteriorTails(NamedTuple):
+    """Shapes and scales [nats] of tails that could have given the excesses, and their probabilities, (k,)."""
+
+    shapes: Floats
+    scales_nats: Floats
+    weights: Floats
 
 
 IDEAL: Final = Tail(5.37, 145.0, 1.0, 29)
@@ -111,12 +124,12 @@ def segment_maxima(history: Sequence[tuple[float, float]]) -> list[float]:
     evidence.
     """
     times, evidence = np.array(history, float).reshape(-1, 2).T
-    known = np.isfinite(evidence)
-    times, evidence = times[known], evidence[known]
+    is_known = np.isfinite(evidence)
+    times, evidence = times[is_known], evidence[is_known]
     if not len(times):
         return []
-    number = ((times - times[0]) // SEGMENT_s).astype(int)
-    return [float(evidence[number == segment].max()) for segment in np.unique(number)]
+    segment_number = ((times - times[0]) // SEGMENT_s).astype(int)
+    return [float(evidence[segment_number == segment].max()) for segment in np.unique(segment_number)]
 
 
 def fit_tail(flights: Sequence[Sequence[tuple[float, float]]], healthy_s: float = math.inf) -> Tail:
@@ -140,20 +153,29 @@ def fit_tail(flights: Sequence[Sequence[tuple[float, float]]], healthy_s: float 
             f"{len(maxima)} segments of {SEGMENT_s:g} s of nominal flight are too few for a threshold",
             "give a longer flight",
         )
-    level = float(np.quantile(maxima, _LEVEL))
-    over = np.array([maximum - level for maximum in maxima if maximum > level])
-    shape, scale = _fit(over)
-    flown_h = len(maxima) * SEGMENT_s / 3600.0
-    return Tail(level, len(over) / flown_h, max(scale, _MIN_SCALE_nats), len(over), shape, healthy_s)
+    level_nats = float(np.quantile(maxima, _LEVEL))
+    excesses_nats = np.array([maximum - level_nats for maximum in maxima if maximum > level_nats])
+    shape, scale_nats = _fit_excesses(excesses_nats)
+    flight_h = len(maxima) * SEGMENT_s / 3600.0
+    return Tail(
+        level_nats,
+        per_hour=len(excesses_nats) / flight_h,
+        scale_nats=max(scale_nats, _MIN_SCALE_nats),
+        excesses=len(excesses_nats),
+        shape=shape,
+        healthy_s=healthy_s,
+    )
 
 
-def _fit(over: Floats) -> tuple[float, float]:
-    """Most probable shape and scale [nats] of some excesses."""
+def _fit_excesses(excesses_nats: Floats) -> tuple[float, float]:
+    """Return the most probable shape and scale [nats] of a generalised Pareto distribution of excesses."""
 
     def cost(point: Floats) -> float:
         shape, scale = float(point[0]), math.exp(point[1])
-        density = genpareto.logpdf(over, shape, scale=scale).sum()
+        density = genpareto.logpdf(excesses_nats, shape, scale=scale).sum()
         return 0.5 * (shape / _SHAPE_STD) ** 2 - float(density) if math.isfinite(density) else 1e9
 
-    best = minimize(cost, [0.0, math.log(over.mean())], method="Nelder-Mead", options={"xatol": 1e-4})
+    best = minimize(
+        cost, [0.0, math.log(excesses_nats.mean())], method="Nelder-Mead", options={"xatol": 1e-4}
+    )
     return float(best.x[0]), math.exp(best.x[1])

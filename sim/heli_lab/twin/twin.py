@@ -133,21 +133,22 @@ class Twin:
         self._count_rad, self._zero_s = count_rad, zero_s
         self._stepper = Stepper(sample_s)
         self.step_s = self._stepper.step_s
-        self._block = max(1, round(BLOCK_s / self.step_s))
-        self.block_s = self._block * self.step_s
+        self._steps_per_block = max(1, round(BLOCK_s / self.step_s))
+        self.block_s = self._steps_per_block * self.step_s
         self._free_flight = FreeFlight(model.rig, self.step_s)
         self._ghost = Ghost(model, self.step_s) if with_ghost else None
         self._inputs = InputHistory(model, self.step_s)
         self._kalman: KalmanFilter | None = None
         self._ratio = self._new_ratio()
-        self._latest_nats: deque[float] = deque([-math.inf] * PERSISTENCE_BLOCKS, PERSISTENCE_BLOCKS)
+        self._recent_evidence_nats: deque[float] = deque([-math.inf] * PERSISTENCE_BLOCKS, PERSISTENCE_BLOCKS)
         self._angles_rad: Floats = np.zeros((WINDOW_BLOCKS + math.ceil(DIAGNOSIS_DELAY_s / BLOCK_s) + 1, 3))
         """Angles [rad] at the ends of the latest blocks; block k is in row k modulo the number of rows."""
-        self._began = self._blocks = 0
+        # First step of the comparison, and number of its measurements.
+        self._first_step = self._block_count = 0
         self._alarm_block: int | None = None
-        self._diagnosed = self._recalibrates = self._is_early = False
+        self._is_diagnosed = self._recalibrates = self._is_early = False
         self._check = ModelCheck()
-        self._unknown_until = -1
+        self._last_unknown_step = -1
         """Last step after voltages that no nominal flight shows."""
 
     @property
@@ -156,14 +157,20 @@ class Twin:
         return self._ghost.angles_rad if self._ghost is not None and self._kalman is not None else None
 
     def standard_error(self, change: str, onset_s: float) -> float | None:
-        """Return the standard error of the first number of a `change`, given by its id, that began at
-        `onset_s`; None while the twin waits.
+        """Return the standard error of the first number of a change, SI; None while the twin waits.
+
+        Parameters
+        ----------
+        change : str
+            Id of the change.
+        onset_s : float
+            Time at which the change began.
         """
         if self._kalman is None:
             return None
-        return self._ratio.standard_error(
-            change, ((onset_s + self._zero_s) / self.step_s - self._began) / self._block
-        )
+        onset_step = (onset_s + self._zero_s) / self.step_s
+        onset_block = (onset_step - self._first_step) / self._steps_per_block
+        return self._ratio.standard_error(change, onset_block)
 
     def update(self, samples: Samples) -> list[TwinEvent]:
         """Process samples and return the events that they cause. The events do not depend on how the samples
@@ -173,36 +180,36 @@ class Twin:
 
     def finish(self) -> list[TwinEvent]:
         """End the flight and return the final ranking of an alarm that has none yet."""
-        return list(self._diagnose(self._began + self._blocks * self._block))
+        return list(self._final_ranking(self._first_step + self._block_count * self._steps_per_block))
 
     def _update_step(self, step: Step) -> Iterator[TwinEvent]:
-        """Process one step of the flight: wait for free flight, begin the comparison, or continue it."""
+        """Process a step: wait, begin, compare at the end of a block, and predict."""
         if step.after_gap:
-            yield from self._wait(step.index, "samples are missing")
+            yield from self._stop_comparison(step.index, "samples are missing")
             self._inputs.restart()
         t_s = step.index * self.step_s - self._zero_s
         inputs = self._inputs
         inputs.update(step, t_s)
         since_s, acting_V = inputs.since_s, inputs.acting_V
-        free = self._free_flight.update(step.measured_rad, step.flying)
+        is_free = self._free_flight.update(step.measured_rad, step.flying)
         if step.measured_rad is not None:
-            inputs.keep(step.measured_rad)
+            inputs.remember(step.measured_rad)
         elif self._kalman is None:
-            inputs.forget_kept()
+            inputs.forget_motion()
         # In a landing the motors run at the border of their dead zone, where evidence is unreliable. An alarm
         # that was raised before the landing still gets its final ranking.
-        if not free or (step.landing and (self._alarm_block is None or self._diagnosed)):
-            yield from self._wait(step.index, "landing, on the table, at a stop, or motors off")
+        if not is_free or (step.landing and (self._alarm_block is None or self._is_diagnosed)):
+            yield from self._stop_comparison(step.index, "landing, on the table, at a stop, or motors off")
             return
         if np.any(self.model.uncertainty.outside_V(acting_V) > 0.0):
-            self._unknown_until = step.index + round(UNKNOWN_s / self.step_s)
+            self._last_unknown_step = step.index + round(UNKNOWN_s / self.step_s)
         kalman = self._kalman
         if kalman is None:
             if step.measured_rad is None:
                 return
-            kalman = self._begin(step.index)
+            kalman = self._begin_comparison(step.index)
             yield TwinEvent("free", t_s, "the comparison with the model begins")
-        elif (step.index - self._began) % self._block == 0:
+        elif (step.index - self._first_step) % self._steps_per_block == 0:
             yield from self._end_block(kalman, step, since_s, acting_V)
             assert self._kalman is not None
             kalman = self._kalman
@@ -215,138 +222,153 @@ class Twin:
         # The first draw, with outliers cut off, raises alarms; the second, as measured, ranks the changes.
         return LikelihoodRatio(self.model.changes, self._count_rad, draws=2)
 
-    def _begin(self, index: int) -> KalmanFilter:
-        """Begin the comparison at step `index`, from the state that the latest measured steps show."""
-        times_s, angles_rad, volts_V = self._inputs.kept()
+    def _begin_comparison(self, index: int) -> KalmanFilter:
+        """Begin to filter from the motion before the step `index`."""
+        motion = self._inputs.initial_motion()
         self.free = True
         self.contradicts = False
         if self._ghost is not None:
             self._ghost.begin()
-        state = start_state(self.model, times_s, angles_rad, volts_V, self.step_s)
+        state = start_state(self.model, motion.times_s, motion.angles_rad, motion.volts_V, self.step_s)
         return self._restart(index, state, False)
 
     def _restart(self, index: int, state: Floats, changed: bool) -> KalmanFilter:
-        """Begin to filter from a state; after an alarm (`changed`) all possible changes are unknown
-        constants.
+        """Restart the filter from a state at the step `index`.
+
+        After an alarm (`changed`), each possible change is an unknown constant of the flight.
         """
         self._kalman = KalmanFilter(
             self.model,
             self.calibration.disturbances,
             self._count_rad,
             self.step_s,
-            self._block,
+            self._steps_per_block,
             state,
             is_changed=changed,
         )
         self._ratio = self._new_ratio()
-        self._latest_nats.extend([-math.inf] * PERSISTENCE_BLOCKS)
-        self._began, self._blocks = index, 0
-        self._alarm_block, self._diagnosed, self._recalibrates = None, False, changed
+        self._recent_evidence_nats.extend([-math.inf] * PERSISTENCE_BLOCKS)
+        self._first_step, self._block_count = index, 0
+        self._alarm_block, self._is_diagnosed, self._recalibrates = None, False, changed
         self._check = ModelCheck()
         return self._kalman
 
     def _end_block(
         self, kalman: KalmanFilter, step: Step, since_s: float, volts_V: Floats
     ) -> Iterator[TwinEvent]:
-        """Compare the measurement with the prediction."""
-        self._blocks += 1
-        ratio, block = self._ratio, self._blocks
+        """Compare the measurement with the prediction, raise alarms, and add an onset."""
+        self._block_count += 1
+        ratio, block = self._ratio, self._block_count
         t_s = step.index * self.step_s - self._zero_s
-        ages_s = ratio.ages(block) * (self.block_s)
-        kalman.propagate_sensitivity(ages_s, ratio.is_ramp)
-        if step.measured_rad is not None:
-            amount = np.where(ages_s > 0.0, 1.0, 0.0)
-            innovation = kalman.update(
-                since_s, step.measured_rad, step.samples, volts_V, amount, self._onset_rad()
-            )
-            if step.index <= self._unknown_until:
-                innovation = Innovation(np.zeros(3), np.zeros_like(innovation.sensitivity))
-            elif block * self.block_s > FILTER_SETTLING_s:
-                self._check.add(innovation.value)
-            self._weigh(innovation)
-        self._angles_rad[block % len(self._angles_rad)] = kalman.state[:3]
+        self._process_measurement(kalman, step, since_s, volts_V)
         if self.records_evidence:
             self.evidence_history.append((t_s, self.evidence_nats))
         if self._alarm_block is None:
             is_early = not self._recalibrates and block * self.block_s <= CALIBRATION_s
             if is_early:
-                yield from self._compare_spread(block, t_s)
+                yield from self._check_model_once(block, t_s)
             if self.evidence_nats > self.threshold_nats and not self.contradicts:
                 self._alarm_block, self._is_early = block, is_early
                 if not is_early:
                     yield self._ranked_event("alarm", t_s)
         elif (block - self._alarm_block) * self.block_s >= DIAGNOSIS_DELAY_s:
-            yield from self._diagnose(step.index)
+            yield from self._final_ranking(step.index)
             if not self.contradicts:
                 self._restart(step.index, kalman.state, True)
             return
         # A sudden change raises the alarm before its true onset is in the window: onsets are added for half a
         # second more, then the window stays fixed.
-        fresh = self._alarm_block is None or block - self._alarm_block < RECENT
-        if fresh and block * self.block_s >= FILTER_SETTLING_s:
+        adds_onsets = self._alarm_block is None or block - self._alarm_block < RECENT
+        if adds_onsets and block * self.block_s >= FILTER_SETTLING_s:
             ratio.begin_onset(block, kalman.state_sensitivity)
+
+    def _process_measurement(self, kalman: KalmanFilter, step: Step, since_s: float, volts_V: Floats) -> None:
+        """Update the filter with a measurement, and the evidence with its innovation."""
+        block = self._block_count
+        ages_s = self._ratio.ages(block) * self.block_s
+        kalman.propagate_sensitivity(ages_s, self._ratio.is_ramp)
+        if step.measured_rad is not None:
+            has_begun = np.where(ages_s > 0.0, 1.0, 0.0)
+            innovation = kalman.update(
+                since_s, step.measured_rad, step.samples, volts_V, has_begun, self._onset_angles_rad()
+            )
+            if step.index <= self._last_unknown_step:
+                innovation = Innovation(np.zeros(3), np.zeros_like(innovation.sensitivity))
+            elif block * self.block_s > FILTER_SETTLING_s:
+                self._check.add(innovation.value)
+            self._update_evidence(innovation)
+        self._angles_rad[block % len(self._angles_rad)] = kalman.state[:3]
 
     def _block_end_s(self) -> float:
         """Time of the present measurement [s]."""
-        return (self._began + self._blocks * self._block) * self.step_s - self._zero_s
+        return (self._first_step + self._block_count * self._steps_per_block) * self.step_s - self._zero_s
 
-    def _weigh(self, innovation: Innovation) -> None:
+    def _update_evidence(self, innovation: Innovation) -> None:
         """Add an innovation to the evidence."""
-        self._latest_nats.append(self._ratio.update_cut(innovation, CUT_OFF_STD))
-        self.evidence_nats = min(self._latest_nats)
+        self._recent_evidence_nats.append(self._ratio.update_cut(innovation, CUT_OFF_STD))
+        self.evidence_nats = min(self._recent_evidence_nats)
 
-    def _compare_spread(self, block: int, t_s: float) -> Iterator[TwinEvent]:
+    def _check_model_once(self, block: int, t_s: float) -> Iterator[TwinEvent]:
         """Compare the innovations' mean square with the stated one, once, at the end of `CALIBRATION_s`."""
         is_due = block == math.floor(CALIBRATION_s / self.block_s)
         if is_due and self.threshold_nats != math.inf and (why := self._check.contradiction()):
-            yield self._contradicts(t_s, why)
+            yield self._contradiction_event(t_s, why)
 
-    def _contradicts(self, t_s: float, why: str) -> TwinEvent:
+    def _contradiction_event(self, t_s: float, reason: str) -> TwinEvent:
+        """Stop naming changes, and return the event that states why."""
         self.contradicts = True
         self._alarm_block = None
-        text = f"{NOT_THIS_MODEL}: in the first {CALIBRATION_s:g} s, {why}; no change is named"
+        text = f"{NOT_THIS_MODEL}: in the first {CALIBRATION_s:g} s, {reason}; no change is named"
         return TwinEvent("contradicts", t_s, text)
 
-    def _onset_rad(self) -> Floats:
-        """Angle of its axis [rad] at each onset of an encoder's scale, (scales, onsets)."""
-        row_count = len(self._angles_rad)
+    def _onset_angles_rad(self) -> Floats:
+        """Return for each encoder scale the angle of its axis [rad] at each onset, (scales, onsets)."""
+        rows = len(self._angles_rad)
         return np.array(
             [
-                self._angles_rad[self._ratio.onset_blocks(column) % row_count, axis]
+                self._angles_rad[self._ratio.onset_blocks(column) % rows, axis]
                 for column, axis in self.model.scales
             ]
         )
 
-    def _wait(self, index: int, why: str) -> Iterator[TwinEvent]:
-        """End the comparison at step `index` because of `why`, until the flight is free again."""
+    def _stop_comparison(self, index: int, reason: str) -> Iterator[TwinEvent]:
+        """Rank an open alarm, and stop the comparison."""
         if self._kalman is None:
             return
-        yield from self._diagnose(index)
+        yield from self._final_ranking(index)
         self._kalman = None
         self.free = False
         self.evidence_nats = -math.inf
-        yield TwinEvent("waits", index * self.step_s - self._zero_s, f"the comparison stops: {why}")
+        yield TwinEvent("waits", index * self.step_s - self._zero_s, f"the comparison stops: {reason}")
 
-    def _diagnose(self, index: int) -> Iterator[TwinEvent]:
-        """Yield the final ranking of an alarm that has none yet."""
-        if self._alarm_block is None or self._diagnosed:
+    def _final_ranking(self, index: int) -> Iterator[TwinEvent]:
+        """Yield the final ranking of an alarm that has none yet.
+
+        An early alarm ranks only a wrong encoder scale; any other early alarm contradicts the model.
+        """
+        if self._alarm_block is None or self._is_diagnosed:
             return
         t_s = index * self.step_s - self._zero_s
         if self._is_early:
-            first = self._ratio.ranking()[0]
-            if not first.change.is_scale or abs(first.size) < MIN_SCALE_ERROR:
-                yield self._contradicts(
+            most_likely = self._ratio.ranking()[0]
+            if not most_likely.change.is_scale or abs(most_likely.size) < MIN_SCALE_ERROR:
+                yield self._contradiction_event(
                     t_s, f"the flight contradicts the rig by {self.evidence_nats:.0f} nats"
                 )
                 return
             yield self._ranked_event("alarm", t_s)
-        self._diagnosed = True
+        self._is_diagnosed = True
         yield self._ranked_event("diagnosed", t_s)
 
     def _ranked_event(self, kind: str, t_s: float) -> TwinEvent:
+        """Return an event with the ranking of the changes, such as ``alarm``."""
         ranking = tuple(self._ratio.ranking())
-        onset_s = (self._began + ranking[0].onset_block * self._block) * self.step_s - self._zero_s
-        alarm_s = (self._began + (self._alarm_block or 0) * self._block) * self.step_s - self._zero_s
+        onset_s = (
+            self._first_step + ranking[0].onset_block * self._steps_per_block
+        ) * self.step_s - self._zero_s
+        alarm_s = (
+            self._first_step + (self._alarm_block or 0) * self._steps_per_block
+        ) * self.step_s - self._zero_s
         text = f"alarm at {alarm_s:.1f} s. Most likely: {format_ranking(ranking, onset_s)}."
         return TwinEvent(kind, t_s, text, ranking, onset_s)
 
@@ -355,9 +377,9 @@ def format_ranking(ranking: Sequence[ChangeCandidate], onset_s: float) -> str:
     """Describe the first change of a `ranking`, its onset (`onset_s`, s), and its odds against the second."""
     first, second = ranking[:2]
     odds = math.exp(min(first.log_evidence - second.log_evidence, 50.0))
-    times = f"{odds:.0f} times" if odds < _MAX_REPORTED_ODDS else f"over {_MAX_REPORTED_ODDS:.0f} times"
+    odds_text = f"{odds:.0f} times" if odds < _MAX_REPORTED_ODDS else f"over {_MAX_REPORTED_ODDS:.0f} times"
     if odds < 1.5:
-        comparison = f"equally likely: {second.change.words(second.size, second.std)}"
+        second_text = f"equally likely: {second.change.words(second.size, second.std)}"
     else:
-        comparison = f"{times} more likely than the next change ({second.change.id})"
-    return f"{first.change.words(first.size, first.std)} since {onset_s:.1f} s; {comparison}"
+        second_text = f"{odds_text} more likely than the next change ({second.change.id})"
+    return f"{first.change.words(first.size, first.std)} since {onset_s:.1f} s; {second_text}"

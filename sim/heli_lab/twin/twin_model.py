@@ -1,4 +1,4 @@
-"""The model of a twin: equations of a rig with their derivatives by the state and by possible changes."""
+"""Equations of a rig as a twin uses them: derivatives by the state and by possible changes of the rig."""
 
 from __future__ import annotations
 
@@ -20,6 +20,10 @@ ZEROS: Final = ("offset_elevation", "offset_pitch")
 """Encoders with an observable zero. The zero of travel cannot be distinguished from a constant torque."""
 
 
+_RATE_STEPS: Final = 10
+"""Steps over which the initial rates are averaged, 0.1 s."""
+
+
 class TwinModel:
     """Equations of a rig with their derivatives by the state and by possible changes.
 
@@ -36,82 +40,95 @@ class TwinModel:
     Attributes
     ----------
     changes : tuple of Change
-        Possible changes of this rig.
+        Possible changes of this rig. Their numbers are the columns of the sensitivities.
     parameters : ndarray (p,)
-        Values of all parameters of the extended model.
+        Values of all parameters of the model with the effects of all changes.
+    functions, functions_without_derivatives : ModelFunctions
+        Rates and their derivatives by the free parameters; the latter have none, which is faster.
+    directions : ndarray (free parameters + 1, errors)
+        Amount of each free parameter per standard deviation of each unknown error; the last row is the
+        supply.
+    weights : ndarray (free parameters + 1, columns)
+        Amount of each free parameter per unit of each number of the changes; the last row is the supply.
+    prior_sizes : ndarray (columns,)
+        Prior standard deviation of each number of the changes.
+    prior_changes : ndarray (free parameters + 1, columns)
+        Amount of each free parameter per standard deviation of each number.
+    frictions, scales : list of (int, int)
+        For each dry friction, its index among the free parameters, and its axis; for each encoder scale, its
+        column, and its axis.
+    min_thrust_V : float
+        Voltage below which a motor gives no thrust [V]; -inf without a dead zone.
     """
 
     def __init__(self, model: Model, rig: Rig, uncertainty: ParameterUncertainty = EXACT) -> None:
-        calm = type(model)(tuple(effect for effect in model.effects if not effect.noise_inputs))
-        self.rig, self.model = rig, calm
-        self.changes: tuple[Change, ...] = changes_of(calm)
-        more = extended(calm)
+        # The filter models the disturbances itself.
+        deterministic = type(model)(tuple(effect for effect in model.effects if not effect.noise_inputs))
+        self.rig, self.model, self.uncertainty = rig, deterministic, uncertainty
+        self.changes: tuple[Change, ...] = changes_of(deterministic)
         free = tuple(dict.fromkeys((*free_numbers(self.changes), *uncertainty.names)))
-        self.functions = model_functions(more, free)
-        self.uncertainty = uncertainty
-        self.directions: Floats = uncertainty.directions(free)
-        """Amount of each free parameter per standard deviation of each unknown error, (parameters + 1,
-        errors); the last row is the supply."""
-        more = self.functions.model.source
-        self.plain = model_functions(more, ())
-        """The same functions without derivatives by changes, which is faster."""
-        self.parameters: Floats = more.parameter_values(rig)
+        self.functions = model_functions(extended(deterministic), free)
+        extended_model = self.functions.model.source
+        self.functions_without_derivatives = model_functions(extended_model, ())
+        self.parameters: Floats = extended_model.parameter_values(rig)
+        self.states = len(extended_model.states)
         names = self.functions.names
-        self.delay_s = float(self.parameters[names.index(more.delay)]) if more.delay else 0.0
-        dead_zone_V = more.dead_zone_V(self.parameters)
-        self.least_V = -np.inf if dead_zone_V is None else dead_zone_V
-        """Voltage below which a motor gives no thrust, V."""
-        self.states = len(more.states)
-        self.frictions = [
-            (place, axis)
-            for axis, name in enumerate(AXES)
-            for place, free in enumerate(self.functions.free)
-            if free == f"coulomb_friction_{name}_Nm"
-        ]
-        """For each axis with dry friction: its place among the free parameters, and the axis."""
-        self.measure = self._measurement(more)
-        resets = any(type(effect).reset_map is not Effect.reset_map for effect in calm.effects)
-        self.resets = self._resets(more) if resets else None
+        self.delay_s = (
+            float(self.parameters[names.index(extended_model.delay)]) if extended_model.delay else 0.0
+        )
+        dead_zone_V = extended_model.dead_zone_V(self.parameters)
+        self.min_thrust_V = -np.inf if dead_zone_V is None else dead_zone_V
+        self.measure = self._measurement(extended_model)
+        has_resets = any(type(effect).reset_map is not Effect.reset_map for effect in deterministic.effects)
+        self.resets = self._resets(extended_model) if has_resets else None
+        self.directions: Floats = uncertainty.directions(free)
         self.weights: Floats = self._weights()
-        """Amount of each free parameter per unit of each number of the changes, (parameters + 1, columns);
-        the last row is the supply."""
-        entries = [entry for change in self.changes for entry in change.numbers]
         self.prior_sizes: Floats = np.array([size for change in self.changes for size in change.sizes])
-        """Prior standard deviation of each number of the changes, (columns,)."""
         self.prior_changes: Floats = self.weights * self.prior_sizes
-        self.scales = [
-            (column, AXES.index(SCALES[entry])) for column, entry in enumerate(entries) if entry in SCALES
+        self.frictions = [
+            (self.functions.free.index(name), axis)
+            for axis, name in enumerate(f"coulomb_friction_{axis_name}_Nm" for axis_name in AXES)
+            if name in self.functions.free
         ]
-        """For each encoder scale: its column among the numbers of the changes, and its axis."""
-        tolerances = [rig[name].tolerance for name in ZEROS]
-        self.zero_tolerance_rad: Floats = np.deg2rad(tolerances)
+        numbers = [number for change in self.changes for number in change.numbers]
+        self.scales = [
+            (column, AXES.index(SCALES[number])) for column, number in enumerate(numbers) if number in SCALES
+        ]
+        self.zero_tolerance_rad: Floats = np.deg2rad([rig[name].tolerance for name in ZEROS])
 
     def _weights(self) -> Floats:
+        """Return the amount of each free parameter per unit of each number of the changes."""
         free = self.functions.free
-        columns = [entry for change in self.changes for entry in change.numbers]
-        weights = np.zeros((len(free) + 1, len(columns)))
-        for column, entry in enumerate(columns):
-            for name in entry.split("+"):
+        numbers = [number for change in self.changes for number in change.numbers]
+        weights = np.zeros((len(free) + 1, len(numbers)))
+        for column, number in enumerate(numbers):
+            for name in number.split("+"):
                 if name not in SCALES:
-                    weights[len(free) if name == SUPPLY else free.index(name), column] = 1.0
+                    row = len(free) if name == SUPPLY else free.index(name)
+                    weights[row, column] = 1.0
         return weights
 
-    def _symbols(self, model: Model) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        return (
+    def _symbols(self, model: Model) -> list[ca.SX]:
+        """Return symbols of the states x, inputs u, time t and parameters p."""
+        return [
             ca.SX.sym("x", len(model.states)),
             ca.SX.sym("u", 2),
             ca.SX.sym("t"),
             ca.SX.sym("p", len(model.parameters)),
-        )
+        ]
 
     def _measurement(self, model: Model) -> AlongTrajectory:
+        """Return the measured angles, (3,), with their derivatives by states and by free parameters."""
         x, u, t, p = self._symbols(model)
         angles = model.measurement(x, u, p, t)
-        by = ca.vertcat(*(p[i] for i in self.functions.places))
-        wanted = [angles, ca.jacobian(angles, x), ca.jacobian(angles, by)]
-        return AlongTrajectory(ca.Function("measure", [x, u, t, p], [ca.densify(w) for w in wanted]))
+        free = ca.vertcat(*(p[i] for i in self.functions.places))
+        outputs = [angles, ca.jacobian(angles, x), ca.jacobian(angles, free)]
+        return AlongTrajectory(
+            ca.Function("measure", [x, u, t, p], [ca.densify(output) for output in outputs])
+        )
 
     def _resets(self, model: Model) -> AlongTrajectory:
+        """Return the map of the state at the end of a step, for effects that set states."""
         x, u, t, p = self._symbols(model)
         return AlongTrajectory(ca.Function("resets", [x, u, t, p], [ca.densify(model.reset_map(x, u, p, t))]))
 
@@ -145,15 +162,14 @@ def start_state(twin: TwinModel, t_s: Floats, angles_rad: Floats, volts_V: Float
     step_s : float
         Length of a step [s].
     """
-    span = min(10, len(t_s) - 1)
-    rates = np.gradient(angles_rad, step_s, axis=0) if len(t_s) > 1 else np.zeros_like(angles_rad)
-    rate = (angles_rad[-1] - angles_rad[-1 - span]) / (span * step_s) if span else np.zeros(3)
-    state = np.concatenate((angles_rad[-1], rate))
-    offset = np.deg2rad([twin.rig[name].value for name in ZEROS])
-    state[: len(ZEROS)] -= offset
+    span = min(_RATE_STEPS, len(t_s) - 1)
+    rates_rad_s = np.gradient(angles_rad, step_s, axis=0) if len(t_s) > 1 else np.zeros_like(angles_rad)
+    last_rate_rad_s = (angles_rad[-1] - angles_rad[-1 - span]) / (span * step_s) if span else np.zeros(3)
+    state = np.concatenate((angles_rad[-1], last_rate_rad_s))
+    state[: len(ZEROS)] -= np.deg2rad([twin.rig[name].value for name in ZEROS])
     if twin.functions.extra_states:
-        course = Trajectory(
-            t_s + 0.5 * step_s, np.hstack((angles_rad, rates)), volts_V, step_s, twin.parameters
-        )
-        state = np.concatenate((state, twin.functions.integrate(course, np.sign(rates))[-2]))
+        motion = np.hstack((angles_rad, rates_rad_s))
+        trajectory = Trajectory(t_s + 0.5 * step_s, motion, volts_V, step_s, twin.parameters)
+        effect_states = twin.functions.integrate(trajectory, np.sign(rates_rad_s))
+        state = np.concatenate((state, effect_states[-2]))
     return state

@@ -148,9 +148,9 @@ def diagnose(
                 output_files.append(write_insufficient_excitation(result, report))
         else:
             if save_rig is not None:
-                extended = result.rig(save_rig.stem, with_term, with_unconfirmed)
+                extended_rig = result.rig(save_rig.stem, with_term, with_unconfirmed)
                 source = f"heli-host diagnose, model {inputs.model.name}"
-                write_rig(extended, save_rig, f"Found by {source}. {summary(result)}")
+                write_rig(extended_rig, save_rig, f"Found by {source}. {summary(result)}")
                 output_files.append(save_rig)
             if report is not None:
                 bar.show("drawing", 0.95)

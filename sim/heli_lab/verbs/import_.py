@@ -110,12 +110,7 @@ def import_(
     for path, file_guess, table, target in zip(files, guesses, tables, targets, strict=True):
         output_files.append(_draw(file_guess, table, output / f"{target.name}.png"))
         say(f"{path.name}: {'sure' if file_guess.sure else 'unsure'}")
-    for sentence in best.evidence:
-        say(f"  {sentence}")
-    for ambiguity in ambiguities:
-        say(ambiguity.sentence())
-        if line := profile_lines.get(ambiguity.entry):
-            say(f"  {profile_path}:{line}: {ambiguity.entry}")
+    _say_reasons(best, ambiguities, profile_path, profile_lines)
     say_files(output_files)
     sentence_by_subject = {ambiguity.subject: ambiguity.sentence() for ambiguity in ambiguities}
     content = {
@@ -144,9 +139,11 @@ def _guesses(
     from heli_lab.guess import guess_by_rigs
     from heli_lab.guess.known import NOTHING_KNOWN, read_known
 
-    known = read_known(profile) if profile is not None else NOTHING_KNOWN
+    given_entries = read_known(profile) if profile is not None else NOTHING_KNOWN
     with WorkBar() as bar:
-        return guess_by_rigs(tables, rig, rate_Hz, known, lambda share: bar.show("guessing", share)).guesses
+        return guess_by_rigs(
+            tables, rig, rate_Hz, given_entries, lambda share: bar.show("guessing", share)
+        ).guesses
 
 
 def _write_profile(
@@ -171,6 +168,18 @@ def _write_profile(
     text = "\n".join([*comments, "", profile_text(best.profile)])
     path.write_text(text, encoding="utf-8")
     return path, entry_lines(text)
+
+
+def _say_reasons(
+    best: Guess, ambiguities: Sequence[Ambiguity], profile_path: Path, profile_lines: dict[str, int]
+) -> None:
+    """Print the evidence for a profile, and each ambiguity with the line of its entry in the file."""
+    for sentence in best.evidence:
+        say(f"  {sentence}")
+    for ambiguity in ambiguities:
+        say(ambiguity.sentence())
+        if line := profile_lines.get(ambiguity.entry):
+            say(f"  {profile_path}:{line}: {ambiguity.entry}")
 
 
 def _draw(guess: Guess, table: Table, path: Path) -> Path:

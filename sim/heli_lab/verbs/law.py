@@ -96,12 +96,9 @@ def check(
         f"per call{tick_text} (limit per tick: {LAW_TICK_COST})"
     )
     # Imported here so that an invalid law is refused without this delay.
-    import numpy as np
     from heli_sim.rig import load_rig
 
     from heli_lab.law.linear import linearised
-    from heli_lab.law.trial import trial_plan
-    from heli_lab.law_flight import fly_trial
     from heli_lab.tune.plants import linear_plant
 
     linear = linearised(control_law, linear_plant(load_rig(rig)))
@@ -112,22 +109,7 @@ def check(
         ("collective", "differential"), linear.gain_up, linear.phase_deg, strict=True
     ):
         say(f"{loop:13} gain margin {gain:.2f}, phase margin {phase_deg:.0f} deg")
-    random = np.random.default_rng(seed)
-    trials: list[dict[str, Any]] = []
-    for number in range(rigs):
-        thrust, lag_s = float(random.uniform(-0.1, 0.1)), float(random.uniform(0.0, 0.1))
-        thrust_effects = [f"thrust_step.{motor}={thrust:.3f}@0.001" for motor in ("front", "back")]
-        description = f"thrust {100 * thrust:+.0f} %, lag {1e3 * lag_s:.0f} ms"
-        options = FlightOptions(
-            sil=True,
-            rig=rig,
-            seed=seed + number,
-            speed=MAX_SPEED,
-            effect=[f"rotor_lag={lag_s:.3f}", *thrust_effects],
-        )
-        trial = fly_trial(program, options, trial_plan(_CHECK_s))
-        say(f"rig {number + 1} ({description}): {trial}")
-        trials.append({"thrust": 1.0 + thrust, "lag_s": lag_s, **trial.as_dict()})
+    trials = _fly_random_rigs(program, rig, rigs, seed)
     write_result(
         json,
         {
@@ -267,7 +249,7 @@ def grade(
 
     from heli_lab.classroom.grade import REFERENCE, LawGrade, grade_lines
     from heli_lab.classroom.grade import grade as grade_law
-    from heli_lab.law.files import check_files, load_limited
+    from heli_lab.law.files import load_limited
     from heli_lab.law.limits import FileLimits
     from heli_lab.law.trial import trial_plan
     from heli_lab.law_flight import fly_trial
@@ -275,20 +257,18 @@ def grade(
 
     check_result_places(json, report=report)
     data_on_stdout(json)
-    # A wrong name is the user's mistake, not a law that fails.
-    check_files(laws)
-    flown_plan = load_plan(plan) if plan is not None else trial_plan(duration_s)
+    graded_plan = load_plan(plan) if plan is not None else trial_plan(duration_s)
     rigs = rig or [DEFAULT_RIG]
     plant = linear_plant(load_rig(rigs[0]))
     flights = list(itertools.product(rigs, range(1, seeds + 1)))
 
     def fly_on(program: LawProgram | None, name: str, seed: int) -> LawTrial:
         options = FlightOptions(sil=True, rig=name, seed=seed, speed=MAX_SPEED, effect=effect)
-        return fly_trial(program, options, flown_plan)
+        return fly_trial(program, options, graded_plan)
 
     grades = [grade_law(REFERENCE, None, flights, fly_on)]
     for path in laws:
-        label = path.stem if path.stem not in {known.label for known in grades} else str(path)
+        label = path.stem if path.stem not in {law_grade.label for law_grade in grades} else str(path)
         try:
             program = load_limited(path, FileLimits(load_timeout), rigs[0])
         except BadLaw as error:
@@ -296,7 +276,7 @@ def grade(
             continue
         grades.append(grade_law(label, program, flights, fly_on, plant))
     content: dict[str, Any] = {
-        "plan": flown_plan.title,
+        "plan": graded_plan.title,
         "rigs": rigs,
         "seeds": list(range(1, seeds + 1)),
         "effects": list(effect or ()),
@@ -342,6 +322,32 @@ def export(
 
     output.write_text(c_source(load_law(law, load_timeout, rig)), encoding="utf-8")
     say_files((output,))
+
+
+def _fly_random_rigs(program: LawProgram, rig: str, count: int, seed: int) -> list[dict[str, Any]]:
+    """Fly a control law on simulated rigs with random thrust and rotor lag; return their JSON objects."""
+    import numpy as np
+
+    from heli_lab.law.trial import trial_plan
+    from heli_lab.law_flight import fly_trial
+
+    random = np.random.default_rng(seed)
+    trials: list[dict[str, Any]] = []
+    for number in range(count):
+        thrust, lag_s = float(random.uniform(-0.1, 0.1)), float(random.uniform(0.0, 0.1))
+        thrust_effects = [f"thrust_step.{motor}={thrust:.3f}@0.001" for motor in ("front", "back")]
+        options = FlightOptions(
+            sil=True,
+            rig=rig,
+            seed=seed + number,
+            speed=MAX_SPEED,
+            effect=[f"rotor_lag={lag_s:.3f}", *thrust_effects],
+        )
+        trial = fly_trial(program, options, trial_plan(_CHECK_s))
+        description = f"thrust {100 * thrust:+.0f} %, lag {1e3 * lag_s:.0f} ms"
+        say(f"rig {number + 1} ({description}): {trial}")
+        trials.append({"thrust": 1.0 + thrust, "lag_s": lag_s, **trial.as_dict()})
+    return trials
 
 
 def _read_logs(paths: Sequence[Path]) -> dict[str, Flight]:

@@ -95,8 +95,8 @@ def gains(rig: RigName = DEFAULT_RIG, json: JsonOption = None) -> None:
 
     check_result_places(json)
     data_on_stdout(json)
-    loaded = load_rig(rig)
-    by_model = {name: verdicts(model_named(name), loaded) for name in ("paper", "multibody")}
+    loaded_rig = load_rig(rig)
+    by_model = {name: verdicts(model_named(name), loaded_rig) for name in ("paper", "multibody")}
     for text in gain_lines(by_model):
         say(text)
     verdicts_by_model = {name: [asdict(verdict) for verdict in rows] for name, rows in by_model.items()}
@@ -179,11 +179,11 @@ def figures(
 
     check_result_places(folder / "fig15.png")
     plant = _plant(rig, model)
-    written = []
+    figure_names = []
 
     def write(name: str, figure: Figure) -> None:
         figure.savefig(folder / name, dpi=_DPI)
-        written.append(name)
+        figure_names.append(name)
 
     with WorkBar() as bar:
         bar.show("bench tests", 0.0)
@@ -201,7 +201,7 @@ def figures(
         for name, path, number in (("irregular", "irregular path", 22), ("sine", "sine path", 24)):
             write(f"fig{number}.png", flight.response_figure(flights[name], path, number))
             write(f"fig{number + 1}.png", flight.performance_figure(flights[name], path, number + 1))
-    say_files(folder / name for name in written)
+    say_files(folder / name for name in figure_names)
     for name, plan_flights in flights.items():
         for plan_flight in plan_flights:
             say(f"{name}, {plan_flight.label}: {plan_flight.outcome}{_errors_text(plan_flight)}")

@@ -110,8 +110,10 @@ def tune(
     say(*_rig_lines(base_rig, name, design, loop_effects), *_margin_lines(design), *_flight_lines(trials))
     output_files: list[Path | None] = []
     if save_params is not None:
-        used = ", ".join((f"rig {base_rig.name}", f"model {name}", *(effect.name for effect in all_effects)))
-        text = parameters_text(parameters, f"heli-host tune: gains for {used}")
+        design_text = ", ".join(
+            (f"rig {base_rig.name}", f"model {name}", *(effect.name for effect in all_effects))
+        )
+        text = parameters_text(parameters, f"heli-host tune: gains for {design_text}")
         save_params.write_text(text, encoding="utf-8")
         output_files.append(save_params)
     write_result(json, _numbers(base_rig, name, design, loop_effects, parameters, trials))

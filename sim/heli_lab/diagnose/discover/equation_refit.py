@@ -47,8 +47,8 @@ class RefittedEquation:
     def values(self) -> dict[str, float]:
         """Values of all parameters of the equation, by name without prefix."""
         effect = self.hypothesis.candidates[-1].effect
-        known = {**effect.values, **self.hypothesis.values}
-        return {q.name.removeprefix(f"{effect.prefix}_"): known[q.name] for q in effect.parameters}
+        all_values = {**effect.values, **self.hypothesis.values}
+        return {q.name.removeprefix(f"{effect.prefix}_"): all_values[q.name] for q in effect.parameters}
 
     @property
     def estimates(self) -> dict[str, tuple[float, float]]:

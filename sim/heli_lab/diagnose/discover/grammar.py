@@ -90,8 +90,8 @@ _GroupProducts = tuple[tuple[Factor, ...], ...]
 def _single_factor_products(spans: Mapping[str, tuple[float, float]]) -> Iterator[_GroupProducts]:
     """Yield the products of a single factor: every function of every quantity of the whole rig."""
     for quantity in _RIG_QUANTITIES:
-        forms = ["linear", "square", "cube", "abs", "signed_square"]
-        yield from (((_factor(form, quantity),),) for form in forms)
+        power_forms = ["linear", "square", "cube", "abs", "signed_square"]
+        yield from (((_factor(form, quantity),),) for form in power_forms)
         yield ((_sign_factor(quantity),),)
         if quantity in AXES:
             for k in _MULTIPLICITIES[quantity]:
@@ -146,7 +146,7 @@ def _two_factor_products() -> Iterator[_GroupProducts]:
 
 
 def _three_factor_products() -> Iterator[_GroupProducts]:
-    """Products of three quantities; a squared rate with the two angles of level flight as well."""
+    """Yield products of three quantities, and of a squared rate with elevation and pitch."""
     for quantities in itertools.combinations(_RIG_QUANTITIES, 3):
         if {"thrust", "thrust_difference"} <= set(quantities):
             continue
@@ -158,15 +158,15 @@ def _three_factor_products() -> Iterator[_GroupProducts]:
 
 
 def _rotor_products(channel: str, singles: Sequence[_GroupProducts]) -> Iterator[_GroupProducts]:
-    """Terms of a rotor's thrust or voltage: a share of its own, or of the other rotor's."""
+    """Yield terms of a rotor's thrust or voltage proportional to its own, or to the other rotor's."""
     rotor_quantity = "own_thrust" if channel.startswith("thrust") else "own_voltage"
-    share = _factor("linear", rotor_quantity)
+    own = _factor("linear", rotor_quantity)
     for products in singles:
         # The terms after this loop are those of thrust that depends on thrust.
         if not any(SYMBOLS[f.quantity].kind == "thrust" for factors in products for f in factors):
-            yield tuple((share, *factors) for factors in products)
+            yield tuple((own, *factors) for factors in products)
     yield ((_factor("square", rotor_quantity),),)
-    yield ((share, _factor("linear", "voltage" if rotor_quantity == "own_voltage" else "thrust")),)
+    yield ((own, _factor("linear", "voltage" if rotor_quantity == "own_voltage" else "thrust")),)
     if rotor_quantity == "own_voltage":
         return
     yield ((_factor("linear", "other_thrust"),),)
@@ -177,14 +177,16 @@ def _rotor_products(channel: str, singles: Sequence[_GroupProducts]) -> Iterator
 
 
 def _encoder_products(axis: str, singles: Sequence[_GroupProducts]) -> Iterator[_GroupProducts]:
-    """Errors of an encoder depend on angles. An error that depends on thrust would be significant in any
-    flight, because the controller feeds the quantisation error back; so would half a sample of the axis' own
-    rate.
+    """Yield terms of an encoder's error, which depend on angles only.
+
+    An error that depends on thrust would be significant in any flight, because the controller feeds the
+    quantisation error back; so would half a sample of the axis' own rate.
     """
     for products in singles:
         factors = [factor for product in products for factor in product]
-        angles = all(SYMBOLS[f.quantity].kind == "angle" and not f.lag_filter for f in factors)
-        if angles and (factors[0].quantity == axis or factors[0].form in ("sin", "linear")):
+        has_only_angles = all(SYMBOLS[f.quantity].kind == "angle" and not f.lag_filter for f in factors)
+        is_simple = factors[0].form in ("sin", "linear")
+        if has_only_angles and (factors[0].quantity == axis or is_simple):
             yield products
 
 

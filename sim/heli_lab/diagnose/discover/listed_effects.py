@@ -166,9 +166,9 @@ class ListedEffects:
         warm_start : Hypothesis
             The model with the equation.
         rival : Hypothesis
-            The model with the effect.
+            The model with the effect in place of the equation.
         effect : Candidate
-            The effect that `rival` has.
+            Effect of the catalogue that fits equally well.
         penalty : float
             Complexity penalty of the equation, nats.
         """

@@ -43,9 +43,10 @@ class SplineCurve:
     @property
     def what(self) -> str:
         """Sentence with the range of the quantity and of the values."""
-        where = f"{channel_in_words(self.channel)} by {quantity_in_words(self.on)}"
+        dependence = f"{channel_in_words(self.channel)} by {quantity_in_words(self.on)}"
         return (
-            f"{where}, covered from {self.quantity[0]:.3g} to {self.quantity[-1]:.3g} {self.quantity_unit}: "
+            f"{dependence}, covered from {self.quantity[0]:.3g} to {self.quantity[-1]:.3g} "
+            f"{self.quantity_unit}: "
             f"{self.value.min():.2g} to {self.value.max():.2g} {self.value_unit}"
         )
 

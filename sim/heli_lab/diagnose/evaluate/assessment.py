@@ -53,37 +53,37 @@ def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, Effe
     """
     train, held_out = comparison.train, comparison.held_out
     # Parameters from a few seconds are too uncertain for a residual analysis on another flight.
-    enough = bool(held_out) and sum(record.used_s for record in train) > SHORT_s
-    others = [Screening(comparison.held_out_estimate(search.final))] if enough else []
-    residual = residual_analysis([search.screening, *others])
+    can_test_held_out = bool(held_out) and sum(record.used_s for record in train) > SHORT_s
+    held_out_screenings = [Screening(comparison.held_out_estimate(search.final))] if can_test_held_out else []
+    residual = residual_analysis([search.screening, *held_out_screenings])
     extended = without_splines(comparison, search)
     before = predict(search.baseline.estimate, train, held_out)
     after = before if extended is search.baseline else predict(extended.estimate, train, held_out)
     absent = absent_terms(after.fit, comparison.rig, kinds)
     changes = prediction_changes(comparison, search, extended, before, after)
-    tiny = {id_: counts for id_, counts in changes.items() if counts < MATTERS_COUNTS}
-    small = small_effects(search, tiny, kinds, after.fit)
+    small_changes = {id_: counts for id_, counts in changes.items() if counts < MATTERS_COUNTS}
+    small = small_effects(search, small_changes, kinds, after.fit)
     if small:
-        extended = without(comparison, search, extended, tiny)
+        extended = without(comparison, search, extended, small_changes)
         after = before if extended is search.baseline else predict(extended.estimate, train, held_out)
         absent = absent_terms(after.fit, comparison.rig, kinds)
     verdict = judge(search, residual, after, kinds, bool(absent), small)
-    return Assessment(residual, extended, before, after, absent, verdict)
+    return Assessment(residual, extended=extended, before=before, after=after, absent=absent, verdict=verdict)
 
 
 def without_splines(comparison: ModelComparison, search: Search) -> Hypothesis:
     """Refit the final model of a `search` without its spline terms, which no simulator flies."""
-    named = [candidate for candidate in search.final.candidates if not candidate.is_spline]
-    if len(named) == len(search.final.candidates):
+    effects = [candidate for candidate in search.final.candidates if not candidate.is_spline]
+    if len(effects) == len(search.final.candidates):
         return search.final
-    if not named:
+    if not effects:
         return search.baseline
-    return comparison.refit(named, None, search.final)
+    return comparison.refit(effects, None, search.final)
 
 
 def without(
     comparison: ModelComparison, search: Search, extended: Hypothesis, ids: Collection[str]
 ) -> Hypothesis:
     """Refit an `extended` model without the effects `ids`."""
-    candidates = [candidate for candidate in extended.candidates if candidate.id not in ids]
-    return comparison.refit(candidates, None, extended) if candidates else search.baseline
+    other_effects = [candidate for candidate in extended.candidates if candidate.id not in ids]
+    return comparison.refit(other_effects, None, extended) if other_effects else search.baseline

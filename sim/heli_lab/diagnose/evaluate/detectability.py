@@ -32,8 +32,10 @@ def undetectable_effects(
         kind = kinds[scored.candidate.id]
         # Without linear parameters the only regressor is the effect at the size that was tried.
         name = kind.size[0]
-        unit = 1.0 if scored.candidate.linear_parameters else scored.candidate.effect.values[name]
-        if scored.std[0] * abs(unit) * DETECTION_STD_ERRORS > abs(kind.typical[name]):
+        size_per_coefficient = (
+            1.0 if scored.candidate.linear_parameters else scored.candidate.effect.values[name]
+        )
+        if scored.std[0] * abs(size_per_coefficient) * DETECTION_STD_ERRORS > abs(kind.typical[name]):
             undetectable.append(kind.id)
     return tuple(sorted(undetectable))
 

@@ -120,5 +120,5 @@ def evaluate_extension(
         Requested duration to calibrate on.
     """
     runs_before = whole.extension.before
-    runs = runs_before if after is before else free_runs(after.fit, comparison.held_out, calibrate_s)
-    return replace(whole, extension=compare_free_runs(runs_before, runs, comparison.seed))
+    runs_after = runs_before if after is before else free_runs(after.fit, comparison.held_out, calibrate_s)
+    return replace(whole, extension=compare_free_runs(runs_before, runs_after, comparison.seed))

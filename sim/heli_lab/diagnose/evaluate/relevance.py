@@ -49,14 +49,14 @@ def prediction_changes(
     for candidate in extended.candidates:
         if len(extended.candidates) > 1 and (evidence[candidate.id] > MATTERS_NATS_PER_ROW * comparison.rows):
             continue
-        others = [other for other in extended.candidates if other is not candidate]
+        other_causes = [other for other in extended.candidates if other is not candidate]
         # The elimination has estimated this model: it is in the cache.
-        less = (
-            predict(comparison.refit(others, None, extended).estimate, comparison.train, ())
-            if others
+        reduced = (
+            predict(comparison.refit(other_causes, None, extended).estimate, comparison.train, ())
+            if other_causes
             else before
         )
-        changes[candidate.id] = _largest_rms_counts(samples_with_all - normalised_samples(less.fit))
+        changes[candidate.id] = _largest_rms_counts(samples_with_all - normalised_samples(reduced.fit))
     return changes
 
 

@@ -98,20 +98,20 @@ def family_number(
     if family is None:
         return None
     names = [kind.full(name) for name in kind.family_numbers]
-    places = [fit.problem.names.index(name) for name in names if name in fit.problem.names]
+    indices = [fit.problem.names.index(name) for name in names if name in fit.problem.names]
     # Reported errors are at least as large as those of the fit; a time and a delay compensate each other.
-    variance = float(fit.covariance[np.ix_(places, places)].sum())
-    floor = sum(parameters[name].std ** 2 - fit.std.get(name, 0.0) ** 2 for name in names)
+    variance = float(fit.covariance[np.ix_(indices, indices)].sum())
+    added_variance = sum(parameters[name].std ** 2 - fit.std.get(name, 0.0) ** 2 for name in names)
     value, unit = sum(parameters[name].value for name in names), parameters[names[0]].unit
-    std = math.sqrt(max(variance + floor, 0.0))
+    std = math.sqrt(max(variance + added_variance, 0.0))
     return FamilyNumber(
-        family.name,
-        value,
-        std,
-        unit,
-        family.sentence.format(format_estimate(value, std, unit)),
-        family.unclear,
-        tuple(other.id for other in kinds.values() if other.family == family),
+        name=family.name,
+        value=value,
+        std=std,
+        unit=unit,
+        sentence=family.sentence.format(format_estimate(value, std, unit)),
+        unclear=family.unclear,
+        members=tuple(other.id for other in kinds.values() if other.family == family),
     )
 
 
@@ -136,14 +136,14 @@ def reported_std(fit: Fit, kind: EffectSpec) -> dict[str, float]:
     """
     record = fit.problem.records[0]
     part, _, axis = kind.acts_on.partition(".")
-    errors = {}
+    std_by_name = {}
     for parameter in fit.problem.free:
-        least = 0.0
+        resolution = 0.0
         if parameter.unit == "s":
-            least = 0.5 * record.step_s
+            resolution = 0.5 * record.step_s
         elif parameter.unit == "rad" and part == "measurement" and axis in AXES:
-            least = MIN_STD_COUNTS * float(record.count_rad[AXES.index(axis)])
+            resolution = MIN_STD_COUNTS * float(record.count_rad[AXES.index(axis)])
         std = fit.std[parameter.name] * (TIME_STD_FACTOR if parameter.unit == "s" else 1.0)
-        blurred = MIN_STD_SHARE * fit.values[parameter.name] if parameter.name in kind.size else 0.0
-        errors[parameter.name] = math.hypot(std, least, blurred)
-    return errors
+        size_error = MIN_STD_SHARE * fit.values[parameter.name] if parameter.name in kind.size else 0.0
+        std_by_name[parameter.name] = math.hypot(std, resolution, size_error)
+    return std_by_name

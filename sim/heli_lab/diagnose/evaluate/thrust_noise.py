@@ -30,20 +30,24 @@ def justified_thrust_noise(
     """
     if assessment.verdict.label != "unexplained":
         return None
-    named = without_splines(comparison, search)
-    noisy = comparison.with_thrust_noise()
-    gained = _log_likelihood(noisy, noisy.refit_with_thrust_noise(named)) - _log_likelihood(comparison, named)
+    without_spline_terms = without_splines(comparison, search)
+    with_noise = comparison.with_thrust_noise()
+    gain = _log_likelihood(
+        with_noise, with_noise.refit_with_thrust_noise(without_spline_terms)
+    ) - _log_likelihood(comparison, without_spline_terms)
     penalty = 0.5 * _NUMBERS * math.log(comparison.rows) + MIN_MARGIN
-    replaced = 0.0
-    if search.final is not named:
-        replaced = _log_likelihood(comparison, search.final) - _log_likelihood(comparison, named)
+    replaced_gain = 0.0
+    if search.final is not without_spline_terms:
+        replaced_gain = _log_likelihood(comparison, search.final) - _log_likelihood(
+            comparison, without_spline_terms
+        )
     dependences = assessment.residual_analysis.dependences
-    replaced += max((dependence.log_likelihood_gain for dependence in dependences), default=0.0)
-    return noisy if gained > max(penalty, replaced) else None
+    replaced_gain += max((dependence.log_likelihood_gain for dependence in dependences), default=0.0)
+    return with_noise if gain > max(penalty, replaced_gain) else None
 
 
 def _log_likelihood(comparison: ModelComparison, hypothesis: Hypothesis) -> float:
-    """Log-likelihood of the fitted and the held-out flights, nats."""
+    """Return the log-likelihood of the fitted and the held-out flights, nats."""
     total = hypothesis.log_likelihood
     if comparison.held_out:
         total += comparison.held_out_estimate(hypothesis).log_likelihood

@@ -12,14 +12,14 @@ from heli_lab.diagnose.wording import SHOWN, evidence_in_words
 from heli_lab.identify.results import rounded
 from heli_lab.page.drawing import Picture
 
-Kept = Callable[[str, Any], Picture | None]
+SaveFigure = Callable[[str, Any], Picture | None]
 """Adds a figure, if there is one, to the page by the name of its file."""
 
 
 def cause_section(
-    cause: dict[str, Any], meanings: Mapping[str, str], certain: bool, kept: Kept
+    cause: dict[str, Any], meanings: Mapping[str, str], certain: bool, save_figure: SaveFigure
 ) -> dict[str, Any]:
-    """Write a `cause` for the template.
+    """Return the section of a `cause` as the template of the page expects it.
 
     Parameters
     ----------
@@ -29,25 +29,27 @@ def cause_section(
         Meanings of parameters by full name.
     certain : bool
         Whether the verdict is certain, so that a cause may be stated as a fact.
-    kept : callable
-        Keeps the figure of the equation.
+    save_figure : callable
+        Writes the figure of the equation; it takes a name and the figure.
     """
-    others = ", ".join(cause["ambiguous_with"])
-    equation = figures.figure_of_latex(cause["equation"])
+    ambiguous_effects = ", ".join(cause["ambiguous_with"])
+    equation_figure = figures.figure_of_latex(cause["equation"])
     parameters = cause["parameters"]
-    known = [meanings.get(name, "") for name in parameters]
+    parameter_meanings = [meanings.get(name, "") for name in parameters]
     return {
         "effect": cause["effect"],
         "confidence": f"{cause['confidence']:.2f}",
         "sentence": capital(stated(cause, certain)),
-        "unclear": f" These flights do not distinguish it from {others}." if others else "",
+        "unclear": f" These flights do not distinguish it from {ambiguous_effects}."
+        if ambiguous_effects
+        else "",
         "confirmed": _confirmation(cause),
         "latex": cause["equation"],
-        "equation": kept(f"equation-{cause['effect']}", equation),
-        "symbols": legend(cause["effect"], cause["equation"], known),
+        "equation": save_figure(f"equation-{cause['effect']}", equation_figure),
+        "symbols": legend(cause["effect"], cause["equation"], parameter_meanings),
         "rows": [
             [name, plus_minus(number, number["unit"]), shown_unit(number["unit"]), meaning]
-            for (name, number), meaning in zip(parameters.items(), known, strict=True)
+            for (name, number), meaning in zip(parameters.items(), parameter_meanings, strict=True)
         ],
         "evidence": _evidence(cause["evidence"]),
     }
@@ -100,3 +102,8 @@ def shown_unit(unit: str) -> str:
 def capital(text: str) -> str:
     """Begin a `text` with a capital."""
     return text[:1].upper() + text[1:]
+
+
+def full_sentence(text: str) -> str:
+    """Begin a `text` with a capital, and end it with a full stop."""
+    return f"{capital(text)}."

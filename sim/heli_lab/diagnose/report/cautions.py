@@ -15,7 +15,7 @@ def cautions(result: Diagnosis) -> list[str]:
     if held_out is None:
         lines.append("no flight was held out: nothing here is confirmed; give one to --validate")
     else:
-        lines += _held_out(result, sum(record.used_s for record in held_out.problem.records))
+        lines += _held_out_cautions(result, sum(record.used_s for record in held_out.problem.records))
     lines += [worse_axis_sentence(worse, _model(result)) for worse in result.replication.worse]
     unconfirmed = ", ".join(result.replication.unconfirmed)
     if unconfirmed:
@@ -40,8 +40,8 @@ def _model(result: Diagnosis) -> str:
     return "the model with all named causes" if result.replication.unconfirmed else "the extended model"
 
 
-def _held_out(result: Diagnosis, seconds: float) -> list[str]:
-    """What weakens the comparison on held-out flights of so many seconds of free flight."""
+def _held_out_cautions(result: Diagnosis, seconds: float) -> list[str]:
+    """Return cautions about the comparison on held-out flights of so many `seconds` of free flight."""
     requested_s = result.held_out.requested_s
     runs = result.held_out.extension.after
     lines = []
@@ -70,17 +70,18 @@ def prior_conflict_sentence(conflict: PriorConflict, meaning: str = "") -> str:
     """Describe a `conflict` of a parameter with this `meaning` in a sentence without its full stop."""
     unit = "" if conflict.unit == "1" else f" {conflict.unit}"
     prior = conflict.prior
-    explained = f" ({meaning})" if meaning else ""
+    meaning_text = f" ({meaning})" if meaning else ""
     text = (
-        f"the parameter {conflict.name}{explained} is estimated as {conflict.value:.3g}{unit}, "
+        f"the parameter {conflict.name}{meaning_text} is estimated as {conflict.value:.3g}{unit}, "
         f"{abs(conflict.deviations):.1f} "
         f"standard deviations from its prior, {prior.mean:.3g} \N{PLUS-MINUS SIGN} {prior.std:.2g}{unit} "
         "(1 standard deviation): either the prior is wrong, or the parameter replaces what the model lacks"
     )
-    freed = conflict.freed
-    if freed is None:
+    without_prior = conflict.freed
+    if without_prior is None:
         return text
     return (
-        f"{text}; these flights alone give {freed.value:.3g} \N{PLUS-MINUS SIGN} {freed.std:.2g}{unit} "
-        f"(1 standard error), with {evidence_in_words(freed.log_likelihood_gain)} against the prior"
+        f"{text}; these flights alone give {without_prior.value:.3g} \N{PLUS-MINUS SIGN} "
+        f"{without_prior.std:.2g}{unit} "
+        f"(1 standard error), with {evidence_in_words(without_prior.log_likelihood_gain)} against the prior"
     )

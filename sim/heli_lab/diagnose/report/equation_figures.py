@@ -32,62 +32,66 @@ def figure_of_equation(proposed: ProposedTerm) -> Figure:
     trace = proposed.trace
     figure = Figure(figsize=(11, 6.6))
     grid = figure.add_gridspec(2, 2, left=0.08, right=0.98, bottom=0.08, top=0.88, hspace=0.32, wspace=0.22)
-    over, against, curve = (figure.add_subplot(cell) for cell in (grid[0, :], grid[1, 0], grid[1, 1]))
+    time_panel, scatter_panel, quantity_panel = (
+        figure.add_subplot(cell) for cell in (grid[0, :], grid[1, 0], grid[1, 1])
+    )
     missing, term = 1e3 * trace.missing_Nm, 1e3 * trace.term_Nm
     std = 1e3 * trace.std_Nm
-    over.fill_between(trace.t_s, missing - 2 * std, missing + 2 * std, color=_MISSING, alpha=0.25, lw=0)
-    over.plot(
+    time_panel.fill_between(trace.t_s, missing - 2 * std, missing + 2 * std, color=_MISSING, alpha=0.25, lw=0)
+    time_panel.plot(
         trace.t_s,
         missing,
         color=_MISSING,
         lw=0.9,
         label="missing without the equation, with two standard errors",
     )
-    over.plot(trace.t_s, term, color=_TERM, lw=1.3, label="equation")
-    over.set_xlabel(f"time in {trace.label} [s]")
-    over.set_ylabel(f"torque about {trace.axis} [mN m]")
-    over.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=2, fontsize=8, frameon=False)
-    keep = slice(None, None, max(1, len(term) // _POINTS))
-    against.plot(term[keep], missing[keep], ".", color=_MISSING, ms=2.5, alpha=0.6)
+    time_panel.plot(trace.t_s, term, color=_TERM, lw=1.3, label="equation")
+    time_panel.set_xlabel(f"time in {trace.label} [s]")
+    time_panel.set_ylabel(f"torque about {trace.axis} [mN m]")
+    time_panel.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=2, fontsize=8, frameon=False)
+    thinned_rows = slice(None, None, max(1, len(term) // _POINTS))
+    scatter_panel.plot(term[thinned_rows], missing[thinned_rows], ".", color=_MISSING, ms=2.5, alpha=0.6)
     span = np.array([min(term.min(), missing.min()), max(term.max(), missing.max())])
-    against.plot(span, span, color=_TERM, lw=1.2)
+    scatter_panel.plot(span, span, color=_TERM, lw=1.2)
     correlation = np.corrcoef(term, missing)[0, 1] if term.std() > 0 else 0.0
-    against.set_xlabel(f"equation [mN m]; correlation {correlation:.2f}")
-    against.set_ylabel("missing without it [mN m]")
+    scatter_panel.set_xlabel(f"equation [mN m]; correlation {correlation:.2f}")
+    scatter_panel.set_ylabel("missing without it [mN m]")
     factor, unit = SHOWN.get(trace.unit, (1.0, trace.unit))
-    curve.plot(factor * trace.value[keep], missing[keep], ".", color=_MISSING, ms=2.5, alpha=0.6)
-    curve.plot(factor * trace.value[keep], term[keep], ".", color=_TERM, ms=2.0)
-    curve.set_xlabel(f"{trace.on.replace('_', ' ')} [{unit}]")
-    curve.set_ylabel("torque [mN m]")
-    for panel in (over, against, curve):
+    quantity_panel.plot(
+        factor * trace.value[thinned_rows], missing[thinned_rows], ".", color=_MISSING, ms=2.5, alpha=0.6
+    )
+    quantity_panel.plot(factor * trace.value[thinned_rows], term[thinned_rows], ".", color=_TERM, ms=2.0)
+    quantity_panel.set_xlabel(f"{trace.on.replace('_', ' ')} [{unit}]")
+    quantity_panel.set_ylabel("torque [mN m]")
+    for panel in (time_panel, scatter_panel, quantity_panel):
         panel.grid(alpha=0.25)
     where = "a flight that no fit used" if proposed.discovery.held_out is not None else "the fitted flight"
     figure.suptitle(f"${latex(proposed.equation, proposed.numbers)}$   on {where}", fontsize=11)
     return figure
 
 
-def figure_of_failing_regions(every: Sequence[FailingRegions], models: Sequence[str]) -> Figure:
+def figure_of_failing_regions(all_regions: Sequence[FailingRegions], models: Sequence[str]) -> Figure:
     """Draw the fitted flights in the plane of each axis, coloured by the missing torque; cells in which a
     model fails are outlined.
 
     Parameters
     ----------
-    every : sequence of FailingRegions
+    all_regions : sequence of FailingRegions
         One row each.
     models : sequence of str
         Names of the models before and after, one column each; without the second, the first is drawn alone.
     """
     from matplotlib.figure import Figure
 
-    high = 0.8 + 4.1 * len(every)
-    figure = Figure(figsize=(11, high))
-    rows = figure.subplots(len(every), len(models), sharex="row", sharey="row", squeeze=False)
-    figure.subplots_adjust(0.075, 0.55 / high, 0.9, 1.0 - 0.85 / high, wspace=0.1, hspace=0.34)
-    for regions, panels in zip(every, rows, strict=True):
+    height = 0.8 + 4.1 * len(all_regions)
+    figure = Figure(figsize=(11, height))
+    rows = figure.subplots(len(all_regions), len(models), sharex="row", sharey="row", squeeze=False)
+    figure.subplots_adjust(0.075, 0.55 / height, 0.9, 1.0 - 0.85 / height, wspace=0.1, hspace=0.34)
+    for regions, panels in zip(all_regions, rows, strict=True):
         _regions_row(figure, panels, regions, models)
     figure.suptitle(
         f"{100 * FALSE_DISCOVERY_RATE:.0f} % of the outlined cells may be by chance",
-        y=1.0 - 0.2 / high,
+        y=1.0 - 0.2 / height,
         fontsize=11,
     )
     return figure
@@ -96,10 +100,10 @@ def figure_of_failing_regions(every: Sequence[FailingRegions], models: Sequence[
 def _regions_row(
     figure: Figure, panels: Sequence[Axes], regions: FailingRegions, models: Sequence[str]
 ) -> None:
-    """The plane of one axis, with its colour bar."""
+    """Draw the plane of one axis for each model, with a colour bar of the missing torque."""
     torques = np.concatenate([np.abs(flight.torque_Nm) for flight in regions.before.flights])
-    most = 1e3 * float(np.quantile(torques, 0.98)) or 1.0
-    (fx, x_unit), (fy, y_unit) = _shown(regions.x), _shown(regions.y)
+    color_limit_mNm = 1e3 * float(np.quantile(torques, 0.98)) or 1.0
+    (fx, x_unit), (fy, y_unit) = _display_factor_and_unit(regions.x), _display_factor_and_unit(regions.y)
     points = None
     for panel, test, model in zip(panels, (regions.before, regions.after), models, strict=False):
         for flight in test.flights:
@@ -110,20 +114,20 @@ def _regions_row(
                 c=1e3 * flight.torque_Nm,
                 s=5,
                 cmap="coolwarm",
-                vmin=-most,
-                vmax=most,
+                vmin=-color_limit_mNm,
+                vmax=color_limit_mNm,
                 zorder=2,
                 lw=0,
             )
-        _outline(panel, regions, test)
+        _outline_failing_cells(panel, regions, test)
         panel.set_title(f"{regions.axis}: {model}", fontsize=10, loc="left")
         panel.set_xlabel(f"{regions.x.replace('_', ' ')} [{x_unit}]")
         panel.grid(alpha=0.2)
     panels[0].set_ylabel(f"{regions.y.replace('_', ' ')} [{y_unit}]")
     if points is not None:
         box = panels[-1].get_position()
-        bar = figure.colorbar(points, cax=figure.add_axes((0.915, box.y0, 0.015, box.height)))
-        bar.set_label(f"missing torque about {regions.axis} [mN m]", fontsize=9)
+        colorbar = figure.colorbar(points, cax=figure.add_axes((0.915, box.y0, 0.015, box.height)))
+        colorbar.set_label(f"missing torque about {regions.axis} [mN m]", fontsize=9)
 
 
 def figure_of_unknown_torque(regions: FailingRegions) -> Figure:
@@ -133,17 +137,20 @@ def figure_of_unknown_torque(regions: FailingRegions) -> Figure:
     from matplotlib.figure import Figure
 
     flights = regions.after.flights
-    factor, unit = _shown(regions.x)
+    factor, unit = _display_factor_and_unit(regions.x)
     quantity = factor * np.concatenate([flight.x for flight in flights])
     torque_mNm = 1e3 * np.concatenate([flight.torque_Nm for flight in flights])
-    keep = slice(None, None, max(1, len(quantity) // _POINTS))
-    parts = np.array_split(np.argsort(quantity), _MEANS)
+    thinned_rows = slice(None, None, max(1, len(quantity) // _POINTS))
+    bins = np.array_split(np.argsort(quantity), _MEANS)
     figure = Figure(figsize=(11, 3.6))
     panel = figure.subplots()
     figure.subplots_adjust(0.08, 0.16, 0.98, 0.9)
-    panel.plot(quantity[keep], torque_mNm[keep], ".", ms=2.5, color="#b4b9bf", rasterized=True)
-    means = [(quantity[part].mean(), torque_mNm[part].mean()) for part in parts]
-    panel.plot(*zip(*means, strict=True), "o", ms=5, color=_OUTLINE, label="means")
+    panel.plot(
+        quantity[thinned_rows], torque_mNm[thinned_rows], ".", ms=2.5, color="#b4b9bf", rasterized=True
+    )
+    bin_quantity = [quantity[rows].mean() for rows in bins]
+    bin_torque_mNm = [torque_mNm[rows].mean() for rows in bins]
+    panel.plot(bin_quantity, bin_torque_mNm, "o", ms=5, color=_OUTLINE, label="means")
     panel.set_title(
         f"unknown: torque about {regions.axis} that the model with all named causes lacks",
         fontsize=10.5,
@@ -156,9 +163,9 @@ def figure_of_unknown_torque(regions: FailingRegions) -> Figure:
     return figure
 
 
-def _outline(panel: Axes, regions: FailingRegions, test: RegionTest) -> None:
-    """Lines between cells that fail and cells that do not."""
-    (fx, _), (fy, _) = _shown(regions.x), _shown(regions.y)
+def _outline_failing_cells(panel: Axes, regions: FailingRegions, test: RegionTest) -> None:
+    """Draw lines between cells that fail and cells that do not."""
+    (fx, _), (fy, _) = _display_factor_and_unit(regions.x), _display_factor_and_unit(regions.y)
     x, y, fails = fx * regions.x_edges, fy * regions.y_edges, np.pad(test.fails, 1)
     for i in range(len(x)):
         for j in range(len(y)):
@@ -168,6 +175,7 @@ def _outline(panel: Axes, regions: FailingRegions, test: RegionTest) -> None:
                 panel.plot([x[i], x[i + 1]], [y[j], y[j]], color=_OUTLINE, lw=1.8, zorder=3)
 
 
-def _shown(quantity: str) -> tuple[float, str]:
+def _display_factor_and_unit(quantity: str) -> tuple[float, str]:
+    """Return the factor from the SI unit of a quantity to its display unit, and that unit."""
     unit = QUANTITIES[quantity][1]
     return SHOWN.get(unit, (1.0, unit))

@@ -36,28 +36,39 @@ def figure_of_flight(before: Fit, after: Fit) -> Figure:
     """Draw the flight of the fits `before` and `after`: measured and simulated angles, and their errors."""
     from matplotlib.figure import Figure
 
-    old, runs = trace(before), _runs(before, after)
+    baseline, runs = trace(before), _free_runs(before, after)
     figure = Figure(figsize=(11, 9))
     panels = figure.subplots(6, 1, sharex=True, height_ratios=[2, 1.2, 2, 1.2, 2, 1.2])
     figure.subplots_adjust(0.075, 0.06, 0.87, 0.95, hspace=0.12)
-    keep = slice(None, None, max(1, len(old.t_s) // _MAX_POINTS))
+    thinned_rows = slice(None, None, max(1, len(baseline.t_s) // _MAX_POINTS))
     for axis in range(3):
-        above, below = panels[2 * axis], panels[2 * axis + 1]
-        above.plot(
-            old.t_s[keep], _deg(old.measured_rad, axis, keep), ".", ms=1.8, color=MEASURED, label="measured"
+        angle_panel, error_panel = panels[2 * axis], panels[2 * axis + 1]
+        angle_panel.plot(
+            baseline.t_s[thinned_rows],
+            _axis_deg(baseline.measured_rad, axis, thinned_rows),
+            ".",
+            ms=1.8,
+            color=MEASURED,
+            label="measured",
         )
-        above.set_ylabel(f"{AXES[axis]} [deg]")
-        for drawn, color, label in runs:
-            above.plot(*_broken(drawn, axis), color=color, lw=1.0, label=label)
-            error = np.rad2deg(drawn.residual[:, axis] * drawn.sigma_rad[axis])
-            below.plot(drawn.t_s[keep], error[keep], color=color, lw=0.7, label=f"rms {_rms(error):.3g}")
-        below.set_ylabel("error [deg]")
-        _beside(below)
-        for panel in (above, below):
+        angle_panel.set_ylabel(f"{AXES[axis]} [deg]")
+        for run, color, label in runs:
+            angle_panel.plot(*_with_window_gaps(run, axis), color=color, lw=1.0, label=label)
+            error_deg = np.rad2deg(run.residual[:, axis] * run.sigma_rad[axis])
+            error_panel.plot(
+                run.t_s[thinned_rows],
+                error_deg[thinned_rows],
+                color=color,
+                lw=0.7,
+                label=f"rms {_rms(error_deg):.3g}",
+            )
+        error_panel.set_ylabel("error [deg]")
+        _legend_beside(error_panel)
+        for panel in (angle_panel, error_panel):
             panel.grid(alpha=0.25)
-    _beside(panels[0])
+    _legend_beside(panels[0])
     panels[-1].set_xlabel("time [s]; the simulation restarts every 2 s, from the state that fits best")
-    figure.suptitle(f"{old.label}: measured against simulated", fontsize=11)
+    figure.suptitle(f"{baseline.label}: measured against simulated", fontsize=11)
     return figure
 
 
@@ -67,22 +78,31 @@ def figure_of_windows(before: Fit, after: Fit) -> Figure:
     """
     from matplotlib.figure import Figure
 
-    old, runs = trace(before), _runs(before, after)
+    baseline, runs = trace(before), _free_runs(before, after)
     figure = Figure(figsize=(11, 3.4))
     panels = figure.subplots(1, 3)
     figure.subplots_adjust(0.06, 0.22, 0.98, 0.92, wspace=0.18)
     for axis, panel in enumerate(panels):
-        worst = max(old.windows, key=lambda part: float(np.mean(old.residual[part, axis] ** 2)))
-        t_s = old.t_s[worst]
-        panel.plot(
-            t_s, np.rad2deg(old.measured_rad[worst, axis]), ".", ms=3, color=MEASURED, label="measured"
+        worst_window = max(
+            baseline.windows, key=lambda part: float(np.mean(baseline.residual[part, axis] ** 2))
         )
-        sizes = []
-        for drawn, color, label in runs:
-            panel.plot(t_s, np.rad2deg(drawn.predicted_rad[worst, axis]), color=color, lw=1.3, label=label)
-            error_deg = np.rad2deg(_rms(drawn.residual[worst, axis]) * drawn.sigma_rad[axis])
-            sizes.append(f"{error_deg:.3g} deg {label}")
-        panel.set_title(f"{AXES[axis]}: rms {', '.join(sizes)}", fontsize=9)
+        t_s = baseline.t_s[worst_window]
+        panel.plot(
+            t_s,
+            np.rad2deg(baseline.measured_rad[worst_window, axis]),
+            ".",
+            ms=3,
+            color=MEASURED,
+            label="measured",
+        )
+        error_texts = []
+        for run, color, label in runs:
+            panel.plot(
+                t_s, np.rad2deg(run.predicted_rad[worst_window, axis]), color=color, lw=1.3, label=label
+            )
+            error_deg = np.rad2deg(_rms(run.residual[worst_window, axis]) * run.sigma_rad[axis])
+            error_texts.append(f"{error_deg:.3g} deg {label}")
+        panel.set_title(f"{AXES[axis]}: rms {', '.join(error_texts)}", fontsize=9)
         panel.set_xlabel("time [s]")
         panel.grid(alpha=0.25)
     panels[0].set_ylabel("angle [deg]")
@@ -91,10 +111,14 @@ def figure_of_windows(before: Fit, after: Fit) -> Figure:
     return figure
 
 
-def _runs(before: Fit, after: Fit) -> list[tuple[Trace, str, str]]:
-    """Free runs of the baseline and of the extended model, if there is one, with colours and names."""
-    every = [(trace(before), BEFORE, "baseline")]
-    return every if after is before else [*every, (trace(after), AFTER, "extended")]
+def _free_runs(before: Fit, after: Fit) -> list[tuple[Trace, str, str]]:
+    """Return the free runs of the baseline and of the extended model, if there is one, each with colour and
+    label.
+    """
+    runs = [(trace(before), BEFORE, "baseline")]
+    if after is not before:
+        runs.append((trace(after), AFTER, "extended"))
+    return runs
 
 
 def figure_of_torque(diagnosis: Diagnosis) -> Figure:
@@ -103,20 +127,22 @@ def figure_of_torque(diagnosis: Diagnosis) -> Figure:
     """
     from matplotlib.figure import Figure
 
-    drawn = [(_torque(diagnosis.search.baseline.estimate), BEFORE, "baseline")]
+    torques = [(_smoothed_torque(diagnosis.search.baseline.estimate), BEFORE, "baseline")]
     if diagnosis.assessment.extended.candidates:
-        drawn.append((_torque(diagnosis.assessment.extended.estimate), AFTER, "with all named causes"))
+        torques.append(
+            (_smoothed_torque(diagnosis.assessment.extended.estimate), AFTER, "with all named causes")
+        )
     figure = Figure(figsize=(11, 6.5))
     panels = figure.subplots(3, 2, width_ratios=[2.4, 1])
     figure.subplots_adjust(0.07, 0.08, 0.98, 0.91, wspace=0.12, hspace=0.35)
     for axis in range(3):
-        for (t_s, torque_Nm), color, label in drawn:
+        for (t_s, torque_Nm), color, label in torques:
             value_mNm = 1e3 * torque_Nm[:, axis]
-            text = f"{label}: rms {_rms(value_mNm):.3g} mN m"
-            panels[axis, 0].plot(*_with_gaps(t_s, value_mNm), color=color, lw=0.7, label=text)
-            panels[axis, 1].loglog(*_spectrum(t_s, value_mNm), color=color, lw=0.9)
+            legend_text = f"{label}: rms {_rms(value_mNm):.3g} mN m"
+            panels[axis, 0].plot(*_with_sample_gaps(t_s, value_mNm), color=color, lw=0.7, label=legend_text)
+            panels[axis, 1].loglog(*_amplitude_spectrum(t_s, value_mNm), color=color, lw=0.9)
         panels[axis, 0].set_ylabel(f"{AXES[axis]} [mN m]")
-        _above(panels[axis, 0])
+        _legend_above(panels[axis, 0])
         for panel in panels[axis]:
             panel.grid(alpha=0.25)
     figure.suptitle("torque about each axis that the model lacks, and its spectrum", fontsize=11)
@@ -130,27 +156,27 @@ def figure_of_ranking(rounds: tuple[Round, ...]) -> Figure:
     """Draw the scores of the candidates, one panel per round; narrow bars are gains of refits."""
     from matplotlib.figure import Figure
 
-    shown = rounds[:MAX_ROUNDS]
-    height = 2.9 * len(shown)
+    drawn_rounds = rounds[:MAX_ROUNDS]
+    height = 2.9 * len(drawn_rounds)
     figure = Figure(figsize=(11, height))
-    panels: Floats = np.atleast_1d(figure.subplots(len(shown), 1))
+    panels: Floats = np.atleast_1d(figure.subplots(len(drawn_rounds), 1))
     figure.subplots_adjust(0.32, 0.5 / height, 0.98, 1.0 - 0.3 / height, hspace=0.4)
-    for number, (round_, panel) in enumerate(zip(shown, panels, strict=True), 1):
-        _rank(round_, number, panel)
+    for number, (round_, panel) in enumerate(zip(drawn_rounds, panels, strict=True), 1):
+        _draw_round(round_, number, panel)
     panels[-1].set_xlabel("log-likelihood ratio [nats]; grey: score test, blue: refitted", fontsize=9)
     return figure
 
 
-def _rank(round_: Round, number: int, panel: Axes) -> None:
-    """Draw the best candidates of round `number` with the gains of their score tests and refits [nats]."""
+def _draw_round(round_: Round, number: int, panel: Axes) -> None:
+    """Draw scores and refits of the best candidates of a round as horizontal bars."""
     refits = {refit.candidate.id: refit for refit in round_.refits}
     candidates = sorted(
         (*round_.screened[:7], *round_.splines[:3]), key=lambda scored: scored.log_likelihood_gain
     )
     names = [readable_id(scored.candidate.id) for scored in candidates]
-    place = np.arange(len(candidates))
+    rows = np.arange(len(candidates))
     gains = [max(scored.log_likelihood_gain, 0.1) for scored in candidates]
-    panel.barh(place, gains, color="#dddddd", label="score test")
+    panel.barh(rows, gains, color="#dddddd", label="score test")
     for row, scored in enumerate(candidates):
         refit = refits.get(scored.candidate.id)
         if refit is not None:
@@ -165,9 +191,9 @@ def _rank(round_: Round, number: int, panel: Axes) -> None:
                 fontsize=7,
             )
     panel.set_xscale("log")
-    largest_nats = max([*gains, *(refit.gain for refit in refits.values())])
-    panel.set_xlim(1.0, max(10.0, 5.0 * largest_nats))
-    panel.set_yticks(place, names, fontsize=8)
+    largest_gain = max([*gains, *(refit.gain for refit in refits.values())])
+    panel.set_xlim(1.0, max(10.0, 5.0 * largest_gain))
+    panel.set_yticks(rows, names, fontsize=8)
     outcome = f"accepted: {readable_id(round_.accepted_id)}" if round_.accepted_id else "nothing accepted"
     panel.set_title(f"round {number}: {outcome}", fontsize=10, loc="left")
 
@@ -184,16 +210,18 @@ def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
     panels = figure.subplots(3, 1, sharex=True)
     figure.subplots_adjust(0.08, 0.09, 0.98, 0.9, hspace=0.3)
     for number, cause in enumerate(diagnosis.verdict.causes):
-        t_s, change = accelerations(diagnosis.assessment.extended.estimate, cause.candidate.id)
+        t_s, change_rad_s2 = accelerations(diagnosis.assessment.extended.estimate, cause.candidate.id)
         for axis, panel in enumerate(panels):
-            degrees = np.rad2deg(change[:, axis])
-            size = f"rms {_rms(degrees):.3g} deg/s$^2$" if degrees.any() else "no acceleration"
-            text = f"{cause.candidate.id}: {size}"
-            panel.plot(t_s, degrees, lw=0.7, color=f"C{number}", label=text)
+            change_deg_s2 = np.rad2deg(change_rad_s2[:, axis])
+            size_text = (
+                f"rms {_rms(change_deg_s2):.3g} deg/s$^2$" if change_deg_s2.any() else "no acceleration"
+            )
+            legend_text = f"{cause.candidate.id}: {size_text}"
+            panel.plot(t_s, change_deg_s2, lw=0.7, color=f"C{number}", label=legend_text)
     for axis, panel in enumerate(panels):
         panel.set_ylabel(f"{AXES[axis]} [deg/s$^2$]")
         panel.grid(alpha=0.25)
-        _above(panel)
+        _legend_above(panel)
     figure.suptitle("acceleration that each cause contributes in the fitted flight", fontsize=11)
     panels[-1].set_xlabel("time [s]")
     return figure
@@ -238,56 +266,58 @@ def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _beside(panel: Axes) -> None:
-    """Legend to the right of a panel."""
+def _legend_beside(panel: Axes) -> None:
+    """Place the legend to the right of a panel."""
     panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.03), fontsize=8, frameon=False)
 
 
-def _above(panel: Axes) -> None:
-    """Legend in a line above a panel."""
-    place = (1.0, 0.97)
-    panel.legend(loc="lower right", bbox_to_anchor=place, ncols=4, fontsize=8, frameon=False)
+def _legend_above(panel: Axes) -> None:
+    """Place the legend in a line above a panel."""
+    position = (1.0, 0.97)
+    panel.legend(loc="lower right", bbox_to_anchor=position, ncols=4, fontsize=8, frameon=False)
 
 
-def _deg(angles_rad: Floats, axis: int, keep: slice) -> Floats:
+def _axis_deg(angles_rad: Floats, axis: int, keep: slice) -> Floats:
     result: Floats = np.rad2deg(angles_rad[keep, axis])
     return result
 
 
-def _broken(drawn: Trace, axis: int) -> tuple[Floats, Floats]:
-    """Times [s] and predicted angles of an axis [deg] for a line with a gap between windows."""
+def _with_window_gaps(run: Trace, axis: int) -> tuple[Floats, Floats]:
+    """Return times [s] and predicted angle [deg] of an axis, thinned, with nan after each window."""
     t_s: list[Floats] = []
-    values: list[Floats] = []
-    for window in drawn.windows:
-        step = max(1, len(drawn.t_s) // _MAX_POINTS)
-        part = slice(window.start, window.stop, step)
-        t_s += [drawn.t_s[part], drawn.t_s[window.stop - 1 : window.stop]]
-        values += [np.rad2deg(drawn.predicted_rad[part, axis]), np.array([np.nan])]
-    return np.concatenate(t_s), np.concatenate(values)
+    angles_deg: list[Floats] = []
+    step = max(1, len(run.t_s) // _MAX_POINTS)
+    for window in run.windows:
+        thinned_rows = slice(window.start, window.stop, step)
+        last_row = slice(window.stop - 1, window.stop)
+        t_s += [run.t_s[thinned_rows], run.t_s[last_row]]
+        angles_deg += [np.rad2deg(run.predicted_rad[thinned_rows, axis]), np.array([np.nan])]
+    return np.concatenate(t_s), np.concatenate(angles_deg)
 
 
-def _torque(estimate: Estimate) -> tuple[Floats, Floats]:
-    """Times [s] and smoothed disturbance torques [N m], shape (k, 3), of the first fitted flight."""
+def _smoothed_torque(estimate: Estimate) -> tuple[Floats, Floats]:
+    """Return times (k,) [s] and smoothed disturbance torques (k, 3) [N m] of the first fitted flight."""
     t_s, torque_Nm, _ = smoothed_disturbances(estimate.filtered(), estimate.disturbances)[0]
     return t_s, torque_Nm
 
 
-def _with_gaps(t_s: Floats, value: Floats) -> tuple[Floats, Floats]:
-    """Times and values of a line with a gap wherever samples are missing."""
-    after = np.flatnonzero(np.diff(t_s) > 1.5 * np.median(np.diff(t_s))) + 1
-    return np.insert(t_s, after, np.nan), np.insert(value, after, np.nan)
+def _with_sample_gaps(t_s: Floats, value: Floats) -> tuple[Floats, Floats]:
+    """Return times and values with nan inserted wherever samples are missing."""
+    intervals_s = np.diff(t_s)
+    rows_after_gap = np.flatnonzero(intervals_s > 1.5 * np.median(intervals_s)) + 1
+    return np.insert(t_s, rows_after_gap, np.nan), np.insert(value, rows_after_gap, np.nan)
 
 
-def _spectrum(t_s: Floats, value: Floats) -> tuple[Floats, Floats]:
-    """Amplitude spectral density of a signal by Welch's method: frequencies below 20 Hz [Hz], and densities
-    in the unit of `value` per root of Hz.
-    """
+def _amplitude_spectrum(t_s: Floats, value: Floats) -> tuple[Floats, Floats]:
+    """Return frequencies [Hz] and the root of the power spectral density, by Welch's method."""
     step_s = float(np.median(np.diff(t_s)))
     size = min(len(value), 1 << 10)
-    parts = [value[i : i + size] for i in range(0, len(value) - size + 1, size // 2)]
+    segments = [value[start : start + size] for start in range(0, len(value) - size + 1, size // 2)]
     window = np.hanning(size)
-    power = np.mean([np.abs(np.fft.rfft((p - p.mean()) * window)) ** 2 for p in parts], axis=0)
+    power = np.mean(
+        [np.abs(np.fft.rfft((segment - segment.mean()) * window)) ** 2 for segment in segments], axis=0
+    )
     density: Floats = np.sqrt(2.0 * power * step_s / np.sum(window**2)).astype(np.float64)
-    frequency: Floats = np.fft.rfftfreq(size, step_s).astype(np.float64)
-    keep = (frequency > 0.0) & (frequency < 20.0)
-    return frequency[keep], np.maximum(density[keep], 1e-6)
+    frequency_Hz: Floats = np.fft.rfftfreq(size, step_s).astype(np.float64)
+    is_drawn = (frequency_Hz > 0.0) & (frequency_Hz < 20.0)
+    return frequency_Hz[is_drawn], np.maximum(density[is_drawn], 1e-6)

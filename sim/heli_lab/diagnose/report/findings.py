@@ -25,11 +25,11 @@ def causes(result: Diagnosis) -> list[dict[str, Any]]:
     """List the causes, the strongest first: effect, parameters, confidence, sentence, equation, evidence and
     alternatives of each.
     """
-    return [*_effects(result), *_random_torque(result), *_absent_terms(result)]
+    return [*_effect_causes(result), *_random_torque_causes(result), *_absent_term_causes(result)]
 
 
-def _effects(result: Diagnosis) -> list[dict[str, Any]]:
-    """Causes that are effects of the catalogue or splines."""
+def _effect_causes(result: Diagnosis) -> list[dict[str, Any]]:
+    """Return the causes that are effects of the catalogue."""
     return [
         {
             "effect": cause.effect,
@@ -69,7 +69,7 @@ def too_small_effects(result: Diagnosis) -> list[dict[str, Any]]:
 
 
 def _replication(cause: NamedCause, result: Diagnosis) -> dict[str, Any]:
-    """Whether a cause holds in both directions, and why not."""
+    """Return whether a cause is confirmed, its ratios in both directions, and the reason if it is not."""
     replication = result.replication.causes[cause.effect]
     return {
         "confirmed": replication.confirmed,
@@ -81,7 +81,7 @@ def _replication(cause: NamedCause, result: Diagnosis) -> dict[str, Any]:
 
 
 def _family(cause: NamedCause) -> dict[str, dict[str, Any]]:
-    """The number of a cause's family, and whether these flights do not distinguish its members."""
+    """Return the number of a cause's family, with a remark if its members are not distinguished."""
     family = cause.family
     if family is None:
         return {}
@@ -100,7 +100,7 @@ def _family(cause: NamedCause) -> dict[str, dict[str, Any]]:
 
 
 def _moments(cause: NamedCause, result: Diagnosis) -> dict[str, dict[str, float | None]]:
-    """When a cause with a moment happens in each flight, by label; None in a flight where it does not."""
+    """Return the moment of an event in each flight [s], by label; None in a flight without it."""
     effect = cause.candidate.effect
     if not effect.flight:
         return {}
@@ -114,8 +114,8 @@ def _moments(cause: NamedCause, result: Diagnosis) -> dict[str, dict[str, float 
     return {"moments_s": {label: None if at_s == NEVER_s else at_s for label, at_s in moments_s.items()}}
 
 
-def _random_torque(result: Diagnosis) -> list[dict[str, Any]]:
-    """Causes that are random torques, whose size the disturbances give."""
+def _random_torque_causes(result: Diagnosis) -> list[dict[str, Any]]:
+    """Return the cause of a random torque about a single axis, if the verdict has one."""
     return [
         {
             "effect": id_,
@@ -133,14 +133,14 @@ def _random_torque(result: Diagnosis) -> list[dict[str, Any]]:
     ]
 
 
-def _absent_terms(result: Diagnosis) -> list[dict[str, Any]]:
-    """Causes that are terms of the baseline which the rig lacks."""
+def _absent_term_causes(result: Diagnosis) -> list[dict[str, Any]]:
+    """Return the causes that are absent terms of the baseline."""
     factor = CONFIDENCE_FACTOR_UNEXPLAINED if result.label == "unexplained" else 1.0
-    entries = []
+    absent_causes = []
     for term in result.assessment.absent:
         kind = result.kinds[term.id]
         (name,) = kind.size
-        entries.append(
+        absent_causes.append(
             {
                 "effect": term.id,
                 "parameters": _parameters({name: CauseParameter(term.share, term.std, "1")}),
@@ -154,7 +154,7 @@ def _absent_terms(result: Diagnosis) -> list[dict[str, Any]]:
                 "ambiguous_with": [],
             }
         )
-    return entries
+    return absent_causes
 
 
 def unexplained(result: Diagnosis) -> dict[str, Any] | None:
@@ -163,26 +163,26 @@ def unexplained(result: Diagnosis) -> dict[str, Any] | None:
     """
     if result.missing is None:
         return None
-    axis, on = result.missing
+    axis, quantity = result.missing
     residual = result.assessment.residual_analysis
     if not result.verdict.unlisted:
         # The same quantity may be listed as a spline and as a linear term.
-        named = list(dict.fromkeys(dependence.what for dependence in residual.dependences))
+        dependence_names = list(dict.fromkeys(dependence.what for dependence in residual.dependences))
         return {
             "axis": axis,
-            "correlates_with": named,
+            "correlates_with": dependence_names,
             "share_of_variance": round(residual.predictable_share, 4),
             "log_likelihood_gain": residual.dependences[0].log_likelihood_gain,
         }
     strongest = result.verdict.unlisted[0]
     channel = strongest.candidate.id.split(":")[1]
-    first = next(r for r in result.search.rounds if r.accepted_id == strongest.candidate.id)
-    others = [name for name in correlates(first.splines) if name != f"{channel} on {on}"]
+    first_round = next(r for r in result.search.rounds if r.accepted_id == strongest.candidate.id)
+    others = [name for name in correlates(first_round.splines) if name != f"{channel} on {quantity}"]
     reductions = result.held_out.splines
     return {
         "axis": axis,
         "channel": channel,
-        "correlates_with": [f"{channel} on {on}", *others],
+        "correlates_with": [f"{channel} on {quantity}", *others],
         "share_of_variance": round(max(0.0, 1.0 - reductions[axis].ratio ** 2), 4),
         "log_likelihood_gain": strongest.train,
         "splines": [cause.candidate.id.removeprefix("spline:") for cause in result.verdict.unlisted],

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from heli_lab.diagnose.discover import TIME, MissingTerm
-from heli_lab.diagnose.report.cause_sections import Kept, capital
+from heli_lab.diagnose.report.cause_sections import SaveFigure, capital
 from heli_lab.diagnose.report.result_figures import figure_of_missing_terms
 from heli_lab.diagnose.wording import readable_id
 
@@ -26,19 +26,21 @@ _FAINT: Final = 0.3
 """Share of the variance below which a caption says that the dots hardly show a term."""
 
 
-def missing_section(file: str, terms: Sequence[MissingTerm], kept: Kept) -> dict[str, Any] | None:
-    """Draw missing `terms` into a `file`, which `kept` writes, and describe the figure. None: no terms."""
+def missing_section(
+    file: str, terms: Sequence[MissingTerm], save_figure: SaveFigure
+) -> dict[str, Any] | None:
+    """Draw missing `terms` into a `file`, which `save_figure` writes, and describe it; None without terms."""
     if not terms:
         return None
     return {
-        "address": kept(file, figure_of_missing_terms(terms)),
+        "address": save_figure(file, figure_of_missing_terms(terms)),
         "meaning": "; ".join(f"missing {term.what} about {term.axis} over {term.on}" for term in terms),
         "caption": " ".join([*(_caption(term) for term in terms), *_how_drawn(terms)]),
     }
 
 
 def _how_drawn(terms: Sequence[MissingTerm]) -> list[str]:
-    """How the terms of a figure were estimated and drawn, in sentences."""
+    """Explain in sentences how the terms of a figure were estimated and drawn."""
     torques = [term for term in terms if term.what == "torque"]
     if not torques:
         return [_POINTS]
@@ -53,8 +55,9 @@ def _how_drawn(terms: Sequence[MissingTerm]) -> list[str]:
 
 
 def _caption(term: MissingTerm) -> str:
-    name, what = term.id, "equation"
+    """State the share of variance that a cause or curve explains."""
+    name, kind = term.id, "equation"
     if readable_id(name) != name:
-        name, what = capital(readable_id(name)), "curve"
-    faint = " Disturbances hide it in these dots." if term.share < _FAINT else ""
-    return f"{name}: the {what} explains {100 * max(term.share, 0.0):.0f} % of the variance.{faint}"
+        name, kind = capital(readable_id(name)), "curve"
+    hidden_text = " Disturbances hide it in these dots." if term.share < _FAINT else ""
+    return f"{name}: the {kind} explains {100 * max(term.share, 0.0):.0f} % of the variance.{hidden_text}"

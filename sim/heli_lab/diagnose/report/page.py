@@ -13,7 +13,15 @@ from heli_sim.model.parts import AXES
 from heli_lab.diagnose.discover import MissingTerm, missing_term
 from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
 from heli_lab.diagnose.report import equation_figures, figures
-from heli_lab.diagnose.report.cause_sections import Kept, capital, cause_section, plus_minus, shown_unit
+from heli_lab.diagnose.report.cause_sections import (
+    SaveFigure,
+    capital,
+    cause_section,
+    full_sentence,
+    plus_minus,
+    shown_unit,
+)
+from heli_lab.diagnose.report.gain_section import calibration_tables, gain_rows
 from heli_lab.diagnose.report.missing_section import missing_section
 from heli_lab.diagnose.report.regions_section import regions_section, unknown_torque
 from heli_lab.diagnose.report.result_figures import figure_of_gain, figure_of_prediction
@@ -33,14 +41,16 @@ from heli_lab.identify.thresholds import UNINFORMED
 from heli_lab.page import folder_with, write_page
 from heli_lab.page.drawing import Drawing, Picture
 
-_WHEN: Final = ("before", "after")
+_BEFORE_AFTER: Final = ("before", "after")
 _PAGE: Final = Path(__file__).with_name("report.html")
 _EQUATION_SYMBOLS: Final = (
     "The angles θ, φ, ψ are elevation, pitch and travel, and a dot is a rate. F is a thrust (f front, b "
     "back), and τ a torque. A number as a subscript is a time constant in s: the quantity after a "
     "first-order lag. washout(x, T) is the lagged quantity less the quantity itself."
 )
-_NOTHING_FLEW: Final = Path(__file__).with_name("insufficient_excitation.html")
+_MIN_SHOWN_NATS: Final = 3.0
+"""Score above which a candidate without a refit is in the table of the ranking."""
+_EXCITATION_PAGE: Final = Path(__file__).with_name("insufficient_excitation.html")
 
 
 def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | None = None) -> Path:
@@ -71,8 +81,8 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
     model = diagnosis.assessment.after.fit.problem.model
     meanings = {quantity.name: quantity.meaning for quantity in model.parameters}
 
-    def kept(name: str, figure: Any) -> Picture | None:
-        """Draw a `figure`, if there is one, into the folder under `name`."""
+    def save_figure(name: str, figure: Any) -> Picture | None:
+        """Draw a figure into the folder; None if there is none."""
         return None if figure is None else drawing.add(figure, folder / f"{name}.png")
 
     if diagnosis.proposal is not None:
@@ -86,44 +96,49 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
         extended=extended,
         sentence=numbers["sentence"],
         next_step=capital(next_step(diagnosis)),
-        cautions=[_sentence(caution) for caution in numbers["cautions"]],
-        unknown_cause=missing_section("unknown", unknown_terms, kept),
-        cause=missing_section("cause", [term for term in terms if term not in unknown_terms], kept),
+        cautions=[full_sentence(caution) for caution in numbers["cautions"]],
+        unknown_cause=missing_section("unknown", unknown_terms, save_figure),
+        cause=missing_section("cause", [term for term in terms if term not in unknown_terms], save_figure),
         judged="a flight that no fit used"
         if diagnosis.assessment.after.held_out_fit
         else "the fitted flight",
-        prediction=kept(
-            "prediction", figure_of_prediction(before, after, _axis(diagnosis, terms), _outside_s(diagnosis))
+        prediction=save_figure(
+            "prediction",
+            figure_of_prediction(before, after, _drawn_axis(diagnosis, terms), _outside_s(diagnosis)),
         ),
         gain={
-            "address": kept("gain", figure_of_gain(held_out.horizons, extended, _rounding_rad(before))),
-            "rows": _gain(numbers["gain"]["axis"]),
+            "address": save_figure(
+                "gain", figure_of_gain(held_out.horizons, extended, _rounding_rad(before))
+            ),
+            "rows": gain_rows(numbers["gain"]["axis"]),
         },
         causes=[
-            cause_section(cause, meanings, diagnosis.label != "unexplained", kept)
+            cause_section(cause, meanings, diagnosis.label != "unexplained", save_figure)
             for cause in numbers["causes"]
         ],
-        small=[_sentence(line) for line in small_effect_lines(diagnosis)],
+        small=[full_sentence(line) for line in small_effect_lines(diagnosis)],
         unknown=_unknown(numbers["unexplained"]),
-        curves=kept("curves", figures.figure_of_curves(diagnosis.curves)) if diagnosis.curves else None,
-        unknown_torque=unknown_torque(diagnosis, kept),
+        curves=save_figure("curves", figures.figure_of_curves(diagnosis.curves))
+        if diagnosis.curves
+        else None,
+        unknown_torque=unknown_torque(diagnosis, save_figure),
         disturbances=_disturbances(diagnosis, numbers),
-        equation=_equation(diagnosis, kept),
+        equation=_equation(diagnosis, save_figure),
         uninformed=_uninformed(numbers["rig"]["numbers"], meanings),
-        regions=regions_section(diagnosis, kept),
-        torque=kept("torque", figures.figure_of_torque(diagnosis)),
+        regions=regions_section(diagnosis, save_figure),
+        torque=save_figure("torque", figures.figure_of_torque(diagnosis)),
         ranking={
-            "address": kept("ranking", figures.figure_of_ranking(diagnosis.search.rounds)),
+            "address": save_figure("ranking", figures.figure_of_ranking(diagnosis.search.rounds)),
             "rows": _ranking(numbers["ranking"]),
             "more": _more_rounds(diagnosis),
         },
         next_flight=numbers["next_flight"],
-        windows=kept("windows", figures.figure_of_windows(before, after)),
-        flight=kept("flight", figures.figure_of_flight(before, after)),
-        size=kept("size", figures.figure_of_size(diagnosis)),
-        calibration=_calibration(numbers["gain"]["calibration"]),
+        windows=save_figure("windows", figures.figure_of_windows(before, after)),
+        flight=save_figure("flight", figures.figure_of_flight(before, after)),
+        size=save_figure("size", figures.figure_of_size(diagnosis)),
+        calibration=calibration_tables(numbers["gain"]["calibration"]),
         residual=_residual(numbers["residual"]),
-        used=_used(numbers["flights"]),
+        used=_flights(numbers["flights"]),
         took=f"It took {numbers['refits']} refits of the model, {numbers['seconds_taken']:.0f} s here.",
     )
 
@@ -148,7 +163,7 @@ def write_insufficient_excitation(result: InsufficientExcitation, folder: str | 
     numbers = to_json(result)
     return write_page(
         folder_with(numbers, folder),
-        _NOTHING_FLEW,
+        _EXCITATION_PAGE,
         title="These flights excite nothing",
         sentence=summary(result),
         undetectable=result.undetectable,
@@ -164,33 +179,33 @@ def missing_terms(diagnosis: Diagnosis) -> list[MissingTerm]:
     verdict = diagnosis.verdict
     terms = []
     for cause in (*verdict.unlisted, *verdict.causes)[:2]:
-        whole = diagnosis.search.final if cause.candidate.is_spline else diagnosis.assessment.extended
-        terms.append(missing_term(whole.estimate, cause.candidate))
+        model = diagnosis.search.final if cause.candidate.is_spline else diagnosis.assessment.extended
+        terms.append(missing_term(model.estimate, cause.candidate))
     return terms
 
 
-def _axis(diagnosis: Diagnosis, terms: Sequence[MissingTerm]) -> str:
-    """The axis whose angle is drawn: with the most visible error reduction, or where something is missing."""
-    flight = trace(diagnosis.held_out.extension.before[0].fit)
+def _drawn_axis(diagnosis: Diagnosis, terms: Sequence[MissingTerm]) -> str:
+    """Return the axis whose angle is drawn: the most visible error reduction, or the first missing term."""
+    baseline = trace(diagnosis.held_out.extension.before[0].fit)
     extended = diagnosis.assessment.extended.candidates
-    ranges_deg = dict(zip(AXES, np.rad2deg(np.ptp(flight.measured_rad, axis=0)), strict=True))
+    ranges_deg = dict(zip(AXES, np.rad2deg(np.ptp(baseline.measured_rad, axis=0)), strict=True))
 
-    def shows(axis: str) -> float:
+    def visible_share(axis: str) -> float:
         """Error reduction, or the error if no model was extended, as a share of the picture."""
         reduction = diagnosis.error_reductions[axis]
         after_deg = reduction.after_deg if extended else 0.0
         return float((reduction.before_deg - after_deg) / max(ranges_deg[axis], 1e-9))
 
-    return terms[0].axis if terms and not extended else max(AXES, key=shows)
+    return terms[0].axis if terms and not extended else max(AXES, key=visible_share)
 
 
 def _outside_s(diagnosis: Diagnosis) -> tuple[tuple[float, float], ...]:
-    """Times of the windows in which the first held-out flight is extrapolated."""
+    """Return begin and end [s] of the windows in which the first held-out flight is extrapolated."""
     return diagnosis.extrapolations[0].spans_s if diagnosis.extrapolations else ()
 
 
 def _heading(numbers: Mapping[str, Any]) -> str:
-    """Rig and flights in a line."""
+    """Return a line with the rig, the fitted flights and the validation flights."""
     by_role: dict[str, list[str]] = {"train": [], "held_out": []}
     for flight in numbers["flights"]:
         by_role[flight["role"]].append(f"{flight['flight']} ({flight['seconds_used']:.0f} s used)")
@@ -199,17 +214,17 @@ def _heading(numbers: Mapping[str, Any]) -> str:
 
 
 def _uninformed(parameters: Mapping[str, Mapping[str, Any]], meanings: Mapping[str, str]) -> list[list[str]]:
-    """Parameters whose estimate is nearly as uncertain as their prior."""
+    """Return a table row for each parameter whose estimate is nearly as uncertain as its prior."""
     return [
         [
             name,
-            plus_minus(number["prior"], number["unit"]),
-            plus_minus(number, number["unit"]),
-            shown_unit(number["unit"]),
+            plus_minus(parameter["prior"], parameter["unit"]),
+            plus_minus(parameter, parameter["unit"]),
+            shown_unit(parameter["unit"]),
             meanings.get(name, ""),
         ]
-        for name, number in parameters.items()
-        if number["std"] > UNINFORMED * number["prior"]["std"]
+        for name, parameter in parameters.items()
+        if parameter["std"] > UNINFORMED * parameter["prior"]["std"]
     ]
 
 
@@ -218,8 +233,8 @@ def _rounding_rad(fit: Fit) -> Floats:
     return fit.problem.records[0].sigma_rad
 
 
-def _equation(diagnosis: Diagnosis, kept: Kept) -> dict[str, Any] | None:
-    """The proposed equation with its figure."""
+def _equation(diagnosis: Diagnosis, save_figure: SaveFigure) -> dict[str, Any] | None:
+    """Return the section of the proposed equation with its figure; None without one."""
     if diagnosis.proposal is None:
         return None
     proposed = diagnosis.proposal.term
@@ -233,7 +248,7 @@ def _equation(diagnosis: Diagnosis, kept: Kept) -> dict[str, Any] | None:
         "sentence": proposed.sentence,
         "evidence": f"Confidence {proposed.confidence:.2f}: {evidence_in_words(discovery.train)} "
         f"on the fitted flights, {confirmed}, the best of {discovery.tried} terms.",
-        "address": kept("equation", equation_figures.figure_of_equation(proposed)),
+        "address": save_figure("equation", equation_figures.figure_of_equation(proposed)),
         "axis": proposed.trace.axis,
         "symbols": _EQUATION_SYMBOLS,
         "rows": [
@@ -244,83 +259,51 @@ def _equation(diagnosis: Diagnosis, kept: Kept) -> dict[str, Any] | None:
             for name, number in numbers["numbers"].items()
         ],
         "rivals": [[rival.key, f"{rival.log_likelihood_ratio:.0f}"] for rival in discovery.rivals],
-        "gain": _gain(numbers["gain"]),
+        "gain": gain_rows(numbers["gain"]),
     }
 
 
-def _gain(gain: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
-    """Rows of the error reductions by axis: errors before and after, their ratio and its 95 % interval."""
-    return [
-        [
-            axis,
-            f"{reduction['before']:.3g}",
-            f"{reduction['after']:.3g}",
-            f"{reduction['ratio']:.2f}",
-            f"{reduction['interval95'][0]:.2f} to {reduction['interval95'][1]:.2f}",
-        ]
-        for axis, reduction in gain.items()
-    ]
-
-
-def _calibration(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Constants that were calibrated on the beginning of each validation flight."""
-    return [
-        {
-            "rows": [
-                [
-                    name,
-                    *_prior_and_estimate(flight["before"][name]),
-                    *_prior_and_estimate(number),
-                    shown_unit(number["unit"]),
-                ]
-                for name, number in flight["after"].items()
-            ],
-            "note": f"{flight['flight']}: zeros and constant torques from its first "
-            f"{flight['calibrated_s']:.1f} s of free flight; "
-            f"the next {flight['evaluated_s']:.1f} s are evaluated.",
-        }
-        for flight in flights
-        if flight["after"]
-    ]
-
-
-def _prior_and_estimate(number: dict[str, Any]) -> tuple[str, str]:
-    """Prior and estimate of a calibrated `number`, each with its standard error."""
-    return plus_minus(number["prior"], number["unit"]), plus_minus(number, number["unit"])
-
-
 def _residual(residual: dict[str, Any]) -> dict[str, Any]:
-    """Table of the residuals' sizes and autocorrelations before and after, and a note that explains it."""
+    """Return the table of normalised errors and autocorrelations before and after, and a note that
+    explains it.
+    """
     role = "held_out" if "held_out" in residual["white"] else "train"
     correlation = residual["correlation"][role]
     rows = [
         [
             axis,
-            *(f"{errors[when]:.3f}" for when in _WHEN),
-            *(f"{correlation[when][axis]:.2f}" for when in _WHEN),
+            *(f"{errors[when]:.3f}" for when in _BEFORE_AFTER),
+            *(f"{correlation[when][axis]:.2f}" for when in _BEFORE_AFTER),
             "yes" if residual["white"][role]["after"][axis] else "no",
         ]
         for axis, errors in residual["axis"].items()
     ]
-    whole = residual["normalised"]
-    rows.append(["all", *(f"{whole[when]:.3f}" for when in _WHEN), "", "", ""])
-    rows.append(["all, held out", *(f"{whole[f'held_out_{when}']:.3f}" for when in _WHEN), "", "", ""])
-    where = "held-out" if role == "held_out" else "fitted"
+    normalised = residual["normalised"]
+    rows.append(["all", *(f"{normalised[when]:.3f}" for when in _BEFORE_AFTER), "", "", ""])
+    rows.append(
+        ["all, held out", *(f"{normalised[f'held_out_{when}']:.3f}" for when in _BEFORE_AFTER), "", "", ""]
+    )
+    flight_role = "held-out" if role == "held_out" else "fitted"
     innovations = residual["innovations"]
-    worst = max(abs(value) for values in innovations["autocorrelation"].values() for value in values)
+    max_autocorrelation = max(
+        abs(value) for values in innovations["autocorrelation"].values() for value in values
+    )
     return {
         "rows": rows,
         "note": "Root mean square error in the fitted flight in standard deviations of the quantisation: 1 "
-        f"if nothing is missing. Autocorrelation over 0.1 s in the {where} flight; white if it is within "
+        f"if nothing is missing. Autocorrelation over 0.1 s in the {flight_role} flight; white if it is "
+        "within "
         "three standard deviations of that of white noise. Innovations (one-step prediction errors) have an "
-        f"autocorrelation of at most {worst:.2f} over "
+        f"autocorrelation of at most {max_autocorrelation:.2f} over "
         f"{innovations['lags_s'][0]:.2g} to {innovations['lags_s'][-1]:.2g} s; white noise would stay below "
         f"{innovations['bound']:.2f}.",
     }
 
 
 def _unknown(missing: dict[str, Any] | None) -> dict[str, Any] | None:
-    """Section on what no effect explains: its evidence, dependences and gain with splines."""
+    """Return the section of what no effect explains: sentences, dependences and error reductions; None
+    without it.
+    """
     if missing is None:
         return None
     return {
@@ -333,67 +316,57 @@ def _unknown(missing: dict[str, Any] | None) -> dict[str, Any] | None:
 
 
 def _disturbances(diagnosis: Diagnosis, numbers: dict[str, Any]) -> dict[str, Any]:
-    """Section on the disturbances: a sentence, and a row per axis in mN m and s."""
+    """Return a sentence and a table row for the disturbances about each axis."""
+    rows = []
+    for axis, values in numbers["disturbances"].items():
+        evidence = nats_in_words(values["log_likelihood_ratio"])
+        if values["log_likelihood_ratio"] <= MIN_MARGIN:
+            rows.append([axis, "none", "", "", evidence])
+            continue
+        fast_mNm, slow_mNm = 1e3 * values["fast_std_Nm"], 1e3 * values["slow_std_Nm"]
+        correlation_time_s = values["correlation_time_s"]
+        rows.append([axis, f"{fast_mNm:.2g}", f"{correlation_time_s:.2g}", f"{slow_mNm:.2g}", evidence])
     return {
         "said": f"Disturbances that no model predicts: {disturbances_in_words(diagnosis)}.",
-        "rows": [
-            [
-                axis,
-                f"{1e3 * values['fast_std_Nm']:.2g}",
-                f"{values['correlation_time_s']:.2g}",
-                f"{1e3 * values['slow_std_Nm']:.2g}",
-                nats_in_words(values["log_likelihood_ratio"]),
-            ]
-            if values["log_likelihood_ratio"] > MIN_MARGIN
-            else [axis, "none", "", "", nats_in_words(values["log_likelihood_ratio"])]
-            for axis, values in numbers["disturbances"].items()
-        ],
+        "rows": rows,
     }
 
 
 def _ranking(ranking: Sequence[dict[str, Any]]) -> list[list[str]]:
-    """Rows of the ranking: candidate, score, log-likelihood ratio of its refit, and penalty."""
+    """Return a table row for each candidate of a round that was refitted or has a notable score."""
 
     def cell(value: float | None) -> str:
         return "" if value is None else f"{value:.0f}"
 
-    return [
-        [
-            f"{round_['round']}: {readable_id(round_['candidate'])}"
-            f"{' (accepted)' if round_['taken'] else ''}",
-            cell(round_["score"]),
-            cell(round_["train"]),
-            cell(round_["penalty"]),
-        ]
-        for round_ in ranking
-        if round_["train"] is not None or round_["score"] > 3.0
-    ]
+    rows = []
+    for entry in ranking:
+        if entry["train"] is None and entry["score"] <= _MIN_SHOWN_NATS:
+            continue
+        accepted = " (accepted)" if entry["taken"] else ""
+        name = f"{entry['round']}: {readable_id(entry['candidate'])}{accepted}"
+        rows.append([name, cell(entry["score"]), cell(entry["train"]), cell(entry["penalty"])])
+    return rows
 
 
 def _more_rounds(diagnosis: Diagnosis) -> str:
-    """Note on the rounds that the figure of the ranking leaves out; empty if it has all of them."""
-    more = len(diagnosis.search.rounds) - figures.MAX_ROUNDS
-    return f" {more} later rounds are in the table." if more > 0 else ""
+    remaining_rounds = len(diagnosis.search.rounds) - figures.MAX_ROUNDS
+    return f" {remaining_rounds} later rounds are in the table." if remaining_rounds > 0 else ""
 
 
-def _used(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """For each flight, a sentence on the parts used, and the parts left out with the reason."""
-    used = []
+def _flights(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return for each flight its role and the parts that were used, and the parts that were left out with
+    reasons.
+    """
+    sections = []
     for flight in flights:
         role = "fitted" if flight["role"] == "train" else "held out"
-        spans = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in flight["used"])
+        spans = ", ".join(f"{begin_s:.1f} to {end_s:.1f} s" for begin_s, end_s in flight["used"])
         notes = "".join(f" {note}." for note in flight["notes"])
-        used.append(
+        cuts = [[f"{cut['from_s']:.2f}", f"{cut['to_s']:.2f}", cut["why"]] for cut in flight["left_out"]]
+        sections.append(
             {
                 "said": f"{flight['flight']}, {role}: {flight['seconds_used']:.1f} s used ({spans}).{notes}",
-                "left_out": [
-                    [f"{c['from_s']:.2f}", f"{c['to_s']:.2f}", c["why"]] for c in flight["left_out"]
-                ],
+                "left_out": cuts,
             }
         )
-    return used
-
-
-def _sentence(text: str) -> str:
-    """The `text` with a capital letter and a full stop."""
-    return f"{capital(text)}."
+    return sections

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from heli_sim.model.parts import AXES
 
+from heli_lab.diagnose.evaluate import FailingRegions
 from heli_lab.diagnose.report import equation_figures
-from heli_lab.diagnose.report.cause_sections import Kept
+from heli_lab.diagnose.report.cause_sections import SaveFigure
 from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.wording import quantity_in_words
 from heli_lab.page.drawing import Picture
 
 
-def regions_section(diagnosis: Diagnosis, kept: Kept) -> dict[str, Any]:
-    """Where the models fail about each axis, in words and in a figure, which `kept` writes. The axis of the
-    verdict is the first.
+def regions_section(diagnosis: Diagnosis, save_figure: SaveFigure) -> dict[str, Any]:
+    """Describe in words and in a figure, which `save_figure` writes, where the models fail about each axis.
+
+    The axis of the verdict is the first.
     """
     first = diagnosis.failing
     all_regions = [first, *(diagnosis.failing_about(axis) for axis in AXES if axis != first.axis)]
@@ -24,27 +27,26 @@ def regions_section(diagnosis: Diagnosis, kept: Kept) -> dict[str, Any]:
         models = [models[1], "with the proposed equation"]
     elif not diagnosis.assessment.extended.candidates:
         models = models[:1]
+    figure = equation_figures.figure_of_failing_regions(all_regions, models)
     return {
-        "address": kept("regions", equation_figures.figure_of_failing_regions(all_regions, models)),
-        "said": [
-            f"About {regions.axis}: "
-            + "; ".join(
-                f"the {model} lacks {_mNm(test.rms_Nm)} mN m rms and fails "
-                + (f"in {100 * test.share:.0f} % of the time" if test.fails.any() else "in no cell")
-                for model, test in zip(
-                    (name.replace("with the", "model with the") for name in models),
-                    (regions.before, regions.after),
-                    strict=False,
-                )
-            )
-            for regions in all_regions
-        ],
+        "address": save_figure("regions", figure),
+        "said": [_regions_sentence(regions, models) for regions in all_regions],
         "note": _regions_note(diagnosis, len(models) > 1),
     }
 
 
+def _regions_sentence(regions: FailingRegions, models: Sequence[str]) -> str:
+    """State the missing torque about an axis, and how often each model fails."""
+    texts = []
+    for model, test in zip(models, (regions.before, regions.after), strict=False):
+        name = model.replace("with the", "model with the")
+        share = f"in {100 * test.share:.0f} % of the time" if test.fails.any() else "in no cell"
+        texts.append(f"the {name} lacks {_mNm(test.rms_Nm)} mN m rms and fails {share}")
+    return f"About {regions.axis}: " + "; ".join(texts)
+
+
 def _regions_note(diagnosis: Diagnosis, two: bool) -> str:
-    """How the cells agree with the verdict, where they seem not to."""
+    """Explain how the cells agree with the verdict if they seem not to; otherwise empty."""
     first = diagnosis.failing
     test = first.after if two else first.before
     if diagnosis.label == "unexplained" and not test.fails.any():
@@ -61,13 +63,13 @@ def _regions_note(diagnosis: Diagnosis, two: bool) -> str:
     return ""
 
 
-def unknown_torque(diagnosis: Diagnosis, kept: Kept) -> Picture | None:
-    """Draw an unknown without a curve, if it depends on a quantity of a plane; `kept` writes the figure."""
+def unknown_torque(diagnosis: Diagnosis, save_figure: SaveFigure) -> Picture | None:
+    """Draw an unknown without a curve if it depends on a quantity of a plane; `save_figure` writes it."""
     if diagnosis.missing is None or diagnosis.verdict.unlisted or diagnosis.proposal is not None:
         return None
     if (diagnosis.failing.axis, diagnosis.failing.x) != diagnosis.missing:
         return None
-    return kept("unknown", equation_figures.figure_of_unknown_torque(diagnosis.failing))
+    return save_figure("unknown", equation_figures.figure_of_unknown_torque(diagnosis.failing))
 
 
 def _mNm(torque_Nm: float) -> str:

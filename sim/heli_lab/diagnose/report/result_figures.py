@@ -26,7 +26,7 @@ _TAIL: Final = 0.003
 """Share of the dots at each end that may be outside the picture, so that outliers do not flatten the rest."""
 _EXCERPT_s: Final = 40.0
 """Longest part of a prediction that is drawn: in a longer one, runs of 2 s are not visible."""
-_BUSY_s: Final = 12.0
+_LINES_s: Final = 12.0
 """Length of the part that is drawn of a term over time: in a longer part, lines overlap."""
 _MAX_DOTS: Final = 4000
 
@@ -38,52 +38,55 @@ def figure_of_missing_terms(terms: Sequence[MissingTerm]) -> Figure:
     """
     from matplotlib.figure import Figure
 
-    rows = len(terms)
-    figure = Figure(figsize=(11, 4.1 * rows))
-    panels = figure.subplots(rows, 2, sharey="row", squeeze=False)
-    high = 4.1 * rows
-    figure.subplots_adjust(0.085, 0.62 / high, 0.985, 1.0 - 0.6 / high, wspace=0.05, hspace=0.48)
-    for full_term, (before, after) in zip(terms, panels, strict=True):
-        along_time = full_term.on == TIME
-        term = _busy_part(full_term) if along_time else full_term
-        noun = f"torque about {term.axis}" if term.what == "torque" else f"angle of the {term.axis} encoder"
-        name, whose = readable_id(term.id), "cause"
-        if name != term.id:
-            name, whose = f"curve in place of the unknown: {name.removeprefix('any ')}", "curve"
-        _dots(before, term.missing, term)
-        _dots(after, term.remaining, term)
-        quantity, value = (
-            _binned(term.quantity, term.contribution, 4 * _BINS)
-            if term.what == "torque" and not along_time
-            else (term.quantity, term.contribution)
-        )
-        label = f"smooth {whose}" if whose == "curve" else "equation of the cause"
-        before.plot(quantity, value, color=AFTER, lw=1.4 if along_time else 2.2, label=label)
-        before.set_title(
-            f"{name}\nbefore: {noun} that the model lacks", fontsize=10.5, color=BEFORE, loc="left"
-        )
-        after.set_title(
-            f"after: what remains with the {whose} in the model", fontsize=10.5, color=AFTER, loc="left"
-        )
-        before.set_ylabel(f"{noun} [{term.unit}]", fontsize=10)
-        for panel in (before, after):
-            panel.axhline(0.0, color="#9aa0a6", lw=0.8, zorder=0)
-            panel.set_xlabel(f"{term.on} [{term.on_unit}]", fontsize=10)
-            panel.grid(alpha=0.25)
-        wide = 2.0 * term.std if term.what == "angle" else np.zeros(1)
-        shown = np.concatenate((term.missing - wide, term.missing + wide, term.remaining, term.contribution))
-        low, top = np.quantile(shown, [_TAIL, 1.0 - _TAIL])
-        margin = 0.12 * (top - low)
-        before.set_ylim(min(low, value.min()) - margin, max(top, value.max()) + margin)
-        ends = np.quantile(term.quantity, [_TAIL, 1.0 - _TAIL])
-        for panel in (before, after):
-            panel.set_xlim(*(ends + np.array([-0.03, 0.03]) * np.ptp(ends)))
-        before.legend(loc="best", fontsize=9, framealpha=0.85)
+    height = 4.1 * len(terms)
+    figure = Figure(figsize=(11, height))
+    panels = figure.subplots(len(terms), 2, sharey="row", squeeze=False)
+    figure.subplots_adjust(0.085, 0.62 / height, 0.985, 1.0 - 0.6 / height, wspace=0.05, hspace=0.48)
+    for term, (before, after) in zip(terms, panels, strict=True):
+        if term.on == TIME:
+            _draw_missing_term(_part_of_largest_contribution(term), before, after)
+        else:
+            _draw_missing_term(term, before, after)
     return figure
 
 
-def _busy_part(term: MissingTerm) -> MissingTerm:
-    """The part of one flight in which a term contributes most, short enough for distinct lines."""
+def _draw_missing_term(term: MissingTerm, before: Axes, after: Axes) -> None:
+    """Draw the missing values of a term with its contribution, and what remains with it in the model."""
+    noun = f"torque about {term.axis}" if term.what == "torque" else f"angle of the {term.axis} encoder"
+    is_spline = readable_id(term.id) != term.id
+    if is_spline:
+        name = f"curve in place of the unknown: {readable_id(term.id).removeprefix('any ')}"
+        kind, label = "curve", "smooth curve"
+    else:
+        name, kind, label = term.id, "cause", "equation of the cause"
+    _draw_dots(before, term.missing, term)
+    _draw_dots(after, term.remaining, term)
+    quantity, contribution = term.quantity, term.contribution
+    if term.what == "torque" and term.on != TIME:
+        quantity, contribution = _bin_means(quantity, contribution, 4 * _BINS)
+    before.plot(quantity, contribution, color=AFTER, lw=1.4 if term.on == TIME else 2.2, label=label)
+    before.set_title(f"{name}\nbefore: {noun} that the model lacks", fontsize=10.5, color=BEFORE, loc="left")
+    after.set_title(
+        f"after: what remains with the {kind} in the model", fontsize=10.5, color=AFTER, loc="left"
+    )
+    before.set_ylabel(f"{noun} [{term.unit}]", fontsize=10)
+    for panel in (before, after):
+        panel.axhline(0.0, color="#9aa0a6", lw=0.8, zorder=0)
+        panel.set_xlabel(f"{term.on} [{term.on_unit}]", fontsize=10)
+        panel.grid(alpha=0.25)
+    bar = 2.0 * term.std if term.what == "angle" else np.zeros(1)
+    values = np.concatenate((term.missing - bar, term.missing + bar, term.remaining, term.contribution))
+    low, high = np.quantile(values, [_TAIL, 1.0 - _TAIL])
+    margin = 0.12 * (high - low)
+    before.set_ylim(min(low, contribution.min()) - margin, max(high, contribution.max()) + margin)
+    ends = np.quantile(term.quantity, [_TAIL, 1.0 - _TAIL])
+    for panel in (before, after):
+        panel.set_xlim(*(ends + np.array([-0.03, 0.03]) * np.ptp(ends)))
+    before.legend(loc="best", fontsize=9, framealpha=0.85)
+
+
+def _part_of_largest_contribution(term: MissingTerm) -> MissingTerm:
+    """Return the part of one flight in which a term contributes most, short enough for distinct lines."""
     t_s = term.quantity
     # The times of several flights follow each other, so that time steps back between them.
     ends = np.append(np.flatnonzero(np.diff(t_s) < 0.0) + 1, len(t_s))
@@ -91,7 +94,7 @@ def _busy_part(term: MissingTerm) -> MissingTerm:
     squares = np.append(0.0, np.cumsum(np.square(term.contribution)))
     parts = []
     for start, end in zip(starts, ends, strict=True):
-        stops = start + np.searchsorted(t_s[start:end], t_s[start:end] + _BUSY_s)
+        stops = start + np.searchsorted(t_s[start:end], t_s[start:end] + _LINES_s)
         first = start + int(np.argmax(squares[stops] - squares[start:end]))
         parts.append(slice(first, int(stops[first - start])))
     part = max(parts, key=lambda part: float(squares[part.stop] - squares[part.start]))
@@ -99,8 +102,8 @@ def _busy_part(term: MissingTerm) -> MissingTerm:
     return replace(term, **{name: getattr(term, name)[part] for name in names})
 
 
-def _dots(panel: Axes, value: Floats, term: MissingTerm) -> None:
-    """Draw the missing torque or angle of a `term`, shape (n,), over the quantity that it depends on."""
+def _draw_dots(panel: Axes, value: Floats, term: MissingTerm) -> None:
+    """Draw values of a missing term over its quantity: dots, and means or error bars."""
     quantity = term.quantity
     if term.on == TIME:
         panel.plot(quantity, value, ".", ms=3.5, color=MEASURED, label="from the flights")
@@ -117,17 +120,19 @@ def _dots(panel: Axes, value: Floats, term: MissingTerm) -> None:
             label="from the flights",
         )
         return
-    keep = slice(None, None, max(1, len(quantity) // _MAX_DOTS))
-    panel.plot(quantity[keep], value[keep], ".", ms=2.5, color="#b4b9bf", rasterized=True)
-    panel.plot(*_binned(quantity, value, _BINS), "o", ms=5, color=MEASURED, label="from the flights, means")
+    thinned_rows = slice(None, None, max(1, len(quantity) // _MAX_DOTS))
+    panel.plot(quantity[thinned_rows], value[thinned_rows], ".", ms=2.5, color="#b4b9bf", rasterized=True)
+    panel.plot(
+        *_bin_means(quantity, value, _BINS), "o", ms=5, color=MEASURED, label="from the flights, means"
+    )
 
 
-def _binned(quantity: Floats, value: Floats, bins: int) -> tuple[Floats, Floats]:
-    """Means of `quantity` and `value` over `bins` parts of equally many dots, in order of the quantity."""
-    parts = np.array_split(np.argsort(quantity), min(bins, len(quantity)))
-    quantity_means = np.array([quantity[part].mean() for part in parts])
-    value_means = np.array([value[part].mean() for part in parts])
-    return quantity_means, value_means
+def _bin_means(quantity: Floats, value: Floats, bins: int) -> tuple[Floats, Floats]:
+    """Return the means of quantity and value, (bins,) each, in `bins` bins of equally many dots."""
+    bin_rows = np.array_split(np.argsort(quantity), min(bins, len(quantity)))
+    mean_quantity = np.array([quantity[rows].mean() for rows in bin_rows])
+    mean_value = np.array([value[rows].mean() for rows in bin_rows])
+    return mean_quantity, mean_value
 
 
 def figure_of_prediction(
@@ -148,77 +153,79 @@ def figure_of_prediction(
     """
     from matplotlib.figure import Figure
 
-    old, new = trace(before), trace(after)
-    order = sorted(range(3), key=lambda axis: AXES[axis] != first)
-    keep = _excerpt(old, order[0])
-    t_s = old.t_s[keep]
+    baseline, extended = trace(before), trace(after)
+    axes = sorted(range(3), key=lambda axis: AXES[axis] != first)
+    excerpt = _excerpt(baseline, axes[0])
+    t_s = baseline.t_s[excerpt]
     figure = Figure(figsize=(11, 7.2))
     panels = figure.subplots(4, 1, sharex=True, height_ratios=[2.4, 1.3, 1.0, 1.0])
     figure.subplots_adjust(0.085, 0.075, 0.985, 0.955, hspace=0.13)
-    angle = panels[0]
-    measured = np.rad2deg(old.measured_rad[keep, order[0]])
-    angle.plot(t_s, measured, ".", ms=2.2, color=MEASURED, label="measured")
-    models = [(old, BEFORE, "baseline"), (new, AFTER, "extended")][: 1 if before is after else 2]
+    angle_panel = panels[0]
+    measured_deg = np.rad2deg(baseline.measured_rad[excerpt, axes[0]])
+    angle_panel.plot(t_s, measured_deg, ".", ms=2.2, color=MEASURED, label="measured")
+    models = [(baseline, BEFORE, "baseline"), (extended, AFTER, "extended")][: 1 if before is after else 2]
     for run, color, label in models:
-        for window in (w for w in run.windows if w.start >= keep.start and w.stop <= keep.stop):
-            name = label if window.start == keep.start else None
-            angle.plot(
+        for window in (w for w in run.windows if w.start >= excerpt.start and w.stop <= excerpt.stop):
+            name = label if window.start == excerpt.start else None
+            angle_panel.plot(
                 run.t_s[window],
-                np.rad2deg(run.predicted_rad[window, order[0]]),
+                np.rad2deg(run.predicted_rad[window, axes[0]]),
                 color=color,
                 lw=1.1,
                 label=name,
             )
-            begin = (run.t_s[window.start], np.rad2deg(run.predicted_rad[window.start, order[0]]))
-            angle.plot(*begin, "o", ms=4.5, mfc="white", mec=color, mew=1.1, zorder=4)
-            for panel, axis in zip(panels[1:], order, strict=True):
+            begin = (run.t_s[window.start], np.rad2deg(run.predicted_rad[window.start, axes[0]]))
+            angle_panel.plot(*begin, "o", ms=4.5, mfc="white", mec=color, mew=1.1, zorder=4)
+            for panel, axis in zip(panels[1:], axes, strict=True):
                 error_deg = np.rad2deg(run.predicted_rad[window, axis] - run.measured_rad[window, axis])
                 panel.plot(run.t_s[window], error_deg, color=color, lw=0.9)
-    shaded_s = [(a, b) for a, b in outside_s if t_s[0] <= a and b <= t_s[-1]]
+    shaded_s = [(begin_s, end_s) for begin_s, end_s in outside_s if t_s[0] <= begin_s and end_s <= t_s[-1]]
     for number, (begin_s, end_s) in enumerate(shaded_s):
         for panel in panels:
-            name = "voltages that were not fitted" if not number and panel is angle else None
+            name = "voltages that were not fitted" if not number and panel is angle_panel else None
             panel.axvspan(begin_s, end_s, color="#f3e3c3", lw=0.0, zorder=-1, label=name)
-    angle.set_ylabel(f"{AXES[order[0]]} [deg]", fontsize=10)
-    for panel, axis in zip(panels[1:], order, strict=True):
+    angle_panel.set_ylabel(f"{AXES[axes[0]]} [deg]", fontsize=10)
+    for panel, axis in zip(panels[1:], axes, strict=True):
         panel.axhline(0.0, color="#9aa0a6", lw=0.8, zorder=0)
-        half_deg = _half_count_deg(old)[axis]
+        half_deg = _half_count_deg(baseline)[axis]
         panel.axhspan(-half_deg, half_deg, color="#c9ced4", lw=0.0, zorder=0.5)
         panel.set_ylabel(f"{AXES[axis]}\nerror [deg]", fontsize=9)
     for panel in panels:
         panel.grid(alpha=0.25)
         panel.margins(x=0.01)
     figure.legend(
-        *angle.get_legend_handles_labels(),
+        *angle_panel.get_legend_handles_labels(),
         loc="upper right",
         ncols=4,
         fontsize=9,
         frameon=False,
         markerscale=4,
     )
-    angle.set_title(f"{old.label}, simulated in runs of 2 s", fontsize=10.5, loc="left")
+    angle_panel.set_title(f"{baseline.label}, simulated in runs of 2 s", fontsize=10.5, loc="left")
     panels[-1].set_xlabel("time of the flight [s]", fontsize=10)
     return figure
 
 
-def _half_count_deg(drawn: Trace) -> Floats:
-    """Half a count of each encoder: the largest error that rounding makes."""
-    result: Floats = np.rad2deg(np.sqrt(3.0) * drawn.sigma_rad)
+def _half_count_deg(run: Trace) -> Floats:
+    """Return half a count of each encoder [deg], (3,): the largest rounding error."""
+    result: Floats = np.rad2deg(np.sqrt(3.0) * run.sigma_rad)
     return result
 
 
-def _excerpt(drawn: Trace, axis: int) -> slice:
-    """Consecutive windows, of at most `_EXCERPT_s` in total, with the largest error of an axis."""
-    spans = [
-        (drawn.t_s[a.start], drawn.t_s[b.stop - 1], a.start, b.stop)
-        for a in drawn.windows
-        for b in drawn.windows
-    ]
-    fits = [(a, b) for start_s, stop_s, a, b in spans if 0.0 < stop_s - start_s <= _EXCERPT_s]
-    if not fits:
-        return slice(drawn.windows[0].start, drawn.windows[0].stop)
-    squares = np.concatenate(([0.0], np.cumsum(drawn.residual[:, axis] ** 2)))
-    return slice(*max(fits, key=lambda span: float(squares[span[1]] - squares[span[0]])))
+def _excerpt(run: Trace, axis: int) -> slice:
+    """Return the rows of consecutive windows, at most `_EXCERPT_s` in total, with the largest error of an
+    axis.
+    """
+    candidates = []
+    for first in run.windows:
+        for last in run.windows:
+            duration_s = run.t_s[last.stop - 1] - run.t_s[first.start]
+            if 0.0 < duration_s <= _EXCERPT_s:
+                candidates.append(slice(first.start, last.stop))
+    if not candidates:
+        return slice(run.windows[0].start, run.windows[0].stop)
+    squares = np.concatenate(([0.0], np.cumsum(run.residual[:, axis] ** 2)))
+    return max(candidates, key=lambda rows: float(squares[rows.stop] - squares[rows.start]))
 
 
 def figure_of_gain(

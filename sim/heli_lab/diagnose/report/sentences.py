@@ -25,15 +25,15 @@ METRIC: Final = "2 s free-run rms on the validation flights, deg"
 def title(result: Diagnosis) -> str:
     """Write the verdict as a headline that claims no more than `summary` does."""
     causes = findings.causes(result)
-    named = [cause["effect"] for cause in causes]
-    plural = "s" * (len(named) > 1)
-    certain = all(cause["confidence"] >= CONFIDENCE_RANDOM_TORQUE for cause in causes)
-    heading = f"Cause{plural} found" if certain else f"Probable cause{plural}"
+    effects = [cause["effect"] for cause in causes]
+    plural = "s" * (len(effects) > 1)
+    is_certain = all(cause["confidence"] >= CONFIDENCE_RANDOM_TORQUE for cause in causes)
+    heading = f"Cause{plural} found" if is_certain else f"Probable cause{plural}"
     return {
         "explained": "Nothing is missing that these flights show",
-        "cause_found": f"{heading}: {', '.join(named)}",
+        "cause_found": f"{heading}: {', '.join(effects)}",
         "ambiguous": "Something is missing; these flights do not distinguish its possible causes",
-        "unexplained": "Something unknown is missing" + (", perhaps with known causes" if named else ""),
+        "unexplained": "Something unknown is missing" + (", perhaps with known causes" if effects else ""),
     }[result.label]
 
 
@@ -41,33 +41,33 @@ def summary(result: Diagnosis | InsufficientExcitation) -> str:
     """Write the result in a sentence or two: the same on the page, on a terminal and in the JSON."""
     if isinstance(result, InsufficientExcitation):
         return f"These flights do not show what the model lacks: {result.why}."
-    cut = (
+    limit_text = (
         "" if result.search.complete else " The limit of refits ended the search before everything was tried."
     )
-    return _verdict(result) + cut
+    return _verdict_text(result) + limit_text
 
 
-def _verdict(result: Diagnosis) -> str:
-    """The verdict with its causes, and what remains, in a sentence or two."""
+def _verdict_text(result: Diagnosis) -> str:
+    """Write the verdict with its causes, or with what no effect explains."""
     label = result.label
     causes = findings.causes(result)
     held_out = result.assessment.after.held_out_fit
-    where = "flights that no fit used" if held_out else "the fitted flights"
-    remaining = f" What remains are disturbances: {disturbances_in_words(result)}."
+    flights_text = "flights that no fit used" if held_out else "the fitted flights"
+    disturbance_text = f" What remains are disturbances: {disturbances_in_words(result)}."
     if label == "explained":
         return (
             "Nothing is missing that these flights could show: the errors of the refitted baseline on "
-            f"{where} cannot be predicted.{remaining}"
+            f"{flights_text} cannot be predicted.{disturbance_text}"
         )
     if label in ("cause_found", "ambiguous"):
         text = "; ".join(stated(cause) for cause in causes)
         others = sorted({other for cause in causes for other in cause["ambiguous_with"]})
-        unclear = f" These flights do not distinguish it from {', '.join(others)}." if others else ""
+        ambiguity_text = f" These flights do not distinguish it from {', '.join(others)}." if others else ""
         for cause in causes:
             family = cause.get("family")
             if family and {*cause["ambiguous_with"]} & {*family["members"]}:
-                unclear += f" {family['sentence'][:1].upper()}{family['sentence'][1:]}."
-        return f"{text[:1].upper()}{text[1:]}.{unclear}{remaining}"
+                ambiguity_text += f" {family['sentence'][:1].upper()}{family['sentence'][1:]}."
+        return f"{text[:1].upper()}{text[1:]}.{ambiguity_text}{disturbance_text}"
     missing = findings.unexplained(result) or {}
     text = (
         "Something is missing that no effect of the catalogue explains: "
@@ -75,8 +75,10 @@ def _verdict(result: Diagnosis) -> str:
         f"with {evidence_in_words(missing['log_likelihood_gain'])}."
     )
     if causes:
-        perhaps = "; ".join(f"{cause['sentence']} (confidence {cause['confidence']:.2f})" for cause in causes)
-        text += f" Together with it, perhaps: {perhaps}."
+        cause_text = "; ".join(
+            f"{cause['sentence']} (confidence {cause['confidence']:.2f})" for cause in causes
+        )
+        text += f" Together with it, perhaps: {cause_text}."
     return text
 
 
@@ -131,7 +133,9 @@ def lines(result: Diagnosis | InsufficientExcitation) -> list[str]:
     for cause in findings.causes(result):
         others = cause["ambiguous_with"]
         unclear = f"; not distinguished from {', '.join(others)}" if others else ""
-        lines.append(f"{cause['effect']} (confidence {cause['confidence']:.2f}{unclear}{_confirmed(cause)})")
+        lines.append(
+            f"{cause['effect']} (confidence {cause['confidence']:.2f}{unclear}{_confirmation_text(cause)})"
+        )
     lines += small_effect_lines(result)
     lines.append(f"{metric(result)}, before and after, and their ratio:")
     for axis, reduction in result.error_reductions.items():
@@ -165,7 +169,7 @@ def small_effect_lines(result: Diagnosis) -> list[str]:
     ]
 
 
-def _confirmed(cause: Mapping[str, Any]) -> str:
+def _confirmation_text(cause: Mapping[str, Any]) -> str:
     """Whether a cause is confirmed, as the end of a remark on it; empty for one that was not tested."""
     if "confirmed" not in cause:
         return ""

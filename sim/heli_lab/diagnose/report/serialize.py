@@ -14,6 +14,7 @@ from heli_lab.diagnose.evaluate import (
     FailingRegions,
     FreeRun,
     PriorConflict,
+    RegionTest,
     ResidualAnalysis,
 )
 from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
@@ -38,7 +39,7 @@ def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
     next_flight and more. Numbers are null if the flights excite nothing.
     """
     if isinstance(result, InsufficientExcitation):
-        return _of_insufficient_excitation(result)
+        return _insufficient_excitation_json(result)
     experiment = result.next_flight
     return {
         "verdict": result.label,
@@ -66,8 +67,8 @@ def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
     }
 
 
-def _of_insufficient_excitation(result: InsufficientExcitation) -> dict[str, Any]:
-    """The keys of a diagnosis without numbers, for flights that excite nothing."""
+def _insufficient_excitation_json(result: InsufficientExcitation) -> dict[str, Any]:
+    """Return the JSON object of flights that excite nothing; numbers of a diagnosis are None or empty."""
     unknown = {"before": None, "after": None}
     gains = {axis: {**unknown, "ratio": None, "interval95": None} for axis in AXES}
     return {
@@ -166,7 +167,7 @@ def proposal_json(proposal: Proposal) -> dict[str, Any]:
 
 
 def _channel(term: ProposedTerm, channel: str) -> dict[str, str]:
-    """Expression of a proposed equation for one `channel`, with symbols and with numbers."""
+    """Return the terms of an equation on a channel, with names and with values of its parameters."""
     return {
         "channel": channel,
         "unit": CHANNELS[channel][0],
@@ -176,33 +177,35 @@ def _channel(term: ProposedTerm, channel: str) -> dict[str, str]:
 
 
 def _failing_regions(regions: FailingRegions) -> dict[str, Any]:
-    """Cells of the plane in which the model fails, before and after."""
+    """Return the cells of the plane in which the model fails, before and after the extension."""
+
+    def cells_of(test: RegionTest) -> dict[str, Any]:
+        return {
+            "share_of_time": test.share,
+            "missing_torque_rms_Nm": test.rms_Nm,
+            "cells": [
+                {
+                    "x": [float(regions.x_edges[i]), float(regions.x_edges[i + 1])],
+                    "y": [float(regions.y_edges[j]), float(regions.y_edges[j + 1])],
+                    "standard_deviations": float(test.z[i, j]),
+                }
+                for i, j in zip(*test.fails.nonzero(), strict=True)
+            ],
+        }
+
     return {
         "axis": regions.axis,
         "x": regions.x,
         "y": regions.y,
         "units": [QUANTITIES[regions.x][1], QUANTITIES[regions.y][1]],
         "false_discovery_rate": FALSE_DISCOVERY_RATE,
-        **{
-            name: {
-                "share_of_time": test.share,
-                "missing_torque_rms_Nm": test.rms_Nm,
-                "cells": [
-                    {
-                        "x": [float(regions.x_edges[i]), float(regions.x_edges[i + 1])],
-                        "y": [float(regions.y_edges[j]), float(regions.y_edges[j + 1])],
-                        "standard_deviations": float(test.z[i, j]),
-                    }
-                    for i, j in zip(*test.fails.nonzero(), strict=True)
-                ],
-            }
-            for name, test in (("before", regions.before), ("after", regions.after))
-        },
+        "before": cells_of(regions.before),
+        "after": cells_of(regions.after),
     }
 
 
 def _prior_conflict(conflict: PriorConflict) -> dict[str, Any]:
-    """A parameter whose estimate contradicts its prior."""
+    """Return a conflict of an estimate with its prior, and the estimate without the prior."""
     return {
         "parameter": conflict.name,
         "value": conflict.value,
@@ -215,7 +218,7 @@ def _prior_conflict(conflict: PriorConflict) -> dict[str, Any]:
 
 
 def _residual(result: Diagnosis) -> dict[str, Any]:
-    """Normalised errors before and after, by axis and in total, and whether they are white."""
+    """Return normalised errors before and after, by axis and in total, and whether they are white."""
     before, after = result.assessment.before, result.assessment.after
     white, correlation = {}, {}
     for role, before_fit, after_fit in (
@@ -247,7 +250,7 @@ def _residual(result: Diagnosis) -> dict[str, Any]:
 
 
 def _innovations(analysis: ResidualAnalysis) -> dict[str, Any]:
-    """Autocorrelation of the innovations, its bound for white noise, and what predicts them."""
+    """Return the autocorrelation of the innovations, its bound for white noise, and the dependences."""
     return {
         "lags_s": list(analysis.lags_s),
         "autocorrelation": {axis: analysis.autocorrelation[:, i].tolist() for i, axis in enumerate(AXES)},
@@ -257,7 +260,7 @@ def _innovations(analysis: ResidualAnalysis) -> dict[str, Any]:
 
 
 def _flights(result: Diagnosis) -> list[dict[str, Any]]:
-    """Parts of the flights that were used, and why others were not."""
+    """Return for each flight the parts that were used, and the reasons why others were not."""
     flights = []
     before = result.assessment.before
     for role, fit in (("train", before.fit), ("held_out", before.held_out_fit)):
@@ -276,7 +279,7 @@ def _flights(result: Diagnosis) -> list[dict[str, Any]]:
 
 
 def _ranking(result: Diagnosis) -> list[dict[str, Any]]:
-    """The candidates of each round with their scores."""
+    """Return the best candidates of each round with scores, gains of refits, and penalties."""
     rows = []
     for number, round_ in enumerate(result.search.rounds, 1):
         refits = {refit.candidate.id: refit for refit in round_.refits}
@@ -296,7 +299,7 @@ def _ranking(result: Diagnosis) -> list[dict[str, Any]]:
 
 
 def _gain(result: Diagnosis) -> dict[str, Any]:
-    """Free-run errors before and after at each horizon, and the calibrated constants."""
+    """Return free-run errors before and after at each horizon, calibrated constants and extrapolations."""
     extension = result.held_out.extension
     return {
         "metric": metric(result),
@@ -336,7 +339,7 @@ def _gain(result: Diagnosis) -> dict[str, Any]:
 
 
 def _constants(run: FreeRun) -> dict[str, dict[str, Any]]:
-    """Calibrated zeros and torques: value, standard error, prior and unit of each."""
+    """Return the calibrated zeros and torques by name: value, standard error, prior and unit."""
     units = {quantity.name: quantity.unit for quantity in run.fit.problem.model.parameters}
     return {
         name: {

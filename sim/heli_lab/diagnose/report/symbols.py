@@ -121,11 +121,11 @@ def legend(effect: str, equation: str, parameters: Sequence[str] = ()) -> list[M
     parameters : sequence of str
         Meanings of its parameters, which contain their symbols.
     """
-    known = {**_MEANINGS, **_DIFFERENT.get(effect.partition(".")[0], {})}
+    meanings = {**_MEANINGS, **_DIFFERENT.get(effect.partition(".")[0], {})}
     return [
-        Meaning(*_shown(symbol), known[symbol])
+        Meaning(*_letter_and_index(symbol), meanings[symbol])
         for symbol in symbols_of(equation)
-        if symbol in known and not explained_by(symbol, parameters)
+        if symbol in meanings and not explained_by(symbol, parameters)
     ]
 
 
@@ -135,11 +135,11 @@ def explained_by(symbol: str, meanings: Sequence[str]) -> bool:
     return any(word.search(meaning) for meaning in meanings)
 
 
-def _shown(symbol: str) -> tuple[str, str]:
-    """Split a symbol into its letter and its subscript, with Greek letters."""
+def _letter_and_index(symbol: str) -> tuple[str, str]:
+    """Return the letter and the subscript of a symbol, with Greek letters."""
     letter, _, index = symbol.partition("_")
-    return _letter(letter), _letter(index.strip("{}"))
+    return _with_greek(letter), _with_greek(index.strip("{}"))
 
 
-def _letter(text: str) -> str:
+def _with_greek(text: str) -> str:
     return _GREEK.get(text.removeprefix("\\"), text)

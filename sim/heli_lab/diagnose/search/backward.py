@@ -72,7 +72,7 @@ class BackwardElimination:
         final : Hypothesis
             The model with the cause.
         cause_id : str
-            Id of the cause that is left out.
+            Id of the contradicted cause.
         reduced : Hypothesis
             The model without it.
         """

@@ -26,7 +26,7 @@ class Direction:
         Its fitted flights estimate the parameters, its held-out flights judge.
     baseline : Hypothesis
         The model without causes on the fitted flights.
-    full : Hypothesis
+    whole : Hypothesis
         The model with all causes on the fitted flights.
     log_likelihood_ratio : Mapping[str, float]
         Log-likelihood ratio of each cause on the judging flights, nats, by id.
@@ -34,7 +34,7 @@ class Direction:
 
     comparison: ModelComparison
     baseline: Hypothesis
-    full: Hypothesis
+    whole: Hypothesis
     log_likelihood_ratio: Mapping[str, float]
 
 
@@ -55,19 +55,19 @@ def direction(
     """
     candidates = with_fixed_moments(final)
     baseline = comparison.filtering_baseline
-    full = _refit(comparison, candidates, final.estimate, fitted_start)
-    likelihood = comparison.held_out_estimate(full, held_out_start).log_likelihood
+    whole = _refit(comparison, candidates, final.estimate, fitted_start)
+    likelihood = comparison.held_out_estimate(whole, held_out_start).log_likelihood
 
     def ratio(candidate: Candidate) -> float:
         other_causes = tuple(other for other in candidates if other is not candidate)
         reduced = baseline
         if other_causes:
-            reduced = _refit(comparison, other_causes, full.estimate, full.estimate)
+            reduced = _refit(comparison, other_causes, whole.estimate, whole.estimate)
         return likelihood - comparison.held_out_estimate(reduced, held_out_start).log_likelihood
 
     ratios = parallel_map(ratio, candidates)
     ids = (candidate.id for candidate in candidates)
-    return Direction(comparison, baseline, full, dict(zip(ids, ratios, strict=True)))
+    return Direction(comparison, baseline, whole, dict(zip(ids, ratios, strict=True)))
 
 
 def _refit(

@@ -104,23 +104,23 @@ class SplineTerm(Effect):
 
     def torque_Nm(self, at: Operands) -> ca.SX:
         """Torque of the curve about its axis [N m], shape (3, 1); see `Effect.torque_Nm`."""
-        kind, where = self.channel.split(".")
-        return ca.vertcat(*(self._curve(at) if kind == "torque" and where == axis else 0 for axis in AXES))
+        kind, place = self.channel.split(".")
+        return ca.vertcat(*(self._curve(at) if kind == "torque" and place == axis else 0 for axis in AXES))
 
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         """Thrust scaled by the curve [N], shape (2, 1); see `Effect.thrust_N`."""
-        kind, where = self.channel.split(".")
+        kind, place = self.channel.split(".")
         if kind != "thrust":
             return thrust_N
         share = self._curve(at)
-        return thrust_N * ca.vertcat(1 + share, 1 + share if where == "both" else 1 - share)
+        return thrust_N * ca.vertcat(1 + share, 1 + share if place == "both" else 1 - share)
 
     def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
         """Measured angles with the curve added [rad], shape (3, 1); see `Effect.measured_rad`."""
-        kind, where = self.channel.split(".")
+        kind, place = self.channel.split(".")
         if kind != "measurement":
             return angles_rad
-        return angles_rad + ca.vertcat(*(self._curve(at) if where == axis else 0 for axis in AXES))
+        return angles_rad + ca.vertcat(*(self._curve(at) if place == axis else 0 for axis in AXES))
 
 
 def bspline(distance: ca.SX) -> ca.SX:
