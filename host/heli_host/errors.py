@@ -187,9 +187,9 @@ class LinkVersionMismatch(LinkError):
         self.board_hash = board_hash
         self.firmware_version = firmware_version
         super().__init__(
-            f"the board (firmware {firmware_version}) speaks link {board_version} ({board_hash:08x}), "
-            f"this host link {host_version} ({host_hash:08x})",
-            "flash the firmware of this release, or install the heli_host that belongs to the board's",
+            f"the board (firmware {firmware_version}) has link version {board_version} ({board_hash:08x}), "
+            f"but this host has {host_version} ({host_hash:08x})",
+            "flash the firmware of this release, or install the heli_host of the board's release",
         )
 
 

@@ -35,7 +35,7 @@ def done(cage: WorkerProcess, how: str) -> JobResult:
     [
         ("crashes", "its process crashed: SIGSEGV"),
         ("leaves", "its process crashed: exit status 7"),
-        pytest.param("runs away", "over 1 s of CPU: it ran away", marks=pytest.mark.slow),
+        pytest.param("runs away", "the case used more than 1 s of CPU", marks=pytest.mark.slow),
         ("raises", "ValueError: seven lines of it"),
         ("refuses", "no such thing; ask for another"),
         ("returns a dict", f"{BAD} returned a dict; {PAIR}"),
@@ -56,7 +56,7 @@ def test_what_a_case_does_wrong_is_said_in_a_line_and_the_next_is_done(
 
 def test_a_case_that_waits_for_ever_is_ended_by_the_clock() -> None:
     with WorkerProcess(Limits(cpu_s=60.0, wait_s=0.5)) as cage:
-        assert done(cage, "hangs").failure == "no answer after 0.5 s: it hung"
+        assert done(cage, "hangs").failure == "no answer within 0.5 s"
 
 
 def test_work_that_does_not_exist_is_the_failure_of_its_case(cage: WorkerProcess) -> None:

@@ -119,7 +119,7 @@ class WorkerProcess:
             line = self._replies.get(timeout=self.limits.wait_s)
         except queue.Empty:
             self.close()
-            return JobResult(case.name, key, failure=f"no answer after {self.limits.wait_s:g} s: it hung")
+            return JobResult(case.name, key, failure=f"no answer within {self.limits.wait_s:g} s")
         if not line.endswith(b"\n"):
             return self._ended(case, key)
         reply = json.loads(line)
@@ -133,7 +133,9 @@ class WorkerProcess:
         name = signal.Signals(-code).name if code < 0 else ""
         if name == "SIGXCPU" or code == _RAN_AWAY:
             limit_s = self.limits.cpu_s
-            return JobResult(case.name, key, failure=f"over {limit_s:g} s of CPU: it ran away", cpu_s=limit_s)
+            return JobResult(
+                case.name, key, failure=f"the case used more than {limit_s:g} s of CPU", cpu_s=limit_s
+            )
         if name in ("SIGKILL", "SIGTERM"):
             return None
         return JobResult(case.name, key, failure=f"its process crashed: {name or f'exit status {code}'}")

@@ -77,8 +77,8 @@ def check_firmware(path: Path) -> Image:
     own = _native.identity()
     if board[0] != own[0]:
         raise FirmwareError(
-            f"{path} (firmware {board[3]}) speaks link {board[1]}.{board[2]} ({board[0]:08x}), "
-            f"this host link {own[1]}.{own[2]} ({own[0]:08x})",
+            f"{path} (firmware {board[3]}) has link version {board[1]}.{board[2]} ({board[0]:08x}), "
+            f"but this host has {own[1]}.{own[2]} ({own[0]:08x})",
             f"build it again, {_MAKE}",
         )
     return image

@@ -311,7 +311,7 @@ def _unknown(missing: dict[str, Any] | None) -> dict[str, Any] | None:
         f"{evidence_in_words(missing['log_likelihood_gain'])}, but no effect of the catalogue explains it. "
         "Possible causes, the most likely first:",
         "depends": [capital(dependence_in_words(dependence)) for dependence in missing["correlates_with"]],
-        "gain": _gain(missing.get("gain_with_splines", {})),
+        "gain": gain_rows(missing.get("gain_with_splines", {})),
     }
 
 
