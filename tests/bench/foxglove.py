@@ -20,8 +20,8 @@ from tests.bench.result import Measured
 from tests.page.page_server import page_of_a_simulated_board
 
 WATCHED_S = 20.0
-BLOCKS = 4
-PRESSES_PER_BLOCK = 50
+BLOCKS = 10
+PRESSES_PER_BLOCK = 25
 
 
 @contextlib.contextmanager

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from pathlib import Path
 from typing import Literal
 
@@ -101,3 +103,27 @@ def test_a_wheel_has_pages_rigs_and_plans_and_no_tests(tmp_path: Path) -> None:
     ):
         assert file in files
     assert not [file for file in files if Path(file).name.startswith(("test_", "conftest", "heli_test_"))]
+
+
+def test_the_container_file_has_the_image_that_editors_build_and_the_packages_of_the_readme() -> None:
+    folder = ROOT / ".devcontainer"
+    container = (folder / "Containerfile").read_text()
+    build = json.loads((folder / "devcontainer.json").read_text())["build"]
+    assert build["dockerfile"] == "Containerfile" and f"AS {build['target']}\n" in container
+    (listed,) = re.findall(r"`sudo apt-get install ([^`]+)`", (ROOT / "README.md").read_text())
+    develop = container.partition("\nFROM develop")[0].split()
+    assert set(listed.split()) <= set(develop)
+    # What an image without a compiler has must not bring one in again.
+    fly = container.rpartition("\nFROM ")[2]
+    assert fly.startswith("debian:") and "g++" not in fly and "COPY --from=build" in fly
+
+
+def test_the_build_of_a_container_gets_every_source_of_the_wheel() -> None:
+    lines = (ROOT / ".devcontainer/Containerfile.dockerignore").read_text().split()
+    assert lines[0] == "*"
+    sent = {line.removeprefix("!") for line in lines[1:]}
+    assert all((ROOT / name).exists() for name in sent)
+    wheel = settings("wheel")
+    assert wheel.wheel.packages is not None
+    needed = {package.partition("/")[0] for package in wheel.wheel.packages}
+    assert needed | {"pyproject.toml", "CMakeLists.txt", "README.md", "LICENSE", "firmware"} <= sent
