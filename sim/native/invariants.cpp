@@ -13,6 +13,7 @@ T value_of(const std::atomic<T>& shared) {
 }  // namespace heli::proofs
 
 #include "duty/invariant.hpp"
+#include "exchange/invariant.hpp"
 #include "interpreter/invariant.hpp"
 #include "mixer/invariant.hpp"
 #include "parser/invariant.hpp"
@@ -27,6 +28,7 @@ const char* broken_invariant(const heli::FlightCode& code, std::int32_t duty_ful
   using heli::proofs::holds;
   const heli::Core& core = code.core;
   if (!holds(core.link_.parser_)) return "parser";
+  if (!holds(core.link_.dispatcher_, core.link_.mailbox_)) return "exchange";
   if (!holds(core.supervisor_)) return "supervisor";
   if (!holds(core.uploaded_.tape_)) return "upload";
   if (!heli::proofs::holds_verified(core.uploaded_.tape_)) return "interpreter";

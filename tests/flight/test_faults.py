@@ -175,3 +175,12 @@ def test_the_status_counts_the_illegal_transitions_of_each_encoder() -> None:
     harness.tick(300)
     status = harness.ask(d.StatusReadMessage(0))
     assert (status.illegal_elevation, status.illegal_pitch, status.illegal_travel) == (3, 5, 7)
+
+
+def test_more_illegal_transitions_than_the_status_can_count_stay_at_its_end() -> None:
+    harness = Harness()
+    for axis, transitions in enumerate((65_535, 65_536, 70_000)):
+        harness.break_encoder(axis, transitions)
+    harness.tick(300)
+    status = harness.ask(d.StatusReadMessage(0))
+    assert (status.illegal_elevation, status.illegal_pitch, status.illegal_travel) == (65_535,) * 3

@@ -219,6 +219,21 @@ def test_a_law_logs_each_of_its_signals_in_its_own_channel() -> None:
     assert logged == pytest.approx([1.0, 2.0, 3.0, 4.0], abs=0.01)
 
 
+def test_a_signal_that_has_more_digits_than_a_float_keeps_its_size() -> None:
+    # On the line a signal counts steps of 1e-5: 200 is above 2^24, where a float has no fraction.
+    @control_law(name="large")
+    def law(now: Any, state: Any, parameter: Any) -> Command:
+        return Command(1.5, 1.5, signals={"large": 200.0, "low": -1000.0})
+
+    harness = hovering()
+    assert engage(harness, law.program).result == Result.OK
+    harness.keep_flying(200)
+    payload = [frame.payload for frame in harness.frames if frame.id == d.MessageId.TELEMETRY][-1]
+    last = TelemetryDecoder().decode([payload]).raw[-1]
+    logged = [float(physical(last, channel)) for channel in (Channel.SIGNAL_1, Channel.SIGNAL_2)]
+    assert logged == pytest.approx([200.0, -1000.0], rel=1e-6)
+
+
 def test_a_law_as_long_as_the_tape_is_received_and_a_word_more_is_refused() -> None:
     harness = Harness()
     longest = harness.ask(d.LawBeginMessage(0, 1, d.LAW_WORDS))

@@ -16,6 +16,7 @@ from heli_host.declaration import (
     PingMessage,
     Result,
     SetpointMessage,
+    StatusReadMessage,
     StopMessage,
 )
 from hypothesis import given
@@ -131,6 +132,15 @@ def test_a_stop_is_executed_though_256_pings_brought_its_number_round_again() ->
     harness.ask(StopMessage(9))
     for request in range(10, 10 + 255):
         harness.turn(harness.frame(PingMessage(request % 256, 0)))
+    harness.ask(StopMessage(9))
+    assert len(harness.executed) == 2
+
+
+def test_a_stop_is_executed_though_commands_of_one_byte_brought_its_number_round_again() -> None:
+    harness = open_harness()
+    harness.ask(StopMessage(9))
+    for request in range(10, 10 + 255):
+        harness.turn(harness.frame(StatusReadMessage(request % 256)))
     harness.ask(StopMessage(9))
     assert len(harness.executed) == 2
 

@@ -200,6 +200,18 @@ def test_a_stored_value_out_of_the_new_range_becomes_the_default_and_is_reported
     assert origin(board) == (len(PARAMS) - 1, 1, [HOVER])
 
 
+@pytest.mark.parametrize("index", [HOVER, 0, len(PARAMS) - 1])
+def test_a_stored_value_that_this_board_cannot_use_is_dropped_and_reported(index: int) -> None:
+    board = saved_board(3.0)
+    params, store = core_link.Params(), core_link.Store(board)
+    assert store.load(params) == ParamsSource.STORED
+    params.set(index, PARAMS[index].max, True)
+    store.drop(params, index)
+    assert params.get(index) == pytest.approx(PARAMS[index].default)
+    assert store.source == ParamsSource.MIGRATED
+    assert store.origin == (len(PARAMS) - 1, 1, 1 << index)
+
+
 def test_sets_of_the_first_format_are_not_used() -> None:
     # It has no numbers of parameters, only their places under a hash of the whole link.
     board = core_link.Board(DUTY_FULL, PAGE)

@@ -209,6 +209,8 @@ void bind_params(nb::module_& m) {
           "board"_a, nb::keep_alive<1, 2>())
       .def("load", [](Store& s, Params& p) { return static_cast<int>(s.load(p)); })
       .def("save", &Store::save)
+      .def("drop", [](Store& s, Params& p,
+                      std::uint8_t i) { s.drop(p, static_cast<heli::link::Param>(i)); })
       .def_prop_ro("source", [](const Store& s) { return static_cast<int>(s.source()); })
       .def_prop_ro("origin",
                    [](const Store& s) {

@@ -23,6 +23,10 @@ std::string broken_by(const std::string& member) {
   core.tick();
   if (member == "decoded_count") {
     core.link_.parser_.decoded_count_ = heli::link::Parser::kMaxBytes + 1U;
+  } else if (member == "busy") {
+    core.link_.dispatcher_.busy_ = true;
+  } else if (member == "reply_size") {
+    core.link_.dispatcher_.reply_.size = heli::link::Outgoing::kMaxBytes + 1U;
   } else if (member == "fault") {
     core.supervisor_.fault_ = heli::link::Fault::hardware_stop;
   } else if (member == "exciter") {

@@ -11,6 +11,8 @@ from heli_test_native import proofs
     [
         ("none", ""),
         ("decoded_count", "parser"),
+        ("busy", "exchange"),
+        ("reply_size", "exchange"),
         ("fault", "supervisor"),
         ("exciter", "supervisor"),
         ("flying", "upload"),

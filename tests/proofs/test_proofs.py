@@ -10,6 +10,8 @@ from types import ModuleType
 
 import pytest
 
+from tests.running.long import LONG
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -27,7 +29,8 @@ def loaded() -> ModuleType:
 
 prove = loaded()
 CLAIMS = {claim.name: claim for claim in prove.claims()}
-CHEAP = [name for name, claim in CLAIMS.items() if claim.cheap().steps]
+RUN = {name: claim if LONG else claim.cheap() for name, claim in CLAIMS.items()}
+"""`make test` leaves the dear steps to `make prove` and `make long`."""
 
 
 @pytest.fixture(scope="module")
@@ -39,9 +42,9 @@ def prover() -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", CHEAP)
+@pytest.mark.parametrize("name", [name for name, claim in RUN.items() if claim.steps])
 def test_a_claim_is_proved_and_its_mutants_are_refuted(prover: str, name: str) -> None:
-    wrong, properties, _ = prove.judge(prover, CLAIMS[name].cheap())
+    wrong, properties, _ = prove.judge(prover, RUN[name])
     assert wrong == []
     assert properties > 0
 

@@ -83,18 +83,25 @@ class Dispatcher {
   };
 
   void command(const CommandInfo* info, const Frame& frame);
-  void hello(const Frame& frame);
   void local(const Frame& frame);
+  void stream(const CommandInfo& info, const Frame& frame, std::uint32_t tick);
+  void pass_stream();
+
+  // exchange.cpp: commands that the tick executes, and the memory of the last one.
+  void remote(MessageId id, const std::uint8_t* payload, std::uint8_t size);
+  void age_requests(std::uint8_t request);
+
+  // answers.cpp: each makes exactly one answer.
+  void refuse(const Frame& frame, Result result, std::uint8_t detail = 0);
+  void acknowledge(const AckMessage& ack);
+  void hello(const Frame& frame);
+  void ping(const Frame& frame);
   void params_read(const Frame& frame);
+  void report(const Frame& frame, const law::UploadCheck& finding);
   void law_read(const Frame& frame);
   void controller_read(const Frame& frame);
   void params_origin_read(const Frame& frame);
-  void report(const Frame& frame, const law::UploadCheck& finding);
-  void remote(MessageId id, const std::uint8_t* payload, std::uint8_t size);
-  void stream(const CommandInfo& info, const Frame& frame, std::uint32_t tick);
-  void pass_stream();
-  void age_requests(std::uint8_t request);
-  void refuse(const Frame& frame, Result result, std::uint8_t detail = 0);
+  void status_read(const Frame& frame);
   template <class Message>
   void send(const Message& message);
 

@@ -4,6 +4,7 @@
 #include "any.hpp"
 #include "link/crc32.hpp"
 #include "link/declaration.hpp"
+#include "no_interrupt.hpp"
 
 // Contract: whole numbers are any; the first parameters need not be whole.
 namespace std {
@@ -31,9 +32,6 @@ using heli::params::kFewBytes;
 using heli::params::Params;
 using heli::params::Store;
 using heli::proofs::any;
-
-void heli::proofs::interrupt() {}
-void heli::proofs::show_stores() {}
 
 using heli::Page;
 

@@ -2,6 +2,7 @@
 #include "any.hpp"
 #include "law/tape.cpp"
 #include "law/upload.cpp"
+#include "no_interrupt.hpp"
 
 using heli::law::Bits;
 using heli::law::Cells;
@@ -18,9 +19,6 @@ using heli::link::kLawMaxTicks;
 using heli::link::kLawTickCost;
 using heli::link::kLawWords;
 using heli::proofs::any;
-
-void heli::proofs::interrupt() {}
-void heli::proofs::show_stores() {}
 
 // Contract: a function of the bytes.
 std::uint32_t heli::link::crc32(const std::uint8_t*, std::size_t, std::uint32_t) {
