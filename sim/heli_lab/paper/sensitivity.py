@@ -65,8 +65,13 @@ def response_deg(coefficients: Mapping[str, float], test: BenchTest, t_s: Floats
 
     def derivative(x: Floats) -> Floats:
         elevation_rad, rate_rad_s = x
-        gravity_rad_s2 = p["P_2"] * math.cos(elevation_rad) + p["P_3"] * math.sin(elevation_rad)
-        return np.array([rate_rad_s, constant_rad_s2 + gravity_rad_s2 + p["P_4"] * rate_rad_s])
+        acceleration_rad_s2 = (
+            constant_rad_s2
+            + p["P_2"] * math.cos(elevation_rad)
+            + p["P_3"] * math.sin(elevation_rad)
+            + p["P_4"] * rate_rad_s
+        )
+        return np.array([rate_rad_s, acceleration_rad_s2])
 
     x = np.array([table_rad, 0.0])
     substeps = max(1, math.ceil((t_s[1] - t_s[0]) / _STEP_s))

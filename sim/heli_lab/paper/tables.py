@@ -160,6 +160,7 @@ def fit_table(
         When the tests cannot be fitted.
     """
     from_masses, plan = analytic(rig), _PLANS[number]
+    # A coefficient that contains the terms of absorbed ones starts at their sum.
     start = from_masses | dict.fromkeys(plan.absorbed, 0.0)
     if number == 4:
         start["P_1"] = from_masses["P_1"] + from_masses["P_5"]

@@ -26,7 +26,7 @@ class RefittedEquation:
         The model with the equation as its last candidate.
     penalty : float
         Complexity penalty of all its terms, nats.
-    group : Group
+    group : TermGroup
         The terms that were added last.
     held : frozenset of str
         Inner parameters at fixed values, by name without the effect's prefix.
@@ -146,7 +146,7 @@ class EquationRefits:
 
         Parameters
         ----------
-        scored : ScoredGroup
+        scored : ScoredTermGroup
             The group, with its score test.
         equation : Equation
             The equation with the group's terms at its end.

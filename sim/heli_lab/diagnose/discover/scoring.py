@@ -46,7 +46,7 @@ class ScoredTermGroup:
 
     Parameters
     ----------
-    group : Group
+    group : TermGroup
         The terms.
     log_likelihood_gain : float
         Gain that the score test predicts, nats.
@@ -191,12 +191,12 @@ def score(screening: Screening, signals: TermSignals, groups: Sequence[TermGroup
         Scores about the present estimate.
     signals : TermSignals
         Values of the terms along the flights.
-    groups : sequence of Group
+    groups : sequence of TermGroup
         The groups, those of a channel one after the other.
 
     Returns
     -------
-    list of ScoredGroup
+    list of ScoredTermGroup
         The highest score first, without groups that are constant along the flights.
     """
     batches = [

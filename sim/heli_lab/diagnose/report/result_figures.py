@@ -248,38 +248,44 @@ def figure_of_gain(
     figure = Figure(figsize=(11, 3.5))
     panels = figure.subplots(1, 3)
     figure.subplots_adjust(0.065, 0.155, 0.985, 0.83, wspace=0.18)
-    place = np.arange(len(horizons))
+    positions = np.arange(len(horizons))
     for axis, panel, rounding_deg in zip(AXES, panels, np.rad2deg(rounding_rad), strict=True):
-        measured = [horizon[axis] for horizon in horizons.values()]
-        before = np.array([reduction.before_deg for reduction in measured])
-        after = np.array([reduction.after_deg for reduction in measured])
-        ends = before * np.array([reduction.interval95 for reduction in measured]).T
-        panel.bar(place - (0.18 if extended else 0.0), before, 0.32, color=BEFORE, label="baseline")
-        panel.set_xticks(place, [f"{key} s" for key in horizons])
+        reductions = [horizon[axis] for horizon in horizons.values()]
+        before_deg = np.array([reduction.before_deg for reduction in reductions])
+        after_deg = np.array([reduction.after_deg for reduction in reductions])
+        interval_deg = before_deg * np.array([reduction.interval95 for reduction in reductions]).T
+        panel.bar(positions - (0.18 if extended else 0.0), before_deg, 0.32, color=BEFORE, label="baseline")
+        panel.set_xticks(positions, [f"{key} s" for key in horizons])
         panel.axhline(rounding_deg, color=MEASURED, lw=1.0, ls="--", label="rounding of the encoder alone")
         panel.set_title(axis, fontsize=10.5, loc="left")
         panel.set_xlabel("length of the free run", fontsize=9)
         panel.grid(axis="y", alpha=0.25)
         panel.set_axisbelow(True)
         if not extended:
-            panel.set_ylim(0.0, 1.5 * float(max(before.max(), rounding_deg)) or 1.0)
+            panel.set_ylim(0.0, 1.5 * float(max(before_deg.max(), rounding_deg)) or 1.0)
             continue
-        panel.bar(place + 0.18, after, 0.32, color=AFTER, label="extended")
-        whiskers = np.abs(ends - after)
+        panel.bar(positions + 0.18, after_deg, 0.32, color=AFTER, label="extended")
+        whiskers_deg = np.abs(interval_deg - after_deg)
         panel.errorbar(
-            place + 0.18, after, whiskers, fmt="none", ecolor=MEASURED, elinewidth=1.2, capsize=3.5
+            positions + 0.18,
+            after_deg,
+            whiskers_deg,
+            fmt="none",
+            ecolor=MEASURED,
+            elinewidth=1.2,
+            capsize=3.5,
         )
-        top = np.maximum(before, np.maximum(after, ends[1]))
-        highest = float(top.max())
-        for where, height, reduction in zip(place, top, measured, strict=True):
+        top_deg = np.maximum(before_deg, np.maximum(after_deg, interval_deg[1]))
+        highest_deg = float(top_deg.max())
+        for position, top_of_bar_deg, reduction in zip(positions, top_deg, reductions, strict=True):
             panel.text(
-                where,
-                height + 0.03 * highest,
+                position,
+                top_of_bar_deg + 0.03 * highest_deg,
                 f"\N{MULTIPLICATION SIGN} {reduction.ratio:.2f}",
                 ha="center",
                 fontsize=10,
             )
-        panel.set_ylim(0.0, 1.2 * highest or 1.0)
+        panel.set_ylim(0.0, 1.2 * highest_deg or 1.0)
     panels[0].set_ylabel("rms error [deg]", fontsize=10)
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc="upper right", ncols=3, fontsize=9, frameon=False

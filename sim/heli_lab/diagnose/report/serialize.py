@@ -180,6 +180,7 @@ def _failing_regions(regions: FailingRegions) -> dict[str, Any]:
     """Return the cells of the plane in which the model fails, before and after the extension."""
 
     def cells_of(test: RegionTest) -> dict[str, Any]:
+        """Return the share of time, the missing torque and the failing cells of a test."""
         return {
             "share_of_time": test.share,
             "missing_torque_rms_Nm": test.rms_Nm,

@@ -352,7 +352,8 @@ def _grid_neighbours(scored: ScoredCandidate, kinds: Mapping[str, EffectSpec]) -
     values = kind.grid_values(1.0)[name]
     nearest = int(np.argmin(np.abs(np.array(values) - candidate.grid[name])))
 
-    def at(value: float) -> Candidate:
+    def candidate_at(value: float) -> Candidate:
+        """Return the candidate at a value of the parameter."""
         return Candidate(
             candidate.id,
             kind.make({**candidate.effect.values, name: value}),
@@ -361,7 +362,11 @@ def _grid_neighbours(scored: ScoredCandidate, kinds: Mapping[str, EffectSpec]) -
         )
 
     larger, smaller = values[nearest + 1 :], values[:nearest][::-1]
-    return [[at(values[nearest])], list(map(at, larger)), list(map(at, smaller))]
+    return [
+        [candidate_at(values[nearest])],
+        [candidate_at(value) for value in larger],
+        [candidate_at(value) for value in smaller],
+    ]
 
 
 def _acts_on(kind: EffectSpec, channel: str) -> bool:
