@@ -30,7 +30,7 @@ def loaded() -> ModuleType:
 prove = loaded()
 CLAIMS = {claim.name: claim for claim in prove.claims()}
 RUN = {name: claim if LONG else claim.cheap() for name, claim in CLAIMS.items()}
-"""`make test` leaves the dear steps to `make prove` and `make long`."""
+"""`make test` leaves the expensive steps to `make prove` and `make long`."""
 
 
 @pytest.fixture(scope="module")

@@ -113,7 +113,7 @@ def test_the_container_file_has_the_image_that_editors_build_and_the_packages_of
     (listed,) = re.findall(r"`sudo apt-get install ([^`]+)`", (ROOT / "README.md").read_text())
     develop = container.partition("\nFROM develop")[0].split()
     assert set(listed.split()) <= set(develop)
-    # What an image without a compiler has must not bring one in again.
+    # The image to fly has no compiler, and copies only from the image that compiles.
     fly = container.rpartition("\nFROM ")[2]
     assert fly.startswith("debian:") and "g++" not in fly and "COPY --from=build" in fly
 
