@@ -57,7 +57,8 @@ class Mutant:
 class Claim:
     """One claim: what it says, assumes and leaves open, and how it is proved.
 
-    `model` is the claim whose folder `model` replaces headers. `make test` runs no step that is `dear`; `make long` does.
+    `model` is the claim whose folder `model` replaces headers.
+    `make test` runs no step that is `dear`; `make long` does.
     """
 
     name: str
