@@ -24,6 +24,7 @@ from heli_lab.diagnose.report.cause_sections import (
 from heli_lab.diagnose.report.gain_section import calibration_tables, gain_rows
 from heli_lab.diagnose.report.missing_section import missing_section
 from heli_lab.diagnose.report.regions_section import regions_section, unknown_torque
+from heli_lab.diagnose.report.residual_section import residual_section
 from heli_lab.diagnose.report.result_figures import figure_of_gain, figure_of_prediction
 from heli_lab.diagnose.report.sentences import (
     disturbances_in_words,
@@ -41,7 +42,6 @@ from heli_lab.identify.thresholds import UNINFORMED
 from heli_lab.page import folder_with, write_page
 from heli_lab.page.drawing import Drawing, Picture
 
-_BEFORE_AFTER: Final = ("before", "after")
 _PAGE: Final = Path(__file__).with_name("report.html")
 _EQUATION_SYMBOLS: Final = (
     "The angles θ, φ, ψ are elevation, pitch and travel, and a dot is a rate. F is a thrust (f front, b "
@@ -137,7 +137,7 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
         flight=save_figure("flight", figures.figure_of_flight(before, after)),
         size=save_figure("size", figures.figure_of_size(diagnosis)),
         calibration=calibration_tables(numbers["gain"]["calibration"]),
-        residual=_residual(numbers["residual"]),
+        residual=residual_section(numbers["residual"]),
         used=_flights(numbers["flights"]),
         took=f"It took {numbers['refits']} refits of the model, {numbers['seconds_taken']:.0f} s here.",
     )
@@ -260,43 +260,6 @@ def _equation(diagnosis: Diagnosis, save_figure: SaveFigure) -> dict[str, Any] |
         ],
         "rivals": [[rival.key, f"{rival.log_likelihood_ratio:.0f}"] for rival in discovery.rivals],
         "gain": gain_rows(numbers["gain"]),
-    }
-
-
-def _residual(residual: dict[str, Any]) -> dict[str, Any]:
-    """Return the table of normalised errors and autocorrelations before and after, and a note that
-    explains it.
-    """
-    role = "held_out" if "held_out" in residual["white"] else "train"
-    correlation = residual["correlation"][role]
-    rows = [
-        [
-            axis,
-            *(f"{errors[when]:.3f}" for when in _BEFORE_AFTER),
-            *(f"{correlation[when][axis]:.2f}" for when in _BEFORE_AFTER),
-            "yes" if residual["white"][role]["after"][axis] else "no",
-        ]
-        for axis, errors in residual["axis"].items()
-    ]
-    normalised = residual["normalised"]
-    rows.append(["all", *(f"{normalised[when]:.3f}" for when in _BEFORE_AFTER), "", "", ""])
-    rows.append(
-        ["all, held out", *(f"{normalised[f'held_out_{when}']:.3f}" for when in _BEFORE_AFTER), "", "", ""]
-    )
-    flight_role = "held-out" if role == "held_out" else "fitted"
-    innovations = residual["innovations"]
-    max_autocorrelation = max(
-        abs(value) for values in innovations["autocorrelation"].values() for value in values
-    )
-    return {
-        "rows": rows,
-        "note": "Root mean square error in the fitted flight in standard deviations of the quantisation: 1 "
-        f"if nothing is missing. Autocorrelation over 0.1 s in the {flight_role} flight; white if it is "
-        "within "
-        "three standard deviations of that of white noise. Innovations (one-step prediction errors) have an "
-        f"autocorrelation of at most {max_autocorrelation:.2f} over "
-        f"{innovations['lags_s'][0]:.2g} to {innovations['lags_s'][-1]:.2g} s; white noise would stay below "
-        f"{innovations['bound']:.2f}.",
     }
 
 
