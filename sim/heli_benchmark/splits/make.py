@@ -161,15 +161,21 @@ def truth_content(case: PublishedCase, flight: Flight) -> dict[str, Any]:
     """
     visible = visibility(case, case.durations_s[0])
     causes = {
-        hidden.id: {"visibility_std": visible[hidden.id], "parameters": dict(hidden.scalars)}
+        hidden.id: {
+            "visibility_std": visible[hidden.id],
+            "parameters": dict(hidden.scalars),
+            "model_parameters": dict(hidden.start),
+        }
         for hidden in hidden_in(case, float(flight.t_s[0]))
     }
+    nominal, true_rig = load_rig(case.rig_name), case.rig()
     unlisted = {name: visible[f"off-{name}"] for name, _ in case.unlisted}
     return {
         "schema": SCHEMA,
         "case": case.name,
         "causes": causes,
         "unlisted": unlisted,
+        "rig": {one: true_rig[one].value for one in true_rig if true_rig[one].value != nominal[one].value},
         "conditions": {
             "rig": case.rig_name,
             "rate_Hz": case.rate_Hz,
