@@ -76,9 +76,9 @@ def test_a_term_is_selected_only_if_it_explains_the_residuals() -> None:
     terms = [Term(name, (name,), columns[:, [i]]) for i, name in enumerate("abc")]
     noise, nuisance = rng.standard_normal(300), rng.standard_normal((300, 2))
     none = np.zeros((1, 3))
-    with_b = ResidualRegression(noise + 0.8 * columns[:, 1], nuisance, terms, none, none)
+    with_b = ResidualRegression(noise + 0.8 * columns[:, 1], nuisance, terms, none, none, {})
     assert [term.cause for term in selected(with_b)[0]] == ["b"]
-    assert selected(ResidualRegression(noise, nuisance, terms, none, none))[0] == []
+    assert selected(ResidualRegression(noise, nuisance, terms, none, none, {}))[0] == []
 
 
 def test_base_rates_are_the_answer_without_a_look_at_the_flights() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from heli_host.arrays import Floats
 from sklearn.ensemble import HistGradientBoostingClassifier
 
-from heli_benchmark.methods.terms import residual_regression
+from heli_benchmark.methods.terms import ResidualRegression, residual_regression
 from heli_benchmark.task import NOTHING, UNLISTED, BenchmarkCase, Causes, answer_with, read_case, read_split
 
 _MODEL: Final = "boosting.pickle"
@@ -27,7 +27,9 @@ def train(resources: Path) -> None:
         Folder of the training split.
     """
     split = read_split(resources)
-    inputs = np.stack([_features(read_case(folder)) for folder in split.cases])
+    inputs = np.stack(
+        [_features(residual_regression(read_case(folder)), split.causes) for folder in split.cases]
+    )
     hidden = []
     for folder in split.cases:
         truth = split.truth(folder.name)
@@ -53,19 +55,20 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
     if case.resources is None:
         raise ValueError("boosting needs a training split: give it with --resources")
     models = pickle.loads((case.resources / _MODEL).read_bytes())
-    features = _features(case)[None]
-    return answer_with(case.causes, {name: _probability(model, features) for name, model in models.items()})
+    regression = residual_regression(case)
+    features = _features(regression, case.causes)[None]
+    named = {name: _probability(model, features) for name, model in models.items()}
+    return answer_with(case.causes, named, regression.rig_parameters([]))
 
 
 def _probability(model: HistGradientBoostingClassifier, features: Floats) -> float:
     return float(model.predict_proba(features)[0, 1])
 
 
-def _features(case: BenchmarkCase) -> Floats:
+def _features(regression: ResidualRegression, causes: Causes) -> Floats:
     """Return the evidence of each name alone, nats, and the correlation of the residuals."""
-    regression = residual_regression(case)
     before = regression.fit([])[0]
-    gains = dict.fromkeys(_names(case.causes), 0.0)
+    gains = dict.fromkeys(_names(causes), 0.0)
     for term in regression.terms:
         gains[term.cause] = max(gains[term.cause], 0.5 * (before - regression.fit([term])[0]))
     lag = [float(np.corrcoef(one[1:], one[:-1])[0, 1]) for one in regression.residuals.T]

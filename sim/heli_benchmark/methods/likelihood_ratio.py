@@ -40,10 +40,14 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
                 first = event.ranking[0]
                 if best is None or first.log_evidence > best.log_evidence:
                     best = first
+    parameters = {
+        name: Estimate(rig[name].value, max(0.5 * rig[name].tolerance, 1e-9))
+        for name in rig
+        if rig[name].value != case.rig[name].value
+    }
     if best is None:
-        return answer_with(case.causes, {NOTHING: _NO_CHANGE})
+        return answer_with(case.causes, {NOTHING: _NO_CHANGE}, parameters)
     name = best.change.id if best.change.id in case.causes.listed else UNLISTED
-    parameters = {}
     parameter = best.change.numbers[0]
     if parameter in case.causes.parameter_names and best.std > 0.0:
         parameters[parameter] = Estimate(best.size, best.std)

@@ -31,6 +31,9 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
     result = to_json(found)
     named: dict[str, float] = {UNLISTED: _UNEXPLAINED if result["verdict"] == "unexplained" else _OTHERWISE}
     parameters: dict[str, Estimate] = {}
+    for name, of in (result["rig"] or {"numbers": {}})["numbers"].items():
+        if name in case.rig and of["std"] and math.isfinite(of["std"]):
+            parameters[name] = Estimate(float(of["value"]), float(of["std"]))
     for cause in result["causes"]:
         confidence, effect = float(cause["confidence"]), cause["effect"]
         for name in _PARTS.get(effect, (effect,)):

@@ -31,8 +31,9 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
         white = acorr_ljungbox(with_inputs.resid, [10])["lb_pvalue"].iloc[0] >= _SIGNIFICANCE / 3.0
         # Without whiteness the ratio has another distribution, so that it must be far beyond its limit.
         detected |= bool(depends and (white or ratio > 3.0 * chi2.isf(_SIGNIFICANCE / 3.0, inputs.shape[1])))
+    rig = regression.rig_parameters([])
     if not detected:
-        return answer_with(case.causes, {NOTHING: 0.8})
+        return answer_with(case.causes, {NOTHING: 0.8}, rig)
     rates = case.causes.base_rates
     something = {name: min(0.45, rate / (1.0 - rates[NOTHING])) for name, rate in rates.items()}
-    return answer_with(case.causes, {**something, NOTHING: 0.05})
+    return answer_with(case.causes, {**something, NOTHING: 0.05}, rig)

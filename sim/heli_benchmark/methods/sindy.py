@@ -48,4 +48,6 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
             if share >= 0.5 and value.std() > 0.0:
                 parameters[name] = Estimate(float(np.median(value)), float(value.std()))
         place += width
-    return answer_with(case.causes, {name: share for name, share in named.items() if share > 0.1}, parameters)
+    kept = {name: share for name, share in named.items() if share > 0.1}
+    rig = regression.rig_parameters([term for term in terms if named[term.cause] >= 0.5])
+    return answer_with(case.causes, kept, rig | parameters)

@@ -26,7 +26,7 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
     named.setdefault(UNLISTED, 0.5 * case.causes.base_rates[UNLISTED])
     _, values, stds = regression.fit(chosen)
     names = [name for term in chosen for name in term.parameters or ("",) * term.columns.shape[1]]
-    parameters = {
+    parameters = regression.rig_parameters(chosen) | {
         name: Estimate(float(value), float(std))
         for name, value, std in zip(names, values, stds, strict=True)
         if name in case.causes.parameter_names and std > 0.0
