@@ -5,10 +5,10 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from heli_benchmark.methods import base_rates, stepwise
+from heli_benchmark.methods import base_rates, lisdd, stepwise
 from heli_benchmark.methods.stepwise import selected
 from heli_benchmark.methods.terms import ResidualRegression, Term
-from heli_benchmark.task import NOTHING, UNLISTED, BenchmarkCase, Causes
+from heli_benchmark.task import NOTHING, UNLISTED, BenchmarkCase, Causes, Estimate
 from heli_benchmark.task.answer import check_answer
 from heli_host.arrays import Floats
 from heli_host.flight import Flight
@@ -79,6 +79,29 @@ def test_a_term_is_selected_only_if_it_explains_the_residuals() -> None:
     with_b = ResidualRegression(noise + 0.8 * columns[:, 1], nuisance, terms, none, none, {})
     assert [term.cause for term in selected(with_b)[0]] == ["b"]
     assert selected(ResidualRegression(noise, nuisance, terms, none, none, {}))[0] == []
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("size", [0.0, 1.0])
+def test_lisdd_names_the_term_that_acts_in_one_regime(size: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(2)
+    count = 1500
+    columns, nuisance = rng.standard_normal((3 * (count - 1), 3)), rng.standard_normal((3 * (count - 1), 2))
+    # Six regimes in the plane of the first two features; the model fails in one of them.
+    regime = np.arange(count) % 6
+    angle = 2.0 * np.pi * regime / 6.0
+    features = 0.1 * rng.standard_normal((count, 8))
+    features[:, :2] += np.column_stack([np.cos(angle), np.sin(angle)])
+    fails = np.repeat(regime[1:] == 4, 3)
+    target = rng.standard_normal(3 * (count - 1)) + nuisance @ [1.0, -0.5] + size * fails * columns[:, 1]
+    priors = {name: Estimate(1.0, 0.1) for name in ("thrust_gain", "dead_zone")}
+    names = (SPRING, "travel_drag_quadratic", "rotor_lag")
+    terms = [Term(name, (), columns[:, [i]]) for i, name in enumerate(names)]
+    regression = ResidualRegression(target, nuisance, terms, np.zeros((1, 3)), features, priors)
+    monkeypatch.setattr(lisdd, "residual_regression", lambda case: regression)
+    answer = lisdd.diagnose(BenchmarkCase("case", RIG, (), (), CAUSES))
+    named = [name for name, p in answer["probabilities"].items() if p > 0.5 and name != NOTHING]
+    assert named == (["travel_drag_quadratic"] if size else [])
 
 
 def test_base_rates_are_the_answer_without_a_look_at_the_flights() -> None:

@@ -58,7 +58,7 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
     regression = residual_regression(case)
     features = _features(regression, case.causes)[None]
     named = {name: _probability(model, features) for name, model in models.items()}
-    return answer_with(case.causes, named, regression.rig_parameters([]))
+    return answer_with(case.causes, named, regression.parameters([]))
 
 
 def _probability(model: HistGradientBoostingClassifier, features: Floats) -> float:

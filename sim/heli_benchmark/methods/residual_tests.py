@@ -31,7 +31,7 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
         white = acorr_ljungbox(with_inputs.resid, [10])["lb_pvalue"].iloc[0] >= _SIGNIFICANCE / 3.0
         # Without whiteness the ratio has another distribution, so that it must be far beyond its limit.
         detected |= bool(depends and (white or ratio > 3.0 * chi2.isf(_SIGNIFICANCE / 3.0, inputs.shape[1])))
-    rig = regression.rig_parameters([])
+    rig = regression.parameters([])
     if not detected:
         return answer_with(case.causes, {NOTHING: 0.8}, rig)
     rates = case.causes.base_rates

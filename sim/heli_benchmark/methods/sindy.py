@@ -49,5 +49,5 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
                 parameters[name] = Estimate(float(np.median(value)), float(value.std()))
         place += width
     kept = {name: share for name, share in named.items() if share > 0.1}
-    rig = regression.rig_parameters([term for term in terms if named[term.cause] >= 0.5])
+    rig = regression.parameters([term for term in terms if named[term.cause] >= 0.5])
     return answer_with(case.causes, kept, rig | parameters)

@@ -6,7 +6,7 @@ import math
 from typing import Any, Final
 
 from heli_benchmark.methods.terms import ResidualRegression, Term, residual_regression
-from heli_benchmark.task import UNLISTED, BenchmarkCase, Estimate, answer_with
+from heli_benchmark.task import UNLISTED, BenchmarkCase, answer_with
 
 MAX_TERMS: Final = 5
 _TRIED_NATS: Final = 3.0
@@ -24,14 +24,7 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
         for term, gain in zip(chosen, gains_nats, strict=True)
     }
     named.setdefault(UNLISTED, 0.5 * case.causes.base_rates[UNLISTED])
-    _, values, stds = regression.fit(chosen)
-    names = [name for term in chosen for name in term.parameters or ("",) * term.columns.shape[1]]
-    parameters = regression.rig_parameters(chosen) | {
-        name: Estimate(float(value), float(std))
-        for name, value, std in zip(names, values, stds, strict=True)
-        if name in case.causes.parameter_names and std > 0.0
-    }
-    return answer_with(case.causes, named, parameters)
+    return answer_with(case.causes, named, regression.parameters(chosen))
 
 
 def selected(regression: ResidualRegression) -> tuple[list[Term], list[float]]:

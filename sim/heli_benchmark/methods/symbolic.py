@@ -44,7 +44,7 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
         name, similarity = _most_similar(regression, predicted, axis)
         named[name] = max(named.get(name, 0.0), 0.6 * similarity + 0.3)
         equations.append(str(search.get_model_string(search.model_, 3)))
-    return answer_with(case.causes, named or {NOTHING: 0.7}, regression.rig_parameters([])) | {
+    return answer_with(case.causes, named or {NOTHING: 0.7}, regression.parameters([])) | {
         "equation": "; ".join(equations)
     }
 

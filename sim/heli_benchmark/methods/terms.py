@@ -84,8 +84,8 @@ class ResidualRegression:
     features: Floats
     rig_priors: Mapping[str, Estimate]
 
-    def rig_parameters(self, terms: Sequence[Term]) -> dict[str, Estimate]:
-        """Estimate the parameters of the rig in a fit with some terms.
+    def parameters(self, terms: Sequence[Term]) -> dict[str, Estimate]:
+        """Estimate the parameters of the rig and of some terms together.
 
         Parameters
         ----------
@@ -93,10 +93,18 @@ class ResidualRegression:
             Terms of the fit.
         """
         _, solution, stds = self._solved(terms)
-        return {
-            name: Estimate(prior.value + shift * prior.std, error * prior.std)
+        count = len(self.rig_priors)
+        rig = {
+            name: Estimate(float(prior.value + shift * prior.std), float(error * prior.std))
             for (name, prior), shift, error in zip(self.rig_priors.items(), solution, stds, strict=False)
         }
+        names = [name for term in terms for name in term.parameters or ("",) * term.columns.shape[1]]
+        sizes = {
+            name: Estimate(float(value), float(std))
+            for name, value, std in zip(names, solution[count:], stds[count:], strict=True)
+            if name and std > 0.0
+        }
+        return {name: of for name, of in rig.items() if of.std > 0.0} | sizes
 
     def fit(self, terms: Sequence[Term]) -> tuple[float, Floats, Floats]:
         """Fit some terms and all nuisance parameters.
