@@ -5,7 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from heli_benchmark.methods import base_rates, lisdd, stepwise
+from heli_benchmark.methods import base_rates, stepwise
+from heli_benchmark.methods.evidence import TermEvidence
 from heli_benchmark.methods.stepwise import selected
 from heli_benchmark.methods.terms import ResidualRegression, Term
 from heli_benchmark.task import NOTHING, UNLISTED, BenchmarkCase, Causes, Estimate
@@ -16,6 +17,8 @@ from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.model.linear import trim
 from heli_sim.rig import load_rig
+
+from tests.benchmark.tuning import TUNED
 
 SPRING = "cable_spring.travel"
 STIFFNESS = "cable_spring_travel_Nm_per_rad"
@@ -29,6 +32,7 @@ CAUSES = Causes(
     },
 )
 RIG = load_rig("makki2024")
+NO_EXTRA = "skipped: the extra `benchmark` is not installed"
 
 
 def flown(stiffness: float) -> Flight:
@@ -84,6 +88,7 @@ def test_a_term_is_selected_only_if_it_explains_the_residuals() -> None:
 @pytest.mark.medium
 @pytest.mark.parametrize("size", [0.0, 1.0])
 def test_lisdd_names_the_term_that_acts_in_one_regime(size: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    lisdd = pytest.importorskip("heli_benchmark.methods.lisdd", reason=NO_EXTRA, exc_type=ImportError)
     rng = np.random.default_rng(2)
     count = 1500
     columns, nuisance = rng.standard_normal((3 * (count - 1), 3)), rng.standard_normal((3 * (count - 1), 2))
@@ -102,6 +107,33 @@ def test_lisdd_names_the_term_that_acts_in_one_regime(size: float, monkeypatch: 
     answer = lisdd.diagnose(BenchmarkCase("case", RIG, (), (), CAUSES))
     named = [name for name, p in answer["probabilities"].items() if p > 0.5 and name != NOTHING]
     assert named == (["travel_drag_quadratic"] if size else [])
+
+
+@pytest.mark.medium
+def test_evidence_of_simulated_causes_is_highest_for_the_cause_that_was_drawn() -> None:
+    rng = np.random.default_rng(5)
+    columns, nuisance = rng.standard_normal((600, 3)), rng.standard_normal((600, 2))
+    names = (SPRING, "travel_drag_quadratic", "rotor_lag")
+    terms = [Term(name, (), columns[:, [i]]) for i, name in enumerate(names)]
+    none = np.zeros((1, 3))
+    evidence = TermEvidence(ResidualRegression(nuisance[:, 0], nuisance, terms, none, none, {}), CAUSES)
+    targets, hidden = evidence.simulated(400, rng)
+    gains = evidence.features(targets)[:, : len(CAUSES.listed)]
+    share = np.mean([NOTHING in of for of in hidden])
+    assert abs(share - RATES[NOTHING]) < 0.1
+    listed = list(CAUSES.listed)
+    alone = [(gain, next(iter(of))) for gain, of in zip(gains, hidden, strict=True) if len(of) == 1]
+    right = [gain.max() < 5.0 if name == NOTHING else listed[gain.argmax()] == name for gain, name in alone]
+    assert np.mean(right) > 0.95
+
+
+@pytest.mark.parametrize("method", TUNED)
+def test_a_tuned_constant_has_one_of_the_values_that_were_tried(method: str) -> None:
+    constant, values, fixed = TUNED[method]
+    module = pytest.importorskip(f"heli_benchmark.methods.{method}", reason=NO_EXTRA, exc_type=ImportError)
+    assert getattr(module, constant) in values
+    assert len(values) == 5
+    assert all(callable(getattr(module, name)) for name in fixed)
 
 
 def test_base_rates_are_the_answer_without_a_look_at_the_flights() -> None:

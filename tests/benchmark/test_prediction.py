@@ -52,5 +52,5 @@ def test_the_rig_parameters_of_an_answer_are_used() -> None:
 
 def test_a_case_without_a_true_model_in_the_catalogue_has_no_reference() -> None:
     assert true_errors(CASE, TRUTH | {"unlisted": {"draught": 20.0}}) is None
-    periodic = {"periodic_torque.pitch": {"model_parameters": {}}}
+    periodic: dict[str, Any] = {"periodic_torque.pitch": {"model_parameters": {}}}
     assert true_errors(CASE, TRUTH | {"causes": periodic}) is None

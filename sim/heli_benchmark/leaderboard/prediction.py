@@ -110,7 +110,7 @@ class _Predictor:
         names = [one.name for one in model.parameters]
         self._delay_s = float(self._parameters[names.index(model.delay)]) if model.delay else 0.0
         x, u, t = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2), ca.SX.sym("t")
-        p = ca.DM(self._parameters)
+        p = ca.SX(ca.DM(self._parameters))
         self._states = len(model.states)
         rates = ca.Function("rates", [x, u, t], [model.dynamics(x, u, p, t)])
         h = _STEP_s

@@ -65,6 +65,8 @@ def _error(term: Term, residual: Floats, fit: np.ndarray, held_out: np.ndarray) 
 
 def _p_value(term: Term, residual: Floats, test: np.ndarray) -> float:
     columns, rest = term.columns[test], residual[test]
-    after = rest - columns @ np.linalg.lstsq(columns, rest)[0]
     free, used = len(rest) - columns.shape[1], columns.shape[1]
+    if free <= 0:
+        return 1.0
+    after = rest - columns @ np.linalg.lstsq(columns, rest)[0]
     return float(f.sf((rest @ rest - after @ after) / used / (after @ after / free), used, free))

@@ -106,6 +106,11 @@ class ResidualRegression:
         }
         return {name: of for name, of in rig.items() if of.std > 0.0} | sizes
 
+    def best_term(self, cause: str) -> Term:
+        """Return the term of a `cause` that lowers the criterion most alone."""
+        own = [term for term in self.terms if term.cause == cause]
+        return min(own, key=lambda term: self.fit([term])[0])
+
     def fit(self, terms: Sequence[Term]) -> tuple[float, Floats, Floats]:
         """Fit some terms and all nuisance parameters.
 
