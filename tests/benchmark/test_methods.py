@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from heli_benchmark.methods import base_rates, stepwise
+from heli_benchmark.methods import base_rates, ours, stepwise
 from heli_benchmark.methods.evidence import TermEvidence
 from heli_benchmark.methods.stepwise import selected
 from heli_benchmark.methods.terms import ResidualRegression, Term
@@ -134,6 +134,15 @@ def test_a_tuned_constant_has_one_of_the_values_that_were_tried(method: str) -> 
     assert getattr(module, constant) in values
     assert len(values) == 5
     assert all(callable(getattr(module, name)) for name in fixed)
+
+
+def test_our_probabilities_of_a_verdict_follow_from_base_rates_and_its_shares() -> None:
+    # 0.5 of the cases hide nothing, 0.1 an unlisted cause and 0.4 a listed one.
+    explained = 0.5 * 42 / 44 + 0.4 * 2 / 50 + 0.1 * 2 / 23
+    assert ours.probability(NOTHING, "explained", CAUSES) == pytest.approx(0.5 * 42 / 44 / explained)
+    unexplained = 0.5 * 2 / 44 + 0.4 * 2 / 50 + 0.1 * 21 / 23
+    assert ours.probability(UNLISTED, "unexplained", CAUSES) == pytest.approx(0.1 * 21 / 23 / unexplained)
+    assert ours.probability(UNLISTED, "insufficient_excitation", CAUSES) == pytest.approx(0.1)
 
 
 def test_base_rates_are_the_answer_without_a_look_at_the_flights() -> None:
