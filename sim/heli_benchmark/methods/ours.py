@@ -56,6 +56,9 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
                 parameters[name] = Estimate(float(of["value"]), float(of["std"]))
     if verdict == "explained" and len(named) == 1:
         named = {NOTHING: probability(NOTHING, "explained", case.causes)}
+    elif not causes and verdict != "unexplained":
+        # The flights excite too little: the base rates stay.
+        named = {}
     return answer_with(case.causes, named, parameters)
 
 
