@@ -24,6 +24,7 @@ TUNED: dict[str, tuple[str, tuple[float, ...], tuple[str, ...]]] = {
     "residual_tests": ("_SIGNIFICANCE", (0.05, 0.01, 1e-3, 1e-5, 1e-8), ()),
     "symbolic": ("_MIN_R2", (0.02, 0.05, 0.1, 0.2, 0.4), ("searched",)),
     "likelihood_ratio": ("_MIN_NATS", (12.0, 20.0, 35.0, 60.0, 100.0), ("identified_and_changed",)),
+    "boosting": ("_SHARPNESS", (0.25, 0.5, 0.7, 1.0, 1.4), ()),
     "lisdd": ("_FALSE_DISCOVERIES", (0.05, 1e-3, 1e-6, 1e-12, 1e-24), ()),
 }
 """By method: its constant, the values that are tried, and functions whose results do not depend on it."""
@@ -32,7 +33,7 @@ TUNED: dict[str, tuple[str, tuple[float, ...], tuple[str, ...]]] = {
 def main(folder: Path, *methods: str) -> int:
     """Print the skill of each method for each value of its constant."""
     split = read_split(folder)
-    cases = [read_case(place) for place in split.cases]
+    cases = [read_case(place, folder) for place in split.cases]
     truths = [scored_truth(split.truth(case.name)) for case in cases]
     regression = _once(terms.residual_regression)
     for method in methods or TUNED:
@@ -40,6 +41,8 @@ def main(folder: Path, *methods: str) -> int:
         module = import_module(f"heli_benchmark.methods.{method}")
         if hasattr(module, "residual_regression"):
             module.residual_regression = regression  # type: ignore[attr-defined]
+        if hasattr(module, "train"):
+            module.train(folder)
         for name in fixed:
             setattr(module, name, _once(getattr(module, name)))
         skills = {}
@@ -60,11 +63,11 @@ def _skill(module: ModuleType, cases: list[BenchmarkCase], truths: list[Any]) ->
 
 
 def _once(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Keep the results of a function by the identity of its argument, which lives as long as the program."""
-    kept: dict[tuple[int, bool], Any] = {}
+    """Keep the results of a function by the name of a case, or the identity of another argument."""
+    kept: dict[tuple[object, bool], Any] = {}
 
     def call(argument: object, weak_form: bool = False) -> Any:
-        key = (id(argument), weak_form)
+        key = (getattr(argument, "name", id(argument)), weak_form)
         if key not in kept:
             kept[key] = function(argument, weak_form) if weak_form else function(argument)
         return kept[key]

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from scipy.special import expit, logit
 from sklearn.ensemble import HistGradientBoostingClassifier
 
 from heli_benchmark.methods.evidence import TermEvidence
@@ -17,6 +18,8 @@ SIMULATED: Final = 10_000
 """Simulated flights, spread over the cases of the training split."""
 _FEWEST: Final = 20
 """Simulated flights with a cause from which a classifier learns it; other causes keep their base rates."""
+_SHARPNESS: Final = 1.0
+"""Factor on the log-odds: simulated noise is white, that of flights is not."""
 _MODEL: Final = "boosting.pickle"
 
 
@@ -57,7 +60,8 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
     models = pickle.loads((case.resources / _MODEL).read_bytes())
     regression = residual_regression(case)
     features = TermEvidence(regression, case.causes).features(regression.target[:, None])
-    named = {name: float(model.predict_proba(features)[0, 1]) for name, model in models.items()}
+    odds = {name: float(logit(model.predict_proba(features)[0, 1])) for name, model in models.items()}
+    named = {name: float(expit(_SHARPNESS * value)) for name, value in odds.items()}
     chosen = [name for name, probability in named.items() if probability >= 0.5 and name != NOTHING]
     terms = [regression.best_term(name) for name in chosen]
     return answer_with(case.causes, named, regression.parameters(terms))
