@@ -1,4 +1,6 @@
-"""Parallel maps give the same results as serial ones, and raise the exceptions of their threads."""
+"""Parallel maps give the same results as serial ones, and raise the exceptions of their threads; a diagnosis
+leaves linear algebra one thread.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +9,26 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from heli_host.flight import Flight
+from heli_lab.diagnose import diagnose
 from heli_lab.diagnose.discover.grammar import groups
 from heli_lab.diagnose.discover.scoring import TermSignals, score
 from heli_lab.diagnose.search import ModelComparison, Screening, spline_candidates
 from heli_lab.threads import default_thread_count, parallel_map, using_threads
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from tests.estimation.made import RIG, windy
+
+
+class StopReading(Exception):
+    """Ends a diagnosis at its first flight."""
+
 
 KINDS = [catalogue()[name] for name in ("rotor_lag", "periodic_torque.pitch", "thrust_step.front")]
 
@@ -57,6 +68,24 @@ def test_a_block_uses_the_given_number_of_threads(monkeypatch: pytest.MonkeyPatc
 def _name_after_a_while(_: int) -> str:
     time.sleep(0.05)
     return threading.current_thread().name
+
+
+def test_linear_algebra_has_one_thread_during_a_diagnosis() -> None:
+    counts: list[set[int]] = []
+
+    def blas_threads() -> set[int]:
+        return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+    def flights() -> Iterator[Flight]:
+        counts.append(blas_threads())
+        raise StopReading
+        yield
+
+    with threadpool_limits(2, "blas"):
+        with pytest.raises(StopReading):
+            diagnose(MultibodyModel(), RIG, flights())
+        counts.append(blas_threads())
+    assert counts == [{1}, {2}]
 
 
 @pytest.mark.diagnosis

@@ -61,6 +61,10 @@ MIN_REST_SHARE: Final[Annotated[float, "1", JUDGEMENT]] = 0.5
 friction that holds an axis has no derivative. Lower: time, one refit per axis. Higher: friction that holds
 an axis for long is missed."""
 
+MIN_PAUSE_SHARE: Final[Annotated[float, "1", JUDGEMENT]] = 0.15
+"""Share of the time with an unchanged count, for `RETURN_s` and longer, above which play is tried on an axis
+without regard to its score. Lower: time, one refit per axis. Higher: small plays are missed."""
+
 EXPECTED_REFIT_GAIN: Final[Annotated[float, "1", JUDGEMENT]] = 2.0
 """Factor by which a refit may exceed a first-order score: an effect whose score is further below its penalty
 is not refitted. Lower: nonlinear effects are lost. Higher: time."""

@@ -1,4 +1,4 @@
-"""Acceptance of candidates: friction that no score shows, and sizes that the Wald test misses."""
+"""Acceptance of candidates: friction and play that no score shows, and sizes that the Wald test misses."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from typing import cast
 
 import numpy as np
 import pytest
-from heli_lab.diagnose.search import Hypothesis, ModelComparison, Refit, Screening, typical_candidate
+from heli_lab.diagnose.search import Hypothesis, ModelComparison, Refit, Screening, forward, typical_candidate
 from heli_lab.diagnose.search.acceptance import Acceptance
-from heli_lab.diagnose.search.forward import resting_friction
+from heli_lab.diagnose.search.candidate import Scored
+from heli_lab.diagnose.search.forward import ForwardSelection, paused_play, resting_friction
+from heli_lab.diagnose.search.progress import Progress
 from heli_sim.model.effects import catalogue
 
 pytestmark = pytest.mark.diagnosis
@@ -36,6 +38,41 @@ def test_friction_of_typical_size_is_proposed_for_axes_that_rest() -> None:
     assert dry_friction([0.9, 0.1, 0.7]) == ["coulomb_friction.elevation", "coulomb_friction.travel"]
     assert dry_friction([0.9, 0.1, 0.7], there=("coulomb_friction.elevation",)) == ["coulomb_friction.travel"]
     assert dry_friction([0.3, 0.1, 0.2]) == []
+
+
+@pytest.mark.parametrize("there", [(), ("backlash.pitch",)])
+def test_play_is_proposed_for_axes_whose_count_pauses(there: tuple[str, ...]) -> None:
+    # Elevation pauses for a tenth of the time, pitch for a fifth; travel stops often, but only briefly.
+    pause_s = np.where(np.arange(100)[:, None] < [10, 20, 90], [2.0, 0.3, 0.1], 0.05)
+    reference = SimpleNamespace(pause_s=pause_s, rows=np.arange(100))
+    screening = SimpleNamespace(
+        filtered=SimpleNamespace(linearised_flights=[SimpleNamespace(reference=reference)])
+    )
+    base = cast(Hypothesis, SimpleNamespace(ids=there))
+    proposed = paused_play(base, cast(Screening, screening), KINDS, ())
+    assert [scored.candidate.id for scored in proposed] == ([] if there else ["backlash.pitch"])
+
+
+def test_play_is_refitted_next_to_a_better_score(monkeypatch: pytest.MonkeyPatch) -> None:
+    reference = SimpleNamespace(
+        pause_s=np.tile([0.1, 0.3, 0.1], (9, 1)), at_rest=np.zeros((9, 3), bool), rows=np.arange(9)
+    )
+    screening = SimpleNamespace(
+        filtered=SimpleNamespace(linearised_flights=[SimpleNamespace(reference=reference)])
+    )
+    acceptance = SimpleNamespace(kinds=KINDS, worth_a_refit=list, accepts=lambda _: True)
+    progress = SimpleNamespace(refits_left=lambda: True, trial=lambda *_: None)
+    monkeypatch.setattr(
+        forward, "refit_on_grid", lambda *given: SimpleNamespace(candidate=given[3].candidate, margin=9.0)
+    )
+    selection = ForwardSelection(
+        cast(ModelComparison, None), cast(Acceptance, acceptance), cast(Progress, progress), ()
+    )
+    lag = Scored(typical_candidate(KINDS["rotor_lag"]), 90.0, np.zeros(1), np.ones(1), 1)
+    base = cast(Hypothesis, SimpleNamespace(ids=()))
+    refits, likely = selection._refit_effects(base, cast(Screening, screening), [lag])
+    assert [refit.candidate.id for refit in refits] == ["rotor_lag", "backlash.pitch"]
+    assert [scored.candidate.id for scored in likely] == ["rotor_lag", "backlash.pitch"]
 
 
 def test_a_clear_log_likelihood_ratio_overrides_the_wald_test() -> None:
