@@ -15,8 +15,9 @@ from typing import Any
 
 from heli_benchmark.leaderboard.score import score_answer, scored_truth
 from heli_benchmark.methods import terms
-from heli_benchmark.task import BenchmarkCase, read_case, read_split
+from heli_benchmark.task import Answer, BenchmarkCase, read_case, read_split
 from heli_benchmark.task.answer import check_answer
+from heli_host.errors import HeliError
 
 TUNED: dict[str, tuple[str, tuple[float, ...], tuple[str, ...]]] = {
     "stepwise": ("_TRIED_NATS", (3.0, 6.0, 12.0, 25.0, 50.0), ()),
@@ -56,7 +57,11 @@ def main(folder: Path, *methods: str) -> int:
 def _skill(module: ModuleType, cases: list[BenchmarkCase], truths: list[Any]) -> float:
     loss = base = 0.0
     for case, truth in zip(cases, truths, strict=True):
-        answer = check_answer(module.diagnose(case), case.causes, case.name)
+        try:
+            answer = check_answer(module.diagnose(case), case.causes, case.name)
+        except HeliError:
+            # As in a run: a case without an answer counts as base rates.
+            answer = Answer(case.causes.base_rates)
         score = score_answer(case.name, answer, truth, case.causes)
         loss, base = loss + score.log_loss, base + score.base_loss
     return 1.0 - loss / base
