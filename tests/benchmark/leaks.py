@@ -1,8 +1,8 @@
 """Can a classifier guess the truth from names, lengths, number formats and headers of a split's files?
 
-``python -m tests.benchmark.leaks DIR [TRUTHS]`` prints the answer for a split. The classifier is naive Bayes over the
-distinct values of each feature, judged on cases that it was not trained on. The truth is permuted to find how
-well it does by chance.
+``python -m tests.benchmark.leaks DIR [TRUTHS]`` prints the answer for a split. The classifier is naive Bayes
+over the distinct values of each feature, judged on cases that it was not trained on. The truth is permuted to
+find how well it does by chance.
 """
 
 from __future__ import annotations
