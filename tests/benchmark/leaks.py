@@ -1,8 +1,8 @@
 """Can a classifier guess the truth from names, lengths, number formats and headers of a split's files?
 
-``python -m tests.benchmark.leaks DIR`` prints the answer for a split. The classifier is naive Bayes over the
-distinct values of each feature, judged on cases that it was not trained on. The truth is permuted to find how
-well it does by chance.
+``python -m tests.benchmark.leaks DIR [TRUTHS]`` prints the answer for a split. The classifier is naive Bayes
+over the distinct values of each feature, judged on cases that it was not trained on. The truth is permuted to
+find how well it does by chance.
 """
 
 from __future__ import annotations
@@ -72,9 +72,9 @@ def labels_of(split: Split) -> list[bool]:
     return [bool(truth["causes"] or truth["unlisted"]) for truth in truths]
 
 
-def main(folder: Path) -> int:
+def main(folder: Path, truths: Path | None = None) -> int:
     """Print the accuracy of the classifier, and how often chance reaches it."""
-    split = read_split(folder)
+    split = read_split(folder, truths)
     features, labels = [file_features(case) for case in split.cases], labels_of(split)
     majority = max(np.mean(labels), 1.0 - np.mean(labels))
     print(f"{len(labels)} cases; always the more frequent answer: {majority:.0%} right")
@@ -84,4 +84,4 @@ def main(folder: Path) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1])))
+    sys.exit(main(*map(Path, sys.argv[1:])))

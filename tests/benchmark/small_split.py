@@ -55,5 +55,5 @@ def informed(truth: dict[str, Any]) -> Answer:
     sizes = {name: value for of in truth["causes"].values() for name, value in of["parameters"].items()}
     return Answer(
         dict.fromkeys(names or [NOTHING], 1.0),
-        {name: Estimate(value, 0.01 * value) for name, value in sizes.items()},
+        {name: Estimate(value, 0.01 * abs(value) or 1e-6) for name, value in sizes.items()},
     )

@@ -5,10 +5,11 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from heli_benchmark.methods import base_rates, stepwise
+from heli_benchmark.methods import base_rates, ours, stepwise
+from heli_benchmark.methods.evidence import TermEvidence
 from heli_benchmark.methods.stepwise import selected
 from heli_benchmark.methods.terms import ResidualRegression, Term
-from heli_benchmark.task import NOTHING, UNLISTED, BenchmarkCase, Causes
+from heli_benchmark.task import NOTHING, UNLISTED, BenchmarkCase, Causes, Estimate
 from heli_benchmark.task.answer import check_answer
 from heli_host.arrays import Floats
 from heli_host.flight import Flight
@@ -16,6 +17,8 @@ from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.model.linear import trim
 from heli_sim.rig import load_rig
+
+from tests.benchmark.tuning import TUNED
 
 SPRING = "cable_spring.travel"
 STIFFNESS = "cable_spring_travel_Nm_per_rad"
@@ -29,6 +32,7 @@ CAUSES = Causes(
     },
 )
 RIG = load_rig("makki2024")
+NO_EXTRA = "skipped: the extra `benchmark` is not installed"
 
 
 def flown(stiffness: float) -> Flight:
@@ -76,9 +80,69 @@ def test_a_term_is_selected_only_if_it_explains_the_residuals() -> None:
     terms = [Term(name, (name,), columns[:, [i]]) for i, name in enumerate("abc")]
     noise, nuisance = rng.standard_normal(300), rng.standard_normal((300, 2))
     none = np.zeros((1, 3))
-    with_b = ResidualRegression(noise + 0.8 * columns[:, 1], nuisance, terms, none, none)
+    with_b = ResidualRegression(noise + 0.8 * columns[:, 1], nuisance, terms, none, none, {})
     assert [term.cause for term in selected(with_b)[0]] == ["b"]
-    assert selected(ResidualRegression(noise, nuisance, terms, none, none))[0] == []
+    assert selected(ResidualRegression(noise, nuisance, terms, none, none, {}))[0] == []
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("size", [0.0, 1.0])
+def test_lisdd_names_the_term_that_acts_in_one_regime(size: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    lisdd = pytest.importorskip("heli_benchmark.methods.lisdd", reason=NO_EXTRA, exc_type=ImportError)
+    rng = np.random.default_rng(2)
+    count = 1500
+    columns, nuisance = rng.standard_normal((3 * (count - 1), 3)), rng.standard_normal((3 * (count - 1), 2))
+    # Six regimes in the plane of the first two features; the model fails in one of them.
+    regime = np.arange(count) % 6
+    angle = 2.0 * np.pi * regime / 6.0
+    features = 0.1 * rng.standard_normal((count, 8))
+    features[:, :2] += np.column_stack([np.cos(angle), np.sin(angle)])
+    fails = np.repeat(regime[1:] == 4, 3)
+    target = rng.standard_normal(3 * (count - 1)) + nuisance @ [1.0, -0.5] + size * fails * columns[:, 1]
+    priors = {name: Estimate(1.0, 0.1) for name in ("thrust_gain", "dead_zone")}
+    names = (SPRING, "travel_drag_quadratic", "rotor_lag")
+    terms = [Term(name, (), columns[:, [i]]) for i, name in enumerate(names)]
+    regression = ResidualRegression(target, nuisance, terms, np.zeros((1, 3)), features, priors)
+    monkeypatch.setattr(lisdd, "residual_regression", lambda case: regression)
+    answer = lisdd.diagnose(BenchmarkCase("case", RIG, (), (), CAUSES))
+    named = [name for name, p in answer["probabilities"].items() if p > 0.5 and name != NOTHING]
+    assert named == (["travel_drag_quadratic"] if size else [])
+
+
+@pytest.mark.medium
+def test_evidence_of_simulated_causes_is_highest_for_the_cause_that_was_drawn() -> None:
+    rng = np.random.default_rng(5)
+    columns, nuisance = rng.standard_normal((600, 3)), rng.standard_normal((600, 2))
+    names = (SPRING, "travel_drag_quadratic", "rotor_lag")
+    terms = [Term(name, (), columns[:, [i]]) for i, name in enumerate(names)]
+    none = np.zeros((1, 3))
+    evidence = TermEvidence(ResidualRegression(nuisance[:, 0], nuisance, terms, none, none, {}), CAUSES)
+    targets, hidden = evidence.simulated(400, rng)
+    gains = evidence.features(targets)[:, : len(CAUSES.listed)]
+    share = np.mean([NOTHING in of for of in hidden])
+    assert abs(share - RATES[NOTHING]) < 0.1
+    listed = list(CAUSES.listed)
+    alone = [(gain, next(iter(of))) for gain, of in zip(gains, hidden, strict=True) if len(of) == 1]
+    right = [gain.max() < 5.0 if name == NOTHING else listed[gain.argmax()] == name for gain, name in alone]
+    assert np.mean(right) > 0.95
+
+
+@pytest.mark.parametrize("method", TUNED)
+def test_a_tuned_constant_has_one_of_the_values_that_were_tried(method: str) -> None:
+    constant, values, fixed = TUNED[method]
+    module = pytest.importorskip(f"heli_benchmark.methods.{method}", reason=NO_EXTRA, exc_type=ImportError)
+    assert getattr(module, constant) in values
+    assert len(values) == 5
+    assert all(callable(getattr(module, name)) for name in fixed)
+
+
+def test_our_probabilities_of_a_verdict_follow_from_base_rates_and_its_shares() -> None:
+    # 0.5 of the cases hide nothing, 0.1 an unlisted cause and 0.4 a listed one.
+    explained = 0.5 * 42 / 44 + 0.4 * 2 / 50 + 0.1 * 2 / 23
+    assert ours.probability(NOTHING, "explained", CAUSES) == pytest.approx(0.5 * 42 / 44 / explained)
+    unexplained = 0.5 * 2 / 44 + 0.4 * 2 / 50 + 0.1 * 21 / 23
+    assert ours.probability(UNLISTED, "unexplained", CAUSES) == pytest.approx(0.1 * 21 / 23 / unexplained)
+    assert ours.probability(UNLISTED, "insufficient_excitation", CAUSES) == pytest.approx(0.1)
 
 
 def test_base_rates_are_the_answer_without_a_look_at_the_flights() -> None:

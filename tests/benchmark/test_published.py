@@ -43,6 +43,11 @@ def test_the_same_seed_draws_the_same_cases() -> None:
     assert list(published_cases(8, 240)) != CASES
 
 
+def test_a_larger_split_begins_with_the_cases_of_a_smaller_one() -> None:
+    assert list(published_cases(7, 36)) == CASES[:36]
+    assert Counter(HIDDEN[:36]) == {True: 24, False: 12}
+
+
 @pytest.mark.medium
 def test_hidden_causes_occur_as_often_as_the_base_rates_state() -> None:
     cases = [case for seed in range(5) for case in published_cases(seed, 240)]

@@ -121,6 +121,16 @@ def test_the_same_secret_makes_the_same_commitments(sealed: tuple[Path, Path], t
     assert files[0].read_bytes() == files[1].read_bytes()
 
 
+def test_an_open_split_grows_and_a_sealed_one_does_not(sealed: tuple[Path, Path], tmp_path: Path) -> None:
+    for count in (1, 3):
+        make_split(tmp_path / "open", "public", 7, count)
+    assert [case.name for case in read_split(tmp_path / "open").cases] == [*NAMES, "case-003"]
+    with pytest.raises(BenchmarkError, match="has another split"):
+        make_split(tmp_path / "open", "public", 7, 2)
+    with pytest.raises(BenchmarkError, match="has another split"):
+        make_split(sealed[0], "sealed", Seal(SECRET), 3, truth_folder=sealed[1])
+
+
 def test_another_secret_draws_other_cases() -> None:
     assert Seal(SECRET).seed != Seal(SECRET[::-1]).seed
     assert Seal(SECRET).salt("case-001") != Seal(SECRET).salt("case-002")

@@ -87,7 +87,7 @@ class PublishedCase(DisturbedCase):
 
 
 def published_cases(seed: int, count: int) -> Iterator[PublishedCase]:
-    """Draw the cases of a split.
+    """Draw the cases of a split; a larger split of the same seed begins with the cases of a smaller one.
 
     Parameters
     ----------
@@ -96,10 +96,11 @@ def published_cases(seed: int, count: int) -> Iterator[PublishedCase]:
     count : int
         Number of cases; a multiple of 12 has the exact shares of all kinds.
     """
-    kinds = [KINDS[i % len(KINDS)] for i in range(count)]
-    order = np.random.default_rng([seed, 0]).permutation(count)
+    order = np.random.default_rng([seed, 0])
     for number in range(count):
-        yield _case(f"case-{number + 1:03d}", seed, number, kinds[order[number]])
+        if number % len(KINDS) == 0:
+            kinds = order.permutation(KINDS)
+        yield _case(f"case-{number + 1:03d}", seed, number, str(kinds[number % len(KINDS)]))
 
 
 def base_rates() -> dict[str, float]:

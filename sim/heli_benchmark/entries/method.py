@@ -15,7 +15,7 @@ from typing import Any, Final
 from heli_benchmark.errors import BenchmarkError
 
 _METHODS: Final = Path(__file__).parents[1] / "methods"
-_SHARED: Final = _METHODS / "terms.py"
+_SHARED: Final = (_METHODS / "terms.py", _METHODS / "evidence.py")
 _FUNCTION: Final = "diagnose"
 _TRAIN: Final = "train"
 
@@ -40,10 +40,11 @@ class MethodAddress:
 
     @property
     def digest(self) -> str:
-        """Digest of the code: of the file, and of the shared terms if a method of this package uses them."""
+        """Digest of the code: of the file, and of what methods of this package share if it uses that."""
         content = self.file.read_bytes()
-        if self.builtin and _SHARED.stem.encode() in content:
-            content += _SHARED.read_bytes()
+        for shared in _SHARED:
+            if self.builtin and shared.stem.encode() in content:
+                content += shared.read_bytes()
         return hashlib.sha256(content).hexdigest()
 
 

@@ -8,9 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from heli_host.arrays import Floats
+
 from heli_benchmark.entries.run import read_run
+from heli_benchmark.leaderboard.prediction import prediction_ratio, true_errors
 from heli_benchmark.scoring.judge import MIN_VISIBILITY_STD
-from heli_benchmark.task import NOTHING, UNLISTED, Answer, Causes, Split
+from heli_benchmark.task import NOTHING, UNLISTED, Answer, Causes, Split, read_case
 from heli_benchmark.task.answer import check_answer
 
 MIN_PROBABILITY: Final = 1e-3
@@ -68,6 +71,9 @@ class CaseScore:
         the true size.
     sizes_asked : int
         Number of true sizes.
+    prediction : float or None
+        Prediction error on the validation flights relative to that of the true model; None if the true model
+        is not in the catalogue.
     calibration : tuple of (float, bool)
         Probability and truth of each name.
     cpu_s, peak_MB : float or None
@@ -85,13 +91,16 @@ class CaseScore:
     false_alarm: bool | None
     sizes: tuple[tuple[bool, float], ...]
     sizes_asked: int
+    prediction: float | None
     calibration: tuple[tuple[float, bool], ...]
     cpu_s: float | None
     peak_MB: float | None
     failure: str
 
 
-def score_run(split: Split, folder: Path) -> list[CaseScore]:
+def score_run(
+    split: Split, folder: Path, references: dict[str, Floats | None] | None = None
+) -> list[CaseScore]:
     """Score a run.
 
     Parameters
@@ -100,6 +109,8 @@ def score_run(split: Split, folder: Path) -> list[CaseScore]:
         The split, with its truth.
     folder : Path
         Folder of the run.
+    references : dict, optional
+        Prediction errors of the true models by case. Missing ones are added, so that several runs share them.
 
     Returns
     -------
@@ -107,8 +118,10 @@ def score_run(split: Split, folder: Path) -> list[CaseScore]:
         One per case. A failed case counts as an answer of base rates that names nothing.
     """
     scores = []
+    references = {} if references is None else references
     for name, result in read_run(folder, split).items():
-        truth = scored_truth(split.truth(name))
+        content = split.truth(name)
+        truth = scored_truth(content)
         failure = str(result.get("failure", ""))
         answer = (
             Answer(split.causes.base_rates)
@@ -116,7 +129,14 @@ def score_run(split: Split, folder: Path) -> list[CaseScore]:
             else check_answer(result["answer"], split.causes, f"{folder / name}.json")
         )
         cost = (result.get("cpu_s"), result.get("peak_MB"))
-        scores.append(score_answer(name, answer, truth, split.causes, cost, failure))
+        case = read_case(split.folder / "cases" / name)
+        if name not in references:
+            references[name] = true_errors(case, content)
+        reference = references[name]
+        prediction = (
+            None if reference is None else prediction_ratio(case, answer, listed_names(answer), reference)
+        )
+        scores.append(score_answer(name, answer, truth, split.causes, cost, failure, prediction))
     return scores
 
 
@@ -153,6 +173,7 @@ def score_answer(
     causes: Causes,
     cost: tuple[float | None, float | None] = (None, None),
     failure: str = "",
+    prediction: float | None = None,
 ) -> CaseScore:
     """Score an answer.
 
@@ -168,6 +189,8 @@ def score_answer(
         CPU time in s and peak memory in MB.
     failure : str
         Why there is no answer.
+    prediction : float, optional
+        Prediction error relative to that of the true model.
     """
     scored = [name for name in causes.names if name not in truth.invisible]
     given = {name: answer.probabilities.get(name, 0.0) for name in causes.names}
@@ -192,10 +215,17 @@ def score_answer(
             if name in truth.sizes
         ),
         len(truth.sizes),
+        prediction,
         calibration,
         *cost,
         failure,
     )
+
+
+def listed_names(answer: Answer) -> list[str]:
+    """Return the causes of the list that an answer names."""
+    named = (name for name, probability in answer.probabilities.items() if probability >= NAMED)
+    return [name for name in named if name not in (NOTHING, UNLISTED)]
 
 
 def _loss(pairs: tuple[tuple[float, bool], ...]) -> float:

@@ -62,6 +62,9 @@ def _summary(scores: Sequence[CaseScore], weights: Floats) -> dict[str, Any]:
     ratios = {name: _ratio(sums, weights) for name, sums in _sums(scores).items()}
     for name in _SHARES:
         ratios[name] |= _binomial(*_sums(scores)[name])
+    for end in ("value", "low", "high"):
+        log_ratio = ratios["prediction_error"][end]
+        ratios["prediction_error"][end] = None if log_ratio is None else float(np.exp(log_ratio))
     return {
         "skill": _interval(
             _skill(loss, base, np.ones((1, len(loss)))), _skill(loss, base, weights), len(loss)
@@ -102,6 +105,7 @@ def _sums(scores: Sequence[CaseScore]) -> dict[str, SumsPerCase]:
         "sizes_given": (np.array([float(len(one.sizes)) for one in scores]), asked),
         "sizes_within": sizes(lambda size: size[0]),
         "interval_score": sizes(lambda size: size[1]),
+        "prediction_error": each(lambda one: None if one.prediction is None else np.log(one.prediction)),
     }
 
 

@@ -1,4 +1,4 @@
-"""Gradient boosting (scikit-learn), trained on the simulated flights of another split with its truth."""
+"""Gradient boosting (scikit-learn), trained on residuals that are simulated with the terms of other cases."""
 
 from __future__ import annotations
 
@@ -7,37 +7,42 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from scipy.special import expit, logit
 from sklearn.ensemble import HistGradientBoostingClassifier
 
+from heli_benchmark.methods.evidence import TermEvidence
 from heli_benchmark.methods.terms import residual_regression
-from heli_benchmark.task import NOTHING, UNLISTED, BenchmarkCase, Causes, answer_with, read_case, read_split
+from heli_benchmark.task import NOTHING, BenchmarkCase, answer_with, read_case, read_split
 
+SIMULATED: Final = 10_000
+"""Simulated flights, spread over the cases of the training split."""
+_FEWEST: Final = 20
+"""Simulated flights with a cause from which a classifier learns it; other causes keep their base rates."""
+_SHARPNESS: Final = 0.5
+"""Factor on the log-odds: simulated noise is white, that of flights is not. Tuned."""
 _MODEL: Final = "boosting.pickle"
-_FEWEST: Final = 3
-"""Training cases with a cause from which a classifier learns it; other causes keep their base rates."""
 
 
 def train(resources: Path) -> None:
-    """Train one classifier per name on the cases of a split, and keep them in its folder.
+    """Train one classifier per name, and keep them in the folder of the training split.
 
     Parameters
     ----------
     resources : Path
-        Folder of the training split.
+        Folder of a split. Its flights give the terms; its truth is not read.
     """
-    split = read_split(resources)
-    inputs = np.stack([_features(read_case(folder)) for folder in split.cases])
-    hidden = []
+    split, rng = read_split(resources), np.random.default_rng(0)
+    features, hidden = [], []
     for folder in split.cases:
-        truth = split.truth(folder.name)
-        names = {*truth["causes"], *([UNLISTED] if truth["unlisted"] else [])}
-        hidden.append(names or {NOTHING})
-    models = {}
+        evidence = TermEvidence(residual_regression(read_case(folder)), split.causes)
+        targets, names = evidence.simulated(SIMULATED // len(split.cases), rng)
+        features.append(evidence.features(targets))
+        hidden += names
+    inputs, models = np.concatenate(features), {}
     for name in split.causes.names:
-        labels = np.array([name in names for names in hidden])
-        if min(labels.sum(), (~labels).sum()) >= _FEWEST:
-            boosting = HistGradientBoostingClassifier(max_iter=60, min_samples_leaf=3, random_state=0)
+        labels = np.array([name in of for of in hidden])
+        if labels.sum() >= _FEWEST:
+            boosting = HistGradientBoostingClassifier(max_iter=60, early_stopping=False, random_state=0)
             models[name] = boosting.fit(inputs, labels)
     (resources / _MODEL).write_bytes(pickle.dumps(models))
 
@@ -53,24 +58,10 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
     if case.resources is None:
         raise ValueError("boosting needs a training split: give it with --resources")
     models = pickle.loads((case.resources / _MODEL).read_bytes())
-    features = _features(case)[None]
-    return answer_with(case.causes, {name: _probability(model, features) for name, model in models.items()})
-
-
-def _probability(model: HistGradientBoostingClassifier, features: Floats) -> float:
-    return float(model.predict_proba(features)[0, 1])
-
-
-def _features(case: BenchmarkCase) -> Floats:
-    """Return the evidence of each name alone, nats, and the correlation of the residuals."""
     regression = residual_regression(case)
-    before = regression.fit([])[0]
-    gains = dict.fromkeys(_names(case.causes), 0.0)
-    for term in regression.terms:
-        gains[term.cause] = max(gains[term.cause], 0.5 * (before - regression.fit([term])[0]))
-    lag = [float(np.corrcoef(one[1:], one[:-1])[0, 1]) for one in regression.residuals.T]
-    return np.array([*gains.values(), *lag])
-
-
-def _names(causes: Causes) -> tuple[str, ...]:
-    return (*causes.listed, UNLISTED)
+    features = TermEvidence(regression, case.causes).features(regression.target[:, None])
+    odds = {name: float(logit(model.predict_proba(features)[0, 1])) for name, model in models.items()}
+    named = {name: float(expit(_SHARPNESS * value)) for name, value in odds.items()}
+    chosen = [name for name, probability in named.items() if probability >= 0.5 and name != NOTHING]
+    terms = [regression.best_term(name) for name in chosen]
+    return answer_with(case.causes, named, regression.parameters(terms))

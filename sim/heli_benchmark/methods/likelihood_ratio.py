@@ -14,18 +14,39 @@ from heli_lab.twin.tail import Tail
 from heli_lab.twin.twin import Twin
 from heli_lab.twin.twin_model import TwinModel
 from heli_sim.model import MultibodyModel
+from heli_sim.rig import Rig
 
 from heli_benchmark.task import NOTHING, UNLISTED, BenchmarkCase, Estimate, answer_with
 
 _ALARM_NATS: Final = 12.0
-"""Evidence of an alarm. By judgement, not tuned: 6 nats are 400 times as likely, and a flight has hundreds of
+"""Evidence from which the twin raises an alarm: 6 nats are 400 times as likely, and a flight has hundreds of
 onsets."""
+_MIN_NATS: Final = 12.0
+"""Evidence from which an alarm counts."""
 _NO_CHANGE: Final = 0.6
 """Probability of nothing without an alarm: a cause that acts from the start is no change in flight."""
 
 
 def diagnose(case: BenchmarkCase) -> dict[str, Any]:
     """Identify the rig from the training flights, and look for changes in all flights."""
+    rig, best = identified_and_changed(case)
+    parameters = {
+        name: Estimate(rig[name].value, max(0.5 * rig[name].tolerance, 1e-9))
+        for name in rig
+        if rig[name].value != case.rig[name].value
+    }
+    if best is None or best.log_evidence < _MIN_NATS:
+        return answer_with(case.causes, {NOTHING: _NO_CHANGE}, parameters)
+    name = best.change.id if best.change.id in case.causes.listed else UNLISTED
+    parameter = best.change.numbers[0]
+    if parameter in case.causes.parameter_names and best.std > 0.0:
+        parameters[parameter] = Estimate(best.size, best.std)
+    certain = 1.0 - math.exp(-0.1 * best.log_evidence)
+    return answer_with(case.causes, {name: min(0.9, certain)}, parameters)
+
+
+def identified_and_changed(case: BenchmarkCase) -> tuple[Rig, ChangeCandidate | None]:
+    """Return the identified rig and the change with the highest evidence."""
     labels = [f"training {i}" for i in range(len(case.training))]
     rig = identify(MultibodyModel(), case.rig, case.training, labels=labels, threads=1).rig("identified")
     disturbances, uncertainty = learn_rig(MultibodyModel(), rig, case.training, labels)
@@ -40,12 +61,4 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
                 first = event.ranking[0]
                 if best is None or first.log_evidence > best.log_evidence:
                     best = first
-    if best is None:
-        return answer_with(case.causes, {NOTHING: _NO_CHANGE})
-    name = best.change.id if best.change.id in case.causes.listed else UNLISTED
-    parameters = {}
-    parameter = best.change.numbers[0]
-    if parameter in case.causes.parameter_names and best.std > 0.0:
-        parameters[parameter] = Estimate(best.size, best.std)
-    certain = 1.0 - math.exp(-0.1 * best.log_evidence)
-    return answer_with(case.causes, {name: min(0.9, certain)}, parameters)
+    return rig, best

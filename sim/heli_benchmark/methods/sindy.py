@@ -11,8 +11,8 @@ from heli_benchmark.methods.terms import Term, residual_regression
 from heli_benchmark.task import BenchmarkCase, Estimate, answer_with
 
 _MODELS: Final = 10
-_THRESHOLD: Final = 0.12
-"""Smallest coefficient of a scaled term that STLSQ keeps; it explains 1.4 % of the variance. Not tuned."""
+_THRESHOLD: Final = 0.7
+"""Smallest coefficient of a scaled term that STLSQ keeps; its square is a share of the variance. Tuned."""
 
 
 def diagnose(case: BenchmarkCase) -> dict[str, Any]:
@@ -48,4 +48,6 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
             if share >= 0.5 and value.std() > 0.0:
                 parameters[name] = Estimate(float(np.median(value)), float(value.std()))
         place += width
-    return answer_with(case.causes, {name: share for name, share in named.items() if share > 0.1}, parameters)
+    kept = {name: share for name, share in named.items() if share > 0.1}
+    rig = regression.parameters([term for term in terms if named[term.cause] >= 0.5])
+    return answer_with(case.causes, kept, rig | parameters)

@@ -6,11 +6,11 @@ import math
 from typing import Any, Final
 
 from heli_benchmark.methods.terms import ResidualRegression, Term, residual_regression
-from heli_benchmark.task import UNLISTED, BenchmarkCase, Estimate, answer_with
+from heli_benchmark.task import UNLISTED, BenchmarkCase, answer_with
 
 MAX_TERMS: Final = 5
-_TRIED_NATS: Final = 3.0
-"""Evidence that pays for the number of candidates, about thirty. From the count, not tuned."""
+_TRIED_NATS: Final = 50.0
+"""Evidence that a term needs. Tuned: the thirty candidates alone would need 3."""
 _SHARPNESS: Final = 0.5
 """A regression that ignores the errors of its terms is too certain; half the evidence counts. A guess."""
 
@@ -24,14 +24,7 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
         for term, gain in zip(chosen, gains_nats, strict=True)
     }
     named.setdefault(UNLISTED, 0.5 * case.causes.base_rates[UNLISTED])
-    _, values, stds = regression.fit(chosen)
-    names = [name for term in chosen for name in term.parameters or ("",) * term.columns.shape[1]]
-    parameters = {
-        name: Estimate(float(value), float(std))
-        for name, value, std in zip(names, values, stds, strict=True)
-        if name in case.causes.parameter_names and std > 0.0
-    }
-    return answer_with(case.causes, named, parameters)
+    return answer_with(case.causes, named, regression.parameters(chosen))
 
 
 def selected(regression: ResidualRegression) -> tuple[list[Term], list[float]]:

@@ -20,13 +20,25 @@ _SIMILAR: Final = 0.8
 def diagnose(case: BenchmarkCase) -> dict[str, Any]:
     """Search an equation for the residual acceleration of each axis."""
     regression = residual_regression(case)
+    named: dict[str, float] = {}
+    equations = []
+    for axis, (r2, predicted, equation) in enumerate(searched(regression)):
+        if r2 < _MIN_R2 or not np.isfinite(r2):
+            continue
+        name, similarity = _most_similar(regression, predicted, axis)
+        named[name] = max(named.get(name, 0.0), 0.6 * similarity + 0.3)
+        equations.append(equation)
+    answer = answer_with(case.causes, named or {NOTHING: 0.7}, regression.parameters([]))
+    return answer | {"equation": "; ".join(equations)}
+
+
+def searched(regression: ResidualRegression) -> list[tuple[float, np.ndarray, str]]:
+    """Return the held-out share of the variance, the prediction and the text of an equation of each axis."""
     features, count = regression.features, len(regression.residuals)
     first = slice(0, round((1.0 - _HELD_OUT) * count))
     last = slice(first.stop, count)
-    named: dict[str, float] = {}
-    equations = []
-    for axis in range(3):
-        target = regression.residuals[:, axis]
+    found = []
+    for target in regression.residuals.T:
         search = SymbolicRegressor(
             population_size=500,
             generations=200,
@@ -39,12 +51,8 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
         predicted = np.asarray(search.predict(features)).ravel()
         error = target[last] - predicted[last]
         r2 = 1.0 - float(error @ error) / float(target[last] @ target[last])
-        if r2 < _MIN_R2 or not np.isfinite(r2):
-            continue
-        name, similarity = _most_similar(regression, predicted, axis)
-        named[name] = max(named.get(name, 0.0), 0.6 * similarity + 0.3)
-        equations.append(str(search.get_model_string(search.model_, 3)))
-    return answer_with(case.causes, named or {NOTHING: 0.7}) | {"equation": "; ".join(equations)}
+        found.append((r2, predicted, str(search.get_model_string(search.model_, 3))))
+    return found
 
 
 def _most_similar(regression: ResidualRegression, predicted: np.ndarray, axis: int) -> tuple[str, float]:

@@ -23,7 +23,7 @@ from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 from scipy.signal import savgol_coeffs
 
-from heli_benchmark.task import UNLISTED, BenchmarkCase
+from heli_benchmark.task import UNLISTED, BenchmarkCase, Estimate
 
 GRID_s: Final = 0.1
 """Step of the regression. The disturbances are correlated over 0.3 s and more."""
@@ -67,6 +67,8 @@ class ResidualRegression:
         Residuals, over flights, axes and moments.
     nuisance : ndarray (n, m)
         Changes by one standard deviation of each parameter of the rig that has a tolerance.
+    rig_priors : Mapping[str, Estimate]
+        Nominal value and standard deviation of each of these parameters.
     terms : list of Term
         Candidates; a cause with an unknown moment or frequency has several.
     residuals : ndarray (k, 3)
@@ -80,6 +82,34 @@ class ResidualRegression:
     terms: list[Term]
     residuals: Floats
     features: Floats
+    rig_priors: Mapping[str, Estimate]
+
+    def parameters(self, terms: Sequence[Term]) -> dict[str, Estimate]:
+        """Estimate the parameters of the rig and of some terms together.
+
+        Parameters
+        ----------
+        terms : sequence of Term
+            Terms of the fit.
+        """
+        _, solution, stds = self._solved(terms)
+        count = len(self.rig_priors)
+        rig = {
+            name: Estimate(float(prior.value + shift * prior.std), float(error * prior.std))
+            for (name, prior), shift, error in zip(self.rig_priors.items(), solution, stds, strict=False)
+        }
+        names = [name for term in terms for name in term.parameters or ("",) * term.columns.shape[1]]
+        sizes = {
+            name: Estimate(float(value), float(std))
+            for name, value, std in zip(names, solution[count:], stds[count:], strict=True)
+            if name and std > 0.0
+        }
+        return {name: of for name, of in rig.items() if of.std > 0.0} | sizes
+
+    def best_term(self, cause: str) -> Term:
+        """Return the term of a `cause` that lowers the criterion most alone."""
+        own = [term for term in self.terms if term.cause == cause]
+        return min(own, key=lambda term: self.fit([term])[0])
 
     def fit(self, terms: Sequence[Term]) -> tuple[float, Floats, Floats]:
         """Fit some terms and all nuisance parameters.
@@ -94,6 +124,11 @@ class ResidualRegression:
         tuple of float, ndarray and ndarray
             Bayesian information criterion, coefficients of the terms, and their standard errors.
         """
+        bic, solution, stds = self._solved(terms)
+        m = self.nuisance.shape[1]
+        return bic, solution[m:], stds[m:]
+
+    def _solved(self, terms: Sequence[Term]) -> tuple[float, Floats, Floats]:
         columns = [self.nuisance, *(term.columns for term in terms)]
         design = np.column_stack(columns)
         n, m = len(self.target), self.nuisance.shape[1]
@@ -105,8 +140,8 @@ class ResidualRegression:
         rest = self.target - design @ solution
         squares = float(rest @ rest + solution[:m] @ solution[:m])
         count = design.shape[1] - m
-        stds = np.sqrt(np.diag(inverse)[m:] * squares / n)
-        return n * np.log(squares / n) + count * np.log(n), solution[m:], stds
+        stds = np.sqrt(np.diag(inverse) * squares / n)
+        return n * np.log(squares / n) + count * np.log(n), solution, stds
 
 
 def residual_regression(case: BenchmarkCase, weak_form: bool = False) -> ResidualRegression:
@@ -140,7 +175,9 @@ def residual_regression(case: BenchmarkCase, weak_form: bool = False) -> Residua
     useful = listed + [term for term in useful if not term.parameters and not _is_listed(term, listed)]
     features = np.concatenate([one.features for one in smooth])
     features = (features - features.mean(axis=0)) / features.std(axis=0)
-    return ResidualRegression(white(target), white(nuisance), useful, fitted / fitted.std(axis=0), features)
+    priors = {name: Estimate(rig[name].value, 0.5 * rig[name].tolerance) for name in nuisance_names}
+    residuals = fitted / fitted.std(axis=0)
+    return ResidualRegression(white(target), white(nuisance), useful, residuals, features, priors)
 
 
 class _Smoothed:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -41,6 +41,9 @@ def make_split(
 ) -> None:
     """Make a split; cases that exist are kept, so that an interrupted run continues.
 
+    An open split grows if `count` is larger than before. A sealed one does not, because its commitments are
+    complete.
+
     Parameters
     ----------
     folder : Path
@@ -71,7 +74,7 @@ def make_split(
     origin = {"seed": draw} if seal is None else {"secret_sha256": seal.digest}
     content = {"schema": SCHEMA, "split": split, **origin, "count": count, "causes": causes_content()}
     mark = folder / CAUSES_FILE
-    if mark.exists() and read_json(mark, "choose another folder") != content:
+    if mark.exists() and not _continues(read_json(mark, "choose another folder"), content):
         raise BenchmarkError(
             f"{folder} has another split, or one of another release", "choose another folder, or delete it"
         )
@@ -88,6 +91,13 @@ def make_split(
     if seal is not None:
         # Last: a split without commitments is not complete, and no method runs on it.
         write_commitments(folder, truth_folder, [case.name for case in cases])
+
+
+def _continues(earlier: Mapping[str, Any], content: Mapping[str, Any]) -> bool:
+    """Whether the split with `content` has all cases of the earlier one."""
+    if "seed" not in content:
+        return earlier == content
+    return {**earlier, "count": content["count"]} == content and earlier["count"] <= content["count"]
 
 
 def _each(
@@ -151,15 +161,21 @@ def truth_content(case: PublishedCase, flight: Flight) -> dict[str, Any]:
     """
     visible = visibility(case, case.durations_s[0])
     causes = {
-        hidden.id: {"visibility_std": visible[hidden.id], "parameters": dict(hidden.scalars)}
+        hidden.id: {
+            "visibility_std": visible[hidden.id],
+            "parameters": dict(hidden.scalars),
+            "model_parameters": dict(hidden.start),
+        }
         for hidden in hidden_in(case, float(flight.t_s[0]))
     }
+    nominal, true_rig = load_rig(case.rig_name), case.rig()
     unlisted = {name: visible[f"off-{name}"] for name, _ in case.unlisted}
     return {
         "schema": SCHEMA,
         "case": case.name,
         "causes": causes,
         "unlisted": unlisted,
+        "rig": {one: true_rig[one].value for one in true_rig if true_rig[one].value != nominal[one].value},
         "conditions": {
             "rig": case.rig_name,
             "rate_Hz": case.rate_Hz,

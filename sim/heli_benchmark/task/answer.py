@@ -8,11 +8,14 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from heli_sim.rig import RIG_QUANTITIES
+
 from heli_benchmark.errors import BenchmarkError
 from heli_benchmark.task.json_file import read_json, write_json
 from heli_benchmark.task.split import NOTHING, SCHEMA, Causes
 
 _KEYS: Final = {"schema", "probabilities", "parameters", "equation"}
+_RIG_PARAMETERS: Final = frozenset(quantity.name for quantity in RIG_QUANTITIES)
 _ROUNDING: Final = 1e-6
 
 
@@ -42,7 +45,7 @@ class Answer:
         Probability that each cause is hidden, with `nothing` and `unlisted`. A name without an entry has 0.
         Several causes may be hidden together, so that the probabilities need not add up to 1.
     parameters : Mapping[str, Estimate]
-        Estimates by parameter name.
+        Estimates by name, of causes or of the rig.
     equation : str
         An equation in words or symbols, for readers; it is not scored.
     """
@@ -102,8 +105,10 @@ def _parameters(given: object, causes: Causes, where: str) -> dict[str, Estimate
     if not isinstance(given, Mapping):
         raise BenchmarkError(f"{where}: 'parameters' is not an object", "give value and std by name")
     for name, of in given.items():
-        if name not in causes.parameter_names:
-            raise BenchmarkError(f"{where}: unknown parameter '{name}'", "choose from causes.json")
+        if name not in causes.parameter_names and name not in _RIG_PARAMETERS:
+            raise BenchmarkError(
+                f"{where}: unknown parameter '{name}'", "choose from causes.json or rig.toml"
+            )
         if not isinstance(of, Mapping) or set(of) != {"value", "std"}:
             raise BenchmarkError(f"{where}: '{name}' needs a value and a std", "give both, nothing else")
         if not _is_number(of["value"]) or not _is_number(of["std"]) or of["std"] <= 0.0:

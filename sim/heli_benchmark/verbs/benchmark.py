@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from heli_host.cli.options import JsonOption
@@ -143,7 +143,8 @@ def score(
     check_result_places(json)
     data_on_stdout(json)
     split = read_split(folder, truth)
-    summary = summarise_runs({run.name: score_run(split, run) for run in runs})
+    references: dict[str, Any] = {}
+    summary = summarise_runs({run.name: score_run(split, run, references) for run in runs})
     say(*comparison_table(summary).splitlines(), *pair_lines(summary))
     if write_result(json, summary):
         return

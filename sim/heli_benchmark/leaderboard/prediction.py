@@ -1,0 +1,172 @@
+"""Prediction of validation flights by the model of an answer, compared with that of the true model.
+
+The model of an answer has its rig parameters, and the causes that it names, with their sizes. It starts each
+half second at the measured angles, and predicts the angles one second later from the voltages alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import casadi as ca
+import numpy as np
+from heli_host.arrays import Floats
+from heli_host.errors import HeliError
+from heli_host.flight import Flight
+from heli_sim.model import Model, MultibodyModel
+from heli_sim.model.effects import catalogue
+from heli_sim.rig import Rig
+from heli_sim.rig.encoders import count_rad
+from scipy.signal import savgol_filter
+
+from heli_benchmark.task import Answer, BenchmarkCase
+
+HORIZON_s: Final = 1.0
+"""Time of a prediction. The rig moves by tens of degrees in it, and disturbances do not yet decide alone."""
+WORST_RATIO: Final = 10.0
+"""Ratio of a model that diverges, or whose parameters are invalid."""
+_EVERY_s: Final = 0.5
+_STEP_s: Final = 0.01
+_WINDOW_s: Final = 0.4
+"""Length of the filter that gives the rates at the start of a prediction, the same for all models."""
+_UNKNOWN_PHASE: Final = "periodic_torque"
+"""Cause whose phase the truth does not have, so that there is no true model."""
+
+
+def true_errors(case: BenchmarkCase, truth: Mapping[str, Any]) -> Floats | None:
+    """Return the errors of the true model, or None if there is none.
+
+    Parameters
+    ----------
+    case : BenchmarkCase
+        The case.
+    truth : Mapping[str, Any]
+        Content of its truth.
+
+    Returns
+    -------
+    ndarray (3,) or None
+        RMS errors of elevation, pitch and travel, rad. None if a cause is unlisted or periodic, or if the
+        flights are too short.
+    """
+    if truth["unlisted"] or "rig" not in truth or any(c.startswith(_UNKNOWN_PHASE) for c in truth["causes"]):
+        return None
+    causes = {name: of["model_parameters"] for name, of in truth["causes"].items()}
+    return _errors(case, case.rig.replace(**truth["rig"]), causes)
+
+
+def prediction_ratio(case: BenchmarkCase, answer: Answer, named: Sequence[str], reference: Floats) -> float:
+    """Return the error of the model of an answer relative to that of the true model.
+
+    Parameters
+    ----------
+    case : BenchmarkCase
+        The case.
+    answer : Answer
+        Its parameters are those of the rig and of the named causes; others stay nominal.
+    named : sequence of str
+        Listed causes that the answer names.
+    reference : ndarray (3,)
+        Result of `true_errors`.
+
+    Returns
+    -------
+    float
+        Geometric mean over the axes, at most `WORST_RATIO`.
+    """
+    given = {name: of.value for name, of in answer.parameters.items()}
+    rig_values = {name: value for name, value in given.items() if name in case.rig}
+    causes = {}
+    for name in named:
+        own = {one: given[one] for one in case.causes.parameters[name] if one in given}
+        if own:
+            causes[name] = own
+    try:
+        errors = _errors(case, case.rig.replace(**rig_values), causes)
+    except HeliError:
+        return WORST_RATIO
+    if errors is None or not np.isfinite(errors).all():
+        return WORST_RATIO
+    # A count is the smallest error that an encoder shows.
+    floor = count_rad(case.rig)
+    ratio = np.exp(np.mean(np.log(np.maximum(errors, floor) / np.maximum(reference, floor))))
+    return float(min(ratio, WORST_RATIO))
+
+
+def _errors(case: BenchmarkCase, rig: Rig, causes: Mapping[str, Mapping[str, float]]) -> Floats | None:
+    model = MultibodyModel(tuple(catalogue()[name].make(values) for name, values in causes.items()))
+    predictor = _Predictor(model, rig)
+    flights = [predictor.errors(flight) for flight in case.validation]
+    every = np.concatenate(flights)
+    return np.sqrt(np.mean(every**2, axis=0)) if len(every) else None
+
+
+class _Predictor:
+    """Open-loop predictions by a model with given parameters."""
+
+    def __init__(self, model: Model, rig: Rig) -> None:
+        self._parameters = model.parameter_values(rig)
+        names = [one.name for one in model.parameters]
+        self._delay_s = float(self._parameters[names.index(model.delay)]) if model.delay else 0.0
+        x, u, t = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2), ca.SX.sym("t")
+        p = ca.SX(ca.DM(self._parameters))
+        self._states = len(model.states)
+        rates = ca.Function("rates", [x, u, t], [model.dynamics(x, u, p, t)])
+        h = _STEP_s
+        first = rates(x, u, t)
+        second = rates(x + h / 2 * first, u, t + h / 2)
+        third = rates(x + h / 2 * second, u, t + h / 2)
+        fourth = rates(x + h * third, u, t + h)
+        after = model.reset_map(x + h / 6 * (first + 2 * second + 2 * third + fourth), u, p, t + h)
+        self._step = ca.Function("step", [x, u, t], [ca.densify(after)])
+        self._seen = ca.Function("seen", [x, u, t], [ca.densify(model.measurement(x, u, p, t))])
+
+    def errors(self, flight: Flight) -> Floats:
+        """Return predicted minus measured angles at the end of each prediction, rad, shape (k, 3)."""
+        sample_s = float(flight.t_s[-1] - flight.t_s[0]) / (len(flight) - 1)
+        t_s = np.arange(flight.t_s[0], flight.t_s[-1] - 2.0 * _STEP_s, _STEP_s)
+        window = 2 * round(_WINDOW_s / 2.0 / sample_s) + 1
+        horizon = round(HORIZON_s / _STEP_s)
+        edge = round(_WINDOW_s / _STEP_s)
+        starts = np.arange(edge, len(t_s) - horizon - edge, round(_EVERY_s / _STEP_s))
+        if not len(starts) or window > len(flight):
+            return np.empty((0, 3))
+        smooth, rate = (
+            savgol_filter(flight.angles_rad, window, 3, deriv=deriv, delta=sample_s, axis=0)
+            for deriv in (0, 1)
+        )
+        measured, rates, angles = (_at(t_s, flight.t_s, one) for one in (smooth, rate, flight.angles_rad))
+        volts = self._mean_volts(flight, t_s)
+        states = self._all_states(measured, rates, volts, t_s)[starts].T
+        for k in range(horizon):
+            states = np.asarray(self._step(states, volts[starts + k].T, t_s[starts + k][None]))
+        ends = starts + horizon
+        predicted = np.asarray(self._seen(states, volts[ends].T, t_s[ends][None])).T
+        return np.asarray(predicted - angles[ends])
+
+    def _mean_volts(self, flight: Flight, t_s: Floats) -> Floats:
+        """Return the means of the voltages over each step, late by the delay."""
+        total = np.vstack(
+            [np.zeros(2), np.cumsum(flight.voltages_V[:-1] * np.diff(flight.t_s)[:, None], axis=0)]
+        )
+        late = t_s - self._delay_s
+        return np.asarray((_at(late + _STEP_s, flight.t_s, total) - _at(late, flight.t_s, total)) / _STEP_s)
+
+    def _all_states(self, angles: Floats, rates: Floats, volts: Floats, t_s: Floats) -> Floats:
+        """Return the state at each step: measured angles and rates, and the states of the effects along
+        them.
+        """
+        states = np.zeros((len(t_s), self._states))
+        states[:, :3], states[:, 3:6] = angles, rates
+        if self._states > 6:
+            for k in range(len(t_s) - 1):
+                states[k + 1, 6:] = np.asarray(self._step(states[k], volts[k], t_s[k])).ravel()[6:]
+        # The angles behind what the encoders show.
+        shown = np.asarray(self._seen(states.T, volts.T, t_s[None])).T
+        states[:, :3] -= shown - angles
+        return states
+
+
+def _at(t_s: Floats, grid_s: Floats, values: Floats) -> Floats:
+    return np.stack([np.interp(t_s, grid_s, column) for column in values.T], axis=1)

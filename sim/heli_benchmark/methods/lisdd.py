@@ -1,0 +1,73 @@
+"""LISDD ("Where Is My Physics Wrong?", arXiv 2606.23215), after its abstract: local, sparse discrepancies.
+
+Rig parameters are fitted in clean regimes. A regime with too much residual energy gets the term with the
+lowest hold-out error, and an F-test on a third part of its samples confirms the term.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from heli_host.arrays import Floats
+from scipy.stats import chi2, f
+from sklearn.cluster import KMeans
+from statsmodels.stats.multitest import multipletests
+
+from heli_benchmark.methods.terms import ResidualRegression, Term, residual_regression
+from heli_benchmark.task import NOTHING, BenchmarkCase, answer_with
+
+_REGIMES: Final = 6
+_BLOCK: Final = 150
+"""Rows of the blocks that serve fit, hold-out and test in turn: 5 s, longer than the disturbances last."""
+_FALSE_DISCOVERIES: Final = 1e-6
+"""Tuned. The paper's tests are exact for independent noise, and the noise of flights is correlated."""
+_CONFIRMED: Final = 0.8
+"""Probability of a cause whose term is confirmed."""
+
+
+def diagnose(case: BenchmarkCase) -> dict[str, Any]:
+    """Diagnose a case by local discrepancies."""
+    regression = residual_regression(case)
+    labels = KMeans(_REGIMES, n_init=4, random_state=0).fit_predict(regression.features)
+    regimes = np.repeat(labels[1:], 3)
+    parts = np.arange(len(regimes)) // _BLOCK % 3
+    residual = _clean_residual(regression, regimes)
+    inside = [regimes == regime for regime in range(_REGIMES)]
+    energies = [chi2.sf(residual[rows] @ residual[rows], rows.sum()) for rows in inside]
+    terms, p_values = [], []
+    for regime in np.flatnonzero(multipletests(energies, _FALSE_DISCOVERIES, "fdr_bh")[0]):
+        fit, held_out, test = (inside[regime] & (parts == part) for part in range(3))
+        terms.append(min(regression.terms, key=lambda term: _error(term, residual, fit, held_out)))
+        p_values.append(_p_value(terms[-1], residual, test))
+    confirmed = multipletests(p_values, _FALSE_DISCOVERIES, "fdr_bh")[0] if terms else []
+    chosen = {term.cause: term for term, sure in zip(terms, confirmed, strict=True) if sure}
+    named = dict.fromkeys(chosen, _CONFIRMED) or {NOTHING: 0.5}
+    return answer_with(case.causes, named, regression.parameters([*chosen.values()]))
+
+
+def _clean_residual(regression: ResidualRegression, regimes: np.ndarray) -> Floats:
+    """Fit the rig in the half of the regimes with the least energy, and scale to their standard deviation."""
+    clean = np.ones(len(regimes), bool)
+    prior = np.eye(regression.nuisance.shape[1])
+    for _ in range(3):
+        design = np.vstack([regression.nuisance[clean], prior])
+        known = np.concatenate([regression.target[clean], np.zeros(len(prior))])
+        rest = regression.target - regression.nuisance @ np.linalg.lstsq(design, known)[0]
+        energies = [float(np.mean(rest[regimes == regime] ** 2)) for regime in range(_REGIMES)]
+        clean = np.isin(regimes, np.argsort(energies)[: _REGIMES // 2])
+    return np.asarray(rest / rest[clean].std())
+
+
+def _error(term: Term, residual: Floats, fit: np.ndarray, held_out: np.ndarray) -> float:
+    size = np.linalg.lstsq(term.columns[fit], residual[fit])[0]
+    return float(np.sum((residual[held_out] - term.columns[held_out] @ size) ** 2))
+
+
+def _p_value(term: Term, residual: Floats, test: np.ndarray) -> float:
+    columns, rest = term.columns[test], residual[test]
+    free, used = len(rest) - columns.shape[1], columns.shape[1]
+    if free <= 0:
+        return 1.0
+    after = rest - columns @ np.linalg.lstsq(columns, rest)[0]
+    return float(f.sf((rest @ rest - after @ after) / used / (after @ after / free), used, free))

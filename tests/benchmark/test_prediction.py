@@ -1,0 +1,56 @@
+"""Predictions of the model of an answer: relative to the true model, on flights that no fit has seen."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from heli_benchmark.leaderboard.prediction import WORST_RATIO, prediction_ratio, true_errors
+from heli_benchmark.task import Answer, BenchmarkCase, Estimate
+
+from tests.benchmark.test_methods import CAUSES, RIG, SPRING, STIFFNESS, flown
+
+SIZE = 0.5
+FLIGHT = flown(SIZE)
+CASE = BenchmarkCase("case", RIG, (FLIGHT,), (FLIGHT,), CAUSES)
+TRUTH: dict[str, Any] = {
+    "causes": {SPRING: {"model_parameters": {STIFFNESS: SIZE}}},
+    "unlisted": {},
+    "rig": {},
+}
+
+
+def ratio(answer: Answer, *named: str) -> float:
+    reference = true_errors(CASE, TRUTH)
+    assert reference is not None
+    return prediction_ratio(CASE, answer, named, reference)
+
+
+def spring(value: float, **rig: float) -> Answer:
+    numbers = {STIFFNESS: value, **rig}
+    return Answer({SPRING: 1.0}, {name: Estimate(value, 0.1) for name, value in numbers.items()})
+
+
+@pytest.mark.medium
+def test_the_true_causes_and_sizes_predict_as_well_as_the_true_model() -> None:
+    assert ratio(spring(SIZE), SPRING) == pytest.approx(1.0)
+
+
+@pytest.mark.medium
+def test_a_missing_cause_and_a_wrong_size_predict_worse() -> None:
+    missing = ratio(Answer({"nothing": 1.0}))
+    halved = ratio(spring(0.5 * SIZE), SPRING)
+    assert 1.05 < halved < missing
+
+
+@pytest.mark.medium
+def test_the_rig_parameters_of_an_answer_are_used() -> None:
+    gain = RIG["thrust_gain"].value
+    assert ratio(spring(SIZE, thrust_gain=1.3 * gain), SPRING) > 1.2
+    assert ratio(spring(SIZE, thrust_gain=-gain), SPRING) == WORST_RATIO
+
+
+def test_a_case_without_a_true_model_in_the_catalogue_has_no_reference() -> None:
+    assert true_errors(CASE, TRUTH | {"unlisted": {"draught": 20.0}}) is None
+    periodic: dict[str, Any] = {"periodic_torque.pitch": {"model_parameters": {}}}
+    assert true_errors(CASE, TRUTH | {"causes": periodic}) is None
