@@ -1,7 +1,7 @@
 """The same tuning for each method: five values of one constant, the best skill on an open split.
 
-``python -m tests.benchmark.tuning public`` prints the skill for each value. What a method computes before it
-uses its constant is computed once per case.
+``python -m tests.benchmark.tuning public`` prints the skill for each value. A method computes once per
+case what does not depend on its constant.
 """
 
 from __future__ import annotations
