@@ -40,7 +40,7 @@ def true_errors(case: BenchmarkCase, truth: Mapping[str, Any]) -> Floats | None:
     Parameters
     ----------
     case : BenchmarkCase
-        The case.
+        Its validation flights are predicted, and its rig is the start.
     truth : Mapping[str, Any]
         Content of its truth.
 
@@ -62,7 +62,7 @@ def prediction_ratio(case: BenchmarkCase, answer: Answer, named: Sequence[str], 
     Parameters
     ----------
     case : BenchmarkCase
-        The case.
+        Its validation flights are predicted, and its rig is the start.
     answer : Answer
         Its parameters are those of the rig and of the named causes; others stay nominal.
     named : sequence of str

@@ -73,6 +73,8 @@ class TermEvidence:
         ----------
         count : int
             Number of targets.
+        rng : numpy.random.Generator
+            Draws the noise, the errors and the effects.
 
         Returns
         -------
