@@ -140,8 +140,8 @@ def test_parameters_of_a_board_with_another_link_version_are_kept(
     [kept] = tmp_path.glob("parameters-*.toml")
     assert read_parameter_set(kept).values["hover_V"] == 1.25
     assert len(uploader.calls) == 1
-    # The simulated board is not really flashed, so that it still speaks the other link.
-    assert "speaks link" in refusal(ended, code=LINK)
+    # The simulated board is not really flashed, so that it still has the other link version.
+    assert "has link version" in refusal(ended, code=LINK)
 
 
 @pytest.mark.slow

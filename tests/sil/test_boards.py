@@ -203,8 +203,8 @@ class TestWhichElf:
         with pytest.raises(FirmwareError) as refused:
             choose("due", str(elf))
         message = str(refused.value)
-        assert f"link {own[1]}.{own[2]} ({own[0]:08x})" in message
-        assert "link 9.8 (00001234)" in message
+        assert f"link version {own[1]}.{own[2]} ({own[0]:08x})" in message
+        assert "this host has 9.8 (00001234)" in message
         assert "make firmware" in message
 
     def test_a_program_that_says_nothing_is_refused(self, tmp_path: Path) -> None:

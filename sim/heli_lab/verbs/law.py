@@ -249,7 +249,7 @@ def grade(
 
     from heli_lab.classroom.grade import REFERENCE, LawGrade, grade_lines
     from heli_lab.classroom.grade import grade as grade_law
-    from heli_lab.law.files import load_limited
+    from heli_lab.law.files import check_files, load_limited
     from heli_lab.law.limits import FileLimits
     from heli_lab.law.trial import trial_plan
     from heli_lab.law_flight import fly_trial
@@ -257,6 +257,8 @@ def grade(
 
     check_result_places(json, report=report)
     data_on_stdout(json)
+    # A wrong name is the user's mistake, not a law that fails.
+    check_files(laws)
     graded_plan = load_plan(plan) if plan is not None else trial_plan(duration_s)
     rigs = rig or [DEFAULT_RIG]
     plant = linear_plant(load_rig(rigs[0]))
