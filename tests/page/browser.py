@@ -28,6 +28,8 @@ window.requestAnimationFrame = (draw) => setTimeout(() => drawn(draw), 200);
 FLAGS = [
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
+    # Only the rig needs the software GPU. With it, putting pages together took half of Chromium's time.
+    "--disable-gpu-compositing",
     "--disable-background-networking",
     "--disable-component-update",
     # Root may not use its sandbox; what it opens here is our own page.
