@@ -14,7 +14,6 @@ from heli_sim.sil.intervals import Interval
 from heli_sim.sil.rig_faults import RigFaults
 from heli_sim.sil.world import SilWorld
 
-_TICK_s: Final = 1e-3
 _MAX_BYTES: Final = 4096
 _MAX_ANGLE_deg: Final = 360.0
 _AXES: Final = "|".join(AXES)
