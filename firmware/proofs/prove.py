@@ -58,7 +58,7 @@ class Claim:
     """One claim: what it says, assumes and leaves open, and how it is proved.
 
     `model` is the claim whose folder `model` replaces headers.
-    `make test` runs no step that is `dear`; `make long` does.
+    `make test` runs no step that is `expensive`; `make long` does.
     """
 
     name: str
@@ -71,7 +71,7 @@ class Claim:
     loops: dict[str, int]
     unchecked: tuple[str, ...]
     model: str
-    dear: tuple[str, ...]
+    expensive: tuple[str, ...]
     solvers: dict[str, str]
     mutants: tuple[Mutant, ...]
 
@@ -91,14 +91,14 @@ class Claim:
             loops=text.get("loops", {}),
             unchecked=tuple(text.get("unchecked", ())),
             model=text.get("model", folder.name),
-            dear=tuple(text.get("dear", ())),
+            expensive=tuple(text.get("expensive", ())),
             solvers=text.get("solvers", {}),
             mutants=tuple(Mutant(**mutant) for mutant in text["mutants"]),
         )
 
     def cheap(self) -> Claim:
-        """The claim without its dear steps and their mutants."""
-        steps = tuple(step for step in self.steps if step not in self.dear)
+        """The claim without its expensive steps and their mutants."""
+        steps = tuple(step for step in self.steps if step not in self.expensive)
         mutants = tuple(mutant for mutant in self.mutants if mutant.step in steps)
         return replace(self, steps=steps, mutants=mutants)
 

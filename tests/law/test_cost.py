@@ -133,7 +133,7 @@ def test_states_and_signals_cost_no_more_than_declared() -> None:
 
 
 def test_a_tick_with_the_most_expensive_accepted_tape_is_within_its_bound() -> None:
-    program = dearest().program
+    program = most_expensive().program
     assert LAW_TICK_COST - 400 < program.cost <= LAW_TICK_COST
     flight = flown(program)
     _, _, update = flight.function(LAW_UPDATE)
@@ -188,7 +188,7 @@ def remembering(states: int, signals: int = 0) -> Law:
     return law
 
 
-def dearest() -> Law:
+def most_expensive() -> Law:
     """A law of 1 kHz that flies, and takes all the time that there is."""
 
     @control_law(states={"x": 0.0})

@@ -50,7 +50,7 @@ std::uint32_t heli::link::crc32(const std::uint8_t* bytes, std::size_t, std::uin
   return ~sum;
 }
 
-// Each page by its name: a page of any index is dear for the solver.
+// Each page by its name: a page of any index is expensive for the solver.
 void heli::Board::read_page(std::size_t page, std::uint8_t* to, std::size_t) {
   CLAIM(page < 2, "the store has two pages");
   const Page content = page == 0 ? first_ : second_;
