@@ -124,10 +124,12 @@ class MujocoPlant:
 
     def __init__(self, rig: Rig, hidden: Sequence[HiddenEffect]) -> None:
         self.rig = rig
-        self.hidden = sorted(hidden, key=lambda one: one.late)
-        self.physics = mujoco_rig(rig, step_s=STEP_S, hung="".join(one.hung(rig) for one in self.hidden))
-        for one in self.hidden:
-            one.configure(self.physics)
+        self.hidden = sorted(hidden, key=lambda effect: effect.late)
+        self.physics = mujoco_rig(
+            rig, step_s=STEP_S, hung="".join(effect.hung(rig) for effect in self.hidden)
+        )
+        for effect in self.hidden:
+            effect.configure(self.physics)
         self.data = mujoco.MjData(self.physics)
         self._q = np.array([self.physics.joint(name).qposadr[0] for name in JOINTS])
         self._v = np.array([self.physics.joint(name).dofadr[0] for name in JOINTS])
@@ -135,8 +137,8 @@ class MujocoPlant:
         self._body = self.physics.body("body").id
         self.parameters: Floats = np.zeros(1)
         self._rest = np.array([np.deg2rad(rig["elevation_min"].value), 0.0, 0.0, 0.0, 0.0, 0.0])
-        for one in self.hidden:
-            one.rest(self._rest)
+        for effect in self.hidden:
+            effect.rest(self._rest)
         self._lowest_rad = float(self._rest[0])
         self._time_s = self._flight_s = 0.0
         self._let_go = False
@@ -196,18 +198,18 @@ class MujocoPlant:
 
     def act(self, at: Moment) -> None:
         """Compute thrusts and torques of a moment from its voltages, hidden effects included."""
-        for one in self.hidden:
-            one.volts(at)
+        for effect in self.hidden:
+            effect.volts(at)
         forward_V = np.maximum(at.volts_V - self._dead_zone_V, 0.0)
         backward_V = np.maximum(-at.volts_V - self._dead_zone_V, 0.0)
         at.above_V = forward_V - backward_V
         at.gain_N_per_V = self._gain
         at.thrust_N = self._gain * (forward_V - self._reverse * backward_V)
         at.torque_Nm += self._steady_Nm
-        for one in self.hidden:
-            one.thrust(at)
-        for one in self.hidden:
-            one.torque(at)
+        for effect in self.hidden:
+            effect.thrust(at)
+        for effect in self.hidden:
+            effect.torque(at)
 
     def acceleration(
         self, angles_rad: Floats, rates_rad_s: Floats, thrust_N: Floats, torque_Nm: Floats
@@ -236,8 +238,8 @@ class MujocoPlant:
         Call it once per millisecond, because play has a memory.
         """
         seen = angles_rad + self._zeros_rad
-        for one in self.hidden:
-            seen = one.measured(seen)
+        for effect in self.hidden:
+            seen = effect.measured(seen)
         return seen
 
     def _step(
@@ -267,8 +269,8 @@ class MujocoPlant:
             climb_m_s=climb,
         )
         self.act(at)
-        for one in self.hidden:
-            one.during(at, self.physics)
+        for effect in self.hidden:
+            effect.during(at, self.physics)
         data.ctrl[:] = at.thrust_N
         data.qfrc_applied[self._v] = at.torque_Nm
         mujoco.mj_step(self.physics, data)

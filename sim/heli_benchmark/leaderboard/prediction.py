@@ -79,7 +79,9 @@ def prediction_ratio(case: BenchmarkCase, answer: Answer, named: Sequence[str], 
     rig_values = {name: value for name, value in given.items() if name in case.rig}
     causes = {}
     for name in named:
-        own = {one: given[one] for one in case.causes.parameters[name] if one in given}
+        own = {
+            parameter: given[parameter] for parameter in case.causes.parameters[name] if parameter in given
+        }
         if own:
             causes[name] = own
     try:
@@ -107,7 +109,7 @@ class _Predictor:
 
     def __init__(self, model: Model, rig: Rig) -> None:
         self._parameters = model.parameter_values(rig)
-        names = [one.name for one in model.parameters]
+        names = [quantity.name for quantity in model.parameters]
         self._delay_s = float(self._parameters[names.index(model.delay)]) if model.delay else 0.0
         x, u, t = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2), ca.SX.sym("t")
         p = ca.SX(ca.DM(self._parameters))
@@ -136,7 +138,9 @@ class _Predictor:
             savgol_filter(flight.angles_rad, window, 3, deriv=deriv, delta=sample_s, axis=0)
             for deriv in (0, 1)
         )
-        measured, rates, angles = (_at(t_s, flight.t_s, one) for one in (smooth, rate, flight.angles_rad))
+        measured, rates, angles = (
+            _at(t_s, flight.t_s, signal) for signal in (smooth, rate, flight.angles_rad)
+        )
         volts = self._mean_volts(flight, t_s)
         states = self._all_states(measured, rates, volts, t_s)[starts].T
         for k in range(horizon):

@@ -40,7 +40,7 @@ def summarise_runs(runs: Mapping[str, Sequence[CaseScore]], seed: int = 0) -> di
     """
     cases = len(next(iter(runs.values())))
     drawn = np.random.default_rng(seed).integers(cases, size=(RESAMPLES, cases))
-    weights = np.stack([np.bincount(one, minlength=cases) for one in drawn]).astype(np.float64)
+    weights = np.stack([np.bincount(indices, minlength=cases) for indices in drawn]).astype(np.float64)
     names = list(runs)
     return {
         "cases": cases,
@@ -56,8 +56,8 @@ def summarise_runs(runs: Mapping[str, Sequence[CaseScore]], seed: int = 0) -> di
 def _summary(scores: Sequence[CaseScore], weights: Floats) -> dict[str, Any]:
     loss, base = _losses(scores)
     cost = {
-        "cpu_s": _mean([one.cpu_s for one in scores]),
-        "peak_MB": max((one.peak_MB for one in scores if one.peak_MB is not None), default=None),
+        "cpu_s": _mean([case.cpu_s for case in scores]),
+        "peak_MB": max((case.peak_MB for case in scores if case.peak_MB is not None), default=None),
     }
     ratios = {name: _ratio(sums, weights) for name, sums in _sums(scores).items()}
     for name in _SHARES:
@@ -72,7 +72,7 @@ def _summary(scores: Sequence[CaseScore], weights: Floats) -> dict[str, Any]:
         **ratios,
         "calibration_error": _calibration(scores, weights),
         **cost,
-        "failed": sum(bool(one.failure) for one in scores),
+        "failed": sum(bool(case.failure) for case in scores),
     }
 
 
@@ -81,31 +81,31 @@ def _skill(loss: Floats, base: Floats, weights: Floats) -> Floats:
 
 
 def _losses(scores: Sequence[CaseScore]) -> tuple[Floats, Floats]:
-    return np.array([one.log_loss for one in scores]), np.array([one.base_loss for one in scores])
+    return np.array([case.log_loss for case in scores]), np.array([case.base_loss for case in scores])
 
 
 def _sums(scores: Sequence[CaseScore]) -> dict[str, SumsPerCase]:
     """Return each score that is a ratio of two sums over cases."""
 
     def each(value: Callable[[CaseScore], float | None]) -> SumsPerCase:
-        values = [value(one) for one in scores]
-        counted = np.array([float(one is not None) for one in values])
-        return np.array([0.0 if one is None else float(one) for one in values]), counted
+        values = [value(case) for case in scores]
+        counted = np.array([float(number is not None) for number in values])
+        return np.array([0.0 if number is None else float(number) for number in values]), counted
 
     def sizes(value: Callable[[tuple[bool, float]], float]) -> SumsPerCase:
-        sums = [sum(value(size) for size in one.sizes) for one in scores]
-        return np.array(sums, float), np.array([float(len(one.sizes)) for one in scores])
+        sums = [sum(value(size) for size in case.sizes) for case in scores]
+        return np.array(sums, float), np.array([float(len(case.sizes)) for case in scores])
 
-    asked = np.array([float(one.sizes_asked) for one in scores])
+    asked = np.array([float(case.sizes_asked) for case in scores])
     return {
-        "first_right": each(lambda one: one.first_right),
-        "all_named": each(lambda one: one.all_named),
-        "false_names": each(lambda one: one.false_names),
-        "false_alarms": each(lambda one: one.false_alarm),
-        "sizes_given": (np.array([float(len(one.sizes)) for one in scores]), asked),
+        "first_right": each(lambda case: case.first_right),
+        "all_named": each(lambda case: case.all_named),
+        "false_names": each(lambda case: case.false_names),
+        "false_alarms": each(lambda case: case.false_alarm),
+        "sizes_given": (np.array([float(len(case.sizes)) for case in scores]), asked),
         "sizes_within": sizes(lambda size: size[0]),
         "interval_score": sizes(lambda size: size[1]),
-        "prediction_error": each(lambda one: None if one.prediction is None else np.log(one.prediction)),
+        "prediction_error": each(lambda case: None if case.prediction is None else np.log(case.prediction)),
     }
 
 
@@ -136,8 +136,8 @@ def _calibration(scores: Sequence[CaseScore], weights: Floats) -> dict[str, Any]
     """
     bins = len(_BINS) - 1
     excess, counts = np.zeros((len(scores), bins)), np.zeros((len(scores), bins))
-    for i, one in enumerate(scores):
-        for probability, true in one.calibration:
+    for i, case in enumerate(scores):
+        for probability, true in case.calibration:
             place = int(np.searchsorted(_BINS, probability, side="right")) - 1
             excess[i, place] += probability - true
             counts[i, place] += 1.0
@@ -153,9 +153,9 @@ def _calibration(scores: Sequence[CaseScore], weights: Floats) -> dict[str, Any]
 def _difference(first: Sequence[CaseScore], second: Sequence[CaseScore], weights: Floats) -> dict[str, Any]:
     """Compare two methods on the same resampled cases."""
     (loss_a, base), (loss_b, _) = _losses(first), _losses(second)
-    one = np.ones((1, len(base)))
+    unweighted = np.ones((1, len(base)))
     skill = _interval(
-        _skill(loss_a, base, one) - _skill(loss_b, base, one),
+        _skill(loss_a, base, unweighted) - _skill(loss_b, base, unweighted),
         _skill(loss_a, base, weights) - _skill(loss_b, base, weights),
         len(base),
     )
@@ -170,5 +170,5 @@ def _interval(value: Floats, resampled: Floats, cases: int) -> dict[str, Any]:
 
 
 def _mean(values: Sequence[float | None]) -> float | None:
-    known = [one for one in values if one is not None]
+    known = [value for value in values if value is not None]
     return float(np.mean(known)) if known else None

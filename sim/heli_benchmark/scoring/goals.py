@@ -35,7 +35,7 @@ def goals(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
     false_confidences = [sure for row in disturbed for _, right, sure in row.answers if not right]
     alarms = [not row.right for row in clean if row.kind == "nothing"]
     false_names = [bool(row.false_names) for row in disturbed]
-    bins = [holds(one) for one in reliability(rows) if one["causes"]]
+    bins = [holds(confidence_bin) for confidence_bin in reliability(rows) if confidence_bin["causes"]]
     return {
         "clean: named first": _least(_right(clean, "one", "several"), 0.97),
         "clean: false alarms on nothing hidden": _most(alarms, 0.0),
@@ -78,7 +78,7 @@ def further_counts(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
         for row in fair
         if not any(name.startswith(RANDOM_TORQUE) for name in row.hidden)
     ]
-    found = [row.verdict == "cause_found" for row in visible_disturbed]
+    cause_found = [row.verdict == "cause_found" for row in visible_disturbed]
     return {
         "clean: unlisted called unexplained": _least(_right(clean, "off_list")),
         "clean: every visible cause named": _least([not row.missed for row in fair]),
@@ -87,17 +87,17 @@ def further_counts(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
         "clean: numbers within 2 standard errors": _least(_within(clean)),
         "disturbed: numbers within 2 standard errors": _least(_within(disturbed)),
         "disturbed: visible causes named, one by one": _least(causes),
-        "disturbed: cause_found where causes are hidden": _least(found),
+        "disturbed: cause_found where causes are hidden": _least(cause_found),
         "diagnosis failed": _most([bool(row.failure) for row in rows], 0.0),
     }
 
 
-def table(found: dict[str, dict[str, Any]]) -> list[str]:
+def table(goals: dict[str, dict[str, Any]]) -> list[str]:
     """Format goals as lines.
 
     Parameters
     ----------
-    found : dict
+    goals : dict
         Result of `goals`.
 
     Returns
@@ -106,25 +106,25 @@ def table(found: dict[str, dict[str, Any]]) -> list[str]:
         One line per goal.
     """
     lines = []
-    for name, one in found.items():
-        share = f"{one['share']:.1%}" if one["of"] else "-"
+    for name, goal in goals.items():
+        share = f"{goal['share']:.1%}" if goal["of"] else "-"
         wanted, mark = "", ""
-        if one["wanted"] is not None:
-            wanted = f"{'<=' if one['at_most'] else '>='} {one['wanted']:.0%}"
-            mark = {True: "reached", False: "MISSED", None: "nothing counted"}[one["reached"]]
-        beside = one.get("borderline")
+        if goal["wanted"] is not None:
+            wanted = f"{'<=' if goal['at_most'] else '>='} {goal['wanted']:.0%}"
+            mark = {True: "reached", False: "MISSED", None: "nothing counted"}[goal["reached"]]
+        beside = goal.get("borderline")
         apart = f"; borderline {beside['count']} of {beside['of']}" if beside and beside["of"] else ""
-        counts = f"{one['count']:4d} of {one['of']:4d}  {share:>6s}"
+        counts = f"{goal['count']:4d} of {goal['of']:4d}  {share:>6s}"
         lines.append(f"  {name:61s} {counts}  {wanted:8s} {mark}{apart}".rstrip())
     return lines
 
 
 def _split(rows: Iterable[Row]) -> tuple[list[Row], list[Row]]:
     """Split rows into clean and disturbed cases."""
-    found: tuple[list[Row], list[Row]] = ([], [])
+    rows_by_disturbance: tuple[list[Row], list[Row]] = ([], [])
     for row in rows:
-        found[bool(row.disturbances)].append(row)
-    return found
+        rows_by_disturbance[bool(row.disturbances)].append(row)
+    return rows_by_disturbance
 
 
 def _right(rows: Iterable[Row], *kinds: str) -> list[bool]:

@@ -90,7 +90,7 @@ class Row:
         given = {name: kept[name] for name in cls.__dataclass_fields__}
         for name in ("hidden", "named", "confidence"):
             given[name] = tuple(given[name])
-        given["alternatives"] = tuple(tuple(one) for one in given["alternatives"])
+        given["alternatives"] = tuple(tuple(alternative) for alternative in given["alternatives"])
         given["parameters"] = {name: tuple(of) for name, of in given["parameters"].items()}
         return cls(**given)
 
@@ -156,7 +156,7 @@ class Row:
     def answers(self) -> tuple[tuple[str, bool, float], ...]:
         """Each named cause, whether it is hidden, and its confidence; without disturbances."""
         return tuple(
-            (name, any(self._means(i, one) for one in self.hidden), sure)
+            (name, any(self._means(i, effect) for effect in self.hidden), sure)
             for i, (name, sure) in enumerate(zip(self.named, self.confidence, strict=True))
             if not (self.disturbances and name.startswith(RANDOM_TORQUE))
         )
@@ -232,16 +232,16 @@ def judge(
     if result is None:
         result = {"verdict": "failed", "causes": [], "residual": {"normalised": {}}}
     given = [of_parts(cause["effect"], cause["parameters"]) for cause in reversed(result["causes"])]
-    causes = {effect: numbers for one in given for effect, numbers in one.items()}
+    causes = {effect: numbers for cause in given for effect, numbers in cause.items()}
     parameters: dict[str, tuple[float, float, float]] = {}
-    for one in hidden:
-        found = causes.get(one.id, {})
-        for name, truth in one.scalars.items():
-            if name in found and found[name]["std"] > 0.0:
-                parameters[name] = (found[name]["value"], found[name]["std"], truth)
-        for pair, truth in one.amplitudes.items():
-            if all(name in found for name in pair):
-                parameters[f"{pair[0]}, {pair[1]}"] = (*_length([found[name] for name in pair]), truth)
+    for effect in hidden:
+        estimates = causes.get(effect.id, {})
+        for name, truth in effect.scalars.items():
+            if name in estimates and estimates[name]["std"] > 0.0:
+                parameters[name] = (estimates[name]["value"], estimates[name]["std"], truth)
+        for pair, truth in effect.amplitudes.items():
+            if all(name in estimates for name in pair):
+                parameters[f"{pair[0]}, {pair[1]}"] = (*_length([estimates[name] for name in pair]), truth)
     # The numbers are null if nothing was excited.
     normalised = result["residual"].get("normalised") or {}
     errors = {"found": _number(normalised, "held_out_after"), "found_train": _number(normalised, "after")}
@@ -252,7 +252,7 @@ def judge(
         case.name,
         case.kind,
         case.seed,
-        (*(one.id for one in hidden), *(f"off-{name}" for name, _ in case.unlisted)),
+        (*(effect.id for effect in hidden), *(f"off-{name}" for name, _ in case.unlisted)),
         reference.significance if isinstance(reference, InformedFit) else reference,
         result["verdict"],
         tuple(cause["effect"] for cause in result["causes"]),
@@ -277,6 +277,6 @@ def _number(of: Mapping[str, float | None], name: str) -> float:
 
 
 def _length(pair: Sequence[Mapping[str, float]]) -> tuple[float, float]:
-    values, stds = (np.array([one[key] for one in pair], float) for key in ("value", "std"))
+    values, stds = (np.array([part[key] for part in pair], float) for key in ("value", "std"))
     length = float(np.hypot(*values))
     return length, float(np.hypot(*(values * stds))) / max(length, 1e-12)

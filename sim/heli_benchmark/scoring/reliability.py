@@ -78,14 +78,16 @@ def draw(curve: Sequence[dict[str, float]], path: Path) -> None:
     figure = Figure(figsize=(4.2, 4.0), layout="constrained")
     axes = figure.subplots()
     axes.plot([0, 1], [0, 1], color="0.7", lw=1)
-    for one in curve:
-        if not one["causes"]:
+    for confidence_bin in curve:
+        if not confidence_bin["causes"]:
             continue
-        count, mean = one["causes"], one["mean_confidence"]
-        low, high = one["least"] / count, one["most"] / count
+        count, mean = confidence_bin["causes"], confidence_bin["mean_confidence"]
+        low, high = confidence_bin["least"] / count, confidence_bin["most"] / count
         axes.plot([mean, mean], [low, high], color="0.6", lw=6, solid_capstyle="butt")
-        axes.plot(mean, one["share_right"], "o", color="C0" if holds(one) else "C3")
-        axes.annotate(f"{count:.0f}", (mean, one["share_right"]), (5, -10), textcoords="offset points")
+        axes.plot(mean, confidence_bin["share_right"], "o", color="C0" if holds(confidence_bin) else "C3")
+        axes.annotate(
+            f"{count:.0f}", (mean, confidence_bin["share_right"]), (5, -10), textcoords="offset points"
+        )
     axes.set(xlabel="confidence given", ylabel="share that is right", xlim=(-0.03, 1.03), ylim=(-0.03, 1.03))
     axes.set_title("grey: range of 95 % of calibrated bins; numbers: causes", fontsize=8)
     figure.savefig(path, dpi=110)

@@ -54,7 +54,9 @@ def text(rows: Sequence[Row]) -> str:
     """
     lines = ["", "hidden: first answers and their number"]
     for hidden, counts in confusion(rows).items():
-        answers = ", ".join(f"{answer} {n}" for answer, n in sorted(counts.items(), key=lambda one: -one[1]))
+        answers = ", ".join(
+            f"{answer} {n}" for answer, n in sorted(counts.items(), key=lambda item: -item[1])
+        )
         lines.append(f"  {hidden:44s} {answers}")
     lines += ["", "misses"]
     for row in rows:
@@ -62,15 +64,15 @@ def text(rows: Sequence[Row]) -> str:
         if line:
             lines.append(f"  {row.case} (seed {row.seed}): {line}")
     lines += ["", "confidence   causes   mean   right   within binomial bounds"]
-    for one in reliability(rows):
+    for bin_ in reliability(rows):
         answers = (
-            f"{one['least']:.0f} to {one['most']:.0f}: {'yes' if holds(one) else 'NO'}"
-            if one["causes"]
+            f"{bin_['least']:.0f} to {bin_['most']:.0f}: {'yes' if holds(bin_) else 'NO'}"
+            if bin_["causes"]
             else "-"
         )
         lines.append(
-            f"  {one['from']:.2f}-{one['to']:.2f}  {one['causes']:6.0f}   {one['mean_confidence']:.2f}   "
-            f"{one['right']:5.0f}   {answers}"
+            f"  {bin_['from']:.2f}-{bin_['to']:.2f}  {bin_['causes']:6.0f}   {bin_['mean_confidence']:.2f}   "
+            f"{bin_['right']:5.0f}   {answers}"
         )
     lines += ["", "further results", *table(further_counts(rows))]
     lines += ["", f"goals, {len(rows)} cases, {_minutes(rows)}", *table(goals(rows))]
