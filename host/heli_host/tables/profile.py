@@ -208,7 +208,7 @@ def profile_of(content: Mapping[str, Any], source: str) -> Profile:
         reader.number(time, "rate_Hz", 0.0),
         reader.one_of(acting, "act", "after", _ACT),
         {axis: reader.angle(content, f"{axis}_setpoint") for axis in AXES if f"{axis}_setpoint" in content},
-        dict(reader.part(one) for one in reader.tables(content, "flight")),
+        dict(reader.part(entry) for entry in reader.tables(content, "flight")),
         reader.text(content, "about", ""),
         reader.clip(acting),
         reader.truth(content, "mirrored"),
@@ -235,108 +235,108 @@ class _Reader:
                 )
 
     def table(self, content: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-        found = content.get(name, {})
-        if not isinstance(found, Mapping):
+        value = content.get(name, {})
+        if not isinstance(value, Mapping):
             raise self.wrong(f"{name} is not a table")
-        return found
+        return value
 
     def tables(self, content: Mapping[str, Any], name: str) -> list[Mapping[str, Any]]:
-        found = content.get(name, [])
-        if not isinstance(found, list) or not all(isinstance(one, Mapping) for one in found):
+        value = content.get(name, [])
+        if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):
             raise self.wrong(f"{name} is not a list of tables; write [[{name}]]")
-        return found
+        return value
 
     def text(self, content: Mapping[str, Any], name: str, default: str | None) -> str:
-        found = content.get(name, default)
-        if not isinstance(found, str):
+        value = content.get(name, default)
+        if not isinstance(value, str):
             raise self.wrong(f"'{name}' is missing, or not a text")
-        return found
+        return value
 
     def number(self, content: Mapping[str, Any], name: str, default: float) -> float:
-        found = content.get(name, default)
-        if isinstance(found, bool) or not isinstance(found, int | float) or not math.isfinite(found):
+        value = content.get(name, default)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise self.wrong(f"'{name}' is not a number")
-        return float(found)
+        return float(value)
 
     def one_of(self, content: Mapping[str, Any], name: str, default: str, known: tuple[str, ...]) -> str:
-        found = self.text(content, name, default)
-        if found not in known:
-            raise self.wrong(f"unknown {name} = '{found}'; choose {', '.join(known)}")
-        return found
+        value = self.text(content, name, default)
+        if value not in known:
+            raise self.wrong(f"unknown {name} = '{value}'; choose {', '.join(known)}")
+        return value
 
     def truth(self, content: Mapping[str, Any], name: str) -> bool:
-        found = content.get(name, False)
-        if not isinstance(found, bool):
+        value = content.get(name, False)
+        if not isinstance(value, bool):
             raise self.wrong(f"'{name}' is neither true nor false")
-        return found
+        return value
 
     def clip(self, content: Mapping[str, Any]) -> tuple[float, float] | None:
-        found = content.get("clip_V")
-        if found is None:
+        value = content.get("clip_V")
+        if value is None:
             return None
-        numbers = isinstance(found, list) and all(
-            isinstance(one, int | float) and not isinstance(one, bool) for one in found
+        numbers = isinstance(value, list) and all(
+            isinstance(limit_V, int | float) and not isinstance(limit_V, bool) for limit_V in value
         )
-        if not numbers or len(found) != 2 or not found[0] < found[1]:
+        if not numbers or len(value) != 2 or not value[0] < value[1]:
             raise self.wrong(
-                f"clip_V = {found} is not a [smallest, largest] voltage of a motor, such as [-5, 5]"
+                f"clip_V = {value} is not a [smallest, largest] voltage of a motor, such as [-5, 5]"
             )
-        return float(found[0]), float(found[1])
+        return float(value[0]), float(value[1])
 
     def sign(self, content: Mapping[str, Any]) -> float:
-        found = self.number(content, "sign", 1.0)
-        if abs(found) != 1.0:
-            raise self.wrong(f"sign = {found:g} is neither 1 nor -1")
-        return found
+        value = self.number(content, "sign", 1.0)
+        if abs(value) != 1.0:
+            raise self.wrong(f"sign = {value:g} is neither 1 nor -1")
+        return value
 
     def positive(self, content: Mapping[str, Any], name: str, default: float) -> float:
-        found = self.number(content, name, default)
-        if found <= 0.0:
-            raise self.wrong(f"{name} = {found:g} is not positive")
-        return found
+        value = self.number(content, name, default)
+        if value <= 0.0:
+            raise self.wrong(f"{name} = {value:g} is not positive")
+        return value
 
     def angle(self, content: Mapping[str, Any], name: str) -> Angle:
         if name not in content:
             raise self.wrong(f"[{name}] is missing")
-        one = self.table(content, name)
-        self.no_others(one, {"column", "unit", "counts", "sign", "offset_deg", "delay_s"}, f"{name}.")
-        unit = self.one_of(one, "unit", "rad", (*ANGLE_UNITS, COUNT))
-        if unit == COUNT and "counts" not in one:
+        entry = self.table(content, name)
+        self.no_others(entry, {"column", "unit", "counts", "sign", "offset_deg", "delay_s"}, f"{name}.")
+        unit = self.one_of(entry, "unit", "rad", (*ANGLE_UNITS, COUNT))
+        if unit == COUNT and "counts" not in entry:
             raise self.wrong(f"[{name}] is in counts without counts = the encoder's counts of a turn")
         return Angle(
-            self.text(one, "column", None),
+            self.text(entry, "column", None),
             unit,
-            self.positive(one, "counts", 1.0) if "counts" in one else 0.0,
-            self.sign(one),
-            self.number(one, "offset_deg", 0.0),
-            self.number(one, "delay_s", 0.0),
+            self.positive(entry, "counts", 1.0) if "counts" in entry else 0.0,
+            self.sign(entry),
+            self.number(entry, "offset_deg", 0.0),
+            self.number(entry, "delay_s", 0.0),
         )
 
     def voltage(self, content: Mapping[str, Any], name: str, shared: Mapping[str, Any]) -> Voltage:
-        one = self.table(content, name)
-        self.no_others(one, {"column", "sign", "offset_V", "delay_s", *_SHARED}, f"{name}.")
-        one = {**shared, **one}
+        entry = self.table(content, name)
+        self.no_others(entry, {"column", "sign", "offset_V", "delay_s", *_SHARED}, f"{name}.")
+        entry = {**shared, **entry}
         return Voltage(
-            self.text(one, "column", None),
-            self.one_of(one, "unit", "V", (*VOLTAGE_UNITS, *SHARES)),
-            self.positive(one, "full", 255.0),
-            self.positive(one, "supply_V", 12.0),
-            self.sign(one),
-            self.number(one, "offset_V", 0.0),
-            self.number(one, "delay_s", 0.0),
-            self.positive(one, "factor", 1.0),
+            self.text(entry, "column", None),
+            self.one_of(entry, "unit", "V", (*VOLTAGE_UNITS, *SHARES)),
+            self.positive(entry, "full", 255.0),
+            self.positive(entry, "supply_V", 12.0),
+            self.sign(entry),
+            self.number(entry, "offset_V", 0.0),
+            self.number(entry, "delay_s", 0.0),
+            self.positive(entry, "factor", 1.0),
         )
 
-    def part(self, one: Mapping[str, Any]) -> tuple[str, Part]:
-        self.no_others(one, {"file", "leave_out_s", "group"}, "flight.")
-        spans = one.get("leave_out_s", [])
+    def part(self, entry: Mapping[str, Any]) -> tuple[str, Part]:
+        self.no_others(entry, {"file", "leave_out_s", "group"}, "flight.")
+        spans = entry.get("leave_out_s", [])
         try:
             left_out = tuple((float(start), float(stop)) for start, stop in spans)
         except (TypeError, ValueError):
             raise self.wrong(
                 "leave_out_s is not a list of [from, to] in seconds, such as [[0, 5], [33, 40]]"
             ) from None
-        return self.text(one, "file", None), Part(left_out, self.text(one, "group", ""))
+        return self.text(entry, "file", None), Part(left_out, self.text(entry, "group", ""))
 
 
 def profile_text(profile: Profile) -> str:
@@ -355,7 +355,7 @@ def profile_text(profile: Profile) -> str:
         lines += ["", f"[{axis}]", *_angle_lines(profile.angles[axis])]
     lines += ["", "[voltages]", f'act = "{profile.act}"']
     scales = [_scale_lines(voltage) for voltage in profile.voltages.values()]
-    shared = scales[0] if all(one == scales[0] for one in scales) else []
+    shared = scales[0] if all(scale == scales[0] for scale in scales) else []
     lines += shared
     lines += [f"clip_V = {list(profile.clip_V)}"] if profile.clip_V else []
     for name, voltage in profile.voltages.items():
