@@ -43,23 +43,25 @@ def flights_of(table: Table, profile: Profile) -> list[Flight]:
     """
     table = table.aligned()
     t_s = times_of(table, profile)
-    angles = {axis: _angle(table, one, t_s, axis == TRAVEL) for axis, one in profile.angles.items()}
-    setpoints = {axis: _angle(table, one, t_s, axis == TRAVEL) for axis, one in profile.setpoints.items()}
+    angles = {axis: _angle(table, entry, t_s, axis == TRAVEL) for axis, entry in profile.angles.items()}
+    setpoints = {axis: _angle(table, entry, t_s, axis == TRAVEL) for axis, entry in profile.setpoints.items()}
     voltages = {name: _voltage(table, voltage, t_s) for name, voltage in profile.voltages.items()}
     if "sum" in voltages:
         total, difference = voltages["sum"], voltages["difference"]
         voltages = {"front": 0.5 * (total + difference), "back": 0.5 * (total - difference)}
     if profile.clip_V:
-        voltages = {name: np.clip(one, *profile.clip_V) for name, one in voltages.items()}
-    series = {f"{axis}_rad": one for axis, one in angles.items()}
-    series |= {f"{axis}_setpoint_rad": one for axis, one in setpoints.items()}
+        voltages = {name: np.clip(volts, *profile.clip_V) for name, volts in voltages.items()}
+    series = {f"{axis}_rad": values for axis, values in angles.items()}
+    series |= {f"{axis}_setpoint_rad": values for axis, values in setpoints.items()}
     if profile.mirrored:
         voltages = {"front": voltages["back"], "back": voltages["front"]}
-        series = {name: one if name.startswith("elevation") else -one for name, one in series.items()}
+        series = {
+            name: values if name.startswith("elevation") else -values for name, values in series.items()
+        }
     held = {f"{name}_V": voltages[name] for name in MOTORS}
     keep = np.isfinite(t_s)
-    for one in (*series.values(), *held.values()):
-        keep &= np.isfinite(one)
+    for values in (*series.values(), *held.values()):
+        keep &= np.isfinite(values)
     # A time twice is a row twice; a time that falls begins another flight.
     keep[keep] &= np.concatenate(([True], np.diff(t_s[keep]) != 0.0)) if keep.any() else True
     if int(keep.sum()) < MIN_ROWS:
@@ -68,10 +70,10 @@ def flights_of(table: Table, profile: Profile) -> list[Flight]:
             "check the profile's columns",
         )
     t_s = t_s[keep]
-    series = {name: one[keep] for name, one in series.items()}
-    held = {name: one[keep] for name, one in held.items()}
+    series = {name: values[keep] for name, values in series.items()}
+    held = {name: values[keep] for name, values in held.items()}
     if profile.act == "before":
-        held = {name: np.concatenate((one[1:], one[-1:])) for name, one in held.items()}
+        held = {name: np.concatenate((values[1:], values[-1:])) for name, values in held.items()}
     part = profile.parts.get(Path(table.source).name, Part())
     notes = {"imported from": Path(table.source).name}
     if part.group:
@@ -83,8 +85,8 @@ def flights_of(table: Table, profile: Profile) -> list[Flight]:
     for start, stop in _pieces(t_s, part, [*jumps], table.source):
         even_s, even, even_held = _even(
             t_s[start:stop],
-            {name: one[start:stop] for name, one in series.items()},
-            {name: one[start:stop] for name, one in held.items()},
+            {name: values[start:stop] for name, values in series.items()},
+            {name: values[start:stop] for name, values in held.items()},
         )
         named: dict[str, Any] = {**even_held, **even}
         why = {"cut": jumps[start]} if start in jumps else {}
@@ -205,8 +207,8 @@ def _even(
     last = np.clip(np.searchsorted(t_s, even_s + 1e-9, side="right") - 1, 0, None)
     return (
         even_s,
-        {name: np.interp(even_s, t_s, one) for name, one in series.items()},
-        {name: one[last] for name, one in held.items()},
+        {name: np.interp(even_s, t_s, values) for name, values in series.items()},
+        {name: values[last] for name, values in held.items()},
     )
 
 
@@ -219,15 +221,15 @@ def _pieces(t_s: Floats, part: Part, jumps: list[int], source: str) -> list[tupl
     breaks = np.flatnonzero((steps_s > MAX_MISSING * np.median(steps_s)) | (steps_s < 0.0)) + 1
     breaks = np.union1d(breaks, jumps)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], keep.astype(int), [0]))))
-    found = [
+    stretches = [
         (int(a), int(b))
         for start, stop in zip(edges[::2], edges[1::2], strict=True)
         for a, b in itertools.pairwise([start, *breaks[(breaks > start) & (breaks < stop)], stop])
         if b - a >= MIN_ROWS
     ]
-    if not found:
+    if not stretches:
         raise FlightDataError(
             f"{source}: the profile leaves out all rows from {t_s[0]:g} to {t_s[-1]:g} s",
             "shorten leave_out_s in the profile",
         )
-    return found
+    return stretches

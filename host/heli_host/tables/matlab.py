@@ -55,16 +55,16 @@ def _read(path: Path) -> Table:
     numbers = 0
     for name, value in content.items():
         if not name.startswith("__"):
-            for found, column in _signals(name, value, 0):
+            for signal_name, column in _signals(name, value, 0):
                 # MATLAB stores small whole numbers in a byte; here each takes eight.
                 numbers += column.values.size
                 check_numbers(path, numbers)
-                columns[_free_name(found, columns)] = column
+                columns[_free_name(signal_name, columns)] = column
     if not columns:
         raise FlightDataError(
             f"{path}: the file has no signals of at least {_MIN_ROWS} rows", "save the logged signals in it"
         )
-    clocked = [one for one in columns.values() if one.t_s is not None]
+    clocked = [column for column in columns.values() if column.t_s is not None]
     if clocked and len(clocked) < len(columns):
         columns = _with_clock(columns, clocked[0])
     return Table(str(path), columns)
@@ -75,9 +75,9 @@ def _with_clock(columns: Mapping[str, Column], known: Column) -> dict[str, Colum
     out.
     """
     return {
-        name: one if one.t_s is not None else Column(one.values, one.unit, known.t_s)
-        for name, one in columns.items()
-        if one.t_s is not None or one.values.size == known.values.size
+        name: column if column.t_s is not None else Column(column.values, column.unit, known.t_s)
+        for name, column in columns.items()
+        if column.t_s is not None or column.values.size == known.values.size
     }
 
 
@@ -99,11 +99,11 @@ def _signals(name: str, value: Any, depth: int) -> Iterator[tuple[str, Column]]:
     if fields is not None:
         yield from _structure(name, fields, depth)
     elif isinstance(value, np.ndarray) and value.dtype == object:
-        for index, one in enumerate(value.ravel()[:_MAX_SIGNALS]):
-            yield from _signals(f"{name}[{index + 1}]", one, depth + 1)
+        for index, element in enumerate(value.ravel()[:_MAX_SIGNALS]):
+            yield from _signals(f"{name}[{index + 1}]", element, depth + 1)
     elif isinstance(value, (list, tuple)):
-        for index, one in enumerate(value[:_MAX_SIGNALS]):
-            yield from _signals(f"{name}[{index + 1}]", one, depth + 1)
+        for index, element in enumerate(value[:_MAX_SIGNALS]):
+            yield from _signals(f"{name}[{index + 1}]", element, depth + 1)
     else:
         for index, signal, count in _matrix(value):
             yield (f"{name}[{index + 1}]" if count > 1 else name), Column(signal)
@@ -112,8 +112,8 @@ def _signals(name: str, value: Any, depth: int) -> Iterator[tuple[str, Column]]:
 def _structure(name: str, fields: Mapping[str, Any], depth: int) -> Iterator[tuple[str, Column]]:
     t_s = _own_times(fields)
     if t_s is None:
-        for key, one in fields.items():
-            yield from _signals(f"{name}.{key}", one, depth + 1)
+        for key, field_value in fields.items():
+            yield from _signals(f"{name}.{key}", field_value, depth + 1)
         return
     for key in _DATA:
         if key in fields:
@@ -126,9 +126,9 @@ def _structure(name: str, fields: Mapping[str, Any], depth: int) -> Iterator[tup
                 yield label, Column(signal, "", t_s)
             if data:
                 return
-    for key, one in fields.items():
+    for key, field_value in fields.items():
         if key not in _TIMES:
-            for _, signal, _count in _matrix(_unpacked(one)):
+            for _, signal, _count in _matrix(_unpacked(field_value)):
                 if signal.size == t_s.size:
                     yield f"{name}.{key}", Column(signal, "", t_s)
 
@@ -136,17 +136,17 @@ def _structure(name: str, fields: Mapping[str, Any], depth: int) -> Iterator[tup
 def _values(name: str, value: Any, rows: int) -> Iterator[tuple[str, Floats]]:
     """Signals of a structure with time: an array, or structures with values and labels."""
     if isinstance(value, np.ndarray) and value.dtype == object:
-        for index, one in enumerate(value.ravel()[:_MAX_SIGNALS]):
-            yield from _values(f"{name}[{index + 1}]" if value.size > 1 else name, _unpacked(one), rows)
+        for index, element in enumerate(value.ravel()[:_MAX_SIGNALS]):
+            yield from _values(f"{name}[{index + 1}]" if value.size > 1 else name, _unpacked(element), rows)
         return
     if isinstance(value, (list, tuple)):
-        for index, one in enumerate(value[:_MAX_SIGNALS]):
-            yield from _values(f"{name}[{index + 1}]", _unpacked(one), rows)
+        for index, element in enumerate(value[:_MAX_SIGNALS]):
+            yield from _values(f"{name}[{index + 1}]", _unpacked(element), rows)
         return
     if isinstance(value, np.ndarray) and value.dtype.names and value.size > 1:
         for index, record in enumerate(value.ravel()[:_MAX_SIGNALS]):
-            one = {key: record[key] for key in value.dtype.names}
-            yield from _values(f"{name}[{index + 1}]", one, rows)
+            record_fields = {key: record[key] for key in value.dtype.names}
+            yield from _values(f"{name}[{index + 1}]", record_fields, rows)
         return
     fields = _fields(value)
     if fields is not None:
@@ -185,9 +185,9 @@ def _own_times(fields: Mapping[str, Any]) -> Floats | None:
     """Times that a structure or a time series has for its data."""
     for key in _TIMES:
         if key in fields:
-            found = _matrix(_unpacked(fields[key]))
-            if len(found) == 1 and np.all(np.diff(found[0][1]) > 0.0):
-                return found[0][1]
+            signals = _matrix(_unpacked(fields[key]))
+            if len(signals) == 1 and np.all(np.diff(signals[0][1]) > 0.0):
+                return signals[0][1]
     info = _fields(_unpacked(fields.get("TimeInfo", fields.get("TimeInfo_"))))
     if info is None:
         return None
@@ -236,9 +236,9 @@ def _frame(name: str, frame: Any) -> Iterator[tuple[str, Column]]:
     seconds = getattr(frame.index, "total_seconds", None)
     t_s = np.asarray(seconds(), np.float64) if seconds is not None else None
     for key in frame.columns:
-        found = _matrix(np.asarray(frame[key]))
-        if len(found) == 1:
-            yield f"{name}.{key}", Column(found[0][1], "", t_s)
+        signals = _matrix(np.asarray(frame[key]))
+        if len(signals) == 1:
+            yield f"{name}.{key}", Column(signals[0][1], "", t_s)
 
 
 def _word(value: Any) -> str:

@@ -56,7 +56,7 @@ class Table:
     named: bool = True
 
     def __len__(self) -> int:
-        return max((one.values.size for one in self.columns.values()), default=0)
+        return max((column.values.size for column in self.columns.values()), default=0)
 
     def aligned(self) -> Table:
         """Bring all columns to the clock of the column with the most rows.
@@ -65,28 +65,30 @@ class Table:
         own, the columns are not resampled. Columns shorter than the longest are left out then, and so are
         rows of zeros at the end, which come from a buffer that is too long.
         """
-        clocked = {name: one for name, one in self.columns.items() if one.t_s is not None}
+        clocked = {name: column for name, column in self.columns.items() if column.t_s is not None}
         if not clocked:
             length = len(self)
-            kept = {name: one for name, one in self.columns.items() if one.values.size == length}
-            used = _used_rows([one.values for one in kept.values()])
+            kept = {name: column for name, column in self.columns.items() if column.values.size == length}
+            used = _used_rows([column.values for column in kept.values()])
             if used < length:
-                kept = {name: Column(one.values[:used], one.unit) for name, one in kept.items()}
+                kept = {name: Column(column.values[:used], column.unit) for name, column in kept.items()}
             return Table(self.source, kept, self.notes, self.named)
-        fullest = max(clocked.values(), key=lambda one: one.values.size)
+        fullest = max(clocked.values(), key=lambda column: column.values.size)
         assert fullest.t_s is not None
-        start_s = max(float(one.t_s[0]) for one in clocked.values() if one.t_s is not None and one.t_s.size)
+        start_s = max(
+            float(column.t_s[0]) for column in clocked.values() if column.t_s is not None and column.t_s.size
+        )
         t_s = fullest.t_s[fullest.t_s >= start_s]
         if t_s.size < 2:
             raise FlightDataError(
                 f"{self.source}: its signals have no common time span", "give the signals of one flight"
             )
         columns = {SHARED_TIME: Column(t_s - t_s[0], "s")}
-        for name, one in clocked.items():
-            assert one.t_s is not None
-            if one.t_s.size:
-                place = np.clip(np.searchsorted(one.t_s, t_s, side="right") - 1, 0, None)
-                columns[name] = Column(one.values[place], one.unit)
+        for name, column in clocked.items():
+            assert column.t_s is not None
+            if column.t_s.size:
+                place = np.clip(np.searchsorted(column.t_s, t_s, side="right") - 1, 0, None)
+                columns[name] = Column(column.values[place], column.unit)
         return Table(self.source, columns, self.notes, self.named)
 
 

@@ -171,17 +171,17 @@ def weigh(
     """
     if thrust is None and balance is None and not swings:
         raise RigError("no bench test is given", "give at least one of [thrust], [balance] and [[swing]]")
-    found, tested = rig, []
+    result, tested = rig, []
     learned: list[str] = []
     if thrust is not None:
-        found, of_thrust = _with_thrust(rig, thrust)
+        result, of_thrust = _with_thrust(rig, thrust)
         learned += ["thrust_gain", "dead_zone"]
         tested += of_thrust
     if balance is not None or swings:
-        found, names, of_masses = _with_masses(found, balance, swings)
+        result, names, of_masses = _with_masses(result, balance, swings)
         learned += names
         tested += of_masses
-    return Weighed(found, tuple(learned), tuple(tested))
+    return Weighed(result, tuple(learned), tuple(tested))
 
 
 def _with_thrust(rig: Rig, thrust: Thrust) -> tuple[Rig, list[Tested]]:
@@ -201,7 +201,10 @@ def _with_thrust(rig: Rig, thrust: Thrust) -> tuple[Rig, list[Tested]]:
             "N",
             float(read),
             float(tolerance_N),
-            *(one["thrust_gain"].value * max(volt - one["dead_zone"].value, 0.0) for one in (rig, after)),
+            *(
+                numbers["thrust_gain"].value * max(volt - numbers["dead_zone"].value, 0.0)
+                for numbers in (rig, after)
+            ),
         )
         for volts_V, reads in zip(volts, thrust.curve.thrust_N, strict=True)
         for side, volt, read in zip(sides, map(float, volts_V), reads, strict=True)
@@ -229,7 +232,7 @@ class _Axes:
         held = np.ones(3)
         held[axis] = 0.0
         state = np.concatenate((angles_rad, np.zeros(3)))
-        acceleration, by_state = (np.array(one) for one in self._of(state, p, held))
+        acceleration, by_state = (np.array(part) for part in self._of(state, p, held))
         return float(acceleration[axis, 0]), float(by_state[axis, axis]), float(by_state[axis, 3 + axis])
 
     def balance_deg(self, p: Floats, near_deg: float) -> float:
@@ -278,13 +281,13 @@ def _with_masses(
     def given(values: Floats) -> Floats:
         p = axes.values.copy()
         p[places] = values
-        found = [] if balance is None else [axes.balance_deg(p, balance.elevation_deg)]
+        predicted = [] if balance is None else [axes.balance_deg(p, balance.elevation_deg)]
         for swing in swings:
-            found += axes.swing(p, swing)
-        return np.array(found)
+            predicted += axes.swing(p, swing)
+        return np.array(predicted)
 
-    read = np.array([one[2] for one in readings])
-    half = np.array([one[3] for one in readings])
+    read = np.array([reading[2] for reading in readings])
+    half = np.array([reading[3] for reading in readings])
 
     def misses(scaled: Floats) -> Floats:
         return np.concatenate(((given(mean + scaled * tolerance) - read) / half, scaled))
@@ -326,12 +329,12 @@ def _with_masses(
 
 
 def _readings(balance: Balance | None, swings: Sequence[Swing]) -> list[tuple[str, str, float, float]]:
-    found = (
+    readings = (
         []
         if balance is None
         else [("elevation of balance", "deg", balance.elevation_deg, balance.tolerance_deg)]
     )
-    for one in swings:
-        found.append((f"{one.swings} swings of {one.axis}", "s", one.seconds, one.tolerance_s))
-        found.append((f"decrement of {one.axis}", "1", one.decrement, one.decrement_tolerance))
-    return found
+    for swing in swings:
+        readings.append((f"{swing.swings} swings of {swing.axis}", "s", swing.seconds, swing.tolerance_s))
+        readings.append((f"decrement of {swing.axis}", "1", swing.decrement, swing.decrement_tolerance))
+    return readings

@@ -79,8 +79,10 @@ def variables(plant: Plant) -> list[Variable]:
 
 def _variables(plant: Plant) -> Iterator[Variable]:
     yield Variable("time", 0, "s", "simulated time", "independent", "continuous")
-    for place, one in enumerate(plant.model.inputs):
-        yield Variable(one.name, _INPUTS + place, one.unit, one.meaning, "input", "continuous", "", 0.0)
+    for place, quantity in enumerate(plant.model.inputs):
+        yield Variable(
+            quantity.name, _INPUTS + place, quantity.unit, quantity.meaning, "input", "continuous", "", 0.0
+        )
     for place, axis in enumerate(_AXES):
         yield Variable(
             f"{axis}_rad", _OUTPUTS + place, "rad", f"{axis} as an ideal encoder measures it", "output",
@@ -154,12 +156,12 @@ def describe(plant: Plant, identifier: str, token: str) -> bytes:
     _add_units(root, listed)
     ElementTree.SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="60.0", stepSize=repr(STEP_s))
     own = ElementTree.SubElement(root, "ModelVariables")
-    for one in listed:
-        ElementTree.SubElement(own, "Float64", _attributes(one))
+    for variable in listed:
+        ElementTree.SubElement(own, "Float64", _attributes(variable))
     structure = ElementTree.SubElement(root, "ModelStructure")
-    outputs = [one.reference for one in listed if one.causality == "output"]
-    rates = [one.reference for one in listed if one.derivative_of]
-    indicators = [one.reference for one in listed if one.name.startswith("gap.")]
+    outputs = [variable.reference for variable in listed if variable.causality == "output"]
+    rates = [variable.reference for variable in listed if variable.derivative_of]
+    indicators = [variable.reference for variable in listed if variable.name.startswith("gap.")]
     for kind, references in (
         ("Output", outputs),
         ("ContinuousStateDerivative", rates),
@@ -172,28 +174,28 @@ def describe(plant: Plant, identifier: str, token: str) -> bytes:
     return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
 
 
-def _attributes(one: Variable) -> dict[str, str]:
+def _attributes(variable: Variable) -> dict[str, str]:
     attributes = {
-        "name": one.name,
-        "valueReference": str(one.reference),
-        "description": one.meaning,
-        "causality": one.causality,
-        "variability": one.variability,
+        "name": variable.name,
+        "valueReference": str(variable.reference),
+        "description": variable.meaning,
+        "causality": variable.causality,
+        "variability": variable.variability,
     }
-    if one.initial:
-        attributes["initial"] = one.initial
-    if one.unit != "1":
-        attributes["unit"] = one.unit
-    if one.start is not None:
-        attributes["start"] = repr(one.start)
-    if one.derivative_of:
-        attributes["derivative"] = str(one.derivative_of)
+    if variable.initial:
+        attributes["initial"] = variable.initial
+    if variable.unit != "1":
+        attributes["unit"] = variable.unit
+    if variable.start is not None:
+        attributes["start"] = repr(variable.start)
+    if variable.derivative_of:
+        attributes["derivative"] = str(variable.derivative_of)
     return attributes
 
 
 def _add_units(root: ElementTree.Element, listed: list[Variable]) -> None:
     definitions = ElementTree.SubElement(root, "UnitDefinitions")
-    for unit in sorted({one.unit for one in listed} - {"1"}):
+    for unit in sorted({variable.unit for variable in listed} - {"1"}):
         entry = ElementTree.SubElement(definitions, "Unit", name=unit)
         if unit in _BASE_UNITS:
             ElementTree.SubElement(entry, "BaseUnit", _BASE_UNITS[unit])

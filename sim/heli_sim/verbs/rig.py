@@ -157,7 +157,9 @@ def check(
         if board is not None:
             differences, undirected = _compared_with_board(name, board)
             contradicted += any(difference.is_refused for difference in differences)
-            entry["board"] = [asdict(one) | {"part": one.part.value} for one in differences]
+            entry["board"] = [
+                asdict(difference) | {"part": difference.part.value} for difference in differences
+            ]
             texts = [str(difference) for difference in differences] or ["the board's parameters fit"]
             say(*(f"{name}: {text}" for text in texts))
             if undirected:
@@ -288,20 +290,20 @@ def diff(
     table = Table(box=None, pad_edge=False)
     for heading in ("name", *map(plain, names), "unit", "tolerances"):
         table.add_column(heading, overflow="fold", no_wrap=heading == "name")
-    for one in compared:
-        if show_all or not one.same:
-            known = one.left or one.right
+    for difference in compared:
+        if show_all or not difference.same:
+            known = difference.left or difference.right
             table.add_row(
-                one.name,
-                with_tolerance(one.left),
-                with_tolerance(one.right),
+                difference.name,
+                with_tolerance(difference.left),
+                with_tolerance(difference.right),
                 known.unit if known is not None else "",
-                signed(one.tolerances),
+                signed(difference.tolerances),
             )
     if table.row_count:
         _console().print(table)
-    differing = sum(not one.same for one in compared)
-    beyond = sum(abs(one.tolerances) > 1.0 for one in compared)
+    differing = sum(not difference.same for difference in compared)
+    beyond = sum(abs(difference.tolerances) > 1.0 for difference in compared)
     say(f"{differing} of {len(compared)} numbers differ, {beyond} beyond their tolerances")
 
 
@@ -441,10 +443,10 @@ def weigh_rig(
     weighed = weigh(before, *bench_tests_from(table))
     if save_rig is not None:
         check_place(save_rig)
-        found = replace(weighed.rig, name=save_rig.stem)
-        write_rig(found, save_rig, f"Found by heli-host rig weigh from {tests.name} and {before.name}.")
+        weighed_rig = replace(weighed.rig, name=save_rig.stem)
+        write_rig(weighed_rig, save_rig, f"Found by heli-host rig weigh from {tests.name} and {before.name}.")
     numbers = {name: asdict(weighed.rig[name]) for name in weighed.found}
-    tested = [{**asdict(one), "off": one.off} for one in weighed.tested]
+    tested = [{**asdict(test), "off": test.off} for test in weighed.tested]
     if write_result(json, {"rig": weighed.rig.name, "numbers": numbers, "tests": tested}):
         return
     for name in weighed.found:
@@ -453,10 +455,10 @@ def weigh_rig(
         mark = f", {moved:.1f} tolerances off: a wrong reading, or a wrong rig file" if moved > OFF else ""
         after = f"{now.value:.4g} (tolerance {now.tolerance:.2g}) {now.unit}"
         say(f"{name}: {with_tolerance(was)} -> {after}{mark}")
-    for one in weighed.tested:
-        mark = f", {one.off:.1f} tolerances off: a wrong reading, or no such rig" if one.off > OFF else ""
-        unit = "" if one.unit == "1" else f" {one.unit}"
-        say(f"{one.what}: read {one.read:.4g}{unit}, the rig gives {one.after:.4g}{mark}")
+    for test in weighed.tested:
+        mark = f", {test.off:.1f} tolerances off: a wrong reading, or no such rig" if test.off > OFF else ""
+        unit = "" if test.unit == "1" else f" {test.unit}"
+        say(f"{test.what}: read {test.read:.4g}{unit}, the rig gives {test.after:.4g}{mark}")
     say_files([save_rig])
 
 
@@ -543,7 +545,7 @@ def _export_fmu(rig: str, effects: list[str], model: str, seed: int, out: Path |
     target = out if out is not None else Path(f"{plant.rig.name}.fmu")
     system = write_fmu(plant, target)
     binary = f"binary for {system}" if system else "sources only: there is no C compiler here"
-    names = ", ".join(one.name for one in plant.model.effects) or "no effects"
+    names = ", ".join(effect.name for effect in plant.model.effects) or "no effects"
     say(f"{plant.rig.name}, {plant.model.name}, {names}; {binary} -> {target}")
 
 
@@ -562,8 +564,8 @@ def read_text(path: Path) -> str:
         raise RigError(f"{path} is not text in UTF-8", "save it as UTF-8") from None
 
 
-def _compared(one: Difference) -> dict[str, Any]:
-    return {**asdict(one), "tolerances": one.tolerances}
+def _compared(difference: Difference) -> dict[str, Any]:
+    return {**asdict(difference), "tolerances": difference.tolerances}
 
 
 def _console() -> Console:
