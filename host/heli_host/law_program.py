@@ -172,7 +172,7 @@ class LawProgram:
     def cells(self) -> int:
         """Cells that it takes."""
         fixed = len(LAW_INPUTS) + len(self.constants) + len(self.parameters) + len(self.states)
-        return max([fixed, *(one.target + 1 for one in self.instructions)])
+        return max([fixed, *(instruction.target + 1 for instruction in self.instructions)])
 
     @property
     def words(self) -> tuple[int, ...]:
@@ -180,14 +180,14 @@ class LawProgram:
         head = (
             LAW_FORMAT | self.divisor << 8 | len(self.signals) << 16 | len(self.parameters) << 24,
             len(self.constants) | len(self.states) << 16,
-            sum(len(one.words) for one in self.instructions),
+            sum(len(instruction.words) for instruction in self.instructions),
         )
         numbers = [*self.constants, *(v for _, v in self.parameters), *(v for _, v in self.states)]
         return (
             *head,
             *(_bits(value) for value in numbers),
             *self.outputs,
-            *(word for one in self.instructions for word in one.words),
+            *(word for instruction in self.instructions for word in instruction.words),
         )
 
     @property
@@ -198,7 +198,7 @@ class LawProgram:
     @cached_property
     def inputs_read(self) -> frozenset[str]:
         """Names of the inputs that the program reads or copies to an output."""
-        cells = {cell for one in self.instructions for cell in one.read} | set(self.outputs)
+        cells = {cell for instruction in self.instructions for cell in instruction.read} | set(self.outputs)
         return frozenset(name for cell, name in enumerate(LAW_INPUTS) if cell in cells)
 
     @cached_property
@@ -237,11 +237,11 @@ class LawProgram:
         every = LAW_FIXED_COST + LAW_MOVING_COST * moving
         end = LAW_OUTPUT_COST + LAW_STATE_COST * len(self.states) + LAW_SIGNAL_COST * len(self.signals)
         ticks = [LAW_INPUT_COST * len(self.inputs_read) + every]
-        for one in self.instructions:
+        for instruction in self.instructions:
             # Each tick has room to be the last.
-            if ticks[-1] + one.cost + end > LAW_TICK_COST:
+            if ticks[-1] + instruction.cost + end > LAW_TICK_COST:
                 ticks.append(every)
-            ticks[-1] += one.cost
+            ticks[-1] += instruction.cost
         ticks[-1] += end
         return tuple(ticks)
 

@@ -131,15 +131,15 @@ def command_line(verb: str | None = None) -> Callable[..., object]:
     chosen.registered_groups = [info for info in app.registered_groups if info.name == verb]
     is_verb = bool(chosen.registered_commands or chosen.registered_groups)
     whole = typer.main.get_command(chosen if is_verb else app)
-    quiet = next(one for one in whole.params if one.name == "quiet")
+    quiet = next(option for option in whole.params if option.name == "quiet")
     behind = copy.copy(quiet)
     behind.expose_value = False
     left = list(getattr(whole, "commands", {}).values())
     while left:
-        one = left.pop()
-        left += getattr(one, "commands", {}).values()
-        if not any("--quiet" in known.opts or "-q" in known.opts for known in one.params):
-            one.params.append(behind)
+        command = left.pop()
+        left += getattr(command, "commands", {}).values()
+        if not any("--quiet" in known.opts or "-q" in known.opts for known in command.params):
+            command.params.append(behind)
     return whole
 
 

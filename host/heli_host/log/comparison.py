@@ -47,15 +47,15 @@ def comparison_numbers(flights: Mapping[str, Flight]) -> list[dict[str, Any]]:
             "flight": label,
             "effort_V": effort_V(flight),
             "axis": {
-                one.axis: {
-                    "step_s": one.step_s,
-                    "step_deg": one.step_deg,
-                    "rise_s": one.rise_s,
-                    "overshoot_percent": one.overshoot_percent,
-                    "settling_s": one.settling_s,
-                    "rms_deg": one.rms_deg,
+                response.axis: {
+                    "step_s": response.step_s,
+                    "step_deg": response.step_deg,
+                    "rise_s": response.rise_s,
+                    "overshoot_percent": response.overshoot_percent,
+                    "settling_s": response.settling_s,
+                    "rms_deg": response.rms_deg,
                 }
-                for one in responses(flight)
+                for response in responses(flight)
             },
         }
         for label, flight in flights.items()
@@ -67,12 +67,12 @@ def comparison_rows(numbers: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     setpoints are left out.
     """
     rows = []
-    for one in numbers:
-        known = {axis: at for axis, at in one["axis"].items() if not math.isnan(at["rms_deg"])}
+    for entry in numbers:
+        known = {axis: at for axis, at in entry["axis"].items() if not math.isnan(at["rms_deg"])}
         for place, (axis, at) in enumerate(known.items()):
             rows.append(
                 [
-                    one["flight"] if place == 0 else "",
+                    entry["flight"] if place == 0 else "",
                     axis,
                     *(
                         _cell(at[name], form)
@@ -84,11 +84,11 @@ def comparison_rows(numbers: Sequence[Mapping[str, Any]]) -> list[list[str]]:
                             ("rms_deg", ".3g"),
                         )
                     ),
-                    _cell(one["effort_V"], ".2f") if place == 0 else "",
+                    _cell(entry["effort_V"], ".2f") if place == 0 else "",
                 ]
             )
         if not known:
-            rows.append([one["flight"], "no setpoints", *(["–"] * 5), _cell(one["effort_V"], ".2f")])
+            rows.append([entry["flight"], "no setpoints", *(["–"] * 5), _cell(entry["effort_V"], ".2f")])
     return rows
 
 

@@ -78,23 +78,25 @@ def read_index(data: memoryview) -> Index | None:
     checked = data[start : footer_start + _FOOTER_BYTES - 4]
     if not len(_MAGIC) <= start <= footer_start or footer.summary_crc != zlib.crc32(checked):
         return None
-    found: dict[type, list[Any]] = {kind: [] for kind in _KINDS.values()}
+    records: dict[type, list[Any]] = {kind: [] for kind in _KINDS.values()}
     try:
         for opcode, body in _records(data[start:footer_start]):
             kind = _KINDS.get(Opcode(opcode))
             if kind is not None:
-                found[kind].append(parse(kind, body))
+                records[kind].append(parse(kind, body))
     except PARSE_ERRORS:
         return None
     data_end = start - DATA_END_BYTES
-    offsets = {one.chunk_start_offset for one in found[ChunkIndex]}
-    offsets |= {one.offset for one in found[MetadataIndex]} | {data_end}
+    offsets = {chunk.chunk_start_offset for chunk in records[ChunkIndex]}
+    offsets |= {metadata.offset for metadata in records[MetadataIndex]} | {data_end}
     return Index(
         data_end=data_end,
         offsets=tuple(sorted(offsets)),
-        schemas=tuple(found[Schema]),
-        channels=tuple(found[Channel]),
-        message_counts={k: v for one in found[Statistics] for k, v in one.channel_message_counts.items()},
+        schemas=tuple(records[Schema]),
+        channels=tuple(records[Channel]),
+        message_counts={
+            k: v for statistics in records[Statistics] for k, v in statistics.channel_message_counts.items()
+        },
     )
 
 

@@ -156,9 +156,9 @@ def residual_regression(case: BenchmarkCase, weak_form: bool = False) -> Residua
     smooth = [_Smoothed(flight, weak_form) for flight in case.training]
     plain = _Model(MultibodyModel(), rig)
     nuisance_names = [name for name in plain.names if name in rig and rig[name].tolerance]
-    target = _stack([one.acceleration - one.filtered(plain.acceleration(one)) for one in smooth])
+    target = _stack([motion.acceleration - motion.filtered(plain.acceleration(motion)) for motion in smooth])
     stds = np.array([0.5 * rig[name].tolerance for name in nuisance_names])
-    nuisance = _stack([one.filtered(plain.jacobian(one, nuisance_names) * stds) for one in smooth])
+    nuisance = _stack([motion.filtered(plain.jacobian(motion, nuisance_names) * stds) for motion in smooth])
     drafts = [*_listed(case, smooth), *_late(case, smooth, plain), *_generic(smooth, plain)]
     # Scale each axis to its noise and whiten, from the residuals of a fit of the nuisance parameters alone.
     fitted = np.stack([_fitted(target[:, i], nuisance[:, i]) for i in range(3)], axis=1)
@@ -173,7 +173,7 @@ def residual_regression(case: BenchmarkCase, weak_form: bool = False) -> Residua
     useful = [term for term in terms if np.isfinite(term.columns).all() and term.columns.std() > 1e-9]
     listed = [term for term in useful if term.parameters]
     useful = listed + [term for term in useful if not term.parameters and not _is_listed(term, listed)]
-    features = np.concatenate([one.features for one in smooth])
+    features = np.concatenate([motion.features for motion in smooth])
     features = (features - features.mean(axis=0)) / features.std(axis=0)
     priors = {name: Estimate(rig[name].value, 0.5 * rig[name].tolerance) for name in nuisance_names}
     residuals = fitted / fitted.std(axis=0)
@@ -208,7 +208,7 @@ class _Model:
     """Accelerations of a model along a flight, and their derivatives by parameters."""
 
     def __init__(self, model: Model, rig: Rig) -> None:
-        self.names = [one.name for one in model.parameters]
+        self.names = [quantity.name for quantity in model.parameters]
         self._values = np.array(model.parameter_values(rig))
         self._states = len(model.states)
         x, u = ca.SX.sym("x", self._states), ca.SX.sym("u", 2)
@@ -258,7 +258,7 @@ def _listed(case: BenchmarkCase, smooth: Sequence[_Smoothed]) -> list[Draft]:
         spec = kinds[cause]
         if spec.states or spec.acts_on.startswith("measurement") or not spec.suits(MultibodyModel()):
             continue
-        names = [one.name for one in spec.parameters]
+        names = [parameter.name for parameter in spec.parameters]
         sizes = tuple(spec.size) or (names[0],)
         places: list[dict[str, float]] = [{}]
         if f"{spec.prefix}_at_s" in names:
@@ -267,7 +267,7 @@ def _listed(case: BenchmarkCase, smooth: Sequence[_Smoothed]) -> list[Draft]:
             places = [{f"{spec.prefix}_Hz": float(Hz)} for Hz in _FREQUENCIES_Hz]
         of = _Model(MultibodyModel((spec.make(),)), case.rig)
         for place in places:
-            columns = [one.filtered(of.jacobian(one, sizes, place)) for one in smooth]
+            columns = [motion.filtered(of.jacobian(motion, sizes, place)) for motion in smooth]
             drafts.append((cause, sizes, _stack(columns)))
     return drafts
 
@@ -275,8 +275,8 @@ def _listed(case: BenchmarkCase, smooth: Sequence[_Smoothed]) -> list[Draft]:
 def _late(case: BenchmarkCase, smooth: Sequence[_Smoothed], plain: _Model) -> list[Draft]:
     """Terms of a lag or a delay: thrust is late by a time that multiplies the voltages' derivative."""
     late = [
-        one.filtered(-np.einsum("nij,nj->ni", plain.by_volts(one), one.volt_rates_V_s)[:, :, None])
-        for one in smooth
+        motion.filtered(-np.einsum("nij,nj->ni", plain.by_volts(motion), motion.volt_rates_V_s)[:, :, None])
+        for motion in smooth
     ]
     return [(cause, (name,), _stack(late)) for cause, name in _LATE.items() if cause in case.causes.listed]
 
@@ -284,26 +284,28 @@ def _late(case: BenchmarkCase, smooth: Sequence[_Smoothed], plain: _Model) -> li
 def _generic(smooth: Sequence[_Smoothed], plain: _Model) -> list[Draft]:
     """Torques that are products of angles and rates: what an unlisted cause may look like."""
     drafts: list[Draft] = []
-    pushes = [plain.jacobian(one, [f"torque_{axis}" for axis in AXES]) for one in smooth]
+    pushes = [plain.jacobian(motion, [f"torque_{axis}" for axis in AXES]) for motion in smooth]
     for i in range(3):
-        for shapes in zip(*(_shapes(one) for one in smooth), strict=True):
+        for shapes in zip(*(_shapes(motion) for motion in smooth), strict=True):
             parts = [push[:, :, i] * shape[:, None] for push, shape in zip(pushes, shapes, strict=True)]
-            columns = [one.filtered(part[:, :, None]) for one, part in zip(smooth, parts, strict=True)]
+            columns = [motion.filtered(part[:, :, None]) for motion, part in zip(smooth, parts, strict=True)]
             drafts.append((UNLISTED, (), _stack(columns)))
     return drafts
 
 
 def _shapes(flight: _Smoothed) -> list[Floats]:
     q, w = flight.angles_rad.T, flight.rates_rad_s.T
-    singles = [*q, *w, *(np.sin(2.0 * one) for one in q), *(one * np.abs(one) for one in w)]
-    return [*singles, *(one**2 for one in (*q, *w)), q[0] * q[1], q[0] * w[2], q[1] * w[0]]
+    singles = [*q, *w, *(np.sin(2.0 * x) for x in q), *(x * np.abs(x) for x in w)]
+    return [*singles, *(x**2 for x in (*q, *w)), q[0] * q[1], q[0] * w[2], q[1] * w[0]]
 
 
 def _is_listed(term: Term, listed: Sequence[Term]) -> bool:
     """Whether a listed cause has the same shape, so that the term says nothing of an unlisted one."""
     column = term.columns[:, 0] / np.linalg.norm(term.columns)
     return any(
-        abs(column @ other / np.linalg.norm(other)) > _SAME_SHAPE for one in listed for other in one.columns.T
+        abs(column @ other / np.linalg.norm(other)) > _SAME_SHAPE
+        for cause in listed
+        for other in cause.columns.T
     )
 
 

@@ -62,17 +62,17 @@ def bench_tests_from(table: Mapping[str, Any]) -> tuple[Thrust | None, Balance |
         )
         _positive("[balance]", tolerance_deg=balance.tolerance_deg)
     listed = table.get("swing", [])
-    if not isinstance(listed, list) or not all(isinstance(one, dict) for one in listed):
+    if not isinstance(listed, list) or not all(isinstance(swing, dict) for swing in listed):
         raise RigError("swing must be a list of tables", "write [[swing]] above each")
-    return thrust, balance, [_swing_from(one) for one in listed]
+    return thrust, balance, [_swing_from(swing) for swing in listed]
 
 
 def _refuse_blanks(table: Mapping[str, Any]) -> None:
     """Refuse a table in which a reading of the template is still empty."""
     for name, value in table.items():
         where = f"[[{name}]]" if isinstance(value, list) else f"[{name}]"
-        for one in value if isinstance(value, list) else [value]:
-            for key, reading in one.items() if isinstance(one, dict) else ():
+        for entry in value if isinstance(value, list) else [value]:
+            for key, reading in entry.items() if isinstance(entry, dict) else ():
                 if BLANK in (reading if isinstance(reading, list) else [reading]):
                     raise RigError(
                         f"{where} {key} is not filled in yet",
@@ -129,16 +129,16 @@ def _swing_from(table: Mapping[str, Any]) -> Swing:
 
 
 def _table(table: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    found = table[name]
-    if not isinstance(found, dict):
+    entry = table[name]
+    if not isinstance(entry, dict):
         raise RigError(f"{name} is not a table", f"write [{name}] above its numbers")
-    return found
+    return entry
 
 
 def _list(name: str, value: object) -> list[float]:
-    if not isinstance(value, list) or not value or not all(_is_number(one) for one in value):
+    if not isinstance(value, list) or not value or not all(_is_number(number) for number in value):
         raise RigError(f"[thrust] {name} is not a list of numbers", "write it as [2, 4, 6]")
-    return [float(one) for one in value]
+    return [float(number) for number in value]
 
 
 def _numbers(

@@ -35,7 +35,7 @@ def generate(plant: Plant, token: str) -> Generated:
         The instantiation token, by which an importer shows that it has read the right description.
     """
     model, extras = plant.model, plant.extras
-    late_ticks = sum(one.name.startswith("front_V_") for one in extras.states)
+    late_ticks = sum(state.name.startswith("front_V_") for state in extras.states)
     x, u = ca.SX.sym("state", len(model.states)), ca.SX.sym("acting_V", 2)
     p, t, chance = ca.SX.sym("parameters", len(plant.parameters)), ca.SX.sym("t"), ca.SX.sym("chance")
     p_model = p[: len(model.parameters)]
@@ -62,12 +62,12 @@ def generate(plant: Plant, token: str) -> Generated:
         "RANDOM": int(extras.random),
         "LATE": late_ticks,
         "SAMPLED": int(sampled),
-        "INPUTS": max(one.n_in() for one in functions),
-        "OUTPUTS": max(one.n_out() for one in functions),
-        "WORK_ARGUMENTS": max(one.sz_arg() for one in functions) + 1,
-        "WORK_RESULTS": max(one.sz_res() for one in functions) + 1,
-        "WORK_INTEGERS": max(one.sz_iw() for one in functions) + 1,
-        "WORK_NUMBERS": max(one.sz_w() for one in functions) + 1,
+        "INPUTS": max(function.n_in() for function in functions),
+        "OUTPUTS": max(function.n_out() for function in functions),
+        "WORK_ARGUMENTS": max(function.sz_arg() for function in functions) + 1,
+        "WORK_RESULTS": max(function.sz_res() for function in functions) + 1,
+        "WORK_INTEGERS": max(function.sz_iw() for function in functions) + 1,
+        "WORK_NUMBERS": max(function.sz_w() for function in functions) + 1,
     }
     lines = ["#ifndef MODEL_NUMBERS_H", "#define MODEL_NUMBERS_H"]
     lines += [f"#define MODEL_{name} {number}" for name, number in numbers.items()]
@@ -91,8 +91,8 @@ def generate(plant: Plant, token: str) -> Generated:
 
 def _header(functions: list[ca.Function]) -> str:
     prototypes = [
-        f"int {one.name()}(const double** arg, double** res, long long int* iw, double* w, int mem);"
-        for one in functions
+        f"int {function.name()}(const double** arg, double** res, long long int* iw, double* w, int mem);"
+        for function in functions
     ]
     return "\n".join(["#ifndef MODEL_H", "#define MODEL_H", *prototypes, "#endif", ""])
 

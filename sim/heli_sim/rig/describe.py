@@ -107,13 +107,13 @@ def number_from(name: str, text: str, source: str = "stated by its builder") -> 
         When there is no such number, or the text is none with a unit of it.
     """
     quantity = _quantity(name)
-    found = _WRITTEN.match(text)
-    if found is None:
+    match = _WRITTEN.match(text)
+    if match is None:
         raise RigError(
             f"{name}: '{text.strip()}' is not a number", f"write it as 0.5 +- 0.01 {quantity.unit}"
         )
-    tolerance = found["tolerance"]
-    return _number(quantity, found["value"], tolerance, found["unit"], found["source"] or source)
+    tolerance = match["tolerance"]
+    return _number(quantity, match["value"], tolerance, match["unit"], match["source"] or source)
 
 
 def numbers_from_table(text: str, where: str) -> dict[str, Number]:
@@ -140,30 +140,30 @@ def numbers_from_table(text: str, where: str) -> dict[str, Number]:
             "give at least name and value, and no other column",
         )
     rows.fieldnames = heads
-    found: dict[str, Number] = {}
+    numbers: dict[str, Number] = {}
     for row in rows:
         cells = {head: (row.get(head) or "").strip() for head in COLUMNS}
         if not any(cells.values()):
             continue
         quantity = _quantity(cells["name"])
-        if quantity.name in found:
+        if quantity.name in numbers:
             raise RigError(f"{where} has {quantity.name} twice", "leave one out")
         source = cells["source"] or "stated by its builder"
-        found[quantity.name] = _number(
+        numbers[quantity.name] = _number(
             quantity, cells["value"], cells["tolerance"] or None, cells["unit"], source
         )
-    return found
+    return numbers
 
 
 def numbers_from_words(words: Iterable[str]) -> dict[str, Number]:
     """Read `words`, each written as ``NAME=VALUE [+- TOLERANCE] [UNIT] [; SOURCE]``, see `number_from`."""
-    found = {}
+    numbers = {}
     for word in words:
         name, equals, text = word.partition("=")
         if not equals:
             raise RigError(f"'{word}' does not set a parameter", "write it as M_f=355+-4 g")
-        found[name.strip()] = number_from(name.strip(), text)
-    return found
+        numbers[name.strip()] = number_from(name.strip(), text)
+    return numbers
 
 
 def _quantity(name: str) -> Quantity:

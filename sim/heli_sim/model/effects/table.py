@@ -33,16 +33,18 @@ def with_table(text: str) -> str:
 
 def _row(kind: EffectSpec) -> str:
     equation = kind.equation.replace("|", r"\vert ")
-    numbers = "; ".join(_number(one) for one in kind.numbers)
+    numbers = "; ".join(_number(parameter) for parameter in kind.numbers)
     return f"| `{kind.id}` | {kind.describe(kind.typical)} | ${equation}$ | {numbers} |"
 
 
-def _number(one: Parameter) -> str:
-    low, high = (one.prior.low, one.prior.high) if one.prior is not None else (math.nan, math.nan)
-    unit = "" if one.unit == "1" else f" {one.unit}"
-    bounds = "fixed" if one.prior is None else f"{_bound(low, '-')} to {_bound(high, '')}"
-    grid = ", grid" if one.grid is not None else ""
-    return f"`{one.name}` {one.meaning}:{unit} {bounds}{grid}, {one.typical:g}"
+def _number(parameter: Parameter) -> str:
+    low, high = (
+        (parameter.prior.low, parameter.prior.high) if parameter.prior is not None else (math.nan, math.nan)
+    )
+    unit = "" if parameter.unit == "1" else f" {parameter.unit}"
+    bounds = "fixed" if parameter.prior is None else f"{_bound(low, '-')} to {_bound(high, '')}"
+    grid = ", grid" if parameter.grid is not None else ""
+    return f"`{parameter.name}` {parameter.meaning}:{unit} {bounds}{grid}, {parameter.typical:g}"
 
 
 def _bound(value: float, sign: str) -> str:
