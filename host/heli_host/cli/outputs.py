@@ -29,19 +29,21 @@ def check_place(path: Path) -> None:
         raise typer.BadParameter(f"cannot write {path}: {reason}; give another file")
 
 
-def check_parameters_place(path: Path) -> None:
+def check_parameters_place(path: Path | None) -> None:
     """Refuse to replace a file that holds no parameters, such as a rig: both are TOML.
 
     Parameters
     ----------
-    path : Path
-        File of parameters to be written later.
+    path : Path or None
+        File of parameters to be written later; nothing is checked without one.
 
     Raises
     ------
     typer.BadParameter
         As `check_place` does, and for another file at this place.
     """
+    if path is None:
+        return
     check_place(path)
     if path.is_file():
         text = path.read_text(encoding="utf-8", errors="replace")

@@ -8,7 +8,6 @@ if the board stored them under this host's schema of the parameters: only teleme
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from heli_host.declaration import (
@@ -22,7 +21,8 @@ from heli_host.declaration import (
     ParamsSource,
     WelcomeMessage,
 )
-from heli_host.errors import FlashError
+from heli_host.errors import FlashError, HeliError
+from heli_host.link.command_slot import CommandSlot
 from heli_host.link.frames import FrameParser, encode_frame
 from heli_host.link.requests import Command, RequestNumbers
 from heli_host.parameters import shortest_decimal
@@ -30,7 +30,6 @@ from heli_host.parameters import shortest_decimal
 if TYPE_CHECKING:
     from heli_host.link.transport import Transport
 
-RETRY_S: Final = 0.2
 _READ_S: Final = 0.02
 _NO_HASH: Final = 0
 """In the first hello: the board answers with its own hash, and opens no session."""
@@ -87,24 +86,25 @@ class _Asker:
         self._transport = transport
         self._timeout_s = timeout_s
         self._parser = FrameParser()
-        self._numbers = RequestNumbers(0)
+        self._slot = CommandSlot(RequestNumbers(0))
 
     def ask(self, command: Command, size: int = 0) -> bytes:
         """Send a request until it is answered; return the answer's payload, of at least `size` bytes."""
-        request = self._numbers.take()
-        numbered = replace(command, request=request)  # type: ignore[type-var]
-        frame = encode_frame(command.ID, request, numbered.pack())
-        end_s, next_s = self._transport.now_s() + self._timeout_s, -1e9
-        while (now_s := self._transport.now_s()) < end_s:
-            if now_s >= next_s:
-                self._transport.write(frame)
-                next_s = now_s + RETRY_S
-            for answer in self._parser.feed(self._transport.read(_READ_S)):
-                if answer.payload[:1] != bytes([request]):
-                    continue
-                if answer.id == command.REPLY and len(answer.payload) >= size:
-                    return answer.payload
-        raise _unreadable("it does not answer the request for them")
+        request = self._slot.ask(command, self._transport.now_s(), self._timeout_s)
+        while not request.done:
+            now_s = self._transport.now_s()
+            if (due := self._slot.due(now_s)) is not None:
+                self._transport.write(encode_frame(due.ID, due.request, due.pack()))
+            for frame in self._parser.feed(self._transport.read(_READ_S)):
+                self._slot.match(frame)
+            self._slot.expire(now_s)
+        try:
+            payload = request.answer().payload
+        except HeliError as error:
+            raise _unreadable("it does not answer the request for them") from error
+        if len(payload) < size:
+            raise _unreadable("it answers the request for them in another layout")
+        return payload
 
 
 def _unreadable(reason: str) -> FlashError:

@@ -195,8 +195,7 @@ def _check_output_places(save_params: Path | None, json: Path | None) -> None:
     from heli_host.cli.outputs import check_parameters_place, check_result_places
 
     check_result_places(json)
-    if save_params is not None:
-        check_parameters_place(save_params)
+    check_parameters_place(save_params)
 
 
 def _simulated_board_address(rig: str | None, miswired: str) -> str:

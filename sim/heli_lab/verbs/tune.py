@@ -83,8 +83,7 @@ def tune(
 
     data_on_stdout(json)
     check_result_places(json, figure=figure)
-    if save_params is not None:
-        check_parameters_place(save_params)
+    check_parameters_place(save_params)
     base_rig = load_rig(rig)
     all_effects = effects_with(base_rig, effect or (), effect_file or ())
     name = model or base_rig.model or DEFAULT_MODEL
