@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -103,7 +103,11 @@ def points_by_measure(score: FlightScore, reference: FlightScore) -> dict[str, f
 
 def points_of(score: FlightScore, reference: FlightScore) -> float:
     """Return the points of a flight: the sum of `points_by_measure`, and full points if no number counts."""
-    points = points_by_measure(score, reference)
+    return _total_points(score, points_by_measure(score, reference))
+
+
+def _total_points(score: FlightScore, points: Mapping[str, float]) -> float:
+    """Sum the points of a flight over its measures."""
     if not points:
         return 0.0 if score.ended else FULL
     return sum(points.values())
@@ -132,12 +136,12 @@ def mark_of(name: str, scores: Sequence[FlightScore], references: Sequence[Fligh
     scores, references : sequence of FlightScore
         Its flights, and those of the board's own law, in the same order.
     """
-    points = [points_of(score, reference) for score, reference in zip(scores, references, strict=True)]
     parts = [points_by_measure(score, reference) for score, reference in zip(scores, references, strict=True)]
     means = {
         measure: round(sum(of_flight.get(measure, 0.0) for of_flight in parts) / len(parts), 2)
         for measure in parts[0]
     }
     reason = ", ".join(sorted({score.ended for score in scores if score.ended}))
+    points = [_total_points(score, of_flight) for score, of_flight in zip(scores, parts, strict=True)]
     mean = round(sum(points) / len(points), 1)
     return Mark(name, mean, reason, tuple(scores), means, tuple(references))
