@@ -79,11 +79,11 @@ def prediction_ratio(case: BenchmarkCase, answer: Answer, named: Sequence[str], 
     rig_values = {name: value for name, value in given.items() if name in case.rig}
     causes = {}
     for name in named:
-        own = {
+        values = {
             parameter: given[parameter] for parameter in case.causes.parameters[name] if parameter in given
         }
-        if own:
-            causes[name] = own
+        if values:
+            causes[name] = values
     try:
         errors = _errors(case, case.rig.replace(**rig_values), causes)
     except HeliError:

@@ -34,6 +34,9 @@ class TermEvidence:
         # The rig parameters are projected out, within their priors.
         self._onto = np.linalg.solve(known.T @ known + np.eye(known.shape[1]), known.T)
         self._bases = [self._basis(term.columns) for term in regression.terms]
+        self._columns_by_cause: dict[str, list[Floats]] = {}
+        for term in regression.terms:
+            self._columns_by_cause.setdefault(term.cause, []).append(term.columns)
 
     def _basis(self, columns: Floats) -> Floats:
         rest = columns - self._known @ (self._onto @ columns)
@@ -84,14 +87,14 @@ class TermEvidence:
         targets = rng.standard_normal((len(self._known), count))
         targets += self._known @ rng.standard_normal((self._known.shape[1], count))
         rates, hidden = self._causes.base_rates, []
-        names = sorted({term.cause for term in self._regression.terms})
+        names = sorted(self._columns_by_cause)
         for k in range(count):
             drawn, something = set[str](), rng.random() > rates[NOTHING]
             while something and not drawn:
                 drawn = {name for name in names if rng.random() < rates[name] / (1.0 - rates[NOTHING])}
             for name in drawn:
-                own = [term.columns for term in self._regression.terms if term.cause == name]
-                columns = own[int(rng.integers(len(own)))]
+                alternatives = self._columns_by_cause[name]
+                columns = alternatives[int(rng.integers(len(alternatives)))]
                 effect = columns @ (rng.standard_normal(columns.shape[1]) / np.linalg.norm(columns, axis=0))
                 size = np.exp(rng.uniform(np.log(_SMALLEST_STD), np.log(_LARGEST_STD)))
                 targets[:, k] += size * effect / np.linalg.norm(effect)

@@ -37,7 +37,7 @@ def searched(regression: ResidualRegression) -> list[tuple[float, np.ndarray, st
     features, count = regression.features, len(regression.residuals)
     first = slice(0, round((1.0 - _HELD_OUT) * count))
     last = slice(first.stop, count)
-    found = []
+    equations = []
     for target in regression.residuals.T:
         search = SymbolicRegressor(
             population_size=500,
@@ -51,8 +51,8 @@ def searched(regression: ResidualRegression) -> list[tuple[float, np.ndarray, st
         predicted = np.asarray(search.predict(features)).ravel()
         error = target[last] - predicted[last]
         r2 = 1.0 - float(error @ error) / float(target[last] @ target[last])
-        found.append((r2, predicted, str(search.get_model_string(search.model_, 3))))
-    return found
+        equations.append((r2, predicted, str(search.get_model_string(search.model_, 3))))
+    return equations
 
 
 def _most_similar(regression: ResidualRegression, predicted: np.ndarray, axis: int) -> tuple[str, float]:

@@ -108,8 +108,8 @@ class ResidualRegression:
 
     def best_term(self, cause: str) -> Term:
         """Return the term of a `cause` that lowers the criterion most alone."""
-        own = [term for term in self.terms if term.cause == cause]
-        return min(own, key=lambda term: self.fit([term])[0])
+        terms = [term for term in self.terms if term.cause == cause]
+        return min(terms, key=lambda term: self.fit([term])[0])
 
     def fit(self, terms: Sequence[Term]) -> tuple[float, Floats, Floats]:
         """Fit some terms and all nuisance parameters.
