@@ -7,7 +7,10 @@ from pathlib import Path
 
 import pytest
 from heli_benchmark.cases.published import LISTED_CAUSES, PublishedCase, base_rates, published_cases
+from heli_benchmark.errors import BenchmarkError
 from heli_benchmark.splits.causes import causes_content
+from heli_benchmark.splits.make import MAX_ATTEMPTS, MAX_REDRAWS, fly_case
+from heli_host.errors import FlightAborted
 
 from tests.benchmark.leaks import accuracy, chance, file_features, labels_of
 from tests.benchmark.small_split import make
@@ -80,3 +83,38 @@ def test_names_headers_and_formats_of_files_are_the_same_in_all_cases(tmp_path: 
 def test_names_of_causes_show_no_truth() -> None:
     content = causes_content()
     assert {"nothing", "unlisted", *LISTED_CAUSES} == set(content)
+
+
+@pytest.mark.parametrize("kind", ["nothing", "two", "unlisted and one"])
+def test_a_rig_that_cannot_be_flown_is_drawn_again_with_the_same_kind(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case = next(case for case in CASES if case.draw.kind == kind)
+    unflyable, flown = case.rig(), []
+
+    def fly(case: PublishedCase, flight: int, duration_s: float) -> tuple[str, None]:
+        flown.append(case)
+        if case.rig() == unflyable:
+            raise FlightAborted("elevation left its range", "draw another")
+        return f"flight {flight} of {duration_s:g} s", None
+
+    monkeypatch.setattr(PublishedCase, "fly", fly)
+    other, flights = fly_case(case)
+    assert len(flown) == MAX_ATTEMPTS + len(other.durations_s)
+    assert (other.name, other.draw.kind, len(flights)) == (case.name, kind, len(other.durations_s))
+    assert (len(other.effects), len(other.unlisted)) == (len(case.effects), len(case.unlisted))
+    assert other.seed != case.seed
+
+
+def test_a_split_is_given_up_only_after_many_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    flown = []
+
+    def fly(case: PublishedCase, flight: int, duration_s: float) -> None:
+        flown.append(case)
+        raise FlightAborted("elevation left its range", "draw another")
+
+    monkeypatch.setattr(PublishedCase, "fly", fly)
+    with pytest.raises(BenchmarkError, match="another seed"):
+        fly_case(CASES[0])
+    assert len(flown) == MAX_ATTEMPTS * (1 + MAX_REDRAWS)
+    assert len({case.seed for case in flown}) == 1 + MAX_REDRAWS

@@ -6,7 +6,7 @@ Conditions do not depend on the causes: rate, length and number of flights give 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Final
 
@@ -49,6 +49,33 @@ _MAX_CONFLICTS: Final = 40
 
 
 @dataclass(frozen=True)
+class Draw:
+    """What a case is drawn from.
+
+    Parameters
+    ----------
+    split_seed : int
+        Seed of the split.
+    number : int
+        Place of the case in its split, from 0.
+    kind : str
+        One of `KINDS`.
+    redraws : int
+        Number of earlier draws whose rig could not be flown.
+    """
+
+    split_seed: int
+    number: int
+    kind: str
+    redraws: int = 0
+
+    def rng(self, stream: int) -> np.random.Generator:
+        """Return the random numbers of one subject, for example of the conditions."""
+        again = (self.redraws,) if self.redraws else ()
+        return np.random.default_rng([self.split_seed, stream, self.number, *again])
+
+
+@dataclass(frozen=True)
 class PublishedCase(DisturbedCase):
     """A case of a split, with one to three training flights and one or two validation flights.
 
@@ -58,11 +85,14 @@ class PublishedCase(DisturbedCase):
         Lengths of the flights.
     attempt : int
         Number of the draw of routes and controllers, after a flight that left the safe range of angles.
+    draw : Draw
+        What the case was drawn from.
     """
 
     training_s: tuple[float, ...] = (30.0,)
     validation_s: tuple[float, ...] = (20.0,)
     attempt: int = 0
+    draw: Draw = Draw(0, 0, "nothing")
 
     @property
     def durations_s(self) -> tuple[float, ...]:
@@ -100,7 +130,12 @@ def published_cases(seed: int, count: int) -> Iterator[PublishedCase]:
     for number in range(count):
         if number % len(KINDS) == 0:
             kinds = order.permutation(KINDS)
-        yield _case(f"case-{number + 1:03d}", seed, number, str(kinds[number % len(KINDS)]))
+        yield _case(f"case-{number + 1:03d}", Draw(seed, number, str(kinds[number % len(KINDS)])))
+
+
+def redrawn(case: PublishedCase) -> PublishedCase:
+    """Return another case of the same name and kind: other conditions, rig and causes."""
+    return _case(case.name, replace(case.draw, redraws=case.draw.redraws + 1))
 
 
 def base_rates() -> dict[str, float]:
@@ -122,15 +157,15 @@ def base_rates() -> dict[str, float]:
     return rates
 
 
-def _case(name: str, seed: int, number: int, kind: str) -> PublishedCase:
-    conditions = np.random.default_rng([seed, 1, number])
+def _case(name: str, draw: Draw) -> PublishedCase:
+    conditions, kind = draw.rng(1), draw.kind
     on_quanser = bool(conditions.random() < _ON_QUANSER)
     weak = bool(conditions.random() < _WEAKLY_EXCITED)
     disturbances, factor = _disturbances(conditions)
     training = conditions.choice(_TRAINING_s, int(conditions.choice([1, 2, 3], p=[0.6, 0.25, 0.15])))
     validation = conditions.choice(_VALIDATION_s, int(conditions.choice([1, 2], p=[0.7, 0.3])))
     rate_Hz, controller = int(conditions.choice(RATES_Hz)), str(conditions.choice(CONTROLLERS))
-    truth = np.random.default_rng([seed, 2, number])
+    truth = draw.rng(2)
     effects = _drawn(truth, _LISTED_COUNT[kind], on_quanser, weak)
     unlisted: tuple[str, ...] = ()
     if kind.startswith("unlisted"):
@@ -145,7 +180,7 @@ def _case(name: str, seed: int, number: int, kind: str) -> PublishedCase:
         name,
         tuple((cause, size(cause, SIZES[cause])) for cause in effects),
         tuple((cause, size(cause, DISTURBED[cause][1])) for cause in unlisted),
-        int(np.random.default_rng([seed, 3, number]).integers(1 << 31)),
+        int(draw.rng(3).integers(1 << 31)),
         tuple(MAKERS[cause] for cause in (*effects, *unlisted)),
         QUANSER_RIG if on_quanser else PAPER_RIG,
         rate_Hz,
@@ -154,6 +189,7 @@ def _case(name: str, seed: int, number: int, kind: str) -> PublishedCase:
         disturbances,
         tuple(map(float, training)),
         tuple(map(float, validation)),
+        draw=draw,
     )
 
 

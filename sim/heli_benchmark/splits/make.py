@@ -13,7 +13,7 @@ from heli_host.errors import FlightAborted
 from heli_host.flight import Flight
 from heli_sim.rig import load_rig
 
-from heli_benchmark.cases.published import PublishedCase, published_cases
+from heli_benchmark.cases.published import PublishedCase, published_cases, redrawn
 from heli_benchmark.errors import BenchmarkError
 from heli_benchmark.reference.truth import hidden_in
 from heli_benchmark.reference.visibility import visibility
@@ -26,7 +26,9 @@ from heli_benchmark.task.json_file import read_json, write_json
 from heli_benchmark.task.split import CAUSES_FILE, SCHEMA
 
 MAX_ATTEMPTS: Final = 8
-"""Draws of a route until a case is given up. Fewer: a hard case stops the split. More: time."""
+"""Draws of routes until another case is drawn. Fewer: easy rigs become more frequent. More: time."""
+MAX_REDRAWS: Final = 8
+"""Draws of a case until the split is given up. One of 120 cases needed a redraw."""
 
 
 def make_split(
@@ -131,23 +133,31 @@ def _fly_and_write(case: PublishedCase, folder: Path, truth_folder: Path, seal: 
 
 
 def fly_case(case: PublishedCase) -> tuple[PublishedCase, tuple[Flight, ...]]:
-    """Fly all flights of a case, and draw other routes if the rig leaves its angles.
+    """Fly all flights of a case; if the rig leaves its angles, draw other routes, then another case.
 
     Returns
     -------
     tuple of PublishedCase and tuple of Flight
         The case that was flown, and its flights, training flights first.
+
+    Raises
+    ------
+    BenchmarkError
+        If no draw can be flown.
     """
-    for attempt in range(MAX_ATTEMPTS):
-        case = replace(case, attempt=attempt)
-        try:
-            # The first flight last: the visibility of the causes needs its trajectory next.
-            last = [case.fly(i, case.durations_s[i])[0] for i in range(1, len(case.durations_s))]
-            return case, (case.fly(0, case.durations_s[0])[0], *last)
-        except FlightAborted:
-            continue
+    for _ in range(1 + MAX_REDRAWS):
+        for attempt in range(MAX_ATTEMPTS):
+            case = replace(case, attempt=attempt)
+            try:
+                # The first flight last: the visibility of the causes needs its trajectory next.
+                last = [case.fly(i, case.durations_s[i])[0] for i in range(1, len(case.durations_s))]
+                return case, (case.fly(0, case.durations_s[0])[0], *last)
+            except FlightAborted:
+                continue
+        case = redrawn(case)
     raise BenchmarkError(
-        f"{case.name} left the safe range of angles in {MAX_ATTEMPTS} attempts", "make it with another seed"
+        f"{case.name} left the safe range of angles in each of {MAX_ATTEMPTS * (1 + MAX_REDRAWS)} attempts",
+        "make it with another seed",
     )
 
 
