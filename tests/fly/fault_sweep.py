@@ -29,7 +29,7 @@ from tests.fly.fault_flights import world_of
 
 GAINS: Final = Path(__file__).with_name("gains")
 LEFT_DEG: Final = 30.0
-"""Beyond this error of true travel an unreported fault is dangerous: issue 29."""
+"""Beyond this error of true travel an unreported fault is dangerous."""
 _SETTLES_S: Final = 1.5
 _DOWN_MS: Final = 15_000
 _CLOSED: Final = (State.CLOSED_LOOP, State.HOLD, State.LANDING)

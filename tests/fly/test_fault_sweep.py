@@ -9,6 +9,7 @@ import pytest
 
 from tests.firmware.built import built_elf
 from tests.fly.fault_sweep import HEAD, LEFT_DEG, Case, flown, swept
+from tests.fly.travel_checks import hovers
 from tests.running.long import LONG, samples
 
 pytest.importorskip("heli_sim._native", reason="skipped: the simulation is not built")
@@ -77,3 +78,12 @@ def test_a_flight_of_the_sweep_is_within_the_worst_of_the_document(kind: str) ->
         if seen.reported:
             assert seen.acted_s <= within_s + 0.05
             assert seen.away_deg <= off_deg + 0.5
+
+
+@pytest.mark.medium
+def test_only_checks_of_its_encoder_move_a_healthy_arm_and_by_less_than_four_degrees() -> None:
+    _, checked_deg, checks = hovers("", seed=1)
+    _, unchecked_deg, none = hovers("", seed=1, silence_s=0.0)
+    assert checks > 0
+    assert none == 0
+    assert unchecked_deg < 0.5 < checked_deg < 4.0

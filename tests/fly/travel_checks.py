@@ -1,0 +1,71 @@
+"""How far the check of a silent travel encoder moves a healthy arm: ``python -m tests.fly.travel_checks``.
+
+Each rig hovers in simulation, with the check and without it (`travel_silence_s` = 0).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import heli_host
+import numpy as np
+
+RIGS: Final[Mapping[str, str]] = {
+    "the paper's": "",
+    "with a rotor lag of 0.12 s": "&effect=rotor_lag=0.12",
+    "with dry friction of travel": "&effect=coulomb_friction.travel",
+}
+_SETTLES_s, _HOVERS_s = 10.0, 110.0
+_ELEVATION_deg, _TRAVEL_deg = 4.4, -9.2
+
+
+def hovers(effect: str, seed: int, silence_s: float | None = None) -> tuple[float, float, int]:
+    """Hover, and return what travel did after it had settled.
+
+    Parameters
+    ----------
+    effect : str
+        End of the address of the simulated board.
+    silence_s : float, optional
+        The parameter `travel_silence_s`; by default the board's own.
+
+    Returns
+    -------
+    tuple
+        Mean square and largest magnitude of the error of travel [deg2, deg], and number of checks.
+    """
+    events: list[Any] = []
+    with heli_host.connect(f"sil://?seed={seed}{effect}") as heli:
+        if silence_s is not None:
+            heli.params["travel_silence_s"] = silence_s
+        heli.on_event(events.append)
+        heli.take_off()
+        heli.setpoint(elevation_deg=_ELEVATION_deg, travel_deg=_TRAVEL_deg)
+        heli.wait(_SETTLES_s)
+        events.clear()
+        heli.wait(_HOVERS_s)
+        error_deg = np.degrees(heli.samples(last_s=_HOVERS_s).travel_rad) - _TRAVEL_deg
+    # Each check sends two events: its beginning and its answer.
+    checks = sum(event.kind == "travel_probe" for event in events) // 2
+    return float(np.mean(error_deg**2)), float(np.abs(error_deg).max()), checks
+
+
+def rows(seeds: Sequence[int]) -> list[str]:
+    """Return a row of the table for each rig, as Markdown."""
+    table = []
+    for name, effect in RIGS.items():
+        cells = []
+        for silence_s in (None, 0.0):
+            square_deg2, largest_deg, checks = zip(
+                *(hovers(effect, seed, silence_s) for seed in seeds), strict=True
+            )
+            cells.append(
+                f"{np.mean(checks):.1f} | {np.sqrt(np.mean(square_deg2)):.2f} | {max(largest_deg):.1f}"
+            )
+        table.append(f"| {name} | {' | '.join(cells)} |")
+    return table
+
+
+if __name__ == "__main__":
+    print("\n".join(rows(seeds=(1, 2, 3, 4))))
