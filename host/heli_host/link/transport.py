@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import select
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -515,6 +516,10 @@ def _port_error(url: str, error: Exception) -> PortError:
         )
     if "://" in url:
         return PortError(f"cannot open {url}", "check that its other end is running and listening")
+    if re.fullmatch(r"[\w.-]+:\d+", url):
+        return PortError(
+            f"cannot open port {url}", f"for a board that is served over TCP, give socket://{url}"
+        )
     ports = ", ".join(port.device for port in available_ports())
     exist = (
         f"choose an existing port: {ports}"

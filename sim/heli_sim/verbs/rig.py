@@ -362,7 +362,9 @@ def new(
     text = description or f"described by its builder, what is not stated as {base.name}"
     rig = described(out.stem, text, base, given)
     if not force and (beyond := beyond_a_table({name: rig[name].value for name in rig})):
-        raise RigError(beyond[0], "correct the number, or write it with --force")
+        raise RigError(
+            beyond[0], "correct the number or add its unit, such as g or cm; or write it with --force"
+        )
     write_rig(
         rig, out, f"Written by heli-host rig new: {len(given)} numbers stated, the rest as {base.name}."
     )
