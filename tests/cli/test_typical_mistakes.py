@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from serial.tools import list_ports
+from serial.tools.list_ports_common import ListPortInfo
 
 from tests.cli.terminal import Terminal, refusal
 
@@ -54,6 +56,21 @@ def test_a_stated_mass_asks_for_point_and_unit(terminal: Terminal, number: str, 
 def test_an_address_without_its_kind_asks_for_a_socket(terminal: Terminal) -> None:
     line = refusal(terminal("params", "list", "--port", "127.0.0.1:9"), code=LINK)
     assert line.endswith("for a board that is served over TCP, give socket://127.0.0.1:9")
+
+
+def test_a_serial_port_that_is_no_usb_port_is_not_offered(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own, due = ListPortInfo("/dev/ttyS0"), ListPortInfo("/dev/ttyACM3")
+    due.vid, due.pid = 0x2341, 0x003D
+    monkeypatch.setattr(list_ports, "comports", lambda: [own])
+    line = refusal(terminal("watch", "--port", "/dev/ttyACM9"), code=LINK)
+    assert "plug the board in" in line
+    assert "--sil" in line
+    assert "ttyS0" not in line
+    monkeypatch.setattr(list_ports, "comports", lambda: [own, due])
+    line = refusal(terminal("watch", "--port", "/dev/ttyACM9"), code=LINK)
+    assert line.endswith("choose an existing port: /dev/ttyACM3")
 
 
 def test_a_folder_is_no_flight_and_its_flight_is_offered(terminal: Terminal, tmp_path: Path) -> None:

@@ -520,11 +520,12 @@ def _port_error(url: str, error: Exception) -> PortError:
         return PortError(
             f"cannot open port {url}", f"for a board that is served over TCP, give socket://{url}"
         )
-    ports = ", ".join(port.device for port in available_ports())
+    # A computer's own serial ports, such as /dev/ttyS0, have no USB number; no Due is behind them.
+    ports = ", ".join(port.device for port in available_ports() if port.vendor_id is not None)
     exist = (
         f"choose an existing port: {ports}"
         if ports
-        else "plug the board in, because no serial port exists, or use sil://"
+        else "plug the board in, because no USB port exists, or simulate it: --sil, in Python sil://"
     )
     return PortError(f"cannot open port {url}", exist)
 

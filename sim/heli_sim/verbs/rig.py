@@ -270,8 +270,8 @@ def diff(
 ) -> None:
     """Compare two rigs, parameter by parameter.
 
-    The unit is the combined tolerance, the root of the sum of squares. A star marks a difference above 1,
-    which two files of the same rig rarely have.
+    Each difference is divided by the combined tolerance of both rigs (the root of the sum of squares). A star
+    marks a difference above 1, which two files of the same rig rarely have.
 
     Example: `heli-host rig diff makki2024 makki2024-identified`
     """
@@ -331,7 +331,7 @@ def new(
         str, typer.Option("--description", metavar="TEXT", help="Describe the rig in one line.")
     ] = "",
     force: Annotated[
-        bool, typer.Option("--force", help="Write the rig even if a number is implausible for its size.")
+        bool, typer.Option("--force", help="Write the rig even if a number is implausible.")
     ] = False,
 ) -> None:
     """Describe a rig by a table, options or answers to questions.
