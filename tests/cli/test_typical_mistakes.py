@@ -1,4 +1,4 @@
-"""What a newcomer types wrongly: the message names it, and gives the fix for this mistake."""
+"""Typical mistakes of newcomers: the message names the mistake, and gives the fix for it."""
 
 from __future__ import annotations
 
