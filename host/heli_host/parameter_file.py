@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from heli_host.declaration import PARAMS, PARAMS_HASH
-from heli_host.errors import ParameterError
+from heli_host.errors import ParameterError, file_remedy
 from heli_host.files import TOML_BYTES, parse_toml, read_file
 from heli_host.parameters import checked, spec_of
 
@@ -78,7 +79,11 @@ def read_parameter_set(file: Path) -> ParameterSet:
     try:
         content = parse_toml(read_file(file, TOML_BYTES).decode("utf-8"))
     except OSError as error:
-        raise ParameterError(f"cannot read {file}: {error.strerror or error}", "check the path") from error
+        if error.errno == errno.EFBIG:
+            raise ParameterError(
+                f"{file} is too large for a file of parameters", "give a TOML file of params dump or tune"
+            ) from error
+        raise ParameterError(f"cannot read {file}: {error.strerror or error}", file_remedy(error)) from error
     except ValueError as error:
         raise ParameterError(f"{file} is not TOML: {error}", _REMEDY) from error
     return parameter_set(content, file)

@@ -157,14 +157,19 @@ CASES: Final = (
     _sine("the travel encoder is out from the start", "encoder_out=travel", _TRAVEL_DEAD, 12.0),
     _sine("no motor has a supply", "supply_out=0", _ELEVATION, 1.5),
     Case(
-        "the stop switch is pressed, its wire breaks",
+        "the stop switch is pressed, or its wire breaks",
         "fault hardware_stop",
         0.002,
         options="stop_switch=6",
     ),
-    Case("six illegal transitions of an encoder", "fault encoder_elevation", 0.02, blow=wrong_edges),
     Case(
-        "noise on travel, 500,000 edges a second",
+        "an encoder's lines change six times in an impossible order",
+        "fault encoder_elevation",
+        0.02,
+        blow=wrong_edges,
+    ),
+    Case(
+        "noise on the lines of travel, 500,000 edges per second",
         "fault encoder_overload",
         0.003,
         blow=noise,
@@ -173,7 +178,7 @@ CASES: Final = (
     Case("a hand strikes the short arm", "fault pitch_rate", 0.05, blow=struck_by_a_hand),
     Case("the control tick hangs", "restarted (watchdog)", 0.18, blow=hang, due_only=True),
     Case(
-        "the program meets what is no instruction",
+        "the program reaches an invalid instruction",
         "restarted (software)",
         0.003,
         blow=wrong_instruction,
@@ -182,7 +187,7 @@ CASES: Final = (
     Case("the board loses its power", "restarted (power_up)", 0.002, blow=power),
     Case("the board's RESET is pressed", "restarted (user)", 0.002, blow=reset),
     Case(
-        "the receiver's ring runs over while the processor stands still",
+        "the processor stands still, so that bytes of the host are lost",
         "completed",
         0.0,
         blow=full_receiver,
@@ -209,12 +214,12 @@ ELSEWHERE: Final = {
 """Rows that cannot be flown in lockstep, or end before the flight; each with the test that shows it."""
 
 
-HEAD: Final = "| fault | the board | within | the host says |"
+HEAD: Final = "| fault | the board | within, s | the host reports |"
 
 
 def row(case: Case, outcome: Outcome) -> str:
     """Return a row of the table, as Markdown."""
-    within = f"{outcome.acted_s:.3g} s" if outcome.acted_s else ""
+    within = f"{outcome.acted_s:.3g}" if outcome.acted_s else ""
     says = f"`{case.says}`" if case.says else ""
     return f"| {case.what} | {outcome.does} | {within} | {says} |"
 

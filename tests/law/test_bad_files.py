@@ -38,7 +38,7 @@ BAD: Final[dict[str, tuple[str | bytes, str, str]]] = {
     "a law by another name": (law("return Command(1.0, 1.0)", end=""), "does not define LAW", "LAW = law"),
     "a function for a LAW": ("def law(now):\n    pass\nLAW = law\n", "has the type function", "@control_law"),
     "no Python": ("LAW = (1,\n", "is not valid Python", "line 1"),
-    "no text": (b"\x00\xff\xfe\x80", "is not valid Python", "correct this line"),
+    "no text": (b"\x00\xff\xfe\x80", "is not valid Python", "give a Python file that ends with LAW"),
     "an exception on the way": (START + "gain = 1 / 0\n", "ZeroDivisionError", "line 3"),
     "an exception in the law": (law("return Command(now.yaw_rad, 1.0)"), "line 5 of the law law reads yaw_rad", "names are: elevation_rad"),
     "a file that ends the program": ("raise SystemExit(0)\n", "SystemExit", "line 1"),

@@ -43,7 +43,7 @@ def test_1200_baud_is_refused_by_name_before_anything_is_opened(url: str) -> Non
 
 def test_a_missing_port_is_one_line_that_says_which_exist() -> None:
     with pytest.raises(
-        PortError, match=r"cannot open port /dev/nothing-there; (choose an existing|.*no serial port)"
+        PortError, match=r"cannot open port /dev/nothing-there; (choose an existing|.*no USB port)"
     ):
         open_transport("/dev/nothing-there")
 

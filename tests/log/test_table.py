@@ -222,6 +222,7 @@ def test_a_broken_archive_is_one_line(
 
 
 def test_a_file_of_another_kind_or_none_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "a.xlsx").touch()
     with pytest.raises(FlightDataError, match=r"\.mcap, \.csv or \.csv\.gz"):
         read_flight(tmp_path / "a.xlsx")
     with pytest.raises(FlightDataError, match="check the path"):

@@ -113,7 +113,7 @@ def _check(log: Log, record: Mapping[str, str]) -> None:
 
     session = log.metadata.get("session", {})
     if session.get(SEALED):
-        raise LogError(f"{log.path} is a blind flight, and does not hold what flew", _FLY)
+        raise LogError(f"{log.path} is a blind flight, so it does not contain rig, effects and seed", _FLY)
     if not record:
         is_simulated = session.get("url", "").startswith("sil:") or session.get("board") == "native"
         if is_simulated:

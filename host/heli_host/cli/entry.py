@@ -200,8 +200,21 @@ def _remedy(package: str) -> str:
 def _usage_text(error: Exception) -> tuple[str, int]:
     """Typer's own complaint, with the place where help is."""
     message = " ".join(error.format_message().split()) if hasattr(error, "format_message") else str(error)
+    problems = getattr(error.__cause__, "errors", None)
+    if problems is not None and "Input should be a valid" in message:
+        # pydantic's text names neither what was typed nor the usual reason, a comma or a unit.
+        message = message.partition("Input should be a valid")[0] + _not_a_number(
+            str(problems()[0]["input"]), whole="integer" in message
+        )
     context = getattr(error, "ctx", None)
     if not message:  # no_args_is_help has printed the help already
         return "", EXIT_ASKED
     command = context.command_path if context is not None else "heli-host"
     return f"{message.rstrip('.')}; see {command} --help", EXIT_ASKED
+
+
+def _not_a_number(written: str, *, whole: bool) -> str:
+    """What is wrong with text that is no number, and how to write one."""
+    if whole:
+        return f"'{written}' is not a whole number; give one, such as 3"
+    return f"'{written}' is not a number; write it with a decimal point and without a unit, such as 0.5"

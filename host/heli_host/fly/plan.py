@@ -26,6 +26,7 @@ taken. Setpoints are continuous from segment to segment, steps excepted; every p
 from __future__ import annotations
 
 import difflib
+import errno
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -38,7 +39,7 @@ from numpy.typing import NDArray
 
 from heli_host.arrays import Floats
 from heli_host.declaration import AXES, Axis
-from heli_host.errors import PlanError
+from heli_host.errors import PlanError, file_remedy
 from heli_host.files import TOML_BYTES, parse_toml, read_file
 from heli_host.flight.flown import TAKE_OFF
 from heli_host.fly import route as shapes
@@ -266,7 +267,11 @@ def load_plan(name: str | Path) -> Plan:
     except UnicodeDecodeError as error:
         raise PlanError(f"{path} is not text in UTF-8", "give a TOML file") from error
     except OSError as error:
-        raise PlanError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
+        if error.errno == errno.EFBIG:
+            raise PlanError(
+                f"{path} is too large for a flight plan", "give a TOML file; to repeat a log, use --again"
+            ) from error
+        raise PlanError(f"cannot read {path}: {error.strerror or error}", file_remedy(error)) from error
 
 
 def plan_names() -> list[str]:

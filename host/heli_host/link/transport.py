@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import select
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -515,11 +516,16 @@ def _port_error(url: str, error: Exception) -> PortError:
         )
     if "://" in url:
         return PortError(f"cannot open {url}", "check that its other end is running and listening")
-    ports = ", ".join(port.device for port in available_ports())
+    if re.fullmatch(r"[\w.-]+:\d+", url):
+        return PortError(
+            f"cannot open port {url}", f"for a board that is served over TCP, give socket://{url}"
+        )
+    # A computer's own serial ports, such as /dev/ttyS0, have no USB number; no Due is behind them.
+    ports = ", ".join(port.device for port in available_ports() if port.vendor_id is not None)
     exist = (
         f"choose an existing port: {ports}"
         if ports
-        else "plug the board in, because no serial port exists, or use sil://"
+        else "plug the board in, because no USB port exists, or simulate it: --sil, in Python sil://"
     )
     return PortError(f"cannot open port {url}", exist)
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from heli_host.errors import LogError, LogWriteError
+from heli_host.errors import LogError, LogWriteError, file_remedy
 from heli_host.files import file_digest, read_file
 from heli_host.flight import Flight
 
@@ -98,7 +98,7 @@ class Truth:
             content = json.loads(read_file(path, _MAX_BYTES))
             flown, salt = content["flown"], content["salt"]
         except OSError as error:
-            raise LogError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
+            raise LogError(f"cannot read {path}: {error.strerror or error}", file_remedy(error)) from error
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise LogError(f"{path} is not a truth file", "give the .truth.json of the flight") from error
         if not isinstance(flown, dict) or not isinstance(salt, str):
@@ -215,4 +215,4 @@ def _log_digest(path: Path) -> str:
     try:
         return file_digest(path)
     except OSError as error:
-        raise LogError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
+        raise LogError(f"cannot read {path}: {error.strerror or error}", file_remedy(error)) from error

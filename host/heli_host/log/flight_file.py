@@ -9,6 +9,8 @@ from heli_host.flight import Flight, check
 from heli_host.log.reader import read_log
 from heli_host.log.table import read_csv
 
+_ENDINGS = (".mcap", ".csv", ".csv.gz")
+
 
 def read_flight(path: str | Path, *, allow_gaps: bool = False) -> Flight:
     """Read a log or a table.
@@ -39,4 +41,18 @@ def read_flight(path: str | Path, *, allow_gaps: bool = False) -> Flight:
         return flight
     if name.endswith((".csv", ".csv.gz")):
         return read_csv(path, allow_gaps=allow_gaps)
-    raise FlightDataError(f"{path}: not a flight file", "give a .mcap, .csv or .csv.gz file")
+    raise FlightDataError(*_not_a_flight(path))
+
+
+def _not_a_flight(path: Path) -> tuple[str, str]:
+    """What is wrong with a path that has no ending of a flight, and what to do."""
+    if path.is_dir():
+        flights = sorted(entry.name for entry in path.iterdir() if entry.name.endswith(_ENDINGS))
+        example = f", such as {path / flights[0]}" if flights else ""
+        return f"{path} is a folder, not a flight", f"give a file{example}"
+    if not path.exists():
+        written = [f"{path}{ending}" for ending in _ENDINGS if Path(f"{path}{ending}").exists()]
+        return f"cannot read {path}: there is no such file", (
+            f"did you mean {written[0]}?" if written else "check the path"
+        )
+    return f"{path} is not a flight", f"give a file that ends in {', '.join(_ENDINGS[:-1])} or {_ENDINGS[-1]}"

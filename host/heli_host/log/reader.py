@@ -15,7 +15,7 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from heli_host.declaration import AXES, CHANNELS, Axis, ChannelSpec
-from heli_host.errors import LogError, TruncatedLog
+from heli_host.errors import LogError, TruncatedLog, file_remedy
 from heli_host.files import read_file
 from heli_host.flight import OWN_COLUMNS, Flight, FlightEvent
 from heli_host.link.channels import ENCODERS, is_whole, rad_per_count
@@ -185,7 +185,7 @@ def read_log(path: str | Path) -> Log:
     try:
         data = read_file(path, MAX_LOG_BYTES)
     except OSError as error:
-        raise LogError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
+        raise LogError(f"cannot read {path}: {error.strerror or error}", file_remedy(error)) from error
     magic = bytes(MCAP0_MAGIC)
     if data[: len(magic)] != magic[: len(data)]:
         raise LogError(f"{path} is not an MCAP file", "give a log written by heli-host")
@@ -198,7 +198,7 @@ def read_log(path: str | Path) -> Log:
                 "give a log written by heli-host; this MCAP file is from another program",
             )
         raise TruncatedLog(
-            f"{path} is cut short within its first {len(data)} bytes",
+            f"{path} is cut short within its first {len(data)} bytes" if data else f"{path} is an empty file",
             "record the flight again: it contains no data",
         )
     ticks = np.concatenate(scan.ticks) if scan.ticks else np.zeros(0, scan.layout.dtype)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heli_host.declaration import CHANNELS
-from heli_host.errors import FlightDataError, LogWriteError
+from heli_host.errors import FlightDataError, LogWriteError, file_remedy
 from heli_host.files import read_file
 from heli_host.flight import (
     OWN_COLUMNS,
@@ -170,7 +170,7 @@ def _read_notes(path: Path) -> list[str]:
     except FileNotFoundError:
         return []
     except OSError as error:
-        raise FlightDataError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
+        raise FlightDataError(f"cannot read {path}: {error.strerror or error}", file_remedy(error)) from error
     lines = data.decode("utf-8", errors="replace").splitlines()
     return [line for line in lines if line.strip()]
 
@@ -192,7 +192,7 @@ def _read_bytes(path: Path) -> bytes:
     try:
         data = read_file(path, MAX_TABLE_BYTES)
     except OSError as error:
-        raise FlightDataError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
+        raise FlightDataError(f"cannot read {path}: {error.strerror or error}", file_remedy(error)) from error
     if not path.name.lower().endswith(".gz"):
         return data
     try:

@@ -65,6 +65,11 @@ def read_bag(path: Path) -> Table:
         except (FlightDataError, MemoryError):
             raise
         except Exception as error:  # the reader raises whatever a damaged file makes it trip over
+            if path.is_dir() and not (path / "metadata.yaml").exists():
+                raise FlightDataError(
+                    f"{path} is a folder without metadata.yaml, not a ROS 2 bag",
+                    "give a file, or the folder of a bag",
+                ) from error
             raise FlightDataError(
                 f"{path}: not a bag that rosbags reads ({type(error).__name__}: {error})",
                 "give a bag or an MCAP file; record the flight again if this one is damaged",

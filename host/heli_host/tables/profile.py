@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from heli_host.declaration import AXES
-from heli_host.errors import FlightDataError
+from heli_host.errors import FlightDataError, file_remedy
 from heli_host.files import TOML_BYTES, parse_toml, read_file
 from heli_host.tables.units import ANGLE_UNITS, COUNT, SHARES, TIME_UNITS, VOLTAGE_UNITS
 
@@ -166,7 +166,7 @@ def read_entries(path: Path) -> Mapping[str, Any]:
     try:
         content = parse_toml(read_file(path, TOML_BYTES).decode("utf-8"))
     except OSError as error:
-        raise FlightDataError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
+        raise FlightDataError(f"cannot read {path}: {error.strerror or error}", file_remedy(error)) from error
     except ValueError as error:
         raise FlightDataError(
             f"{path}: not a profile: {error}", "see docs/reference/file-formats.md"

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from heli_host.errors import FlightDataError
+from heli_host.errors import FlightDataError, file_remedy
 from heli_host.files import read_file
 from heli_host.tables.clocks import seconds_of
 from heli_host.tables.limits import MAX_BYTES, MAX_ROWS, check_columns, too_large
@@ -147,7 +147,7 @@ def _text(path: Path) -> str:
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise FlightDataError(f"{path}: not a gzip file, or damaged", "copy it again") from error
     except OSError as error:
-        raise FlightDataError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
+        raise FlightDataError(f"cannot read {path}: {error.strerror or error}", file_remedy(error)) from error
     if len(data) > MAX_BYTES:
         raise too_large(path, f"{MAX_BYTES >> 20} MiB")
     if max(data.count(b"\r"), sum(data.count(one) for one in _LINE_ENDS)) > MAX_ROWS:

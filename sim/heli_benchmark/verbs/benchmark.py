@@ -26,7 +26,7 @@ WorkersOption = Annotated[
 ]
 TruthOption = Annotated[
     Path | None,
-    typer.Option("--truth", metavar="DIR", help="Keep the truths of a sealed split in this folder."),
+    typer.Option("--truth", metavar="DIR", help="Use this folder for the truths of a sealed split."),
 ]
 
 
@@ -37,14 +37,15 @@ def make(
         str, typer.Option("--split", metavar="NAME", help="Give the split this name.")
     ] = "public",
     seed: Annotated[
-        int | None, typer.Option("--seed", metavar="N", min=0, help="Draw the cases with this seed.")
+        int | None,
+        typer.Option("--seed", metavar="N", min=0, help="Choose the cases at random with this seed."),
     ] = None,
     secret: Annotated[
         Path | None,
         typer.Option("--secret", metavar="FILE", help="Seal the split: draw the cases with this secret."),
     ] = None,
     truth: TruthOption = None,
-    count: Annotated[int, typer.Option("--count", metavar="N", min=1, help="Draw this many cases.")] = 24,
+    count: Annotated[int, typer.Option("--count", metavar="N", min=1, help="Make this many cases.")] = 24,
     workers: WorkersOption = 1,
 ) -> None:
     """Fly cases with hidden causes, and write them as folders for methods.

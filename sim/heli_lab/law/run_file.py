@@ -68,7 +68,8 @@ def run_law(path: Path) -> Law:
         raise
     except SyntaxError as error:
         raise BadLaw(
-            f"{path.name} is not valid Python: {error.msg}{_at(error.lineno)}", "correct this line"
+            f"{path.name} is not valid Python: {error.msg}{_at(error.lineno)}",
+            "correct this line" if error.lineno else "give a Python file that ends with LAW = ...",
         ) from error
     # SystemExit: a file that ends the program would otherwise end with its own code, and no word.
     except (Exception, SystemExit) as error:

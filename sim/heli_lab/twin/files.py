@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from heli_host.errors import file_remedy
 from heli_host.files import TOML_BYTES, parse_toml, read_file
 from heli_sim.model.base import Model
 from heli_sim.model.effects import effects_of
@@ -79,6 +80,6 @@ def _parse_file(path: Path) -> dict[str, Any]:
     try:
         return parse_toml(read_file(path, TOML_BYTES).decode("utf-8"))
     except OSError as error:
-        raise TwinError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
+        raise TwinError(f"cannot read {path}: {error.strerror or error}", file_remedy(error)) from error
     except ValueError as error:
         raise TwinError(f"{path} is not TOML: {error}", "correct that line") from error

@@ -75,10 +75,10 @@ def class_(
     """Fly and mark a folder of submissions, in simulation and then on the rig.
 
     A submission is a folder with law.py, a plan (TOML), a parameter file, or several of these. Log, figure
-    and mark go into its folder `marked`, which is replaced, but for flights on the rig. All marks, with the
-    points of each number, go into FOLDER/marks.csv. A law's file may use processor time and 1 GB of memory,
-    and may not write files, open sockets or start processes. Only submissions that flew to the end of the
-    simulation may fly on the rig.
+    and mark go into its folder `marked`. An existing folder is replaced, except its flights on the rig. All
+    marks, with the points for each measure, go into FOLDER/marks.csv. A law's file has limits of processor
+    time and memory (1 GB), and may not write files, open sockets or start processes. Only submissions that
+    flew to the end of the simulation may fly on the rig.
 
     Example: `heli-host class submissions --seeds 3`
     """

@@ -69,9 +69,9 @@ def import_(
 ) -> None:
     """Convert logs of other programs into flights by a given or guessed profile.
 
-    A sure guess writes the flights, the profile and a figure. An unsure guess lists its ambiguities, and
-    writes only profile and figure. Correct the profile, and give it with --profile. With --guess and
-    --profile, the entries of the profile stay, and the rest is guessed.
+    A guess that is certain writes the flights, the profile and a figure. Otherwise the guess lists what is
+    not certain, and writes only profile and figure. Correct the profile, and give it with --profile. With
+    --guess and --profile, the entries of the profile stay, and the rest is guessed.
 
     Example: `heli-host import lab1.mat lab2.mat --guess --rig quanser-course -o flights/lab`
     """

@@ -48,7 +48,7 @@ def twin(
         typer.Option(
             "--learn",
             metavar="FILE",
-            help="Set the alarm threshold along the nominal flights, and write this twin file.",
+            help="Set the alarm threshold by the nominal flights, and write this twin file.",
         ),
     ] = None,
     false_alarm_interval_h: Annotated[

@@ -178,6 +178,10 @@ def _quantity(name: str) -> Quantity:
 def _number(quantity: Quantity, value: str, tolerance: str | None, unit: str, source: str) -> Number:
     units = _FACTORS.get(quantity.unit, {quantity.unit: 1.0})
     factor = units.get(unit or quantity.unit)
+    if factor is None and unit.startswith(","):
+        raise RigError(
+            f"{quantity.name}: '{value}{unit}' is not a number", "write it with a decimal point, not a comma"
+        )
     if factor is None:
         raise RigError(f"{quantity.name} is in {unit}", f"give it in {' or '.join(units)}")
     try:

@@ -270,8 +270,8 @@ def diff(
 ) -> None:
     """Compare two rigs, parameter by parameter.
 
-    The unit is the combined tolerance, the root of the sum of squares. A star marks a difference above 1,
-    which two files of the same rig rarely have.
+    Each difference is divided by the combined tolerance of both rigs (the root of the sum of squares). A star
+    marks a difference above 1, which two files of the same rig rarely have.
 
     Example: `heli-host rig diff makki2024 makki2024-identified`
     """
@@ -331,7 +331,7 @@ def new(
         str, typer.Option("--description", metavar="TEXT", help="Describe the rig in one line.")
     ] = "",
     force: Annotated[
-        bool, typer.Option("--force", help="Write the rig even if a number is implausible for its size.")
+        bool, typer.Option("--force", help="Write the rig even if a number is implausible.")
     ] = False,
 ) -> None:
     """Describe a rig by a table, options or answers to questions.
@@ -362,7 +362,9 @@ def new(
     text = description or f"described by its builder, what is not stated as {base.name}"
     rig = described(out.stem, text, base, given)
     if not force and (beyond := beyond_a_table({name: rig[name].value for name in rig})):
-        raise RigError(beyond[0], "correct the number, or write it with --force")
+        raise RigError(
+            beyond[0], "correct the number or add its unit, such as g or cm; or write it with --force"
+        )
     write_rig(
         rig, out, f"Written by heli-host rig new: {len(given)} numbers stated, the rest as {base.name}."
     )

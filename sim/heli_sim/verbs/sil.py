@@ -73,8 +73,9 @@ def sil(
 ) -> None:
     """Simulate a board and its rig behind a serial port (software in the loop).
 
-    Serves until Ctrl-C, for this computer only unless HOST says otherwise. Type faults of the rig in its
-    terminal: `stop`, `release`, `pull pitch`, `plug pitch`, `supply off` or `supply on`.
+    Serves until Ctrl-C. Only this computer can connect, unless you give another HOST. To simulate a failure,
+    type it in the terminal of this command: `stop`, `release`, `pull pitch`, `plug pitch`, `supply off` or
+    `supply on`.
 
     Example: `heli-host sil --pty ./due`, and in another terminal: `heli-host fly hover --port ./due`
     """

@@ -49,8 +49,8 @@ def export(
     `front_V`. ROS 2 allows no capitals, so `front_V` becomes `front_volt`. Notes of a CSV
     table, such as parameters and events, go to FILE.notes.txt, or into lines with # on standard output.
 
-    --blind hides what flew, and seals it by a salted digest. The truth goes to LOG.truth.json next to the
-    log. `heli-host info LOG --truth LOG.truth.json` compares the two.
+    --blind leaves out rig, effects and seed, and seals them by a salted digest. The truth goes to
+    LOG.truth.json next to the log. `heli-host info LOG --truth LOG.truth.json` compares the two.
 
     Example: `heli-host export flights/2026-01-31_12-00-00/flight.mcap --csv`
     """

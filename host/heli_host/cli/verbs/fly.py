@@ -34,8 +34,9 @@ def fly(
     Writes the log, a summary and a figure into a new folder, flights/TIME/. If you give --log, --json or
     --figure, it writes only those, and always a log. Ctrl-C lands. A second Ctrl-C stops the motors.
 
-    --blind seals what flew by a salted digest. The truth goes to LOG.truth.json next to the log. Keep it, and
-    share the other files. `heli-host info LOG --truth LOG.truth.json` compares the two.
+    --blind leaves rig, effects and seed out of the log, and seals them by a salted digest. The truth goes to
+    LOG.truth.json next to the log. Keep it, and share the other files. `heli-host info LOG --truth
+    LOG.truth.json` compares the two.
 
     --again reads rig, effects, seed, parameters and plans from the log of an earlier flight, and compares the
     samples. Files with effects are code, so the log does not hold them: give them with --effect-file.

@@ -59,7 +59,8 @@ def refuse_unexplained(flight: Trace) -> None:
     best = int(np.argmin(np.where(moving, shares, np.inf)))
     if shares[best] > UNEXPLAINED:
         raise NotExcited(
-            f"{flight.label}: the voltages do not explain the motion: {shares[best]:.2f} is left of that of "
-            f"{AXES[best]}, the best axis; a flight leaves {UNEXPLAINED:g} at most",
-            "check that angles and voltages are of one flight of this rig (or fit it --skip-sign-check)",
+            f"{flight.label}: the voltages do not explain the motion: even on {AXES[best]}, the best axis, "
+            f"{100 * shares[best]:.0f} % of it are unexplained, and in a real flight at most "
+            f"{100 * UNEXPLAINED:.0f} %",
+            "check that angles and voltages are of one flight of this rig (or fit it with --skip-sign-check)",
         )

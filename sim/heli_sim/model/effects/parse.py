@@ -188,6 +188,7 @@ def _values(kind: EffectSpec, rest: str, text: str) -> dict[str, float]:
             values[kind.full(what)] = float(value)
         except ValueError:
             raise EffectError(
-                f"--effect {text}: {kind.full(what)} = '{value}' is not a number", "give a number"
+                f"--effect {text}: {kind.full(what)} = '{value}' is not a number",
+                "write it with a decimal point and without a unit",
             ) from None
     return values
