@@ -40,15 +40,13 @@ class ShockScores:
     def t_statistic(self) -> Floats:
         """Statistic of a t test of the shock, shape (k, m): standard normal if there is none."""
         safe = np.maximum(self.information, np.finfo(float).tiny)
-        result: Floats = np.where(self.information > 0.0, self.score / np.sqrt(safe), 0.0)
-        return result
+        return np.where(self.information > 0.0, self.score / np.sqrt(safe), 0.0)
 
     @property
     def size(self) -> Floats:
         """Most likely size of the shock, in the unit of the disturbed parameter, shape (k, m)."""
         safe = np.maximum(self.information, np.finfo(float).tiny)
-        result: Floats = np.where(self.information > 0.0, self.score / safe, 0.0)
-        return result
+        return np.where(self.information > 0.0, self.score / safe, 0.0)
 
 
 @dataclass(frozen=True)

@@ -51,8 +51,7 @@ class _IndependentDisturbances:
         output, `values`, shape (m,).
         """
         by_disturbance = np.broadcast_to(values, self.moved.shape)
-        result: Floats = by_disturbance.sum(axis=1, where=self.moved)
-        return result
+        return np.asarray(by_disturbance.sum(axis=1, where=self.moved))
 
 
 class _Likelihood:
@@ -94,8 +93,7 @@ class _Likelihood:
 
     def inside(self, point: Floats) -> Floats:
         """The nearest point within the bounds, shape (f,)."""
-        result: Floats = np.clip(point, self.low, self.high)
-        return result
+        return np.clip(point, self.low, self.high)
 
     def gradient(self, point: Floats, values: Floats) -> Floats:
         """Derivatives of the log-likelihood to the logarithms, shape (f,).

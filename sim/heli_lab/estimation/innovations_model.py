@@ -259,5 +259,4 @@ def _repeated_nats(linearised: LinearisedFlight, blocks: Blocks) -> Floats:
     they have one normal density, not N: the other N - 1 have the density of a sensor without play.
     """
     factor = blocks.variance / linearised.variance[blocks.rows]
-    nats: Floats = 0.5 * (np.log(factor) * (1.0 - 1.0 / linearised.repeats[blocks.rows])).sum(axis=0)
-    return nats
+    return np.asarray(0.5 * (np.log(factor) * (1.0 - 1.0 / linearised.repeats[blocks.rows])).sum(axis=0))

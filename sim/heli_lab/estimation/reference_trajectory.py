@@ -196,8 +196,7 @@ def _centred_means(record: Recording, rows: Integers, half: int) -> tuple[Floats
 
 def _changed(record: Recording) -> Booleans:
     """Whether each output's count changes from a row to the next, shape (n - 1, m)."""
-    changed: Booleans = np.abs(np.diff(record.outputs, axis=0)) > 0.5 * record.resolution
-    return changed
+    return np.abs(np.diff(record.outputs, axis=0)) > 0.5 * record.resolution
 
 
 def _directions(record: Recording, nodes: Integers) -> tuple[Floats, Floats, Floats]:

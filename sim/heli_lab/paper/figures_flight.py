@@ -49,8 +49,7 @@ class PaperFlight:
     @property
     def error_deg(self) -> Floats:
         """Measured minus desired angles [deg], shape (n, 3)."""
-        result: Floats = np.rad2deg(self.flight.angles_rad) - self.desired_deg
-        return result
+        return np.rad2deg(self.flight.angles_rad) - self.desired_deg
 
 
 def closed_loop_flight(label: str, flight: Flight, desired_deg: Floats, outcome: str) -> PaperFlight:

@@ -48,5 +48,4 @@ class ThrustScale:
             Front and back voltage at the motors [V].
         """
         exact = np.asarray(self._thrust_N(state, np.asarray(volts_V))).ravel()
-        result: Floats = np.round(exact / SCALE_N) * SCALE_N
-        return result
+        return np.round(exact / SCALE_N) * SCALE_N

@@ -131,8 +131,7 @@ def _after_run_in(problem: Problem, index: int, rows: Integers, states: Floats, 
 def _segments_of(record: Record, rows: Integers) -> Integers:
     """First row, and last row plus one, of the free segments that contain the `rows`, shape (w, 2)."""
     segments = np.array(record.segments)
-    result: Integers = segments[np.searchsorted(segments[:, 0], rows, side="right") - 1]
-    return result
+    return segments[np.searchsorted(segments[:, 0], rows, side="right") - 1]
 
 
 def _parabolas(record: Record, rows: Integers, reach_s: float) -> Floats:

@@ -67,8 +67,7 @@ def window_cost(
     cost = weights * (normal_matrix[:, :, -1, -1] / variance).sum(axis=1)
     if problem.state_count > 6:
         cost = cost + (((states - reference)[:, 6:] / problem.state_std) ** 2).sum(axis=1)
-    result: Floats = np.where(np.isfinite(cost), cost, np.inf)
-    return result
+    return np.where(np.isfinite(cost), cost, np.inf)
 
 
 class ShootingCost:

@@ -169,8 +169,7 @@ class _WindowSearch:
         # The parameters are fixed: only the states and the right-hand side remain.
         kept = [*range(state_count), normal.shape[1] - 1]
         _, gain = eliminate(normal[:, kept][:, :, kept], state_count, SINGULAR_GUARD)
-        result: Floats = self.states + gain[:, :, 0]
-        return result
+        return self.states + gain[:, :, 0]
 
     def write_back(self, cost: ShootingCost, iterate: Iterate, index: int) -> None:
         """Write these windows into record `index` of an `iterate`, and update the cost of the iterate."""
