@@ -115,7 +115,7 @@ class DisturbanceModel:
             curvature,
         )
 
-    def memory(self, step_s: float) -> Floats:
+    def autocorrelation(self, step_s: float) -> Floats:
         """Autocorrelation of each disturbance over a step of `step_s`, shape (2 (m + g),): the fast ones and
         the gains, then the slow ones and as many places that stay zero.
         """
@@ -125,6 +125,6 @@ class DisturbanceModel:
 
     @property
     def variance(self) -> Floats:
-        """Stationary variance of each disturbance, in the order of `memory`."""
+        """Stationary variance of each disturbance, in the order of `autocorrelation`."""
         gains = [gain.std for gain in self.gains]
         return np.concatenate((self.fast_std, gains, self.slow_std, np.zeros(len(gains)))) ** 2

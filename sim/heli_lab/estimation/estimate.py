@@ -10,6 +10,7 @@ System Identification, chapter 7.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Generic
@@ -175,14 +176,12 @@ class _GaussNewton:
         references: Sequence[ReferenceTrajectory],
         functions: ModelFunctions,
     ) -> None:
-        self.parameter_vector, self.references, self.functions = parameter_vector, references, functions
+        self.parameter_vector, self.functions = parameter_vector, functions
+        self.linearised = functools.partial(_linearised, parameter_vector, references, functions)
+        """The model along all flights as a function of the free parameters, shape (f,)."""
         # The size of a play also changes the variance of measurements, which a step neglects: it may fail
         # under the disturbances of a model without the play, and succeed under better ones.
         self.retries = bool(functions.model.known_directions)
-
-    def linearised(self, theta: Floats) -> InnovationsModel:
-        """The model along all flights with free parameters `theta`, shape (f,)."""
-        return _linearised(self.parameter_vector, self.references, self.functions, theta)
 
     def iterate_at(
         self, theta: Floats, disturbances: DisturbanceModel, filtered: InnovationsModel

@@ -6,7 +6,6 @@ one carries out each operation for many rows, which is several times faster and 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -136,13 +135,8 @@ class _ExpressionList:
     @property
     def arguments(self) -> tuple[list[int], list[int], list[int], list[float], list[int]]:
         """Leading arguments of the constructors in `_expression_vm`."""
-        return (
-            self.operations,
-            self.first_operands,
-            self.second_operands,
-            self.constants,
-            self.input_sizes,
-        )
+        operands = self.first_operands, self.second_operands
+        return self.operations, *operands, self.constants, self.input_sizes
 
 
 def _table(values: Floats) -> Floats:
@@ -182,8 +176,8 @@ class EffectStates:
     Parameters
     ----------
     rates, resets : casadi.Function
-        Rates of z, and z after the jump at the end of a step; functions of z, time, the `reference` of
-        `integrate` and all parameters.
+        Rates of z, and z after the jump at the end of a step; functions of z, time, state and inputs of the
+        trajectory, and all parameters.
     """
 
     def __init__(self, rates: ca.Function, resets: ca.Function) -> None:
@@ -197,30 +191,14 @@ class EffectStates:
     def __reduce__(self) -> tuple[type[EffectStates], tuple[ca.Function, ca.Function]]:
         return EffectStates, self._functions
 
-    def integrate(
-        self,
-        reference: Sequence[Floats],
-        t_s: Floats,
-        parameters: Floats,
-        step_s: float,
-        substeps: int,
-        returned_substep: int | None = None,
-    ) -> Floats:
-        """Integrate from z = 0.
+    def integrate(self, trajectory: Trajectory, returned_substep: int = EFFECT_SUBSTEPS - 1) -> Floats:
+        """Integrate from z = 0 with `EFFECT_SUBSTEPS` Runge-Kutta steps in each step.
 
         Parameters
         ----------
-        reference : sequence of ndarray (n, width)
-            Signals along the trajectory in each step, such as positions, rates and inputs.
-        t_s : ndarray (n,)
+        trajectory : Trajectory
             Middle of each step.
-        parameters : ndarray (p,)
-            All parameters.
-        step_s : float
-            Length of a step.
-        substeps : int
-            Runge-Kutta steps in each.
-        returned_substep : int, optional
+        returned_substep : int
             The substep at whose end z is returned; by default the last.
 
         Returns
@@ -229,12 +207,12 @@ class EffectStates:
             States z in each step.
         """
         states: Floats = self._integrator.run(
-            [_table(array) for array in reference],
-            np.ascontiguousarray(t_s, float),
-            np.ascontiguousarray(parameters, float),
-            step_s,
-            substeps,
-            substeps - 1 if returned_substep is None else returned_substep,
+            [_table(array) for array in (trajectory.state, trajectory.inputs)],
+            np.ascontiguousarray(trajectory.t_s, float),
+            np.ascontiguousarray(trajectory.parameters, float),
+            trajectory.step_s,
+            EFFECT_SUBSTEPS,
+            returned_substep,
             np.zeros(self._size),
         )
         return states
