@@ -178,6 +178,11 @@ class ParameterVector:
         """Values to start from, within the bounds; shape (f,)."""
         return np.asarray(np.clip(self.values[self._free_index], *self.bounds))
 
+    @property
+    def values_by_name(self) -> dict[str, float]:
+        """All parameters of the model by name, free ones with the value that they would have if fixed."""
+        return dict(zip(self._index, self.values.tolist(), strict=True))
+
     def by_name(self, theta: Floats) -> dict[str, float]:
         """Return the free parameters `theta`, shape (f,), by name."""
         return dict(zip(self.names, theta.tolist(), strict=True))

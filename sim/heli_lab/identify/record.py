@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -159,6 +160,25 @@ def prepare(
         cuts=cuts,
         notes=(*count_notes, *stop_notes),
         gaps=tuple(map(int, flight.gaps)),
+    )
+
+
+def prepare_all(
+    flights: Sequence[Flight | Record],
+    rig: Rig,
+    labels: Sequence[str] | None = None,
+    role: str = "flight",
+    *,
+    start_s: float | None = None,
+    stop_s: float | None = None,
+) -> tuple[Record, ...]:
+    """Prepare those flights that are not prepared yet, as `prepare` does; without `labels`, each is named by
+    its `role` and number.
+    """
+    names = labels if labels is not None else [f"{role} {number}" for number in range(1, len(flights) + 1)]
+    return tuple(
+        flight if isinstance(flight, Record) else prepare(flight, rig, name, start_s=start_s, stop_s=stop_s)
+        for flight, name in zip(flights, names, strict=True)
     )
 
 

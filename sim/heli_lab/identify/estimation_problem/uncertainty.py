@@ -44,8 +44,7 @@ def quantisation_scatter(
     for index, record in enumerate(problem.records):
         grid = problem.grid(index, True, theta)
         parameters = problem.parameters(theta, index)
-        angles_rad, jacobian = problem.kernel.run(grid.inputs, states[index], parameters, True)
-        assert jacobian is not None
+        angles_rad, jacobian = problem.kernel.jacobian(grid.inputs, states[index], parameters)
         counts = angles_rad / record.count_rad
         phases = random.uniform(0.0, 1.0, (DITHER_PHASES, 1, 3))
         for window, part in enumerate(grid.slices):

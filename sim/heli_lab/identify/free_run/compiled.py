@@ -281,11 +281,13 @@ class CompiledKernel(Kernel):
         self._windows.restype = None
 
     @override
-    def run(
-        self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool = True
-    ) -> tuple[Floats, Floats | None]:
-        jacobian = np.empty((inputs.rows, 3, self._sizes[1])) if derivatives else None
-        angles, _ = self._call(inputs, start, parameters, jacobian, None)
+    def predict(self, inputs: Inputs, start: Floats, parameters: Floats) -> tuple[Floats, Floats]:
+        return self._call(inputs, start, parameters)
+
+    @override
+    def jacobian(self, inputs: Inputs, start: Floats, parameters: Floats) -> tuple[Floats, Floats]:
+        jacobian = np.empty((inputs.rows, 3, self._sizes[1]))
+        angles, _ = self._call(inputs, start, parameters, jacobian)
         return angles, jacobian
 
     @override
@@ -297,25 +299,21 @@ class CompiledKernel(Kernel):
         angles, _ = self._call(inputs, start, parameters, None, (measured_rad, sigma_rad, normal_matrix))
         return angles, normal_matrix
 
-    @override
-    def end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
-        return self._call(inputs, start, parameters, None, None)[1]
-
     def _call(
         self,
         inputs: Inputs,
         start: Floats,
         parameters: Floats,
-        jacobian: Floats | None,
-        products: tuple[Floats, Floats, Floats] | None,
+        jacobian: Floats | None = None,
+        products: tuple[Floats | None, Floats | None, Floats | None] = (None, None, None),
     ) -> tuple[Floats, Floats]:
         """Run every window in C, and fill the arrays that are given.
 
         Parameters
         ----------
-        jacobian : ndarray (n, 3, states + f) or None
+        jacobian : ndarray (n, 3, states + f), optional
             Filled with the derivatives of the angles.
-        products : (ndarray (n, 3), ndarray (3,), ndarray (w, 3, states + f + 1, states + f + 1)) or None
+        products : (ndarray (n, 3), ndarray (3,), ndarray (w, 3, states + f + 1, states + f + 1)), optional
             Measured angles, unit of the residuals, and the normal matrices, which are filled.
 
         Returns

@@ -60,7 +60,7 @@ class Functions:
     """Rates, measurement and their Jacobians to the parameters `free`, in this order, as CasADi functions."""
 
     def __init__(self, model: Model, free: tuple[str, ...]) -> None:
-        names = [quantity.name for quantity in model.parameters]
+        names = model.parameter_names
         self.state_count = len(model.states)
         self.free_index = [names.index(name) for name in free]
         self.free = free

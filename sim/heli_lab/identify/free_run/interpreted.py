@@ -70,26 +70,24 @@ class InterpretedKernel(Kernel):
         return self._programs[name]
 
     @override
-    def run(
-        self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool = True
-    ) -> tuple[Floats, Floats | None]:
-        angles, jacobian, _ = self._simulate(inputs, start, parameters, derivatives)
-        return angles, jacobian if derivatives else None
+    def predict(self, inputs: Inputs, start: Floats, parameters: Floats) -> tuple[Floats, Floats]:
+        angles, _, end = self._simulate(inputs, start, parameters, derivatives=False)
+        return angles, end
+
+    @override
+    def jacobian(self, inputs: Inputs, start: Floats, parameters: Floats) -> tuple[Floats, Floats]:
+        return self._simulate(inputs, start, parameters, derivatives=True)[:2]
 
     @override
     def products(
         self, inputs: Inputs, start: Floats, parameters: Floats, measured_rad: Floats, sigma_rad: Floats
     ) -> tuple[Floats, Floats]:
-        angles, jacobian, _ = self._simulate(inputs, start, parameters, derivatives=True)
+        angles, jacobian = self.jacobian(inputs, start, parameters)
         columns = np.concatenate((jacobian, (measured_rad - angles)[:, :, None]), axis=2)
         columns /= sigma_rad[:, None]
         edges = np.append(inputs.first, inputs.rows)
         parts = [columns[low:high].transpose(1, 0, 2) for low, high in itertools.pairwise(edges)]
         return angles, np.array([part.transpose(0, 2, 1) @ part for part in parts])
-
-    @override
-    def end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
-        return self._simulate(inputs, start, parameters, derivatives=False)[2]
 
     def _simulate(
         self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool

@@ -113,8 +113,7 @@ class Identification:
     def _effects(self) -> dict[str, dict[str, Number]]:
         """Parameters of the model's effects as in a rig file: by effect, then by short name."""
         problem = self.fit.problem
-        names = [quantity.name for quantity in problem.model.parameters]
-        values = dict(zip(names, problem.parameter_vector.values, strict=True))
+        values = problem.parameter_vector.values_by_name
         estimates, std = self.fit.values, self.fit.std
         labels = ", ".join(record.label for record in problem.records)
         effects: dict[str, dict[str, Number]] = {}
