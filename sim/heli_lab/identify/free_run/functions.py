@@ -71,7 +71,7 @@ class Functions:
         rates = ca.densify(model.dynamics(x, u, p, t))
         angles = ca.densify(model.measurement(x, u, p, t))
         to_free = [p[i] for i in self.free_index]
-        self.identity = bool(ca.is_equal(angles, x[:3], 10))
+        self.angles_are_states = bool(ca.is_equal(angles, x[:3], 10))
 
         def with_derivatives(value: ca.SX) -> list[ca.SX]:
             to_p = ca.jacobian(value, ca.vertcat(*to_free)) if to_free else ca.SX(value.numel(), 0)
