@@ -61,9 +61,7 @@ class RigPopulation:
         std : float
             Its standard deviation.
         """
-        estimates = [
-            diagnosis.parameters[name] for diagnosis in self.diagnoses if name in diagnosis.parameters
-        ]
+        estimates = _estimates(self.diagnoses, name)
         if not estimates:
             return prior.value, prior.std
         k = len(estimates)
@@ -133,10 +131,8 @@ def pool(diagnoses: Sequence[RigDiagnosis]) -> RigPopulation:
     _check_diagnoses(diagnoses)
     parameters = {}
     for name in dict.fromkeys(name for diagnosis in diagnoses for name in diagnosis.parameters):
-        estimates = [diagnosis.parameters[name] for diagnosis in diagnoses if name in diagnosis.parameters]
-        parameters[name] = der_simonian_laird(
-            [estimate.value for estimate in estimates], [estimate.std for estimate in estimates]
-        )
+        estimates = _estimates(diagnoses, name)
+        parameters[name] = der_simonian_laird([e.value for e in estimates], [e.std for e in estimates])
     causes = {}
     for id_ in dict.fromkeys(id_ for diagnosis in diagnoses for id_ in diagnosis.causes):
         present = detectable = 0
@@ -148,6 +144,11 @@ def pool(diagnoses: Sequence[RigDiagnosis]) -> RigPopulation:
             causes[id_] = share(present, detectable)
     ordered = dict(sorted(causes.items(), key=lambda item: -item[1].share))
     return RigPopulation(tuple(diagnoses), parameters, ordered)
+
+
+def _estimates(diagnoses: Sequence[RigDiagnosis], name: str) -> list[ParameterEstimate]:
+    """Estimates of the parameter `name`, one for each rig whose flights are informative about it."""
+    return [diagnosis.parameters[name] for diagnosis in diagnoses if name in diagnosis.parameters]
 
 
 def _check_diagnoses(diagnoses: Sequence[RigDiagnosis]) -> None:

@@ -180,13 +180,13 @@ class _TakeOff:
         The rig at each lag, then the corners of its spread.
     path_deg : ndarray (n, 3)
         Setpoint with its first and second derivative, in degrees and seconds.
-    forward_V : ndarray (n,)
-        Feed-forward of hover voltage and acceleration, pi / 180 of a volt.
+    feedforward : ndarray (n,)
+        Feed-forward of hover voltage and acceleration [V deg/rad].
     """
 
     plants: Sequence[LinearPlant]
     path_deg: Floats
-    forward_V: Floats
+    feedforward: Floats
 
     def error_deg(self, pid: Pid, closed: Floats) -> Floats:
         """Error of the elevation on every plant, shape (n, plants) [deg], in loops with the state matrices
@@ -202,7 +202,7 @@ class _TakeOff:
         # The integral of the error.
         input_matrices[:, 5, 1] = 1.0
         setpoint, rate = self.path_deg[:, 0], self.path_deg[:, 1]
-        collective = self.forward_V + pid.kp * setpoint + pid.kd * rate
+        collective = self.feedforward + pid.kp * setpoint + pid.kd * rate
         inputs = np.column_stack((collective, setpoint, np.ones(len(setpoint))))
         return discretise(closed, input_matrices).simulate(inputs)[:, :, 0] - self.path_deg[:, :1]
 

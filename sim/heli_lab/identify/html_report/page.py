@@ -60,10 +60,9 @@ def write_identification_report(
 def verdict(identification: Identification) -> str:
     """Summarise in two sentences how good the model is."""
     numbers = identification.json()
-    residual = numbers["normalised_residual"]
-    judged = residual["train"] if residual["validation"] is None else residual["validation"]
-    held_out = residual["validation"] is not None
-    where = "the validation flights" if held_out else "the fitted flights"
+    role = numbers["free_run_of"]
+    judged = numbers["normalised_residual"][role]
+    where = "the fitted flights" if role == "train" else "the validation flights"
     window_s = identification.fit.problem.grids.window_s
     errors = ", ".join(f"{axis} {numbers['free_run_rms_deg'][axis]:.3g}" for axis in AXES)
     if judged <= QUANTISATION_ONLY:
@@ -121,9 +120,8 @@ def _used_flights(identification: Identification) -> list[dict[str, Any]]:
     """
     fit = identification.fit
     used = []
-    for record, errors, weights in zip(
-        fit.problem.records, identification.training, fit.weights, strict=True
-    ):
+    flights = zip(fit.problem.records, identification.training, fit.weights, strict=True)
+    for record, errors, weights in flights:
         notes = "".join(f" {note}." for note in record.notes)
         used.append(
             {
