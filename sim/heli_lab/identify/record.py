@@ -172,8 +172,18 @@ def prepare_all(
     start_s: float | None = None,
     stop_s: float | None = None,
 ) -> tuple[Record, ...]:
-    """Prepare those flights that are not prepared yet, as `prepare` does; without `labels`, each is named by
-    its `role` and number.
+    """Prepare those flights that are not prepared yet.
+
+    Parameters
+    ----------
+    flights : sequence of Flight or Record
+        Prepared ones are taken as they are.
+    rig, start_s, stop_s
+        As in `prepare`.
+    labels : sequence of str, optional
+        Names of the flights; by default their `role` and number.
+    role : str
+        What the flights are used for, in a word.
     """
     names = labels if labels is not None else [f"{role} {number}" for number in range(1, len(flights) + 1)]
     return tuple(

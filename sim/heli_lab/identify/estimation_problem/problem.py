@@ -203,8 +203,12 @@ class Problem:
         return np.array([first for first, _ in self.windows(index)], np.int64)
 
     def residual(self, index: int, theta: Floats, states: Floats, *, fine: bool = False) -> Floats:
-        """Predict a flight: residuals alone, shape (m, 3), as in `Evaluation`; the arguments are those of
-        `evaluation`.
+        """Predict a flight: residuals alone, shape (m, 3), as in `Evaluation`.
+
+        Parameters
+        ----------
+        index, theta, states, fine
+            As in `evaluation`.
         """
         grid = self.grid(index, fine, theta)
         angles_rad, _ = self.kernel.predict(grid.inputs, states, self.parameters(theta, index))
