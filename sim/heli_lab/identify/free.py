@@ -26,10 +26,10 @@ PER_FLIGHT: Final = ("offset_elevation", "offset_pitch")
 """Numbers that differ from flight to flight, because encoders are zeroed each time the board starts."""
 
 FLIGHT_TORQUES: Final = tuple(f"torque_{axis}" for axis in AXES)
-"""One constant torque an axis that nothing explains: cables lie differently in each flight."""
+"""Constant torque about each axis during one flight, in which cables lie differently than in others."""
 
 FLIGHT_CONSTANTS: Final = (*PER_FLIGHT, *FLIGHT_TORQUES)
-"""All that one flight has of its own."""
+"""All parameters that differ from flight to flight."""
 
 
 def free_parameters(

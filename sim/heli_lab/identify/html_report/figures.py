@@ -62,12 +62,13 @@ def figure_of_parameters(identification: Identification) -> Figure:
     problem, fit = identification.fit.problem, identification.fit
     names = problem.names
     place = np.arange(len(names))[::-1]
-    moved = (fit.theta - problem.parameter_vector.mean) / problem.parameter_vector.std
+    change = (fit.theta - problem.parameter_vector.mean) / problem.parameter_vector.std
     half = 2.0 * np.array(list(fit.std.values())) / problem.parameter_vector.std
     figure = Figure(figsize=(8, 1.2 + 0.28 * len(names)), layout="constrained")
     panel = figure.subplots()
     panel.axvspan(-2, 2, color="#eeeeee", label="prior, 95 %")
-    panel.errorbar(moved, place, xerr=half, fmt="o", ms=4, color=_RESIDUAL, capsize=3, label="found, 95 %")
+    label = "estimate, 95 %"
+    panel.errorbar(change, place, xerr=half, fmt="o", ms=4, color=_RESIDUAL, capsize=3, label=label)
     panel.set_yticks(place, names)
     panel.set_xlabel("change from the prior, in its standard deviations")
     panel.grid(alpha=0.25)

@@ -13,7 +13,7 @@ from heli_lab.identify.html_report.figures import (
     figure_of_parameters,
     identification_figure,
 )
-from heli_lab.identify.results import FreeRunErrors, Identification, rounded
+from heli_lab.identify.results import Identification, rounded
 from heli_lab.identify.thresholds import QUANTISATION_ONLY
 from heli_lab.page import folder_with, write_page
 from heli_lab.page.drawing import Drawing
@@ -78,15 +78,13 @@ def verdict(identification: Identification) -> str:
 def _free_run_table(identification: Identification) -> dict[str, Any]:
     """Table of the free-run errors, one row per flight: heads and rows."""
     heads = ["flight", "used for", *(f"{axis} [deg]" for axis in AXES), "normalised"]
-    rows = [_free_run_row(errors, "train") for errors in identification.training]
-    rows += [_free_run_row(errors, "validation") for errors in identification.validation]
+    rows = []
+    for role, flights in (("train", identification.training), ("validation", identification.validation)):
+        for errors in flights:
+            # An asterisk marks an axis whose errors are not white.
+            axes = [f"{errors.rms_deg[axis]:.3g}{'' if errors.white[axis] else '*'}" for axis in AXES]
+            rows.append([errors.label, role, *axes, f"{errors.normalised:.3f}"])
     return {"heads": heads, "rows": rows}
-
-
-def _free_run_row(errors: FreeRunErrors, role: str) -> list[str]:
-    """Row of the table: an asterisk marks an axis whose errors are not white."""
-    axes = [f"{errors.rms_deg[axis]:.3g}{'' if errors.white[axis] else '*'}" for axis in AXES]
-    return [errors.label, role, *axes, f"{errors.normalised:.3f}"]
 
 
 def _parameter_table(identification: Identification) -> dict[str, Any]:
