@@ -68,14 +68,6 @@ class _ExpressionList:
 
     Attributes
     ----------
-    input_sizes : list of int
-        Number of elements of each input.
-    operations : list of int
-        Code of each operation, an index into `_expression_vm.OPERATIONS`.
-    first_operands, second_operands : list of int
-        Operations whose values each operation takes. For an input: number of the input, and of its element.
-    constants : list of float
-        Value of each operation that is a constant.
     outputs : list of list of int
         Operations that give the elements of each output, row by row.
 
@@ -86,12 +78,12 @@ class _ExpressionList:
     """
 
     def __init__(self, function: ca.Function) -> None:
-        self.input_sizes = [function.numel_in(i) for i in range(function.n_in())]
-        self.operations: list[int] = []
-        self.first_operands: list[int] = []
-        self.second_operands: list[int] = []
-        self.constants: list[float] = []
+        self._input_sizes = [function.numel_in(i) for i in range(function.n_in())]
         self._index: dict[tuple[int, int, int, str], int] = {}
+        """Index in the list of each operation.
+
+        An operation is its code in `_expression_vm.OPERATIONS`, the indices of its two operands, and the value
+        of a constant. For an input, the operands are the numbers of the input and of its element."""
         zero = self._add(_CONST)
         self.outputs = [[zero] * function.numel_out(i) for i in range(function.n_out())]
         in_register: dict[int, int] = {}
@@ -123,20 +115,20 @@ class _ExpressionList:
         """Append an operation unless the list has the same one; return its index in the list."""
         # Derivatives repeat subexpressions many times; `ca.cse` takes 9 ms per model to find them.
         # A constant is compared as text: -0 differs from 0, and nan equals nan.
-        key = (operation, first, second, constant.hex() if operation == _CONST else "")
-        index = self._index.setdefault(key, len(self.operations))
-        if index == len(self.operations):
-            self.operations.append(operation)
-            self.first_operands.append(first)
-            self.second_operands.append(second)
-            self.constants.append(constant)
-        return index
+        key = (operation, first, second, constant.hex())
+        return self._index.setdefault(key, len(self._index))
 
     @property
     def arguments(self) -> tuple[list[int], list[int], list[int], list[float], list[int]]:
         """Leading arguments of the constructors in `_expression_vm`."""
-        operands = self.first_operands, self.second_operands
-        return self.operations, *operands, self.constants, self.input_sizes
+        operations, first_operands, second_operands, constants = map(list, zip(*self._index, strict=True))
+        return (
+            operations,
+            first_operands,
+            second_operands,
+            list(map(float.fromhex, constants)),
+            self._input_sizes,
+        )
 
 
 def _table(values: Floats) -> Floats:
