@@ -209,20 +209,19 @@ def scales_of(flight: Flight, rig: Rig, model: Model) -> tuple[ScaleEstimate, ..
         return ()
     noise, joint = _noise(weak_form)
     without = _fit(weak_form, noise, (), weak_form.mean)
-    return tuple(_estimate(weak_form, noise, axis, (joint, without)) for axis in range(3))
+    return tuple(_estimate(weak_form, noise, axis, joint, without) for axis in range(3))
 
 
 def _estimate(
-    weak_form: FlightInWeakForm, noise: Floats, axis: int, fits: tuple[_Fit, _Fit]
+    weak_form: FlightInWeakForm, noise: Floats, axis: int, joint: _Fit, without: _Fit
 ) -> ScaleEstimate:
-    """Fit with the scale of one axis free, from the fit with all scales free and from that with none."""
-    joint, without = fits
+    """Fit with the scale of one axis free. The search starts from the fit with all scales free, `joint`, and
+    from that with none, `without`; the lower cost counts.
+    """
     start = joint.unknowns.copy()
     start[[other for other in range(3) if other != axis]] = 0.0
-    best = min(
-        (_fit(weak_form, noise, (axis,), initial) for initial in (start, without.unknowns)),
-        key=lambda f: f.cost,
-    )
+    fits = [_fit(weak_form, noise, (axis,), initial) for initial in (start, without.unknowns)]
+    best = min(fits, key=lambda fit: fit.cost)
     scale = float(np.exp(best.unknowns[axis]))
     error = scale * float(np.sqrt(best.covariance[0, 0]))
     return ScaleEstimate(AXES[axis], scale, error, 0.5 * (without.cost - best.cost))

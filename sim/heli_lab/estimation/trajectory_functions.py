@@ -82,8 +82,8 @@ class _ExpressionList:
         self._index: dict[tuple[int, int, int, str], int] = {}
         """Index in the list of each operation.
 
-        An operation is its code in `_expression_vm.OPERATIONS`, the indices of its two operands, and the value
-        of a constant. For an input, the operands are the numbers of the input and of its element."""
+        An operation is its code in `_expression_vm.OPERATIONS`, the indices of its two operands, and the
+        value of a constant. For an input, the operands are the numbers of the input and of its element."""
         zero = self._add(_CONST)
         self.outputs = [[zero] * function.numel_out(i) for i in range(function.n_out())]
         in_register: dict[int, int] = {}
@@ -121,14 +121,9 @@ class _ExpressionList:
     @property
     def arguments(self) -> tuple[list[int], list[int], list[int], list[float], list[int]]:
         """Leading arguments of the constructors in `_expression_vm`."""
-        operations, first_operands, second_operands, constants = map(list, zip(*self._index, strict=True))
-        return (
-            operations,
-            first_operands,
-            second_operands,
-            list(map(float.fromhex, constants)),
-            self._input_sizes,
-        )
+        operations, first_operands, second_operands, texts = map(list, zip(*self._index, strict=True))
+        constants = [float.fromhex(text) for text in texts]
+        return operations, first_operands, second_operands, constants, self._input_sizes
 
 
 def _table(values: Floats) -> Floats:

@@ -238,6 +238,8 @@ def _design_elevation(
     # With unit gains, the loop is the response of elevation to the collective.
     unit = CascadeGains(_UNIT_GAIN, _NO_GAIN, _NO_GAIN)
     plant_responses = np.array([loops.open_loops(plant, unit)["elevation"] for plant in plants])
+    # At this frequency, the loop gain of a double integrator is 1 by the derivative action, 0.5 by the
+    # proportional and 0.1 by the integral action.
     crossover = initial_crossover_rad_s(plants)
     start = np.array([0.5 * crossover**2, 0.1 * crossover**3, crossover]) / gain
     pid = _pid(minimise_positive(cost, start), _FILTERS_Hz[0])
