@@ -180,7 +180,7 @@ class _GaussNewton:
         self.linearised = functools.partial(_linearised, parameter_vector, references, functions)
         """The model along all flights as a function of the free parameters, shape (f,)."""
         # The size of a play also changes the variance of measurements, which a step neglects: it may fail
-        # under the disturbances of a model without the play, and succeed under better ones.
+        # under the disturbances of a model without the play.
         self.retries = bool(functions.model.known_directions)
 
     def iterate_at(
@@ -246,6 +246,7 @@ class _GaussNewton:
             if iterate.step.promised_nats > _CONVERGED_NATS:
                 after = self.with_next_parameters(iterate)
                 if after is None:
+                    # A step may fail under wrong disturbances, and succeed under better ones.
                     other = self.with_next_disturbances(iterate, _CONVERGED_NATS)
                     gained_nats = other.log_posterior - iterate.log_posterior
                     if not self.retries or gained_nats < _TURN_NATS:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -56,16 +56,18 @@ class Grid:
     def only(self, windows: Integers) -> Grid:
         """Return a grid of the given `windows` alone, ndarray of int64 (k,), in their order there."""
         inputs, steps = self.inputs, self.steps_of(windows)
-        chosen = Inputs(
-            inputs.steps[windows],
-            inputs.start_s[windows],
-            inputs.step_s,
-            inputs.mean_V[steps],
-            inputs.change_V[steps],
-            inputs.substeps,
-            tuple((name, mean[steps], change[steps]) for name, mean, change in inputs.voltage_derivatives),
+        derivatives = inputs.voltage_derivatives
+        chosen = replace(
+            inputs,
+            steps=inputs.steps[windows],
+            start_s=inputs.start_s[windows],
+            mean_V=inputs.mean_V[steps],
+            change_V=inputs.change_V[steps],
+            voltage_derivatives=tuple(
+                (name, mean[steps], change[steps]) for name, mean, change in derivatives
+            ),
         )
-        return Grid(self.record, chosen, self.rows[steps], self.every)
+        return replace(self, inputs=chosen, rows=self.rows[steps])
 
 
 def split_into_windows(record: Record, window_s: float, every: int, parts: int = 1) -> list[tuple[int, int]]:
