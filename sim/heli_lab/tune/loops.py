@@ -28,8 +28,8 @@ MARGIN_FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.02, 300.0, 1500)
 _BISECTIONS: Final = 30
 TILT_STATES: Final = 11
 PITCH_FILTER, TRAVEL_FILTER, PITCH_INTEGRAL, TRAVEL_INTEGRAL = 5, 7, 9, 10
-"""Numbers of states of `tilt_closed`, after the plant's five: the first of two filter states of each loop, and
-the integral of its error."""
+"""Numbers of states of `tilt_closed`, after the plant's five: the first of two filter states of each loop,
+and the integral of its error."""
 LOOPS: Final = ("elevation", "pitch", "travel", "differential")
 """Loops, each cut at one place: elevation at the collective; pitch at the differential, with the travel loop
 open; travel at the pitch setpoint, with the pitch loop closed; differential with both loops closed."""

@@ -44,7 +44,7 @@ class InterpretedKernel(Kernel):
         self._programs: dict[str, AlongTrajectory] = {}
 
     def program(self, name: str) -> AlongTrajectory:
-        """The program of one of the model's functions, with dense results."""
+        """The program of one of the model's functions, by its `name`, with dense results."""
         if name not in self._programs:
             function: ca.Function = getattr(self.functions, name)
             arguments = [ca.SX.sym("a", function.size1_in(i)) for i in range(function.n_in())]
