@@ -232,35 +232,25 @@ class InnovationsModel:
             for blocks, window_errors in zip(linearised.blocks, windows, strict=True)
             for low in range(0, len(disturbance_models), _BATCH)
         ]
-        total = np.zeros((len(disturbance_models), self._outputs))
-        results = parallel_map(lambda job: self._log_likelihoods(*job[:3], disturbance_models[job[3]]), jobs)
-        for (linearised, blocks, _, batch), nats in zip(jobs, results, strict=True):
-            total[batch] += nats + _repeated_nats(linearised, blocks)
-        return total
 
-    def _log_likelihoods(
-        self,
-        linearised: LinearisedFlight,
-        blocks: Blocks,
-        errors: ModelErrors,
-        disturbance_models: Sequence[DisturbanceModel],
-    ) -> Floats:
-        """Log-likelihood of each output's innovations in one window under each disturbance model, shape
-        (w, m) [nats]; repeated measurements count as independent ones.
-        """
-        step_s = linearised.reference.step_s
-        nats: Floats = _kalman.log_likelihoods(
-            blocks.transition,
-            blocks.part_input,
-            blocks.measurement,
-            blocks.variance,
-            np.array([disturbances.autocorrelation(step_s) for disturbances in disturbance_models]),
-            np.array([disturbances.variance for disturbances in disturbance_models]),
-            np.array([disturbances.quantisation for disturbances in disturbance_models]),
-            self.model.initial_std**2,
-            *errors,
-        )
-        return nats
+        def window_nats(job: tuple[LinearisedFlight, Blocks, ModelErrors, slice]) -> Floats:
+            """Log-likelihoods in one window under a batch of models, shape (batch, m)."""
+            linearised, blocks, window_errors, batch = job
+            models, step_s = disturbance_models[batch], linearised.reference.step_s
+            nats = _kalman.log_likelihoods(
+                *(blocks.transition, blocks.part_input, blocks.measurement, blocks.variance),
+                np.array([model.autocorrelation(step_s) for model in models]),
+                np.array([model.variance for model in models]),
+                np.array([model.quantisation for model in models]),
+                self.model.initial_std**2,
+                *window_errors,
+            )
+            return nats + _repeated_nats(linearised, blocks)
+
+        total = np.zeros((len(disturbance_models), self._outputs))
+        for job, nats in zip(jobs, parallel_map(window_nats, jobs), strict=True):
+            total[job[3]] += nats
+        return total
 
 
 def _repeated_nats(linearised: LinearisedFlight, blocks: Blocks) -> Floats:

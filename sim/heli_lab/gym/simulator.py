@@ -33,6 +33,8 @@ _CARRY_S, _CARRY_STEPS = 0.5, 50
 """Time and steps in which the arm moves to its initial state: at most 20 deg/s, far below a fault of rate."""
 _MAX_PLANTS: Final = 32
 """Largest number of compiled plants to keep."""
+_LIMITS: Final = ("elevation_min", "elevation_max", "pitch_max", "travel_max", "table_damping")
+"""Rig parameters that the plant's step takes first after those of the model."""
 _SETTLING_STEPS, _SETTLING_TICKS = 20, 20
 """Steps and their length [ms] until lagging thrusts reach hover: 0.4 s in total."""
 
@@ -110,9 +112,7 @@ class PlantAlone(Simulator):
         plant = self._plants[key]
         self._key, self._plant = key, plant
         limits = plant.parameters[len(model.parameters) :].copy()
-        for place, name in enumerate(("elevation_min", "elevation_max", "pitch_max", "travel_max")):
-            limits[place] = drawn.rig[name].value
-        limits[4] = drawn.rig["table_damping"].value
+        limits[:5] = [drawn.rig[name].value for name in _LIMITS]
         self._parameters = np.array([*model.parameter_values(drawn.rig), *limits])
         self._limits_rad = np.deg2rad(limits[:4])
         self._rad = count_rad(drawn.rig)
