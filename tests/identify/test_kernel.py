@@ -8,6 +8,7 @@ import heli_sim.compiled
 import numpy as np
 import pytest
 from heli_host.arrays import Floats
+from heli_lab.code_digest import package_digest
 from heli_lab.identify.free_run import Functions, Inputs, kernel
 from heli_lab.identify.free_run.compiled import CompiledKernel
 from heli_lab.identify.free_run.interpreted import InterpretedKernel
@@ -105,6 +106,13 @@ def test_derivatives_are_those_of_the_free_run(name: str) -> None:
             both.append(runner.predict(drive, x, p)[0])
         slope = (both[1] - both[0]) / (2.0 * size)
         np.testing.assert_allclose(jacobian[:, :, column], slope, rtol=1e-4, atol=1e-5)
+
+
+def test_another_loop_in_c_is_another_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    read = Path.read_bytes
+    before = package_digest.__wrapped__("heli_lab")
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b" " * (path.name == "windows.c"))
+    assert package_digest.__wrapped__("heli_lab") != before
 
 
 def test_without_a_compiler_the_interpreted_loop_is_taken(no_compiler: None) -> None:
