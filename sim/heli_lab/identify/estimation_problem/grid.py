@@ -271,7 +271,7 @@ def _mean_and_change(
     def integrals_at(t_s: Floats) -> tuple[Floats, Floats]:
         """First and second integral of the voltages at times since the first row, shape (m, 2) each."""
         place = np.clip(t_s / row_s, None, len(volts) - 1e-9)
-        # Before the first row its voltage is taken to have acted.
+        # Before the first row, its voltage is assumed to have acted.
         index = np.clip(np.floor(place + 1e-9).astype(int), 0, len(volts) - 1)
         rest_s = (place - index)[:, None] * row_s
         return (
@@ -284,6 +284,7 @@ def _mean_and_change(
     first_start, second_start = integrals_at(start_s)
     first_end, second_end = integrals_at(start_s + step_s)
     mean = (first_end - first_start) / step_s
-    # The line's slope is twelve times its first moment about the middle of the step.
-    moment = (0.5 * (first_start + first_end) * step_s - (second_end - second_start)) / step_s**2
-    return mean, 12.0 * moment
+    # With the first integral F, the second integral G and the step h, the line has F1 - F0 = mean h and
+    # G1 - G0 = (F0 + F1) h / 2 - change h^2 / 12.
+    twelfth = (0.5 * (first_start + first_end) * step_s - (second_end - second_start)) / step_s**2
+    return mean, 12.0 * twelfth

@@ -7,7 +7,6 @@ from typing import Any
 
 from heli_sim.model.parts import AXES
 
-from heli_lab.identify.estimation_problem import Combination
 from heli_lab.identify.html_report.figures import (
     figure_of_correlations,
     figure_of_parameters,
@@ -49,7 +48,10 @@ def write_identification_report(
         flights=flights,
         parameters=_parameter_table(identification),
         parameters_figure=drawing.add(figure_of_parameters(identification), folder / "parameters.png"),
-        combinations=[_combination(combination) for combination in identification.combinations],
+        combinations=[
+            ", ".join(f"{name} {change:+.2g}" for name, change in combination.change.items())
+            for combination in identification.combinations
+        ],
         pairs=[[a, b, f"{value:.3f}"] for a, b, value in identification.strong_correlations],
         correlations_figure=drawing.add(figure_of_correlations(identification), folder / "correlations.png"),
         used=_used_flights(identification),
@@ -106,10 +108,6 @@ def _parameter_table(identification: Identification) -> dict[str, Any]:
         "",
     ]
     return {"heads": heads, "rows": rows}
-
-
-def _combination(combination: Combination) -> str:
-    return ", ".join(f"{name} {change:+.2g}" for name, change in combination.change.items())
 
 
 def _used_flights(identification: Identification) -> list[dict[str, Any]]:
