@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 PACKAGES: Final = ("due_emulator", "heli_host", "heli_sim", "heli_lab")
-_ENDS: Final = (".py", ".toml", ".so", ".pyd", ".hpp", ".cpp", ".h")
+_ENDS: Final = (".py", ".toml", ".so", ".pyd", ".hpp", ".cpp", ".c", ".h")
 """Sources, rigs and plans, and what is compiled. Pages and documents compute nothing."""
 
 

@@ -48,4 +48,4 @@ def test_logarithms_are_all_numbers_of_the_disturbances_and_their_inverse_is_exa
     again = START.with_logarithms(MAXIMUM.logarithms)
     assert again.gains[0].std == pytest.approx(0.05, rel=1e-12)
     assert again.variance == pytest.approx(MAXIMUM.variance, rel=1e-12)
-    assert again.memory(0.01) == pytest.approx(MAXIMUM.memory(0.01), rel=1e-12)
+    assert again.autocorrelation(0.01) == pytest.approx(MAXIMUM.autocorrelation(0.01), rel=1e-12)

@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from heli_lab.estimation import AlongTrajectory, EffectStates, Trajectory, _expression_vm
+from heli_lab.estimation import EFFECT_SUBSTEPS, AlongTrajectory, EffectStates, Trajectory, _expression_vm
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from hypothesis import given, seed, settings
@@ -170,10 +170,8 @@ def test_own_states_follow_the_rule_of_runge_and_kutta(seen: int | None) -> None
     inputs = [z, t, y, u, p]
     rates, resets = ca.Function("f", inputs, [rate]), ca.Function("r", inputs, [reset])
     along = reference(2, 3)
-    substeps = 4
-    integrated = EffectStates(rates, resets).integrate(
-        [along.state, along.inputs], along.t_s, along.parameters, along.step_s, substeps, seen
-    )
+    substeps = EFFECT_SUBSTEPS
+    integrated = EffectStates(rates, resets).integrate(along, *([] if seen is None else [seen]))
     h, state = along.step_s / substeps, np.zeros(2)
     for row in range(ROWS):
         rest = along.state[row], along.inputs[row], along.parameters

@@ -124,6 +124,33 @@ def test_a_better_state_from_before_is_taken() -> None:
     np.testing.assert_array_equal(back.states[0][2], states[2])
 
 
+def test_a_window_may_start_where_the_one_before_it_ends() -> None:
+    problem = posed(DRY_Nm)
+    theta = problem.parameter_vector.start
+    (states,) = initial_state_guess(problem, theta)
+    states[2] = np.nan
+    windows = np.array(problem.windows(0))
+    _, ends = problem.kernel.predict(
+        problem.grid(0, False, theta).inputs, states, problem.parameters(theta, 0)
+    )
+    start = alternative_states(problem, 0, theta, states)[0]
+    assert np.all(windows[:-1].sum(axis=1) == windows[1:, 0])
+    # Nothing is before the first window, and the third one diverges.
+    unchanged = [0, 3]
+    np.testing.assert_array_equal(start[unchanged], states[unchanged])
+    np.testing.assert_array_equal(np.delete(start, unchanged, axis=0), np.delete(ends[:-1], 2, axis=0))
+
+
+def test_residuals_are_those_of_the_evaluation_and_their_squares_its_last_products() -> None:
+    problem = posed(DRY_Nm)
+    theta = problem.parameter_vector.start
+    (states,) = initial_state_guess(problem, theta)
+    residual, evaluation = problem.residual(0, theta, states), problem.evaluation(0, theta, states)
+    np.testing.assert_allclose(residual, evaluation.residual, atol=1e-9)
+    squares = [np.sum(residual[window] ** 2, axis=0) for window in problem.grid(0, False, theta).slices]
+    np.testing.assert_allclose(evaluation.squares, squares, rtol=1e-9)
+
+
 def test_a_problem_posed_otherwise_has_the_kernel_of_the_first() -> None:
     problem = posed(0.01)
     for other in (problem.with_windows(1.0), problem.with_split_windows(2), problem.with_free(problem.free)):

@@ -297,11 +297,17 @@ def _thrust_numbers(motors: Sequence[MotorResult], rig: Rig) -> tuple[dict[str, 
         return {}, notes
     front, back = lines["front"], lines["back"]
     gain_N_per_V = 0.5 * (front.gain_N_per_V + back.gain_N_per_V)
-    gain_std = 0.5 * math.sqrt(front.gain_std**2 + back.gain_std**2)
     dead_zone_V = max(0.5 * (front.dead_zone_V + back.dead_zone_V), 0.0)
-    dead_zone_std = 0.5 * math.sqrt(front.dead_zone_std**2 + back.dead_zone_std**2)
-    gain_tolerance = math.hypot(2.0 * gain_std, gain_N_per_V * geometry_share(rig))
-    dead_zone_tolerance = max(2.0 * dead_zone_std, _MIN_DEAD_ZONE_TOLERANCE_V)
+    # Two standard errors of each mean.
+    gain_tolerance, dead_zone_tolerance = (
+        math.sqrt(front_std**2 + back_std**2)
+        for front_std, back_std in (
+            (front.gain_std, back.gain_std),
+            (front.dead_zone_std, back.dead_zone_std),
+        )
+    )
+    gain_tolerance = math.hypot(gain_tolerance, gain_N_per_V * geometry_share(rig))
+    dead_zone_tolerance = max(dead_zone_tolerance, _MIN_DEAD_ZONE_TOLERANCE_V)
     source = f"{SOURCE}: pitch after short pulses"
     numbers = {
         "thrust_gain": Number(gain_N_per_V, "N/V", gain_tolerance, source),

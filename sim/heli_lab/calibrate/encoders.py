@@ -71,7 +71,8 @@ def calibrate_encoders(heli: Heli, operator: Operator) -> EncoderResult:
         direction[axis] = int(np.sign(change_deg) * np.sign(heli.params[f"{axis}_counts_per_rev"]))
         if is_lift:
             rest_deg = -abs(change_deg)
-        operator.report(f"{axis}: {change_deg:+.1f} degrees, so {_counts_text(direction[axis])}")
+        way = "up" if direction[axis] > 0 else "down"
+        operator.report(f"{axis}: {change_deg:+.1f} degrees, so the encoder counts {way}")
         operator.act(HandAction.REST)
         _check_return(heli, start_deg, axis)
     return EncoderResult(direction, rest_deg, moved_deg)
@@ -125,7 +126,3 @@ def _check_return(heli: Heli, start_deg: Floats, axis: str) -> None:
             f"elevation reads {error_deg[0]:+.1f} degrees from its first rest after {axis} moved",
             "check the coupling, the cable and the pull-ups of the elevation encoder",
         )
-
-
-def _counts_text(direction: int) -> str:
-    return "the encoder counts up" if direction > 0 else "the encoder counts down"

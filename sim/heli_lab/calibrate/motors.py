@@ -177,11 +177,8 @@ class _Pulser:
     def __init__(
         self, heli: Heli, operator: Operator, output: str, limits: PulseLimits, check: Callable[[], None]
     ) -> None:
-        self._heli = heli
-        self._operator = operator
-        self._output = output
-        self._limits = limits
-        self._check = check
+        self._heli, self._operator, self._output = heli, operator, output
+        self._limits, self._check = limits, check
         self._confirmed = False
         self._count_rad = 2.0 * np.pi / abs(heli.params["pitch_counts_per_rev"])
 
@@ -248,15 +245,14 @@ class _Pulser:
                 raise FlightAborted("the operator stopped the calibration; the motors are off")
             self._confirmed = answer == "all"
         self._wait_until_still()
-        heli = self._heli
         self._arm_when_still()
         try:
             samples = self._drive(volts_V)
         except BaseException:
             with contextlib.suppress(HeliError):
-                heli.stop()
+                self._heli.stop()
             raise
-        heli.stop()
+        self._heli.stop()
         return _pulse_of_samples(samples, self._output, volts_V)
 
     def _arm_when_still(self) -> None:

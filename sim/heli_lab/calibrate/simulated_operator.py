@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from math import nan
 from typing import Final
@@ -13,7 +14,8 @@ from heli_sim.sil.world import SilWorld
 from heli_lab.calibrate.operator import HandAction
 
 _LIFTED_deg: Final = 15.0
-_TURNED_deg: Final = {HandAction.FRONT_UP: 20.0, HandAction.BACK_LEADS: 30.0}
+_TILTED_deg: Final = 20.0
+_TURNED_deg: Final = 30.0
 _POSITION_TOLERANCE_rad: Final = 1e-6
 _TIMEOUT_s: Final = 10.0
 
@@ -35,26 +37,26 @@ class SimulatedOperator:
         self._heli = heli
         self._world = world
         self._report = report
-        self._rest_rad = float(np.radians(world.rig["elevation_min"].value))
+        self._rest_rad = math.radians(world.rig["elevation_min"].value)
         self._turning_rotor = "neither"
         heli.session.subscribe_ticks(lambda _: self._note_turning_rotor())
 
     def act(self, action: HandAction) -> None:
         """Move the axes as an action requires, and wait until they arrive."""
         self._report(f"hand: {action.text}")
-        lifted_rad = self._rest_rad + float(np.radians(_LIFTED_deg))
-        if action in (HandAction.STEADY, HandAction.TIE):
-            self._move_to((lifted_rad, 0.0, 0.0))
-            self._move_to((lifted_rad, nan, 0.0))
-        elif action is HandAction.LIFT:
-            self._move_to((0.0, 0.0, 0.0))
-        elif action is HandAction.FRONT_UP:
-            self._move_to((self._rest_rad, float(np.radians(_TURNED_deg[action])), 0.0))
-        elif action is HandAction.BACK_LEADS:
-            self._move_to((self._rest_rad, 0.0, float(np.radians(_TURNED_deg[action]))))
-        else:
-            self._move_to((self._rest_rad, 0.0, 0.0))
-            self._move_to((nan, nan, nan))
+        rest_rad = self._rest_rad
+        lifted_rad = rest_rad + math.radians(_LIFTED_deg)
+        steadied_rad = ((lifted_rad, 0.0, 0.0), (lifted_rad, nan, 0.0))
+        targets_rad = {
+            HandAction.REST: ((rest_rad, 0.0, 0.0), (nan, nan, nan)),
+            HandAction.LIFT: ((0.0, 0.0, 0.0),),
+            HandAction.FRONT_UP: ((rest_rad, math.radians(_TILTED_deg), 0.0),),
+            HandAction.BACK_LEADS: ((rest_rad, 0.0, math.radians(_TURNED_deg)),),
+            HandAction.TIE: steadied_rad,
+            HandAction.STEADY: steadied_rad,
+        }
+        for target_rad in targets_rad[action]:
+            self._move_to(target_rad)
 
     def choose(self, question: str, choices: tuple[str, ...]) -> str:
         """Answer a `question`: name the rotor that turned last; otherwise the first of the `choices`."""

@@ -112,8 +112,7 @@ class _PitchDynamics:
         `measured` is pitch around each pulse [rad], shape (times, n).
         """
         design = response_design(self.stiffness, self.damping, self.lag_s)
-        pulse_part: Floats = _least_squares(design, measured)[0]
-        return pulse_part
+        return np.asarray(_least_squares(design, measured)[0])
 
 
 def _pitch_dynamics_of_rig(rig: Rig) -> _PitchDynamics:

@@ -30,7 +30,7 @@ from scipy.optimize import least_squares
 from heli_lab.encoder_scale.weak_form import TestFunctions, gap_free_parts
 from heli_lab.estimation import Trajectory
 from heli_lab.identify.flight_model import TORQUE_STD_Nm, model_functions
-from heli_lab.identify.free import free_parameters
+from heli_lab.identify.free import FLIGHT_CONSTANTS, free_parameters
 
 MIN_s: Final = 5.0
 """Shortest flight that gives an estimate, s: some periods of the slowest test function."""
@@ -50,7 +50,7 @@ _FIRST_rad_s2: Final = 0.03
 """Standard deviation of a residual to begin with, rad/s2: that of strong gusts."""
 _MIN_rad_s2: Final = 1e-3
 """Least standard deviation of a residual, rad/s2: what smoothing and rounding leave without disturbances."""
-_MAX_ALIKE: Final = 0.9
+_MAX_CORRELATION: Final = 0.9
 """Largest correlation of neighbouring residuals that is believed: beyond it an equation term is missing."""
 _FEEDBACK: Final = 2.0
 """How far a scale may be wrong because the control law answers disturbances, see `_noise`, in shares of their
@@ -113,16 +113,11 @@ class FlightInWeakForm:
     def __init__(self, flight: Flight, rig: Rig, model: Model) -> None:
         plain = type(model)(tuple(e for e in model.effects if not e.states and not e.noise_inputs))
         self._parameters = plain.parameter_values(rig)
-        constants = set(TORQUE_STD_Nm) | {"offset_elevation", "offset_pitch"}
-        free = [
-            parameter
-            for parameter in free_parameters(plain, rig, None, {})
-            if parameter.quantity not in constants
-        ]
-        names = [quantity.name for quantity in plain.parameters]
+        parameters = free_parameters(plain, rig, None, {})
+        free = [parameter for parameter in parameters if parameter.quantity not in FLIGHT_CONSTANTS]
         torques = {name: np.hypot(0.5 * rig[name].tolerance, std) for name, std in TORQUE_STD_Nm.items()}
         numbered = (*(parameter.quantity for parameter in free), *torques)
-        self._places = [names.index(name) for name in numbered]
+        self._places = [plain.parameter_names.index(name) for name in numbered]
         self._functions = model_functions(plain, numbered)
         rest_deg = flight.parameters.get("elevation_rest_deg", rig["elevation_min"].value)
         self._pivot: Floats = np.array([np.radians(rest_deg), 0.0, 0.0])
@@ -209,73 +204,79 @@ def scales_of(flight: Flight, rig: Rig, model: Model) -> tuple[ScaleEstimate, ..
     tuple of ScaleEstimate
         For elevation, pitch and travel.
     """
-    known = FlightInWeakForm(flight, rig, model)
-    if known.seconds < MIN_s:
+    weak_form = FlightInWeakForm(flight, rig, model)
+    if weak_form.seconds < MIN_s:
         return ()
-    noise, joint = _noise(known)
-    without = _fit(known, noise, (), known.mean)
-    return tuple(_estimate(known, noise, axis, (joint, without)) for axis in range(3))
+    noise, joint = _noise(weak_form)
+    without = _fit(weak_form, noise, (), weak_form.mean)
+    return tuple(_estimate(weak_form, noise, axis, joint, without) for axis in range(3))
 
 
-def _estimate(known: FlightInWeakForm, noise: Floats, axis: int, fits: tuple[_Fit, _Fit]) -> ScaleEstimate:
-    """Fit with the scale of one axis free, from the fit with all scales free and from that with none."""
-    joint, without = fits
+def _estimate(
+    weak_form: FlightInWeakForm, noise: Floats, axis: int, joint: _Fit, without: _Fit
+) -> ScaleEstimate:
+    """Fit with the scale of one axis free. The search starts from the fit with all scales free, `joint`, and
+    from that with none, `without`; the lower cost counts.
+    """
     start = joint.unknowns.copy()
     start[[other for other in range(3) if other != axis]] = 0.0
-    best = min(
-        (_fit(known, noise, (axis,), initial) for initial in (start, without.unknowns)), key=lambda f: f.cost
-    )
+    fits = [_fit(weak_form, noise, (axis,), initial) for initial in (start, without.unknowns)]
+    best = min(fits, key=lambda fit: fit.cost)
     scale = float(np.exp(best.unknowns[axis]))
     error = scale * float(np.sqrt(best.covariance[0, 0]))
     return ScaleEstimate(AXES[axis], scale, error, 0.5 * (without.cost - best.cost))
 
 
-def _noise(known: FlightInWeakForm) -> tuple[Floats, _Fit]:
-    """Standard deviation of each axis' residuals, (3,), for the weights of a fit; and the fit that gave it.
+def _noise(weak_form: FlightInWeakForm) -> tuple[Floats, _Fit]:
+    """Standard deviation of each axis' residuals, shape (3,), for the weights of a fit; and the fit that gave
+    it.
 
-    All scales are free in it, so that a wrong scale is no part of the noise. Neighbours that are alike count
-    as fewer. Where nothing but disturbances moves an axis, a small scale explains its angles as well as any,
-    and makes its residuals small: so they are taken of the true angle.
+    All scales are free in this fit, so that a wrong scale does not count as noise. The standard deviations
+    follow from its residuals by three rules.
 
-    Least squares take what drives an axis for independent of the disturbances, but a control law answers
-    these. The scale that an axis' equation gives then has a relative error of the order of r, the power of
-    the disturbances over that of what drives the axis. In hover travel shows a quarter of its scale. The
-    residuals alone, n independent ones, would give it a standard error of the root of r / n. So the noise is
-    made larger by the root of 1 + (c r)^2 n / r, with c of `_FEEDBACK`.
+    1. Neighbouring residuals are correlated. As for a first-order autoregression, their long-run variance is
+       the variance times (1 + rho) / (1 - rho), with the correlation rho of neighbours.
+    2. Least squares assume that what drives an axis is independent of the disturbances, but a control law
+       responds to disturbances (Ljung, chapter 13). This gives the scale a relative error of the order of r,
+       the power of the residuals over that of the predicted accelerations: in a hover, travel shows a quarter
+       of its scale. From n independent residuals alone the standard error would be sqrt(r / n). The noise is
+       therefore multiplied by sqrt(1 + (c r)^2 n / r), with c of `_FEEDBACK`.
+    3. If only disturbances move an axis, a small scale explains its angles as well as any, and makes its
+       residuals small. They are therefore divided by a scale below 1.
     """
-    noise, unknowns = np.full(3, _FIRST_rad_s2), known.mean
+    noise, unknowns = np.full(3, _FIRST_rad_s2), weak_form.mean
     for _ in range(_NOISE_ROUNDS):
-        fit = _fit(known, noise, (0, 1, 2), unknowns)
+        fit = _fit(weak_form, noise, (0, 1, 2), unknowns)
         unknowns = fit.unknowns
         for axis, residual in enumerate(fit.residuals):
             variance = float(np.mean(residual**2))
-            alike = float(np.mean(residual[1:] * residual[:-1])) / max(variance, 1e-30)
-            alike = min(max(alike, 0.0), _MAX_ALIKE)
-            noise[axis] = max(np.sqrt(variance * (1.0 + alike) / (1.0 - alike)), _MIN_rad_s2)
+            rho = float(np.mean(residual[1:] * residual[:-1])) / max(variance, 1e-30)
+            rho = min(max(rho, 0.0), _MAX_CORRELATION)
+            noise[axis] = max(np.sqrt(variance * (1.0 + rho) / (1.0 - rho)), _MIN_rad_s2)
     for axis, residual in enumerate(fit.residuals):
-        pushed = known.shown(axis) - residual
-        share = float(np.mean(residual**2)) / max(float(np.mean(pushed**2)), 1e-12)
-        noise[axis] *= np.sqrt(1.0 + _FEEDBACK**2 * share * len(residual))
+        predicted = weak_form.shown(axis) - residual
+        ratio = float(np.mean(residual**2)) / max(float(np.mean(predicted**2)), 1e-12)
+        noise[axis] *= np.sqrt(1.0 + _FEEDBACK**2 * ratio * len(residual))
         noise[axis] /= min(1.0, float(np.exp(unknowns[axis])))
     return noise, fit
 
 
-def _fit(known: FlightInWeakForm, noise: Floats, axes: Sequence[int], start: Floats) -> _Fit:
+def _fit(weak_form: FlightInWeakForm, noise: Floats, axes: Sequence[int], start: Floats) -> _Fit:
     """Fit the scales of some axes and everything else, with priors, from `start` on, by SciPy's
     Levenberg-Marquardt method.
     """
-    free = np.array([*axes, *range(3, len(known.mean))], int)
-    weight = 1.0 / known.std[free]
+    free = np.array([*axes, *range(3, len(weak_form.mean))], int)
+    weight = 1.0 / weak_form.std[free]
 
     @lru_cache(maxsize=1)
     def evaluated(point: bytes) -> tuple[list[Floats], list[Floats]]:
         unknowns = start.copy()
         unknowns[free] = np.frombuffer(point)
-        return known.residuals(unknowns)
+        return weak_form.residuals(unknowns)
 
     def errors(point: Floats) -> Floats:
         residuals, _ = evaluated(point.tobytes())
-        away = weight * (point - known.mean[free])
+        away = weight * (point - weak_form.mean[free])
         return np.concatenate([*(values / std for values, std in zip(residuals, noise, strict=True)), away])
 
     def jacobian(point: Floats) -> Floats:
@@ -289,6 +290,6 @@ def _fit(known: FlightInWeakForm, noise: Floats, axes: Sequence[int], start: Flo
     unknowns = start.copy()
     unknowns[free] = fitted.x
     covariance = np.asarray(np.linalg.inv(fitted.jac.T @ fitted.jac), np.float64)
-    counts = np.cumsum([len(known.shown(axis)) for axis in range(3)])
+    counts = np.cumsum([len(weak_form.shown(axis)) for axis in range(3)])
     residuals = [std * values for std, values in zip(noise, np.split(fitted.fun, counts), strict=False)]
     return _Fit(unknowns, covariance, 2.0 * float(fitted.cost), residuals)

@@ -118,9 +118,8 @@ class TestFunctions:
     __test__ = False
 
     def __init__(self, part: Part) -> None:
-        self._weights: list[Floats] = []
-        self._second_derivatives: list[Floats] = []
-        self._starts: list[Integers] = []
+        self._of_axes: list[tuple[Floats, Floats, Integers]] = []
+        """For each axis: weights, weights of the second derivative, and first steps of the test functions."""
         for width_s in WIDTHS_s:
             count = round(width_s / part.step_s)
             x = (np.arange(count) + 0.5) / count * 2.0 - 1.0
@@ -132,20 +131,22 @@ class TestFunctions:
             second -= second.mean()
             t_s = x / scale
             parabola = float(second @ (0.5 * t_s**2))
-            self._weights.append(w / w.sum())
-            self._second_derivatives.append(second / parabola)
-            spacing = max(1, round(_OVERLAP * count))
-            self._starts.append(np.arange(0, len(part.angles_rad) - count + 1, spacing))
+            starts = np.arange(0, len(part.angles_rad) - count + 1, max(1, round(_OVERLAP * count)))
+            self._of_axes.append((w / w.sum(), second / parabola, starts))
 
     def second_derivative(self, angles_rad: Floats) -> list[Floats]:
         """Weighted mean accelerations of each axis, from `angles_rad`, shape (n, 3): one array per axis
         [rad/s^2].
         """
-        return [_apply(self._second_derivatives[i], self._starts[i], angles_rad[:, i]) for i in range(3)]
+        return [
+            _apply(second, starts, angles_rad[:, axis])
+            for axis, (_, second, starts) in enumerate(self._of_axes)
+        ]
 
     def mean(self, axis: int, values: Floats) -> Floats:
         """Weighted means of `values`, (n,) or (n, k), with the test functions of an `axis`, 0 to 2."""
-        return _apply(self._weights[axis], self._starts[axis], values)
+        weights, _, starts = self._of_axes[axis]
+        return _apply(weights, starts, values)
 
 
 def _apply(weights: Floats, starts: Integers, values: Floats) -> Floats:

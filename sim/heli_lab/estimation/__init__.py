@@ -1,27 +1,15 @@
 """Parameters, states and disturbances of a grey-box model, estimated from inputs and outputs."""
 
-from heli_lab.estimation.auxiliary_residuals import (
-    AuxiliaryResiduals,
-    ShockScores,
-    auxiliary_residuals,
-)
+from heli_lab.estimation.auxiliary_residuals import AuxiliaryResiduals, ShockScores, auxiliary_residuals
 from heli_lab.estimation.disturbances import DisturbanceModel, GainDisturbance
 from heli_lab.estimation.estimate import Estimate, estimate, estimate_disturbances
 from heli_lab.estimation.grey_box import ActingInputs, GreyBoxModel, Recording
 from heli_lab.estimation.innovations import Innovations
 from heli_lab.estimation.innovations_model import InnovationsModel
-from heli_lab.estimation.linearised_flight import (
-    BLOCK_s,
-    Derivatives,
-    LinearisedFlight,
-)
+from heli_lab.estimation.linearised_flight import BLOCK_s, Derivatives, LinearisedFlight
 from heli_lab.estimation.model_functions import ModelFunctions
 from heli_lab.estimation.parameter_vector import FreeParameter, NormalPrior, ParameterVector
-from heli_lab.estimation.reference_trajectory import (
-    KinematicModel,
-    ReferenceTrajectory,
-    kinematic_filter,
-)
+from heli_lab.estimation.reference_trajectory import KinematicModel, ReferenceTrajectory, kinematic_filter
 from heli_lab.estimation.smoothing import refiltered, smoothed_disturbances
 from heli_lab.estimation.trajectory_functions import (
     EFFECT_SUBSTEPS,

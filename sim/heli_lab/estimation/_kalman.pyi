@@ -3,14 +3,14 @@ from numpy.typing import NDArray
 
 _Floats = NDArray[float64]
 
-# All take transition, part_input, measurement, measurement_variance, memory, disturbance_variance,
-# initial_variance, drive and measured, shaped as sim/kalman/kalman.hpp says.
+# All take the fields of `innovations_model.FilterSystem`, then drive and measured, shaped as
+# sim/kalman/kalman.hpp says.
 def filter(*arrays: _Floats) -> tuple[_Floats, list[float]]: ...
 def track(*arrays: _Floats) -> tuple[_Floats, _Floats]: ...
 def smooth(*arrays: _Floats) -> tuple[_Floats, _Floats]: ...
 def shock_scores(*arrays: _Floats) -> tuple[_Floats, _Floats]: ...
 
-# The same with memory, disturbance_variance and the measurement variances' scale of several models.
+# The same with autocorrelation, disturbance_variance and the measurement variances' scale of several models.
 def log_likelihoods(*arrays: _Floats) -> _Floats: ...
 
 # transition, input and rates of each step, and how many steps make a block.

@@ -72,8 +72,7 @@ def invert_arrowhead(matrix: Floats, per_flight: Integers) -> Floats:
         inverse[np.ix_(shared, flat)] = -product.T
         inverse[np.ix_(flat, flat)] = product @ border.T
         inverse[per_flight[:, :, None], per_flight[:, None, :]] += np.linalg.inv(blocks)
-    result: Floats = 0.5 * (inverse + inverse.T)
-    return result
+    return 0.5 * (inverse + inverse.T)
 
 
 def _eliminated(matrix: Floats, per_flight: Integers) -> tuple[Integers, Floats, Floats, Floats]:

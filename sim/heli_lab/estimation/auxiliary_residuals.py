@@ -39,16 +39,16 @@ class ShockScores:
     @property
     def t_statistic(self) -> Floats:
         """Statistic of a t test of the shock, shape (k, m): standard normal if there is none."""
-        safe = np.maximum(self.information, np.finfo(float).tiny)
-        result: Floats = np.where(self.information > 0.0, self.score / np.sqrt(safe), 0.0)
-        return result
+        return self._score_over(np.sqrt(np.maximum(self.information, 0.0)))
 
     @property
     def size(self) -> Floats:
         """Most likely size of the shock, in the unit of the disturbed parameter, shape (k, m)."""
-        safe = np.maximum(self.information, np.finfo(float).tiny)
-        result: Floats = np.where(self.information > 0.0, self.score / safe, 0.0)
-        return result
+        return self._score_over(self.information)
+
+    def _score_over(self, divisor: Floats) -> Floats:
+        """Score over a `divisor`, shape (k, m); 0 without information."""
+        return np.divide(self.score, divisor, out=np.zeros_like(self.score), where=divisor > 0.0)
 
 
 @dataclass(frozen=True)
@@ -110,11 +110,13 @@ def auxiliary_residuals(
     for linearised, windows in zip(filtered.linearised_flights, errors, strict=True):
         times, scores, information = [], [], []
         for blocks, (drive, measured) in zip(linearised.blocks, windows, strict=True):
-            system = list(filtered.system(linearised, blocks, disturbances))
+            system = filtered.system(linearised, blocks, disturbances)
             inputs = blocks.part_input.shape[3]
             # Two more states per input, without variance: their autocorrelation makes them level or impulse.
-            system[4] = np.concatenate((system[4], np.repeat((_LEVEL, _IMPULSE), inputs)))
-            system[5] = np.concatenate((system[5], np.zeros(2 * inputs)))
+            system = system._replace(
+                autocorrelation=np.append(system.autocorrelation, np.repeat((_LEVEL, _IMPULSE), inputs)),
+                disturbance_variance=np.append(system.disturbance_variance, np.zeros(2 * inputs)),
+            )
             state_scores, state_information = _kalman.shock_scores(*system, drive, measured)
             times.append(linearised.nodes.t_s[blocks.rows])
             scores.append(state_scores[:, -2 * inputs :])

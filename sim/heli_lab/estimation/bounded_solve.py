@@ -43,12 +43,13 @@ def bounded_solve(
         decoupled = np.where(free[:, None] & free, matrix, np.diag(np.where(free, 0.0, 1.0)))
         return np.where(free, solve_arrowhead(decoupled, rest, per_flight), x)
 
-    x, free, outside = np.zeros(len(right)), np.ones(len(right), bool), np.ones(len(right), bool)
-    while free.any() and outside.any():
-        x = minimum(x, free)
-        outside = (x < low) | (x > high)
-        x = np.clip(x, low, high)
-        free &= ~outside
+    x, free = np.zeros(len(right)), np.ones(len(right), bool)
+    while free.any():
+        target = minimum(x, free)
+        x = np.clip(target, low, high)
+        if np.array_equal(x, target):
+            break
+        free &= x == target
     curvature = np.diag(matrix)
     # Each release reduces the quadratic, so that few are needed; the limit ends a cycle of rounding errors.
     for _ in range(3 * len(right)):
@@ -58,18 +59,15 @@ def bounded_solve(
         if not np.any(gain > _ROUNDING * np.max(right**2 / curvature)):
             break
         free[gain.argmax()] = True
-        while True:
-            target = minimum(x, free)
-            outside = (target < low) | (target > high)
-            if not outside.any():
-                break
-            # As far as the first bound on the way.
-            way = target[outside] - x[outside]
-            bound = np.where(way > 0.0, high[outside], low[outside])
-            share = (bound - x[outside]) / way
+        target = minimum(x, free)
+        while np.any(outside := (target < low) | (target > high)):
+            # As far as the first bound on the way, where these unknowns stay.
+            bound = np.where(target > high, high, low)
+            share = (bound[outside] - x[outside]) / (target[outside] - x[outside])
             first = np.flatnonzero(outside)[share <= share.min()]
             x = np.where(free, x + share.min() * (target - x), x)
-            x[first] = np.where(target[first] > high[first], high[first], low[first])
+            x[first] = bound[first]
             free[first] = False
+            target = minimum(x, free)
         x = target
     return x

@@ -23,44 +23,43 @@ _DIFFERENCE: Final = 0.03
 _LONGEST_MOVE: Final = 1.2
 """Most that a logarithm moves at once."""
 _FLAT: Final = 0.5
-"""Least curvature, nats for a change by the factor e, that a step trusts: below it the number is open."""
+"""Smallest curvature, nats for a change by the factor e, that a step uses: below it the parameter is open."""
 _SHARES: Final = (1.0, 0.4, 0.16, 0.06)
 """Shares of a move that are tried together, the longest that gains enough is taken."""
 _MOVES: Final = 25
 _CONVERGED_NATS: Final = 0.02
-"""Gain, nats, that no decision notices: those that are closest differ by tenths."""
+"""Gain, nats, that changes no decision: the closest ones differ by tenths."""
 
 
 @dataclass(frozen=True)
 class _IndependentDisturbances:
-    """Disturbances that move the innovations of different outputs, so that they are differentiated together.
+    """Disturbances that affect innovations of different outputs, so that they are differentiated together.
 
     Parameters
     ----------
     parameters : ndarray (k, n)
         Places of the n parameters of each disturbance in the vector of all logarithms.
-    moved : ndarray of bool (k, m)
-        Outputs whose innovations each disturbance moves.
+    affected : ndarray of bool (k, m)
+        Outputs whose innovations each disturbance affects.
     """
 
     parameters: Integers
-    moved: Booleans
+    affected: Booleans
 
     def likelihoods(self, values: Floats) -> Floats:
-        """Log-likelihood of the innovations that each disturbance moves, shape (k,), from those of each
+        """Log-likelihood of the innovations that each disturbance affects, shape (k,), from those of each
         output, `values`, shape (m,).
         """
-        by_disturbance = np.broadcast_to(values, self.moved.shape)
-        result: Floats = by_disturbance.sum(axis=1, where=self.moved)
-        return result
+        by_disturbance = np.broadcast_to(values, self.affected.shape)
+        return np.asarray(by_disturbance.sum(axis=1, where=self.affected))
 
 
 class _Likelihood:
     """Log-likelihood of the innovations as a function of the logarithms of the disturbances' parameters, with
     numerical derivatives.
 
-    The disturbance of one output hardly moves the innovations of another: a gradient by those of all outputs
-    costs four evaluations. The disturbance of a gain moves all innovations: it costs two.
+    The disturbance of one output hardly affects the innovations of another: a gradient by those of all
+    outputs costs four evaluations. The disturbance of a gain affects all innovations: it costs two.
 
     Parameters
     ----------
@@ -94,8 +93,7 @@ class _Likelihood:
 
     def inside(self, point: Floats) -> Floats:
         """The nearest point within the bounds, shape (f,)."""
-        result: Floats = np.clip(point, self.low, self.high)
-        return result
+        return np.clip(point, self.low, self.high)
 
     def gradient(self, point: Floats, values: Floats) -> Floats:
         """Derivatives of the log-likelihood to the logarithms, shape (f,).

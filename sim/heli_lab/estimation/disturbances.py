@@ -91,8 +91,7 @@ class DisturbanceModel:
         """Logarithms of all parameters: four for each output, then two for each gain."""
         outputs = np.stack((self.fast_std, self.correlation_time_s, self.slow_std, self.quantisation), axis=1)
         gains = [number for gain in self.gains for number in (gain.std, gain.correlation_time_s)]
-        result: Floats = np.log(np.concatenate((outputs.ravel(), gains)))
-        return result
+        return np.log(np.concatenate((outputs.ravel(), gains)))
 
     def with_logarithms(self, logarithms: Floats, curvature: Floats | None = None) -> DisturbanceModel:
         """Return disturbances of the same outputs and gains with other parameters.
@@ -116,18 +115,16 @@ class DisturbanceModel:
             curvature,
         )
 
-    def memory(self, step_s: float) -> Floats:
+    def autocorrelation(self, step_s: float) -> Floats:
         """Autocorrelation of each disturbance over a step of `step_s`, shape (2 (m + g),): the fast ones and
         the gains, then the slow ones and as many places that stay zero.
         """
         gains_s = [gain.correlation_time_s for gain in self.gains]
         slow_s = np.full(len(self.fast_std) + len(gains_s), SLOW_CORRELATION_TIME_s)
-        result: Floats = np.exp(-step_s / np.concatenate((self.correlation_time_s, gains_s, slow_s)))
-        return result
+        return np.exp(-step_s / np.concatenate((self.correlation_time_s, gains_s, slow_s)))
 
     @property
     def variance(self) -> Floats:
-        """Stationary variance of each disturbance, in the order of `memory`."""
+        """Stationary variance of each disturbance, in the order of `autocorrelation`."""
         gains = [gain.std for gain in self.gains]
-        result: Floats = np.concatenate((self.fast_std, gains, self.slow_std, np.zeros(len(gains)))) ** 2
-        return result
+        return np.concatenate((self.fast_std, gains, self.slow_std, np.zeros(len(gains)))) ** 2

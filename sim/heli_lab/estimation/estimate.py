@@ -10,6 +10,7 @@ System Identification, chapter 7.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Generic
@@ -175,14 +176,12 @@ class _GaussNewton:
         references: Sequence[ReferenceTrajectory],
         functions: ModelFunctions,
     ) -> None:
-        self.parameter_vector, self.references, self.functions = parameter_vector, references, functions
+        self.parameter_vector, self.functions = parameter_vector, functions
+        self.linearised = functools.partial(_linearised, parameter_vector, references, functions)
+        """The model along all flights as a function of the free parameters, shape (f,)."""
         # The size of a play also changes the variance of measurements, which a step neglects: it may fail
-        # under the disturbances of a model without the play, and succeed under better ones.
+        # under the disturbances of a model without the play.
         self.retries = bool(functions.model.known_directions)
-
-    def linearised(self, theta: Floats) -> InnovationsModel:
-        """The model along all flights with free parameters `theta`, shape (f,)."""
-        return _linearised(self.parameter_vector, self.references, self.functions, theta)
 
     def iterate_at(
         self, theta: Floats, disturbances: DisturbanceModel, filtered: InnovationsModel
@@ -247,6 +246,7 @@ class _GaussNewton:
             if iterate.step.promised_nats > _CONVERGED_NATS:
                 after = self.with_next_parameters(iterate)
                 if after is None:
+                    # A step may fail under wrong disturbances, and succeed under better ones.
                     other = self.with_next_disturbances(iterate, _CONVERGED_NATS)
                     gained_nats = other.log_posterior - iterate.log_posterior
                     if not self.retries or gained_nats < _TURN_NATS:

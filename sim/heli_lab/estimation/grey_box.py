@@ -10,12 +10,12 @@ Disturbances enter as parameters do: each is added to one parameter of the model
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import casadi as ca
-import numpy as np
 from heli_host.arrays import Floats
 
 from heli_lab.estimation.disturbances import DisturbanceModel
@@ -168,5 +168,4 @@ def quantisation_std(recording: Recording) -> Floats:
     """Standard deviation of each output's rounding to counts, a count / sqrt(12) (Widrow and Kollar,
     Quantization Noise, 2008), shape (m,).
     """
-    result: Floats = recording.resolution / np.sqrt(12.0)
-    return result
+    return recording.resolution / math.sqrt(12.0)

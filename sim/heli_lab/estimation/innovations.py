@@ -62,8 +62,7 @@ class Innovations:
         squares = sum(
             (np.square(flight[:, 0]).reshape(-1, m).sum(axis=0) for flight in self.flights), start=np.zeros(m)
         )
-        values: Floats = -0.5 * (squares + self.log_variances)
-        return values
+        return -0.5 * (squares + self.log_variances)
 
     def after(self, move: Floats) -> list[Floats]:
         """Innovations of the error of each flight, shape (b,), when the parameters have moved by `move`,

@@ -18,23 +18,42 @@ _BATCH: Final = 4
 """Disturbance models whose log-likelihoods cost as much as that of one."""
 
 
-class ModelErrors(NamedTuple):
-    """Errors of a linearised model in one window of b blocks: the signals that the filter takes.
+ModelErrors = tuple[Floats, Floats]
+"""Errors of a linearised model in one window of b blocks, as s signals that are filtered together.
+
+The first array, (b, states, s), is the change of the state's deviation over each block by the error of the
+rates. The second one, (b, m, s), holds the errors of the measured outputs."""
+
+FlightErrors = Sequence[Sequence[ModelErrors]]
+"""`ModelErrors` of each window of each flight."""
+
+
+class FilterSystem(NamedTuple):
+    """Linear system of the Kalman filter in one window of b blocks.
+
+    Its fields are the arguments of the functions of `_kalman` that come before the signals. There are m + g
+    inputs, the disturbed parameters. Each has two Gauss-Markov states: first all fast ones, then all slow
+    ones.
 
     Parameters
     ----------
-    drive : ndarray (b, states, s)
-        Change of the state's deviation over each block by the error of the rates.
-    measured : ndarray (b, m, s)
-        Errors of the measured outputs. There are s columns: signals that are filtered together.
+    transition, part_input, measurement : ndarray
+        As in `Blocks`.
+    measurement_variance : ndarray (b, m)
+        Variance of each measurement.
+    autocorrelation, disturbance_variance : ndarray (2 (m + g),)
+        Autocorrelation over a step and stationary variance of each disturbance.
+    initial_variance : ndarray (states,)
+        Variance of each state at the beginning of the window.
     """
 
-    drive: Floats
-    measured: Floats
-
-
-FlightErrors = Sequence[Sequence[tuple[Floats, Floats]]]
-"""`ModelErrors` of each window of each flight."""
+    transition: Floats
+    part_input: Floats
+    measurement: Floats
+    measurement_variance: Floats
+    autocorrelation: Floats
+    disturbance_variance: Floats
+    initial_variance: Floats
 
 
 class InnovationsModel:
@@ -62,12 +81,12 @@ class InnovationsModel:
         windows = [
             (linearised, blocks) for linearised in self.linearised_flights for blocks in linearised.blocks
         ]
-
-        def filter_window(window: tuple[LinearisedFlight, Blocks]) -> tuple[Floats, Floats]:
-            linearised, blocks = window
-            return self._filter(linearised, blocks, disturbances, blocks.drive, blocks.measured)
-
-        filtered = iter(parallel_map(filter_window, windows))
+        filtered = iter(
+            parallel_map(
+                lambda window: self._filter(*window, disturbances, window[1].drive, window[1].measured),
+                windows,
+            )
+        )
         flights, log_variances = [], np.zeros(self._outputs)
         for linearised in self.linearised_flights:
             window_innovations = []
@@ -99,11 +118,7 @@ class InnovationsModel:
         for linearised, (rates, outputs) in zip(self.linearised_flights, signals, strict=True):
             windows = []
             for blocks, drive in zip(linearised.blocks, linearised.over_blocks(rates), strict=True):
-                measured = (
-                    np.zeros((len(drive), self._outputs, drive.shape[2]))
-                    if outputs is None
-                    else outputs[blocks.rows]
-                )
+                measured = None if outputs is None else outputs[blocks.rows]
                 windows.append(self._filter(linearised, blocks, disturbances, -drive, measured)[0])
             yield np.concatenate(windows)
 
@@ -132,8 +147,7 @@ class InnovationsModel:
                 drive = np.zeros((len(blocks.rows), blocks.transition.shape[1], added.shape[1]))
                 for step, response in enumerate(blocks.part_input):
                     drive -= response[:, :, output, None] * added[blocks.rows + step][:, None, :]
-                measured = np.zeros((len(drive), self._outputs, added.shape[1]))
-                windows.append(self._filter(linearised, blocks, disturbances, drive, measured)[0])
+                windows.append(self._filter(linearised, blocks, disturbances, drive)[0])
             yield np.concatenate(windows)
 
     def _filter(
@@ -142,9 +156,9 @@ class InnovationsModel:
         blocks: Blocks,
         disturbances: DisturbanceModel,
         drive: Floats,
-        measured: Floats,
+        measured: Floats | None = None,
     ) -> tuple[Floats, Floats]:
-        """Filter signals, as in `ModelErrors`, in one window of a flight.
+        """Filter signals, as in `ModelErrors`, in one window of a flight; `measured` is 0 by default.
 
         Returns
         -------
@@ -153,12 +167,13 @@ class InnovationsModel:
         log_variances : ndarray (m,)
             Sum over the blocks of the logarithm of each innovation's variance.
         """
-        innovations, log_variances = _kalman.filter(
-            *self.system(linearised, blocks, disturbances), drive, measured
-        )
+        if measured is None:
+            measured = np.zeros((len(drive), self._outputs, drive.shape[2]))
+        system = self.system(linearised, blocks, disturbances)
+        innovations, log_variances = _kalman.filter(*system, drive, measured)
         return innovations.reshape(-1, drive.shape[2]), np.array(log_variances)
 
-    def perturbed_residual(self, move: Floats | None = None) -> list[list[tuple[Floats, Floats]]]:
+    def perturbed_residual(self, move: Floats | None = None) -> list[list[ModelErrors]]:
         """Errors of the model in each window of each flight, to first order.
 
         Parameters
@@ -172,29 +187,26 @@ class InnovationsModel:
             One per window of each flight.
         """
         move = np.zeros(self.size) if move is None else move
-        flights: list[list[tuple[Floats, Floats]]] = []
-        for linearised, columns in zip(self.linearised_flights, self.columns, strict=True):
-            # Column 0 holds the errors, the others their reduction per unit of each parameter.
-            weights = np.concatenate(([1.0], -move[columns]))
-            windows: list[tuple[Floats, Floats]] = [
-                ModelErrors((blocks.drive @ weights)[:, :, None], (blocks.measured @ weights)[:, :, None])
+        # Column 0 of a block holds the errors, the others their reduction per unit of each parameter.
+        weights = [np.concatenate(([1.0], -move[columns])) for columns in self.columns]
+        return [
+            [
+                ((blocks.drive @ w)[:, :, None], (blocks.measured @ w)[:, :, None])
                 for blocks in linearised.blocks
             ]
-            flights.append(windows)
-        return flights
+            for linearised, w in zip(self.linearised_flights, weights, strict=True)
+        ]
 
     def system(
         self, linearised: LinearisedFlight, blocks: Blocks, disturbances: DisturbanceModel
-    ) -> tuple[Floats, ...]:
-        """Linear system of the filter in one window of a flight: the arguments of the functions of `_kalman`
-        that come before the signals.
-        """
-        return (
+    ) -> FilterSystem:
+        """Linear system of the filter in one window of a flight."""
+        return FilterSystem(
             blocks.transition,
             blocks.part_input,
             blocks.measurement,
             np.ascontiguousarray(blocks.variance * disturbances.quantisation),
-            disturbances.memory(linearised.reference.step_s),
+            disturbances.autocorrelation(linearised.reference.step_s),
             disturbances.variance,
             self.model.initial_std**2,
         )
@@ -220,35 +232,25 @@ class InnovationsModel:
             for blocks, window_errors in zip(linearised.blocks, windows, strict=True)
             for low in range(0, len(disturbance_models), _BATCH)
         ]
-        total = np.zeros((len(disturbance_models), self._outputs))
-        results = parallel_map(lambda job: self._log_likelihoods(*job[:3], disturbance_models[job[3]]), jobs)
-        for (linearised, blocks, _, batch), nats in zip(jobs, results, strict=True):
-            total[batch] += nats + _repeated_nats(linearised, blocks)
-        return total
 
-    def _log_likelihoods(
-        self,
-        linearised: LinearisedFlight,
-        blocks: Blocks,
-        errors: tuple[Floats, Floats],
-        disturbance_models: Sequence[DisturbanceModel],
-    ) -> Floats:
-        """Log-likelihood of each output's innovations in one window under each disturbance model, shape
-        (w, m) [nats]; repeated measurements count as independent ones.
-        """
-        step_s = linearised.reference.step_s
-        nats: Floats = _kalman.log_likelihoods(
-            blocks.transition,
-            blocks.part_input,
-            blocks.measurement,
-            blocks.variance,
-            np.array([disturbances.memory(step_s) for disturbances in disturbance_models]),
-            np.array([disturbances.variance for disturbances in disturbance_models]),
-            np.array([disturbances.quantisation for disturbances in disturbance_models]),
-            self.model.initial_std**2,
-            *errors,
-        )
-        return nats
+        def window_nats(job: tuple[LinearisedFlight, Blocks, ModelErrors, slice]) -> Floats:
+            """Log-likelihoods in one window under a batch of models, shape (batch, m)."""
+            linearised, blocks, window_errors, batch = job
+            models, step_s = disturbance_models[batch], linearised.reference.step_s
+            nats = _kalman.log_likelihoods(
+                *(blocks.transition, blocks.part_input, blocks.measurement, blocks.variance),
+                np.array([model.autocorrelation(step_s) for model in models]),
+                np.array([model.variance for model in models]),
+                np.array([model.quantisation for model in models]),
+                self.model.initial_std**2,
+                *window_errors,
+            )
+            return nats + _repeated_nats(linearised, blocks)
+
+        total = np.zeros((len(disturbance_models), self._outputs))
+        for job, nats in zip(jobs, parallel_map(window_nats, jobs), strict=True):
+            total[job[3]] += nats
+        return total
 
 
 def _repeated_nats(linearised: LinearisedFlight, blocks: Blocks) -> Floats:
@@ -259,5 +261,4 @@ def _repeated_nats(linearised: LinearisedFlight, blocks: Blocks) -> Floats:
     they have one normal density, not N: the other N - 1 have the density of a sensor without play.
     """
     factor = blocks.variance / linearised.variance[blocks.rows]
-    nats: Floats = 0.5 * (np.log(factor) * (1.0 - 1.0 / linearised.repeats[blocks.rows])).sum(axis=0)
-    return nats
+    return np.asarray(0.5 * (np.log(factor) * (1.0 - 1.0 / linearised.repeats[blocks.rows])).sum(axis=0))

@@ -152,21 +152,20 @@ def minimise(
             break
         trial = step.evaluate()
         is_small = bool(np.all(np.abs(step.move) < SMALL_STEP * step.std))
-        if not trial.cost < iterate.cost * (1 + 1e-12):
-            better = None if states_are_refined else problem.with_states_refined(iterate)
-            states_are_refined = True
-            if better is not None:
-                iterate = better
-            elif control.value > _MAX_DAMPING or (is_small and len(step.move)):
+        if trial.cost < iterate.cost * (1 + 1e-12):
+            gain = (iterate.cost - trial.cost) / max(trial.cost, 1e-300)
+            control.decrease()
+            iterate, states_are_refined = trial, False
+            idle_steps = idle_steps + 1 if gain < idle_share * _IDLE_GAIN else 0
+            converged = gain < _CONVERGED_GAIN or (is_small and gain < _IDLE_GAIN)
+            if idle_steps == 2 or (control.value < 1.0 and converged):
                 break
-            else:
-                control.increase()
-            continue
-        gain = (iterate.cost - trial.cost) / max(trial.cost, 1e-300)
-        control.decrease()
-        iterate, states_are_refined = trial, False
-        idle_steps = idle_steps + 1 if gain < idle_share * _IDLE_GAIN else 0
-        converged = gain < _CONVERGED_GAIN or (is_small and gain < _IDLE_GAIN)
-        if idle_steps == 2 or (control.value < 1.0 and converged):
+        elif not states_are_refined and (better := problem.with_states_refined(iterate)) is not None:
+            iterate, states_are_refined = better, True
+        elif control.value > _MAX_DAMPING or (is_small and len(step.move)):
             break
+        else:
+            control.increase()
+            # Once more would gain nothing: they are refined for this iterate.
+            states_are_refined = True
     return Minimum(iterate, True, control.value)

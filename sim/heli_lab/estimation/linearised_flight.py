@@ -258,19 +258,17 @@ class LinearisedFlight:
 
     def _fill(self, blocks: Blocks, into: slice, rows: slice) -> None:
         """Linearise the model in the steps `rows`, and fill the elements `into` of `blocks` with them."""
-        n = self.block
-        derivatives = self.derivatives(rows)
-        blocks.drive[into] = _kalman.over_blocks(derivatives.Phi, derivatives.Gamma, derivatives.rates, n)
-        blocks.drive[into, :, :1] += _kalman.over_blocks(
-            derivatives.Phi, derivatives.Phi, self._corrections(rows), n
-        )
-        blocks.measured[into], blocks.measurement[into] = derivatives.outputs[::n], derivatives.C[::n]
-        blocks.variance[into] = derivatives.variance[::n]
-        transition, responses = _kalman.block_response(
-            derivatives.Phi, derivatives.Gamma, derivatives.by_disturbance, n
-        )
-        blocks.transition[into] = transition
-        blocks.part_input[:, into] = responses.reshape(n, *transition.shape[:2], -1)
+        n, steps = self.block, self.derivatives(rows)
+        Phi, Gamma = steps.Phi, steps.Gamma
+        # The two terms of e_k+1 in the module's equation, without Phi e_k, added up over each block.
+        blocks.drive[into] = _kalman.over_blocks(Phi, Gamma, steps.rates, n)
+        blocks.drive[into, :, :1] += _kalman.over_blocks(Phi, Phi, self._corrections(rows), n)
+        # A block is measured at its first step.
+        blocks.measured[into], blocks.measurement[into] = steps.outputs[::n], steps.C[::n]
+        blocks.variance[into] = steps.variance[::n]
+        # Shape (n b, states, m + g): the first step of each block, then the second of each, and so on.
+        blocks.transition[into], responses = _kalman.block_response(Phi, Gamma, steps.by_disturbance, n)
+        blocks.part_input[:, into] = responses.reshape(n, -1, *responses.shape[1:])
 
     def _corrections(self, rows: slice) -> Floats:
         """Predicted minus filtered states of the trajectory, shape (n, states, 1)."""

@@ -29,8 +29,7 @@ def autocovariance(residual: Floats, windows: Sequence[slice], lags: int) -> Flo
         products = np.fft.irfft(power, size, axis=0)
         lag_count = min(lags + 1, len(part))
         total[:lag_count] += products[:lag_count]
-    result: Floats = total / max(1, sum(window.stop - window.start for window in windows))
-    return result
+    return np.asarray(total / max(1, sum(window.stop - window.start for window in windows)))
 
 
 def newey_west_variance(covariance: Floats) -> Floats:
@@ -47,5 +46,4 @@ def newey_west_variance(covariance: Floats) -> Floats:
         In the unit of the autocovariance; not negative but for rounding.
     """
     taper = 1.0 - np.arange(len(covariance)) / len(covariance)
-    long_run: Floats = 2.0 * (taper[:, None] * covariance).sum(axis=0) - covariance[0]
-    return long_run
+    return np.asarray(2.0 * (taper[:, None] * covariance).sum(axis=0) - covariance[0])

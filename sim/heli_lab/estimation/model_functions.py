@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 from heli_host.arrays import Floats
 
 from heli_lab.estimation.grey_box import GreyBoxModel
-from heli_lab.estimation.trajectory_functions import (
-    EFFECT_SUBSTEPS,
-    AlongTrajectory,
-    EffectStates,
-    Trajectory,
-)
+from heli_lab.estimation.trajectory_functions import AlongTrajectory, EffectStates, Trajectory
 
 
 class ModelFunctions:
@@ -97,13 +93,8 @@ class ModelFunctions:
         ndarray (n + 1, extra states)
             At the beginning of each step, and at the end of the last.
         """
-        ends = self._integrator.integrate(
-            [trajectory.state[:, : self.model.followed], trajectory.inputs],
-            trajectory.t_s,
-            trajectory.parameters,
-            trajectory.step_s,
-            EFFECT_SUBSTEPS,
-        )
+        positions_and_rates = trajectory.state[:, : self.model.followed]
+        ends = self._integrator.integrate(replace(trajectory, state=positions_and_rates))
         states: Floats = np.vstack((np.zeros(self.extra_states), ends))
         for column, output in self.model.known_directions:
             states[:, column] = np.append(directions[:, output], directions[-1, output])

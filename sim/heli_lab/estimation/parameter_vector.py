@@ -176,8 +176,12 @@ class ParameterVector:
     @property
     def start(self) -> Floats:
         """Values to start from, within the bounds; shape (f,)."""
-        result: Floats = np.clip(self.values[self._free_index], *self.bounds)
-        return result
+        return np.asarray(np.clip(self.values[self._free_index], *self.bounds))
+
+    @property
+    def values_by_name(self) -> dict[str, float]:
+        """All parameters of the model by name, free ones with the value that they would have if fixed."""
+        return dict(zip(self._index, self.values.tolist(), strict=True))
 
     def by_name(self, theta: Floats) -> dict[str, float]:
         """Return the free parameters `theta`, shape (f,), by name."""
@@ -196,8 +200,7 @@ class ParameterVector:
     def started_from(self, values: Mapping[str, float]) -> Floats:
         """Start values, shape (f,): the given `values` by name of the free parameter, otherwise `start`."""
         start = [values.get(name, value) for name, value in zip(self.names, self.start, strict=True)]
-        result: Floats = np.clip(np.array(start, float), *self.bounds)
-        return result
+        return np.asarray(np.clip(np.array(start, float), *self.bounds))
 
     def parameters(self, theta: Floats, index: int = 0) -> Floats:
         """All parameters of the model in flight number `index`, shape (p,), from the free parameters `theta`,

@@ -33,8 +33,7 @@ class PosteriorStep:
     @property
     def std(self) -> Floats:
         """Standard errors of the free parameters, shape (f,)."""
-        result: Floats = np.sqrt(np.diag(self.covariance))
-        return result
+        return np.sqrt(np.diag(self.covariance))
 
 
 def posterior_step(

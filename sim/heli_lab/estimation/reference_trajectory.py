@@ -2,8 +2,8 @@
 
 Sensors show positions far more finely than they move, so the trajectory hardly depends on the model: at first
 each position is filtered as if random accelerations alone drove it, then by the model's equations. The states
-before and after the measurement of a step are kept. Neither looks ahead: a smoothed trajectory knows the
-innovations that it is to explain, and a wrong scale of a sensor would always be significant.
+before and after the measurement of a step are kept. Neither uses later measurements: a smoothed trajectory
+contains the innovations that it is to explain, so that a wrong scale of a sensor would always be significant.
 """
 
 from __future__ import annotations
@@ -23,23 +23,24 @@ STEP_s: Final = 0.01
 a position oscillates with 10 rad/s. Longer: inputs that change within a step are blurred. Shorter: time."""
 
 REST_s: Final = 0.5
-"""Time over which the count of an axis must stay the same for it to be at rest. Set with `REST_EDGE_s` on
-thirteen simulated flights with dry friction in gusts (2026-11): all of its sizes come out within 2.3 standard
-errors, with 0.3 s three of them do not. Shorter: an axis that moves slowly passes for held. Much longer: one
-that dry friction holds between two moves passes for moving."""
+"""Time for which the count of an axis must stay the same for it to be at rest. Set with `REST_EDGE_s` on
+thirteen simulated flights with dry friction in gusts (2026-11): all friction torques are estimated within 2.3
+standard errors; with 0.3 s, three are not. Shorter: an axis that moves slowly counts as at rest. Much longer:
+an axis that dry friction holds between two moves counts as moving."""
 REST_EDGE_s: Final = 0.06
-"""Share of such a time at its beginning and at its end that is not rest: within a count an axis sets off and
-slows down unseen. A third of it: friction comes out up to 6 standard errors too small."""
+"""Beginning and end of such a time that do not count as rest, because an axis starts and stops within a count
+unseen. With a third of it, friction is estimated up to 6 standard errors too small."""
 
 RETURN_s: Final = 0.2
-"""Time over which the count of an axis must stay the same for the axis to have moved into its play and back.
+"""Time for which the count of an axis must stay the same for the axis to have moved into its play and back.
 Set on six simulated flights with plays of 0.5 to 3 degrees (2026-11). Longer, 0.3 s: the likelihoods of
 plays of pitch lose 190 and 230 nats. Shorter, 0.15 s: the likelihoods gain up to 27 nats, but an axis that
-moves slowly passes for one within its play."""
+moves slowly counts as within its play."""
 
-_BACK: Final = 0.75
-"""How far an axis comes back in its play, in halves of the play, before it moves on as before: 0.4 to 0.8 on
-two simulated flights in gusts (2026-11). Zero: what it is off then passes for gusts of no memory."""
+_RETURN_SHARE: Final = 0.75
+"""How far an axis moves back in its play, in halves of the play, before it moves on as before: 0.4 to 0.8 on
+two simulated flights in gusts (2026-11). With 0, the error of its place is estimated as a disturbance without
+autocorrelation."""
 
 
 @dataclass(frozen=True)
@@ -196,8 +197,7 @@ def _centred_means(record: Recording, rows: Integers, half: int) -> tuple[Floats
 
 def _changed(record: Recording) -> Booleans:
     """Whether each output's count changes from a row to the next, shape (n - 1, m)."""
-    changed: Booleans = np.abs(np.diff(record.outputs, axis=0)) > 0.5 * record.resolution
-    return changed
+    return np.abs(np.diff(record.outputs, axis=0)) > 0.5 * record.resolution
 
 
 def _directions(record: Recording, nodes: Integers) -> tuple[Floats, Floats, Floats]:
@@ -232,12 +232,12 @@ def _directions(record: Recording, nodes: Integers) -> tuple[Floats, Floats, Flo
         last = following - 1
         pause_rows = moves[following] - moves[last]
         share = (nodes - moves[last] - 0.5) / pause_rows
-        turned = signs[following] - signs[last]
+        reversal = signs[following] - signs[last]
         # Slowly there, fast back: s^2 (1 - s) is at most 1 / 6.75.
-        there_and_back = _BACK * 6.75 * share**2 * (1.0 - share)
-        returned = (turned == 0.0) & (pause_rows * record.step_s >= RETURN_s)
+        excursion = _RETURN_SHARE * 6.75 * share**2 * (1.0 - share)
+        returns = (reversal == 0.0) & (pause_rows * record.step_s >= RETURN_s)
         directions[:, axis] = (
-            signs[last] + turned * share**2 - np.where(returned, signs[last] * there_and_back, 0.0)
+            signs[last] + reversal * share**2 - np.where(returns, signs[last] * excursion, 0.0)
         )
         pause_s[:, axis] = pause_rows * record.step_s
     return directions, (1.0 - directions**2) / 3.0, pause_s

@@ -72,7 +72,7 @@ def refiltered(filtered: InnovationsModel, disturbances: DisturbanceModel) -> li
                 np.ascontiguousarray(disturbance_input[window])[None],
                 steps.C[window],
                 np.ascontiguousarray(linearised.variance[window] * disturbances.quantisation),
-                disturbances.memory(reference.step_s),
+                disturbances.autocorrelation(reference.step_s),
                 disturbances.variance,
                 filtered.model.initial_std**2,
                 steps.drive[window],

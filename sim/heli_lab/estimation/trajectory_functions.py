@@ -6,7 +6,6 @@ one carries out each operation for many rows, which is several times faster and 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -69,14 +68,6 @@ class _ExpressionList:
 
     Attributes
     ----------
-    input_sizes : list of int
-        Number of elements of each input.
-    operations : list of int
-        Code of each operation, an index into `_expression_vm.OPERATIONS`.
-    first_operands, second_operands : list of int
-        Operations whose values each operation takes. For an input: number of the input, and of its element.
-    constants : list of float
-        Value of each operation that is a constant.
     outputs : list of list of int
         Operations that give the elements of each output, row by row.
 
@@ -87,12 +78,12 @@ class _ExpressionList:
     """
 
     def __init__(self, function: ca.Function) -> None:
-        self.input_sizes = [function.numel_in(i) for i in range(function.n_in())]
-        self.operations: list[int] = []
-        self.first_operands: list[int] = []
-        self.second_operands: list[int] = []
-        self.constants: list[float] = []
+        self._input_sizes = [function.numel_in(i) for i in range(function.n_in())]
         self._index: dict[tuple[int, int, int, str], int] = {}
+        """Index in the list of each operation.
+
+        An operation is its code in `_expression_vm.OPERATIONS`, the indices of its two operands, and the
+        value of a constant. For an input, the operands are the numbers of the input and of its element."""
         zero = self._add(_CONST)
         self.outputs = [[zero] * function.numel_out(i) for i in range(function.n_out())]
         in_register: dict[int, int] = {}
@@ -124,25 +115,15 @@ class _ExpressionList:
         """Append an operation unless the list has the same one; return its index in the list."""
         # Derivatives repeat subexpressions many times; `ca.cse` takes 9 ms per model to find them.
         # A constant is compared as text: -0 differs from 0, and nan equals nan.
-        key = (operation, first, second, constant.hex() if operation == _CONST else "")
-        index = self._index.setdefault(key, len(self.operations))
-        if index == len(self.operations):
-            self.operations.append(operation)
-            self.first_operands.append(first)
-            self.second_operands.append(second)
-            self.constants.append(constant)
-        return index
+        key = (operation, first, second, constant.hex())
+        return self._index.setdefault(key, len(self._index))
 
     @property
     def arguments(self) -> tuple[list[int], list[int], list[int], list[float], list[int]]:
         """Leading arguments of the constructors in `_expression_vm`."""
-        return (
-            self.operations,
-            self.first_operands,
-            self.second_operands,
-            self.constants,
-            self.input_sizes,
-        )
+        operations, first_operands, second_operands, texts = map(list, zip(*self._index, strict=True))
+        constants = [float.fromhex(text) for text in texts]
+        return operations, first_operands, second_operands, constants, self._input_sizes
 
 
 def _table(values: Floats) -> Floats:
@@ -182,8 +163,8 @@ class EffectStates:
     Parameters
     ----------
     rates, resets : casadi.Function
-        Rates of z, and z after the jump at the end of a step; functions of z, time, the `reference` of
-        `integrate` and all parameters.
+        Rates of z, and z after the jump at the end of a step; functions of z, time, state and inputs of the
+        trajectory, and all parameters.
     """
 
     def __init__(self, rates: ca.Function, resets: ca.Function) -> None:
@@ -197,30 +178,14 @@ class EffectStates:
     def __reduce__(self) -> tuple[type[EffectStates], tuple[ca.Function, ca.Function]]:
         return EffectStates, self._functions
 
-    def integrate(
-        self,
-        reference: Sequence[Floats],
-        t_s: Floats,
-        parameters: Floats,
-        step_s: float,
-        substeps: int,
-        returned_substep: int | None = None,
-    ) -> Floats:
-        """Integrate from z = 0.
+    def integrate(self, trajectory: Trajectory, returned_substep: int = EFFECT_SUBSTEPS - 1) -> Floats:
+        """Integrate from z = 0 with `EFFECT_SUBSTEPS` Runge-Kutta steps in each step.
 
         Parameters
         ----------
-        reference : sequence of ndarray (n, width)
-            Signals along the trajectory in each step, such as positions, rates and inputs.
-        t_s : ndarray (n,)
+        trajectory : Trajectory
             Middle of each step.
-        parameters : ndarray (p,)
-            All parameters.
-        step_s : float
-            Length of a step.
-        substeps : int
-            Runge-Kutta steps in each.
-        returned_substep : int, optional
+        returned_substep : int
             The substep at whose end z is returned; by default the last.
 
         Returns
@@ -229,12 +194,12 @@ class EffectStates:
             States z in each step.
         """
         states: Floats = self._integrator.run(
-            [_table(array) for array in reference],
-            np.ascontiguousarray(t_s, float),
-            np.ascontiguousarray(parameters, float),
-            step_s,
-            substeps,
-            substeps - 1 if returned_substep is None else returned_substep,
+            [_table(array) for array in (trajectory.state, trajectory.inputs)],
+            np.ascontiguousarray(trajectory.t_s, float),
+            np.ascontiguousarray(trajectory.parameters, float),
+            trajectory.step_s,
+            EFFECT_SUBSTEPS,
+            returned_substep,
             np.zeros(self._size),
         )
         return states

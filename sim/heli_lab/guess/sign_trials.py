@@ -86,7 +86,7 @@ def _error_deg(record: Record, rig: Rig) -> Floats:
     except IdentifyError:
         return np.full(3, 180.0)
     with np.errstate(all="ignore"):
-        evaluation = problem.evaluation(0, fit.theta, fit.states[0], derivatives=False)
-        error = np.degrees(np.sqrt(np.mean(evaluation.residual**2, axis=0)) * record.sigma_rad)
+        residual = problem.residual(0, fit.theta, fit.states[0])
+        error = np.degrees(np.sqrt(np.mean(residual**2, axis=0)) * record.sigma_rad)
     finite: Floats = np.nan_to_num(error, nan=180.0, posinf=180.0)
     return finite

@@ -111,6 +111,5 @@ class Domain:
             except RigError:
                 continue
         raise LearningError(
-            f"no draw of rig '{rig.name}' within {self.tolerances:g} tolerances is valid",
-            "lower tolerances",
+            f"no draw of rig '{rig.name}' within {self.tolerances:g} tolerances is valid", "lower tolerances"
         )

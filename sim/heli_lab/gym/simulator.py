@@ -33,6 +33,8 @@ _CARRY_S, _CARRY_STEPS = 0.5, 50
 """Time and steps in which the arm moves to its initial state: at most 20 deg/s, far below a fault of rate."""
 _MAX_PLANTS: Final = 32
 """Largest number of compiled plants to keep."""
+_LIMITS: Final = ("elevation_min", "elevation_max", "pitch_max", "travel_max", "table_damping")
+"""Rig parameters that the plant's step takes first after those of the model."""
 _SETTLING_STEPS, _SETTLING_TICKS = 20, 20
 """Steps and their length [ms] until lagging thrusts reach hover: 0.4 s in total."""
 
@@ -73,7 +75,6 @@ class Simulator(Protocol):
         seed : int
             Seed of random effects.
         """
-        ...
 
     def step(self, volts_V: Floats, ticks: int) -> StepResult:
         """Apply two voltages for some milliseconds.
@@ -85,11 +86,9 @@ class Simulator(Protocol):
         ticks : int
             Duration [ms].
         """
-        ...
 
     def close(self) -> None:
         """Release all resources."""
-        ...
 
 
 class PlantAlone(Simulator):
@@ -113,18 +112,16 @@ class PlantAlone(Simulator):
         plant = self._plants[key]
         self._key, self._plant = key, plant
         limits = plant.parameters[len(model.parameters) :].copy()
-        for place, name in enumerate(("elevation_min", "elevation_max", "pitch_max", "travel_max")):
-            limits[place] = drawn.rig[name].value
-        limits[4] = drawn.rig["table_damping"].value
+        limits[:5] = [drawn.rig[name].value for name in _LIMITS]
         self._parameters = np.array([*model.parameter_values(drawn.rig), *limits])
         self._limits_rad = np.deg2rad(limits[:4])
         self._rad = count_rad(drawn.rig)
-        self._state = (
-            Plant(model, drawn.rig, seed).rest_state() if plant.extras.random else plant.rest_state()
-        )
-        self._state[:6] = state
+        seeded = Plant(model, drawn.rig, seed) if plant.extras.random else plant
+        self._state = seeded.rest_state()
         # A lagging thrust must start at its hover value.
-        self._settle(hover_V)
+        for _ in range(_SETTLING_STEPS):
+            self._state[:6] = state
+            self._advance(hover_V, _SETTLING_TICKS)
         self._state[:6] = state
         return self._result(self._state[:3])
 
@@ -137,25 +134,17 @@ class PlantAlone(Simulator):
         self._plants.clear()
         self._run.clear()
 
-    def _settle(self, hover_V: Floats) -> None:
-        mechanical_state = self._state[:6].copy()
-        for _ in range(_SETTLING_STEPS):
-            self._advance(hover_V, _SETTLING_TICKS)
-            self._state[:6] = mechanical_state
-
     def _advance(self, volts_V: Floats, ticks: int) -> Floats:
         """Simulate some milliseconds, and return the measured angles [rad], shape (3,)."""
         run = self._ticks(ticks)
         # CasADi reads and writes the arrays in place; calls with its own matrices take five times as long.
         buffer: Any
         buffer, evaluate = run.buffer()
-        inputs: tuple[Any, ...] = (self._state, volts_V, self._parameters)
         after, measured = np.empty(self._state.size), np.empty(3)
-        outputs: tuple[Any, ...] = (after, measured)
-        for place, array in enumerate(inputs):
-            buffer.set_arg(place, memoryview(array))
-        for place, array in enumerate(outputs):
-            buffer.set_res(place, memoryview(array))
+        for place, argument in enumerate((self._state, volts_V, self._parameters)):
+            buffer.set_arg(place, argument.data)
+        for place, result in enumerate((after, measured)):
+            buffer.set_res(place, result.data)
         evaluate()
         self._state = after
         return measured
@@ -181,13 +170,13 @@ class PlantAlone(Simulator):
         angles = np.round(measured_rad / self._rad) * self._rad
         low, high, pitch, travel = self._limits_rad
         elevation = self._state[0]
-        reason = (
-            "the arm is on its table" if elevation <= low
-            else "elevation is at its stop" if elevation >= high
-            else "pitch is at its stop" if abs(self._state[1]) >= pitch
-            else "travel is at its stop" if abs(self._state[2]) >= travel
-            else ""
-        )  # fmt: skip
+        ends = {
+            "the arm is on its table": elevation <= low,
+            "elevation is at its stop": elevation >= high,
+            "pitch is at its stop": abs(self._state[1]) >= pitch,
+            "travel is at its stop": abs(self._state[2]) >= travel,
+        }
+        reason = next((end for end, is_reached in ends.items() if is_reached), "")
         return StepResult(angles, not reason, reason)
 
 

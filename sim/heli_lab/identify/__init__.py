@@ -1,7 +1,5 @@
 """Estimate a model's parameters and their standard errors from flights."""
 
-from __future__ import annotations
-
 from heli_lab.identify.estimation_problem import (
     Budget,
     Combination,

@@ -78,15 +78,12 @@ def refuse_constant_columns(flight: Flight, label: str, count_rad: Floats) -> No
     for name in ("front_V", "back_V"):
         column = getattr(flight, name)
         if not np.any(column):
-            raise IdentifyError(
-                f"{label}: {name} is 0 from data row 1 to {rows}",
-                "log the voltages that act on the motors",
-            )
-        if float(np.ptp(column)) < 1e-9:
-            raise IdentifyError(
-                f"{label}: {name} is {column[0]:g} from data row 1 to {rows}",
-                "fly with voltages that change",
-            )
+            reason, remedy = "0", "log the voltages that act on the motors"
+        elif float(np.ptp(column)) < 1e-9:
+            reason, remedy = f"{column[0]:g}", "fly with voltages that change"
+        else:
+            continue
+        raise IdentifyError(f"{label}: {name} is {reason} from data row 1 to {rows}", remedy)
 
 
 def refuse_duty_cycles(flight: Flight, label: str, rig: Rig) -> None:

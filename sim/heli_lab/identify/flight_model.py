@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Final
 
-import casadi as ca
 import numpy as np
 from heli_host.arrays import Floats
 from heli_sim.model.base import Effect, Model
@@ -28,13 +27,12 @@ from heli_lab.estimation import (
     ReferenceTrajectory,
 )
 from heli_lab.identify.estimation_problem.grid import make_grid
-from heli_lab.identify.free import PER_FLIGHT, free_parameters, rig_prior
+from heli_lab.identify.estimation_problem.problem import RIGID_STATES, delay_of
+from heli_lab.identify.free import FLIGHT_TORQUES, PER_FLIGHT, free_parameters, parameter_values, rig_prior
 from heli_lab.identify.record import Record
 from heli_lab.identify.rotor_gains import GAINS, ROTOR_GAINS
 
-TORQUES: Final = tuple(f"torque_{axis}" for axis in AXES)
-
-TORQUE_STD_Nm: Final = dict(zip(TORQUES, (0.02, 0.01, 0.01), strict=True))
+TORQUE_STD_Nm: Final = dict(zip(FLIGHT_TORQUES, (0.02, 0.01, 0.01), strict=True))
 """Prior standard deviation of the constant torque about each axis in a flight: an unlevel table, a cable or a
 draught. By judgement, of the order of the disturbances. Smaller: a rig whose balance changes from flight to
 flight distorts its other parameters. Larger: elevation's cannot be distinguished from the masses."""
@@ -66,64 +64,39 @@ def known_directions(effects: Sequence[Effect]) -> tuple[tuple[int, int], ...]:
     return tuple((names.index(name), AXES.index(axis)) for name, axis in axes.items())
 
 
-@dataclass(frozen=True)
-class _Voltages:
-    """How recorded voltages act on a model: late, and not at all within a dead zone."""
-
-    model: Model
-
-    def __call__(
-        self, recording: Recording, every: int, count: int, parameters: Floats, free: Collection[str]
-    ) -> ActingInputs:
-        model = self.model
-        assert isinstance(recording, Record)
-        names = [quantity.name for quantity in model.parameters]
-        grid = make_grid(
-            recording,
-            [(0, count * every)],
-            every,
-            delay=(model.delay, float(parameters[names.index(model.delay)])) if model.delay else None,
-            dead_zone_V=model.dead_zone_V(parameters, free),
-        )
-        mean_derivatives = tuple((name, of_mean) for name, of_mean, _ in grid.inputs.voltage_derivatives)
-        return ActingInputs(grid.inputs.mean_V, mean_derivatives)
-
-
-@dataclass(frozen=True)
-class _Equations:
-    """One of the functions of a model, by name, with the arguments in the order of a grey-box model."""
-
-    model: Model
-    name: str
-
-    def __call__(self, x: ca.SX, u: ca.SX, p: ca.SX, t: ca.SX) -> ca.SX:
-        result: ca.SX = getattr(self.model, self.name)(x, u, p, t)
-        return result
+def _acting_voltages(
+    model: Model, recording: Recording, every: int, count: int, parameters: Floats, free: Collection[str]
+) -> ActingInputs:
+    """Recorded voltages as they act on a `model`: late, and not at all within a dead zone; for the other
+    arguments see `GreyBoxModel.acting_inputs`.
+    """
+    assert isinstance(recording, Record)
+    delay, dead_zone_V = delay_of(model, parameters), model.dead_zone_V(parameters, free)
+    grid = make_grid(recording, [(0, count * every)], every, delay=delay, dead_zone_V=dead_zone_V)
+    mean_derivatives = tuple((name, of_mean) for name, of_mean, _ in grid.inputs.voltage_derivatives)
+    return ActingInputs(grid.inputs.mean_V, mean_derivatives)
 
 
 def grey_box(model: Model) -> GreyBoxModel:
     """Describe a helicopter's `model`, in flights whose angles were measured, to the estimation core."""
     model = with_measured_angles(model)
-    rigid = 2 * len(AXES)
+    effect_states = len(model.states) - RIGID_STATES
     gains = GAINS if ROTOR_GAINS in model.effects else ()
     return GreyBoxModel(
         states=tuple(state.name for state in model.states),
         inputs=tuple(quantity.name for quantity in model.inputs),
         outputs=AXES,
-        parameters=tuple(quantity.name for quantity in model.parameters),
-        disturbed=(*TORQUES, *gains),
-        dynamics=_Equations(model, "dynamics"),
-        measurement=_Equations(model, "measurement"),
-        reset_map=_Equations(model, "reset_map"),
-        initial_std=np.concatenate(
-            (
-                np.repeat((_ANGLE_STD_rad, _RATE_STD_rad_s), len(AXES)),
-                np.full(len(model.states) - rigid, _EFFECT_STATE_STD),
-            )
+        parameters=model.parameter_names,
+        disturbed=(*FLIGHT_TORQUES, *gains),
+        dynamics=model.dynamics,
+        measurement=model.measurement,
+        reset_map=model.reset_map,
+        initial_std=np.repeat(
+            (_ANGLE_STD_rad, _RATE_STD_rad_s, _EFFECT_STATE_STD), (len(AXES), len(AXES), effect_states)
         ),
         disturbance_start=DISTURBANCE_START.with_gains(len(gains)),
         disturbance_std_range=_DISTURBANCE_RANGE_Nm,
-        acting_inputs=_Voltages(model),
+        acting_inputs=functools.partial(_acting_voltages, model),
         known_directions=known_directions(model.effects),
         source=model,
     )
@@ -162,15 +135,12 @@ class RigParameters(ParameterVector):
         for parameter in free_parameters(model, rig, None, {}):
             if parameter.quantity in PER_FLIGHT:
                 per_flight.append(parameter)
-            elif parameter.quantity not in TORQUES and parameter.quantity not in fixed:
+            elif parameter.quantity not in FLIGHT_TORQUES and parameter.quantity not in fixed:
                 shared.append(parameter)
-        per_flight += [FreeParameter(name, "N m", _torque_prior(rig, name), name) for name in TORQUES]
-        names = [quantity.name for quantity in model.parameters]
-        values: Floats = model.parameter_values(rig)
-        for name, value in fixed.items():
-            values[names.index(name)] = value
+        per_flight += [FreeParameter(name, "N m", _torque_prior(rig, name), name) for name in FLIGHT_TORQUES]
         self.labels = tuple(record.label for record in records)
-        super().__init__(names, values, shared, per_flight, self.labels)
+        values = parameter_values(model, rig, fixed)
+        super().__init__(model.parameter_names, values, shared, per_flight, self.labels)
 
     @override
     def parameters(self, theta: Floats, index: int = 0) -> Floats:

@@ -7,7 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.base import Model
+from heli_sim.model.parts import AXES
 from heli_sim.rig import Prior, Rig
 from heli_sim.rig.schema import ENCODER_COUNTS, UNSTATED
 
@@ -23,11 +25,11 @@ and an encoder has a whole number of counts."""
 PER_FLIGHT: Final = ("offset_elevation", "offset_pitch")
 """Numbers that differ from flight to flight, because encoders are zeroed each time the board starts."""
 
-FLIGHT_TORQUES: Final = ("torque_elevation", "torque_pitch", "torque_travel")
-"""One constant torque an axis that nothing explains: cables lie differently in each flight."""
+FLIGHT_TORQUES: Final = tuple(f"torque_{axis}" for axis in AXES)
+"""Constant torque about each axis during one flight, in which cables lie differently than in others."""
 
 FLIGHT_CONSTANTS: Final = (*PER_FLIGHT, *FLIGHT_TORQUES)
-"""All that one flight has of its own."""
+"""All parameters that differ from flight to flight."""
 
 
 def free_parameters(
@@ -73,13 +75,24 @@ def free_parameters(
     return tuple(parameters)
 
 
+def parameter_values(model: Model, rig: Rig, values: Mapping[str, float]) -> Floats:
+    """All parameters of a model, shape (p,), some of them replaced by `values`; an IdentifyError states an
+    unknown name.
+    """
+    result = model.parameter_values(rig)
+    for name, value in values.items():
+        if name not in model.parameter_names:
+            raise _unknown(model, name)
+        result[model.parameter_names.index(name)] = value
+    return result
+
+
 def estimated_names(model: Model, rig: Rig, free: Sequence[str] | None, fixed: Sequence[str]) -> list[str]:
     """Return the names of the `free` parameters, as of `free_parameters`, without the `fixed` ones. An
     IdentifyError states an unknown name, a name that is both free and fixed, or that no name remains.
     """
-    known = [quantity.name for quantity in model.parameters]
     for name in fixed:
-        if name not in known:
+        if name not in model.parameter_names:
             raise _unknown(model, name)
         if name in (free or ()):
             raise IdentifyError(f"'{name}' is in both --free and --fix", "leave one of them out")
@@ -115,7 +128,7 @@ def flight_constants(model: Model, rig: Rig, about: Mapping[str, float] | None =
     """
     known = {**{name: rig[name].value for name in FLIGHT_CONSTANTS}, **(about or {})}
     priors = {}
-    for name in (quantity.name for quantity in model.parameters):
+    for name in model.parameter_names:
         if name not in FLIGHT_CONSTANTS:
             continue
         tolerance = rig[name].tolerance
@@ -129,7 +142,7 @@ def flight_constants(model: Model, rig: Rig, about: Mapping[str, float] | None =
 
 def _unknown(model: Model, name: str) -> IdentifyError:
     """The error for an unknown parameter `name` of a model, with a similar name as a hint."""
-    known = [quantity.name for quantity in model.parameters]
+    known = model.parameter_names
     close = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
     return IdentifyError(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -162,6 +163,35 @@ def prepare(
     )
 
 
+def prepare_all(
+    flights: Sequence[Flight | Record],
+    rig: Rig,
+    labels: Sequence[str] | None = None,
+    role: str = "flight",
+    *,
+    start_s: float | None = None,
+    stop_s: float | None = None,
+) -> tuple[Record, ...]:
+    """Prepare those flights that are not prepared yet.
+
+    Parameters
+    ----------
+    flights : sequence of Flight or Record
+        Prepared ones are taken as they are.
+    rig, start_s, stop_s
+        As in `prepare`.
+    labels : sequence of str, optional
+        Names of the flights; by default their `role` and number.
+    role : str
+        Use of the flights, in a word.
+    """
+    names = labels if labels is not None else [f"{role} {number}" for number in range(1, len(flights) + 1)]
+    return tuple(
+        flight if isinstance(flight, Record) else prepare(flight, rig, name, start_s=start_s, stop_s=stop_s)
+        for flight, name in zip(flights, names, strict=True)
+    )
+
+
 def _reasons_to_cut(
     flight: Flight, rig: Rig, step_s: float, start_s: float | None, stop_s: float | None
 ) -> tuple[list[tuple[Booleans, str]], list[str]]:
@@ -185,11 +215,8 @@ def _reasons_to_cut(
     near_table = _near_table(flight, rig, step_s)
     near_table |= _last_descent(flight, near_table, step_s)
     reasons.append((near_table, "table, take-off or landing"))
-    notes = []
-    for axis, at_stop, axis_notes in _stops(flight.angles_rad, rig, step_s):
-        reasons.append((at_stop, f"stop of the {axis}"))
-        notes += axis_notes
-    return reasons, notes
+    at_stops, notes = _stops(flight.angles_rad, rig, step_s)
+    return [*reasons, *at_stops], notes
 
 
 def encoder_counts(flight: Flight, rig: Rig) -> tuple[Floats, list[str]]:
@@ -290,33 +317,33 @@ def _last_descent(flight: Flight, near_table: Booleans, step_s: float) -> Boolea
     return descent
 
 
-def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> list[tuple[str, Booleans, list[str]]]:
-    """Contacts with the mechanical stops, for each axis that reaches one.
+def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> tuple[list[tuple[Booleans, str]], list[str]]:
+    """Contacts with the mechanical stops.
 
     Returns
     -------
-    list of (str, ndarray of bool (n,), list of str)
-        The axis, the rows in contact and shortly around them, and remarks. An axis that goes far beyond the
-        stop in the rig file has no rows, but a remark.
+    reasons : list of (ndarray of bool (n,), str)
+        For each axis that reaches its stop, the rows in contact and shortly around them, and the name of the
+        stop.
+    notes : list of str
+        A remark on each axis that goes far beyond the stop in the rig file.
     """
-    reasons: list[tuple[str, Booleans, list[str]]] = []
+    reasons: list[tuple[Booleans, str]] = []
+    notes = []
     around = round(thresholds.LAG_S / step_s)
     names = ("elevation_max", "pitch_max", "travel_max")
     for index, (axis, name) in enumerate(zip(AXES, names, strict=True)):
         stop, degrees = rig[name], np.rad2deg(angles_rad[:, index])
         beyond = degrees if axis == "elevation" else np.abs(degrees)
-        at_stop = (
-            beyond > stop.value - min(stop.tolerance, thresholds.MAX_UNSURE_DEG) - thresholds.STOP_MARGIN_DEG
-        )
-        if not at_stop.any():
-            continue
+        unsure_deg = min(stop.tolerance, thresholds.MAX_UNSURE_DEG)
+        at_stop = beyond > stop.value - unsure_deg - thresholds.STOP_MARGIN_DEG
         if beyond.max() > stop.value + stop.tolerance + thresholds.BEYOND_STOP_DEG:
             note = f"{axis} reaches {beyond.max():.0f} degrees, beyond the rig's {name} of {stop.value:g}"
-            reasons.append((axis, np.zeros_like(at_stop), [f"{note}: taken to be free there"]))
-            continue
-        wide = np.convolve(at_stop, np.ones(2 * around + 1), mode="same") > 0.5
-        reasons.append((axis, wide, []))
-    return reasons
+            notes.append(f"{note}: taken to be free there")
+        elif at_stop.any():
+            wide = np.convolve(at_stop, np.ones(2 * around + 1), mode="same") > 0.5
+            reasons.append((wide, f"stop of the {axis}"))
+    return reasons, notes
 
 
 def _segments(

@@ -11,10 +11,10 @@ from heli_sim.model.base import Model
 from heli_sim.rig import Rig
 
 from heli_lab.errors import IdentifyError
-from heli_lab.identify.estimation_problem import Budget, FitProgress, Problem
+from heli_lab.identify.estimation_problem import Budget, Fit, FitProgress, Problem
 from heli_lab.identify.estimation_problem.initial_states import initial_state_guess
 from heli_lab.identify.free import estimated_names
-from heli_lab.identify.record import Record, prepare
+from heli_lab.identify.record import Record, prepare_all
 from heli_lab.identify.results import (
     FreeRunErrors,
     Identification,
@@ -85,8 +85,8 @@ def identify(
     started_s = time.perf_counter()
     report = on_progress or (lambda _: None)
     report(FitProgress("finding the free flight", 0.0, 0.0))
-    records = _prepared(flights, rig, labels, "flight", start_s, stop_s)
-    held_out = _prepared(validation, rig, validation_labels, "validation", None, None)
+    records = prepare_all(flights, rig, labels, start_s=start_s, stop_s=stop_s)
+    held_out = prepare_all(validation, rig, validation_labels, "validation")
     if any(record is other or record.label == other.label for record in records for other in held_out):
         raise IdentifyError("a flight is both fitted and validated on", "give another flight to --validate")
     report(FitProgress("compiling the model, once for each", 0.05, 0.0))
@@ -99,18 +99,18 @@ def identify(
         on_progress=lambda p: report(FitProgress(p.stage, 0.1 + 0.7 * p.done, p.cost)),
     )
     report(FitProgress("checking", 0.85, fit.cost))
-    training_traces = tuple(trace(fit, index) for index in range(len(records)))
-    training = tuple(check(fit, index) for index in range(len(records)))
-    validation_traces: tuple[Trace, ...] = ()
-    validation_errors: tuple[FreeRunErrors, ...] = ()
-    if held_out:
-        held_out_fit = validate(fit, held_out)
-        validation_traces = tuple(trace(held_out_fit, index) for index in range(len(held_out)))
-        validation_errors = tuple(check(held_out_fit, index) for index in range(len(held_out)))
+    training_traces, training = _free_runs(fit)
+    validation_traces, validation_errors = _free_runs(validate(fit, held_out)) if held_out else ((), ())
     if not as_is:
         for flight in (*training_traces, *validation_traces):
             refuse_unexplained(flight)
     return Identification(fit, training, validation_errors, training_traces, validation_traces)
+
+
+def _free_runs(fit: Fit) -> tuple[tuple[Trace, ...], tuple[FreeRunErrors, ...]]:
+    """Free run of each flight of a fit, and its errors."""
+    flights = range(len(fit.problem.records))
+    return tuple(trace(fit, index) for index in flights), tuple(check(fit, index) for index in flights)
 
 
 def _start_values(problem: Problem) -> dict[str, float] | None:
@@ -120,29 +120,11 @@ def _start_values(problem: Problem) -> dict[str, float] | None:
     start = problem.parameter_vector.start
     initial_states = initial_state_guess(problem, start)
     for index, record in enumerate(problem.records):
-        evaluation = problem.evaluation(index, start, initial_states[index], derivatives=False)
+        residual = problem.residual(index, start, initial_states[index])
         with np.errstate(all="ignore"):
-            error_rad = np.sqrt(np.mean(evaluation.residual**2, axis=0)) * record.sigma_rad
+            error_rad = np.sqrt(np.mean(residual**2, axis=0)) * record.sigma_rad
         # An error that is not a number has diverged.
         if not np.all(error_rad < FAR_RAD):
             short_windows = problem.with_windows(SHORT_WINDOW_S)
             return solve(short_windows, budget=Budget(evaluations=30), fine=False).values
     return None
-
-
-def _prepared(
-    flights: Sequence[Flight | Record],
-    rig: Rig,
-    labels: Sequence[str] | None,
-    role: str,
-    start_s: float | None,
-    stop_s: float | None,
-) -> list[Record]:
-    """Prepare those flights that are not prepared yet; without labels, each is named by its `role` and
-    number.
-    """
-    names = labels if labels is not None else [f"{role} {number}" for number in range(1, len(flights) + 1)]
-    return [
-        flight if isinstance(flight, Record) else prepare(flight, rig, name, start_s=start_s, stop_s=stop_s)
-        for flight, name in zip(flights, names, strict=True)
-    ]

@@ -43,6 +43,11 @@ class Printed:
     per_si: float
     term: str
 
+    @property
+    def si_unit(self) -> str:
+        """Unit of the coefficient in rad, s and V of U+ and U-."""
+        return self.unit.replace("deg", "rad").removesuffix(" each")
+
 
 PRINTED: Final[tuple[Printed, ...]] = (
     Printed("P_7", 3, 6.61464, 0.1, "rad/s2", 1.0, "cos phi"),

@@ -7,19 +7,25 @@ import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from heli_host.declaration import Axes, State
+from heli_host.flight import Flight
+from heli_host.fly.plan import Plan, take_off
+from heli_host.fly.recorder import Recorder
+from heli_host.fly.runner import Progress
+from heli_host.heli import Heli
+from heli_host.log.reader import read_log
+from heli_host.published_gains import load_gains
+from heli_sim.bench.thrust_curve import ThrustCurve
+from heli_sim.plant import Plant
+from heli_sim.sil.world import SilWorld
 
-if TYPE_CHECKING:
-    from heli_host.flight import Flight
-    from heli_host.heli import Heli
-    from heli_sim.bench.thrust_curve import ThrustCurve
-    from heli_sim.plant import Plant
-    from heli_sim.sil.world import SilWorld
-
-    from heli_lab.paper.bench_tests import BenchTest
-    from heli_lab.paper.figures_flight import PaperFlight
+from heli_lab.paper.bench_tests import TABLE_DEG, THRUST_V, BenchTest
+from heli_lab.paper.figures_flight import PaperFlight, closed_loop_flight
+from heli_lab.paper.thrust import ThrustScale
+from heli_lab.simulated_board import connected, fly_and_read, world_of
 
 _BOOT_S = 0.5
 _SETTLE_S = 1.0
@@ -89,8 +95,6 @@ def board_on(plant: Plant, seed: int, elevation_deg: float) -> Iterator[tuple[He
     SilWorld
         Simulation of board and rig.
     """
-    from heli_lab.simulated_board import connected, world_of
-
     world = world_of(plant, seed)
     state = world.state
     state[0] = np.deg2rad(elevation_deg)
@@ -111,10 +115,6 @@ def run_bench_test(test: BenchTest, plant: Plant, seed: int = 1) -> Flight:
     seed : int
         Seed of the encoders' initial positions.
     """
-    from heli_host.declaration import Axes
-    from heli_host.fly.recorder import Recorder
-    from heli_host.log.reader import read_log
-
     powered = test.front_V > 0.0 or test.back_V > 0.0
     with board_on(plant, seed, test.elevation_deg) as (heli, world), tempfile.TemporaryDirectory() as folder:
         if powered:
@@ -153,12 +153,6 @@ def read_thrust(plant: Plant, seed: int = 1) -> ThrustCurve:
     seed : int
         Seed of the encoders' initial positions.
     """
-    from heli_host.declaration import Axes
-    from heli_sim.bench.thrust_curve import ThrustCurve
-
-    from heli_lab.paper.bench_tests import THRUST_V
-    from heli_lab.paper.thrust import ThrustScale
-
     scale = ThrustScale(plant)
     points = []
     with board_on(plant, seed, 0.0) as (heli, world):
@@ -196,15 +190,6 @@ def fly_plan(
     on_progress : callable, optional
         Called with the completed share of the flight, 0 to 1.
     """
-    from heli_host.declaration import State
-    from heli_host.fly.plan import Plan, take_off
-    from heli_host.fly.runner import Progress
-    from heli_host.published_gains import load_gains
-
-    from heli_lab.paper.bench_tests import TABLE_DEG
-    from heli_lab.paper.figures_flight import closed_loop_flight
-    from heli_lab.simulated_board import fly_and_read
-
     plan = Plan.parse(PLANS[name], f"plan {name}", name)
     length_s = plan.duration_s + plan.start.settle_s
 

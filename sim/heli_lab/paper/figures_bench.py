@@ -20,6 +20,7 @@ from heli_lab.paper.sensitivity import CASES, response_deg
 from heli_lab.paper.tables import TESTS_OF_TABLE, Table
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -31,7 +32,16 @@ _AXIS_OF_TABLE: Final = {3: "pitch", 4: "elevation", 5: "travel"}
 _FIGURE_OF_TABLE: Final = {3: "16", 4: "17", 5: "18"}
 _PANEL_SIZE: Final = (6.4, 3.4)
 _SINGLE_WINDOW_s: Final = 1000.0
-_FONT_SIZE: Final = 8
+FONT_SIZE: Final = 8
+
+
+def finish(panel: Axes, y_label: str, x_label: str = "", ncols: int = 1) -> None:
+    """Add the labels `y_label` and `x_label`, a grid, and a legend of `ncols` columns to a panel whose curves
+    are drawn.
+    """
+    panel.set(xlabel=x_label or panel.get_xlabel(), ylabel=y_label)
+    panel.grid(alpha=0.25)
+    panel.legend(fontsize=FONT_SIZE, ncols=ncols)
 
 
 def thrust_figure(curve: ThrustCurve) -> Figure:
@@ -42,27 +52,15 @@ def thrust_figure(curve: ThrustCurve) -> Figure:
     figure = Figure(figsize=(6.4, 4.2), layout="constrained")
     panel = figure.subplots()
     for index, (name, marker) in enumerate((("front", "o"), ("back", "x"))):
-        panel.plot(
-            curve.volts_V[:, index],
-            curve.thrust_N[:, index],
-            marker,
-            color=MEASURED_COLOUR,
-            mfc="none",
-            label=f"{name} motor, simulated scale",
-        )
+        volts, thrust_N = curve.volts_V[:, index], curve.thrust_N[:, index]
+        label = f"{name} motor, simulated scale"
+        panel.plot(volts, thrust_N, marker, color=MEASURED_COLOUR, mfc="none", label=label)
     volts = np.linspace(0.0, float(curve.volts_V.max()), 200)
+    fitted_N = np.maximum(0.0, line.gain_N_per_V * (volts - line.dead_zone_V))
     fitted = f"fit: F = {line.gain_N_per_V:.4f} (V - {line.dead_zone_V:.3f})"
-    panel.plot(
-        volts,
-        np.maximum(0.0, line.gain_N_per_V * (volts - line.dead_zone_V)),
-        color=MODEL_COLOUR,
-        label=fitted,
-    )
+    panel.plot(volts, fitted_N, color=MODEL_COLOUR, label=fitted)
     panel.plot(volts, 0.5839 * (volts - 1.0), "--", color=PRINTED_COLOUR, lw=1.0, label="(31) as printed")
-    panel.set_xlabel("voltage of the motor [V]")
-    panel.set_ylabel("thrust [N]")
-    panel.grid(alpha=0.25)
-    panel.legend(fontsize=_FONT_SIZE)
+    finish(panel, "thrust [N]", "voltage of the motor [V]")
     figure.suptitle("Thrust against voltage (after Fig. 15)")
     return figure
 
@@ -79,30 +77,17 @@ def bench_figure(table: Table, records: Sequence[Record], rig: Rig) -> Figure:
     for panel, test, record in zip(panels, tests, records, strict=True):
         run = _whole_run(table, record, rig)
         column = AXES.index(axis)
-        panel.plot(run.t_s, np.rad2deg(run.measured_rad[:, column]), color=MEASURED_COLOUR, label="measured")
-        panel.plot(
-            run.t_s,
-            np.rad2deg(run.predicted_rad[:, column]),
-            "--",
-            color=MODEL_COLOUR,
-            label="(30), identified",
-        )
+        measured_deg, predicted_deg = np.rad2deg(run.measured_rad), np.rad2deg(run.predicted_rad)
+        panel.plot(run.t_s, measured_deg[:, column], color=MEASURED_COLOUR, label="measured")
+        panel.plot(run.t_s, predicted_deg[:, column], "--", color=MODEL_COLOUR, label="(30), identified")
         if table.number == 5:
-            panel.plot(
-                run.t_s,
-                np.rad2deg(run.measured_rad[:, 1]),
-                color=GREY_COLOUR,
-                lw=0.8,
-                label="pitch, measured",
-            )
+            panel.plot(run.t_s, measured_deg[:, 1], color=GREY_COLOUR, lw=0.8, label="pitch, measured")
         error_deg = np.rad2deg(run.measured_rad[:, column] - run.predicted_rad[:, column])
         rms_deg = float(np.sqrt(np.mean(error_deg**2)))
         panel.set_title(
             f"{test.panel[3:]} {test.name}: error {rms_deg:.3f} deg rms over the whole run", fontsize=9
         )
-        panel.set_ylabel(f"{axis} angle [deg]")
-        panel.grid(alpha=0.25)
-        panel.legend(fontsize=_FONT_SIZE)
+        finish(panel, f"{axis} angle [deg]")
     panels[-1].set_xlabel("time [s]")
     figure.suptitle(
         f"Measured and simulated at the {axis} axis (after Fig. {_FIGURE_OF_TABLE[table.number]})"
@@ -126,10 +111,12 @@ def sensitivity_figure(rig: Rig) -> Figure:
         panel.plot(t_s, np.where(path_deg < 90.0, path_deg, np.nan), color=colour, lw=width, label=case.label)
     panel.set_ylim(-30.0, 60.0)
     panel.axhspan(rig["elevation_max"].value, 60.0, color="#eeeeee", label="beyond the upper stop")
-    panel.set_xlabel(f"time since the step to {test.front_V:g} V on each motor [s]")
-    panel.set_ylabel("elevation angle [deg]")
-    panel.grid(alpha=0.25)
-    panel.legend(fontsize=_FONT_SIZE, ncols=2)
+    finish(
+        panel,
+        "elevation angle [deg]",
+        f"time since the step to {test.front_V:g} V on each motor [s]",
+        ncols=2,
+    )
     figure.suptitle("Effect of parameter variations on the elevation dynamics (after Fig. 19)")
     return figure
 

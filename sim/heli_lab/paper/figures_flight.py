@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from heli_host.arrays import Floats
 from heli_host.flight import Flight
+from heli_host.flight.response import rms
 from heli_sim.model.parts import AXES
 
 from heli_lab.errors import IdentifyError
-from heli_lab.paper.figures_bench import GREY_COLOUR, MEASURED_COLOUR, MODEL_COLOUR, PRINTED_COLOUR
+from heli_lab.paper.figures_bench import (
+    GREY_COLOUR,
+    MEASURED_COLOUR,
+    MODEL_COLOUR,
+    PRINTED_COLOUR,
+    finish,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +27,7 @@ if TYPE_CHECKING:
 
 
 _COLOURS: Final = (PRINTED_COLOUR, MODEL_COLOUR)
-_WIDTH, _HEIGHT, _FONT_SIZE = 7.0, 2.7, 8
+_WIDTH, _HEIGHT = 7.0, 2.7
 _END_S: Final = 0.1
 """Time that is left out at the end [s]: a streamed path arrives late on the board, and the landing begins."""
 
@@ -49,8 +56,7 @@ class PaperFlight:
     @property
     def error_deg(self) -> Floats:
         """Measured minus desired angles [deg], shape (n, 3)."""
-        result: Floats = np.rad2deg(self.flight.angles_rad) - self.desired_deg
-        return result
+        return np.rad2deg(self.flight.angles_rad) - self.desired_deg
 
 
 def closed_loop_flight(label: str, flight: Flight, desired_deg: Floats, outcome: str) -> PaperFlight:
@@ -85,14 +91,7 @@ def closed_loop_flight(label: str, flight: Flight, desired_deg: Floats, outcome:
     is_closed_loop = (flight.t_s >= start_s) & (flight.t_s < stop_s)
     closed_loop_desired_deg = desired_deg[is_closed_loop].copy()
     closed_loop_desired_deg[:, 1] = np.rad2deg(flight.setpoints_rad[is_closed_loop, 1])
-    zero_based = Flight(
-        closed_loop.t_s - start_s,
-        closed_loop.front_V,
-        closed_loop.back_V,
-        closed_loop.elevation_rad,
-        closed_loop.pitch_rad,
-        closed_loop.travel_rad,
-    )
+    zero_based = replace(closed_loop, t_s=closed_loop.t_s - start_s)
     return PaperFlight(label, zero_based, closed_loop_desired_deg, outcome)
 
 
@@ -122,18 +121,13 @@ def performance_figure(flights: Sequence[PaperFlight], path: str, number: int) -
     )
     for letter, panel, axis in zip("ab", panels, (2, 0), strict=True):
         for flight, colour in zip(flights, _COLOURS, strict=False):
-            error_deg = flight.error_deg[:, axis]
             is_airborne = flight.flight.t_s > take_off_end_s(flight)
-            rms_deg = (
-                float(np.sqrt(np.mean(error_deg[is_airborne] ** 2))) if is_airborne.any() else float("nan")
-            )
-            label = f"{flight.label}: {rms_deg:.2f} deg rms"
-            panel.plot(
-                flight.flight.t_s[is_airborne], error_deg[is_airborne], color=colour, lw=0.9, label=label
-            )
+            t_s, error_deg = flight.flight.t_s[is_airborne], flight.error_deg[is_airborne, axis]
+            label = f"{flight.label}: {rms(error_deg):.2f} deg rms"
+            panel.plot(t_s, error_deg, color=colour, lw=0.9, label=label)
         panel.axhline(0.0, color=GREY_COLOUR, lw=0.8)
         panel.set_title(f"({letter}) {AXES[axis]}", fontsize=9)
-        _finish(panel, "error [deg]")
+        finish(panel, "error [deg]")
     return figure
 
 
@@ -163,12 +157,6 @@ def _panels(count: int, title: str, note: str = "") -> tuple[Figure, list[Axes]]
     return figure, panels
 
 
-def _finish(panel: Axes, label: str) -> None:
-    panel.set_ylabel(label)
-    panel.grid(alpha=0.25)
-    panel.legend(fontsize=_FONT_SIZE, loc="best")
-
-
 def _response(panel: Axes, flights: Sequence[PaperFlight], axis: int, *, desired: bool) -> None:
     """Draw one angle of all flights over time; with `desired`, also its setpoint."""
     if desired:
@@ -177,14 +165,11 @@ def _response(panel: Axes, flights: Sequence[PaperFlight], axis: int, *, desired
             first.flight.t_s, first.desired_deg[:, axis], "--", c=MEASURED_COLOUR, lw=1.0, label="desired"
         )
     for flight, colour in zip(flights, _COLOURS, strict=False):
-        label = (
-            flight.label
-            if flight.outcome == "completed"
-            else f"{flight.label}: {flight.outcome.split(';')[0]}"
-        )
+        fault = "" if flight.outcome == "completed" else f": {flight.outcome.split(';')[0]}"
+        label = f"{flight.label}{fault}"
         angle_deg = np.rad2deg(flight.flight.angles_rad[:, axis])
         panel.plot(flight.flight.t_s, angle_deg, color=colour, lw=0.9, label=label)
         if axis == 1:
             label = f"{flight.label}, setpoint"
             panel.plot(flight.flight.t_s, flight.desired_deg[:, 1], ":", color=colour, lw=0.7, label=label)
-    _finish(panel, f"{AXES[axis]} [deg]")
+    finish(panel, f"{AXES[axis]} [deg]")

@@ -8,7 +8,6 @@ voltages must stay above it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final
 
 import casadi as ca
 from heli_sim.model.base import Effect, Model, Operands
@@ -17,18 +16,9 @@ from typing_extensions import override
 
 from heli_lab.paper.coefficients import PRINTED
 
-_UNITS: Final = {
-    "P_4": "1/s",
-    "P_9": "1/s",
-    "P_12": "1/s",
-    "P_13": "1/rad",
-    "P_16": "1/rad",
-    **dict.fromkeys(("P_6", "P_11", "P_17", "P_18"), "rad/s2/V"),
-}
-
 
 class Coefficients(Effect):
-    """Coefficients P_1 to P_18 as parameters, in rad, s and V of U+ and U-.
+    """Coefficients P_1 to P_18 of the paper's equations (30) as parameters, in rad, s and V of U+ and U-.
 
     Parameters
     ----------
@@ -42,12 +32,8 @@ class Coefficients(Effect):
         super().__init__(
             "coefficients",
             parameters=tuple(
-                Quantity(
-                    coefficient.name,
-                    _UNITS.get(coefficient.name, "rad/s2"),
-                    f"factor of {coefficient.term} in (30)",
-                )
-                for coefficient in PRINTED
+                Quantity(printed.name, printed.si_unit, f"factor of {printed.term} in (30)")
+                for printed in PRINTED
             ),
             values=dict(values),
             priors={name: Prior(values[name], std) for name, std in prior_std.items()},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 from heli_sim.bench.thrust_curve import Line
@@ -67,8 +67,8 @@ class RigRow:
     printed: float | None
     value: float
     tolerance: float
-    estimate: float | None
-    half: float | None
+    estimate: float | None = None
+    half: float | None = None
     note: str = ""
 
 
@@ -163,17 +163,8 @@ def _inertia_rows(rig: Rig) -> list[RigRow]:
         "J_psi": "(29)",
     }
     return [
-        RigRow(
-            name,
-            "kg m2",
-            printed=PRINTED_TABLE_2[name],
-            value=inertia_kg_m2[name],
-            tolerance=0.0,
-            estimate=None,
-            half=None,
-            note=notes[name],
-        )
-        for name in inertia_kg_m2
+        RigRow(name, "kg m2", printed=PRINTED_TABLE_2[name], value=value, tolerance=0.0, note=notes[name])
+        for name, value in inertia_kg_m2.items()
     ]
 
 
@@ -193,20 +184,12 @@ def _is_excited(name: str, tests: Sequence[BenchTest]) -> bool:
 
 def _parameter_row(name: str, rig: Rig, estimates: Mapping[str, _ParameterEstimate]) -> RigRow:
     """Return the row of a parameter; without an estimate if its interval is not far below its tolerance."""
-    parameter = rig[name]
-    notes = ["printed as a second L_h"] if name == "L_b" else []
-    estimate = estimates.get(name)
-    if estimate is not None and estimate.half_interval >= _IDENTIFIED * parameter.tolerance:
-        estimate = None
-    if estimate is not None:
-        notes.append(estimate.source)
-    return RigRow(
-        name,
-        parameter.unit,
-        printed=PRINTED_TABLE_2.get(name),
-        value=parameter.value,
-        tolerance=parameter.tolerance,
-        estimate=estimate.value if estimate is not None else None,
-        half=estimate.half_interval if estimate is not None else None,
-        note=", ".join(notes),
+    parameter, estimate = rig[name], estimates.get(name)
+    note = "printed as a second L_h" if name == "L_b" else ""
+    row = RigRow(
+        name, parameter.unit, PRINTED_TABLE_2.get(name), parameter.value, parameter.tolerance, note=note
     )
+    if estimate is None or estimate.half_interval >= _IDENTIFIED * parameter.tolerance:
+        return row
+    notes = ", ".join(filter(None, (note, estimate.source)))
+    return replace(row, estimate=estimate.value, half=estimate.half_interval, note=notes)

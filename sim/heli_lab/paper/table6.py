@@ -92,9 +92,8 @@ def verdicts(model: Model, rig: Rig) -> list[LoopVerdict]:
         law = _TiltGains.of(gains, plant.pitch_per_unit(reading), derivative)
         closed_loop = plant.closed(law, 0.0)
         dominant = _dominant_pole(closed_loop)
-        peak_deg, settling_time_s = (
-            _travel_step_metrics(closed_loop) if dominant.real < 0.0 else (math.inf, math.inf)
-        )
+        stable = dominant.real < 0.0
+        peak_deg, settling_time_s = _travel_step_metrics(closed_loop) if stable else (math.inf, math.inf)
         results.append(
             LoopVerdict(
                 gains,
@@ -102,7 +101,7 @@ def verdicts(model: Model, rig: Rig) -> list[LoopVerdict]:
                 derivative,
                 growth_1_per_s=float(dominant.real),
                 period_s=2.0 * math.pi / abs(dominant.imag) if abs(dominant.imag) > 1e-9 else math.inf,
-                lag_s=_max_stable_lag_s(plant, law) if dominant.real < 0.0 else 0.0,
+                lag_s=_max_stable_lag_s(plant, law) if stable else 0.0,
                 peak_deg=peak_deg,
                 settling_time_s=settling_time_s,
             )
@@ -114,12 +113,12 @@ def verdicts(model: Model, rig: Rig) -> list[LoopVerdict]:
 class _TiltGains:
     """Gains kp, ki, kd of pitch [V/rad] and travel [rad/rad], shape (3,) each.
 
-    With `of_error`, the pitch loop differentiates its error, otherwise the measured pitch.
+    The pitch loop differentiates its error if `differentiates_error`, otherwise the measured pitch.
     """
 
     pitch: Floats
     travel: Floats
-    of_error: bool
+    differentiates_error: bool
 
     @staticmethod
     def of(gains: str, pitch_per_unit: float, derivative: Derivative) -> _TiltGains:
@@ -164,27 +163,25 @@ class _TiltPlant:
         Its states are the plant's four, the integrals of travel and of the pitch error, and the lagging
         U-.
         """
+        # Each signal is a row, shape (7,): its derivatives by the states.
+        pitch, travel, pitch_rate, travel_rate, travel_integral, error_integral, lagging = np.eye(7)
         kp, ki, kd = law.travel
-        unit_rows = np.eye(7)
-
-        setpoint = -(kp * unit_rows[1] + ki * unit_rows[4] + kd * unit_rows[3])
-        error = setpoint - unit_rows[0]
+        pitch_kp, pitch_ki, pitch_kd = law.pitch
+        error = -(kp * travel + ki * travel_integral + kd * travel_rate) - pitch
         A = np.zeros((7, 7))
         A[:4, :4], A[:4, 6] = self.A, self.B
-        A[4], A[5] = unit_rows[1], error
-        differential_V = law.pitch[0] * error + law.pitch[1] * unit_rows[5] - law.pitch[2] * unit_rows[2]
+        A[4], A[5] = travel, error
+        output_V = pitch_kp * error + pitch_ki * error_integral - pitch_kd * pitch_rate
         feedthrough = 0.0
-        if law.of_error:
+        if law.differentiates_error:
             # The rate of the setpoint contains the travel acceleration, A[3], which depends on thrust.
-            differential_V = differential_V - law.pitch[2] * (
-                kp * unit_rows[3] + ki * unit_rows[1] + kd * A[3]
-            )
-            feedthrough = float(differential_V[6])
+            output_V = output_V - pitch_kd * (kp * travel_rate + ki * travel + kd * A[3])
+            feedthrough = float(output_V[6])
         if lag_s > 0.0:
-            A[6] = (differential_V - unit_rows[6]) / lag_s
+            A[6] = (output_V - lagging) / lag_s
             return A
         # Without lag, U- equals the control output, which may depend on U- itself: solve for it.
-        state_feedback_V = (differential_V - feedthrough * unit_rows[6])[:6] / (1.0 - feedthrough)
+        state_feedback_V = (output_V - feedthrough * lagging)[:6] / (1.0 - feedthrough)
         return A[:6, :6] + np.outer(A[:6, 6], state_feedback_V)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -22,7 +22,7 @@ from heli_lab.identify.record import Record
 from heli_lab.identify.results import check
 from heli_lab.identify.shooting import solve
 from heli_lab.paper.bench_tests import ELEVATION_STEPS, PITCH_RELEASES, TRAVEL_STEPS, BenchTest
-from heli_lab.paper.coefficients import PRINTED, analytic
+from heli_lab.paper.coefficients import PRINTED, Printed, analytic
 from heli_lab.paper.lumped import Coefficients, LumpedModel
 
 _PRIOR_STD: Final = {
@@ -177,8 +177,8 @@ def fit_table(
         window_s=WINDOW_S,
     )
     fit = solve(problem, on_progress=lambda p: on_progress(p.done) if on_progress is not None else None)
-    rows = [*_printed_rows(number, plan, fit, from_masses), *_extra_rows(number, fit, from_masses)]
-    return Table(number, tuple(rows), free_axes_normalised(fit, locked), fit)
+    rows = tuple(_table_rows(number, fit, from_masses))
+    return Table(number, rows, free_axes_normalised(fit, locked), fit)
 
 
 def free_axes_normalised(fit: Fit, locked: tuple[bool, bool, bool]) -> float:
@@ -190,60 +190,56 @@ def free_axes_normalised(fit: Fit, locked: tuple[bool, bool, bool]) -> float:
         Whether elevation, pitch and travel are locked.
     """
     free_axes = [axis for axis, is_locked in zip(AXES, locked, strict=True) if not is_locked]
-    checks_by_flight = [check(fit, index) for index in range(len(fit.problem.records))]
-    return math.sqrt(
-        float(
-            np.mean([check_.axis_normalised[axis] ** 2 for check_ in checks_by_flight for axis in free_axes])
-        )
-    )
+    flights = [check(fit, index) for index in range(len(fit.problem.records))]
+    squares = [flight.axis_normalised[axis] ** 2 for flight in flights for axis in free_axes]
+    return math.sqrt(float(np.mean(squares)))
 
 
-def _printed_rows(number: int, plan: _FitPlan, fit: Fit, from_masses: Mapping[str, float]) -> list[TableRow]:
-    """Return the rows of the coefficients that a table of the paper prints."""
-    rows = []
-    for coefficient in PRINTED:
-        if coefficient.table != number:
-            continue
-        value = half = None
-        if coefficient.name not in plan.unidentified:
-            value, half = _estimate_and_interval(fit, coefficient.name, coefficient.per_si)
-        rows.append(
-            TableRow(
-                coefficient.name,
-                coefficient.unit,
-                printed=coefficient.value,
-                tolerance=coefficient.tolerance,
-                analytic=coefficient.per_si * from_masses[coefficient.name],
-                estimate=value,
-                half=half,
-                note=plan.unidentified.get(coefficient.name, ""),
-            )
-        )
+def _table_rows(number: int, fit: Fit, from_masses: Mapping[str, float]) -> list[TableRow]:
+    """Return the rows of the coefficients that a table of the paper prints, then those of identifiable
+    combinations, and of P_11, which Table 3 prints but Table 5 fits.
+    """
+    unidentified = _PLANS[number].unidentified
+    rows = [
+        _coefficient_row(printed, None if printed.name in unidentified else fit, from_masses)
+        for printed in PRINTED
+        if printed.table == number
+    ]
+    rows = [replace(row, note=unidentified.get(row.name, "")) for row in rows]
+    if number == 4:
+        rows.append(_elevation_constant_row(fit, from_masses))
+    if number == 5:
+        rows += [_sine_factor_row(test, fit, from_masses) for test in TRAVEL_STEPS]
+        p_11 = _coefficient_row(_PRINTED_BY_NAME["P_11"], fit, from_masses)
+        rows.append(replace(p_11, note="of Table 3; here the motors run"))
     return rows
 
 
-def _extra_rows(number: int, fit: Fit, from_masses: Mapping[str, float]) -> list[TableRow]:
-    """Return the rows of identifiable combinations, and of P_11, which Table 3 prints but Table 5 fits."""
-    if number == 4:
-        return [_elevation_constant_row(fit, from_masses)]
-    if number == 5:
-        sine_rows = [_sine_factor_row(test, fit, from_masses) for test in TRAVEL_STEPS]
-        return [*sine_rows, _pitch_gain_row(fit, from_masses)]
-    return []
+def _coefficient_row(printed: Printed, fit: Fit | None, from_masses: Mapping[str, float]) -> TableRow:
+    """Return the row of a coefficient; without a `fit` that identifies it, it has no estimate."""
+    estimate, half = (
+        (None, None) if fit is None else _estimate_and_interval(fit, printed.name, printed.per_si)
+    )
+    return TableRow(
+        printed.name,
+        printed.unit,
+        printed=printed.value,
+        tolerance=printed.tolerance,
+        analytic=printed.per_si * from_masses[printed.name],
+        estimate=estimate,
+        half=half,
+    )
 
 
 def _elevation_constant_row(fit: Fit, from_masses: Mapping[str, float]) -> TableRow:
     """Return the row of P_1 + P_5, which are indistinguishable while pitch is locked at 0."""
     p_1, p_5 = _PRINTED_BY_NAME["P_1"], _PRINTED_BY_NAME["P_5"]
-    estimate, half = _estimate_and_interval(fit, "P_1", p_1.per_si)
-    return TableRow(
-        "P_1 + P_5",
-        p_1.unit,
+    return replace(
+        _coefficient_row(p_1, fit, from_masses),
+        name="P_1 + P_5",
         printed=p_1.value + p_5.value,
         tolerance=math.hypot(p_1.tolerance, p_5.tolerance),
         analytic=p_1.per_si * (from_masses["P_1"] + from_masses["P_5"]),
-        estimate=estimate,
-        half=half,
     )
 
 
@@ -260,22 +256,6 @@ def _sine_factor_row(test: BenchTest, fit: Fit, from_masses: Mapping[str, float]
         estimate=estimate,
         half=half,
         note="P_15 + P_17 U+ + P_18 U-",
-    )
-
-
-def _pitch_gain_row(fit: Fit, from_masses: Mapping[str, float]) -> TableRow:
-    """Return the row of P_11 as the travel steps identify it."""
-    p_11 = _PRINTED_BY_NAME["P_11"]
-    estimate, half = _estimate_and_interval(fit, "P_11", p_11.per_si)
-    return TableRow(
-        "P_11",
-        p_11.unit,
-        printed=p_11.value,
-        tolerance=p_11.tolerance,
-        analytic=p_11.per_si * from_masses["P_11"],
-        estimate=estimate,
-        half=half,
-        note="of Table 3; here the motors run",
     )
 
 

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 from heli_host.arrays import Floats
 from heli_sim.bench.thrust_curve import SCALE_N
-from heli_sim.model.parts import thrust_N
 from heli_sim.plant import Plant
 
 
@@ -22,20 +20,8 @@ class ThrustScale:
         """
         model = plant.model
         x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
-        operands = model.operands(x, u, ca.SX(model.parameter_values(plant.rig)))
-        for effect in model.effects:
-            operands = replace(
-                operands, parameter={**operands.parameter, **effect.modified_parameters(operands)}
-            )
-        for effect in model.effects:
-            operands = replace(operands, volts_V=effect.voltage_V(operands, operands.volts_V))
-        parameter = operands.parameter
-        thrust = thrust_N(
-            operands.volts_V, parameter["thrust_gain"], parameter["dead_zone"], parameter["reverse_thrust"]
-        )
-        for effect in model.effects:
-            thrust = effect.thrust_N(replace(operands, thrust_N=thrust), thrust)
-        self._thrust_N = ca.Function("thrust_N", [x, u], [thrust])
+        driven = model.driven(x, u, ca.SX(model.parameter_values(plant.rig)))
+        self._thrust_N = ca.Function("thrust_N", [x, u], [driven.thrust_N])
 
     def read_N(self, state: Floats, volts_V: Sequence[float]) -> Floats:
         """Return the thrust of the front and the back rotor [N], shape (2,), rounded to the resolution.
@@ -48,5 +34,4 @@ class ThrustScale:
             Front and back voltage at the motors [V].
         """
         exact = np.asarray(self._thrust_N(state, np.asarray(volts_V))).ravel()
-        result: Floats = np.round(exact / SCALE_N) * SCALE_N
-        return result
+        return np.round(exact / SCALE_N) * SCALE_N

@@ -61,9 +61,7 @@ class RigPopulation:
         std : float
             Its standard deviation.
         """
-        estimates = [
-            diagnosis.parameters[name] for diagnosis in self.diagnoses if name in diagnosis.parameters
-        ]
+        estimates = _estimates(self.diagnoses, name)
         if not estimates:
             return prior.value, prior.std
         k = len(estimates)
@@ -133,21 +131,24 @@ def pool(diagnoses: Sequence[RigDiagnosis]) -> RigPopulation:
     _check_diagnoses(diagnoses)
     parameters = {}
     for name in dict.fromkeys(name for diagnosis in diagnoses for name in diagnosis.parameters):
-        estimates = [diagnosis.parameters[name] for diagnosis in diagnoses if name in diagnosis.parameters]
-        parameters[name] = der_simonian_laird(
-            [estimate.value for estimate in estimates], [estimate.std for estimate in estimates]
-        )
+        estimates = _estimates(diagnoses, name)
+        parameters[name] = der_simonian_laird([e.value for e in estimates], [e.std for e in estimates])
     causes = {}
     for id_ in dict.fromkeys(id_ for diagnosis in diagnoses for id_ in diagnosis.causes):
-        present = detectable = 0
-        for diagnosis in diagnoses:
-            is_present = diagnosis.causes.get(id_, 0.0) >= MIN_CAUSE_CONFIDENCE
-            present += is_present
-            detectable += is_present or id_ not in diagnosis.undetectable
+        present = [diagnosis.causes.get(id_, 0.0) >= MIN_CAUSE_CONFIDENCE for diagnosis in diagnoses]
+        detectable = sum(
+            is_present or id_ not in diagnosis.undetectable
+            for is_present, diagnosis in zip(present, diagnoses, strict=True)
+        )
         if detectable:
-            causes[id_] = share(present, detectable)
+            causes[id_] = share(sum(present), detectable)
     ordered = dict(sorted(causes.items(), key=lambda item: -item[1].share))
     return RigPopulation(tuple(diagnoses), parameters, ordered)
+
+
+def _estimates(diagnoses: Sequence[RigDiagnosis], name: str) -> list[ParameterEstimate]:
+    """Estimates of the parameter `name`, one for each rig whose flights are informative about it."""
+    return [diagnosis.parameters[name] for diagnosis in diagnoses if name in diagnosis.parameters]
 
 
 def _check_diagnoses(diagnoses: Sequence[RigDiagnosis]) -> None:
@@ -165,9 +166,7 @@ def _check_diagnoses(diagnoses: Sequence[RigDiagnosis]) -> None:
             )
     types = {(diagnosis.rig, diagnosis.model) for diagnosis in diagnoses}
     if len(types) > 1:
-        rigs = "; ".join(
-            f"{diagnosis.label}: rig {diagnosis.rig}, model {diagnosis.model}" for diagnosis in diagnoses
-        )
+        rigs = "; ".join(f"{each.label}: rig {each.rig}, model {each.model}" for each in diagnoses)
         raise PoolError(
             f"the rigs are not of one type: {rigs}", "diagnose all rigs with the same --rig and --model"
         )

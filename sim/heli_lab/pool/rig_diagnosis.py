@@ -73,14 +73,13 @@ def read_rig_diagnosis(path: Path) -> RigDiagnosis:
     PoolError
         When the file cannot be read, or is not a diagnosis with parameters of a rig.
     """
+    remedy = "give files of heli-host diagnose --json"
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        return _rig_diagnosis(path, json.loads(path.read_text(encoding="utf-8")))
     except OSError as error:
-        raise PoolError(f"{path}: {error.strerror}", "give files of heli-host diagnose --json") from None
-    except ValueError:
-        raise PoolError(f"{path} is not JSON", "give files of heli-host diagnose --json") from None
-    try:
-        return _rig_diagnosis(path, content)
+        raise PoolError(f"{path}: {error.strerror}", remedy) from None
+    except (json.JSONDecodeError, UnicodeDecodeError):
+        raise PoolError(f"{path} is not JSON", remedy) from None
     except (KeyError, TypeError, AttributeError, ValueError):
         raise PoolError(
             f"{path} is not a diagnosis with parameters of a rig",
@@ -90,26 +89,21 @@ def read_rig_diagnosis(path: Path) -> RigDiagnosis:
 
 def _rig_diagnosis(path: Path, content: Mapping[str, Any]) -> RigDiagnosis:
     """Convert the `content` of the file at `path`; other content raises one of the errors of Python."""
-    parameters, priors = {}, {}
-    for name, entry in content["rig"]["numbers"].items():
-        prior = ParameterEstimate(
-            float(entry["prior"]["value"]), float(entry["prior"]["std"]), str(entry["unit"])
-        )
-        priors[name] = prior
+    parameters, priors, rig = {}, {}, content["rig"]
+    for name, entry in rig["numbers"].items():
+        prior_value, prior_std = float(entry["prior"]["value"]), float(entry["prior"]["std"])
+        priors[name] = prior = ParameterEstimate(prior_value, prior_std, str(entry["unit"]))
         from_flights = without_prior(float(entry["value"]), float(entry["std"]), prior)
         if from_flights is not None:
             parameters[name] = from_flights
-    causes = {str(cause["effect"]): float(cause["confidence"]) for cause in content["causes"]}
-    rig = content["rig"]
-    undetectable = tuple(map(str, content["undetectable"]))
     return RigDiagnosis(
         label=path.stem,
         rig=str(rig["name"]),
         model=str(rig["model"]),
         parameters=parameters,
         priors=priors,
-        causes=causes,
-        undetectable=undetectable,
+        causes={str(cause["effect"]): float(cause["confidence"]) for cause in content["causes"]},
+        undetectable=tuple(map(str, content["undetectable"])),
     )
 
 

@@ -1,7 +1,5 @@
 """Design gains of the board's control law for a rig."""
 
-from __future__ import annotations
-
 from heli_lab.tune.design import Design, find_gains
 from heli_lab.tune.gains import cascade_gains_of
 from heli_lab.tune.loops import LOOPS, CascadeGains, Margin, Pid, is_stable, margins

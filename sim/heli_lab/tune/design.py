@@ -57,6 +57,9 @@ _MAX_TRAVEL_DEG_S2: Final = 4.5
 _FILTERS_Hz: Final = (6.0, 16.0, 3.0)
 """Cut-offs of the rate filters of elevation, pitch and travel, set by quantisation noise: the rate of travel
 has the largest gain, pitch the fastest loop."""
+_TAKE_OFF_TIME_s, _STEP_TIME_s = 8.0, 10.0
+"""Length of the simulated take-off and of the simulated travel step."""
+_UNIT_GAIN, _NO_GAIN = Pid(1.0, 0.0, 0.0, 1.0), Pid(0.0, 0.0, 0.0, 1.0)
 _PARAMETERS: Final = {spec.name: spec for spec in PARAMS}
 
 
@@ -158,15 +161,50 @@ def _rig_parameters(rig: Rig) -> dict[str, float]:
 
 def _law_parameters(law: CascadeGains) -> dict[str, float]:
     """Gains and filters of the `law`, by the board's names and in its units."""
-    in_degrees = {"elevation": law.elevation, "pitch": law.pitch}
     values: dict[str, float] = {}
-    for axis, pid in in_degrees.items():
+    for axis, pid in (("elevation", law.elevation), ("pitch", law.pitch), ("travel", law.travel)):
         for name, gain in (("kp", pid.kp), ("ki", pid.ki), ("kd", pid.kd)):
-            values[f"{axis}_{name}"] = float(np.radians(gain))
+            # The board takes V per degree, and for travel degrees per degree.
+            values[f"{axis}_{name}"] = gain if axis == "travel" else float(np.radians(gain))
         values[f"{axis}_filter_Hz"] = pid.filter_Hz
-    travel = law.travel
-    values |= {"travel_kp": travel.kp, "travel_ki": travel.ki, "travel_kd": travel.kd}
-    return values | {"travel_filter_Hz": travel.filter_Hz}
+    return values
+
+
+@dataclass(frozen=True)
+class _TakeOff:
+    """Take-off by which the elevation gains are evaluated.
+
+    Parameters
+    ----------
+    plants : sequence of LinearPlant
+        The rig at each lag, then the corners of its spread.
+    path_deg : ndarray (n, 3)
+        Setpoint with its first and second derivative, in degrees and seconds.
+    feedforward : ndarray (n,)
+        Feed-forward of hover voltage and acceleration [V deg/rad].
+    """
+
+    plants: Sequence[LinearPlant]
+    path_deg: Floats
+    feedforward: Floats
+
+    def error_deg(self, pid: Pid, closed: Floats) -> Floats:
+        """Error of the elevation on every plant, shape (n, plants) [deg], in loops with the state matrices
+        `closed`, shape (plants, 6, 6), from `loops.elevation_closed`.
+        """
+        nominal_V = self.plants[0].hover_V
+        # Inputs: the collective, the setpoint, and a constant.
+        input_matrices = np.zeros((len(self.plants), 6, 3))
+        for index, plant in enumerate(self.plants):
+            input_matrices[index, :3, 0] = plant.elevation_B
+            # A plant needs another hover voltage than the nominal one that is fed forward.
+            input_matrices[index, 1, 2] = np.degrees((nominal_V - plant.hover_V) * plant.elevation_gain)
+        # The integral of the error.
+        input_matrices[:, 5, 1] = 1.0
+        setpoint, rate = self.path_deg[:, 0], self.path_deg[:, 1]
+        collective = self.feedforward + pid.kp * setpoint + pid.kd * rate
+        inputs = np.column_stack((collective, setpoint, np.ones(len(setpoint))))
+        return discretise(closed, input_matrices).simulate(inputs)[:, :, 0] - self.path_deg[:, :1]
 
 
 def _design_elevation(
@@ -181,23 +219,10 @@ def _design_elevation(
     spare_V = min(nominal.hover_V, _lift_max_V(rig) - nominal.hover_V)
     acceleration_deg_s2 = min(_MAX_ELEVATION_DEG_S2, float(np.degrees(_COLLECTIVE_SHARE * spare_V * gain)))
     rise_deg = -rig["elevation_min"].value
-    path = shaped_step(rise_deg, ELEVATION_SLEW_DEG_S, acceleration_deg_s2, 8.0, SIMULATION_STEP_s)
-    forward_V = slope_V_rad * path[:, 0] + acceleration_ff * path[:, 2]
-    # The other plants need another hover voltage than the nominal one that is fed forward.
-    hover_error_deg_s2 = np.degrees(
-        [(nominal.hover_V - plant.hover_V) * plant.elevation_gain for plant in plants]
+    path_deg = shaped_step(
+        rise_deg, ELEVATION_SLEW_DEG_S, acceleration_deg_s2, _TAKE_OFF_TIME_s, SIMULATION_STEP_s
     )
-
-    def error_deg(pid: Pid, closed: Floats) -> Floats:
-        """Error of the elevation along the take-off on every plant, shape (times, plants) [deg]."""
-        input_matrices = np.zeros((len(plants), 6, 3))
-        for index, plant in enumerate(plants):
-            input_matrices[index, :3, 0] = plant.elevation_B
-            input_matrices[index, 1, 2] = hover_error_deg_s2[index]
-        input_matrices[:, 5, 1] = 1.0
-        feedforward_V = forward_V + pid.kp * path[:, 0] + pid.kd * path[:, 1]
-        inputs = np.column_stack((feedforward_V, path[:, 0], np.ones(len(path))))
-        return discretise(closed, input_matrices).simulate(inputs)[:, :, 0] - path[:, :1]
+    take_off = _TakeOff(plants, path_deg, slope_V_rad * path_deg[:, 0] + acceleration_ff * path_deg[:, 2])
 
     def cost(gains: Floats) -> float:
         """Cost of the elevation loop's gains kp, ki and kd, shape (3,)."""
@@ -206,14 +231,15 @@ def _design_elevation(
         pole_1_s = slowest_pole_1_s(closed)
         if pole_1_s > -MIN_DECAY_1_s:
             return UNSTABLE_COST + pole_1_s
-        response = pid.response(loops.FREQUENCY_rad_s)
-        peak = loops.peak_sensitivity(response * plant_responses)
-        return log_cost(np.mean(error_deg(pid, closed) ** 2, axis=0), nominal_count) + bound_penalty(
-            peak, sensitivity
-        )
+        peak = loops.peak_sensitivity(pid.response(loops.FREQUENCY_rad_s) * plant_responses)
+        squares_deg2 = np.mean(take_off.error_deg(pid, closed) ** 2, axis=0)
+        return log_cost(squares_deg2, nominal_count) + bound_penalty(peak, sensitivity)
 
-    unit = CascadeGains(Pid(1.0, 0.0, 0.0, 1.0), Pid(0.0, 0.0, 0.0, 1.0), Pid(0.0, 0.0, 0.0, 1.0))
+    # With unit gains, the loop is the response of elevation to the collective.
+    unit = CascadeGains(_UNIT_GAIN, _NO_GAIN, _NO_GAIN)
     plant_responses = np.array([loops.open_loops(plant, unit)["elevation"] for plant in plants])
+    # At this frequency, the loop gain of a double integrator is 1 by the derivative action, 0.5 by the
+    # proportional and 0.1 by the integral action.
     crossover = initial_crossover_rad_s(plants)
     start = np.array([0.5 * crossover**2, 0.1 * crossover**3, crossover]) / gain
     pid = _pid(minimise_positive(cost, start), _FILTERS_Hz[0])
@@ -254,12 +280,14 @@ def _design_tilt(rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensit
     # Masses below the pitch axis pull a tilt back. The feed-forward holds the tilt instead.
     pitch_hold = -float(nominal.tilt_A[2, 0]) / nominal.pitch_gain
     acceleration_deg_s2 = min(_MAX_TRAVEL_DEG_S2, _PITCH_SHARE * PITCH_SETPOINT_MAX_DEG * nominal.travel_gain)
-    path = shaped_step(TRAVEL_STEP_DEG, TRAVEL_SLEW_DEG_S, acceleration_deg_s2, 10.0, SIMULATION_STEP_s)
+    path = shaped_step(
+        TRAVEL_STEP_DEG, TRAVEL_SLEW_DEG_S, acceleration_deg_s2, _STEP_TIME_s, SIMULATION_STEP_s
+    )
     arrival_row = round(2.0 * np.sqrt(TRAVEL_STEP_DEG / acceleration_deg_s2) / SIMULATION_STEP_s)
     travel_step = TravelStep(plants, pitch_hold, path, arrival_row, constant_loads_deg_s2(rig, spread))
     differential_max_V = _differential_max_V(rig, nominal.hover_V)
     # With unit gains, the loops are the responses of pitch and travel to the differential.
-    unit = CascadeGains(Pid(0.0, 0.0, 0.0, 1.0), Pid(1.0, 0.0, 0.0, 1.0), Pid(1.0, 0.0, 0.0, 1.0))
+    unit = CascadeGains(_NO_GAIN, _UNIT_GAIN, _UNIT_GAIN)
     plant_responses = [loops.open_loops(plant, unit) for plant in plants]
     to_pitch = np.array([response["pitch"] for response in plant_responses])
     to_travel = np.array([response["differential"] - response["pitch"] for response in plant_responses])

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from heli_host.flight import Flight
 from heli_sim.model.parts import AXES
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from heli_lab.tune.design import Design
 from heli_lab.tune.loops import LOOPS, open_loops
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _SETPOINT_COLOUR, _CORNER_COLOUR = "#222222", "#cccccc"
 _COLOURS: Final = ("#0b5fa5", "#d1495b", "#2a9d55", "#8a5fbf")
@@ -30,26 +28,19 @@ def figure_of_design(design: Design, flights: Sequence[tuple[str, Flight]]) -> F
     flights : sequence of (str, Flight)
         Label and data of each flight; angles and the front motor's voltage are drawn over time.
     """
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(14, 7.2), layout="constrained")
     grid = figure.add_gridspec(4, 4, width_ratios=[1.0, 1.0, 1.1, 1.1])
-    rows: list[Axes] = []
-    for row in range(4):
-        rows.append(figure.add_subplot(grid[row, :2], sharex=rows[0] if rows else None))
-    _draw_flights(rows, flights)
+    first = figure.add_subplot(grid[0, :2])
+    panels = [first, *(figure.add_subplot(grid[row, :2], sharex=first) for row in range(1, 4))]
+    _draw_flights(panels, flights)
     for number, loop in enumerate(LOOPS):
         row, column = 2 * (number // 2), 2 + number % 2
         axes = figure.add_subplot(grid[row : row + 2, column])
         _draw_loop(axes, loop, design)
         if number == 0:
             axes.legend(loc="lower right", fontsize=_FONT_SIZE)
-            axes.text(
-                *(-_AXIS_LIMIT + 0.1, 0.9),
-                f"red: disturbances are amplified\nmore than {design.sensitivity:g} times",
-                fontsize=_FONT_SIZE,
-                va="top",
-            )
+            text = f"red: disturbances are amplified\nmore than {design.sensitivity:g} times"
+            axes.text(-_AXIS_LIMIT + 0.1, 0.9, text, fontsize=_FONT_SIZE, va="top")
     return figure
 
 

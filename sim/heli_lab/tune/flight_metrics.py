@@ -13,7 +13,7 @@ import numpy as np
 from heli_host.arrays import Booleans, Floats
 from heli_host.flight import Flight
 from heli_host.flight.counts import count_rad
-from heli_host.flight.response import StepMetrics, rms, step_metrics
+from heli_host.flight.response import rms, step_metrics
 
 from heli_lab.tune.design import TRAVEL_STEP_DEG
 
@@ -92,9 +92,9 @@ def flight_metrics(
     take_off = step_metrics(rise_s, elevation[rise], start_deg, 0.0, elevation_count_deg)
     return FlightMetrics(
         outcome=outcome,
-        take_off_s=_settling_s(take_off),
+        take_off_s=_nan_to_infinite(take_off.settling_s),
         overshoot_percent=max(_nan_to_infinite(metrics.overshoot_percent) for metrics in measured),
-        settling_time_s=max(_settling_s(metrics) for metrics in measured),
+        settling_time_s=max(_nan_to_infinite(metrics.settling_s) for metrics in measured),
         travel_rms_deg=_nan_to_infinite(rms(error_deg[:, 2])),
         elevation_rms_deg=_nan_to_infinite(rms(error_deg[:, 0])),
         pitch_max_deg=float(np.abs(pitch).max(initial=0.0)),
@@ -103,10 +103,6 @@ def flight_metrics(
 
 def _between(t_s: Floats, start_s: float, stop_s: float) -> Booleans:
     return (t_s >= start_s) & (t_s < stop_s)
-
-
-def _settling_s(metrics: StepMetrics) -> float:
-    return _nan_to_infinite(metrics.settling_s)
 
 
 def _nan_to_infinite(value: float) -> float:

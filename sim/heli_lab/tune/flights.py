@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from heli_host.declaration import State
+from heli_host.flight import Flight
+from heli_host.fly.plan import Plan, take_off
+from heli_host.fly.runner import Progress
+from heli_sim.plant import Plant
 
-if TYPE_CHECKING:
-    from heli_host.flight import Flight
-    from heli_sim.plant import Plant
-
-    from heli_lab.tune.flight_metrics import FlightMetrics
+from heli_lab.simulated_board import connected, fly_and_read, world_of
+from heli_lab.tune.flight_metrics import FlightMetrics, Phases, flight_metrics
 
 PLAN: Final = """
 title = "Take-off, a step of travel and back, sines"
@@ -85,13 +87,6 @@ def try_gains(
     ParameterError
         When the board refuses one of the parameters.
     """
-    from heli_host.declaration import State
-    from heli_host.fly.plan import Plan, take_off
-    from heli_host.fly.runner import Progress
-
-    from heli_lab.simulated_board import connected, fly_and_read, world_of
-    from heli_lab.tune.flight_metrics import Phases, flight_metrics
-
     plan = Plan.parse(PLAN, "plan of the trial", "trial")
     length_s = plan.duration_s + plan.start.settle_s
 

@@ -15,14 +15,10 @@ def cascade_gains_of(parameters: Mapping[str, float]) -> CascadeGains:
     Needed are kp, ki, kd and filter_Hz of each axis; pitch_hold_ff is optional.
     """
 
-    def pid(axis: str, per: float) -> Pid:
-        kp, ki, kd = (parameters[f"{axis}_{name}"] * per for name in ("kp", "ki", "kd"))
+    def pid(axis: str, scale: float) -> Pid:
+        kp, ki, kd = (parameters[f"{axis}_{name}"] * scale for name in ("kp", "ki", "kd"))
         return Pid(kp, ki, kd, parameters[f"{axis}_filter_Hz"])
 
     per_rad = 180.0 / np.pi
-    return CascadeGains(
-        pid("elevation", per_rad),
-        pid("pitch", per_rad),
-        pid("travel", 1.0),
-        parameters.get("pitch_hold_ff", 0.0) * per_rad,
-    )
+    elevation, pitch, travel = pid("elevation", per_rad), pid("pitch", per_rad), pid("travel", 1.0)
+    return CascadeGains(elevation, pitch, travel, parameters.get("pitch_hold_ff", 0.0) * per_rad)

@@ -26,6 +26,10 @@ FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.05, 200.0, 160)
 MARGIN_FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.02, 300.0, 1500)
 """Frequency grid of the margins: two crossings closer than 0.64 % are not resolved."""
 _BISECTIONS: Final = 30
+TILT_STATES: Final = 11
+PITCH_FILTER, TRAVEL_FILTER, PITCH_INTEGRAL, TRAVEL_INTEGRAL = 5, 7, 9, 10
+"""Numbers of states of `tilt_closed`, after the plant's five: the first of two filter states of each loop,
+and the integral of its error."""
 LOOPS: Final = ("elevation", "pitch", "travel", "differential")
 """Loops, each cut at one place: elevation at the collective; pitch at the differential, with the travel loop
 open; travel at the pitch setpoint, with the pitch loop closed; differential with both loops closed."""
@@ -124,22 +128,19 @@ def tilt_closed(plant: LinearPlant, pitch: Pid, travel: Pid, pitch_hold: float =
     and the travel error. `pitch_hold` is that of `CascadeGains`.
     """
     closed = _with_filters(plant.tilt_A, (0, 1), (pitch, travel))
-    size = closed.shape[0]
-    closed[9], closed[10, 1] = _pitch_error(size, travel), -1.0
-    closed[:5] += np.outer(plant.tilt_B, tilt_output(size, pitch, travel, pitch_hold))
+    closed[PITCH_INTEGRAL], closed[TRAVEL_INTEGRAL, 1] = _pitch_error(travel), -1.0
+    closed[:5] += np.outer(plant.tilt_B, tilt_output(pitch, travel, pitch_hold))
     return closed
 
 
-def tilt_output(size: int, pitch: Pid, travel: Pid, pitch_hold: float = 0.0) -> Floats:
-    """Return the row, shape (`size`,), from the states to the differential [V per unit], for setpoints of
-    zero.
-
-    The first eleven states are those of `tilt_closed`. `pitch_hold` is that of `CascadeGains`.
+def tilt_output(pitch: Pid, travel: Pid, pitch_hold: float = 0.0) -> Floats:
+    """Return the row, shape (11,), from the states of `tilt_closed` to the differential [V per unit], for
+    setpoints of zero. `pitch_hold` is that of `CascadeGains`.
     """
-    row = (pitch.kp + pitch_hold) * _pitch_error(size, travel)
+    row = (pitch.kp + pitch_hold) * _pitch_error(travel)
     row[0] += pitch_hold
-    row += _output(size, 0, 5, Pid(0.0, 0.0, pitch.kd, pitch.filter_Hz))
-    row[9] += pitch.ki
+    row += _output(TILT_STATES, 0, PITCH_FILTER, Pid(0.0, 0.0, pitch.kd, pitch.filter_Hz))
+    row[PITCH_INTEGRAL] += pitch.ki
     return row
 
 
@@ -292,10 +293,10 @@ def _output(size: int, angle: int, first: int, pid: Pid) -> Floats:
     return row
 
 
-def _pitch_error(size: int, travel: Pid) -> Floats:
+def _pitch_error(travel: Pid) -> Floats:
     """Return the row from the states to the pitch error; the travel loop gives the pitch setpoint."""
-    row = _output(size, 1, 7, travel)
-    row[10] = travel.ki
+    row = _output(TILT_STATES, 1, TRAVEL_FILTER, travel)
+    row[TRAVEL_INTEGRAL] = travel.ki
     row[0] -= 1.0
     return row
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from heli_host.arrays import Floats
@@ -51,20 +51,10 @@ def minimise_positive(cost: Callable[[Floats], float], start: Floats) -> Floats:
     from scipy.optimize import minimize
 
     best, best_cost = np.log(start), np.inf
+    options: dict[str, Any] = {"xatol": 3e-3, "fatol": 1e-3, "maxiter": 300, "adaptive": True}
     for simplex_size in (0.4, 0.3, 0.2, 0.2):
-        simplex = np.vstack([best, *(best + simplex_size * row for row in np.eye(len(best)))])
-        optimum = minimize(
-            lambda logs: cost(np.exp(logs)),
-            best,
-            method="Nelder-Mead",
-            options={
-                "initial_simplex": simplex,
-                "xatol": 3e-3,
-                "fatol": 1e-3,
-                "maxiter": 300,
-                "adaptive": True,
-            },
-        )
+        options["initial_simplex"] = np.vstack([best, best + simplex_size * np.eye(len(best))])
+        optimum = minimize(lambda logs: cost(np.exp(logs)), best, method="Nelder-Mead", options=options)
         improvement = best_cost - optimum.fun
         best, best_cost = optimum.x, optimum.fun
         if improvement < 0.01:

@@ -85,23 +85,16 @@ class LoopEffects:
 
 def loop_effects_of(effects: Sequence[Effect]) -> LoopEffects:
     """Sort effects by their role in the design of the loops."""
-    lag_s, delay_s = None, 0.0
-    linear: list[Effect] = []
-    excluded: list[str] = []
+    lags_s = [effect.lag_s for effect in effects if isinstance(effect, RotorLag | RotorSpeedLag)]
+    delay_s = sum((effect.values[effect.delay] for effect in effects if effect.delay), start=0.0)
+    linear, excluded = [], []
     for effect in effects:
-        if effect.delay:
-            delay_s += effect.values[effect.delay]
-        if isinstance(effect, RotorLag | RotorSpeedLag):
-            lag_s = (lag_s or 0.0) + effect.lag_s
-        if isinstance(effect, RotorSpeedLag):
+        is_linear = effect.linearisable and not effect.states
+        if isinstance(effect, RotorSpeedLag) or (is_linear and not effect.delay):
             linear.append(effect)
-        elif effect.delay or isinstance(effect, RotorLag):
-            continue
-        elif effect.states or not effect.linearisable:
+        elif not (effect.delay or isinstance(effect, RotorLag)):
             excluded.append(effect.name)
-        else:
-            linear.append(effect)
-    return LoopEffects(lag_s, delay_s, tuple(linear), tuple(excluded))
+    return LoopEffects(sum(lags_s) if lags_s else None, delay_s, tuple(linear), tuple(excluded))
 
 
 @dataclass(frozen=True)

@@ -79,11 +79,10 @@ class TravelStep:
 
     def _discrete_plants(self, pitch: Pid, closed: Floats) -> DiscretePlants:
         """Closed loops in discrete time. Inputs: pitch setpoint, travel setpoint, then each load."""
-        inputs = np.zeros((len(self.plants), 11, 2 + len(self.loads_deg_s2)))
+        inputs = np.zeros((len(self.plants), loops.TILT_STATES, 2 + len(self.loads_deg_s2)))
         for index, plant in enumerate(self.plants):
             inputs[index, :5, 0] = plant.tilt_B * (pitch.kp + self.pitch_hold)
-        # The integrals of the pitch and the travel error.
-        inputs[:, 9, 0], inputs[:, 10, 1] = 1.0, 1.0
+        inputs[:, loops.PITCH_INTEGRAL, 0], inputs[:, loops.TRAVEL_INTEGRAL, 1] = 1.0, 1.0
         for number, (state, (load_deg_s2, _)) in enumerate(self.loads_deg_s2.items()):
             inputs[:, state, 2 + number] = load_deg_s2
         return discretise(closed, inputs)
@@ -111,7 +110,7 @@ class TravelStep:
     def _largest_differential_V(self, states: Floats, setpoint_deg: Floats, pitch: Pid, travel: Pid) -> float:
         """Largest differential during the step on the nominal plants [V]."""
         nominal = states[:, : count_nominal(self.plants)]
-        row = loops.tilt_output(11, pitch, travel, self.pitch_hold)
+        row = loops.tilt_output(pitch, travel, self.pitch_hold)
         feedback = np.einsum("tpn,n->tp", nominal, row)
         differential = feedback + (pitch.kp + self.pitch_hold) * setpoint_deg[:, None]
         return float(np.radians(np.abs(differential).max()))

@@ -126,7 +126,7 @@ class KalmanFilter:
         # place, does by rounding if a flight contradicts the model.
         self._root: Floats = np.diag(initial_std)
         # Autocorrelation of each part of z over a step, (order,), and roots of the process noise, (6, order).
-        autocorrelation = disturbances.memory(step_s)
+        autocorrelation = disturbances.autocorrelation(step_s)
         self._autocorrelation: Floats = np.ones(order)
         self._autocorrelation[nx : nx + 6] = autocorrelation
         self._noise: Floats = np.zeros((6, order))

@@ -90,6 +90,11 @@ class Model(ABC):
         self.delay: str = delays[0] if delays else ""
         """Name of the parameter by which the voltages act late, or empty."""
 
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of `parameters`, in their order."""
+        return tuple(quantity.name for quantity in self.parameters)
+
     def values_in(self, label: str, values: Floats) -> Floats:
         """Return the values of all parameters in the flight `label`: the moment of an event belongs to one
         flight.
@@ -100,10 +105,9 @@ class Model(ABC):
             Values of all parameters, in the order of `parameters`.
         """
         result = values.copy()
-        names = [quantity.name for quantity in self.parameters]
         for effect in self.effects:
             if effect.flight and effect.moment:
-                place = names.index(effect.moment)
+                place = self.parameter_names.index(effect.moment)
                 result[place] = effect.values_in(label, {effect.moment: values[place]})[effect.moment]
         return result
 
@@ -122,7 +126,7 @@ class Model(ABC):
         float or None
             None where rotors may push at lower voltages: reversed, or by an effect within the dead zone.
         """
-        names = [quantity.name for quantity in self.parameters]
+        names = self.parameter_names
         if parameters[names.index("reverse_thrust")] or "reverse_thrust" in free:
             return None
         if any(effect.pushes_below_dead_zone for effect in self.effects):

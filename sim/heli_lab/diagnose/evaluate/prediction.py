@@ -96,10 +96,7 @@ def normalised_samples(fit: Fit) -> Floats:
     encoders' quantisation.
     """
     return np.concatenate(
-        [
-            fit.problem.evaluation(index, fit.theta, states, fine=True, derivatives=False).residual
-            for index, states in enumerate(fit.states)
-        ]
+        [fit.problem.residual(index, fit.theta, states, fine=True) for index, states in enumerate(fit.states)]
     )
 
 

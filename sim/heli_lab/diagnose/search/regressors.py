@@ -274,14 +274,7 @@ class ExtendedModel:
         the beginning of the flight.
         """
         middle_substep = EFFECT_SUBSTEPS // 2 - 1
-        return self.effect_states.integrate(
-            [trajectory.state, trajectory.inputs],
-            trajectory.t_s,
-            parameters,
-            trajectory.step_s,
-            EFFECT_SUBSTEPS,
-            middle_substep,
-        )
+        return self.effect_states.integrate(replace(trajectory, parameters=parameters), middle_substep)
 
 
 def _rows(column: ca.SX, rows: Sequence[int]) -> ca.SX:

@@ -1,14 +1,8 @@
 """The estimation problem: windows of flights, free parameters, noise, and the fit."""
 
-from __future__ import annotations
-
 from heli_lab.identify.estimation_problem.fit import Budget, Fit, FitProgress
 from heli_lab.identify.estimation_problem.problem import Evaluation, Problem
-from heli_lab.identify.estimation_problem.uncertainty import (
-    Combination,
-    combinations,
-    uninformed_parameters,
-)
+from heli_lab.identify.estimation_problem.uncertainty import Combination, combinations, uninformed_parameters
 
 __all__ = [
     "Budget",

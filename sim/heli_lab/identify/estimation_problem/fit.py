@@ -96,5 +96,4 @@ class Fit:
     def correlation(self) -> Floats:
         """Correlations of the free parameters, shape (f, f)."""
         std = np.sqrt(np.diag(self.covariance))
-        result: Floats = self.covariance / np.outer(std, std)
-        return result
+        return np.asarray(self.covariance / np.outer(std, std))

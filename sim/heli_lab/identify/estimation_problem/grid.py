@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -56,16 +56,18 @@ class Grid:
     def only(self, windows: Integers) -> Grid:
         """Return a grid of the given `windows` alone, ndarray of int64 (k,), in their order there."""
         inputs, steps = self.inputs, self.steps_of(windows)
-        chosen = Inputs(
-            inputs.steps[windows],
-            inputs.start_s[windows],
-            inputs.step_s,
-            inputs.mean_V[steps],
-            inputs.change_V[steps],
-            inputs.substeps,
-            tuple((name, mean[steps], change[steps]) for name, mean, change in inputs.voltage_derivatives),
+        derivatives = inputs.voltage_derivatives
+        chosen = replace(
+            inputs,
+            steps=inputs.steps[windows],
+            start_s=inputs.start_s[windows],
+            mean_V=inputs.mean_V[steps],
+            change_V=inputs.change_V[steps],
+            voltage_derivatives=tuple(
+                (name, mean[steps], change[steps]) for name, mean, change in derivatives
+            ),
         )
-        return Grid(self.record, chosen, self.rows[steps], self.every)
+        return replace(self, inputs=chosen, rows=self.rows[steps])
 
 
 def split_into_windows(record: Record, window_s: float, every: int, parts: int = 1) -> list[tuple[int, int]]:
@@ -269,7 +271,7 @@ def _mean_and_change(
     def integrals_at(t_s: Floats) -> tuple[Floats, Floats]:
         """First and second integral of the voltages at times since the first row, shape (m, 2) each."""
         place = np.clip(t_s / row_s, None, len(volts) - 1e-9)
-        # Before the first row its voltage is taken to have acted.
+        # Before the first row, its voltage is assumed to have acted.
         index = np.clip(np.floor(place + 1e-9).astype(int), 0, len(volts) - 1)
         rest_s = (place - index)[:, None] * row_s
         return (
@@ -282,6 +284,7 @@ def _mean_and_change(
     first_start, second_start = integrals_at(start_s)
     first_end, second_end = integrals_at(start_s + step_s)
     mean = (first_end - first_start) / step_s
-    # The line's slope is twelve times its first moment about the middle of the step.
-    moment = (0.5 * (first_start + first_end) * step_s - (second_end - second_start)) / step_s**2
-    return mean, 12.0 * moment
+    # With the first integral F, the second integral G and the step h, the line has F1 - F0 = mean h and
+    # G1 - G0 = (F0 + F1) h / 2 - change h^2 / 12.
+    twelfth = (0.5 * (first_start + first_end) * step_s - (second_end - second_start)) / step_s**2
+    return mean, 12.0 * twelfth

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 from heli_host.arrays import Floats, Integers
 from heli_sim.model.parts import AXES
 
 from heli_lab.identify.estimation_problem.grid import make_grid
-from heli_lab.identify.estimation_problem.problem import Problem
+from heli_lab.identify.estimation_problem.problem import RIGID_STATES, Problem, delay_of
 from heli_lab.identify.record import Record
 from heli_lab.identify.thresholds import SETTLED_S, SHORT_FIT_S, STATE_FIT_S
-
-_MECHANICAL: Final = 6
-"""Three angles and their rates; the states of effects follow."""
 
 
 def initial_state_guess(problem: Problem, theta: Floats) -> list[Floats]:
@@ -22,8 +17,7 @@ def initial_state_guess(problem: Problem, theta: Floats) -> list[Floats]:
     shape (f,): for each record, shape (w, states), by `states_at`.
     """
     return [
-        states_at(problem, index, _first_rows(problem, index, theta), theta)
-        for index in range(len(problem.records))
+        states_at(problem, index, problem.first_rows(index), theta) for index in range(len(problem.records))
     ]
 
 
@@ -44,10 +38,10 @@ def states_at(problem: Problem, index: int, rows: Integers, theta: Floats) -> Fl
     """
     record = problem.records[index]
     states = np.zeros((len(rows), problem.state_count))
-    states[:, :_MECHANICAL] = _parabolas(record, rows, STATE_FIT_S)
-    if problem.state_count == _MECHANICAL:
+    states[:, :RIGID_STATES] = _parabolas(record, rows, STATE_FIT_S)
+    if problem.state_count == RIGID_STATES:
         return states
-    states[:, _MECHANICAL:] = _after_run_in(problem, index, rows, states, theta)
+    states[:, RIGID_STATES:] = _after_run_in(problem, index, rows, states, theta)
     measured = {state: axis for effect in problem.model.effects for state, axis in effect.measured_as.items()}
     for column, state in enumerate(problem.model.states):
         if state.name in measured:
@@ -72,35 +66,39 @@ def alternative_states(problem: Problem, index: int, theta: Floats, states: Floa
     states : ndarray (w, states)
         Initial states.
     """
-    record, windows = problem.records[index], problem.windows(index)
-    grid = problem.grid(index, False, theta)
-    parameters = problem.parameters(theta, index)
-    ends = problem.kernel.end(grid.inputs, states, parameters)
-    end_of_previous, short_fit = states.copy(), states.copy()
-    for number in range(1, len(windows)):
-        previous_first, previous_count = windows[number - 1]
-        adjoins = previous_first + previous_count == windows[number][0]
-        if adjoins and np.isfinite(ends[number - 1]).all():
-            end_of_previous[number] = ends[number - 1]
-    first_rows = np.array([first for first, _ in windows])
-    short_fit[:, :_MECHANICAL] = _parabolas(record, first_rows, SHORT_FIT_S)
-    columns = {state.name: column for column, state in enumerate(problem.model.states)}
-    names = [parameter.name for parameter in problem.model.parameters]
-    values = dict(zip(names, parameters, strict=True))
-    of_effects = []
-    for effect in problem.model.effects:
+    short_fit = states.copy()
+    short_fit[:, :RIGID_STATES] = _parabolas(problem.records[index], problem.first_rows(index), SHORT_FIT_S)
+    ends_of_previous = _ends_of_previous_windows(problem, index, theta, states)
+    return [ends_of_previous, short_fit, *_starts_of_effects(problem, index, theta)]
+
+
+def _ends_of_previous_windows(problem: Problem, index: int, theta: Floats, states: Floats) -> Floats:
+    """End of the window before each window, shape (w, states), predicted from its initial state in `states`;
+    unchanged `states` where no window ends just before, or its prediction diverges.
+    """
+    grid, parameters = problem.grid(index, False, theta), problem.parameters(theta, index)
+    _, ends = problem.kernel.predict(grid.inputs, states, parameters)
+    first, count = np.array(problem.windows(index)).T
+    adjoins = first[:-1] + count[:-1] == first[1:]
+    previous = np.flatnonzero(adjoins & np.isfinite(ends[:-1]).all(axis=1))
+    result = states.copy()
+    result[previous + 1] = ends[previous]
+    return result
+
+
+def _starts_of_effects(problem: Problem, index: int, theta: Floats) -> list[Floats]:
+    """First guess of the initial states, shape (w, states), with each alternative that an effect defines."""
+    model = problem.model
+    values = dict(zip(model.parameter_names, problem.parameters(theta, index), strict=True))
+    columns = {state.name: column for column, state in enumerate(model.states)}
+    starts = []
+    for effect in model.effects:
         for offsets in effect.alternative_starts(values):
-            shifted = states_at(problem, index, _first_rows(problem, index, theta), theta)
+            start = states_at(problem, index, problem.first_rows(index), theta)
             for name, offset in offsets.items():
-                shifted[:, columns[name]] += offset
-            of_effects.append(shifted)
-    return [end_of_previous, short_fit, *of_effects]
-
-
-def _first_rows(problem: Problem, index: int, theta: Floats) -> Integers:
-    """First row of each window of record `index`, shape (w,)."""
-    grid = problem.grid(index, False, theta)
-    return grid.rows[grid.inputs.first]
+                start[:, columns[name]] += offset
+            starts.append(start)
+    return starts
 
 
 def _after_run_in(problem: Problem, index: int, rows: Integers, states: Floats, theta: Floats) -> Floats:
@@ -110,7 +108,7 @@ def _after_run_in(problem: Problem, index: int, rows: Integers, states: Floats, 
     on its table. It then starts with the angles of its end.
     """
     record, parameters = problem.records[index], problem.parameters(theta, index)
-    effect_states = np.zeros((len(rows), problem.state_count - _MECHANICAL))
+    effect_states = np.zeros((len(rows), problem.state_count - RIGID_STATES))
     # A run ends at its row, and begins `SETTLED_S` before it, but not before a gap.
     after_gaps = np.array([0, *(gap + 1 for gap in record.gaps)])
     earliest = after_gaps[np.searchsorted(after_gaps, rows, side="right") - 1]
@@ -119,20 +117,20 @@ def _after_run_in(problem: Problem, index: int, rows: Integers, states: Floats, 
     if len(chosen):
         run_starts = rows[chosen] - lengths[chosen]
         windows = list(zip(run_starts.tolist(), lengths[chosen].tolist(), strict=True))
-        grid = make_grid(record, windows, 1, delay=problem.input_shape(parameters)[0])
+        grid = make_grid(record, windows, 1, delay=delay_of(problem.model, parameters))
         start = states[chosen].copy()
-        start[:, _MECHANICAL:] = 0.0
+        start[:, RIGID_STATES:] = 0.0
         in_segment = run_starts >= _segments_of(record, rows[chosen])[:, 0]
-        start[in_segment, :_MECHANICAL] = _parabolas(record, run_starts[in_segment], STATE_FIT_S)
-        effect_states[chosen] = problem.kernel.end(grid.inputs, start, parameters)[:, _MECHANICAL:]
+        start[in_segment, :RIGID_STATES] = _parabolas(record, run_starts[in_segment], STATE_FIT_S)
+        _, end = problem.kernel.predict(grid.inputs, start, parameters)
+        effect_states[chosen] = end[:, RIGID_STATES:]
     return np.where(np.isfinite(effect_states), effect_states, 0.0)
 
 
 def _segments_of(record: Record, rows: Integers) -> Integers:
     """First row, and last row plus one, of the free segments that contain the `rows`, shape (w, 2)."""
     segments = np.array(record.segments)
-    result: Integers = segments[np.searchsorted(segments[:, 0], rows, side="right") - 1]
-    return result
+    return segments[np.searchsorted(segments[:, 0], rows, side="right") - 1]
 
 
 def _parabolas(record: Record, rows: Integers, reach_s: float) -> Floats:
@@ -142,7 +140,7 @@ def _parabolas(record: Record, rows: Integers, reach_s: float) -> Floats:
     reach = max(3, round(reach_s / record.step_s))
     segments = _segments_of(record, rows)
     low, high = np.maximum(segments[:, 0], rows - reach), np.minimum(segments[:, 1], rows + reach + 1)
-    result = np.empty((len(rows), _MECHANICAL))
+    result = np.empty((len(rows), RIGID_STATES))
     # One least-squares problem for all rows with the same neighbours: only the edges of segments differ.
     neighbours, group = np.unique(np.column_stack((low - rows, high - rows)), axis=0, return_inverse=True)
     for number, (before, after) in enumerate(neighbours):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from heli_host.arrays import Floats, Integers
@@ -16,9 +16,12 @@ from heli_lab.errors import IdentifyError
 from heli_lab.estimation.parameter_vector import FreeParameter, ParameterVector, Prior
 from heli_lab.identify import thresholds
 from heli_lab.identify.estimation_problem.grid import Grid, WindowGrids
-from heli_lab.identify.free import PER_FLIGHT, free_parameters
+from heli_lab.identify.free import PER_FLIGHT, free_parameters, parameter_values
 from heli_lab.identify.free_run import kernel
-from heli_lab.identify.record import Record, prepare
+from heli_lab.identify.record import Record, prepare_all
+
+RIGID_STATES: Final = 6
+"""Three angles and their rates are the first states of each model; the states of effects follow."""
 
 
 @dataclass(frozen=True)
@@ -29,13 +32,18 @@ class Evaluation:
     ----------
     residual : ndarray (m, 3)
         Measured minus predicted angle, in standard deviations of the quantisation.
-    normal_matrix : ndarray (w, 3, z + 1, z + 1) or None
+    normal_matrix : ndarray (w, 3, z + 1, z + 1)
         For each window and axis, products of the columns of [Jacobian | residual], z being the number of
         states and of the free parameters that the record depends on.
     """
 
     residual: Floats
-    normal_matrix: Floats | None
+    normal_matrix: Floats
+
+    @property
+    def squares(self) -> Floats:
+        """Sum of the squared residuals of each window and axis, shape (w, 3)."""
+        return self.normal_matrix[:, :, -1, -1]
 
 
 class Problem:
@@ -97,20 +105,20 @@ class Problem:
         self.model = model
         self.rig = rig
         wanted = free_parameters(model, rig, free, priors or {})
-        self.records = _prepared(flights, rig)
+        self.records = prepare_all(flights, rig)
+        _check_records(self.records)
         shared = [parameter for parameter in wanted if parameter.quantity not in per_flight]
         local = [parameter for parameter in wanted if parameter.quantity in per_flight]
-        names = [quantity.name for quantity in model.parameters]
         labels = [record.label for record in self.records]
-        self.parameter_vector = ParameterVector(
-            names, _values(model, rig, values or {}), shared, local, labels
-        )
+        all_values = parameter_values(model, rig, values or {})
+        self.parameter_vector = ParameterVector(model.parameter_names, all_values, shared, local, labels)
         self.grids = WindowGrids(self.records, window_s, step_s)
         self.state_count = len(model.states)
         self.state_std_by_name = _state_stds(model, rig) | dict(state_std or {})
         """Prior standard deviation of each effect's state about what the flight before its window gives."""
-        self.state_std: Floats = np.array([self.state_std_by_name[s.name] for s in model.states[6:]])
-        self._delay = names.index(model.delay) if model.delay else None
+        self.state_std: Floats = np.array(
+            [self.state_std_by_name[state.name] for state in model.states[RIGID_STATES:]]
+        )
         self._kernel_free = self.parameter_vector.quantities
         self.threads = threads
         self.kernel = kernel(model, self._kernel_free, threads)
@@ -184,15 +192,29 @@ class Problem:
         theta : ndarray (f,)
             Free parameters; a delay among them shifts the voltages.
         """
-        return self.grids.grid(index, fine, *self.input_shape(self.parameters(theta, index)))
+        return self.grids.grid(index, fine, *self.delay_and_dead_zone(self.parameters(theta, index)))
 
     def windows(self, index: int) -> list[tuple[int, int]]:
         """First row and number of rows of each window of record `index`."""
         return self.grids.windows(index)
 
-    def evaluation(
-        self, index: int, theta: Floats, states: Floats, *, fine: bool = False, derivatives: bool = True
-    ) -> Evaluation:
+    def first_rows(self, index: int) -> Integers:
+        """First row of each window of record `index`, shape (w,)."""
+        return np.array([first for first, _ in self.windows(index)], np.int64)
+
+    def residual(self, index: int, theta: Floats, states: Floats, *, fine: bool = False) -> Floats:
+        """Predict a flight: residuals alone, shape (m, 3), as in `Evaluation`.
+
+        Parameters
+        ----------
+        index, theta, states, fine
+            As in `evaluation`.
+        """
+        grid = self.grid(index, fine, theta)
+        angles_rad, _ = self.kernel.predict(grid.inputs, states, self.parameters(theta, index))
+        return (grid.measured_rad - angles_rad) / grid.record.sigma_rad
+
+    def evaluation(self, index: int, theta: Floats, states: Floats, *, fine: bool = False) -> Evaluation:
         """Predict a flight: residuals, and the products of their derivatives for a Gauss-Newton step.
 
         Parameters
@@ -205,22 +227,21 @@ class Problem:
             Initial states of the windows.
         fine : bool
             Compare every sample.
-        derivatives : bool
-            Whether to compute the products of the Jacobian.
         """
-        grid = self.grid(index, fine, theta)
-        sigma, parameters = grid.record.sigma_rad, self.parameters(theta, index)
-        normal_matrix: Floats | None = None
-        if derivatives:
-            angles, normal_matrix = self.kernel.products(
-                grid.inputs, states, parameters, grid.measured_rad, sigma
-            )
-        else:
-            angles, _ = self.kernel.run(grid.inputs, states, parameters, False)
-        return Evaluation((grid.measured_rad - angles) / sigma, normal_matrix)
+        return self.evaluate_grid(self.grid(index, fine, theta), states, self.parameters(theta, index))
 
-    def input_shape(self, parameters: Floats) -> tuple[tuple[str, float] | None, float | None]:
-        """Delay and dead zone, which shape the voltages before they act.
+    def evaluate_grid(self, grid: Grid, states: Floats, parameters: Floats) -> Evaluation:
+        """Predict the windows of a `grid` from their initial `states`, shape (w, states), with all
+        `parameters` of the model, shape (p,).
+        """
+        measured_rad, sigma_rad = grid.measured_rad, grid.record.sigma_rad
+        angles_rad, normal_matrix = self.kernel.products(
+            grid.inputs, states, parameters, measured_rad, sigma_rad
+        )
+        return Evaluation((measured_rad - angles_rad) / sigma_rad, normal_matrix)
+
+    def delay_and_dead_zone(self, parameters: Floats) -> tuple[tuple[str, float] | None, float | None]:
+        """Delay and dead zone, which change the voltages before they act.
 
         Parameters
         ----------
@@ -235,36 +256,28 @@ class Problem:
             Voltage below which there is no thrust; None where rotors push backwards too, or within the dead
             zone.
         """
-        delay = None if self._delay is None else (self.model.delay, float(parameters[self._delay]))
-        return delay, self.model.dead_zone_V(parameters, self.names)
+        return delay_of(self.model, parameters), self.model.dead_zone_V(parameters, self.names)
 
 
-def _prepared(flights: Sequence[Flight | Record], rig: Rig) -> tuple[Record, ...]:
-    """Find the free flight in each log that is not prepared yet."""
-    records = tuple(
-        flight if isinstance(flight, Record) else prepare(flight, rig, f"flight {i + 1}")
-        for i, flight in enumerate(flights)
-    )
+def delay_of(model: Model, parameters: Floats) -> tuple[str, float] | None:
+    """Name and value [s] of the parameter that delays the voltages of a `model`, from all its `parameters`,
+    shape (p,); None without a delay.
+    """
+    if not model.delay:
+        return None
+    return model.delay, float(parameters[model.parameter_names.index(model.delay)])
+
+
+def _check_records(records: Sequence[Record]) -> None:
+    """Check that there is a flight, and that each has another label. Otherwise raise an IdentifyError."""
     if not records:
         raise IdentifyError("there is no flight to identify from", "give at least one")
     if len({record.label for record in records}) < len(records):
         raise IdentifyError("two flights have the same label", "give each flight a label of its own")
-    return records
-
-
-def _values(model: Model, rig: Rig, values: Mapping[str, float]) -> Floats:
-    """All parameters of a model, shape (p,), some of them replaced by `values`."""
-    names = [quantity.name for quantity in model.parameters]
-    result: Floats = model.parameter_values(rig)
-    for name, value in values.items():
-        if name not in names:
-            raise IdentifyError(f"the model has no parameter '{name}'", f"choose from: {', '.join(names)}")
-        result[names.index(name)] = value
-    return result
 
 
 def _state_stds(model: Model, rig: Rig) -> dict[str, float]:
-    """Prior standard deviations of effects' states at the beginning of a window, by name."""
+    """Prior standard deviations of effects' states at the beginning of a window, by name, in their order."""
     thrust_N = thresholds.STATE_STD_V * rig["thrust_gain"].value
     by_unit = {**thresholds.STATE_STD, "V": thresholds.STATE_STD_V, "N": thrust_N}
-    return {state.name: by_unit.get(state.unit, 1.0) for state in model.states[6:]}
+    return {state.name: by_unit.get(state.unit, 1.0) for state in model.states[RIGID_STATES:]}

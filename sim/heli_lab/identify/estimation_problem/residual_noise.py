@@ -30,8 +30,7 @@ def long_run_variance(residual: Floats, windows: Sequence[slice], step_s: float)
     """
     lags = max(1, round(LONGEST_LAG_S / step_s))
     covariance = autocovariance(residual, windows, lags)
-    result: Floats = np.maximum(1.0, np.maximum(covariance[0], newey_west_variance(covariance)))
-    return result
+    return np.asarray(np.maximum(1.0, np.maximum(covariance[0], newey_west_variance(covariance))))
 
 
 def floor_axes(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floats:
@@ -54,8 +53,7 @@ def floor_axes(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floa
     """
     wrong = np.maximum(0.0, 1.0 - 2.0 / np.maximum(mean_square, 1e-12))
     least_rad2 = MIN_SHARE * np.max(variance * wrong * sigma_rad**2, axis=-1, keepdims=True)
-    result: Floats = np.maximum(variance, least_rad2 / sigma_rad**2)
-    return result
+    return np.asarray(np.maximum(variance, least_rad2 / sigma_rad**2))
 
 
 def window_weights(residual: Floats, windows: Sequence[slice], variance: Floats) -> Floats:
@@ -76,8 +74,7 @@ def window_weights(residual: Floats, windows: Sequence[slice], variance: Floats)
     """
     rms = np.sqrt([np.mean(residual[window] ** 2 / variance) for window in windows])
     times = np.maximum(rms, 1e-12) / max(float(np.median(rms)), 1e-12)
-    result: Floats = np.minimum(1.0, OUTLIER / times) ** 2 * np.minimum(1.0, GROSS / times) ** 2
-    return result
+    return np.asarray(np.minimum(1.0, OUTLIER / times) ** 2 * np.minimum(1.0, GROSS / times) ** 2)
 
 
 def normalised(residual: Floats) -> float:

@@ -44,8 +44,7 @@ def quantisation_scatter(
     for index, record in enumerate(problem.records):
         grid = problem.grid(index, True, theta)
         parameters = problem.parameters(theta, index)
-        angles_rad, jacobian = problem.kernel.run(grid.inputs, states[index], parameters, True)
-        assert jacobian is not None
+        angles_rad, jacobian = problem.kernel.jacobian(grid.inputs, states[index], parameters)
         counts = angles_rad / record.count_rad
         phases = random.uniform(0.0, 1.0, (DITHER_PHASES, 1, 3))
         for window, part in enumerate(grid.slices):
@@ -62,8 +61,7 @@ def quantisation_scatter(
             scores[:, problem.columns[index]] += score
     prior_information = np.diag(1.0 / problem.parameter_vector.std**2)
     scatter = covariance @ (scores.T @ scores / DITHER_PHASES + prior_information) @ covariance
-    result: Floats = np.sqrt(np.diag(scatter))
-    return result
+    return np.sqrt(np.diag(scatter))
 
 
 def timing_variance(problem: Problem) -> Floats:
@@ -77,8 +75,7 @@ def timing_variance(problem: Problem) -> Floats:
     effect_names = {name for effect in problem.model.effects for name in effect.priors}
     tick_s = max(record.step_s for record in problem.records)
     is_time = [parameter.unit == "s" and parameter.quantity in effect_names for parameter in problem.free]
-    result: Floats = np.where(is_time, tick_s**2 / 12.0, 0.0)
-    return result
+    return np.where(is_time, tick_s**2 / 12.0, 0.0)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """Free runs of a model over many windows, with exact derivatives: the inner loop of every fit."""
 
-from __future__ import annotations
-
 from heli_lab.identify.free_run.choice import kernel
 from heli_lab.identify.free_run.functions import Functions, Inputs
 from heli_lab.identify.free_run.interface import Kernel

@@ -13,7 +13,7 @@ from __future__ import annotations
 from heli_sim.compiled import compile_source
 from heli_sim.model.base import Model
 
-from heli_lab.identify.free_run.compiled import CompiledKernel, driver
+from heli_lab.identify.free_run.compiled import CompiledKernel, kernel_source
 from heli_lab.identify.free_run.functions import Functions
 from heli_lab.identify.free_run.interface import Kernel
 from heli_lab.identify.free_run.interpreted import InterpretedKernel
@@ -26,7 +26,7 @@ def kernel(model: Model, free: tuple[str, ...], threads: int | None = None) -> K
     no C compiler. A PlantError when the compiler fails.
     """
     functions = Functions(model, free)
-    library = compile_source("identify", driver(functions))
+    library = compile_source("identify", kernel_source(functions))
     if library is None:
         return InterpretedKernel(functions)
     return CompiledKernel(functions, str(library), default_thread_count() if threads is None else threads)

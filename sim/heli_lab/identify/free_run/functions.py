@@ -60,7 +60,7 @@ class Functions:
     """Rates, measurement and their Jacobians to the parameters `free`, in this order, as CasADi functions."""
 
     def __init__(self, model: Model, free: tuple[str, ...]) -> None:
-        names = [quantity.name for quantity in model.parameters]
+        names = model.parameter_names
         self.state_count = len(model.states)
         self.free_index = [names.index(name) for name in free]
         self.free = free
@@ -71,7 +71,7 @@ class Functions:
         rates = ca.densify(model.dynamics(x, u, p, t))
         angles = ca.densify(model.measurement(x, u, p, t))
         to_free = [p[i] for i in self.free_index]
-        self.identity = bool(ca.is_equal(angles, x[:3], 10))
+        self.angles_are_states = bool(ca.is_equal(angles, x[:3], 10))
 
         def with_derivatives(value: ca.SX) -> list[ca.SX]:
             to_p = ca.jacobian(value, ca.vertcat(*to_free)) if to_free else ca.SX(value.numel(), 0)

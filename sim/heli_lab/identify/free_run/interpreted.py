@@ -36,33 +36,17 @@ class _States:
         return _States(self.value + time_s * rate.value, self.sensitivity + time_s * rate.sensitivity)
 
 
-@dataclass(frozen=True)
-class _Voltages:
-    """Voltages at one instant.
-
-    Parameters
-    ----------
-    value_V : ndarray (w, 2)
-        Front and back voltage of each window.
-    derivatives : dict of ndarray (w, 2)
-        Their derivatives to the free parameters that shape them, by the parameter's name.
-    """
-
-    value_V: Floats
-    derivatives: dict[str, Floats]
-
-
 class InterpretedKernel(Kernel):
     """Windows run in NumPy, all of them in parallel; rates and Jacobians by `estimation`'s programs."""
 
     def __init__(self, functions: Functions) -> None:
-        self._functions = functions
+        self.functions = functions
         self._programs: dict[str, AlongTrajectory] = {}
 
-    def _program(self, name: str) -> AlongTrajectory:
-        """The program of one of the model's functions, with dense results."""
+    def program(self, name: str) -> AlongTrajectory:
+        """The program of one of the model's functions, by its `name`, with dense results."""
         if name not in self._programs:
-            function: ca.Function = getattr(self._functions, name)
+            function: ca.Function = getattr(self.functions, name)
             arguments = [ca.SX.sym("a", function.size1_in(i)) for i in range(function.n_in())]
             results = function.call(arguments)
             dense = ca.Function(name, arguments, [ca.densify(result) for result in results])
@@ -70,26 +54,24 @@ class InterpretedKernel(Kernel):
         return self._programs[name]
 
     @override
-    def run(
-        self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool = True
-    ) -> tuple[Floats, Floats | None]:
-        angles, jacobian, _ = self._simulate(inputs, start, parameters, derivatives)
-        return angles, jacobian if derivatives else None
+    def predict(self, inputs: Inputs, start: Floats, parameters: Floats) -> tuple[Floats, Floats]:
+        angles, _, end = self._simulate(inputs, start, parameters, derivatives=False)
+        return angles, end
+
+    @override
+    def jacobian(self, inputs: Inputs, start: Floats, parameters: Floats) -> tuple[Floats, Floats]:
+        return self._simulate(inputs, start, parameters, derivatives=True)[:2]
 
     @override
     def products(
         self, inputs: Inputs, start: Floats, parameters: Floats, measured_rad: Floats, sigma_rad: Floats
     ) -> tuple[Floats, Floats]:
-        angles, jacobian, _ = self._simulate(inputs, start, parameters, derivatives=True)
+        angles, jacobian = self.jacobian(inputs, start, parameters)
         columns = np.concatenate((jacobian, (measured_rad - angles)[:, :, None]), axis=2)
         columns /= sigma_rad[:, None]
         edges = np.append(inputs.first, inputs.rows)
         parts = [columns[low:high].transpose(1, 0, 2) for low, high in itertools.pairwise(edges)]
         return angles, np.array([part.transpose(0, 2, 1) @ part for part in parts])
-
-    @override
-    def end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
-        return self._simulate(inputs, start, parameters, derivatives=False)[2]
 
     def _simulate(
         self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool
@@ -106,8 +88,8 @@ class InterpretedKernel(Kernel):
         end : ndarray (w, states)
             States at the end of each window.
         """
-        state_count = self._functions.state_count
-        column_count = state_count + len(self._functions.free_index) if derivatives else 0
+        state_count = self.functions.state_count
+        column_count = state_count + len(self.functions.free_index) if derivatives else 0
         angles = np.empty((inputs.rows, 3))
         jacobian = np.empty((inputs.rows, 3, column_count))
         value = np.array(start, float)
@@ -126,47 +108,6 @@ class InterpretedKernel(Kernel):
             states = present.advance(states)
             value[running], sensitivity[running] = states.value, states.sensitivity
         return angles, jacobian, value
-
-    @property
-    def has_reset(self) -> bool:
-        """Whether the model's states jump at the end of a Runge-Kutta step."""
-        return self._functions.has_reset
-
-    def evaluate(self, name: str, at: Trajectory, states: _States, voltages: _Voltages) -> _States:
-        """Evaluate one of the model's functions, and its sensitivities by the chain rule.
-
-        Parameters
-        ----------
-        name : str
-            ``rates``, ``angles`` or ``reset_map``.
-        at : Trajectory
-            Time, states, voltages and parameters, one row per window.
-        states : _States
-            The same states with their sensitivities.
-        voltages : _Voltages
-            The same voltages with their derivatives.
-        """
-        if states.sensitivity.shape[2] == 0:
-            (result,) = self._program(name)(at)
-            return _States(result[:, :, 0], np.zeros((*result.shape[:2], 0)))
-        result, by_state, by_free, by_voltage = self._program(f"{name}_jacobian")(at)
-        state_count = states.value.shape[1]
-        sensitivity: Floats = by_state @ states.sensitivity
-        sensitivity[:, :, state_count:] += by_free
-        for parameter, derivative in voltages.derivatives.items():
-            column = state_count + self._functions.free.index(parameter)
-            sensitivity[:, :, column] += np.einsum("wij,wj->wi", by_voltage, derivative)
-        return _States(result[:, :, 0], sensitivity)
-
-    def voltages(self, inputs: Inputs, rows: Integers, share: float) -> _Voltages:
-        """Voltages in the steps `rows`, at a `share`, 0 to 1, of the step; each is linear within a step."""
-        from_middle = share - 0.5
-        derivatives = {
-            name: mean[rows] + from_middle * change[rows]
-            for name, mean, change in inputs.voltage_derivatives
-            if name in self._functions.voltage_parameters
-        }
-        return _Voltages(inputs.mean_V[rows] + from_middle * inputs.change_V[rows], derivatives)
 
 
 @dataclass(frozen=True)
@@ -190,11 +131,35 @@ class _Step:
     parameters: Floats
 
     def evaluate(self, name: str, share: float, states: _States) -> _States:
-        """Evaluate a function of the model by `name`, at a `share`, 0 to 1, of the step."""
-        voltages = self.kernel.voltages(self.inputs, self.rows, share)
-        t_s = self.start_s + share * self.inputs.step_s
-        at = Trajectory(t_s, states.value, voltages.value_V, 0.0, self.parameters)
-        return self.kernel.evaluate(name, at, states, voltages)
+        """Evaluate a function of the model, and its sensitivities by the chain rule.
+
+        Parameters
+        ----------
+        name : str
+            ``rates``, ``angles`` or ``reset_map``.
+        share : float
+            Place within the step, 0 to 1.
+        states : _States
+            States there.
+        """
+        inputs, functions = self.inputs, self.kernel.functions
+        # Each voltage is linear within a step.
+        from_middle = share - 0.5
+        volts_V = inputs.mean_V[self.rows] + from_middle * inputs.change_V[self.rows]
+        t_s = self.start_s + share * inputs.step_s
+        at = Trajectory(t_s, states.value, volts_V, 0.0, self.parameters)
+        if states.sensitivity.shape[2] == 0:
+            (result,) = self.kernel.program(name)(at)
+            return _States(result[:, :, 0], np.zeros((*result.shape[:2], 0)))
+        result, by_state, by_free, by_voltage = self.kernel.program(f"{name}_jacobian")(at)
+        sensitivity: Floats = by_state @ states.sensitivity
+        sensitivity[:, :, functions.state_count :] += by_free
+        for parameter, mean, change in inputs.voltage_derivatives:
+            if parameter in functions.voltage_parameters:
+                column = functions.state_count + functions.free.index(parameter)
+                derivative = mean[self.rows] + from_middle * change[self.rows]
+                sensitivity[:, :, column] += np.einsum("wij,wj->wi", by_voltage, derivative)
+        return _States(result[:, :, 0], sensitivity)
 
     def advance(self, states: _States) -> _States:
         """Integrate the states to the end of the step, by Runge-Kutta steps of fourth order."""
@@ -211,6 +176,6 @@ class _Step:
                 k1.sensitivity + 2 * k2.sensitivity + 2 * k3.sensitivity + k4.sensitivity,
             )
             states = states.moved(rate_sum, h / 6)
-            if self.kernel.has_reset:
+            if self.kernel.functions.has_reset:
                 states = self.evaluate("reset_map", end, states)
         return states

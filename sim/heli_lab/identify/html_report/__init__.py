@@ -1,7 +1,5 @@
 """Report of an identification: an HTML page with figures."""
 
-from __future__ import annotations
-
 from heli_lab.identify.html_report.page import verdict, write_identification_report
 
 __all__ = ["verdict", "write_identification_report"]

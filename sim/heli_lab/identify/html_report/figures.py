@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
 from heli_lab.identify.results import Identification, Trace
@@ -15,6 +14,7 @@ if TYPE_CHECKING:
 
 _MEASURED, _PREDICTED, _RESIDUAL = "#222222", "#d1495b", "#0b5fa5"
 _MAX_POINTS = 6000
+"""Points of a curve, about: no more than a page can show."""
 _MUST_SEE_COUNTS = 1.0
 
 
@@ -26,20 +26,14 @@ def identification_figure(trace: Trace, role: str) -> Figure:
 
     figure = Figure(figsize=(11, 9), layout="constrained")
     panels = figure.subplots(6, 1, sharex=True, height_ratios=[2, 1, 2, 1, 2, 1])
-    keep = _kept(trace)
+    keep = slice(None, None, max(1, len(trace.t_s) // _MAX_POINTS))
     t_s = trace.t_s[keep]
+    measured_deg, predicted_deg = np.rad2deg(trace.measured_rad[keep]), np.rad2deg(trace.predicted_rad[keep])
+    label = "predicted freely, window by window"
     for index, axis in enumerate(AXES):
         above, below = panels[2 * index], panels[2 * index + 1]
-        above.plot(
-            t_s, np.rad2deg(trace.measured_rad[keep, index]), color=_MEASURED, lw=1.0, label="measured"
-        )
-        above.plot(
-            t_s,
-            np.rad2deg(trace.predicted_rad[keep, index]),
-            color=_PREDICTED,
-            lw=0.8,
-            label="predicted freely, window by window",
-        )
+        above.plot(t_s, measured_deg[:, index], color=_MEASURED, lw=1.0, label="measured")
+        above.plot(t_s, predicted_deg[:, index], color=_PREDICTED, lw=0.8, label=label)
         above.set_ylabel(f"{axis} [deg]")
         error_deg = np.rad2deg(trace.residual[keep, index] * trace.sigma_rad[index])
         count_deg = np.rad2deg(trace.sigma_rad[index]) * np.sqrt(12.0)
@@ -68,12 +62,13 @@ def figure_of_parameters(identification: Identification) -> Figure:
     problem, fit = identification.fit.problem, identification.fit
     names = problem.names
     place = np.arange(len(names))[::-1]
-    moved = (fit.theta - problem.parameter_vector.mean) / problem.parameter_vector.std
+    change = (fit.theta - problem.parameter_vector.mean) / problem.parameter_vector.std
     half = 2.0 * np.array(list(fit.std.values())) / problem.parameter_vector.std
     figure = Figure(figsize=(8, 1.2 + 0.28 * len(names)), layout="constrained")
     panel = figure.subplots()
     panel.axvspan(-2, 2, color="#eeeeee", label="prior, 95 %")
-    panel.errorbar(moved, place, xerr=half, fmt="o", ms=4, color=_RESIDUAL, capsize=3, label="found, 95 %")
+    label = "estimate, 95 %"
+    panel.errorbar(change, place, xerr=half, fmt="o", ms=4, color=_RESIDUAL, capsize=3, label=label)
     panel.set_yticks(place, names)
     panel.set_xlabel("change from the prior, in its standard deviations")
     panel.grid(alpha=0.25)
@@ -86,26 +81,20 @@ def figure_of_correlations(identification: Identification) -> Figure:
     from matplotlib.figure import Figure
 
     names, correlation = identification.fit.problem.names, identification.fit.correlation
-    size = 2.5 + 0.32 * len(names)
-    figure = Figure(figsize=(size + 0.8, size), layout="constrained")
+    height = 2.5 + 0.32 * len(names)
+    figure = Figure(figsize=(height + 0.8, height), layout="constrained")
     panel = figure.subplots()
     image = panel.imshow(correlation, vmin=-1, vmax=1, cmap="RdBu_r")
     panel.set_xticks(range(len(names)), names, rotation=90, fontsize=8)
     panel.set_yticks(range(len(names)), names, fontsize=8)
     for i in range(len(names)):
         for j in range(len(names)):
-            if i != j and abs(correlation[i, j]) > 0.5:
-                dark = "white" if abs(correlation[i, j]) > 0.7 else "black"
-                text = (
-                    f"{correlation[i, j]:.1f}"
-                    if abs(correlation[i, j]) < 0.95
-                    else f"{correlation[i, j]:.2f}"
+            size = abs(correlation[i, j])
+            if i != j and size > 0.5:
+                colour, text = (
+                    "white" if size > 0.7 else "black",
+                    f"{correlation[i, j]:.{1 + (size >= 0.95)}f}",
                 )
-                panel.text(j, i, text, ha="center", va="center", fontsize=6, color=dark)
+                panel.text(j, i, text, ha="center", va="center", fontsize=6, color=colour)
     figure.colorbar(image, shrink=0.7, label="correlation")
     return figure
-
-
-def _kept(trace: Trace) -> slice | Floats:
-    """Rows to draw: no more than a page can show."""
-    return slice(None, None, max(1, len(trace.t_s) // _MAX_POINTS))

@@ -7,13 +7,12 @@ from typing import Any
 
 from heli_sim.model.parts import AXES
 
-from heli_lab.identify.estimation_problem import Combination
 from heli_lab.identify.html_report.figures import (
     figure_of_correlations,
     figure_of_parameters,
     identification_figure,
 )
-from heli_lab.identify.results import FreeRunErrors, Identification, rounded
+from heli_lab.identify.results import Identification, rounded
 from heli_lab.identify.thresholds import QUANTISATION_ONLY
 from heli_lab.page import folder_with, write_page
 from heli_lab.page.drawing import Drawing
@@ -49,7 +48,10 @@ def write_identification_report(
         flights=flights,
         parameters=_parameter_table(identification),
         parameters_figure=drawing.add(figure_of_parameters(identification), folder / "parameters.png"),
-        combinations=[_combination(combination) for combination in identification.combinations],
+        combinations=[
+            ", ".join(f"{name} {change:+.2g}" for name, change in combination.change.items())
+            for combination in identification.combinations
+        ],
         pairs=[[a, b, f"{value:.3f}"] for a, b, value in identification.strong_correlations],
         correlations_figure=drawing.add(figure_of_correlations(identification), folder / "correlations.png"),
         used=_used_flights(identification),
@@ -60,10 +62,9 @@ def write_identification_report(
 def verdict(identification: Identification) -> str:
     """Summarise in two sentences how good the model is."""
     numbers = identification.json()
-    residual = numbers["normalised_residual"]
-    judged = residual["train"] if residual["validation"] is None else residual["validation"]
-    held_out = residual["validation"] is not None
-    where = "the validation flights" if held_out else "the fitted flights"
+    role = numbers["free_run_of"]
+    judged = numbers["normalised_residual"][role]
+    where = "the fitted flights" if role == "train" else "the validation flights"
     window_s = identification.fit.problem.grids.window_s
     errors = ", ".join(f"{axis} {numbers['free_run_rms_deg'][axis]:.3g}" for axis in AXES)
     if judged <= QUANTISATION_ONLY:
@@ -79,15 +80,13 @@ def verdict(identification: Identification) -> str:
 def _free_run_table(identification: Identification) -> dict[str, Any]:
     """Table of the free-run errors, one row per flight: heads and rows."""
     heads = ["flight", "used for", *(f"{axis} [deg]" for axis in AXES), "normalised"]
-    rows = [_free_run_row(errors, "train") for errors in identification.training]
-    rows += [_free_run_row(errors, "validation") for errors in identification.validation]
+    rows = []
+    for role, flights in (("train", identification.training), ("validation", identification.validation)):
+        for errors in flights:
+            # An asterisk marks an axis whose errors are not white.
+            axes = [f"{errors.rms_deg[axis]:.3g}{'' if errors.white[axis] else '*'}" for axis in AXES]
+            rows.append([errors.label, role, *axes, f"{errors.normalised:.3f}"])
     return {"heads": heads, "rows": rows}
-
-
-def _free_run_row(errors: FreeRunErrors, role: str) -> list[str]:
-    """Row of the table: an asterisk marks an axis whose errors are not white."""
-    axes = [f"{errors.rms_deg[axis]:.3g}{'' if errors.white[axis] else '*'}" for axis in AXES]
-    return [errors.label, role, *axes, f"{errors.normalised:.3f}"]
 
 
 def _parameter_table(identification: Identification) -> dict[str, Any]:
@@ -111,19 +110,14 @@ def _parameter_table(identification: Identification) -> dict[str, Any]:
     return {"heads": heads, "rows": rows}
 
 
-def _combination(combination: Combination) -> str:
-    return ", ".join(f"{name} {change:+.2g}" for name, change in combination.change.items())
-
-
 def _used_flights(identification: Identification) -> list[dict[str, Any]]:
     """For each fitted flight: a sentence on what was used, the parts left out, and the number of outlying
     windows.
     """
     fit = identification.fit
     used = []
-    for record, errors, weights in zip(
-        fit.problem.records, identification.training, fit.weights, strict=True
-    ):
+    flights = zip(fit.problem.records, identification.training, fit.weights, strict=True)
+    for record, errors, weights in flights:
         notes = "".join(f" {note}." for note in record.notes)
         used.append(
             {

@@ -1,7 +1,5 @@
 """Results of a fit: checks on flights, standard errors as JSON, and a rig that can be flown."""
 
-from __future__ import annotations
-
 from heli_lab.identify.results.check import FreeRunErrors, Trace, check, trace, validate
 from heli_lab.identify.results.explained import refuse_unexplained
 from heli_lab.identify.results.identification import Identification, rounded, short_names

@@ -83,7 +83,7 @@ class Trace:
 
 def trace(fit: Fit, index: int = 0) -> Trace:
     """Predict flight number `index` of a fit at every sample, window by window."""
-    evaluation = fit.problem.evaluation(index, fit.theta, fit.states[index], fine=True, derivatives=False)
+    residual = fit.problem.residual(index, fit.theta, fit.states[index], fine=True)
     grid = fit.problem.grid(index, True, fit.theta)
     record = grid.record
     measured = grid.measured_rad
@@ -91,8 +91,8 @@ def trace(fit: Fit, index: int = 0) -> Trace:
         label=record.label,
         t_s=record.t_s[grid.rows],
         measured_rad=measured,
-        predicted_rad=measured - evaluation.residual * record.sigma_rad,
-        residual=evaluation.residual,
+        predicted_rad=measured - residual * record.sigma_rad,
+        residual=residual,
         windows=tuple(grid.slices),
         sigma_rad=record.sigma_rad,
     )
@@ -142,8 +142,6 @@ def validate(fit: Fit, flights: Sequence[Flight | Record]) -> Fit:
     per_flight_priors = {
         parameter.quantity: parameter.prior for parameter in problem.free if parameter.record is not None
     }
-    names = [quantity.name for quantity in problem.model.parameters]
-    fixed_values = dict(zip(names, vector.values, strict=True)) | vector.shared_by_name(fit.theta)
     held_out = Problem(
         problem.model,
         problem.rig,
@@ -153,7 +151,7 @@ def validate(fit: Fit, flights: Sequence[Flight | Record]) -> Fit:
         window_s=problem.grids.window_s,
         step_s=problem.grids.step_s,
         priors=per_flight_priors,
-        values=fixed_values,
+        values=vector.values_by_name | vector.shared_by_name(fit.theta),
         state_std=problem.state_std_by_name,
     )
     return solve(held_out, robust=False, scatter=False)

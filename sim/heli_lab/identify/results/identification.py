@@ -47,9 +47,8 @@ class Identification:
     @property
     def uninformed_parameters(self) -> list[str]:
         """Parameters that the flights do not inform."""
-        return uninformed_parameters(
-            self.fit.problem.names, self.fit.covariance, self.fit.problem.parameter_vector.std
-        )
+        problem = self.fit.problem
+        return uninformed_parameters(problem.names, self.fit.covariance, problem.parameter_vector.std)
 
     def remark(self, name: str) -> str:
         """Remark on the free parameter `name`: "on its bound" or "uninformed"; empty if neither."""
@@ -91,13 +90,8 @@ class Identification:
             origin = "not informed by" if quantity in uninformed else "identified from"
             source = f"{origin} {labels}; before: {before.value:g} +- {before.tolerance:g}"
             numbers[quantity] = Number(float(np.mean(values)), before.unit, tolerance, source)
-        return Rig(
-            name,
-            f"{old.name} as identified from {labels}",
-            numbers,
-            self._effects(),
-            self.fit.problem.model.name,
-        )
+        description = f"{old.name} as identified from {labels}"
+        return Rig(name, description, numbers, self._effects(), self.fit.problem.model.name)
 
     def _estimates_by_quantity(self) -> dict[str, list[tuple[float, float]]]:
         """Estimate and standard error of each rig parameter, one pair per flight if flights differ in it."""
@@ -113,8 +107,7 @@ class Identification:
     def _effects(self) -> dict[str, dict[str, Number]]:
         """Parameters of the model's effects as in a rig file: by effect, then by short name."""
         problem = self.fit.problem
-        names = [quantity.name for quantity in problem.model.parameters]
-        values = dict(zip(names, problem.parameter_vector.values, strict=True))
+        values = problem.parameter_vector.values_by_name
         estimates, std = self.fit.values, self.fit.std
         labels = ", ".join(record.label for record in problem.records)
         effects: dict[str, dict[str, Number]] = {}

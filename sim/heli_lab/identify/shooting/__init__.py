@@ -1,7 +1,5 @@
 """Multiple shooting: the solution of an estimation problem over windows with free initial states."""
 
-from __future__ import annotations
-
 from heli_lab.identify.shooting.solve import solve
 
 __all__ = ["solve"]

@@ -9,6 +9,7 @@ import numpy as np
 from heli_host.arrays import Floats
 
 from heli_lab.identify.estimation_problem import Problem
+from heli_lab.identify.estimation_problem.problem import RIGID_STATES
 from heli_lab.identify.shooting.shooting_cost import Iterate, ShootingCost
 
 SINGULAR_GUARD: Final = 1e-12
@@ -69,12 +70,12 @@ def add_state_prior(
         Increase of the diagonal of the states, as a share of itself.
     """
     nx = problem.state_count
-    diagonal, effect_rows = np.arange(nx), np.arange(6, nx)
+    diagonal, effect_rows = np.arange(nx), np.arange(RIGID_STATES, nx)
     precision = 1.0 / problem.state_std**2
     normal[:, effect_rows, effect_rows] += precision
-    pull = precision * (reference - states)[:, 6:]
-    normal[:, 6:nx, -1] += pull
-    normal[:, -1, 6:nx] += pull
+    pull = precision * (reference - states)[:, RIGID_STATES:]
+    normal[:, effect_rows, -1] += pull
+    normal[:, -1, effect_rows] += pull
     normal[:, diagonal, diagonal] *= 1.0 + np.reshape(damping, (-1, 1))
 
 
@@ -121,7 +122,6 @@ def eliminate_states(cost: ShootingCost, iterate: Iterate, damping: float = 0.0)
     information, gradient = np.zeros((free_count, free_count)), np.zeros(free_count)
     state_steps, state_responses, predicted_reduction = [], [], 0.0
     for index, evaluation in enumerate(iterate.evaluations):
-        assert evaluation.normal_matrix is not None
         scale = cost.weights[index][:, None] / cost.variance[index]
         normal = np.einsum("wa,waij->wij", scale, evaluation.normal_matrix)
         add_state_prior(problem, normal, iterate.states[index], cost.state_prior[index], damping)

@@ -15,6 +15,7 @@ from heli_lab.identify import thresholds
 from heli_lab.identify.estimation_problem import Evaluation, Problem
 from heli_lab.identify.estimation_problem.grid import Grid
 from heli_lab.identify.estimation_problem.initial_states import initial_state_guess
+from heli_lab.identify.estimation_problem.problem import RIGID_STATES
 from heli_lab.identify.estimation_problem.residual_noise import floor_axes, long_run_variance, window_weights
 
 
@@ -42,33 +43,31 @@ class Iterate:
 
 def window_cost(
     problem: Problem,
-    normal_matrix: Floats,
+    squares: Floats,
     states: Floats,
-    reference: Floats,
+    prior_mean: Floats,
     variance: Floats,
-    weights: Floats,
+    weights: Floats | float = 1.0,
 ) -> Floats:
     """Cost of each window of a record, shape (w,): weighted sums of squares with the states' prior; infinite
     if a prediction diverges.
 
     Parameters
     ----------
-    normal_matrix : ndarray (w, 3, z + 1, z + 1)
-        As in `Evaluation`.
+    squares : ndarray (w, 3)
+        Sum of the squared residuals of each window and axis.
     states : ndarray (w, states)
         Initial states.
-    reference : ndarray (w, states)
+    prior_mean : ndarray (w, states)
         Prior means of the initial states of effects.
     variance : ndarray (3,)
         Variance of each axis, by which its squared residuals are divided.
-    weights : ndarray (w,)
+    weights : ndarray (w,), optional
         Weights of the windows.
     """
-    cost = weights * (normal_matrix[:, :, -1, -1] / variance).sum(axis=1)
-    if problem.state_count > 6:
-        cost = cost + (((states - reference)[:, 6:] / problem.state_std) ** 2).sum(axis=1)
-    result: Floats = np.where(np.isfinite(cost), cost, np.inf)
-    return result
+    deviation = (states - prior_mean)[:, RIGID_STATES:] / problem.state_std
+    cost = weights * (squares / variance).sum(axis=1) + (deviation**2).sum(axis=1)
+    return np.where(np.isfinite(cost), cost, np.inf)
 
 
 class ShootingCost:
@@ -134,10 +133,10 @@ class ShootingCost:
 
     def window_cost(self, iterate: Iterate, index: int) -> Floats:
         """Cost of each window of record `index`, shape (w,)."""
-        normal_matrix = iterate.evaluations[index].normal_matrix
-        assert normal_matrix is not None
         of_record = self.state_prior[index], self.variance[index], self.weights[index]
-        return window_cost(self.problem, normal_matrix, iterate.states[index], *of_record)
+        return window_cost(
+            self.problem, iterate.evaluations[index].squares, iterate.states[index], *of_record
+        )
 
     def reweight(self, iterate: Iterate) -> float:
         """Estimate variances and weights again from the residuals of an `iterate`, whose cost is updated;
@@ -176,5 +175,5 @@ class ShootingCost:
         """Set the prior means of effects' states to those after the flight before their windows, with the
         parameters of an `iterate`.
         """
-        if self.problem.state_count > 6:
+        if self.problem.state_count > RIGID_STATES:
             self.state_prior = self.initial_state_guess(iterate.theta)

@@ -15,13 +15,10 @@ def recover_windows(cost: ShootingCost, iterate: Iterate, before: Iterate) -> No
     for index in range(len(iterate.evaluations)):
         old, new = cost.window_cost(before, index), cost.window_cost(iterate, index)
         with np.errstate(invalid="ignore"):
-            lost = (new > thresholds.DIVERGED_FACTOR * old) & (
-                new - old > thresholds.DIVERGED_SHARE * before.cost
-            )
-        if lost.any():
-            refine_states(
-                cost, iterate, index, np.flatnonzero(lost), before=before.states[index], max_steps=4
-            )
+            is_raised = new - old > thresholds.DIVERGED_SHARE * before.cost
+        lost = np.flatnonzero(is_raised & (new > thresholds.DIVERGED_FACTOR * old))
+        if len(lost):
+            refine_states(cost, iterate, index, lost, before=before.states[index])
 
 
 def reoptimise_states(cost: ShootingCost, iterate: Iterate) -> Iterate | None:
@@ -40,12 +37,10 @@ def restart_outliers(cost: ShootingCost, iterate: Iterate) -> bool:
     for index in range(len(iterate.evaluations)):
         # In the second turn the window before may have left its own wrong basin.
         for turn in range(thresholds.RESTARTS):
-            normal_matrix = iterate.evaluations[index].normal_matrix
-            assert normal_matrix is not None
             steps = problem.grid(index, cost.fine, iterate.theta).inputs.steps
-            squares = normal_matrix[:, :, -1, -1].sum(axis=1) / (3 * steps)
-            typical = float(np.median(squares))
-            lost = np.flatnonzero(squares > thresholds.RESTART_OUTLIER * typical)
+            mean_square = iterate.evaluations[index].squares.sum(axis=1) / (3 * steps)
+            typical = float(np.median(mean_square))
+            lost = np.flatnonzero(mean_square > thresholds.RESTART_OUTLIER * typical)
             if not len(lost) or typical > thresholds.TOO_WRONG:
                 break
             others = alternative_states(problem, index, iterate.theta, iterate.states[index])

@@ -98,14 +98,13 @@ class _WindowSearch:
     states : ndarray (k, states)
         Best initial states so far.
     normal_matrix, residual : ndarray
-        Evaluation at these states, as in `Evaluation`, of these windows alone.
+        Those of `Evaluation` at these states, of these windows alone.
     cost : ndarray (k,)
         Cost of each window at these states.
     """
 
     def __init__(self, cost: ShootingCost, iterate: Iterate, index: int, numbers: Integers) -> None:
         problem, evaluation = cost.problem, iterate.evaluations[index]
-        assert evaluation.normal_matrix is not None
         record_grid = problem.grid(index, cost.fine, iterate.theta)
         self._problem, self.numbers, self.variance = problem, numbers, cost.variance[index]
         self.grid, self.steps = record_grid.only(numbers), record_grid.steps_of(numbers)
@@ -114,7 +113,7 @@ class _WindowSearch:
         self.states = iterate.states[index][numbers].copy()
         self.normal_matrix = evaluation.normal_matrix[numbers].copy()
         self.residual = evaluation.residual[self.steps].copy()
-        self.cost = self._cost(self.states, self.normal_matrix)
+        self.cost = self._cost(self.states, evaluation.squares[numbers])
 
     def replace_if_better(self, states: Floats) -> Booleans:
         """Replace the states of those windows for which other `states`, shape (k, states), cost less.
@@ -124,12 +123,10 @@ class _WindowSearch:
         ndarray of bool (k,)
             The windows whose states were replaced.
         """
-        measured, sigma = self.grid.measured_rad, self.grid.record.sigma_rad
-        kernel = self._problem.kernel
-        angles, normal_matrix = kernel.products(self.grid.inputs, states, self.parameters, measured, sigma)
-        cost = self._cost(states, normal_matrix)
+        evaluation = self._problem.evaluate_grid(self.grid, states, self.parameters)
+        cost = self._cost(states, evaluation.squares)
         is_better: Booleans = cost < self.cost
-        self._replace(is_better, states, normal_matrix, cost, (measured - angles) / sigma)
+        self._replace(is_better, states, evaluation.normal_matrix, cost, evaluation.residual)
         return is_better
 
     def merge_better(self, other: _WindowSearch) -> None:
@@ -169,13 +166,11 @@ class _WindowSearch:
         # The parameters are fixed: only the states and the right-hand side remain.
         kept = [*range(state_count), normal.shape[1] - 1]
         _, gain = eliminate(normal[:, kept][:, :, kept], state_count, SINGULAR_GUARD)
-        result: Floats = self.states + gain[:, :, 0]
-        return result
+        return self.states + gain[:, :, 0]
 
     def write_back(self, cost: ShootingCost, iterate: Iterate, index: int) -> None:
         """Write these windows into record `index` of an `iterate`, and update the cost of the iterate."""
         evaluation = iterate.evaluations[index]
-        assert evaluation.normal_matrix is not None
         states, residual = iterate.states[index].copy(), evaluation.residual.copy()
         normal_matrix = evaluation.normal_matrix.copy()
         states[self.numbers], residual[self.steps] = self.states, self.residual
@@ -183,6 +178,5 @@ class _WindowSearch:
         iterate.states[index], iterate.evaluations[index] = states, Evaluation(residual, normal_matrix)
         iterate.cost = cost.cost(iterate)
 
-    def _cost(self, states: Floats, normal_matrix: Floats) -> Floats:
-        weights = np.ones(len(self.numbers))
-        return window_cost(self._problem, normal_matrix, states, self.prior_mean, self.variance, weights)
+    def _cost(self, states: Floats, squares: Floats) -> Floats:
+        return window_cost(self._problem, squares, states, self.prior_mean, self.variance)
