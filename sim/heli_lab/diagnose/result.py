@@ -11,7 +11,7 @@ from heli_sim.model.effects import EffectSpec
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
-from heli_lab.diagnose.discover import ProposedTerm, SplineCurve, spline_curve_of
+from heli_lab.diagnose.discover import ProposedTerm, SplineCurve, spline_curves_of
 from heli_lab.diagnose.evaluate import (
     Assessment,
     CauseParameter,
@@ -32,7 +32,7 @@ from heli_lab.diagnose.evaluate import (
 )
 from heli_lab.diagnose.experiment import ExperimentDesign
 from heli_lab.diagnose.extended_rig import extended_rig
-from heli_lab.diagnose.search import Search, SplineTerm
+from heli_lab.diagnose.search import Search
 
 
 @dataclass(frozen=True)
@@ -132,12 +132,7 @@ class Diagnosis:
     @property
     def curves(self) -> list[SplineCurve]:
         """Spline terms in the place of causes that the catalogue lacks, the strongest first."""
-        effects = (cause.candidate.effect for cause in self.verdict.unlisted)
-        return [
-            spline_curve_of(effect, self.search.final.estimate)
-            for effect in effects
-            if isinstance(effect, SplineTerm)
-        ]
+        return spline_curves_of(self.verdict.unlisted, self.search.final.estimate)
 
     @cached_property
     def failing(self) -> FailingRegions:

@@ -315,17 +315,21 @@ def equation_effect(
     )
 
 
+_INNER_PRIOR: Final[Mapping[str, tuple[float, float, float]]] = {
+    "k": (0.3, 0.3, 3.0),
+    "slack": (0.5, 0.3, 2.0),
+    "width": (0.5, 0.2, 5.0),
+}
+"""Standard deviation, lower and upper bound of periods per turn, of a slack and of a bump's width. They are
+multiples of the values in the grammar, and let a refit reach the neighbouring values there."""
+
+
 def inner_prior(factor: Factor, inner_name: str, value: float) -> Prior:
-    """Return the prior of the parameter `inner_name` of a `factor`: its mean is `value`, from the grammar,
-    and its width the step of the grammar's grid.
-    """
+    """Return the prior of the parameter `inner_name` of a `factor`, about its `value` in the grammar."""
     if inner_name == "s":
         return Prior(value, value, _MIN_s, _MAX_s)
-    if inner_name == "k":
-        return Prior(value, 0.3 * value, 0.3 * value, 3.0 * value)
-    if inner_name == "slack":
-        return Prior(value, 0.5 * value, 0.3 * value, 2.0 * value)
-    width = dict(factor.parameters)["width"]
     if inner_name == "place":
+        width = dict(factor.parameters)["width"]
         return Prior(value, width, value - 4.0 * width, value + 4.0 * width)
-    return Prior(value, 0.5 * value, 0.2 * value, 5.0 * value)
+    std, low, high = _INNER_PRIOR[inner_name]
+    return Prior(value, std * value, low * value, high * value)

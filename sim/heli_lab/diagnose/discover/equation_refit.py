@@ -53,12 +53,10 @@ class RefittedEquation:
     @property
     def estimates(self) -> dict[str, tuple[float, float]]:
         """Value and standard error of the estimated parameters, by name without prefix."""
-        estimate = self.hypothesis.estimate
-        std = np.sqrt(np.diag(estimate.covariance))
-        prefix = f"{self.hypothesis.candidates[-1].effect.prefix}_"
+        prefix, std = f"{self.hypothesis.candidates[-1].effect.prefix}_", self.hypothesis.std
         return {
-            name.removeprefix(prefix): (float(value), float(error))
-            for name, value, error in zip(estimate.parameter_vector.names, estimate.theta, std, strict=True)
+            name.removeprefix(prefix): (value, std[name])
+            for name, value in self.hypothesis.values.items()
             if name.startswith(prefix)
         }
 

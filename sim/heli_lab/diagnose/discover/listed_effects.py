@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from heli_sim.model.effects import EffectSpec
@@ -28,6 +28,7 @@ from heli_lab.diagnose.thresholds import (
 )
 
 
+@dataclass
 class ListedEffects:
     """Search for an effect of the catalogue that explains the flights as well as an equation does.
 
@@ -43,14 +44,10 @@ class ListedEffects:
         Called with the present step in words.
     """
 
-    def __init__(
-        self,
-        comparison: ModelComparison,
-        base: Hypothesis,
-        kinds: Mapping[str, EffectSpec],
-        say: Callable[[str], None],
-    ) -> None:
-        self.comparison, self.base, self.kinds, self.say = comparison, base, kinds, say
+    comparison: ModelComparison
+    base: Hypothesis
+    kinds: Mapping[str, EffectSpec]
+    say: Callable[[str], None]
 
     def equivalent_effect(self, equation: Equation, warm_start: Hypothesis, penalty: float) -> str | None:
         """Find an effect that fits all flights as well as an equation, and that the equation does not

@@ -8,7 +8,7 @@ what is significant is structure that a better model could predict.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
@@ -28,6 +28,7 @@ from heli_lab.diagnose.search import (
     spline_candidates,
 )
 from heli_lab.estimation import BLOCK_s, DisturbanceModel, InnovationsModel
+from heli_lab.threads import batches
 
 _MAX_CORRELATES: Final = 4
 """Longest list that a report shows."""
@@ -272,7 +273,7 @@ def _function_statistics(
 ) -> list[ScoreStatistics]:
     """Return the score statistics of a torque about each axis in turn, for each of the `functions`."""
     result: list[ScoreStatistics] = []
-    for batch in _batches(functions, screening.batch):
+    for batch in batches(functions.values(), lambda curves: curves[0].shape[1], screening.batch):
         sizes = [curves[0].shape[1] for curves in batch]
         torques_Nm = [np.hstack(flight_curves) for flight_curves in zip(*batch, strict=True)]
         statistics_by_axis = [
@@ -285,17 +286,6 @@ def _function_statistics(
         for function_statistics in zip(*statistics_by_axis, strict=True):
             result.extend(function_statistics)
     return result
-
-
-def _batches(functions: Mapping[str, list[Floats]], max_regressors: int) -> Iterator[list[list[Floats]]]:
-    """Yield the functions in their order, in batches of at most `max_regressors` regressors about an axis."""
-    batch: list[list[Floats]] = []
-    for curves in functions.values():
-        if batch and sum(function[0].shape[1] for function in [*batch, curves]) > max_regressors:
-            yield batch
-            batch = []
-        batch.append(curves)
-    yield batch
 
 
 def _on_own_rate(what: str) -> bool:

@@ -3,7 +3,7 @@
 from heli_lab.diagnose.search.candidate import Candidate, ScoredCandidate, may_join, typical_candidate
 from heli_lab.diagnose.search.estimate_cache import EstimateCache, fingerprint
 from heli_lab.diagnose.search.folds import split
-from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, Refit, Round
+from heli_lab.diagnose.search.hypothesis import Cause, Hypothesis, Refit, Round
 from heli_lab.diagnose.search.model_comparison import ModelComparison
 from heli_lab.diagnose.search.regressors import ExtendedModel, spline_candidates
 from heli_lab.diagnose.search.replication import Direction, direction
@@ -22,7 +22,6 @@ from heli_lab.diagnose.search.stepwise import Search, search
 __all__ = [
     "KNOTS",
     "QUANTITIES",
-    "Alternative",
     "Candidate",
     "Cause",
     "Direction",

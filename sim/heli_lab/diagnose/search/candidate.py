@@ -36,8 +36,9 @@ class Candidate:
 
     @property
     def neutral(self) -> dict[str, float]:
-        """Values of its sizes at which it has practically no influence, within the priors' bounds,
-        by full name.
+        """Values of its sizes at which it has practically no influence, within the priors' bounds.
+
+        Its sizes are the linear parameters, or, if there are none, the first parameter that has a prior.
         """
         sizes = self.linear_parameters or tuple(self.effect.priors)[:1]
         values = {}

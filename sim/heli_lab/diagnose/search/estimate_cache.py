@@ -30,7 +30,7 @@ from heli_lab.estimation import (
     ReferenceTrajectory,
 )
 from heli_lab.identify import Record
-from heli_lab.identify.flight_model import RigParameters
+from heli_lab.identify.flight_model import RigParameters, model_functions
 
 _PACKAGES: Final = ("heli_sim.model", "heli_lab.identify", "heli_lab.estimation")
 """Packages whose code, compiled code included, an estimate depends on."""
@@ -96,8 +96,7 @@ class EstimateCache:
         key: str,
         parameter_vector: RigParameters,
         references: Sequence[ReferenceTrajectory],
-        functions: ModelFunctions,
-        compute: Callable[[], Estimate],
+        compute: Callable[[ModelFunctions], Estimate],
     ) -> Estimate:
         """Look up an estimate, or compute and keep it; threads may do so at the same time for different keys.
 
@@ -105,11 +104,14 @@ class EstimateCache:
         ----------
         key : str
             `cache_key` of the estimate.
-        parameter_vector, references, functions
-            Free parameters, reference trajectories and model functions of the estimate.
+        parameter_vector : RigParameters
+            Free parameters of the estimate.
+        references : sequence of ReferenceTrajectory
+            Its flights.
         compute : callable
-            Returns the estimate if the cache lacks it.
+            Takes the functions of the model, and returns the estimate; called if the cache lacks it.
         """
+        functions = model_functions(parameter_vector.model, parameter_vector.quantities)
         self.used_keys.add(key)
         cached = self._entries.get(key)
         if cached is not None:
@@ -123,7 +125,7 @@ class EstimateCache:
                 references=tuple(references),
                 functions=functions,
             )
-        estimate = compute()
+        estimate = compute(functions)
         entry = {
             "key": key,
             "theta": estimate.theta.tolist(),
