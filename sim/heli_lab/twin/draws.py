@@ -93,7 +93,7 @@ class _RecordingTwin(Twin):
         """Record the innovation, and add it to the evidence."""
         self.innovations.append(innovation.value)
         if np.any(np.abs(innovation.value) > CUT_OFF_STD):
-            self.kicks_s.append(self._block_end_s())
+            self.kicks_s.append(self._block_end_s(self._block_count))
         super()._update_evidence(innovation)
 
 
@@ -121,7 +121,7 @@ class _DrawnTwin(Twin):
         self._latest = [*self._latest[1 - PERSISTENCE_BLOCKS :], evidence]
         if len(self._latest) == PERSISTENCE_BLOCKS:
             persistent_nats = np.min(self._latest, axis=0)
-            t_s = self._block_end_s()
+            t_s = self._block_end_s(self._block_count)
             for history, nats in zip(self.histories, persistent_nats, strict=True):
                 history.append((t_s, float(nats)))
 
