@@ -57,10 +57,7 @@ def import_(
     ] = None,
     one_flight: Annotated[
         bool,
-        typer.Option(
-            "--one-flight",
-            help="Merge all files into one flight, such as angles and voltages.",
-        ),
+        typer.Option("--one-flight", help="Merge all files into one flight, such as angles and voltages."),
     ] = False,
     force: Annotated[
         bool, typer.Option("--force", help="Write the flights even if the guess is unsure.")
