@@ -142,10 +142,10 @@ class Diagnosis:
         term = self.proposed_term
         if term is not None:
             return self.failing_about(term.trace.axis, term.trace.on)
-        rounds = self.search.rounds[0].splines
+        splines = self.search.rounds[0].splines
         torques = [
             (channel.partition(".")[2], on)
-            for _, channel, on in (spline.candidate.id.split(":") for spline in rounds)
+            for channel, on in (spline.candidate.dependence for spline in splines)
             if channel.startswith("torque")
         ]
         missing = [self.missing] if self.missing else []
@@ -171,7 +171,7 @@ class Diagnosis:
             return None
         residual = self.assessment.residual_analysis
         if self.verdict.unlisted:
-            _, channel, on = self.verdict.unlisted[0].candidate.id.split(":")
+            channel, on = self.verdict.unlisted[0].candidate.dependence
             where = channel.rpartition(".")[2]
             return (where if where in AXES else ("pitch" if where == "difference" else "elevation")), on
         channel, _, on = residual.dependences[0].what.partition(" on ")

@@ -264,13 +264,7 @@ class Twin:
         if self.records_evidence:
             self.evidence_history.append((t_s, self.evidence_nats))
         if self._alarm_block is None:
-            is_early = not self._recalibrates and block * self.block_s <= CALIBRATION_s
-            if is_early:
-                yield from self._check_model_once(block, t_s)
-            if self.evidence_nats > self.threshold_nats and not self.contradicts:
-                self._alarm_block, self._is_early = block, is_early
-                if not is_early:
-                    yield self._ranked_event("alarm", t_s)
+            yield from self._raise_alarm(t_s)
         elif (block - self._alarm_block) * self.block_s >= DIAGNOSIS_DELAY_s:
             yield from self._final_ranking(step.index)
             if not self.contradicts:
@@ -281,6 +275,21 @@ class Twin:
         adds_onsets = self._alarm_block is None or block - self._alarm_block < RECENT
         if adds_onsets and block * self.block_s >= FILTER_SETTLING_s:
             ratio.begin_onset(block, kalman.state_sensitivity)
+
+    def _raise_alarm(self, t_s: float) -> Iterator[TwinEvent]:
+        """Raise an alarm if the evidence is above the threshold.
+
+        In the calibration at the beginning of a flight, the model itself may be wrong: an early alarm is
+        reported with its final ranking only.
+        """
+        block = self._block_count
+        is_early = not self._recalibrates and block * self.block_s <= CALIBRATION_s
+        if is_early:
+            yield from self._check_model_once(block, t_s)
+        if self.evidence_nats > self.threshold_nats and not self.contradicts:
+            self._alarm_block, self._is_early = block, is_early
+            if not is_early:
+                yield self._ranked_event("alarm", t_s)
 
     def _process_measurement(self, kalman: KalmanFilter, step: Step, since_s: float, volts_V: Floats) -> None:
         """Update the filter with a measurement, and the evidence with its innovation."""

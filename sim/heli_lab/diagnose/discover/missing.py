@@ -29,6 +29,7 @@ from heli_lab.diagnose.search import (
     coefficient_std,
     knot_span,
     quantity_values,
+    spline_candidate,
     spline_term,
 )
 from heli_lab.diagnose.thresholds import CURVE_SHARE
@@ -322,7 +323,7 @@ def _missing_angle(estimate: Estimate, reduced: Estimate, cause: Candidate) -> M
     low, step = knot_span(quantity)
     term = spline_term(f"measurement.{AXES[axis]}", name, low, step, _SPLINE_NUMBER)
     term = replace(term, priors={prior_name: Prior(0.0, _PRIOR_STD_rad) for prior_name in term.priors})
-    candidate = Candidate(f"spline:{term.channel}:{name}", term, tuple(term.priors))
+    candidate = spline_candidate(term)
     curve_points = np.linspace(low, low + step * (KNOTS - 3), _CURVE_POINTS)
     basis = bspline_basis(curve_points, low, step)
     basis -= basis.mean(axis=0)

@@ -54,7 +54,7 @@ class SplineCurve:
 
 def spline_curve_of(effect: SplineTerm, estimate: Estimate) -> SplineCurve:
     """Evaluate a spline term, an `effect` of the model of an `estimate`, with its estimated coefficients."""
-    low, step = effect.values[f"{effect.name}_low"], effect.values[f"{effect.name}_step"]
+    low, step = effect.knots
     quantity = np.linspace(low, low + step * (KNOTS - 3), _CURVE_POINTS)
     basis = bspline_basis(quantity, low, step)
     # A constant torque, thrust or angle is a parameter of the rig already: only the variation is the curve.

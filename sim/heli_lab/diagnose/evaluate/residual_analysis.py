@@ -232,12 +232,9 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
     candidates = [
         candidate
         for candidate in spline_candidates(linearised_flights, _TEST_SPLINES)
-        if not candidate.id.startswith("spline:measurement")
+        if not candidate.dependence[0].startswith("measurement")
     ]
-    tests = [
-        _Test(" on ".join(candidate.id.split(":")[1:]), coefficient_std(candidate))
-        for candidate in candidates
-    ]
+    tests = [_Test(" on ".join(candidate.dependence), coefficient_std(candidate)) for candidate in candidates]
     statistics_by_screening = [screening.spline_information(candidates) for screening in screenings]
     functions = dependence_functions(linearised_flights)
     for name, curves in functions.items():
@@ -310,7 +307,7 @@ def correlates(splines: Sequence[ScoredCandidate]) -> list[str]:
     best = splines[0].log_likelihood_gain if splines else 0.0
     min_gain = max(thresholds.CORRELATE_SHARE * best, thresholds.CHANCE_NATS)
     return [
-        " on ".join(spline.candidate.id.split(":")[1:])
+        " on ".join(spline.candidate.dependence)
         for spline in splines[:_MAX_CORRELATES]
         if spline.log_likelihood_gain > min_gain
     ]

@@ -59,9 +59,10 @@ def propose_experiment(
 def _wider_range(search: Search, assessment: Assessment) -> ExperimentDesign:
     """A flight over a wider range of the quantities on which the missing part depends."""
     unlisted = assessment.verdict.unlisted
-    on = {cause.candidate.id.rpartition(":")[2] for cause in unlisted}
-    parts = {part for part in ("travel", "elevation", "time") if any(part in name for name in on)}
-    parts |= {"motors"} if any("thrust" in name for name in on) or not on else set()
+    quantities = {cause.candidate.dependence[1] for cause in unlisted}
+    parts = {part for part in ("travel", "elevation", "time") if any(part in name for name in quantities)}
+    if any("thrust" in name for name in quantities) or not quantities:
+        parts.add("motors")
     covered = " and ".join(
         f"{curve.on} only from {curve.quantity[0]:.3g} to {curve.quantity[-1]:.3g} {curve.quantity_unit}"
         for curve in spline_curves_of(unlisted, search.final.estimate)

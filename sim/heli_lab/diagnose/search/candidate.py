@@ -52,6 +52,12 @@ class Candidate:
         """Whether it is a spline term, not an effect of the catalogue."""
         return self.id.startswith("spline:")
 
+    @property
+    def dependence(self) -> tuple[str, str]:
+        """Channel and quantity of a spline term, such as ``torque.pitch`` and ``elevation``."""
+        _, channel, quantity = self.id.split(":")
+        return channel, quantity
+
     def start_values(self, coefficients: Floats) -> dict[str, float]:
         """Start values of a fit, by full name, within the priors' bounds; `coefficients` are those that a
         score test estimates, shape (g,).

@@ -167,7 +167,7 @@ class RoundRefits:
             return best
         spline_refit = self._refit(splines[0])
         if spline_refit.margin > required_margin:
-            channel = splines[0].candidate.id.split(":")[1]
+            channel, _ = splines[0].candidate.dependence
             on_channel = [
                 scored
                 for scored in self.screened

@@ -98,8 +98,7 @@ class Regressors:
         if instant not in self._quantities:
             trajectory = self.linear.nodes if instant == "nodes" else self.linear.trajectory
             self._quantities[instant] = quantity_values(self.model, trajectory)
-        low, step = effect.values[f"{effect.name}_low"], effect.values[f"{effect.name}_step"]
-        basis = bspline_basis(self._quantities[instant][effect.on], low, step)[:, None, :]
+        basis = bspline_basis(self._quantities[instant][effect.on], *effect.knots)[:, None, :]
         return rates * basis, measured * basis if np.any(measured) else None
 
     def influence(self, effect: SplineTerm) -> tuple[Floats, Floats]:
@@ -306,6 +305,10 @@ def spline_candidates(linearised_flights: Sequence[LinearisedFlight], number: in
         low, step = knot_span(np.concatenate(values_by_quantity[quantity]))
         if step * (KNOTS - 1) < _MIN_RANGE:
             continue
-        term = spline_term(channel, quantity, low, step, number)
-        candidates.append(Candidate(f"spline:{channel}:{quantity}", term, tuple(term.priors)))
+        candidates.append(spline_candidate(spline_term(channel, quantity, low, step, number)))
     return candidates
+
+
+def spline_candidate(term: SplineTerm) -> Candidate:
+    """Make a candidate of a spline `term`."""
+    return Candidate(f"spline:{term.channel}:{term.on}", term, tuple(term.priors))

@@ -94,6 +94,11 @@ class SplineTerm(Effect):
     channel: str = ""
     on: str = ""
 
+    @property
+    def knots(self) -> tuple[float, float]:
+        """Second knot, where the curve begins, and distance of the knots, in the unit of the quantity."""
+        return self.values[f"{self.name}_low"], self.values[f"{self.name}_step"]
+
     def _curve(self, at: Operands) -> ca.SX:
         """Return the value of the curve: the sum of coefficients times basis functions."""
         p = at.parameter
