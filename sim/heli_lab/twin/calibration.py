@@ -18,6 +18,8 @@ from heli_lab.twin.parameter_uncertainty import EXACT, ParameterUncertainty
 from heli_lab.twin.tail import IDEAL, Tail
 
 _AXES, _ROTORS = 3, 2
+_DISTURBANCES: Final = ("fast_std_Nm", "correlation_time_s", "slow_std_Nm", "quantisation")
+"""Entries of the table [disturbances] of a twin file."""
 
 
 DEFAULT_DISTURBANCES: Final = replace(DISTURBANCE_START, quantisation=np.ones(3))
@@ -57,24 +59,21 @@ class Calibration:
 
 def calibration_text(calibration: Calibration, rig: str) -> str:
     """Return the text of a twin file (TOML); `rig` is the name or the path of the rig."""
-    disturbances, tail = calibration.disturbances, calibration.tail
+    disturbance_lines = "".join(
+        f"{key} = {_listed(getattr(calibration.disturbances, key.removesuffix('_Nm')))}\n"
+        for key in _DISTURBANCES
+    )
+    numbers = ("level_nats", "per_hour", "scale_nats", "excesses", "shape", "healthy_s")
+    tail_lines = "".join(f"{name} = {getattr(calibration.tail, name):.6g}\n" for name in numbers)
     return (
         "# A twin: a rig, its disturbances, and the tail of the evidence without a change.\n"
         "# Written by heli-host twin; order of the axes: elevation, pitch, travel.\n"
         f"rig = {_quoted(rig)}\n"
         f"source = {_quoted(calibration.source)}\n\n"
         "[disturbances]\n"
-        f"fast_std_Nm = {_listed(disturbances.fast_std)}\n"
-        f"correlation_time_s = {_listed(disturbances.correlation_time_s)}\n"
-        f"slow_std_Nm = {_listed(disturbances.slow_std)}\n"
-        f"quantisation = {_listed(disturbances.quantisation)}\n\n"
+        f"{disturbance_lines}\n"
         "[tail]\n"
-        f"level_nats = {tail.level_nats:.6g}\n"
-        f"per_hour = {tail.per_hour:.6g}\n"
-        f"scale_nats = {tail.scale_nats:.6g}\n"
-        f"excesses = {tail.excesses}\n"
-        f"shape = {tail.shape:.6g}\n"
-        f"healthy_s = {tail.healthy_s:.6g}\n"
+        f"{tail_lines}"
     ) + _uncertainty_text(calibration.uncertainty)
 
 
@@ -116,7 +115,7 @@ def parse_calibration(data: Mapping[str, Any], name: str) -> Calibration:
     """
     numbers: dict[str, Any] = {}
     disturbances, tail_table = _table_of(data, "disturbances", name), _table_of(data, "tail", name)
-    for key in ("fast_std_Nm", "correlation_time_s", "slow_std_Nm", "quantisation"):
+    for key in _DISTURBANCES:
         values = disturbances.get(key)
         if not isinstance(values, list) or len(values) != _AXES or not all(map(_is_positive, values)):
             raise TwinError(f"{name}: disturbances.{key} is not three positive numbers", _REMEDY)

@@ -84,12 +84,10 @@ class EquationRefits:
         """Complexity penalty, in nats, of the terms of a `group` in an `equation`: BIC for its parameters
         that are not `held`, and the logarithm of the number of groups tried.
         """
-        free_count = len(group.terms)
-        for inner in equation.inner_parameters():
-            term = equation.terms[inner.term]
-            form = term.term.factors[inner.factor].form
-            is_sign_width = inner.name_in_factor == "width" and form == "sign"
-            free_count += inner.name not in held and term in group.terms and not is_sign_width
+        free_count = len(group.terms) + sum(
+            inner.name not in held and not inner.is_sign_width and equation.terms[inner.term] in group.terms
+            for inner in equation.inner_parameters()
+        )
         near_rest_nats = sum(
             NEAR_REST_NATS for term in group.terms if _on_own_rate(term.channel, term.term.key)
         )
@@ -119,7 +117,7 @@ class EquationRefits:
         held : frozenset of str
             Inner parameters to hold at their start values.
         """
-        effect = equation_effect(equation, self.prior_std(equation, signals), dict.fromkeys(held), self.name)
+        effect = equation_effect(equation, self.prior_std(equation, signals), held, self.name)
         values = {f"{effect.prefix}_{name}": value for name, value in start.items()}
         # Parameters without a prior are not estimated.
         fixed_values = {

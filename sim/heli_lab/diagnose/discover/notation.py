@@ -214,9 +214,7 @@ def _methods_code(equation: Equation) -> Iterator[str]:
     rates = [
         f"({SYMBOLS[factor.quantity].python} - {_lag_state_code(i, j, factor)})"
         f' / self.own(at, "{equation.inner_names(i, j)["s"]}")'
-        for i, term in enumerate(equation.terms)
-        for j, factor in enumerate(term.term.factors)
-        if factor.lag_filter
+        for i, j, factor in equation.lagged_factors
     ]
     if rates:
         value = f"ca.vertcat({', '.join(rates)})"

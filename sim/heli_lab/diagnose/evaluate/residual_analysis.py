@@ -234,27 +234,26 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
         for candidate in spline_candidates(linearised_flights, _TEST_SPLINES)
         if not candidate.dependence[0].startswith("measurement")
     ]
-    tests = [_Test(" on ".join(candidate.dependence), coefficient_std(candidate)) for candidate in candidates]
-    statistics_by_screening = [screening.spline_information(candidates) for screening in screenings]
     functions = dependence_functions(linearised_flights)
-    for name, curves in functions.items():
-        for axis, axis_name in enumerate(AXES):
-            prior_std = np.full(curves[0].shape[1], _TORQUE_STD_Nm[axis])
-            tests.append(_Test(f"torque.{axis_name} on {name}", prior_std))
+    tests = [_Test(" on ".join(candidate.dependence), coefficient_std(candidate)) for candidate in candidates]
+    tests += [
+        _Test(f"torque.{axis} on {name}", np.full(curves[0].shape[1], std_Nm))
+        for name, curves in functions.items()
+        for axis, std_Nm in zip(AXES, _TORQUE_STD_Nm, strict=True)
+    ]
+    statistics_by_screening = []
     first = 0
-    for screening, statistics in zip(screenings, statistics_by_screening, strict=True):
+    for screening in screenings:
         last = first + len(screening.filtered.linearised_flights)
         own_functions = {name: curves[first:last] for name, curves in functions.items()}
-        statistics.extend(_function_statistics(screening, own_functions))
+        statistics_by_screening.append(
+            [*screening.spline_information(candidates), *_function_statistics(screening, own_functions)]
+        )
         first = last
-    result = []
-    for test, *statistics in zip(tests, *statistics_by_screening, strict=True):
-        information = np.sum([part.information for part in statistics], axis=0)
-        score = np.sum([part.score for part in statistics], axis=0)
-        gain = score_of(information, score, test.prior_std).log_likelihood_gain
-        is_near_rest = test.name.endswith("near rest") or _on_own_rate(test.name)
-        near_rest_nats = thresholds.NEAR_REST_NATS if is_near_rest else 0.0
-        result.append(Dependence(test.name, gain, penalty(len(test.prior_std)) + near_rest_nats))
+    result = [
+        _dependence(test, statistics)
+        for test, *statistics in zip(tests, *statistics_by_screening, strict=True)
+    ]
     return sorted(result, key=lambda dependence: -dependence.log_likelihood_gain)
 
 
@@ -263,6 +262,16 @@ class _Test(NamedTuple):
 
     name: str
     prior_std: Floats
+
+
+def _dependence(test: _Test, statistics: Sequence[ScoreStatistics]) -> Dependence:
+    """Carry out a test whose `statistics` are those of each set of flights."""
+    information = np.sum([part.information for part in statistics], axis=0)
+    score = np.sum([part.score for part in statistics], axis=0)
+    gain = score_of(information, score, test.prior_std).log_likelihood_gain
+    is_near_rest = test.name.endswith("near rest") or _on_own_rate(test.name)
+    near_rest_nats = thresholds.NEAR_REST_NATS if is_near_rest else 0.0
+    return Dependence(test.name, gain, penalty(len(test.prior_std)) + near_rest_nats)
 
 
 def _function_statistics(
