@@ -101,7 +101,7 @@ def _cluster_client(scheduler: str) -> Iterator[Client]:
             client.close(timeout=CONNECT_s)
 
 
-def usable(
+def workers_by_code(
     client: Client, code: str, works: tuple[str, ...], modules: str = ""
 ) -> tuple[list[str], dict[str, str]]:
     """Sort the workers of a cluster by whether their code is that of the campaign.

@@ -13,7 +13,7 @@ from heli_host.errors import HeliError
 
 from heli_lab.campaign.campaign import Campaign
 from heli_lab.campaign.case import Case, Cell, JobResult, natural_order
-from heli_lab.campaign.cluster import campaign_client, usable
+from heli_lab.campaign.cluster import campaign_client, workers_by_code
 from heli_lab.campaign.store import Store, row_of
 from heli_lab.campaign.worker import CodeMismatch, Job, release, run_job
 from heli_lab.code_digest import code_digest
@@ -192,7 +192,7 @@ def _results(
         return
     job = next(iter(jobs.values()))
     with campaign_client(scheduler, min(processes, len(jobs))) as client:
-        usable_workers, unusable = usable(client, job.code, job.works, job.modules)
+        usable_workers, unusable = workers_by_code(client, job.code, job.works, job.modules)
         for address, why in unusable.items():
             yield None, f"worker {address} is not used: {why}"
         if not usable_workers:

@@ -122,7 +122,7 @@ class WorkerProcess:
         return JobResult(case.name, key, reply["row"], reply["detail"], reply["failure"], reply["cpu_s"])
 
     def _ended(self, case: Case, key: str) -> JobResult | None:
-        """Return the reason why the process has ended."""
+        """Return the reason why the process has ended; None if it was killed from outside."""
         assert self._process
         code = self._process.wait()
         self.close()

@@ -49,7 +49,6 @@ class Draws:
     """
 
     def __init__(self, innovations: Sequence[Floats], count: int, rng: np.random.Generator) -> None:
-        """Draw `count` sequences of innovations, (n, 3) for each flight, with a random generator."""
         self._innovations: Floats = np.vstack([flight[~_near_kicks(flight)] for flight in innovations])
         self._rng, self.count = rng, count
         # Of each draw: row of its next innovation, sign of its piece, and scale about each axis.

@@ -169,7 +169,7 @@ def small_effects(
         Parameters of the model that has them.
     """
     return tuple(
-        SmallEffect(_named_cause(cause, kinds, fit, False), changes[cause.effect])
+        SmallEffect(_named_cause(cause, kinds, fit, unexplained=False), changes[cause.effect])
         for cause in search.causes
         if cause.effect in changes
     )

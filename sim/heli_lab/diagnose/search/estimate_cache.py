@@ -45,7 +45,7 @@ class EstimateCache:
     ----------
     path : Path, optional
         File to read and to append to; it is made if it is missing.
-    of : str
+    search_fingerprint : str
         `fingerprint` of everything that the estimates of a search share.
 
     Raises
@@ -54,7 +54,7 @@ class EstimateCache:
         If the file has another fingerprint, or is not a file of a search.
     """
 
-    def __init__(self, path: Path | None = None, of: str = "") -> None:
+    def __init__(self, path: Path | None = None, search_fingerprint: str = "") -> None:
         self._path = path
         self._entries: dict[str, Mapping[str, Any]] = {}
         self.used_keys: set[str] = set()
@@ -63,18 +63,18 @@ class EstimateCache:
         if path is None:
             return
         if not path.exists() or not path.stat().st_size:
-            path.write_text(json.dumps({"search_of": of}) + "\n", encoding="utf-8")
+            path.write_text(json.dumps({"search_of": search_fingerprint}) + "\n", encoding="utf-8")
             return
-        self._read(path, of)
+        self._read(path, search_fingerprint)
 
-    def _read(self, path: Path, of: str) -> None:
+    def _read(self, path: Path, search_fingerprint: str) -> None:
         """Read the entries of a file, and remove an incomplete last line."""
         try:
             first, *lines = path.read_text(encoding="utf-8").splitlines()
             file_fingerprint = json.loads(first)["search_of"]
         except (ValueError, KeyError, TypeError):
             raise IdentifyError(f"{path} is not a --resume file", "give --resume a new file name") from None
-        if file_fingerprint != of:
+        if file_fingerprint != search_fingerprint:
             raise IdentifyError(
                 f"{path} is from a search with other flights, another rig, model or program version",
                 "give another name to --resume, or the same flights, rig, model and effects",

@@ -90,7 +90,6 @@ class Screening:
         rows = max(model.rows for model in filtered.linearised_flights)
         batch = _BATCH_NUMBERS // (rows * filtered.linearised_flights[0].states)
         self.batch = max(KNOTS, batch)
-        """Number of regressors that are filtered together, one flight after the other."""
         # On a long flight, one batch of the least size exceeds the memory of a thread.
         self.threads = default_thread_count() if batch >= KNOTS else 1
         self._innovations = innovations = filtered.innovations(disturbances)
