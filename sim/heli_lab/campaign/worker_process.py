@@ -232,6 +232,7 @@ def _row_and_detail(work: str, returned: Any) -> tuple[dict[str, Any], Any]:
 
 
 def _line(message: Mapping[str, Any]) -> bytes:
+    """Return a reply as JSON; a result that JSON cannot hold becomes a failure of its case."""
     try:
         return json.dumps(message, default=_plain).encode()
     except (TypeError, ValueError) as error:

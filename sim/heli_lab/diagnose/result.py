@@ -172,11 +172,12 @@ class Diagnosis:
         residual = self.assessment.residual_analysis
         if self.verdict.unlisted:
             channel, on = self.verdict.unlisted[0].candidate.dependence
-            where = channel.rpartition(".")[2]
-            return (where if where in AXES else ("pitch" if where == "difference" else "elevation")), on
+            place = channel.partition(".")[2]
+            # The sum of the thrusts lifts the arm, and their difference pitches it.
+            return {"both": "elevation", "difference": "pitch"}.get(place, place), on
         channel, _, on = residual.dependences[0].what.partition(" on ")
-        where = channel.rpartition(".")[2]
-        return (where if where in AXES else residual.axis), on
+        place = channel.partition(".")[2]
+        return (place if place in AXES else residual.axis), on
 
     @cached_property
     def prior_conflicts(self) -> tuple[PriorConflict, ...]:

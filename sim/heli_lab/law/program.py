@@ -251,6 +251,7 @@ def _sum(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None
 
 
 def _difference(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+    """Simplify the difference of equal values, and one with 0."""
     if operands[0] == operands[1]:
         return p.constant(0.0)
     if numbers[1] == 0.0:
@@ -271,6 +272,7 @@ def _product(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | 
 
 
 def _quotient(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+    """Replace a division by a constant by a product with its reciprocal, which is cheaper."""
     divisor = numbers[1]
     # Beyond these the reciprocal is no normal number of single precision.
     if divisor is None or not 1e-37 < abs(divisor) < 1e37:
@@ -279,6 +281,7 @@ def _quotient(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int |
 
 
 def _negated(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+    """Simplify the negation of a negation, and of a difference."""
     inner = p.values[operands[0]]
     if inner.kind == "negate":
         return inner.operands[0]

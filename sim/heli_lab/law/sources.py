@@ -23,11 +23,12 @@ ERRORS = (*(f"{axis}_rad" for axis in AXES), *(f"{axis}_rad_s" for axis in AXES)
 
 
 def _errors(now: Any) -> Any:
+    """Return the six `ERRORS`, inputs of a law (`now`) less their setpoints, as a column."""
     level = {"pitch_rad": 0.0, "pitch_rad_s": 0.0}
-    targets = [
+    setpoints = [
         level.get(name, getattr(now, name.replace("_rad", "_setpoint_rad", 1), 0.0)) for name in ERRORS
     ]
-    return ca.vertcat(*(getattr(now, name) - r for name, r in zip(ERRORS, targets, strict=True)))
+    return ca.vertcat(*(getattr(now, name) - r for name, r in zip(ERRORS, setpoints, strict=True)))
 
 
 def from_gain(

@@ -171,8 +171,7 @@ def _say_reasons(
     best: Guess, ambiguities: Sequence[Ambiguity], profile_path: Path, profile_lines: dict[str, int]
 ) -> None:
     """Print the evidence for a profile, and each ambiguity with the line of its entry in the file."""
-    for sentence in best.evidence:
-        say(f"  {sentence}")
+    say(*(f"  {sentence}" for sentence in best.evidence))
     for ambiguity in ambiguities:
         say(ambiguity.sentence())
         if line := profile_lines.get(ambiguity.entry):

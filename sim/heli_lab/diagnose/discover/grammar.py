@@ -156,13 +156,13 @@ def _three_factor_products() -> Iterator[_GroupProducts]:
 def _rotor_products(channel: str, singles: Sequence[_GroupProducts]) -> Iterator[_GroupProducts]:
     """Yield terms of a rotor's thrust or voltage proportional to its own, or to the other rotor's."""
     rotor_quantity = "own_thrust" if channel.startswith("thrust") else "own_voltage"
-    own = _factor("linear", rotor_quantity)
+    own_factor = _factor("linear", rotor_quantity)
     for products in singles:
         # The terms after this loop are those of thrust that depends on thrust.
         if not any(SYMBOLS[f.quantity].kind == "thrust" for factors in products for f in factors):
-            yield tuple((own, *factors) for factors in products)
+            yield tuple((own_factor, *factors) for factors in products)
     yield ((_factor("square", rotor_quantity),),)
-    yield ((own, _factor("linear", "voltage" if rotor_quantity == "own_voltage" else "thrust")),)
+    yield ((own_factor, _factor("linear", "voltage" if rotor_quantity == "own_voltage" else "thrust")),)
     if rotor_quantity == "own_voltage":
         return
     yield ((_factor("linear", "other_thrust"),),)

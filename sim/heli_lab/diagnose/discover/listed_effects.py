@@ -99,18 +99,22 @@ class ListedEffects:
         Friction that holds an axis has no derivative, and thus no score. It comes first, at its typical size.
         """
         screening = Screening(replace(self.base.estimate, disturbances=warm_start.estimate.disturbances))
-        eligible = [
+        dry_friction = {f"coulomb_friction.{axis}" for axis in _axes(equation)}
+        for kind in self.eligible_effects:
+            if kind.id in dry_friction:
+                yield typical_candidate(kind), kind.typical, None
+        for scored in screening.effects(self.eligible_effects)[: 2 * SHORTLIST]:
+            start = scored.candidate.start_values(scored.coefficients)
+            yield scored.candidate, start, scored.log_likelihood_gain
+
+    @property
+    def eligible_effects(self) -> list[EffectSpec]:
+        """Effects of the catalogue that may be added to the base."""
+        return [
             kind
             for kind in self.kinds.values()
             if not kind.baseline and not kind.noise_inputs and may_join(kind.id, self.base.ids, self.kinds)
         ]
-        dry_friction = {f"coulomb_friction.{axis}" for axis in _axes(equation)}
-        for kind in eligible:
-            if kind.id in dry_friction:
-                yield typical_candidate(kind), kind.typical, None
-        for scored in screening.effects(eligible)[: 2 * SHORTLIST]:
-            start = scored.candidate.start_values(scored.coefficients)
-            yield scored.candidate, start, scored.log_likelihood_gain
 
     def refit(self, effect: Candidate, start: Mapping[str, float], warm_start: Hypothesis) -> Hypothesis:
         """Estimate the base with one more `effect`, from the values `start` and the disturbances of

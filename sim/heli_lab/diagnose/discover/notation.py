@@ -75,6 +75,7 @@ def _parameter_names(equation: Equation) -> list[str]:
 
 
 def _number_latex(value: float) -> str:
+    """Write a value in LaTeX with three significant digits."""
     text = f"{value:.3g}"
     if "e" in text:
         mantissa, _, power = text.partition("e")

@@ -52,7 +52,7 @@ class SplineCurve:
         )
 
 
-def spline_curve_of(effect: SplineTerm, estimate: Estimate) -> SplineCurve:
+def _spline_curve(effect: SplineTerm, estimate: Estimate) -> SplineCurve:
     """Evaluate a spline term, an `effect` of the model of an `estimate`, with its estimated coefficients."""
     low, step = effect.knots
     quantity = np.linspace(low, low + step * (KNOTS - 3), _CURVE_POINTS)
@@ -80,4 +80,4 @@ def spline_curve_of(effect: SplineTerm, estimate: Estimate) -> SplineCurve:
 def spline_curves_of(causes: Iterable[Cause], estimate: Estimate) -> list[SplineCurve]:
     """Evaluate those of the `causes` in the model of an `estimate` that are spline terms, in their order."""
     effects = (cause.candidate.effect for cause in causes)
-    return [spline_curve_of(effect, estimate) for effect in effects if isinstance(effect, SplineTerm)]
+    return [_spline_curve(effect, estimate) for effect in effects if isinstance(effect, SplineTerm)]

@@ -260,7 +260,7 @@ def _unknown(missing: dict[str, Any] | None) -> dict[str, Any] | None:
     if missing is None:
         return None
     return {
-        "said": f"A part of the motion about {missing['axis']} can be predicted, with "
+        "text": f"A part of the motion about {missing['axis']} can be predicted, with "
         f"{evidence_in_words(missing['log_likelihood_gain'])}, but no effect of the catalogue explains it. "
         "Possible causes, the most likely first:",
         "depends": [capital(dependence_in_words(dependence)) for dependence in missing["correlates_with"]],
@@ -279,7 +279,7 @@ def _disturbances(diagnosis: Diagnosis, numbers: dict[str, Any]) -> dict[str, An
         fast_mNm, slow_mNm = 1e3 * values["fast_std_Nm"], 1e3 * values["slow_std_Nm"]
         correlation_time_s = values["correlation_time_s"]
         rows.append([axis, f"{fast_mNm:.2g}", f"{correlation_time_s:.2g}", f"{slow_mNm:.2g}", evidence])
-    return {"said": f"Disturbances that no model predicts: {disturbances_in_words(diagnosis)}.", "rows": rows}
+    return {"text": f"Disturbances that no model predicts: {disturbances_in_words(diagnosis)}.", "rows": rows}
 
 
 def _ranking(ranking: Sequence[dict[str, Any]]) -> list[list[str]]:
@@ -315,7 +315,7 @@ def _flights(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         cuts = [[f"{cut['from_s']:.2f}", f"{cut['to_s']:.2f}", cut["why"]] for cut in flight["left_out"]]
         sections.append(
             {
-                "said": f"{flight['flight']}, {role}: {flight['seconds_used']:.1f} s used ({spans}).{notes}",
+                "text": f"{flight['flight']}, {role}: {flight['seconds_used']:.1f} s used ({spans}).{notes}",
                 "left_out": cuts,
             }
         )
