@@ -47,6 +47,7 @@ def code_digest(works: Iterable[str] = (), folder: str = "", packages: Iterable[
 
 
 def _installed(package: str) -> bool:
+    """Whether a package can be imported without the folder of a campaign file."""
     try:
         return importlib.util.find_spec(package) is not None
     except (ModuleNotFoundError, ValueError):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -117,23 +117,6 @@ def parts(
     return spans
 
 
-def part_of(flight: Flight, rig: Rig, label: str, part: tuple[float | None, float | None]) -> Flight | Record:
-    """Prepare the `part` of a flight between two times [s]; return the flight itself if both are None.
-
-    Parameters
-    ----------
-    label : str
-        Name of the flight in messages.
-    part : tuple of float or None
-        Start (included) and end (excluded).
-    """
-    from heli_lab.identify.record import prepare
-
-    if part == (None, None):
-        return flight
-    return prepare(flight, rig, label, start_s=part[0], stop_s=part[1])
-
-
 def refuse_wrong_signs(flights: Sequence[Flight], labels: Sequence[str], rig: Rig) -> None:
     """Check signs, zeros and units of flights before a fit.
 
@@ -167,14 +150,15 @@ def refuse_wrong_signs(flights: Sequence[Flight], labels: Sequence[str], rig: Ri
             )
 
 
-def read_checked(
+def read_parts(
     paths: Sequence[Path],
     inputs: FitInputs,
+    spans: Sequence[tuple[float | None, float | None]],
     allow_gaps: bool,
     skip_sign_check: bool,
     show: Callable[[str, float], None],
-) -> list[Flight]:
-    """Read flight files, and refuse wrong signs.
+) -> Iterator[Flight | Record]:
+    """Read flight files, refuse wrong signs, and return the part of each flight that is to be used.
 
     Parameters
     ----------
@@ -182,12 +166,19 @@ def read_checked(
         Files of the flights, in the order of their names in `inputs`.
     inputs : FitInputs
         Rig and names of the flights.
+    spans : sequence of (float or None, float or None)
+        Start and end of each part, as `parts` returns them.
     allow_gaps : bool
         Whether rows may be missing.
     skip_sign_check : bool
         Whether signs may be wrong.
     show : callable
         Called with each stage and the share of the work that is done.
+
+    Returns
+    -------
+    iterator of Flight or Record
+        A flight that is used as a whole, or the prepared part of it.
 
     Raises
     ------
@@ -198,10 +189,19 @@ def read_checked(
     """
     from heli_host.log.flight_file import read_flight
 
+    from heli_lab.identify.record import prepare
+
     show("reading", 0.0)
     # Fits do not use the extra columns, which are 80 MB for ten minutes at 1 kHz.
     flights = [replace(read_flight(path, allow_gaps=allow_gaps), extra={}) for path in paths]
     if not skip_sign_check:
         show("checking signs and zeros", 0.0)
         refuse_wrong_signs(flights, inputs.labels, inputs.rig)
-    return flights
+    # Flights are passed one by one and not kept: ten minutes at 1 kHz take 45 MB.
+    flights.reverse()
+    return (
+        flights.pop()
+        if span == (None, None)
+        else prepare(flights.pop(), inputs.rig, label, start_s=span[0], stop_s=span[1])
+        for label, span in zip(inputs.labels, spans, strict=True)
+    )

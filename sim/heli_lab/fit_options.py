@@ -38,9 +38,7 @@ EquationsOption = Annotated[
 OwnEffectsOption = Annotated[
     list[Path] | None,
     typer.Option(
-        "--effect-file",
-        metavar="FILE.py...",
-        help="Add the effects of these files, and run their code.",
+        "--effect-file", metavar="FILE.py...", help="Add the effects of these files, and run their code."
     ),
 ]
 FromOption = Annotated[
@@ -60,8 +58,7 @@ GapsOption = Annotated[
     bool, typer.Option("--allow-gaps", help="Skip missing rows instead of refusing the flight.")
 ]
 SkipSignCheckOption = Annotated[
-    bool,
-    typer.Option("--skip-sign-check", help="Fit even if signs, zeros, units or motion look wrong."),
+    bool, typer.Option("--skip-sign-check", help="Fit even if signs, zeros, units or motion look wrong.")
 ]
 ReportOption = Annotated[
     Path | None,
@@ -69,4 +66,7 @@ ReportOption = Annotated[
 ]
 SaveRigOption = Annotated[
     Path | None, typer.Option("--save-rig", metavar="FILE", help="Write the estimated rig, TOML.")
+]
+SeedsOption = Annotated[
+    int, typer.Option("--seeds", metavar="N", min=1, max=100, help="Fly N times, with the seeds 1 to N.")
 ]

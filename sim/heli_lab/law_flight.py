@@ -24,7 +24,8 @@ _LANDED: Final = Takeover.STATE.name.lower()
 def fly_law(
     program: LawProgram | None, options: FlightOptions, plan: Plan, typed: str = ""
 ) -> tuple[FlownFlight, LawTrial]:
-    """Fly a plan with a law, and keep the files that the options name.
+    """Fly a plan with a law. The caller writes the files of a completed flight; those of another flight are
+    written here.
 
     Parameters
     ----------
@@ -36,7 +37,7 @@ def fly_law(
     Returns
     -------
     FlownFlight
-        The flight, whose summary the caller writes.
+        The completed flight.
     LawTrial
         How the law followed its setpoints.
 
@@ -51,7 +52,7 @@ def fly_law(
     if not flown.summary.completed:
         flown.report()
         flown.write()
-        flown.end()
+        flown.end()  # raises FlightAborted
     return flown, LawTrial.of_log(flown.log, taken_over)
 
 

@@ -1,10 +1,13 @@
-"""Parallel maps on threads: filters, compiled programs and array arithmetic release Python's lock."""
+"""Parallel maps on threads, and batches for them.
+
+Filters, compiled programs and array arithmetic release Python's lock.
+"""
 
 from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
@@ -56,6 +59,21 @@ def using_threads(threads: int | None) -> Iterator[None]:
 @cache
 def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, initializer=_thread_count.set, initargs=(1,))
+
+
+def batches(items: Iterable[_Item], size_of: Callable[[_Item], int], max_size: int) -> list[list[_Item]]:
+    """Divide `items` in their order into batches whose sizes, as `size_of` returns them, add up to at most
+    `max_size`; a larger item is a batch by itself.
+    """
+    result: list[list[_Item]] = []
+    size = 0
+    for item in items:
+        if not result or size + size_of(item) > max_size:
+            result.append([])
+            size = 0
+        result[-1].append(item)
+        size += size_of(item)
+    return result
 
 
 def parallel_map(work: Callable[[_Item], _T], items: Sequence[_Item], threads: int | None = None) -> list[_T]:

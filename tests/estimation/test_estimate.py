@@ -7,7 +7,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from heli_lab.diagnose.search import Candidate, Hypothesis, ModelComparison, Screening, typical_candidate
+from heli_lab.diagnose.search import (
+    Candidate,
+    Hypothesis,
+    ModelComparison,
+    Screening,
+    score_of,
+    typical_candidate,
+)
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 
@@ -69,9 +76,10 @@ def test_scale_of_an_encoder_is_no_cause_of_its_own_innovations() -> None:
     linear = baseline().estimate.filtered().linearised_flights[0]
     angles = np.zeros((linear.rows, 3, 3))
     angles[:, range(3), range(3)] = linear.nodes.state[:, :3]
-    scores = Screening(baseline().estimate).score_signals(
-        [(np.zeros((linear.rows, 6, 3)), angles)], [1, 1, 1], [np.ones(1)] * 3
+    statistics = Screening(baseline().estimate).information(
+        [(np.zeros((linear.rows, 6, 3)), angles)], [1, 1, 1]
     )
+    scores = [score_of(information, score, np.ones(1)) for information, score in statistics]
     # A cause has to gain 14 nats.
     assert max(gain for gain, _, _ in scores) < 14.0
 

@@ -18,7 +18,7 @@ from heli_lab.diagnose import diagnose
 from heli_lab.diagnose.discover.grammar import groups
 from heli_lab.diagnose.discover.scoring import TermSignals, score
 from heli_lab.diagnose.search import ModelComparison, Screening, spline_candidates
-from heli_lab.threads import default_thread_count, parallel_map, using_threads
+from heli_lab.threads import batches, default_thread_count, parallel_map, using_threads
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from threadpoolctl import threadpool_info, threadpool_limits
@@ -41,6 +41,12 @@ def test_results_come_in_the_order_of_the_items() -> None:
     results = parallel_map(slow_at_first, range(6), 2)
     assert [number for number, _ in results] == list(range(6))
     assert len({name for _, name in results}) == 2
+
+
+def test_batches_keep_the_order_and_are_not_larger_than_stated() -> None:
+    sizes = [3, 2, 2, 5, 9, 1]
+    assert batches(sizes, lambda size: size, 7) == [[3, 2, 2], [5], [9], [1]]
+    assert batches([], len, 7) == []
 
 
 def test_a_share_is_not_shared_out_again() -> None:

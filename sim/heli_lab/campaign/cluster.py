@@ -23,7 +23,7 @@ FIRST_WORKER_s: Final = 60.0
 
 
 @contextmanager
-def workers_of(scheduler: str | None, processes: int) -> Iterator[Client]:
+def campaign_client(scheduler: str | None, processes: int) -> Iterator[Client]:
     """Connect to the cluster at the address `scheduler`. Without an address, start a cluster on this machine
     that runs as many cases in parallel as `processes`.
 
@@ -34,11 +34,11 @@ def workers_of(scheduler: str | None, processes: int) -> Iterator[Client]:
     """
     try:
         import dask
-        from distributed import Client, LocalCluster
+        import distributed
     except ImportError as error:
         raise CampaignError(f"a campaign needs {error.name}", "pip install 'heli-host[campaign]'") from None
-    # What its parts say of each other's deaths is no news: the campaign says what it means.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    # Dask logs each lost worker; the campaign reports those that matter.
+    logging.getLogger(distributed.__name__).setLevel(logging.CRITICAL)
     settings: dict[str, Any] = {
         "distributed.scheduler.allowed-failures": 1000,
         "distributed.comm.timeouts.connect": f"{CONNECT_s:g}s",
@@ -49,44 +49,59 @@ def workers_of(scheduler: str | None, processes: int) -> Iterator[Client]:
         "distributed.worker.http.routes": [],
     }
     with dask.config.set(settings):
-        if scheduler is None:
-            # Cases have processes of their own: the worker's threads only wait for them.
-            with (
-                LocalCluster(
-                    n_workers=1,
-                    threads_per_worker=processes,
-                    processes=False,
-                    dashboard_address=LOOPBACK,
-                    worker_dashboard_address=LOOPBACK,
-                    scheduler_kwargs={"dashboard": False},
-                    memory_limit=0,
-                ) as cluster,
-                Client(cluster) as client,
-            ):
-                yield client
-            return
-        try:
-            client = Client(scheduler, timeout=CONNECT_s)
-        except (OSError, ValueError, TimeoutError):
-            raise CampaignError(
-                f"no scheduler answers at {scheduler}",
-                "start one (dask scheduler), or leave out --scheduler to use this machine",
-            ) from None
-        try:
-            try:
-                client.wait_for_workers(1, timeout=FIRST_WORKER_s)
-            except TimeoutError:
-                raise CampaignError(
-                    f"the scheduler at {scheduler} has no workers",
-                    f"start at least one: dask worker {scheduler}",
-                ) from None
+        connected = _local_client(processes) if scheduler is None else _cluster_client(scheduler)
+        with connected as client:
             yield client
-        finally:
-            with suppress(OSError, TimeoutError):
-                client.close(timeout=CONNECT_s)
 
 
-def usable(
+@contextmanager
+def _local_client(processes: int) -> Iterator[Client]:
+    """Start a cluster in this process. Cases have processes of their own: the worker's threads only wait for
+    them.
+    """
+    from distributed import Client, LocalCluster
+
+    with (
+        LocalCluster(
+            n_workers=1,
+            threads_per_worker=processes,
+            processes=False,
+            dashboard_address=LOOPBACK,
+            worker_dashboard_address=LOOPBACK,
+            scheduler_kwargs={"dashboard": False},
+            memory_limit=0,
+        ) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client
+
+
+@contextmanager
+def _cluster_client(scheduler: str) -> Iterator[Client]:
+    """Connect to the running cluster at the address `scheduler`, and wait for its first worker."""
+    from distributed import Client
+
+    try:
+        client = Client(scheduler, timeout=CONNECT_s)
+    except (OSError, ValueError, TimeoutError):
+        raise CampaignError(
+            f"no scheduler answers at {scheduler}",
+            "start one (dask scheduler), or leave out --scheduler to use this machine",
+        ) from None
+    try:
+        try:
+            client.wait_for_workers(1, timeout=FIRST_WORKER_s)
+        except TimeoutError:
+            raise CampaignError(
+                f"the scheduler at {scheduler} has no workers", f"start at least one: dask worker {scheduler}"
+            ) from None
+        yield client
+    finally:
+        with suppress(OSError, TimeoutError):
+            client.close(timeout=CONNECT_s)
+
+
+def workers_by_code(
     client: Client, code: str, works: tuple[str, ...], modules: str = ""
 ) -> tuple[list[str], dict[str, str]]:
     """Sort the workers of a cluster by whether their code is that of the campaign.

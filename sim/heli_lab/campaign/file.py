@@ -162,12 +162,11 @@ def _limits(given: Any) -> Limits:
     """Convert the table ``[limits]`` of a file; missing limits have their defaults."""
     if not isinstance(given, dict):
         raise CampaignError("limits is not a table", "write [limits]")
-    default = Limits()
     _refuse_unknown_names(given, ("cpu_s", "wait_s"), "[limits]")
     for name, value in given.items():
         if not isinstance(value, int | float) or isinstance(value, bool) or not value > 0.0:
             raise CampaignError(f"[limits] {name} = {value!r} is invalid", "give seconds above 0")
-    cpu_s = float(given.get("cpu_s", default.cpu_s))
+    cpu_s = float(given.get("cpu_s", Limits.cpu_s))
     return Limits(cpu_s, float(given.get("wait_s", 10.0 * cpu_s)))
 
 

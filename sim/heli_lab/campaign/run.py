@@ -13,7 +13,7 @@ from heli_host.errors import HeliError
 
 from heli_lab.campaign.campaign import Campaign
 from heli_lab.campaign.case import Case, Cell, JobResult, natural_order
-from heli_lab.campaign.cluster import usable, workers_of
+from heli_lab.campaign.cluster import campaign_client, workers_by_code
 from heli_lab.campaign.store import Store, row_of
 from heli_lab.campaign.worker import CodeMismatch, Job, release, run_job
 from heli_lab.code_digest import code_digest
@@ -191,8 +191,8 @@ def _results(
     if not jobs:
         return
     job = next(iter(jobs.values()))
-    with workers_of(scheduler, min(processes, len(jobs))) as client:
-        usable_workers, unusable = usable(client, job.code, job.works, job.modules)
+    with campaign_client(scheduler, min(processes, len(jobs))) as client:
+        usable_workers, unusable = workers_by_code(client, job.code, job.works, job.modules)
         for address, why in unusable.items():
             yield None, f"worker {address} is not used: {why}"
         if not usable_workers:

@@ -54,7 +54,8 @@ class Store:
                 subfolder.mkdir(parents=True, exist_ok=True)
             mark = folder / "store.txt"
             if not mark.exists():
-                _write_whole(mark, secrets.token_hex(16).encode())
+                with _appears_complete(mark) as file:
+                    file.write_text(secrets.token_hex(16))
             self.token = mark.read_text()
         except OSError as error:
             raise CampaignError(
@@ -151,7 +152,8 @@ def write_result(folder: Path, result: JobResult) -> None:
     """Write a result into the `folder` of results as JSON, completely or not at all, unless it is stored."""
     path = folder / f"{result.key}.json"
     if read_result(folder, result.key) is None:
-        _write_whole(path, json.dumps(result.to_json(), indent=1).encode())
+        with _appears_complete(path) as file:
+            file.write_text(json.dumps(result.to_json(), indent=1))
 
 
 def read_result(folder: Path, key: str) -> JobResult | None:
@@ -171,18 +173,20 @@ def _cell(value: Any) -> Cell:
     return json.dumps(value, sort_keys=True, default=str)
 
 
-def _write_whole(path: Path, content: bytes) -> None:
+@contextmanager
+def _appears_complete(path: Path) -> Iterator[Path]:
+    """Lend a temporary name, and rename the file at the end, so that it is complete or missing."""
     unfinished = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    unfinished.write_bytes(content)
+    yield unfinished
     unfinished.replace(path)
 
 
 def _write_parquet(path: Path, rows: Sequence[Mapping[str, Cell]]) -> None:
+    """Write rows as a table, completely or not at all."""
     import pyarrow.parquet as pq
 
-    unfinished = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    pq.write_table(_table(rows), unfinished)
-    unfinished.replace(path)
+    with _appears_complete(path) as file:
+        pq.write_table(_table(rows), file)
 
 
 def _table(rows: Sequence[Mapping[str, Cell]]) -> pa.Table:

@@ -22,7 +22,7 @@ import time
 import traceback
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import IO, Any, Final, Self
 
 from heli_host.process_limits import can_limit, limit_process
@@ -94,14 +94,10 @@ class WorkerProcess:
     def run(self, case: Case, key: str) -> JobResult:
         """Run a case, whose result is stored under `key`; a failure is reported in the result."""
         started_s = time.monotonic()
-        result = self._attempt(case, key)
-        for _ in range(_KILLED_AGAIN):
-            if result is not None:
-                break
-            result = self._attempt(case, key)
-        if result is None:
-            result = JobResult(case.name, key, failure="its process was killed from outside, again and again")
-        return JobResult(**{**result.to_json(), "seconds": time.monotonic() - started_s})
+        attempts = (self._attempt(case, key) for _ in range(1 + _KILLED_AGAIN))
+        killed = JobResult(case.name, key, failure="its process was killed from outside, again and again")
+        result = next((result for result in attempts if result is not None), killed)
+        return replace(result, seconds=time.monotonic() - started_s)
 
     def _attempt(self, case: Case, key: str) -> JobResult | None:
         """Run the case once; None if the process was killed from outside."""
@@ -126,7 +122,7 @@ class WorkerProcess:
         return JobResult(case.name, key, reply["row"], reply["detail"], reply["failure"], reply["cpu_s"])
 
     def _ended(self, case: Case, key: str) -> JobResult | None:
-        """Return the reason why the process has ended."""
+        """Return the reason why the process has ended; None if it was killed from outside."""
         assert self._process
         code = self._process.wait()
         self.close()
@@ -143,14 +139,11 @@ class WorkerProcess:
     def _start(self) -> None:
         """Start the process, and a thread that reads its replies."""
         threads = {name: text.format(threads=self.limits.threads) for name, text in _ONE_THREAD.items()}
+        paths = [*sys.path, self.modules]
         # Not by multiprocessing, which refuses children to the daemonic processes that workers are.
         self._process = subprocess.Popen(
             [sys.executable, "-m", "heli_lab.campaign.worker_process"],
-            env={
-                **os.environ,
-                **threads,
-                "PYTHONPATH": os.pathsep.join(filter(None, [*sys.path, self.modules])),
-            },
+            env={**os.environ, **threads, "PYTHONPATH": os.pathsep.join(filter(None, paths))},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -239,6 +232,7 @@ def _row_and_detail(work: str, returned: Any) -> tuple[dict[str, Any], Any]:
 
 
 def _line(message: Mapping[str, Any]) -> bytes:
+    """Return a reply as JSON; a result that JSON cannot hold becomes a failure of its case."""
     try:
         return json.dumps(message, default=_plain).encode()
     except (TypeError, ValueError) as error:

@@ -81,7 +81,8 @@ def identify(settings: Settings) -> Result:
     validation = _fly(settings, settings["validate"], _VALIDATION_SEED)
     nominal, true = training.nominal, training.drawn.rig
     identification = identify_rig(
-        _model_with_effects(settings, nominal),
+        # The fit estimates the sizes of the effects of the case.
+        _model(settings, nominal, effects_with(nominal, settings["effects"], settings["effect_files"])),
         nominal,
         [training.flight],
         validation=[validation.flight],
@@ -235,11 +236,6 @@ def _parameters(settings: Settings) -> dict[str, float]:
 def _model(settings: Settings, rig: Rig, effects: tuple[Effect, ...]) -> Model:
     """Model of the settings, otherwise that of the `rig`, with these `effects`."""
     return model_named(settings["model"] or rig.model or MultibodyModel.name, effects)
-
-
-def _model_with_effects(settings: Settings, rig: Rig) -> Model:
-    """Model for a fit, with the effects of the case, whose sizes the fit estimates."""
-    return _model(settings, rig, effects_with(rig, settings["effects"], settings["effect_files"]))
 
 
 def _tracking_rms_deg(flight: Flight) -> dict[str, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -73,7 +73,7 @@ class FlightScore:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the numbers for JSON."""
-        return {**{name: getattr(self, name) for name in NUMBERS}, "ended": self.ended}
+        return asdict(self)
 
 
 NUMBERS: Final = ("settling_s", "overshoot_percent", "elevation_rms_deg", "travel_rms_deg", "effort_V")

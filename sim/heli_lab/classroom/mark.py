@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -103,11 +103,7 @@ def points_by_measure(score: FlightScore, reference: FlightScore) -> dict[str, f
 
 def points_of(score: FlightScore, reference: FlightScore) -> float:
     """Return the points of a flight: the sum of `points_by_measure`, and full points if no number counts."""
-    return _total_points(score, points_by_measure(score, reference))
-
-
-def _total_points(score: FlightScore, points: Mapping[str, float]) -> float:
-    """Sum the points of a flight over its measures."""
+    points = points_by_measure(score, reference)
     if not points:
         return 0.0 if score.ended else FULL
     return sum(points.values())
@@ -142,6 +138,6 @@ def mark_of(name: str, scores: Sequence[FlightScore], references: Sequence[Fligh
         for measure in parts[0]
     }
     reason = ", ".join(sorted({score.ended for score in scores if score.ended}))
-    points = [_total_points(score, of_flight) for score, of_flight in zip(scores, parts, strict=True)]
+    points = list(map(points_of, scores, references))
     mean = round(sum(points) / len(points), 1)
     return Mark(name, mean, reason, tuple(scores), means, tuple(references))

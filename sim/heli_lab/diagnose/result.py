@@ -11,7 +11,7 @@ from heli_sim.model.effects import EffectSpec
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
-from heli_lab.diagnose.discover import ProposedTerm, SplineCurve, spline_curve_of
+from heli_lab.diagnose.discover import ProposedTerm, SplineCurve, spline_curves_of
 from heli_lab.diagnose.evaluate import (
     Assessment,
     CauseParameter,
@@ -32,7 +32,7 @@ from heli_lab.diagnose.evaluate import (
 )
 from heli_lab.diagnose.experiment import ExperimentDesign
 from heli_lab.diagnose.extended_rig import extended_rig
-from heli_lab.diagnose.search import Search, SplineTerm
+from heli_lab.diagnose.search import Search
 
 
 @dataclass(frozen=True)
@@ -132,12 +132,7 @@ class Diagnosis:
     @property
     def curves(self) -> list[SplineCurve]:
         """Spline terms in the place of causes that the catalogue lacks, the strongest first."""
-        effects = (cause.candidate.effect for cause in self.verdict.unlisted)
-        return [
-            spline_curve_of(effect, self.search.final.estimate)
-            for effect in effects
-            if isinstance(effect, SplineTerm)
-        ]
+        return spline_curves_of(self.verdict.unlisted, self.search.final.estimate)
 
     @cached_property
     def failing(self) -> FailingRegions:
@@ -147,10 +142,10 @@ class Diagnosis:
         term = self.proposed_term
         if term is not None:
             return self.failing_about(term.trace.axis, term.trace.on)
-        rounds = self.search.rounds[0].splines
+        splines = self.search.rounds[0].splines
         torques = [
             (channel.partition(".")[2], on)
-            for _, channel, on in (spline.candidate.id.split(":") for spline in rounds)
+            for channel, on in (spline.candidate.dependence for spline in splines)
             if channel.startswith("torque")
         ]
         missing = [self.missing] if self.missing else []
@@ -176,12 +171,13 @@ class Diagnosis:
             return None
         residual = self.assessment.residual_analysis
         if self.verdict.unlisted:
-            _, channel, on = self.verdict.unlisted[0].candidate.id.split(":")
-            where = channel.rpartition(".")[2]
-            return (where if where in AXES else ("pitch" if where == "difference" else "elevation")), on
+            channel, on = self.verdict.unlisted[0].candidate.dependence
+            place = channel.partition(".")[2]
+            # The sum of the thrusts lifts the arm, and their difference pitches it.
+            return {"both": "elevation", "difference": "pitch"}.get(place, place), on
         channel, _, on = residual.dependences[0].what.partition(" on ")
-        where = channel.rpartition(".")[2]
-        return (where if where in AXES else residual.axis), on
+        place = channel.partition(".")[2]
+        return (place if place in AXES else residual.axis), on
 
     @cached_property
     def prior_conflicts(self) -> tuple[PriorConflict, ...]:

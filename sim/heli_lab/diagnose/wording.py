@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-SHOWN: Final = {
+_DISPLAY_UNITS: Final = {
     "rad": (180.0 / np.pi, "deg"),
     "rad/s": (180.0 / np.pi, "deg/s"),
     "N m": (1e3, "mN m"),
@@ -24,6 +24,16 @@ _CHANNELS: Final = {
     "thrust.both": "a share of both thrusts",
     "thrust.difference": "an imbalance of the thrusts",
 }
+
+
+def display_unit(unit: str) -> tuple[float, str]:
+    """Return the factor from an SI `unit` to its display unit, and the name of that unit."""
+    return _DISPLAY_UNITS.get(unit, (1.0, unit))
+
+
+def capital(text: str) -> str:
+    """Begin a `text` with a capital."""
+    return text[:1].upper() + text[1:]
 
 
 def evidence_in_words(log_likelihood_ratio: float) -> str:

@@ -5,57 +5,22 @@ Every value gets a cell of memory, which is used again after the last operation 
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import casadi as ca
 from heli_host.declaration import LAW_CELLS, LAW_INPUTS
 from heli_host.errors import BadLaw
 from heli_host.law_program import Instruction, LawProgram, Term, divisor_of
 
+from heli_lab.law.law_function import LawFunction
 from heli_lab.law.program import CODE, FIXED_OUTPUTS, Program, Value
 from heli_lab.law.sums import SUM, with_sums
 
 
-class LawSource(Protocol):
-    """Properties of a control law that the compiler reads. `heli_lab.law.Law` documents them."""
-
-    @property
-    def name(self) -> str:
-        """Name of the law for readers."""
-        ...
-
-    @property
-    def rate_Hz(self) -> float:
-        """Calls per second [Hz]."""
-        ...
-
-    @property
-    def function(self) -> ca.Function:
-        """CasADi function of inputs, states and parameters."""
-        ...
-
-    @property
-    def states(self) -> dict[str, float]:
-        """Initial values of the states by name."""
-        ...
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """Values of the parameters by name."""
-        ...
-
-    @property
-    def signals(self) -> tuple[str, ...]:
-        """Names of the signals."""
-        ...
-
-
-def compile_program(law: LawSource) -> LawProgram:
+def compile_program(law: LawFunction) -> LawProgram:
     """Compile a control law into a program for the board.
 
     Parameters
     ----------
-    law : LawSource
+    law : LawFunction
         Control law that the board is to run.
 
     Raises
@@ -81,7 +46,7 @@ def compile_program(law: LawSource) -> LawProgram:
     )
 
 
-def _values_of(law: LawSource, function: ca.Function) -> tuple[Program, list[int]]:
+def _values_of(law: LawFunction, function: ca.Function) -> tuple[Program, list[int]]:
     """Translate CasADi's instructions into values.
 
     Returns
@@ -116,17 +81,17 @@ def _values_of(law: LawSource, function: ca.Function) -> tuple[Program, list[int
             )
         else:
             second = register[operands[1]] if len(operands) > 1 else 0
-            register[target[0]] = program.casadi(code, register[operands[0]], second)
+            register[target[0]] = program.append_casadi(code, register[operands[0]], second)
     return program, outputs
 
 
-def _copy_read_states(law: LawSource, program: Program, outputs: list[int]) -> None:
+def _copy_read_states(law: LawFunction, program: Program, outputs: list[int]) -> None:
     """Copy each state whose old value becomes the new value of a state, because the board may have
     overwritten it by then. Changes `outputs`.
     """
     for k in range(FIXED_OUTPUTS + len(law.signals), len(outputs)):
         if program.values[outputs[k]].kind == "state":
-            outputs[k] = program.do("copy", outputs[k])
+            outputs[k] = program.append("copy", outputs[k])
 
 
 def _without_unused_values(program: Program, outputs: list[int]) -> tuple[Program, list[int]]:
@@ -143,7 +108,7 @@ def _without_unused_values(program: Program, outputs: list[int]) -> tuple[Progra
 
 
 def _assign_cells(
-    law: LawSource, program: Program, outputs: list[int]
+    law: LawFunction, program: Program, outputs: list[int]
 ) -> tuple[list[Instruction], list[int]]:
     """Assign a cell of the board's memory to every value, and write the instructions.
 

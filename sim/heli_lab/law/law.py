@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import linecache
 import traceback
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import SimpleNamespace
@@ -15,18 +15,16 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 from heli_host.arrays import Floats
-from heli_host.declaration import AXES, CHANNELS, LAW_INPUTS, LAW_SIGNALS
+from heli_host.declaration import AXES, LAW_INPUTS
 from heli_host.errors import BadLaw
-from heli_host.law_program import LawProgram, check_number, divisor_of
+from heli_host.law_program import LawProgram
 
 from heli_lab.law.compile import compile_program
+from heli_lab.law.law_function import LawFunction, casadi_function
 from heli_lab.law.no_number import with_no_number
 from heli_lab.law.streamed import Streamed
 
 _TRUTH: Final = "truth value"
-MAX_STATES: Final = 255
-# The longest that MATLAB takes.
-_LONGEST_NAME: Final = 63
 SETPOINTS: Final = tuple(f"{axis}_setpoint_rad" for axis in AXES)
 
 
@@ -58,61 +56,14 @@ class Command:
 
 
 @dataclass(frozen=True)
-class Law:
+class Law(LawFunction):
     """A control law: one function that runs with numpy, over the link, on the board, or as C.
 
     Parameters
     ----------
-    name : str
-        Name of the law for readers.
-    rate_Hz : float
-        Calls per second [Hz]: 1000 divided by a whole number.
-    function : casadi.Function
-        Function of inputs (17), states (n) and parameters (m). It returns outputs (2 voltages, 3 setpoints,
-        signals) and new states (n).
-    states, parameters : dict of str to float
-        Initial values of the states and present values of the parameters, by name.
-    signals : tuple of str
-        Names of the signals.
+    name, rate_Hz, function, states, parameters, signals
+        As in `LawFunction`.
     """
-
-    name: str
-    rate_Hz: float
-    function: ca.Function
-    states: dict[str, float] = field(default_factory=dict)
-    parameters: dict[str, float] = field(default_factory=dict)
-    signals: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        divisor_of(self.rate_Hz)
-        if len(self.signals) > LAW_SIGNALS:
-            raise BadLaw(f"{len(self.signals)} signals are too many", f"give at most {LAW_SIGNALS}")
-        reserved = {spec.column for spec in CHANNELS} | {"t_s", "tick"}
-        for signal in self.signals:
-            if (
-                not (signal.isidentifier() and signal.isascii())
-                or len(signal) > _LONGEST_NAME
-                or signal in reserved
-            ):
-                raise BadLaw(
-                    f"a signal cannot be named {signal[:_LONGEST_NAME]!r}",
-                    f"give letters, digits and _, at most {_LONGEST_NAME}, and not the name of a channel",
-                )
-        for kind, values, remedy in (
-            ("states", self.states, "reduce the order"),
-            ("parameters", self.parameters, "write as numbers what is not changed in flight"),
-        ):
-            if len(values) > MAX_STATES:
-                raise BadLaw(
-                    f"{len(values)} {kind} are too many for a board", f"give at most {MAX_STATES}: {remedy}"
-                )
-            for name, value in values.items():
-                check_number(f"{kind[:-1]} {name}", value)
-
-    @property
-    def dt_s(self) -> float:
-        """Time from one call to the next [s]."""
-        return 1.0 / self.rate_Hz
 
     @cached_property
     def program(self) -> LawProgram:
@@ -227,12 +178,8 @@ def control_law(
             )
         outputs = [command.front_V, command.back_V, *_setpoints(command, now), *command.signals.values()]
         new_states = [command.states.get(key, getattr(state, key)) for key in initial]
-        graph = ca.Function(
-            "law",
-            [inputs, states, parameters],
-            [_column(outputs, law_name), _column(new_states, law_name)],
-            ["inputs", "states", "parameters"],
-            ["outputs", "new_states"],
+        graph = casadi_function(
+            inputs, states, parameters, _scalars(outputs, law_name), _scalars(new_states, law_name)
         )
         return Law(law_name, rate_Hz, graph, initial, values, tuple(command.signals))
 
@@ -294,27 +241,24 @@ def _takes_three_arguments(function: Callable[..., Any]) -> bool:
     return True
 
 
-def _symbol(value: Any, place: int, name: str) -> ca.SX:
-    """The `value` as a symbol: output number `place` of the law `name`."""
-    try:
-        return ca.SX(value)
-    # CasADi says of some types that they are not implemented, which is a RuntimeError.
-    except (TypeError, RuntimeError) as error:
-        raise BadLaw(
-            f"output {place} of the law {name} has the type {type(value).__name__}",
-            "give a number, or an expression of now, state and parameter",
-        ) from error
-
-
-def _column(values: list[Any], name: str) -> ca.SX:
-    """The `values`, outputs of the law `name`, as one column of symbols."""
-    column = [_symbol(value, place, name) for place, value in enumerate(values)]
-    for place, value in enumerate(column):
-        if value.numel() != 1:
+def _scalars(values: Sequence[Any], name: str) -> list[ca.SX]:
+    """The `values`, outputs of the law `name`, as scalar symbols."""
+    scalars = []
+    for place, value in enumerate(values):
+        try:
+            scalar = ca.SX(value)
+        # CasADi says of some types that they are not implemented, which is a RuntimeError.
+        except (TypeError, RuntimeError) as error:
             raise BadLaw(
-                f"output {place} of the law {name} has {value.numel()} numbers", "give one number per output"
+                f"output {place} of the law {name} has the type {type(value).__name__}",
+                "give a number, or an expression of now, state and parameter",
+            ) from error
+        if scalar.numel() != 1:
+            raise BadLaw(
+                f"output {place} of the law {name} has {scalar.numel()} numbers", "give one number per output"
             )
-    return ca.densify(ca.vertcat(*column)) if column else ca.SX(0, 1)
+        scalars.append(scalar)
+    return scalars
 
 
 def _explained(error: Exception, name: str) -> BadLaw:

@@ -13,6 +13,7 @@ import platform
 import struct
 import sys
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -24,31 +25,23 @@ that imports a large library is refused; with more, thirty files could exhaust t
 _OPEN_FILES: Final = 64
 _WRITES: Final = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 
-_REFUSED: Final = {
-    "socket.": "open a socket",
-    "subprocess.": "start a process",
-    "os.system": "start a process",
-    "os.exec": "start a process",
-    "os.posix_spawn": "start a process",
-    "os.spawn": "start a process",
-    "os.startfile": "start a process",
-    "os.fork": "start a process",
-    "pty.": "start a process",
-    "os.kill": "send a signal",
-    "os.remove": "delete a file",
-    "os.rmdir": "delete a folder",
-    "os.rename": "rename a file",
-    "os.mkdir": "make a folder",
-    "os.link": "make a link",
-    "os.symlink": "make a link",
-    "os.truncate": "write a file",
-    "os.chmod": "change a file",
-    "os.chown": "change a file",
-    "os.utime": "change a file",
-    "os.setxattr": "change a file",
-    "resource.": "change its limits",
+_REFUSED: Final[Mapping[str, tuple[str, ...]]] = {
+    "open a socket": ("socket.",),
+    "start a process": (
+        *("subprocess.", "os.system", "os.exec", "os.posix_spawn", "os.spawn"),
+        *("os.startfile", "os.fork", "pty."),
+    ),
+    "send a signal": ("os.kill",),
+    "delete a file": ("os.remove",),
+    "delete a folder": ("os.rmdir",),
+    "rename a file": ("os.rename",),
+    "make a folder": ("os.mkdir",),
+    "make a link": ("os.link", "os.symlink"),
+    "write a file": ("os.truncate",),
+    "change a file": ("os.chmod", "os.chown", "os.utime", "os.setxattr"),
+    "change its limits": ("resource.",),
 }
-"""Events of Python's audit, by their beginning, and what a file wants with each."""
+"""What a file may not do, and how the events of Python's audit for it begin."""
 
 
 @dataclass(frozen=True)
@@ -75,12 +68,7 @@ def fence_process(limits: FileLimits) -> None:
     seconds = math.ceil(time.process_time() + limits.cpu_s)
     # SIGXCPU states the reason; a file that ignores it is killed a second later.
     limit_process("CPU", seconds, seconds + 1)
-    for kind, most in (
-        ("AS", limits.memory_MB << 20),
-        ("FSIZE", 0),
-        ("NOFILE", _OPEN_FILES),
-        ("CORE", 0),
-    ):
+    for kind, most in (("AS", limits.memory_MB << 20), ("FSIZE", 0), ("NOFILE", _OPEN_FILES), ("CORE", 0)):
         limit_process(kind, most, most)
     if sys.platform == "linux":
         _filter_system_calls()
@@ -96,9 +84,9 @@ def _refuse(event: str, arguments: tuple[Any, ...]) -> None:
         if isinstance(flags, int) and flags & _WRITES:
             raise PermissionError("a law's file may not write a file")
         return
-    for start, wish in _REFUSED.items():
-        if event.startswith(start):
-            raise PermissionError(f"a law's file may not {wish}")
+    for action, beginnings in _REFUSED.items():
+        if event.startswith(beginnings):
+            raise PermissionError(f"a law's file may not {action}")
 
 
 # A filter is a program of the kernel's packet filter (BPF) over struct seccomp_data: number, architecture,

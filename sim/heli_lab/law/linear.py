@@ -72,8 +72,8 @@ def linearised(law: Law, plant: LinearPlant) -> LinearisedLaw:
     loop = regulator * (order * rig)
     closed = control.feedback(loop, control.ss([], [], [], np.eye(2), law.dt_s), sign=1)
     poles = np.log(np.maximum(np.abs(closed.poles()), 1e-12)) + 1j * np.angle(closed.poles())
-    margins = [_margins(loop, motor) for motor in (0, 1)]
-    return LinearisedLaw(poles / law.dt_s, (margins[0][0], margins[1][0]), (margins[0][1], margins[1][1]))
+    (gain_up, phase_deg), (other_gain_up, other_phase_deg) = (_margins(loop, motor) for motor in (0, 1))
+    return LinearisedLaw(poles / law.dt_s, (gain_up, other_gain_up), (phase_deg, other_phase_deg))
 
 
 def _margins(loop: control.StateSpace, motor: int) -> tuple[float, float]:

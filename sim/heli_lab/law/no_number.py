@@ -40,18 +40,13 @@ def with_no_number(function: ca.Function) -> ca.Function:
             outputs[into[0]][into[1]] = work[read[0]]
         else:
             work[into[0]] = _computed(code, [work[place] for place in read])
-    names_in = [function.name_in(k) for k in range(function.n_in())]
-    names_out = [function.name_out(k) for k in range(function.n_out())]
     dense = [ca.densify(output) for output in outputs]
-    return ca.Function(function.name(), inputs, dense, names_in, names_out)
+    return ca.Function(function.name(), inputs, dense, function.name_in(), function.name_out())
 
 
 def _computed(code: int, operands: list[ca.SX]) -> ca.SX:
     """Result of an operation that is NaN if an operand is, also where CasADi's hides it."""
-    if len(operands) == 1:
-        result = ca.SX.unary(code, operands[0])
-    else:
-        result = ca.SX.binary(code, operands[0], operands[1])
+    result = ca.SX.unary(code, *operands) if len(operands) == 1 else ca.SX.binary(code, *operands)
     for operand in operands[: _HIDING.get(code, 0)]:
         if not operand.is_constant():
             result = result + _no_number_of(operand)

@@ -22,7 +22,7 @@ FIXED_OUTPUTS: Final = 5
 BINARY: Final = frozenset(operation.code for operation in OPERATIONS if operation.operands == 2)
 _MAX_POWER: Final = 16
 
-_SAME: Final = {
+_ON_BOARD: Final = {
     ca.OP_ADD: "add", ca.OP_SUB: "subtract", ca.OP_MUL: "multiply", ca.OP_DIV: "divide", ca.OP_NEG: "negate",
     ca.OP_FABS: "absolute", ca.OP_FMIN: "minimum", ca.OP_FMAX: "maximum", ca.OP_LT: "less",
     ca.OP_LE: "less_equal", ca.OP_EQ: "equal", ca.OP_NE: "not_equal", ca.OP_AND: "both", ca.OP_OR: "either",
@@ -30,6 +30,7 @@ _SAME: Final = {
     ca.OP_SIN: "sine", ca.OP_COS: "cosine", ca.OP_TAN: "tangent", ca.OP_ATAN2: "arctangent",
     ca.OP_TANH: "hyperbolic_tangent", ca.OP_EXP: "exponential",
 }  # fmt: skip
+"""Operations of CasADi that the board has, by CasADi's code."""
 _NAMES: Final = {getattr(ca, name): name[3:].lower() for name in dir(ca) if name.startswith("OP_")}
 
 
@@ -149,7 +150,7 @@ class Program:
         value = self.values[index]
         return self.constants[value.place] if value.kind == "constant" else None
 
-    def do(self, name: str, *operands: int) -> int:
+    def append(self, name: str, *operands: int) -> int:
         """Append an operation, or a cheaper one with the same result; return the index of its value.
 
         Parameters
@@ -160,12 +161,12 @@ class Program:
             Indices of its operands.
         """
         numbers = [self.number(operand) for operand in operands]
-        folded = _FOLDED.get(name)
+        folded = _CONSTANT_FOLDING.get(name)
         if folded is not None and None not in numbers:
             result = folded(*numbers)
             if math.isfinite(result):
                 return self.constant(result)
-        simpler = _SIMPLER.get(name)
+        simpler = _SIMPLIFICATION.get(name)
         simplified = simpler(self, operands, numbers) if simpler is not None else None
         if simplified is not None:
             return simplified
@@ -173,7 +174,7 @@ class Program:
             operands = tuple(sorted(operands))
         return self.put(Value(name, 0, operands))
 
-    def casadi(self, code: int, a: int, b: int) -> int:
+    def append_casadi(self, code: int, a: int, b: int) -> int:
         """Append an operation of CasADi, composed of those of the board; return the index of its value.
 
         Parameters
@@ -188,15 +189,15 @@ class Program:
         BadLaw
             No board computes it.
         """
-        if code in _SAME:
-            name = _SAME[code]
-            return self.do(name, a, b) if CODE[name] in BINARY else self.do(name, a)
-        composed = _MADE.get(code)
+        if code in _ON_BOARD:
+            name = _ON_BOARD[code]
+            return self.append(name, a, b) if CODE[name] in BINARY else self.append(name, a)
+        composed = _COMPOSED.get(code)
         if composed is not None:
             return composed(self, a, b)
         if code in (ca.OP_POW, ca.OP_CONSTPOW):
             return self._power(a, b)
-        known = ", ".join(sorted(set(_SAME.values())))
+        known = ", ".join(sorted(set(_ON_BOARD.values())))
         raise BadLaw(
             f"the law {self.name} uses {_NAMES.get(code, code)}, which the board cannot compute",
             f"use only {known}",
@@ -207,7 +208,7 @@ class Program:
         known = self.number(b)
         number = math.nan if known is None else known
         if number == 0.5:
-            return self.do("square_root", a)
+            return self.append("square_root", a)
         if number != round(number) or not 0 < abs(number) <= _MAX_POWER:
             raise BadLaw(
                 f"the law {self.name} has a power that is not a whole number up to {_MAX_POWER}",
@@ -215,12 +216,12 @@ class Program:
             )
         power = a
         for _ in range(int(abs(number)) - 1):
-            power = self.do("multiply", power, a)
-        return power if number > 0 else self.do("divide", self.constant(1.0), power)
+            power = self.append("multiply", power, a)
+        return power if number > 0 else self.append("divide", self.constant(1.0), power)
 
 
 _COMMUTATIVE: Final = frozenset(("add", "multiply", "equal", "not_equal", "both", "either"))
-_FOLDED: Final[dict[str, Callable[..., float]]] = {
+_CONSTANT_FOLDING: Final[dict[str, Callable[..., float]]] = {
     "add": lambda a, b: a + b,
     "subtract": lambda a, b: a - b,
     "multiply": lambda a, b: a * b,
@@ -237,8 +238,10 @@ _FOLDED: Final[dict[str, Callable[..., float]]] = {
     "less_equal": lambda a, b: float(a <= b),
     "floor": lambda a: float(math.floor(a)),
 }
+"""Operations whose result is computed here if all operands are constants."""
 
 _Numbers = list[float | None]
+"""Value of each operand that is a constant, otherwise None."""
 
 
 def _sum(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
@@ -248,11 +251,12 @@ def _sum(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None
 
 
 def _difference(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+    """Simplify the difference of equal values, and one with 0."""
     if operands[0] == operands[1]:
         return p.constant(0.0)
     if numbers[1] == 0.0:
         return operands[0]
-    return p.do("negate", operands[1]) if numbers[0] == 0.0 else None
+    return p.append("negate", operands[1]) if numbers[0] == 0.0 else None
 
 
 def _product(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
@@ -261,25 +265,27 @@ def _product(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | 
         if number == 1.0:
             return other
         if number == -1.0:
-            return p.do("negate", other)
+            return p.append("negate", other)
         if number == 0.0:
             return p.constant(0.0)
     return None
 
 
 def _quotient(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+    """Replace a division by a constant by a product with its reciprocal, which is cheaper."""
     divisor = numbers[1]
     # Beyond these the reciprocal is no normal number of single precision.
     if divisor is None or not 1e-37 < abs(divisor) < 1e37:
         return None
-    return p.do("multiply", operands[0], p.constant(1.0 / divisor))
+    return p.append("multiply", operands[0], p.constant(1.0 / divisor))
 
 
 def _negated(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+    """Simplify the negation of a negation, and of a difference."""
     inner = p.values[operands[0]]
     if inner.kind == "negate":
         return inner.operands[0]
-    return p.do("subtract", *reversed(inner.operands)) if inner.kind == "subtract" else None
+    return p.append("subtract", *reversed(inner.operands)) if inner.kind == "subtract" else None
 
 
 def _same(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
@@ -292,22 +298,24 @@ def _selected(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int |
     return operands[1] if numbers[0] is not None else None
 
 
-_SIMPLER: Final[dict[str, Callable[[Program, tuple[int, ...], _Numbers], int | None]]] = {
+_SIMPLIFICATION: Final[dict[str, Callable[[Program, tuple[int, ...], _Numbers], int | None]]] = {
     "add": _sum, "subtract": _difference, "multiply": _product, "divide": _quotient, "negate": _negated,
     "minimum": _same, "maximum": _same, "select": _selected,
 }  # fmt: skip
+"""For an operation: a value that already is its result or is cheaper to compute; None if there is none."""
 
-_MADE: Final[dict[int, Callable[[Program, int, int], int]]] = {
+_COMPOSED: Final[dict[int, Callable[[Program, int, int], int]]] = {
     ca.OP_ASSIGN: lambda _, a, b: a,
-    ca.OP_SQ: lambda p, a, b: p.do("multiply", a, a),
-    ca.OP_TWICE: lambda p, a, b: p.do("add", a, a),
-    ca.OP_INV: lambda p, a, b: p.do("divide", p.constant(1.0), a),
-    ca.OP_CEIL: lambda p, a, b: p.do("negate", p.do("floor", p.do("negate", a))),
-    ca.OP_SIGN: lambda p, a, b: p.do(
-        "subtract", p.do("less", p.constant(0.0), a), p.do("less", a, p.constant(0.0))
+    ca.OP_SQ: lambda p, a, b: p.append("multiply", a, a),
+    ca.OP_TWICE: lambda p, a, b: p.append("add", a, a),
+    ca.OP_INV: lambda p, a, b: p.append("divide", p.constant(1.0), a),
+    ca.OP_CEIL: lambda p, a, b: p.append("negate", p.append("floor", p.append("negate", a))),
+    ca.OP_SIGN: lambda p, a, b: p.append(
+        "subtract", p.append("less", p.constant(0.0), a), p.append("less", a, p.constant(0.0))
     ),
-    ca.OP_ATAN: lambda p, a, b: p.do("arctangent", a, p.constant(1.0)),
-    ca.OP_HYPOT: lambda p, a, b: p.do(
-        "square_root", p.do("add", p.do("multiply", a, a), p.do("multiply", b, b))
+    ca.OP_ATAN: lambda p, a, b: p.append("arctangent", a, p.constant(1.0)),
+    ca.OP_HYPOT: lambda p, a, b: p.append(
+        "square_root", p.append("add", p.append("multiply", a, a), p.append("multiply", b, b))
     ),
 }
+"""Operations of CasADi that are composed of those of the board, by CasADi's code."""

@@ -12,10 +12,10 @@ from heli_host.errors import BadLaw
 from heli_host.law_program import Instruction, LawProgram, Term, check_number
 
 from heli_lab.law.law import Law
+from heli_lab.law.law_function import LONGEST_NAME, casadi_function
 from heli_lab.law.program import CODE, FIXED_OUTPUTS
 from heli_lab.law.sums import SUM
 
-_LONGEST_NAME: Final = 63
 _MAX_ITEMS: Final = 8192
 """Longest list [entries]: more than the 1,536 words that a board stores."""
 
@@ -140,13 +140,7 @@ def law_of_program(program: LawProgram) -> Law:
             f"the law {program.name} reads cell {error} before it is written", "compile the law again"
         ) from error
     count = FIXED_OUTPUTS + len(program.signals)
-    function = ca.Function(
-        "law",
-        [inputs, states, parameters],
-        [_column(results[:count]), _column(results[count:])],
-        ["inputs", "states", "parameters"],
-        ["outputs", "new_states"],
-    )
+    function = casadi_function(inputs, states, parameters, results[:count], results[count:])
     return Law(
         program.name,
         program.rate_Hz,
@@ -155,10 +149,6 @@ def law_of_program(program: LawProgram) -> Law:
         dict(program.parameters),
         program.signals,
     )
-
-
-def _column(values: list[ca.SX]) -> ca.SX:
-    return ca.densify(ca.vertcat(*values)) if values else ca.SX(0, 1)
 
 
 def _list(value: Any) -> list[Any]:
@@ -187,7 +177,7 @@ def _number(what: str, value: Any) -> float:
 def _name(value: Any) -> str:
     if not isinstance(value, str):
         raise TypeError("not a name")
-    return "".join(letter if letter.isprintable() else "?" for letter in value[:_LONGEST_NAME])
+    return "".join(letter if letter.isprintable() else "?" for letter in value[:LONGEST_NAME])
 
 
 def _named(kind: str, name: Any, value: Any) -> tuple[str, float]:

@@ -109,6 +109,7 @@ def _at(line: int | None) -> str:
 
 @contextmanager
 def _importing_from(folder: Path) -> Iterator[None]:
+    """Put a folder before all others on the path of imports."""
     where = str(folder.resolve())
     sys.path.insert(0, where)
     try:

@@ -13,6 +13,7 @@ from heli_host.errors import BadLaw
 
 from heli_lab.law.blocks import motor_volts
 from heli_lab.law.law import Command, Law, control_law
+from heli_lab.law.law_function import column_of
 
 if TYPE_CHECKING:
     import control
@@ -22,20 +23,16 @@ ERRORS = (*(f"{axis}_rad" for axis in AXES), *(f"{axis}_rad_s" for axis in AXES)
 
 
 def _errors(now: Any) -> Any:
+    """Return the six `ERRORS`, inputs of a law (`now`) less their setpoints, as a column."""
     level = {"pitch_rad": 0.0, "pitch_rad_s": 0.0}
-    targets = [
+    setpoints = [
         level.get(name, getattr(now, name.replace("_rad", "_setpoint_rad", 1), 0.0)) for name in ERRORS
     ]
-    return ca.vertcat(*(getattr(now, name) - r for name, r in zip(ERRORS, targets, strict=True)))
+    return ca.vertcat(*(getattr(now, name) - r for name, r in zip(ERRORS, setpoints, strict=True)))
 
 
 def from_gain(
-    K: npt.ArrayLike,
-    *,
-    hover_V: float,
-    rate_Hz: float = 1000.0,
-    dead_zone_V: float = 1.0,
-    name: str = "gain",
+    K: npt.ArrayLike, *, hover_V: float, rate_Hz: float = 1000.0, dead_zone_V: float = 1.0, name: str = "gain"
 ) -> Law:
     """Make a law from a gain matrix: collective and differential are hover's minus ``K`` times the error.
 
@@ -116,7 +113,7 @@ def from_state_space(
     )
     def law(now: Any, state: Any, parameter: Any) -> Command:
         """One step of the state space: voltages, and new states."""
-        x = ca.vertcat(*(getattr(state, key) for key in names)) if names else ca.SX(0, 1)
+        x = column_of([getattr(state, key) for key in names])
         errors = _errors(now)
         command_V = ca.mtimes(C, x) + ca.mtimes(D, errors)
         new = ca.mtimes(A, x) + ca.mtimes(B, errors)
@@ -172,9 +169,8 @@ def from_function(
     @control_law(rate_Hz=rate_Hz, name=name or function.name(), states=first, parameters=values)
     def law(now: Any, state: Any, parameter: Any) -> Command:
         arguments = [
-            ca.vertcat(*(getattr(now, key) for key in LAW_INPUTS)),
-            ca.vertcat(*(getattr(state, key) for key in names)) if names else ca.SX(0, 1),
-            ca.vertcat(*(getattr(parameter, key) for key in values)) if values else ca.SX(0, 1),
+            column_of([getattr(symbols, key) for key in keys])
+            for symbols, keys in ((now, LAW_INPUTS), (state, names), (parameter, values))
         ]
         results = function.call(arguments[: len(sizes)])
         new = {key: results[1][k] for k, key in enumerate(names)} if names else {}

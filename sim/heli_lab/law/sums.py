@@ -163,7 +163,7 @@ def _simplified(program: Program, product: _Product) -> _Product:
     if number is not None and product.second is None:
         return _Product(1.0, program.constant(product.factor * number))
     if product.second is not None and abs(product.factor) != 1.0:
-        return _Product(product.factor, program.do("multiply", product.first, product.second))
+        return _Product(product.factor, program.append("multiply", product.first, product.second))
     return product
 
 
@@ -185,14 +185,14 @@ def _put_separately(program: Program, products: list[_Product]) -> int:
     for product in sorted(products, key=lambda each: each.factor == -1.0):
         is_subtracted = product.factor == -1.0
         if product.second is not None:
-            value = program.do("multiply", product.first, product.second)
+            value = program.append("multiply", product.first, product.second)
         elif is_subtracted:
             value = product.first
         else:
-            value = program.do("multiply", product.first, program.constant(product.factor))
+            value = program.append("multiply", product.first, program.constant(product.factor))
         if total is None:
-            total = program.do("negate", value) if is_subtracted else value
+            total = program.append("negate", value) if is_subtracted else value
         else:
-            total = program.do("subtract" if is_subtracted else "add", total, value)
+            total = program.append("subtract" if is_subtracted else "add", total, value)
     assert total is not None
     return total

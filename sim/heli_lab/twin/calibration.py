@@ -18,6 +18,8 @@ from heli_lab.twin.parameter_uncertainty import EXACT, ParameterUncertainty
 from heli_lab.twin.tail import IDEAL, Tail
 
 _AXES, _ROTORS = 3, 2
+_DISTURBANCES: Final = ("fast_std_Nm", "correlation_time_s", "slow_std_Nm", "quantisation")
+"""Entries of the table [disturbances] of a twin file."""
 
 
 DEFAULT_DISTURBANCES: Final = replace(DISTURBANCE_START, quantisation=np.ones(3))
@@ -57,28 +59,21 @@ class Calibration:
 
 def calibration_text(calibration: Calibration, rig: str) -> str:
     """Return the text of a twin file (TOML); `rig` is the name or the path of the rig."""
-    disturbances, tail = calibration.disturbances, calibration.tail
-
-    def listed(values: Floats) -> str:
-        return "[" + ", ".join(f"{value:.6g}" for value in values) + "]"
-
+    disturbance_lines = "".join(
+        f"{key} = {_listed(getattr(calibration.disturbances, key.removesuffix('_Nm')))}\n"
+        for key in _DISTURBANCES
+    )
+    numbers = ("level_nats", "per_hour", "scale_nats", "excesses", "shape", "healthy_s")
+    tail_lines = "".join(f"{name} = {getattr(calibration.tail, name):.6g}\n" for name in numbers)
     return (
         "# A twin: a rig, its disturbances, and the tail of the evidence without a change.\n"
         "# Written by heli-host twin; order of the axes: elevation, pitch, travel.\n"
         f"rig = {_quoted(rig)}\n"
         f"source = {_quoted(calibration.source)}\n\n"
         "[disturbances]\n"
-        f"fast_std_Nm = {listed(disturbances.fast_std)}\n"
-        f"correlation_time_s = {listed(disturbances.correlation_time_s)}\n"
-        f"slow_std_Nm = {listed(disturbances.slow_std)}\n"
-        f"quantisation = {listed(disturbances.quantisation)}\n\n"
+        f"{disturbance_lines}\n"
         "[tail]\n"
-        f"level_nats = {tail.level_nats:.6g}\n"
-        f"per_hour = {tail.per_hour:.6g}\n"
-        f"scale_nats = {tail.scale_nats:.6g}\n"
-        f"excesses = {tail.excesses}\n"
-        f"shape = {tail.shape:.6g}\n"
-        f"healthy_s = {tail.healthy_s:.6g}\n"
+        f"{tail_lines}"
     ) + _uncertainty_text(calibration.uncertainty)
 
 
@@ -87,15 +82,13 @@ def _uncertainty_text(uncertainty: ParameterUncertainty) -> str:
     if not uncertainty.names and not uncertainty.supply_std:
         return ""
     names = ", ".join(map(_quoted, uncertainty.names))
-    rows = "".join(
-        "  [" + ", ".join(f"{value:.9g}" for value in row) + "],\n" for row in uncertainty.covariance
-    )
+    rows = "".join(f"  {_listed(row, 9)},\n" for row in uncertainty.covariance)
     return (
         "\n[parameters]\n"
         f"names = [{names}]\n"
         f"supply_std = {uncertainty.supply_std:.6g}\n"
-        f"low_V = [{', '.join(f'{value:.6g}' for value in uncertainty.low_V)}]\n"
-        f"high_V = [{', '.join(f'{value:.6g}' for value in uncertainty.high_V)}]\n"
+        f"low_V = {_listed(uncertainty.low_V)}\n"
+        f"high_V = {_listed(uncertainty.high_V)}\n"
         f"covariance = [\n{rows}]\n"
     )
 
@@ -121,22 +114,18 @@ def parse_calibration(data: Mapping[str, Any], name: str) -> Calibration:
         A key is missing, or a value is invalid.
     """
     numbers: dict[str, Any] = {}
-    for key, unit in (
-        ("fast_std", "_Nm"),
-        ("correlation_time_s", ""),
-        ("slow_std", "_Nm"),
-        ("quantisation", ""),
-    ):
-        values = _table_of(data, "disturbances", name).get(f"{key}{unit}")
+    disturbances, tail_table = _table_of(data, "disturbances", name), _table_of(data, "tail", name)
+    for key in _DISTURBANCES:
+        values = disturbances.get(key)
         if not isinstance(values, list) or len(values) != _AXES or not all(map(_is_positive, values)):
-            raise TwinError(f"{name}: disturbances.{key}{unit} is not three positive numbers", _REMEDY)
-        numbers[key] = np.array(values, float)
-    excesses = _table_of(data, "tail", name).get("excesses")
+            raise TwinError(f"{name}: disturbances.{key} is not three positive numbers", _REMEDY)
+        numbers[key.removesuffix("_Nm")] = np.array(values, float)
+    excesses = tail_table.get("excesses")
     if not isinstance(excesses, int) or isinstance(excesses, bool) or excesses < 1:
         raise TwinError(f"{name}: tail.excesses is not a count", _REMEDY)
     tail = {}
-    for key, usual in _TAIL_NUMBERS.items():
-        value = _table_of(data, "tail", name).get(key, usual)
+    for key, default in _TAIL_NUMBERS.items():
+        value = tail_table.get(key, default)
         if not _is_number(value) and value != math.inf:
             raise TwinError(f"{name}: tail.{key} is not a number", _REMEDY)
         tail[key] = float(value)
@@ -202,6 +191,11 @@ def _is_number(value: Any) -> bool:
 
 def _is_positive(value: Any) -> bool:
     return _is_number(value) and value > 0
+
+
+def _listed(values: Floats, digits: int = 6) -> str:
+    """Write values, (n,), as a list of TOML with so many significant digits."""
+    return "[" + ", ".join(f"{value:.{digits}g}" for value in values) + "]"
 
 
 def _quoted(text: str) -> str:

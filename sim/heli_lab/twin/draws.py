@@ -49,7 +49,6 @@ class Draws:
     """
 
     def __init__(self, innovations: Sequence[Floats], count: int, rng: np.random.Generator) -> None:
-        """Draw `count` sequences of innovations, (n, 3) for each flight, with a random generator."""
         self._innovations: Floats = np.vstack([flight[~_near_kicks(flight)] for flight in innovations])
         self._rng, self.count = rng, count
         # Of each draw: row of its next innovation, sign of its piece, and scale about each axis.
@@ -93,7 +92,7 @@ class _RecordingTwin(Twin):
         """Record the innovation, and add it to the evidence."""
         self.innovations.append(innovation.value)
         if np.any(np.abs(innovation.value) > CUT_OFF_STD):
-            self.kicks_s.append(self._block_end_s())
+            self.kicks_s.append(self._block_end_s(self._block_count))
         super()._update_evidence(innovation)
 
 
@@ -121,7 +120,7 @@ class _DrawnTwin(Twin):
         self._latest = [*self._latest[1 - PERSISTENCE_BLOCKS :], evidence]
         if len(self._latest) == PERSISTENCE_BLOCKS:
             persistent_nats = np.min(self._latest, axis=0)
-            t_s = self._block_end_s()
+            t_s = self._block_end_s(self._block_count)
             for history, nats in zip(self.histories, persistent_nats, strict=True):
                 history.append((t_s, float(nats)))
 

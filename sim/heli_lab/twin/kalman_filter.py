@@ -219,7 +219,11 @@ class KalmanFilter:
         self._root = np.asarray(np.linalg.qr(rows, mode="r")).T
 
     def propagate_sensitivity(self, ages_s: Floats, is_ramp: npt.NDArray[np.bool_]) -> None:
-        """Propagate the sensitivities over the steps since the last call.
+        """Propagate the sensitivities over the steps since the last call, s+ = F s + G w a.
+
+        `predict` accumulates the transition F of z and its derivative G by the free parameters, which a unit
+        of each change moves by the twin's `weights` w. The amount a is 0 before the onset of a change, 1
+        after that of a step, and for a ramp the time since its onset at the middle of the block.
 
         Parameters
         ----------
@@ -228,8 +232,8 @@ class KalmanFilter:
         is_ramp : ndarray of bool (columns,)
             True for changes that grow with time at a constant rate.
         """
-        amount = np.where(is_ramp[:, None], np.maximum(ages_s - 0.5 * self._block_s, 0.0), 1.0)
-        amount = np.where(ages_s > 0.0, amount, 0.0)
+        ramp_s = np.maximum(ages_s - 0.5 * self._block_s, 0.0)
+        amount = np.where(ages_s > 0.0, np.where(is_ramp[:, None], ramp_s, 1.0), 0.0)
         order, columns, onsets = self.state_sensitivity.shape
         propagated = self._transition @ self.state_sensitivity.reshape(order, columns * onsets)
         self.state_sensitivity = propagated.reshape(order, columns, onsets)

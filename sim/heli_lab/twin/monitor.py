@@ -86,7 +86,7 @@ def monitor_flight(
 
     Parameters
     ----------
-    chosen : TwinRig
+    twin_rig : TwinRig
         Rig, model and calibration.
     flight : Flight
         Flight of the rig; gaps are allowed.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
@@ -46,13 +46,17 @@ class Samples:
 
     def select(self, rows: slice | Integers | npt.NDArray[np.bool_]) -> Samples:
         """Return the samples in `rows`, a slice, a mask or an array of places."""
-        return Samples(
-            self.number[rows],
-            self.angles_rad[rows],
-            self.volts_V[rows],
-            self.flying[rows],
-            self.landing[rows],
-        )
+        return Samples(*(getattr(self, column.name)[rows] for column in fields(self)))
+
+    def followed_by(self, other: Samples) -> Samples:
+        """Return these samples, and then those of `other`."""
+        pairs = ((getattr(self, column.name), getattr(other, column.name)) for column in fields(self))
+        return Samples(*map(np.concatenate, pairs))
+
+
+_NO_SAMPLES: Final = Samples(
+    np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 2)), np.empty(0, bool), np.empty(0, bool)
+)
 
 
 @dataclass(frozen=True)
@@ -111,12 +115,9 @@ class Stepper:
 
     def _reset(self, first: int) -> None:
         """Discard all samples; `first` is the number of the next one."""
-        self._first = first
-        self._angles: Floats = np.empty((0, 3))
-        self._volts: Floats = np.empty((0, 2))
-        self._flying = np.empty(0, bool)
-        self._landing = np.empty(0, bool)
-        self._next = first
+        # Samples that later steps need, the number of the first of them, and the number after the last.
+        self._kept = _NO_SAMPLES
+        self._first = self._next = first
 
     def update(self, samples: Samples) -> Iterator[Step]:
         """Process samples and yield the steps that they complete. A number below the previous one counts as a
@@ -134,7 +135,7 @@ class Stepper:
         """
         number = int(samples.number[rows.start])
         missing = number - self._next
-        if not len(self._angles) or missing < 0 or missing > self._max_gap:
+        if not len(self._kept) or missing < 0 or missing > self._max_gap:
             # Steps begin at multiples of their length, as in every other reader of the same log.
             skipped = -number % self.samples_per_step
             rows = slice(rows.start + skipped, rows.stop)
@@ -145,46 +146,34 @@ class Stepper:
             self._reset(number + skipped)
             self._after_gap = True
         elif missing:
-            self._append(
-                np.full((missing, 3), np.nan),
-                np.repeat(self._volts[-1:], missing, axis=0),
-                np.repeat(self._flying[-1:], missing),
-                np.repeat(self._landing[-1:], missing),
-            )
-        part = samples.select(rows)
-        self._append(part.angles_rad, part.volts_V, part.flying, part.landing)
+            # The last sample holds over the gap, except for its angles.
+            repeated = self._kept.select(np.full(missing, len(self._kept) - 1))
+            self._append(replace(repeated, angles_rad=np.full((missing, 3), np.nan)))
+        self._append(samples.select(rows))
         yield from self._complete_steps()
 
-    def _append(
-        self,
-        angles: Floats,
-        volts: Floats,
-        flying: npt.NDArray[np.bool_],
-        landing: npt.NDArray[np.bool_],
-    ) -> None:
-        """Append samples: angles (n, 3) [rad], nan where missing, voltages (n, 2) [V], and flags (n,)."""
-        self._angles = np.concatenate((self._angles, angles))
-        self._volts = np.concatenate((self._volts, volts))
-        self._flying = np.concatenate((self._flying, flying))
-        self._landing = np.concatenate((self._landing, landing))
-        self._next += len(angles)
+    def _append(self, samples: Samples) -> None:
+        """Append samples, whose angles are nan where they are missing."""
+        self._kept = self._kept.followed_by(samples)
+        self._next += len(samples)
 
     def _complete_steps(self) -> Iterator[Step]:
         """Yield the complete steps, and discard samples that no later step needs."""
         step_rows, half_step = self.samples_per_step, self.samples_per_step // 2
+        kept = self._kept
         start = -self._first % step_rows
-        while start + step_rows <= len(self._angles):
+        while start + step_rows <= len(kept):
             width = min(half_step, start)
-            angles_rad = self._angles[start - width : start + width + 1]
+            angles_rad = kept.angles_rad[start - width : start + width + 1]
             angles_rad = angles_rad[~np.isnan(angles_rad[:, 0])]
             rows = slice(start, start + step_rows)
             yield Step(
                 index=(self._first + start) // step_rows,
                 measured_rad=angles_rad.mean(axis=0) if len(angles_rad) else None,
                 samples=len(angles_rad),
-                volts_V=self._volts[rows],
-                flying=bool(self._flying[rows].all()),
-                landing=bool(self._landing[rows].any()),
+                volts_V=kept.volts_V[rows],
+                flying=bool(kept.flying[rows].all()),
+                landing=bool(kept.landing[rows].any()),
                 after_gap=self._after_gap,
             )
             self._after_gap = False
@@ -192,5 +181,4 @@ class Stepper:
         # The mean about the next step's beginning needs half a step before it.
         used = max(0, start - half_step)
         self._first += used
-        self._angles, self._volts = self._angles[used:], self._volts[used:]
-        self._flying, self._landing = self._flying[used:], self._landing[used:]
+        self._kept = kept.select(slice(used, None))

@@ -230,9 +230,9 @@ class Twin:
         if self._ghost is not None:
             self._ghost.begin()
         state = start_state(self.model, motion.times_s, motion.angles_rad, motion.volts_V, self.step_s)
-        return self._restart(index, state, False)
+        return self._restart(index, state, changed=False)
 
-    def _restart(self, index: int, state: Floats, changed: bool) -> KalmanFilter:
+    def _restart(self, index: int, state: Floats, *, changed: bool) -> KalmanFilter:
         """Restart the filter from a state at the step `index`.
 
         After an alarm (`changed`), each possible change is an unknown constant of the flight.
@@ -264,23 +264,32 @@ class Twin:
         if self.records_evidence:
             self.evidence_history.append((t_s, self.evidence_nats))
         if self._alarm_block is None:
-            is_early = not self._recalibrates and block * self.block_s <= CALIBRATION_s
-            if is_early:
-                yield from self._check_model_once(block, t_s)
-            if self.evidence_nats > self.threshold_nats and not self.contradicts:
-                self._alarm_block, self._is_early = block, is_early
-                if not is_early:
-                    yield self._ranked_event("alarm", t_s)
+            yield from self._raise_alarm(t_s)
         elif (block - self._alarm_block) * self.block_s >= DIAGNOSIS_DELAY_s:
             yield from self._final_ranking(step.index)
             if not self.contradicts:
-                self._restart(step.index, kalman.state, True)
+                self._restart(step.index, kalman.state, changed=True)
             return
         # A sudden change raises the alarm before its true onset is in the window: onsets are added for half a
         # second more, then the window stays fixed.
         adds_onsets = self._alarm_block is None or block - self._alarm_block < RECENT
         if adds_onsets and block * self.block_s >= FILTER_SETTLING_s:
             ratio.begin_onset(block, kalman.state_sensitivity)
+
+    def _raise_alarm(self, t_s: float) -> Iterator[TwinEvent]:
+        """Raise an alarm if the evidence is above the threshold.
+
+        In the calibration at the beginning of a flight, the model itself may be wrong: an early alarm is
+        reported with its final ranking only.
+        """
+        block = self._block_count
+        is_early = not self._recalibrates and block * self.block_s <= CALIBRATION_s
+        if is_early:
+            yield from self._check_model_once(block, t_s)
+        if self.evidence_nats > self.threshold_nats and not self.contradicts:
+            self._alarm_block, self._is_early = block, is_early
+            if not is_early:
+                yield self._ranked_event("alarm", t_s)
 
     def _process_measurement(self, kalman: KalmanFilter, step: Step, since_s: float, volts_V: Floats) -> None:
         """Update the filter with a measurement, and the evidence with its innovation."""
@@ -299,12 +308,14 @@ class Twin:
             self._update_evidence(innovation)
         self._angles_rad[block % len(self._angles_rad)] = kalman.state[:3]
 
-    def _block_end_s(self) -> float:
-        """Time of the present measurement [s]."""
-        return (self._first_step + self._block_count * self._steps_per_block) * self.step_s - self._zero_s
+    def _block_end_s(self, block: int) -> float:
+        """Time of the measurement at the end of a `block` [s]."""
+        return (self._first_step + block * self._steps_per_block) * self.step_s - self._zero_s
 
     def _update_evidence(self, innovation: Innovation) -> None:
-        """Add an innovation to the evidence."""
+        """Add an innovation to the evidence, which counts as far as it persists: the least of the latest
+        `PERSISTENCE_BLOCKS` measurements.
+        """
         self._recent_evidence_nats.append(self._ratio.update_cut(innovation, CUT_OFF_STD))
         self.evidence_nats = min(self._recent_evidence_nats)
 
@@ -324,12 +335,8 @@ class Twin:
     def _onset_angles_rad(self) -> Floats:
         """Return for each encoder scale the angle of its axis [rad] at each onset, (scales, onsets)."""
         rows = len(self._angles_rad)
-        return np.array(
-            [
-                self._angles_rad[self._ratio.onset_blocks(column) % rows, axis]
-                for column, axis in self.model.scales
-            ]
-        )
+        onset_rows = ((self._ratio.onset_blocks(column) % rows, axis) for column, axis in self.model.scales)
+        return np.array([self._angles_rad[place] for place in onset_rows])
 
     def _stop_comparison(self, index: int, reason: str) -> Iterator[TwinEvent]:
         """Rank an open alarm, and stop the comparison."""
@@ -363,12 +370,7 @@ class Twin:
     def _ranked_event(self, kind: str, t_s: float) -> TwinEvent:
         """Return an event with the ranking of the changes, such as ``alarm``."""
         ranking = tuple(self._ratio.ranking())
-        onset_s = (
-            self._first_step + ranking[0].onset_block * self._steps_per_block
-        ) * self.step_s - self._zero_s
-        alarm_s = (
-            self._first_step + (self._alarm_block or 0) * self._steps_per_block
-        ) * self.step_s - self._zero_s
+        onset_s, alarm_s = map(self._block_end_s, (ranking[0].onset_block, self._alarm_block or 0))
         text = f"alarm at {alarm_s:.1f} s. Most likely: {format_ranking(ranking, onset_s)}."
         return TwinEvent(kind, t_s, text, ranking, onset_s)
 

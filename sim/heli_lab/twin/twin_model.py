@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import casadi as ca
@@ -13,6 +14,7 @@ from heli_sim.rig import Rig
 
 from heli_lab.estimation import AlongTrajectory, Trajectory
 from heli_lab.identify.flight_model import model_functions
+from heli_lab.identify.model_along import model_along
 from heli_lab.twin.changes import SCALES, SUPPLY, Change, changes_of, extended, free_numbers
 from heli_lab.twin.parameter_uncertainty import EXACT, ParameterUncertainty
 
@@ -80,9 +82,15 @@ class TwinModel:
         self.min_thrust_V = -np.inf if dead_zone_V is None else dead_zone_V
         self.measure = self._measurement(extended_model)
         has_resets = any(type(effect).reset_map is not Effect.reset_map for effect in deterministic.effects)
-        self.resets = self._resets(extended_model) if has_resets else None
+        # The state at the end of a step, for effects that set states.
+        self.resets = (
+            model_along(extended_model, lambda x, u, p, t: [extended_model.reset_map(x, u, p, t)])
+            if has_resets
+            else None
+        )
         self.directions: Floats = uncertainty.directions(free)
-        self.weights: Floats = self._weights()
+        numbers = [number for change in self.changes for number in change.numbers]
+        self.weights: Floats = self._weights(numbers)
         self.prior_sizes: Floats = np.array([size for change in self.changes for size in change.sizes])
         self.prior_changes: Floats = self.weights * self.prior_sizes
         self.frictions = [
@@ -90,16 +98,14 @@ class TwinModel:
             for axis, name in enumerate(f"coulomb_friction_{axis_name}_Nm" for axis_name in AXES)
             if name in self.functions.free
         ]
-        numbers = [number for change in self.changes for number in change.numbers]
         self.scales = [
             (column, AXES.index(SCALES[number])) for column, number in enumerate(numbers) if number in SCALES
         ]
         self.zero_tolerance_rad: Floats = np.deg2rad([rig[name].tolerance for name in ZEROS])
 
-    def _weights(self) -> Floats:
+    def _weights(self, numbers: Sequence[str]) -> Floats:
         """Return the amount of each free parameter per unit of each number of the changes."""
         free = self.functions.free
-        numbers = [number for change in self.changes for number in change.numbers]
         weights = np.zeros((len(free) + 1, len(numbers)))
         for column, number in enumerate(numbers):
             for name in number.split("+"):
@@ -108,29 +114,15 @@ class TwinModel:
                     weights[row, column] = 1.0
         return weights
 
-    def _symbols(self, model: Model) -> list[ca.SX]:
-        """Return symbols of the states x, inputs u, time t and parameters p."""
-        return [
-            ca.SX.sym("x", len(model.states)),
-            ca.SX.sym("u", 2),
-            ca.SX.sym("t"),
-            ca.SX.sym("p", len(model.parameters)),
-        ]
-
     def _measurement(self, model: Model) -> AlongTrajectory:
         """Return the measured angles, (3,), with their derivatives by states and by free parameters."""
-        x, u, t, p = self._symbols(model)
-        angles = model.measurement(x, u, p, t)
-        free = ca.vertcat(*(p[i] for i in self.functions.places))
-        outputs = [angles, ca.jacobian(angles, x), ca.jacobian(angles, free)]
-        return AlongTrajectory(
-            ca.Function("measure", [x, u, t, p], [ca.densify(output) for output in outputs])
-        )
 
-    def _resets(self, model: Model) -> AlongTrajectory:
-        """Return the map of the state at the end of a step, for effects that set states."""
-        x, u, t, p = self._symbols(model)
-        return AlongTrajectory(ca.Function("resets", [x, u, t, p], [ca.densify(model.reset_map(x, u, p, t))]))
+        def angles_and_derivatives(x: ca.SX, u: ca.SX, p: ca.SX, t: ca.SX) -> list[ca.SX]:
+            angles = model.measurement(x, u, p, t)
+            free = ca.vertcat(*(p[i] for i in self.functions.places))
+            return [angles, ca.jacobian(angles, x), ca.jacobian(angles, free)]
+
+        return model_along(model, angles_and_derivatives)
 
     def at(self, t_s: float, state: Floats, volts_V: Floats, step_s: float) -> Trajectory:
         """Return the point at which the functions are evaluated: time `t_s`, `state` of shape (n,) or (k, n),
@@ -138,11 +130,7 @@ class TwinModel:
         """
         rows = np.atleast_2d(state)
         return Trajectory(
-            np.full(len(rows), t_s),
-            rows,
-            np.broadcast_to(volts_V, (len(rows), 2)),
-            step_s,
-            self.parameters,
+            np.full(len(rows), t_s), rows, np.broadcast_to(volts_V, (len(rows), 2)), step_s, self.parameters
         )
 
 

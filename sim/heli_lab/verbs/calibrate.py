@@ -97,8 +97,10 @@ def calibrate(
     Example: `heli-host calibrate --port /dev/ttyACM0 --rig mine.toml`
     """
     from heli_host.cli.board import clear_latched_fault, open_board
+    from heli_host.cli.outputs import check_parameters_place, check_result_places
     from heli_host.fly.recorder import Recorder
     from heli_host.log.disk import check_new
+    from heli_sim.rig import load_rig
 
     from heli_lab.calibrate.calibration import calibrate as run
     from heli_lab.calibrate.calibration import default_limits, set_parameters
@@ -111,9 +113,10 @@ def calibrate(
                 "paper's"
             )
     data_on_stdout(json)
-    nominal_rig = _load_nominal_rig(rig)
+    nominal_rig = load_rig(rig if rig is not None else DEFAULT_RIG)
     new_rig = _new_rig_file(rig, save_rig)
-    _check_output_places(save_params, json)
+    check_result_places(json)
+    check_parameters_place(save_params)
     if log is not None:
         check_new(log)
     limits = replace(default_limits(nominal_rig), max_angle_deg=max_angle_deg)
@@ -170,13 +173,6 @@ def calibrate(
         raise typer.Exit(1)
 
 
-def _load_nominal_rig(rig: str | None) -> Rig:
-    """Return the rig whose values stay wherever nothing is measured."""
-    from heli_sim.rig import load_rig
-
-    return load_rig(rig if rig is not None else DEFAULT_RIG)
-
-
 def _new_rig_file(rig: str | None, save_rig: Path | None) -> Path:
     """Return the path of the calibrated rig; a RigError is raised if the file exists."""
     from heli_host.cli.outputs import check_place
@@ -188,14 +184,6 @@ def _new_rig_file(rig: str | None, save_rig: Path | None) -> Path:
     if path.exists():
         raise RigError(f"{path} exists already", "give another --save-rig, because no rig is overwritten")
     return path
-
-
-def _check_output_places(save_params: Path | None, json: Path | None) -> None:
-    """Check that parameters and JSON can be written."""
-    from heli_host.cli.outputs import check_parameters_place, check_result_places
-
-    check_result_places(json)
-    check_parameters_place(save_params)
 
 
 def _simulated_board_address(rig: str | None, miswired: str) -> str:

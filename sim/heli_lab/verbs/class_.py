@@ -15,6 +15,8 @@ from heli_host.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.cli.simulated import DEFAULT_RIG, MAX_SPEED
 from heli_host.cli.verb import Verb
 
+from heli_lab.fit_options import SeedsOption
+
 if TYPE_CHECKING:
     from heli_lab.classroom.mark import Mark
 
@@ -51,9 +53,7 @@ def class_(
         ),
     ] = None,
     effect: simulated.EffectOption = None,
-    seeds: Annotated[
-        int, typer.Option("--seeds", metavar="N", min=1, max=100, help="Fly N times, with the seeds 1 to N.")
-    ] = 1,
+    seeds: SeedsOption = 1,
     port: Annotated[
         str | None,
         typer.Option(

@@ -34,17 +34,12 @@ def diagnose(
     json: JsonOption = None,
     save_rig: option.SaveRigOption = None,
     with_term: Annotated[
-        bool,
-        typer.Option(
-            "--with-term",
-            help="Add a proposed equation term to the rig of --save-rig.",
-        ),
+        bool, typer.Option("--with-term", help="Add a proposed equation term to the rig of --save-rig.")
     ] = False,
     with_unconfirmed: Annotated[
         bool,
         typer.Option(
-            "--with-unconfirmed",
-            help="Add causes that are not confirmed to the rig of --save-rig.",
+            "--with-unconfirmed", help="Add causes that are not confirmed to the rig of --save-rig."
         ),
     ] = False,
     calibrate_s: Annotated[
@@ -63,19 +58,12 @@ def diagnose(
     budget: Annotated[
         int,
         typer.Option(
-            "--budget",
-            metavar="N",
-            min=1,
-            help="Stop the search after this many refits of the model.",
+            "--budget", metavar="N", min=1, help="Stop the search after this many refits of the model."
         ),
     ] = 80,
     resume: Annotated[
         Path | None,
-        typer.Option(
-            "--resume",
-            metavar="FILE",
-            help="Save the search to this file, and continue from it.",
-        ),
+        typer.Option("--resume", metavar="FILE", help="Save the search to this file, and continue from it."),
     ] = None,
 ) -> None:
     """Find the causes of a model's errors in flights, and extend the model.
@@ -101,7 +89,7 @@ def diagnose(
     from heli_lab.diagnose import diagnose as run_diagnosis
     from heli_lab.diagnose.report import write_effect_file, write_insufficient_excitation, write_report
     from heli_lab.errors import NotExcited
-    from heli_lab.fit_inputs import fit_inputs, part_of, parts, read_checked
+    from heli_lab.fit_inputs import fit_inputs, parts, read_parts
     from heli_lab.page.drawing import Drawing
     from heli_lab.threads import default_thread_count, limit_malloc_arenas
 
@@ -118,15 +106,8 @@ def diagnose(
     use_process = report is not None and default_thread_count() > 1
     with WorkBar() as bar, Drawing(use_process) as drawing:
         spans = parts(start_s or (), stop_s or (), len(flights), len(validation_paths))
-        whole_flights = read_checked(
-            [*flights, *validation_paths], inputs, allow_gaps, skip_sign_check, bar.show
-        )
-        # Flights are passed one by one and not kept: ten minutes at 1 kHz take 45 MB.
-        whole_flights.reverse()
-        flight_parts = (
-            part_of(whole_flights.pop(), inputs.rig, label, span)
-            for label, span in zip(inputs.labels, spans, strict=True)
-        )
+        paths = [*flights, *validation_paths]
+        flight_parts = read_parts(paths, inputs, spans, allow_gaps, skip_sign_check, bar.show)
         try:
             result = run_diagnosis(
                 inputs.model,

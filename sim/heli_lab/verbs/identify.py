@@ -70,7 +70,7 @@ def identify(
     from heli_host.cli.progress_bar import WorkBar
     from heli_sim.rig import write_rig
 
-    from heli_lab.fit_inputs import fit_inputs, part_of, parts, read_checked
+    from heli_lab.fit_inputs import fit_inputs, parts, read_parts
     from heli_lab.identify.html_report import verdict, write_identification_report
     from heli_lab.identify.run import identify as run_identification
     from heli_lab.page.drawing import Drawing
@@ -83,13 +83,8 @@ def identify(
     use_process = report is not None and default_thread_count() > 1
     with WorkBar() as bar, Drawing(use_process) as drawing:
         spans = parts(start_s or (), stop_s or (), len(flights), len(validation_paths))
-        whole_flights = read_checked(
-            [*flights, *validation_paths], inputs, allow_gaps, skip_sign_check, bar.show
-        )
-        flight_parts = [
-            part_of(flight, inputs.rig, label, span)
-            for flight, label, span in zip(whole_flights, inputs.labels, spans, strict=True)
-        ]
+        paths = [*flights, *validation_paths]
+        flight_parts = list(read_parts(paths, inputs, spans, allow_gaps, skip_sign_check, bar.show))
         identification = run_identification(
             inputs.model,
             inputs.rig,
@@ -103,19 +98,17 @@ def identify(
             on_progress=lambda progress: bar.show(progress.stage, progress.done),
             as_is=skip_sign_check,
         )
-        output_files: list[Path | None] = []
+        page: Path | None = None
         if save_rig is not None:
             identified_rig = identification.rig(save_rig.stem)
             write_rig(identified_rig, save_rig, f"Found by heli-host identify. {verdict(identification)}")
-            output_files.append(save_rig)
         if report is not None:
             bar.show("drawing", 0.9)
-            output_files.append(write_identification_report(identification, report, drawing))
+            page = write_identification_report(identification, report, drawing)
         write_result(json, identification.json())
-        output_files.append(json)
     _print(identification)
     say(verdict(identification))
-    say_files(output_files)
+    say_files((save_rig, page, json))
 
 
 def _print(identification: Identification) -> None:

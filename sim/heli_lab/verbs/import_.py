@@ -57,10 +57,7 @@ def import_(
     ] = None,
     one_flight: Annotated[
         bool,
-        typer.Option(
-            "--one-flight",
-            help="Merge all files into one flight, such as angles and voltages.",
-        ),
+        typer.Option("--one-flight", help="Merge all files into one flight, such as angles and voltages."),
     ] = False,
     force: Annotated[
         bool, typer.Option("--force", help="Write the flights even if the guess is unsure.")
@@ -174,8 +171,7 @@ def _say_reasons(
     best: Guess, ambiguities: Sequence[Ambiguity], profile_path: Path, profile_lines: dict[str, int]
 ) -> None:
     """Print the evidence for a profile, and each ambiguity with the line of its entry in the file."""
-    for sentence in best.evidence:
-        say(f"  {sentence}")
+    say(*(f"  {sentence}" for sentence in best.evidence))
     for ambiguity in ambiguities:
         say(ambiguity.sentence())
         if line := profile_lines.get(ambiguity.entry):

@@ -17,13 +17,12 @@ from heli_host.cli.simulated import DEFAULT_RIG, MAX_SPEED, SeedOption
 from heli_host.cli.verb import Verb
 from heli_host.laws import FILE_LIMIT_s
 
-from heli_lab.fit_options import ReportOption
+from heli_lab.fit_options import ReportOption, SeedsOption
 
 if TYPE_CHECKING:
     from heli_host.flight import Flight
     from heli_host.law_program import LawProgram
 
-    from heli_lab.law import Law
     from heli_lab.law.trial import LawTrial
 
 app = typer.Typer(
@@ -44,9 +43,6 @@ DurationOption = Annotated[
     float,
     typer.Option("--duration", metavar="S", min=1.0, max=600.0, help="Fly each law for this time in s."),
 ]
-SeedsOption = Annotated[
-    int, typer.Option("--seeds", metavar="N", min=1, max=100, help="Fly N times, with the seeds 1 to N.")
-]
 GradedPlanOption = Annotated[
     str | None,
     typer.Option(
@@ -57,7 +53,7 @@ GradedPlanOption = Annotated[
     ),
 ]
 _MAX_POLES = 4
-_TWO = 2
+_MIN_LOGS = 2
 _CHECK_s = 15.0
 """Flight time with the law on each rig of `law check` [s]."""
 
@@ -188,11 +184,7 @@ def compare(
     """
     from heli_host.cli.board import check_target
     from heli_host.cli.outputs import check_result_places
-    from heli_host.log.comparison import (
-        comparison_lines,
-        comparison_numbers,
-        write_comparisons,
-    )
+    from heli_host.log.comparison import comparison_lines, comparison_numbers, write_comparisons
 
     check_result_places(json, figure=figure)
     law_count = sum(path.suffix == ".py" for path in compared)
@@ -358,7 +350,7 @@ def _read_logs(paths: Sequence[Path]) -> dict[str, Flight]:
 
     from heli_lab.law.compare import flight_of_law
 
-    if len(paths) < _TWO:
+    if len(paths) < _MIN_LOGS:
         raise FlightDataError("a comparison needs two logs", "give two logs, or a law (.py)")
     for number, path in enumerate(paths):
         if path in paths[:number]:
@@ -370,20 +362,21 @@ def _fly_laws(
     paths: Sequence[Path], options: FlightOptions, duration_s: float, limit_s: float
 ) -> dict[str, Flight]:
     """Fly the trial plan with each control law; a single law is compared with the board's own."""
+    from heli_lab.classroom.grade import REFERENCE
     from heli_lab.law.files import load_law
     from heli_lab.law.trial import trial_plan
     from heli_lab.law_flight import fly_trial
 
-    flights = {}
-    laws: list[tuple[Path | None, Law | None]] = [
-        (path, load_law(path, limit_s, options.rig)) for path in paths
+    flights: dict[str, Flight] = {}
+    laws = [load_law(path, limit_s, options.rig) for path in paths]
+    compared: list[tuple[str, str, LawProgram | None]] = [
+        (law.name, str(path), law.program) for law, path in zip(laws, paths, strict=True)
     ]
     if len(laws) == 1:
-        laws.append((None, None))
-    for path, law in laws:
-        trial = fly_trial(law.program if law is not None else None, options, trial_plan(duration_s))
-        name = law.name if law is not None else "the board's own"
-        flights[name if name not in flights else str(path)] = trial.flight
+        compared.append((REFERENCE, "", None))
+    for name, path, program in compared:
+        trial = fly_trial(program, options, trial_plan(duration_s))
+        flights[name if name not in flights else path] = trial.flight
         if trial.taken_over:
             say(f"law {name}: the board's control law took over: {trial.taken_over}")
     return flights

@@ -72,8 +72,7 @@ def tables(
 
             tables_.append(fit_table(number, plant.rig, records[number], report))
         by_rig = fit_rig(plant.rig, records, line, lambda done: bar.show("fitting Table 2", 0.4 + 0.6 * done))
-    for text in table_lines(line, by_rig, tables_):
-        say(text)
+    say(*table_lines(line, by_rig, tables_))
     write_result(json, tables_json(plant, line, by_rig, tables_))
 
 
@@ -97,8 +96,7 @@ def gains(rig: RigName = DEFAULT_RIG, json: JsonOption = None) -> None:
     data_on_stdout(json)
     loaded_rig = load_rig(rig)
     by_model = {name: verdicts(model_named(name), loaded_rig) for name in ("paper", "multibody")}
-    for text in gain_lines(by_model):
-        say(text)
+    say(*gain_lines(by_model))
     verdicts_by_model = {name: [asdict(verdict) for verdict in rows] for name, rows in by_model.items()}
     write_result(json, {"models": verdicts_by_model})
 
@@ -129,8 +127,7 @@ def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonOption = 
         errors_by_model = model_errors(
             [model_named(name) for name in sorted(MODELS)], plant.rig, sine_flight.flight
         )
-    for text in model_lines(errors_by_model):
-        say(text)
+    say(*model_lines(errors_by_model))
     write_result(
         json, {"models": {model_error.model: asdict(model_error) for model_error in errors_by_model}}
     )

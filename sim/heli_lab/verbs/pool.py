@@ -55,29 +55,25 @@ def pool(
     data_on_stdout(json)
     population = pool_diagnoses([read_rig_diagnosis(path) for path in diagnoses])
     say(*_lines(population))
-    output_files: list[Path | None] = []
     if save_rig is not None:
         type_rig = load_rig(rig or population.diagnoses[0].rig)
         comment = f"Pooled by heli-host pool from {len(population.diagnoses)} rigs."
         write_rig(population.prior_rig(type_rig, save_rig.stem), save_rig, comment)
-        output_files.append(save_rig)
-    if json is not None:
-        content = {
-            "machines": [diagnosis.label for diagnosis in population.diagnoses],
-            "numbers": {name: asdict(number) for name, number in population.parameters.items()},
-            "causes": {
-                name: {
-                    "found": cause.present,
-                    "seen": cause.detectable,
-                    "share": cause.share,
-                    "interval": cause.interval,
-                }
-                for name, cause in population.causes.items()
-            },
-        }
-        write_result(json, content)
-        output_files.append(json)
-    say_files(output_files)
+    content = {
+        "machines": [diagnosis.label for diagnosis in population.diagnoses],
+        "numbers": {name: asdict(number) for name, number in population.parameters.items()},
+        "causes": {
+            name: {
+                "found": cause.present,
+                "seen": cause.detectable,
+                "share": cause.share,
+                "interval": cause.interval,
+            }
+            for name, cause in population.causes.items()
+        },
+    }
+    write_result(json, content)
+    say_files((save_rig, json))
 
 
 def _lines(population: RigPopulation) -> list[str]:

@@ -56,8 +56,7 @@ def tune(
     ] = 3.5,
     seed: SeedOption = 1,
     save_params: Annotated[
-        Path | None,
-        typer.Option("--save-params", metavar="FILE", help="Write the board's parameters, TOML."),
+        Path | None, typer.Option("--save-params", metavar="FILE", help="Write the board's parameters, TOML.")
     ] = None,
     json: JsonOption = None,
     figure: FigureOption = None,
@@ -107,23 +106,19 @@ def tune(
             models.append((f"lag {1e3 * TRIAL_LAG_s:.0f} ms", model_with_lag))
         trials = _fly(models, base_rig, parameters, seed, bar)
     say(*_rig_lines(base_rig, name, design, loop_effects), *_margin_lines(design), *_flight_lines(trials))
-    output_files: list[Path | None] = []
     if save_params is not None:
         design_text = ", ".join(
             (f"rig {base_rig.name}", f"model {name}", *(effect.name for effect in all_effects))
         )
         text = parameters_text(parameters, f"heli-host tune: gains for {design_text}")
         save_params.write_text(text, encoding="utf-8")
-        output_files.append(save_params)
     write_result(json, _numbers(base_rig, name, design, loop_effects, parameters, trials))
-    output_files.append(json)
     if figure is not None:
         from heli_lab.tune.figures import figure_of_design
 
         flights = [(trial.label, trial.flight) for trial in trials]
         figure_of_design(design, flights).savefig(figure, dpi=120)
-        output_files.append(figure)
-    say_files(output_files)
+    say_files((save_params, json, figure))
     if save_params is not None:
         say(
             f"to fly with these gains: heli-host fly hover --sil --rig {rig} --params {save_params}; "

@@ -116,7 +116,6 @@ def twin(
         for path in flights or ():
             bar.show(f"following {path.name}", 0.9)
             reports.append(monitor_file(twin_rig, path, false_alarm_interval_h, start_s, stop_s))
-    output_files: list[Path | None] = [learn]
     for flight in reports:
         say(*(f"{flight.label}: {text}" for text in flight.sentences()))
         if flight.flown_rig not in ("", twin_rig.rig.name, Path(twin_rig.name).stem):
@@ -133,11 +132,9 @@ def twin(
     false_alarm_text = _false_alarm_text(twin_rig.calibration.tail, false_alarm_interval_h)
     say(f"alarm threshold: {threshold_nats:.1f} nats, {false_alarm_text}; {_calibration_source(twin_rig)}")
     write_result(json, _numbers(twin_rig, reports, false_alarm_interval_h))
-    output_files.append(json)
     if figure is not None and reports:
         draw_evidence(reports, figure)
-        output_files.append(figure)
-    say_files(output_files)
+    say_files((learn, json, figure if reports else None))
 
 
 def _false_alarm_text(tail: Tail, false_alarm_interval_h: float) -> str:
@@ -152,11 +149,8 @@ def _false_alarm_text(tail: Tail, false_alarm_interval_h: float) -> str:
 
 def _calibration_source(twin_rig: TwinRig) -> str:
     """State the origin of disturbances and threshold."""
-    return (
-        f"disturbances and threshold from {twin_rig.calibration.source}"
-        if twin_rig.calibration.source
-        else "default disturbances"
-    )
+    source = twin_rig.calibration.source
+    return f"disturbances and threshold from {source}" if source else "default disturbances"
 
 
 def _numbers(twin_rig: TwinRig, flights: list[TwinReport], false_alarm_interval_h: float) -> dict[str, Any]:

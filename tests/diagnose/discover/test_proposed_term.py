@@ -262,15 +262,11 @@ def test_sine_and_cosine_of_a_wave_share_their_whole_number(monkeypatch: pytest.
     theta = np.array([0.03, 0.02, 2.02, 2.6])
     names = [f"{effect.prefix}_{name}" for name in ("c1_Nm", "c2_Nm", "k1", "k2")]
     assert set(names) == set(effect.priors)
-    estimate = SimpleNamespace(
-        parameter_vector=SimpleNamespace(names=names),
-        theta=theta,
-        covariance=np.diag([1e-6, 1e-6, 0.02**2, 0.4**2]),
-    )
+    std = dict(zip(names, (1e-3, 1e-3, 0.02, 0.4), strict=True))
     refitted_hypothesis = SimpleNamespace(
         candidates=[SimpleNamespace(effect=effect)],
-        estimate=estimate,
         values=dict(zip(names, theta, strict=True)),
+        std=std,
         log_likelihood=100.0,
         ids=(),
     )

@@ -97,7 +97,7 @@ def test_what_sympy_reads_is_what_is_computed_along_a_flight() -> None:
     for group in OF_EACH_SORT:
         equation = Equation(group.terms)
         known = dict.fromkeys(equation.coefficients, 0.7) | {
-            name: v for _, _, _, name, v, _ in equation.inner_parameters()
+            inner.name: inner.value for inner in equation.inner_parameters()
         }
         channel = equation.channels[0]
         names = {name: sympy.Symbol(name) for name in (*values, *known)}

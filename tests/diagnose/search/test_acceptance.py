@@ -10,7 +10,7 @@ import pytest
 from heli_lab.diagnose.search import Hypothesis, ModelComparison, Refit, Screening, forward, typical_candidate
 from heli_lab.diagnose.search.acceptance import Acceptance
 from heli_lab.diagnose.search.candidate import ScoredCandidate
-from heli_lab.diagnose.search.forward import ForwardSelection, paused_play, resting_friction
+from heli_lab.diagnose.search.forward import RoundRefits, paused_play, resting_friction
 from heli_lab.diagnose.search.progress import Progress
 from heli_sim.model.effects import catalogue
 
@@ -65,25 +65,20 @@ def test_play_is_refitted_next_to_a_better_score(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(
         forward, "refit_on_grid", lambda *given: SimpleNamespace(candidate=given[3].candidate, margin=9.0)
     )
-    selection = ForwardSelection(
-        cast(ModelComparison, None), cast(Acceptance, acceptance), cast(Progress, progress), ()
-    )
     lag = ScoredCandidate(typical_candidate(KINDS["rotor_lag"]), 90.0, np.zeros(1), np.ones(1), 1)
     base = cast(Hypothesis, SimpleNamespace(ids=()))
-    refits, likely = selection._refit_effects(base, cast(Screening, screening), [lag])
-    assert [refit.candidate.id for refit in refits] == ["rotor_lag", "backlash.pitch"]
-    assert [scored.candidate.id for scored in likely] == ["rotor_lag", "backlash.pitch"]
+    round_refits = RoundRefits(
+        cast(ModelComparison, None), cast(Acceptance, acceptance), cast(Progress, progress), 0, base, [lag]
+    )
+    round_refits.refit_effects(cast(Screening, screening))
+    assert [refit.candidate.id for refit in round_refits.refits] == ["rotor_lag", "backlash.pitch"]
+    assert round_refits.tried_ids == {"rotor_lag", "backlash.pitch"}
 
 
 def test_a_clear_log_likelihood_ratio_overrides_the_wald_test() -> None:
     kind = KINDS["coulomb_friction.elevation"]
     size = kind.size[0]
-    estimate = SimpleNamespace(
-        parameter_vector=SimpleNamespace(names=[size]),
-        covariance=np.array([[0.05**2]]),
-        theta=np.array([0.03]),
-    )
-    hypothesis = cast(Hypothesis, SimpleNamespace(estimate=estimate, values={size: 0.03}))
+    hypothesis = cast(Hypothesis, SimpleNamespace(values={size: 0.03}, std={size: 0.05}))
     candidate = typical_candidate(kind)
     acceptance = Acceptance(cast(ModelComparison, None), KINDS)
     assert acceptance.is_significant(Refit(hypothesis, 1300.0, 11.0, 0.0), candidate)

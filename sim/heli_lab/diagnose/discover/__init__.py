@@ -8,7 +8,7 @@ from heli_lab.diagnose.discover.equation import CHANNELS, NAME
 from heli_lab.diagnose.discover.missing import TIME, MissingTerm, missing_term
 from heli_lab.diagnose.discover.notation import expression, latex
 from heli_lab.diagnose.discover.proposal import ProposedTerm, proposed_term
-from heli_lab.diagnose.discover.spline_curve import SplineCurve, spline_curve_of
+from heli_lab.diagnose.discover.spline_curve import SplineCurve, spline_curves_of
 from heli_lab.diagnose.discover.symbolic_regression import discover
 from heli_lab.diagnose.discover.terms import SYMBOLS
 
@@ -27,5 +27,5 @@ __all__ = [
     "latex",
     "missing_term",
     "proposed_term",
-    "spline_curve_of",
+    "spline_curves_of",
 ]

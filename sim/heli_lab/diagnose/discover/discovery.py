@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from heli_lab.diagnose.discover.equation import Equation, EquationEffect, EquationTerm
 from heli_lab.diagnose.discover.terms import Term
 from heli_lab.diagnose.search import Hypothesis
@@ -81,15 +79,9 @@ class Discovery:
     @property
     def values(self) -> dict[str, tuple[float, float, str]]:
         """Parameters by name without prefix: value, standard error (0 if fixed) and unit."""
-        estimate = self.hypothesis.estimate
-        std = dict(zip(estimate.parameter_vector.names, np.sqrt(np.diag(estimate.covariance)), strict=True))
-        estimates = self.hypothesis.values
+        values, std = {**self.effect.values, **self.hypothesis.values}, self.hypothesis.std
         return {
-            q.name.removeprefix(f"{self.effect.prefix}_"): (
-                float(estimates.get(q.name, self.effect.values[q.name])),
-                float(std.get(q.name, 0.0)),
-                q.unit,
-            )
+            q.name.removeprefix(f"{self.effect.prefix}_"): (values[q.name], std.get(q.name, 0.0), q.unit)
             for q in self.effect.parameters
         }
 

@@ -6,7 +6,8 @@ import casadi as ca
 import numpy as np
 from heli_host.arrays import Floats
 
-from heli_lab.estimation import AlongTrajectory, Estimate
+from heli_lab.estimation import Estimate
+from heli_lab.identify.model_along import model_along
 
 
 def accelerations(estimate: Estimate, name: str, index: int = 0) -> tuple[Floats, Floats]:
@@ -32,13 +33,14 @@ def accelerations(estimate: Estimate, name: str, index: int = 0) -> tuple[Floats
     linear = estimate.filtered().linearised_flights[index]
     model = linear.model.source
     reduced_model = type(model)(tuple(effect for effect in model.effects if effect.name != name))
-    x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
-    t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
     states = [state.name for state in model.states]
     names = [quantity.name for quantity in model.parameters]
-    reduced_x = ca.vertcat(*(x[states.index(state.name)] for state in reduced_model.states))
-    reduced_p = ca.vertcat(*(p[names.index(q.name)] for q in reduced_model.parameters))
-    change_rad_s2 = model.dynamics(x, u, p, t)[3:6] - reduced_model.dynamics(reduced_x, u, reduced_p, t)[3:6]
-    function = ca.Function("change", [x, u, t, p], [ca.densify(change_rad_s2)])
-    (values,) = AlongTrajectory(function)(linear.trajectory)
+
+    def change_rad_s2(x: ca.SX, u: ca.SX, p: ca.SX, t: ca.SX) -> list[ca.SX]:
+        reduced_x = ca.vertcat(*(x[states.index(state.name)] for state in reduced_model.states))
+        reduced_p = ca.vertcat(*(p[names.index(q.name)] for q in reduced_model.parameters))
+        reduced_rates = reduced_model.dynamics(reduced_x, u, reduced_p, t)
+        return [model.dynamics(x, u, p, t)[3:6] - reduced_rates[3:6]]
+
+    (values,) = model_along(model, change_rad_s2)(linear.trajectory)
     return linear.trajectory.t_s, np.ascontiguousarray(values[:, :, 0])

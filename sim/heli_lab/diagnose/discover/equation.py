@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import casadi as ca
 from heli_sim.model.effect import Effect, Operands, Stage
@@ -78,6 +78,8 @@ class InnerParameter(NamedTuple):
         Name in the factor, such as ``k``, and in the equation, such as ``k1b``.
     value : float
         Value in the grammar, in `unit`.
+    is_sign_width : bool
+        Whether it is the width over which a sign is smoothed, which is never estimated.
     """
 
     term: int
@@ -86,6 +88,7 @@ class InnerParameter(NamedTuple):
     name: str
     value: float
     unit: Unit
+    is_sign_width: bool
 
 
 @dataclass(frozen=True)
@@ -117,6 +120,16 @@ class Equation:
         """Names of all coefficients, in the order of the terms."""
         return tuple(self.coefficient(i) for i in range(len(self.terms)))
 
+    @property
+    def lagged_factors(self) -> list[tuple[int, int, Factor]]:
+        """Factors behind a lag, each after the index of its term and its index in that term."""
+        return [
+            (i, j, factor)
+            for i, term in enumerate(self.terms)
+            for j, factor in enumerate(term.term.factors)
+            if factor.lag_filter
+        ]
+
     def inner_parameters(self) -> Iterator[InnerParameter]:
         """Yield the parameters inside the functions, in the order of terms and factors."""
         for i, term in enumerate(self.terms):
@@ -125,7 +138,9 @@ class Equation:
                     unit = factor.parameter_unit(name)
                     unit_suffix = "" if str(unit) == "1" else "_" + str(unit).replace("/", "_per_")
                     word = "lag" if name == "s" else name
-                    yield InnerParameter(i, j, name, f"{word}{_factor_label(i, j)}{unit_suffix}", value, unit)
+                    full_name = f"{word}{_factor_label(i, j)}{unit_suffix}"
+                    is_sign_width = factor.form == "sign" and name == "width"
+                    yield InnerParameter(i, j, name, full_name, value, unit, is_sign_width)
 
     def inner_names(self, i: int, j: int) -> dict[str, str]:
         """Return the names in the equation of the inner parameters of factor `j` of term `i`, by their names
@@ -252,19 +267,16 @@ class EquationEffect(Effect):
     def state_rates(self, at: Operands) -> ca.SX:
         """Rates of the lag states; see `Effect.state_rates`."""
         rates = []
-        for i, term in enumerate(self.equation.terms):
-            for j, factor in enumerate(term.term.factors):
-                if factor.lag_filter:
-                    lagged = self._lag_state(at, i, j, factor)
-                    lag_s = self.own(at, self.equation.inner_names(i, j)["s"])
-                    rates.append((SYMBOLS[factor.quantity].value(at) - lagged) / lag_s)
+        for i, j, factor in self.equation.lagged_factors:
+            lag_s = self.own(at, self.equation.inner_names(i, j)["s"])
+            rates.append((SYMBOLS[factor.quantity].value(at) - self._lag_state(at, i, j, factor)) / lag_s)
         return ca.vertcat(*rates)
 
 
 def equation_effect(
     equation: Equation,
     prior_std: Mapping[str, float],
-    held: Mapping[str, Any] | None = None,
+    held: Collection[str] = (),
     name: str = NAME,
 ) -> EquationEffect:
     """Make the effect of an equation with all coefficients at 0.
@@ -275,8 +287,8 @@ def equation_effect(
         The terms.
     prior_std : Mapping[str, float]
         Prior standard deviation of each coefficient, by name without prefix.
-    held : Mapping[str, Any], optional
-        Inner parameters that are not estimated, by name without prefix; the width of a sign never is.
+    held : collection of str
+        Inner parameters that are not estimated, by name without prefix.
     name : str
         Id of the effect; its parameters have it as prefix.
     """
@@ -292,16 +304,13 @@ def equation_effect(
         meaning = f"{inner.name_in_factor} of {factor.form} of {factor.quantity}"
         parameters.append(Quantity(full_name, str(inner.unit), meaning))
         values[full_name] = inner.value
-        is_sign_width = factor.form == "sign" and inner.name_in_factor == "width"
-        if inner.name not in (held or {}) and not is_sign_width:
+        if inner.name not in held and not inner.is_sign_width:
             priors[full_name] = inner_prior(factor, inner.name_in_factor, inner.value)
     states = [
         Quantity(
             f"{prefix}_{lag_state_name(i, j)}{rotor}", str(SYMBOLS[factor.quantity].unit), "a lagged copy"
         )
-        for i, term in enumerate(equation.terms)
-        for j, factor in enumerate(term.term.factors)
-        if factor.lag_filter
+        for i, j, factor in equation.lagged_factors
         for rotor in (("_front", "_back") if factor.per_rotor else ("",))
     ]
     return EquationEffect(
@@ -315,17 +324,21 @@ def equation_effect(
     )
 
 
+_INNER_PRIOR: Final[Mapping[str, tuple[float, float, float]]] = {
+    "k": (0.3, 0.3, 3.0),
+    "slack": (0.5, 0.3, 2.0),
+    "width": (0.5, 0.2, 5.0),
+}
+"""Standard deviation, lower and upper bound of periods per turn, of a slack and of a bump's width. They are
+multiples of the values in the grammar, and let a refit reach the neighbouring values there."""
+
+
 def inner_prior(factor: Factor, inner_name: str, value: float) -> Prior:
-    """Return the prior of the parameter `inner_name` of a `factor`: its mean is `value`, from the grammar,
-    and its width the step of the grammar's grid.
-    """
+    """Return the prior of the parameter `inner_name` of a `factor`, about its `value` in the grammar."""
     if inner_name == "s":
         return Prior(value, value, _MIN_s, _MAX_s)
-    if inner_name == "k":
-        return Prior(value, 0.3 * value, 0.3 * value, 3.0 * value)
-    if inner_name == "slack":
-        return Prior(value, 0.5 * value, 0.3 * value, 2.0 * value)
-    width = dict(factor.parameters)["width"]
     if inner_name == "place":
+        width = dict(factor.parameters)["width"]
         return Prior(value, width, value - 4.0 * width, value + 4.0 * width)
-    return Prior(value, 0.5 * value, 0.2 * value, 5.0 * value)
+    std, low, high = _INNER_PRIOR[inner_name]
+    return Prior(value, std * value, low * value, high * value)

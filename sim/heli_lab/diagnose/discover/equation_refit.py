@@ -53,12 +53,10 @@ class RefittedEquation:
     @property
     def estimates(self) -> dict[str, tuple[float, float]]:
         """Value and standard error of the estimated parameters, by name without prefix."""
-        estimate = self.hypothesis.estimate
-        std = np.sqrt(np.diag(estimate.covariance))
-        prefix = f"{self.hypothesis.candidates[-1].effect.prefix}_"
+        prefix, std = f"{self.hypothesis.candidates[-1].effect.prefix}_", self.hypothesis.std
         return {
-            name.removeprefix(prefix): (float(value), float(error))
-            for name, value, error in zip(estimate.parameter_vector.names, estimate.theta, std, strict=True)
+            name.removeprefix(prefix): (value, std[name])
+            for name, value in self.hypothesis.values.items()
             if name.startswith(prefix)
         }
 
@@ -86,12 +84,10 @@ class EquationRefits:
         """Complexity penalty, in nats, of the terms of a `group` in an `equation`: BIC for its parameters
         that are not `held`, and the logarithm of the number of groups tried.
         """
-        free_count = len(group.terms)
-        for inner in equation.inner_parameters():
-            term = equation.terms[inner.term]
-            form = term.term.factors[inner.factor].form
-            is_sign_width = inner.name_in_factor == "width" and form == "sign"
-            free_count += inner.name not in held and term in group.terms and not is_sign_width
+        free_count = len(group.terms) + sum(
+            inner.name not in held and not inner.is_sign_width and equation.terms[inner.term] in group.terms
+            for inner in equation.inner_parameters()
+        )
         near_rest_nats = sum(
             NEAR_REST_NATS for term in group.terms if _on_own_rate(term.channel, term.term.key)
         )
@@ -121,7 +117,7 @@ class EquationRefits:
         held : frozenset of str
             Inner parameters to hold at their start values.
         """
-        effect = equation_effect(equation, self.prior_std(equation, signals), dict.fromkeys(held), self.name)
+        effect = equation_effect(equation, self.prior_std(equation, signals), held, self.name)
         values = {f"{effect.prefix}_{name}": value for name, value in start.items()}
         # Parameters without a prior are not estimated.
         fixed_values = {

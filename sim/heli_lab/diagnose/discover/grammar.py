@@ -42,11 +42,7 @@ def _sign_factor(quantity: str, lag_filter: str = "", **numbers: float) -> Facto
     return _factor("sign", quantity, lag_filter, width=SYMBOLS[quantity].near_zero, **numbers)
 
 
-def _rate_of(axis: str) -> str:
-    return f"{axis}_rate"
-
-
-_RATES: Final = tuple(_rate_of(axis) for axis in AXES)
+_RATES: Final = tuple(f"{axis}_rate" for axis in AXES)
 _RIG_QUANTITIES: Final = (*AXES, *_RATES, "thrust", "thrust_difference")
 """Quantities of the whole rig."""
 
@@ -160,13 +156,13 @@ def _three_factor_products() -> Iterator[_GroupProducts]:
 def _rotor_products(channel: str, singles: Sequence[_GroupProducts]) -> Iterator[_GroupProducts]:
     """Yield terms of a rotor's thrust or voltage proportional to its own, or to the other rotor's."""
     rotor_quantity = "own_thrust" if channel.startswith("thrust") else "own_voltage"
-    own = _factor("linear", rotor_quantity)
+    own_factor = _factor("linear", rotor_quantity)
     for products in singles:
         # The terms after this loop are those of thrust that depends on thrust.
         if not any(SYMBOLS[f.quantity].kind == "thrust" for factors in products for f in factors):
-            yield tuple((own, *factors) for factors in products)
+            yield tuple((own_factor, *factors) for factors in products)
     yield ((_factor("square", rotor_quantity),),)
-    yield ((own, _factor("linear", "voltage" if rotor_quantity == "own_voltage" else "thrust")),)
+    yield ((own_factor, _factor("linear", "voltage" if rotor_quantity == "own_voltage" else "thrust")),)
     if rotor_quantity == "own_voltage":
         return
     yield ((_factor("linear", "other_thrust"),),)
@@ -177,16 +173,17 @@ def _rotor_products(channel: str, singles: Sequence[_GroupProducts]) -> Iterator
 
 
 def _encoder_products(axis: str, singles: Sequence[_GroupProducts]) -> Iterator[_GroupProducts]:
-    """Yield terms of an encoder's error, which depend on angles only.
+    """Yield those of the products of single factors, `singles`, that may be an encoder's error.
+
+    These are functions of its own angle, and sines and multiples of another angle.
 
     An error that depends on thrust would be significant in any flight, because the controller feeds the
     quantisation error back; so would half a sample of the axis' own rate.
     """
     for products in singles:
-        factors = [factor for product in products for factor in product]
-        has_only_angles = all(SYMBOLS[f.quantity].kind == "angle" and not f.lag_filter for f in factors)
-        is_simple = factors[0].form in ("sin", "linear")
-        if has_only_angles and (factors[0].quantity == axis or is_simple):
+        factor = products[0][0]
+        is_angle = SYMBOLS[factor.quantity].kind == "angle" and not factor.lag_filter
+        if is_angle and (factor.quantity == axis or factor.form in ("sin", "linear")):
             yield products
 
 

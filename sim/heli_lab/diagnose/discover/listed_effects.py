@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from heli_sim.model.effects import EffectSpec
@@ -28,6 +28,7 @@ from heli_lab.diagnose.thresholds import (
 )
 
 
+@dataclass
 class ListedEffects:
     """Search for an effect of the catalogue that explains the flights as well as an equation does.
 
@@ -43,14 +44,10 @@ class ListedEffects:
         Called with the present step in words.
     """
 
-    def __init__(
-        self,
-        comparison: ModelComparison,
-        base: Hypothesis,
-        kinds: Mapping[str, EffectSpec],
-        say: Callable[[str], None],
-    ) -> None:
-        self.comparison, self.base, self.kinds, self.say = comparison, base, kinds, say
+    comparison: ModelComparison
+    base: Hypothesis
+    kinds: Mapping[str, EffectSpec]
+    say: Callable[[str], None]
 
     def equivalent_effect(self, equation: Equation, warm_start: Hypothesis, penalty: float) -> str | None:
         """Find an effect that fits all flights as well as an equation, and that the equation does not
@@ -71,41 +68,44 @@ class ListedEffects:
             Id of the effect; None if there is none.
         """
         # Like a spline, an equation must beat an effect by a share of its own margin.
-        margin = warm_start.log_likelihood - penalty + self.held_out(warm_start)
-        required_margin = margin - max(MIN_MARGIN, SPLINE_MARGIN * (margin - self.base.log_likelihood))
-        screening = Screening(replace(self.base.estimate, disturbances=warm_start.estimate.disturbances))
-        eligible = self.eligible_effects
-
-        def is_equivalent(rival: Hypothesis, effect: Candidate, total_margin: float) -> bool:
-            return (
-                total_margin > required_margin
+        equation_margin = warm_start.log_likelihood - penalty + self.held_out(warm_start)
+        lead = SPLINE_MARGIN * (equation_margin - self.base.log_likelihood)
+        required_margin = equation_margin - max(MIN_MARGIN, lead)
+        confirmed_scores = 0
+        for effect, start, score in self._possible_effects(equation, warm_start):
+            complexity_penalty = self.complexity_penalty(effect)
+            if score is not None and (
+                confirmed_scores >= SHORTLIST
+                or EXPECTED_REFIT_GAIN * score <= complexity_penalty + MIN_MARGIN
+            ):
+                break
+            rival = self.refit(effect, start, warm_start)
+            margin = self.margin(rival, effect) + self.held_out(rival)
+            if (
+                margin > required_margin
                 and self.comparison.in_flight(rival)
                 and not self.encompasses(warm_start, rival, effect, penalty)
-            )
-
-        # Friction that holds an axis has no derivative, so no score shows it.
-        dry_friction = {f"coulomb_friction.{axis}" for axis in _axes(equation)}
-        for kind in eligible:
-            if kind.id in dry_friction:
-                effect = typical_candidate(kind)
-                rival = self.refit(effect, kind.typical, warm_start)
-                if is_equivalent(rival, effect, self._total_margin(rival, effect)):
-                    return kind.id
-        confirmed_scores = 0
-        for scored in screening.effects(eligible)[: 2 * SHORTLIST]:
-            effect = scored.candidate
-            complexity_penalty = self.complexity_penalty(effect)
-            expected_gain = EXPECTED_REFIT_GAIN * scored.log_likelihood_gain
-            if confirmed_scores >= SHORTLIST or expected_gain <= complexity_penalty + MIN_MARGIN:
-                break
-            rival = self.refit(effect, effect.start_values(scored.coefficients), warm_start)
-            total_margin = self._total_margin(rival, effect)
-            if is_equivalent(rival, effect, total_margin):
+            ):
                 return effect.id
-            gain = total_margin + complexity_penalty - self.base.log_likelihood
-            if gain >= SHORTLIST_SHARE * scored.log_likelihood_gain:
-                confirmed_scores += 1
+            gain = margin + complexity_penalty - self.base.log_likelihood
+            confirmed_scores += score is not None and gain >= SHORTLIST_SHARE * score
         return None
+
+    def _possible_effects(
+        self, equation: Equation, warm_start: Hypothesis
+    ) -> Iterator[tuple[Candidate, Mapping[str, float], float | None]]:
+        """Yield effects that may be equivalent, each with start values and its score in nats, the best first.
+
+        Friction that holds an axis has no derivative, and thus no score. It comes first, at its typical size.
+        """
+        screening = Screening(replace(self.base.estimate, disturbances=warm_start.estimate.disturbances))
+        dry_friction = {f"coulomb_friction.{axis}" for axis in _axes(equation)}
+        for kind in self.eligible_effects:
+            if kind.id in dry_friction:
+                yield typical_candidate(kind), kind.typical, None
+        for scored in screening.effects(self.eligible_effects)[: 2 * SHORTLIST]:
+            start = scored.candidate.start_values(scored.coefficients)
+            yield scored.candidate, start, scored.log_likelihood_gain
 
     @property
     def eligible_effects(self) -> list[EffectSpec]:
@@ -144,10 +144,6 @@ class ListedEffects:
         if not self.comparison.held_out:
             return 0.0
         return self.comparison.held_out_estimate(model).log_likelihood - self._base_held_out
-
-    def _total_margin(self, model: Hypothesis, effect: Candidate) -> float:
-        """Return the margin on the fitted flights plus the ratio on the held-out flights, nats."""
-        return self.margin(model, effect) + self.held_out(model)
 
     @cached_property
     def _base_held_out(self) -> float:

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
-import casadi as ca
 import numpy as np
 from heli_host.arrays import Floats
 from heli_sim.model.base import Model
@@ -30,13 +29,15 @@ from heli_lab.diagnose.search import (
     coefficient_std,
     knot_span,
     quantity_values,
+    spline_candidate,
     spline_term,
 )
 from heli_lab.diagnose.thresholds import CURVE_SHARE
-from heli_lab.diagnose.wording import SHOWN, quantity_in_words
-from heli_lab.estimation import AlongTrajectory, Estimate, LinearisedFlight, Trajectory, smoothed_disturbances
+from heli_lab.diagnose.wording import display_unit, quantity_in_words
+from heli_lab.estimation import Estimate, LinearisedFlight, smoothed_disturbances
 from heli_lab.estimation.estimate import estimate_disturbances
 from heli_lab.identify.flight_model import RigParameters, model_functions
+from heli_lab.identify.model_along import model_along
 
 TIME: Final = "time of the flight"
 """Quantity over which a term is drawn that follows no single quantity."""
@@ -90,6 +91,11 @@ class MissingTerm:
     contribution: Floats
 
     @property
+    def is_spline(self) -> bool:
+        """Whether the cause is a spline term, not an effect of the catalogue."""
+        return self.id.startswith("spline:")
+
+    @property
     def share(self) -> float:
         """Share of the variance of what was missing that the contribution explains, at most 1."""
         return 1.0 - float(np.var(self.missing - self.contribution)) / max(
@@ -128,10 +134,10 @@ def missing_term(estimate: Estimate, cause: Candidate) -> MissingTerm:
     quantity, quantity_name, quantity_unit = missing.t_s, TIME, "s"
     name = _best_quantity(quantities, contribution_Nm[:, axis], cause)
     if name is not None:
-        quantity_factor, quantity_unit = SHOWN.get(_unit(name), (1.0, _unit(name)))
+        quantity_factor, quantity_unit = display_unit(_unit(name))
         quantity = quantity_factor * np.concatenate([by_name[name] for by_name in quantities])
         quantity_name = quantity_in_words(name)
-    factor, unit = SHOWN["N m"]
+    factor, unit = display_unit("N m")
     return MissingTerm(
         id=cause.id,
         what="torque",
@@ -168,41 +174,28 @@ class _MeasurementBlocks:
 
 def _without(estimate: Estimate, name: str) -> Estimate:
     """Return the estimate without the effect `name`: other parameters stay, disturbances are re-estimated."""
-    parameters_with_effect = estimate.parameter_vector
-    model = type(parameters_with_effect.model)(
-        tuple(effect for effect in parameters_with_effect.model.effects if effect.name != name)
-    )
-    records = [reference.record for reference in estimate.references]
-    parameter_vector = RigParameters(model, parameters_with_effect.rig, records)
-    values = dict(zip(parameters_with_effect.names, estimate.theta, strict=True))
-    start = zip(parameter_vector.names, parameter_vector.start, strict=True)
-    theta = np.array([values.get(parameter, value) for parameter, value in start])
-    functions = model_functions(model, parameter_vector.quantities)
-    reduced = replace(
-        estimate,
-        parameter_vector=parameter_vector,
-        theta=theta,
-        covariance=np.diag(parameter_vector.std**2),
-        functions=functions,
-    )
+    whole = estimate.parameter_vector.model
+    model = type(whole)(tuple(effect for effect in whole.effects if effect.name != name))
+    reduced = _with_model(estimate, model, {})
     filtered = reduced.filtered()
     disturbances = estimate_disturbances(filtered, filtered.perturbed_residual(), estimate.disturbances)
     return replace(reduced, disturbances=disturbances)
 
 
-def _with_fixed_parameters(estimate: Estimate, names: Iterable[str]) -> Estimate:
-    """Return the estimate with the parameters `names` fixed at their values."""
-    all_parameters = estimate.parameter_vector
-    values = all_parameters.by_name(estimate.theta)
-    fixed_values = {name: values[name] for name in names if name in values}
+def _with_model(estimate: Estimate, model: Model, fixed: Mapping[str, float]) -> Estimate:
+    """Return the estimate of another model at the same parameters, of which those in `fixed`, by name, are
+    not free.
+    """
+    values = estimate.parameter_vector.by_name(estimate.theta)
     records = [reference.record for reference in estimate.references]
-    parameter_vector = RigParameters(all_parameters.model, all_parameters.rig, records, fixed=fixed_values)
+    vector = RigParameters(model, estimate.parameter_vector.rig, records, fixed=fixed)
+    start = zip(vector.names, vector.start, strict=True)
     return replace(
         estimate,
-        parameter_vector=parameter_vector,
-        theta=np.array([values[parameter] for parameter in parameter_vector.names]),
-        covariance=np.diag(parameter_vector.std**2),
-        functions=model_functions(all_parameters.model, parameter_vector.quantities),
+        parameter_vector=vector,
+        theta=np.array([values.get(name, value) for name, value in start]),
+        covariance=np.diag(vector.std**2),
+        functions=model_functions(model, vector.quantities),
     )
 
 
@@ -249,16 +242,8 @@ def _contributed_torque(flight: LinearisedFlight, flight_without: LinearisedFlig
 def _accelerations(linear: LinearisedFlight) -> Floats:
     """Return the angular accelerations of the model along its trajectory, shape (n, 3) [rad/s2]."""
     model = linear.model.source
-    return _evaluate_along(model, linear.trajectory, lambda x, u, p, t: model.dynamics(x, u, p, t)[3:6])
-
-
-def _evaluate_along(model: Model, trajectory: Trajectory, expression: Callable[..., ca.SX]) -> Floats:
-    """Return an expression of states x, inputs u, parameters p and time t along a trajectory, (n, k)."""
-    x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
-    t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
-    function = ca.Function("along", [x, u, t, p], [ca.densify(expression(x, u, p, t))])
-    (values,) = AlongTrajectory(function)(trajectory)
-    return np.ascontiguousarray(values[:, :, 0])
+    (rates,) = model_along(model, lambda x, u, p, t: [model.dynamics(x, u, p, t)[3:6]])(linear.trajectory)
+    return np.ascontiguousarray(rates[:, :, 0])
 
 
 def _quantities(linear: LinearisedFlight) -> dict[str, Floats]:
@@ -318,7 +303,9 @@ def _missing_angle(estimate: Estimate, reduced: Estimate, cause: Candidate) -> M
     `reduced` is the estimate without the effect.
     """
     # The effect's parameters are fixed: free, they would explain the angle that the spline is to show.
-    screening = Screening(_with_fixed_parameters(estimate, cause.effect.values))
+    values = estimate.parameter_vector.by_name(estimate.theta)
+    fixed = {name: values[name] for name in cause.effect.values if name in values}
+    screening = Screening(_with_model(estimate, estimate.parameter_vector.model, fixed))
     reduced_screening = Screening(reduced)
     flights = screening.filtered.linearised_flights
     contribution_rad = np.concatenate(
@@ -336,7 +323,7 @@ def _missing_angle(estimate: Estimate, reduced: Estimate, cause: Candidate) -> M
     low, step = knot_span(quantity)
     term = spline_term(f"measurement.{AXES[axis]}", name, low, step, _SPLINE_NUMBER)
     term = replace(term, priors={prior_name: Prior(0.0, _PRIOR_STD_rad) for prior_name in term.priors})
-    candidate = Candidate(f"spline:{term.channel}:{name}", term, tuple(term.priors))
+    candidate = spline_candidate(term)
     curve_points = np.linspace(low, low + step * (KNOTS - 3), _CURVE_POINTS)
     basis = bspline_basis(curve_points, low, step)
     basis -= basis.mean(axis=0)
@@ -345,8 +332,8 @@ def _missing_angle(estimate: Estimate, reduced: Estimate, cause: Candidate) -> M
     std_rad = np.sqrt(np.einsum("ni,ij,nj->n", basis, covariance, basis))
     flight_basis = bspline_basis(quantity, low, step)
     contribution = np.linalg.lstsq(flight_basis, contribution_rad[:, axis], rcond=None)[0]
-    factor, unit = SHOWN["rad"]
-    quantity_factor, quantity_unit = SHOWN.get(QUANTITIES[name][1], (1.0, QUANTITIES[name][1]))
+    factor, unit = display_unit("rad")
+    quantity_factor, quantity_unit = display_unit(_unit(name))
     return MissingTerm(
         id=cause.id,
         what="angle",
@@ -365,4 +352,5 @@ def _missing_angle(estimate: Estimate, reduced: Estimate, cause: Candidate) -> M
 def _measured_angles(linear: LinearisedFlight) -> Floats:
     """Return the angles that the encoders of a model would measure along its trajectory, (n, 3) [rad]."""
     model = linear.model.source
-    return _evaluate_along(model, linear.nodes, model.measurement)
+    (angles,) = model_along(model, lambda x, u, p, t: [model.measurement(x, u, p, t)])(linear.nodes)
+    return np.ascontiguousarray(angles[:, :, 0])

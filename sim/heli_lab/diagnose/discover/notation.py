@@ -34,7 +34,7 @@ def expression(equation: Equation, channel: str, numbers: Mapping[str, float] | 
     """Write the terms of an `equation` on a `channel` for SymPy, with names of parameters, or with their
     values if `numbers` gives these by name.
     """
-    texts = {name: _number_text(value) for name, value in numbers.items()} if numbers else None
+    texts = {name: f"{value:.5g}" for name, value in numbers.items()} if numbers else None
     return _channel_sum(equation, channel, "sympy", texts)
 
 
@@ -74,11 +74,8 @@ def _parameter_names(equation: Equation) -> list[str]:
     return [*equation.coefficients, *(inner.name for inner in equation.inner_parameters())]
 
 
-def _number_text(value: float) -> str:
-    return f"{value:.5g}"
-
-
 def _number_latex(value: float) -> str:
+    """Write a value in LaTeX with three significant digits."""
     text = f"{value:.3g}"
     if "e" in text:
         mantissa, _, power = text.partition("e")
@@ -167,11 +164,10 @@ PROPOSED_TERM = EffectSpec(
 
 def _sentence_template(equation: Equation) -> str:
     """Return the sentence of the effect with its parameters in braces, as `EffectSpec` expects them."""
-    parts = []
-    for channel in equation.channels:
-        texts = {name: f"[{{{name}}}]" for name in _parameter_names(equation)}
-        parts.append(f"{channel} = {_channel_sum(equation, channel, 'sympy', texts)}")
-    return " and ".join(parts)
+    texts = {name: f"[{{{name}}}]" for name in _parameter_names(equation)}
+    return " and ".join(
+        f"{channel} = {_channel_sum(equation, channel, 'sympy', texts)}" for channel in equation.channels
+    )
 
 
 def _parameter_code(name: str, value: float, std: float, unit: str, prior: Prior | None, size: bool) -> str:
@@ -196,12 +192,15 @@ def _parameter_code(name: str, value: float, std: float, unit: str, prior: Prior
 def _methods_code(equation: Equation) -> Iterator[str]:
     """Yield the Python code of the methods of the effect, by the kinds of its channels."""
     kinds = {channel.partition(".")[0] for channel in equation.channels}
+
+    def by_axis(kind: str) -> str:
+        """Return the code of a column with the terms about each axis."""
+        channels = [f"{kind}.{axis}" for axis in AXES]
+        sums = [_sum_code(equation, name) if name in equation.channels else "0" for name in channels]
+        return f"ca.vertcat({', '.join(sums)})"
+
     if "torque" in kinds:
-        torques = [
-            _sum_code(equation, f"torque.{axis}") if f"torque.{axis}" in equation.channels else "0"
-            for axis in AXES
-        ]
-        yield _method_code("torque_Nm", "", equation, "torque", f"ca.vertcat({', '.join(torques)})")
+        yield _method_code("torque_Nm", "", equation, "torque", by_axis("torque"))
     for kind, method, argument in (("thrust", "thrust_N", "thrust_N"), ("voltage", "voltage_V", "volts_V")):
         if kind in kinds:
             increments = [
@@ -211,18 +210,12 @@ def _methods_code(equation: Equation) -> Iterator[str]:
             ]
             yield _method_code(method, argument, equation, kind, " + ".join((argument, *increments)))
     if "measurement" in kinds:
-        torques = [
-            _sum_code(equation, f"measurement.{axis}") if f"measurement.{axis}" in equation.channels else "0"
-            for axis in AXES
-        ]
-        value = f"angles_rad + ca.vertcat({', '.join(torques)})"
+        value = f"angles_rad + {by_axis('measurement')}"
         yield _method_code("measured_rad", "angles_rad", equation, "measurement", value)
     rates = [
         f"({SYMBOLS[factor.quantity].python} - {_lag_state_code(i, j, factor)})"
         f' / self.own(at, "{equation.inner_names(i, j)["s"]}")'
-        for i, term in enumerate(equation.terms)
-        for j, factor in enumerate(term.term.factors)
-        if factor.lag_filter
+        for i, j, factor in equation.lagged_factors
     ]
     if rates:
         value = f"ca.vertcat({', '.join(rates)})"
@@ -231,10 +224,11 @@ def _methods_code(equation: Equation) -> Iterator[str]:
 
 def _method_code(name: str, argument: str, equation: Equation, kind: str, value: str) -> str:
     """Return the Python code of a method that computes the terms of a kind of channel and returns `value`."""
-    lines = []
-    for i, term in enumerate(equation.terms):
-        if term.channel.startswith(kind):
-            lines.append(f"        term_{i + 1} = {_term_code(equation, i, term)}\n")
+    lines = [
+        f"        term_{i + 1} = {_term_code(equation, i, term)}\n"
+        for i, term in enumerate(equation.terms)
+        if term.channel.startswith(kind)
+    ]
     argument_code = f", {argument}" if argument else ""
     return (
         f"\n    @override\n    def {name}(self, at{argument_code}):\n{''.join(lines)}        return {value}\n"

@@ -22,8 +22,9 @@ from heli_lab.diagnose.discover.equation import (
 )
 from heli_lab.diagnose.discover.terms import SYMBOLS, Factor, Term
 from heli_lab.diagnose.search import ExtendedModel, Screening, score_of
-from heli_lab.estimation import AlongTrajectory, LinearisedFlight, Trajectory
-from heli_lab.threads import parallel_map
+from heli_lab.estimation import LinearisedFlight, Trajectory
+from heli_lab.identify.model_along import model_along
+from heli_lab.threads import batches, parallel_map
 
 _PRIOR_RMS: Final[Mapping[str, float]] = {
     "torque.elevation": 0.3,
@@ -199,14 +200,14 @@ def score(screening: Screening, signals: TermSignals, groups: Sequence[TermGroup
     list of ScoredTermGroup
         The highest score first, without groups that are constant along the flights.
     """
-    batches = [
+    channel_batches = [
         (channel, batch)
         for channel, channel_groups in itertools.groupby(groups, lambda group: group.terms[0].channel)
-        for batch in _batches(list(channel_groups), screening.batch)
+        for batch in batches(channel_groups, lambda group: len(group.terms), screening.batch)
     ]
     scores_by_batch = parallel_map(
         lambda channel_and_batch: _score_batch(screening, signals, *channel_and_batch),
-        batches,
+        channel_batches,
         screening.threads,
     )
     scores = itertools.chain.from_iterable(scores_by_batch)
@@ -244,17 +245,6 @@ def _score_batch(
 def _is_constant(values: Floats) -> bool:
     """Whether values along all flights hardly vary relative to their size."""
     return float(np.ptp(values)) <= _CONSTANT_RANGE * float(np.abs(values).max())
-
-
-def _batches(groups: Sequence[TermGroup], max_terms: int) -> Iterator[list[TermGroup]]:
-    """Yield the groups in their order, in batches of at most `max_terms` terms."""
-    batch: list[TermGroup] = []
-    for group in groups:
-        if batch and sum(len(member.terms) for member in batch) + len(group.terms) > max_terms:
-            yield batch
-            batch = []
-        batch.append(group)
-    yield batch
 
 
 def _regressors(
@@ -313,11 +303,12 @@ def term_coefficient_std(term: EquationTerm, rms: float) -> float:
 def _quantities(linear: LinearisedFlight, trajectory: Trajectory) -> dict[str, Floats]:
     """Return every quantity along a trajectory by name, shape (n,), or (n, 2) if each rotor has its own."""
     model = linear.model.source
-    x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
-    t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
-    operands = model.driven(x, u, p, t)
-    expressions = [ca.densify(ca.SX(quantity.value(operands))) for quantity in SYMBOLS.values()]
-    values = AlongTrajectory(ca.Function("quantities", [x, u, t, p], expressions))(trajectory)
+
+    def expressions(x: ca.SX, u: ca.SX, p: ca.SX, t: ca.SX) -> list[ca.SX]:
+        operands = model.driven(x, u, p, t)
+        return [quantity.value(operands) for quantity in SYMBOLS.values()]
+
+    values = model_along(model, expressions)(trajectory)
     return {
         name: value[:, :, 0] if quantity.per_rotor else value[:, 0, 0]
         for (name, quantity), value in zip(SYMBOLS.items(), values, strict=True)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
 
-from heli_lab.diagnose.search import KNOTS, QUANTITIES, SplineTerm, bspline_basis
-from heli_lab.diagnose.wording import SHOWN, channel_in_words, quantity_in_words
+from heli_lab.diagnose.search import KNOTS, QUANTITIES, Cause, SplineTerm, bspline_basis
+from heli_lab.diagnose.wording import channel_in_words, display_unit, quantity_in_words
 from heli_lab.estimation import Estimate
 
 _CURVE_POINTS: Final = 200
@@ -51,9 +52,9 @@ class SplineCurve:
         )
 
 
-def spline_curve_of(effect: SplineTerm, estimate: Estimate) -> SplineCurve:
+def _spline_curve(effect: SplineTerm, estimate: Estimate) -> SplineCurve:
     """Evaluate a spline term, an `effect` of the model of an `estimate`, with its estimated coefficients."""
-    low, step = effect.values[f"{effect.name}_low"], effect.values[f"{effect.name}_step"]
+    low, step = effect.knots
     quantity = np.linspace(low, low + step * (KNOTS - 3), _CURVE_POINTS)
     basis = bspline_basis(quantity, low, step)
     # A constant torque, thrust or angle is a parameter of the rig already: only the variation is the curve.
@@ -63,9 +64,8 @@ def spline_curve_of(effect: SplineTerm, estimate: Estimate) -> SplineCurve:
     covariance = estimate.covariance[np.ix_(columns, columns)]
     variance = np.einsum("ni,ij,nj->n", basis, covariance, basis)
     unit = next(q.unit for q in effect.parameters if q.name == f"{effect.name}_0")
-    quantity_si_unit = QUANTITIES[effect.on][1]
-    factor, value_unit = SHOWN.get(unit, (1.0, unit))
-    quantity_factor, quantity_unit = SHOWN.get(quantity_si_unit, (1.0, quantity_si_unit))
+    factor, value_unit = display_unit(unit)
+    quantity_factor, quantity_unit = display_unit(QUANTITIES[effect.on][1])
     return SplineCurve(
         channel=effect.channel,
         on=effect.on,
@@ -75,3 +75,9 @@ def spline_curve_of(effect: SplineTerm, estimate: Estimate) -> SplineCurve:
         quantity_unit=quantity_unit,
         value_unit=value_unit,
     )
+
+
+def spline_curves_of(causes: Iterable[Cause], estimate: Estimate) -> list[SplineCurve]:
+    """Evaluate those of the `causes` in the model of an `estimate` that are spline terms, in their order."""
+    effects = (cause.candidate.effect for cause in causes)
+    return [_spline_curve(effect, estimate) for effect in effects if isinstance(effect, SplineTerm)]

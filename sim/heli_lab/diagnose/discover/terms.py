@@ -20,6 +20,19 @@ _Expression = Any
 """A casadi.SX or a numpy array."""
 
 
+_SIGN_WIDTH_rad_s: Final = 0.02
+"""Rate below which the sign of a rate is not known: about two encoder counts within the filter's memory.
+Smaller: stiffer than a simulator's step allows. Larger: friction without a corner."""
+_UNIT_AND_SIGN_WIDTH: Final[Mapping[str, tuple[str, float]]] = {
+    "angle": ("rad", 0.02),
+    "rate": ("rad/s", _SIGN_WIDTH_rad_s),
+    "thrust": ("N", 0.05),
+    "voltage": ("V", 0.05),
+    "time": ("s", 0.0),
+}
+"""For each kind of quantity its SI unit, and the absolute value below which its sign is smoothed."""
+
+
 @dataclass(frozen=True)
 class Quantity:
     """A quantity that a term may depend on.
@@ -29,98 +42,70 @@ class Quantity:
     value : callable
         Returns its expression for operands of the model; shape (2, 1), front and back, if each rotor has its
         own.
-    unit : Unit
-        SI unit, from which units of coefficients follow.
     latex : str
         LaTeX symbol.
     python : str
         Python expression in an effect file, with the operands ``at``.
     kind : str
         ``angle``, ``rate``, ``thrust``, ``voltage`` or ``time``.
-    near_zero : float
-        Absolute value, in its unit, below which its sign is smoothed.
     per_rotor : bool
         Whether each rotor has its own.
     """
 
     value: Callable[[Operands], ca.SX]
-    unit: Unit
     latex: str
     python: str
     kind: str
-    near_zero: float = 0.0
     per_rotor: bool = False
 
+    @property
+    def unit(self) -> Unit:
+        """SI unit, from which units of coefficients follow."""
+        return Unit.parse(_UNIT_AND_SIGN_WIDTH[self.kind][0])
 
-def _state(name: str) -> Callable[[Operands], ca.SX]:
-    return lambda at: at.state[name]
+    @property
+    def near_zero(self) -> float:
+        """Absolute value, in its unit, below which its sign is smoothed."""
+        return _UNIT_AND_SIGN_WIDTH[self.kind][1]
 
 
-_GREEK: Final = (r"\theta", r"\phi", r"\psi")
-_SIGN_WIDTH_rad_s: Final = 0.02
-"""Rate below which the sign of a rate is not known: about two encoder counts within the filter's memory.
-Smaller: stiffer than a simulator's step allows. Larger: friction without a corner."""
-_SIGN_WIDTH_N: Final = 0.05
-_SIGN_WIDTH_V: Final = 0.05
+def _state(name: str, latex: str, kind: str) -> Quantity:
+    return Quantity(lambda at: at.state[name], latex, f'at.state["{name}"]', kind)
+
+
+_AXES_AND_SYMBOLS: Final = tuple(zip(AXES, (r"\theta", r"\phi", r"\psi"), strict=True))
 
 SYMBOLS: Final[Mapping[str, Quantity]] = {
+    **{axis: _state(f"{axis}_rad", latex, "angle") for axis, latex in _AXES_AND_SYMBOLS},
     **{
-        axis: Quantity(
-            _state(f"{axis}_rad"), Unit.parse("rad"), latex, f'at.state["{axis}_rad"]', "angle", 0.02
-        )
-        for axis, latex in zip(AXES, _GREEK, strict=True)
-    },
-    **{
-        f"{axis}_rate": Quantity(
-            _state(f"{axis}_rate_rad_s"),
-            Unit.parse("rad/s"),
-            rf"\dot{{{latex}}}",
-            f'at.state["{axis}_rate_rad_s"]',
-            "rate",
-            _SIGN_WIDTH_rad_s,
-        )
-        for axis, latex in zip(AXES, _GREEK, strict=True)
+        f"{axis}_rate": _state(f"{axis}_rate_rad_s", rf"\dot{{{latex}}}", "rate")
+        for axis, latex in _AXES_AND_SYMBOLS
     },
     "thrust": Quantity(
         lambda at: at.thrust_N[0] + at.thrust_N[1],
-        Unit.parse("N"),
         "(F_f + F_b)",
         "(at.thrust_N[0] + at.thrust_N[1])",
         "thrust",
-        _SIGN_WIDTH_N,
     ),
     "thrust_difference": Quantity(
         lambda at: at.thrust_N[0] - at.thrust_N[1],
-        Unit.parse("N"),
         "(F_f - F_b)",
         "(at.thrust_N[0] - at.thrust_N[1])",
         "thrust",
-        _SIGN_WIDTH_N,
     ),
-    "own_thrust": Quantity(
-        lambda at: at.thrust_N, Unit.parse("N"), "F", "at.thrust_N", "thrust", _SIGN_WIDTH_N, per_rotor=True
-    ),
+    "own_thrust": Quantity(lambda at: at.thrust_N, "F", "at.thrust_N", "thrust", per_rotor=True),
     "other_thrust": Quantity(
         lambda at: ca.vertcat(at.thrust_N[1], at.thrust_N[0]),
-        Unit.parse("N"),
         r"F_{\mathrm{other}}",
         "ca.vertcat(at.thrust_N[1], at.thrust_N[0])",
         "thrust",
-        _SIGN_WIDTH_N,
         per_rotor=True,
     ),
-    "own_voltage": Quantity(
-        lambda at: at.volts_V, Unit.parse("V"), "V", "at.volts_V", "voltage", _SIGN_WIDTH_V, per_rotor=True
-    ),
+    "own_voltage": Quantity(lambda at: at.volts_V, "V", "at.volts_V", "voltage", per_rotor=True),
     "voltage": Quantity(
-        lambda at: at.volts_V[0] + at.volts_V[1],
-        Unit.parse("V"),
-        "(V_f + V_b)",
-        "(at.volts_V[0] + at.volts_V[1])",
-        "voltage",
-        _SIGN_WIDTH_V,
+        lambda at: at.volts_V[0] + at.volts_V[1], "(V_f + V_b)", "(at.volts_V[0] + at.volts_V[1])", "voltage"
     ),
-    "time": Quantity(lambda at: at.time_s, Unit.parse("s"), "t", "at.time_s", "time"),
+    "time": Quantity(lambda at: at.time_s, "t", "at.time_s", "time"),
 }
 """Quantities that a term may depend on, by symbol."""
 
@@ -166,24 +151,18 @@ FORMS: Final[Mapping[str, Form]] = {
         None,
         ("width",),
     ),
-    "sin": Form(
-        lambda m, x, k: m.sin(k * x),
-        "sin({k}*{x})",
-        r"\sin({k}\,{x})",
-        "ca.sin({k} * {x})",
-        None,
-        ("k",),
-        needs_angle=True,
-    ),
-    "cos": Form(
-        lambda m, x, k: m.cos(k * x),
-        "cos({k}*{x})",
-        r"\cos({k}\,{x})",
-        "ca.cos({k} * {x})",
-        None,
-        ("k",),
-        needs_angle=True,
-    ),
+    **{
+        wave: Form(
+            lambda m, x, k, wave=wave: getattr(m, wave)(k * x),
+            f"{wave}({{k}}*{{x}})",
+            rf"\{wave}({{k}}\,{{x}})",
+            f"ca.{wave}({{k}} * {{x}})",
+            None,
+            ("k",),
+            needs_angle=True,
+        )
+        for wave in ("sin", "cos")
+    },
     "bump": Form(
         lambda m, x, place, width: m.exp(-0.5 * ((x - place) / width) ** 2),
         "exp(-(({x} - {place})/{width})**2/2)",
@@ -203,10 +182,6 @@ FORMS: Final[Mapping[str, Form]] = {
 }
 """Functions of which terms are products, by name."""
 
-LAG_FILTERS: Final = ("", "lag", "washout")
-"""The quantity itself, the quantity behind a first-order lag, or the difference of the two (lag less
-quantity)."""
-
 
 @dataclass(frozen=True)
 class Factor:
@@ -221,7 +196,8 @@ class Factor:
     parameters : tuple of (str, float)
         Name and value of the function's parameters, and of ``s``, the time constant of a lag in seconds.
     lag_filter : str
-        One of `MEMORIES`.
+        Empty for the quantity itself, ``lag`` for the quantity behind a first-order lag, ``washout`` for the
+        lagged quantity less the quantity.
 
     Raises
     ------

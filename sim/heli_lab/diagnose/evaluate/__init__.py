@@ -2,7 +2,6 @@
 show.
 """
 
-from heli_lab.diagnose.evaluate.absent_terms import AbsentTerm
 from heli_lab.diagnose.evaluate.assessment import Assessment, assess
 from heli_lab.diagnose.evaluate.detectability import undetectable_effects, unidentifiable_parameters
 from heli_lab.diagnose.evaluate.error_reduction import ErrorReduction, compare_free_runs
@@ -18,33 +17,17 @@ from heli_lab.diagnose.evaluate.kicks import Kicks
 from heli_lab.diagnose.evaluate.prediction import predict
 from heli_lab.diagnose.evaluate.prior_conflict import PriorConflict, prior_conflicts, tried_without
 from heli_lab.diagnose.evaluate.regions import FailingRegions, RegionTest, failing_regions
-from heli_lab.diagnose.evaluate.replication import (
-    WORSE_HORIZON,
-    CauseReplication,
-    Replication,
-    WorseAxis,
-    replicate,
-    worse_axis_sentence,
-)
+from heli_lab.diagnose.evaluate.replication import WORSE_HORIZON, Replication, replicate, worse_axis_sentence
 from heli_lab.diagnose.evaluate.reported import CauseParameter, cause_parameters, reported_std
 from heli_lab.diagnose.evaluate.residual_analysis import ResidualAnalysis, correlates
 from heli_lab.diagnose.evaluate.thrust_noise import justified_thrust_noise
-from heli_lab.diagnose.evaluate.verdict import (
-    NamedCause,
-    SmallEffect,
-    Verdict,
-    confidence,
-    unconfirmed_confidence,
-    with_confirmation,
-)
+from heli_lab.diagnose.evaluate.verdict import NamedCause, Verdict, unconfirmed_confidence, with_confirmation
 
 __all__ = [
     "HORIZONS",
     "WORSE_HORIZON",
-    "AbsentTerm",
     "Assessment",
     "CauseParameter",
-    "CauseReplication",
     "ErrorReduction",
     "Extrapolation",
     "FailingRegions",
@@ -57,14 +40,11 @@ __all__ = [
     "RegionTest",
     "Replication",
     "ResidualAnalysis",
-    "SmallEffect",
     "Verdict",
-    "WorseAxis",
     "assess",
     "calibration_s",
     "cause_parameters",
     "compare_free_runs",
-    "confidence",
     "correlates",
     "evaluate_held_out",
     "evaluate_hypothesis",

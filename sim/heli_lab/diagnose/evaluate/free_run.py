@@ -123,7 +123,7 @@ def free_run(
     priors = flight_constants(model, rig, parameters)
     constants: dict[str, tuple[float, float]] = {}
     if calibration.segments:
-        problem = _problem(model, rig, parameters, calibration, priors, threads)
+        problem = windows_problem(model, rig, parameters, [calibration], priors, threads)
         fit = solve(problem, robust=False, scatter=False, warm_start=True)
         constants = {name: (value, fit.std[name]) for name, value in fit.values.items()}
         parameters |= fit.values
@@ -132,7 +132,7 @@ def free_run(
         name: Prior(parameters[name], prior.std, parameters[name], parameters[name])
         for name, prior in priors.items()
     }
-    problem = _problem(model, rig, parameters, prediction, fixed_priors, threads)
+    problem = windows_problem(model, rig, parameters, [prediction], fixed_priors, threads)
     window_rows = [rows for _, rows in problem.windows(0)]
     fits = {}
     for key in horizons:
@@ -189,26 +189,17 @@ def free_runs(
     """
     problem = fit.problem
     parameters = [problem.parameters(fit.theta, index) for index in range(len(problem.records))]
+
+    def run(flights: Sequence[Floats], record: Record, duration_s: float) -> FreeRun:
+        """Predict a flight with the means of the parameters of `flights`."""
+        values = _mean_by_name(problem.model, flights)
+        return free_run(problem.model, problem.rig, values, record, duration_s, problem.threads)
+
     if not validation:
-        return tuple(
-            free_run(
-                problem.model,
-                problem.rig,
-                _mean_by_name(problem.model, [flight_values]),
-                record,
-                0.0,
-                problem.threads,
-            )
-            for flight_values, record in zip(parameters, problem.records, strict=True)
-        )
+        runs = zip(parameters, problem.records, strict=True)
+        return tuple(run([flight_values], record, 0.0) for flight_values, record in runs)
     # The prior mean of a constant of another flight is its mean over the fitted flights.
-    values = _mean_by_name(problem.model, parameters)
-    return tuple(
-        free_run(
-            problem.model, problem.rig, values, record, calibration_s(record, calibrate_s), problem.threads
-        )
-        for record in validation
-    )
+    return tuple(run(parameters, record, calibration_s(record, calibrate_s)) for record in validation)
 
 
 def calibration_s(record: Record, requested_s: float | None = None) -> float:
@@ -244,19 +235,30 @@ def _mean_by_name(model: Model, parameters: Sequence[Floats]) -> dict[str, float
     return dict(zip(names, np.mean(parameters, axis=0).tolist(), strict=True))
 
 
-def _problem(
+def windows_problem(
     model: Model,
     rig: Rig,
     values: Mapping[str, float],
-    record: Record,
+    records: Sequence[Record],
     priors: Mapping[str, Prior],
     threads: int | None,
 ) -> Problem:
-    """Return the problem of simulating a flight in windows, in which the constants in `priors` are free."""
+    """Return the problem of simulating flights in windows of 2 s, in which the constants of each flight that
+    are in `priors` are free.
+
+    Parameters
+    ----------
+    values : Mapping[str, float]
+        All other parameters by name; those of the `rig` where one is missing.
+    records : sequence of Record
+        The flights.
+    threads : int or None
+        Threads of the simulation, see `Problem`.
+    """
     return Problem(
         model,
         rig,
-        [record],
+        records,
         free=tuple(priors),
         per_flight=tuple(priors),
         window_s=_WINDOW_s,

@@ -10,12 +10,7 @@ from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.thresholds import KICK_STD_ERRORS
-from heli_lab.estimation import (
-    AuxiliaryResiduals,
-    DisturbanceModel,
-    InnovationsModel,
-    auxiliary_residuals,
-)
+from heli_lab.estimation import AuxiliaryResiduals, DisturbanceModel, InnovationsModel, auxiliary_residuals
 from heli_lab.estimation.innovations_model import FlightErrors
 
 _MAX_KICKS: Final = 30
@@ -88,10 +83,10 @@ def with_impulse(
     changed = [list(windows) for windows in error]
     for number, blocks in enumerate(filtered.linearised_flights[flight].blocks):
         if interval < len(blocks.rows):
-            state_residual, output_residual = changed[flight][number]
-            new_state_residual = state_residual.copy()
-            new_state_residual[interval, :, 0] += blocks.part_input[0, interval, :, axis] * torque_Nm
-            changed[flight][number] = new_state_residual, output_residual
+            drive, measured = changed[flight][number]
+            drive = drive.copy()
+            drive[interval, :, 0] += blocks.part_input[0, interval, :, axis] * torque_Nm
+            changed[flight][number] = drive, measured
             break
         interval -= len(blocks.rows)
     return changed

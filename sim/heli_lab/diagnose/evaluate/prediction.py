@@ -6,19 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
 
+from heli_lab.diagnose.evaluate.free_run import windows_problem
 from heli_lab.estimation import Estimate
-from heli_lab.identify import Fit, Problem, Record, solve
-
-_STEP_s: Final = 0.004
-"""Integration step. With 10 ms, fits of effects that change within milliseconds, such as dry friction,
-fail."""
-_WINDOW_s: Final = 2.0
-"""Length of the free runs."""
+from heli_lab.identify import Fit, Record, solve
 
 
 @dataclass(frozen=True)
@@ -77,12 +71,8 @@ def predict(estimate: Estimate, train: Sequence[Record], held_out: Sequence[Reco
     fit = _free_run(estimate, train, own_calibration=True)
     held_out_fit = _free_run(estimate, held_out, own_calibration=False) if held_out else None
     train_error = normalised_error(fit)
-    return Prediction(
-        fit,
-        held_out_fit,
-        train_error,
-        normalised_error(held_out_fit) if held_out_fit else train_error,
-    )
+    held_out_error = normalised_error(held_out_fit) if held_out_fit else train_error
+    return Prediction(fit, held_out_fit, train_error, held_out_error)
 
 
 def normalised_error(fit: Fit) -> NormalisedError:
@@ -112,16 +102,9 @@ def _free_run(estimate: Estimate, records: Sequence[Record], own_calibration: bo
         for parameter in parameter_vector.free
         if parameter.record is not None
     }
-    problem = Problem(
-        parameter_vector.model,
-        parameter_vector.rig,
-        records,
-        free=tuple(flight_priors),
-        per_flight=tuple(flight_priors),
-        window_s=_WINDOW_s,
-        step_s=_STEP_s,
-        priors=flight_priors,
-        values=parameter_vector.shared_by_name(estimate.theta),
+    values = parameter_vector.shared_by_name(estimate.theta)
+    problem = windows_problem(
+        parameter_vector.model, parameter_vector.rig, values, records, flight_priors, None
     )
     fit = solve(problem, robust=False, scatter=False, warm_start=True)
     return _with_estimate(fit, estimate) if own_calibration else fit

@@ -216,20 +216,28 @@ def _test_cells(
     p_values = [math.erfc(abs(score) / math.sqrt(2.0)) for score in z[tested]]
     if p_values:
         fails[tested] = false_discovery_control(p_values) <= FALSE_DISCOVERY_RATE
-    smoothed = smoothed_disturbances(screening.filtered, estimate.disturbances)
-    trajectories = []
-    for linear, (_, torque_Nm, _) in zip(screening.filtered.linearised_flights, smoothed, strict=True):
-        rows = np.concatenate([blocks.rows for blocks in linear.blocks])
-        quantities = quantity_values(linear.model.source, linear.trajectory)
-        axis_torque_Nm = torque_Nm[:, AXES.index(axis)]
-        trajectories.append(
-            PlaneTrajectory(quantities[x][rows], quantities[y][rows], axis_torque_Nm - axis_torque_Nm.mean())
-        )
+    trajectories = _plane_trajectories(screening, estimate, axis, x, y)
     missing_Nm = np.concatenate([trajectory.torque_Nm for trajectory in trajectories])
     return RegionTest(
         z=z.reshape(_CELLS, _CELLS),
         fails=fails.reshape(_CELLS, _CELLS),
         share=float(fails[cell].mean()),
         rms_Nm=float(np.sqrt(np.mean(missing_Nm**2))),
-        flights=tuple(trajectories),
+        flights=trajectories,
     )
+
+
+def _plane_trajectories(
+    screening: Screening, estimate: Estimate, axis: str, x: str, y: str
+) -> tuple[PlaneTrajectory, ...]:
+    """Return the flights in the plane of two quantities, with the missing torque about an axis."""
+    smoothed = smoothed_disturbances(screening.filtered, estimate.disturbances)
+    trajectories = []
+    for linear, (_, torques_Nm, _) in zip(screening.filtered.linearised_flights, smoothed, strict=True):
+        rows = np.concatenate([blocks.rows for blocks in linear.blocks])
+        quantities = quantity_values(linear.model.source, linear.trajectory)
+        torque_Nm = torques_Nm[:, AXES.index(axis)]
+        trajectories.append(
+            PlaneTrajectory(quantities[x][rows], quantities[y][rows], torque_Nm - torque_Nm.mean())
+        )
+    return tuple(trajectories)

@@ -225,9 +225,7 @@ class _CauseSubsets:
         """Return the reason why the log-likelihood ratios do not confirm a cause; empty if they do."""
         if self._is_of_one_flight(id_):
             return "it happened in one flight only"
-        first, second = self._side_labels()
-        forward, reverse = self.ratios
-        for ratios, fitted, evaluated in ((forward, first, second), (reverse, second, first)):
+        for ratios, (fitted, evaluated) in zip(self.ratios, self._side_labels, strict=True):
             if not ratios[id_] > 0.0:
                 return (
                     f"fitted on {fitted}, it makes {evaluated} less likely "
@@ -254,19 +252,18 @@ class _CauseSubsets:
         """
         if not ids:
             return ()
-        first, second = self._side_labels()
-        worse = []
-        for is_reverse, fitted, evaluated in ((False, first, second), (True, second, first)):
-            for axis, reduction in self.reductions(ids, is_reverse).items():
-                if reduction.interval95[0] > 1.0:
-                    worse.append(WorseAxis(axis, fitted, evaluated, reduction))
-        return tuple(worse)
+        return tuple(
+            WorseAxis(axis, fitted, evaluated, reduction)
+            for is_reverse, (fitted, evaluated) in zip((False, True), self._side_labels, strict=True)
+            for axis, reduction in self.reductions(ids, is_reverse).items()
+            if reduction.interval95[0] > 1.0
+        )
 
     def most_harmful(self, ids: Sequence[str], worse: Sequence[WorseAxis]) -> str:
         """Return the cause without which the errors of the `worse` axes are smallest."""
         if len(ids) == 1:
             return ids[0]
-        first, _ = self._side_labels()
+        (first, _), _ = self._side_labels
 
         def log_error_without(id_: str) -> float:
             other_ids = [other for other in ids if other != id_]
@@ -344,10 +341,11 @@ class _CauseSubsets:
             hypothesis.estimate, side.comparison.held_out, self.calibrate_s, (WORSE_HORIZON,)
         )
 
-    def _side_labels(self) -> tuple[str, str]:
-        """Return labels of the fitted and of the held-out flights in the forward direction."""
-        if not self.comparison.held_out:
-            return "the first fold", "the second fold"
-        fitted = " and ".join(record.label for record in self.comparison.train)
-        held_out = " and ".join(record.label for record in self.comparison.held_out)
-        return fitted, held_out
+    @cached_property
+    def _side_labels(self) -> tuple[tuple[str, str], tuple[str, str]]:
+        """Labels of the fitted and of the judging flights, in the forward and in the reverse direction."""
+        first, second = "the first fold", "the second fold"
+        if self.comparison.held_out:
+            first = " and ".join(record.label for record in self.comparison.train)
+            second = " and ".join(record.label for record in self.comparison.held_out)
+        return (first, second), (second, first)

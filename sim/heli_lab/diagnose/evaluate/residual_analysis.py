@@ -8,7 +8,7 @@ what is significant is structure that a better model could predict.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
@@ -28,6 +28,7 @@ from heli_lab.diagnose.search import (
     spline_candidates,
 )
 from heli_lab.estimation import BLOCK_s, DisturbanceModel, InnovationsModel
+from heli_lab.threads import batches
 
 _MAX_CORRELATES: Final = 4
 """Longest list that a report shows."""
@@ -231,32 +232,28 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
     candidates = [
         candidate
         for candidate in spline_candidates(linearised_flights, _TEST_SPLINES)
-        if not candidate.id.startswith("spline:measurement")
+        if not candidate.dependence[0].startswith("measurement")
     ]
-    tests = [
-        _Test(" on ".join(candidate.id.split(":")[1:]), coefficient_std(candidate))
-        for candidate in candidates
-    ]
-    statistics_by_screening = [screening.spline_information(candidates) for screening in screenings]
     functions = dependence_functions(linearised_flights)
-    for name, curves in functions.items():
-        for axis, axis_name in enumerate(AXES):
-            prior_std = np.full(curves[0].shape[1], _TORQUE_STD_Nm[axis])
-            tests.append(_Test(f"torque.{axis_name} on {name}", prior_std))
+    tests = [_Test(" on ".join(candidate.dependence), coefficient_std(candidate)) for candidate in candidates]
+    tests += [
+        _Test(f"torque.{axis} on {name}", np.full(curves[0].shape[1], std_Nm))
+        for name, curves in functions.items()
+        for axis, std_Nm in zip(AXES, _TORQUE_STD_Nm, strict=True)
+    ]
+    statistics_by_screening = []
     first = 0
-    for screening, statistics in zip(screenings, statistics_by_screening, strict=True):
+    for screening in screenings:
         last = first + len(screening.filtered.linearised_flights)
         own_functions = {name: curves[first:last] for name, curves in functions.items()}
-        statistics.extend(_function_statistics(screening, own_functions))
+        statistics_by_screening.append(
+            [*screening.spline_information(candidates), *_function_statistics(screening, own_functions)]
+        )
         first = last
-    result = []
-    for test, *statistics in zip(tests, *statistics_by_screening, strict=True):
-        information = np.sum([part.information for part in statistics], axis=0)
-        score = np.sum([part.score for part in statistics], axis=0)
-        gain = score_of(information, score, test.prior_std).log_likelihood_gain
-        is_near_rest = test.name.endswith("near rest") or _on_own_rate(test.name)
-        near_rest_nats = thresholds.NEAR_REST_NATS if is_near_rest else 0.0
-        result.append(Dependence(test.name, gain, penalty(len(test.prior_std)) + near_rest_nats))
+    result = [
+        _dependence(test, statistics)
+        for test, *statistics in zip(tests, *statistics_by_screening, strict=True)
+    ]
     return sorted(result, key=lambda dependence: -dependence.log_likelihood_gain)
 
 
@@ -267,12 +264,22 @@ class _Test(NamedTuple):
     prior_std: Floats
 
 
+def _dependence(test: _Test, statistics: Sequence[ScoreStatistics]) -> Dependence:
+    """Carry out a test whose `statistics` are those of each set of flights."""
+    information = np.sum([part.information for part in statistics], axis=0)
+    score = np.sum([part.score for part in statistics], axis=0)
+    gain = score_of(information, score, test.prior_std).log_likelihood_gain
+    is_near_rest = test.name.endswith("near rest") or _on_own_rate(test.name)
+    near_rest_nats = thresholds.NEAR_REST_NATS if is_near_rest else 0.0
+    return Dependence(test.name, gain, penalty(len(test.prior_std)) + near_rest_nats)
+
+
 def _function_statistics(
     screening: Screening, functions: Mapping[str, list[Floats]]
 ) -> list[ScoreStatistics]:
     """Return the score statistics of a torque about each axis in turn, for each of the `functions`."""
     result: list[ScoreStatistics] = []
-    for batch in _batches(functions, screening.batch):
+    for batch in batches(functions.values(), lambda curves: curves[0].shape[1], screening.batch):
         sizes = [curves[0].shape[1] for curves in batch]
         torques_Nm = [np.hstack(flight_curves) for flight_curves in zip(*batch, strict=True)]
         statistics_by_axis = [
@@ -285,17 +292,6 @@ def _function_statistics(
         for function_statistics in zip(*statistics_by_axis, strict=True):
             result.extend(function_statistics)
     return result
-
-
-def _batches(functions: Mapping[str, list[Floats]], max_regressors: int) -> Iterator[list[list[Floats]]]:
-    """Yield the functions in their order, in batches of at most `max_regressors` regressors about an axis."""
-    batch: list[list[Floats]] = []
-    for curves in functions.values():
-        if batch and sum(function[0].shape[1] for function in [*batch, curves]) > max_regressors:
-            yield batch
-            batch = []
-        batch.append(curves)
-    yield batch
 
 
 def _on_own_rate(what: str) -> bool:
@@ -320,7 +316,7 @@ def correlates(splines: Sequence[ScoredCandidate]) -> list[str]:
     best = splines[0].log_likelihood_gain if splines else 0.0
     min_gain = max(thresholds.CORRELATE_SHARE * best, thresholds.CHANCE_NATS)
     return [
-        " on ".join(spline.candidate.id.split(":")[1:])
+        " on ".join(spline.candidate.dependence)
         for spline in splines[:_MAX_CORRELATES]
         if spline.log_likelihood_gain > min_gain
     ]

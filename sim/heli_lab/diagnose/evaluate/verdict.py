@@ -13,12 +13,7 @@ from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.evaluate.prediction import Prediction
-from heli_lab.diagnose.evaluate.reported import (
-    CauseParameter,
-    FamilyNumber,
-    cause_parameters,
-    family_number,
-)
+from heli_lab.diagnose.evaluate.reported import CauseParameter, FamilyNumber, cause_parameters, family_number
 from heli_lab.diagnose.evaluate.residual_analysis import ResidualAnalysis
 from heli_lab.diagnose.search import Cause, Search
 from heli_lab.identify import Fit
@@ -148,13 +143,13 @@ def with_confirmation(verdict: Verdict, unconfirmed: Collection[str]) -> Verdict
     unconfirmed : collection of str
         Ids of the causes that are not confirmed.
     """
-    causes = tuple(
-        replace(cause, confidence=unconfirmed_confidence(cause.confidence))
-        if cause.effect in unconfirmed
-        else cause
-        for cause in verdict.causes
-    )
-    return replace(verdict, causes=causes)
+
+    def confirmed(cause: NamedCause) -> NamedCause:
+        if cause.effect not in unconfirmed:
+            return cause
+        return replace(cause, confidence=unconfirmed_confidence(cause.confidence))
+
+    return replace(verdict, causes=tuple(map(confirmed, verdict.causes)))
 
 
 def small_effects(
@@ -174,7 +169,7 @@ def small_effects(
         Parameters of the model that has them.
     """
     return tuple(
-        SmallEffect(_named_cause(cause, kinds, fit, False), changes[cause.effect])
+        SmallEffect(_named_cause(cause, kinds, fit, unexplained=False), changes[cause.effect])
         for cause in search.causes
         if cause.effect in changes
     )
@@ -192,11 +187,7 @@ def _named_cause(cause: Cause, kinds: Mapping[str, EffectSpec], fit: Fit, unexpl
         {name: parameter.std for name, parameter in parameters.items()},
     )
     return NamedCause(
-        cause.candidate,
-        cause.train,
-        cause.held_out,
-        cause.penalty,
-        cause.alternatives,
+        **vars(cause),
         parameters=parameters,
         confidence=confidence(cause, unexplained),
         sentence=description + _moments_text(cause.candidate.effect),
@@ -239,12 +230,8 @@ def confidence(cause: Cause, unexplained: bool = False) -> float:
     unexplained : bool
         Whether something unexplained remains, which the cause may imitate; the confidence is less then.
     """
-    margin = min(
-        [
-            cause.train - cause.penalty,
-            *(alternative.log_likelihood_ratio for alternative in cause.alternatives),
-        ]
-    )
+    leads = [alternative.log_likelihood_ratio for alternative in cause.alternatives]
+    margin = min([cause.train - cause.penalty, *leads])
     probability = 1.0 - 0.5 * math.exp(-max(margin, 0.0) / thresholds.CONFIDENCE_NATS)
     if cause.held_out is not None:
         # A ratio of 0 nats on flights that had no part in the choice: by these alone, even odds.

@@ -18,6 +18,7 @@ from heli_sim.model.effects import EffectSpec
 from heli_lab.diagnose.evaluate import undetectable_effects
 from heli_lab.diagnose.experiment.simulation import expected_log_likelihood_ratio, simulate_experiment
 from heli_lab.diagnose.search import Hypothesis, ModelComparison, Screening
+from heli_lab.diagnose.thresholds import MIN_MARGIN
 
 _SEGMENTS: Final[Mapping[str, tuple[str, str]]] = {
     "motors": (
@@ -95,9 +96,9 @@ excite = { signal = "multisine", front_V = 0.25, back_V = 0.25, start_Hz = 0.1, 
 """Segments of a plan by key: what they show, and their TOML. Amplitudes respect the rate limits of the
 board."""
 _DEFAULT: Final = ("motors", "travel", "elevation")
-_ALSO_TRIED: Final = ("motors", "fast", "travel", "elevation")
+_ALWAYS_TRIED: Final = ("motors", "fast", "travel", "elevation")
 """Segments that are simulated in addition to those of the two effects."""
-_PLENTY: Final = 10.0
+_SUFFICIENT_MULTIPLE: Final = 10.0
 """Multiple of the needed log-likelihood ratio at which no further plan is simulated; only time depends on
 it."""
 
@@ -146,7 +147,7 @@ def compose_experiment(reason: str, parts: Iterable[str]) -> ExperimentDesign:
         Keys of the segments; if there is none, the plan excites every axis.
     """
     chosen = [key for key in _SEGMENTS if key in set(parts)] or list(_DEFAULT)
-    return ExperimentDesign(f"{reason} Fly {_shows(chosen)}.", _plan(chosen))
+    return ExperimentDesign(f"{reason} Fly {_purposes(chosen)}.", _plan(chosen))
 
 
 @dataclass(frozen=True)
@@ -170,47 +171,46 @@ class Pair:
 
 
 def discriminating_experiment(
-    pair: Pair,
-    comparison: ModelComparison,
-    kinds: Mapping[str, EffectSpec],
-    enough: float,
+    pair: Pair, comparison: ModelComparison, kinds: Mapping[str, EffectSpec]
 ) -> ExperimentDesign:
     """Choose the plan of the largest expected log-likelihood ratio between two hypotheses.
 
     Parameters
     ----------
+    pair : Pair
+        The hypotheses.
     comparison : ModelComparison
         Model and rig.
-    enough : float
-        Log-likelihood ratio at which two hypotheses are distinguished, nats.
+    kinds : Mapping[str, EffectSpec]
+        Catalogue by effect id.
 
     Returns
     -------
     ExperimentDesign
         If the simulated rig can fly none of the plans: the segments that excite the two effects best.
     """
-    apart = (
+    reason = (
         f"These flights do not distinguish {pair.names[0]} from {pair.names[1]}: their log-likelihoods "
-        f"differ by {abs(pair.log_likelihood_ratio):.1f}, and {enough:.0f} are needed."
+        f"differ by {abs(pair.log_likelihood_ratio):.1f}, and {MIN_MARGIN:.0f} are needed."
     )
     parts = [segment_for(kinds[id_]) for id_ in pair.names if id_ in kinds]
-    values: dict[str, float] = {}
-    for key in dict.fromkeys((*parts, *_ALSO_TRIED)):
-        if max(values.values(), default=0.0) > _PLENTY * enough:
+    ratios: dict[str, float] = {}
+    for key in dict.fromkeys((*parts, *_ALWAYS_TRIED)):
+        if max(ratios.values(), default=0.0) > _SUFFICIENT_MULTIPLE * MIN_MARGIN:
             break
-        expected_apart = expected_log_likelihood_ratio(pair.first, pair.second, comparison, _plan([key]))
-        if expected_apart is not None:
-            values[key] = expected_apart
-    if not values:
-        return compose_experiment(apart, parts)
-    best = max(values, key=lambda key: values[key])
-    other = expected_log_likelihood_ratio(pair.second, pair.first, comparison, _plan([best]))
-    expected = f"{values[best]:.0f} if it is {pair.names[0]}"
-    if other is not None:
-        expected += f" and {other:.0f} if it is {pair.names[1]}"
+        ratio = expected_log_likelihood_ratio(pair.first, pair.second, comparison, _plan([key]))
+        if ratio is not None:
+            ratios[key] = ratio
+    if not ratios:
+        return compose_experiment(reason, parts)
+    best = max(ratios, key=lambda key: ratios[key])
+    reverse_ratio = expected_log_likelihood_ratio(pair.second, pair.first, comparison, _plan([best]))
+    expected = f"{ratios[best]:.0f} if it is {pair.names[0]}"
+    if reverse_ratio is not None:
+        expected += f" and {reverse_ratio:.0f} if it is {pair.names[1]}"
     return ExperimentDesign(
-        f"{apart} Fly {_shows([best])}. Simulated on this rig, this plan alone gives a log-likelihood "
-        f"ratio of {expected}; it is the best of {len(values)} plans tried.",
+        f"{reason} Fly {_purposes([best])}. Simulated on this rig, this plan alone gives a log-likelihood "
+        f"ratio of {expected}; it is the best of {len(ratios)} plans tried.",
         _plan([best]),
     )
 
@@ -251,8 +251,10 @@ def informative_experiment(
 
 
 def _plan(keys: Iterable[str]) -> str:
+    """Return the TOML of a plan of some segments."""
     return _HEAD + _BACK.join(_SEGMENTS[key][1] for key in keys)
 
 
-def _shows(keys: Iterable[str]) -> str:
+def _purposes(keys: Iterable[str]) -> str:
+    """State what some segments show, in words."""
     return "; ".join(_SEGMENTS[key][0] for key in keys)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from heli_sim.model.effects import EffectSpec
 
-from heli_lab.diagnose.discover import spline_curve_of
+from heli_lab.diagnose.discover import spline_curves_of
 from heli_lab.diagnose.evaluate import Assessment
 from heli_lab.diagnose.experiment.design import (
     ExperimentDesign,
@@ -15,8 +15,8 @@ from heli_lab.diagnose.experiment.design import (
     discriminating_experiment,
     informative_experiment,
 )
-from heli_lab.diagnose.search import ModelComparison, Search, SplineTerm
-from heli_lab.diagnose.thresholds import MANY_UNDETECTABLE, MIN_MARGIN, SHORT_s
+from heli_lab.diagnose.search import ModelComparison, Search
+from heli_lab.diagnose.thresholds import MANY_UNDETECTABLE, SHORT_s
 
 
 def propose_experiment(
@@ -41,7 +41,7 @@ def propose_experiment(
     label = assessment.verdict.label
     pair = _closest_pair(comparison, search, assessment) if label == "ambiguous" else None
     if pair is not None:
-        return discriminating_experiment(pair, comparison, kinds, MIN_MARGIN)
+        return discriminating_experiment(pair, comparison, kinds)
     if label == "unexplained":
         return _wider_range(search, assessment)
     seconds = sum(record.used_s for record in comparison.train)
@@ -59,17 +59,13 @@ def propose_experiment(
 def _wider_range(search: Search, assessment: Assessment) -> ExperimentDesign:
     """A flight over a wider range of the quantities on which the missing part depends."""
     unlisted = assessment.verdict.unlisted
-    on = {cause.candidate.id.rpartition(":")[2] for cause in unlisted}
-    parts = {part for part in ("travel", "elevation", "time") if any(part in name for name in on)}
-    parts |= {"motors"} if any("thrust" in name for name in on) or not on else set()
-    curves = [
-        spline_curve_of(effect, search.final.estimate)
-        for effect in (cause.candidate.effect for cause in unlisted)
-        if isinstance(effect, SplineTerm)
-    ]
+    quantities = {cause.candidate.dependence[1] for cause in unlisted}
+    parts = {part for part in ("travel", "elevation", "time") if any(part in name for name in quantities)}
+    if any("thrust" in name for name in quantities) or not quantities:
+        parts.add("motors")
     covered = " and ".join(
         f"{curve.on} only from {curve.quantity[0]:.3g} to {curve.quantity[-1]:.3g} {curve.quantity_unit}"
-        for curve in curves
+        for curve in spline_curves_of(unlisted, search.final.estimate)
     )
     limit = f"These flights cover {covered}. " if covered else ""
     return compose_experiment(f"{limit}A wider range would show more of the missing term.", parts)

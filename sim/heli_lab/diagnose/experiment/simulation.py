@@ -97,6 +97,7 @@ def expected_log_likelihood_ratio(
 
 
 def _thinned(flight: Flight) -> Flight:
+    """Return every second sample of the angles, with the mean of both voltages."""
     rows = len(flight) // _DECIMATION * _DECIMATION
     mean_V = flight.voltages_V[:rows].reshape(-1, _DECIMATION, 2).mean(axis=1)
     decimated = slice(0, rows, _DECIMATION)

@@ -8,7 +8,7 @@ from typing import Any
 from heli_lab.diagnose.report import figures
 from heli_lab.diagnose.report.sentences import stated
 from heli_lab.diagnose.report.symbols import legend
-from heli_lab.diagnose.wording import SHOWN, evidence_in_words
+from heli_lab.diagnose.wording import capital, display_unit, evidence_in_words
 from heli_lab.identify.results import rounded
 from heli_lab.page.drawing import Picture
 
@@ -48,7 +48,7 @@ def cause_section(
         "equation": save_figure(f"equation-{cause['effect']}", equation_figure),
         "symbols": legend(cause["effect"], cause["equation"], parameter_meanings),
         "rows": [
-            [name, plus_minus(number, number["unit"]), shown_unit(number["unit"]), meaning]
+            [name, plus_minus(number, number["unit"]), display_unit(number["unit"])[1], meaning]
             for (name, number), meaning in zip(parameters.items(), parameter_meanings, strict=True)
         ],
         "evidence": _evidence(cause["evidence"]),
@@ -89,19 +89,9 @@ def _confirmation(cause: Mapping[str, Any]) -> str:
 
 def plus_minus(number: Mapping[str, Any], unit: str) -> str:
     """Write a `number` in SI `unit` as its display unit demands, with its standard error."""
-    factor, _ = SHOWN.get(unit, (1.0, unit))
+    factor, _ = display_unit(unit)
     value, std = factor * number["value"], factor * number["std"]
     return f"{rounded(value, std)} ± {rounded(std, std)}" if std else f"{rounded(value, std)} (fixed)"
-
-
-def shown_unit(unit: str) -> str:
-    """Return the display unit of an SI `unit`."""
-    return SHOWN.get(unit, (1.0, unit))[1]
-
-
-def capital(text: str) -> str:
-    """Begin a `text` with a capital."""
-    return text[:1].upper() + text[1:]
 
 
 def full_sentence(text: str) -> str:

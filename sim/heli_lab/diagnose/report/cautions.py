@@ -16,8 +16,9 @@ def cautions(result: Diagnosis) -> list[str]:
         lines.append("no flight was held out: nothing here is confirmed; give one to --validate")
     else:
         lines += _held_out_cautions(result, sum(record.used_s for record in held_out.problem.records))
-    lines += [worse_axis_sentence(worse, _model(result)) for worse in result.replication.worse]
     unconfirmed = ", ".join(result.replication.unconfirmed)
+    model = "the model with all named causes" if unconfirmed else "the extended model"
+    lines += [worse_axis_sentence(worse, model) for worse in result.replication.worse]
     if unconfirmed:
         lines.append(
             f"not confirmed, and not in the extended rig: {unconfirmed}; --with-unconfirmed adds what is not "
@@ -33,11 +34,6 @@ def cautions(result: Diagnosis) -> list[str]:
     if not result.search.complete:
         lines.append("the limit of refits ended the search before everything was tried; raise --budget")
     return lines
-
-
-def _model(result: Diagnosis) -> str:
-    """Name the model with all named causes."""
-    return "the model with all named causes" if result.replication.unconfirmed else "the extended model"
 
 
 def _held_out_cautions(result: Diagnosis, seconds: float) -> list[str]:

@@ -9,9 +9,10 @@ import numpy as np
 
 from heli_lab.diagnose.discover import ProposedTerm, latex
 from heli_lab.diagnose.evaluate import FailingRegions, RegionTest
+from heli_lab.diagnose.report.figures import bin_means, thinned
 from heli_lab.diagnose.search import QUANTITIES
 from heli_lab.diagnose.thresholds import FALSE_DISCOVERY_RATE
-from heli_lab.diagnose.wording import SHOWN
+from heli_lab.diagnose.wording import display_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,14 +50,14 @@ def figure_of_equation(proposed: ProposedTerm) -> Figure:
     time_panel.set_xlabel(f"time in {trace.label} [s]")
     time_panel.set_ylabel(f"torque about {trace.axis} [mN m]")
     time_panel.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=2, fontsize=8, frameon=False)
-    thinned_rows = slice(None, None, max(1, len(term) // _POINTS))
+    thinned_rows = thinned(len(term), _POINTS)
     scatter_panel.plot(term[thinned_rows], missing[thinned_rows], ".", color=_MISSING, ms=2.5, alpha=0.6)
     span = np.array([min(term.min(), missing.min()), max(term.max(), missing.max())])
     scatter_panel.plot(span, span, color=_TERM, lw=1.2)
     correlation = np.corrcoef(term, missing)[0, 1] if term.std() > 0 else 0.0
     scatter_panel.set_xlabel(f"equation [mN m]; correlation {correlation:.2f}")
     scatter_panel.set_ylabel("missing without it [mN m]")
-    factor, unit = SHOWN.get(trace.unit, (1.0, trace.unit))
+    factor, unit = display_unit(trace.unit)
     quantity_panel.plot(
         factor * trace.value[thinned_rows], missing[thinned_rows], ".", color=_MISSING, ms=2.5, alpha=0.6
     )
@@ -140,17 +141,14 @@ def figure_of_unknown_torque(regions: FailingRegions) -> Figure:
     factor, unit = _display_factor_and_unit(regions.x)
     quantity = factor * np.concatenate([flight.x for flight in flights])
     torque_mNm = 1e3 * np.concatenate([flight.torque_Nm for flight in flights])
-    thinned_rows = slice(None, None, max(1, len(quantity) // _POINTS))
-    bins = np.array_split(np.argsort(quantity), _MEANS)
+    thinned_rows = thinned(len(quantity), _POINTS)
     figure = Figure(figsize=(11, 3.6))
     panel = figure.subplots()
     figure.subplots_adjust(0.08, 0.16, 0.98, 0.9)
     panel.plot(
         quantity[thinned_rows], torque_mNm[thinned_rows], ".", ms=2.5, color="#b4b9bf", rasterized=True
     )
-    bin_quantity = [quantity[rows].mean() for rows in bins]
-    bin_torque_mNm = [torque_mNm[rows].mean() for rows in bins]
-    panel.plot(bin_quantity, bin_torque_mNm, "o", ms=5, color=_OUTLINE, label="means")
+    panel.plot(*bin_means(quantity, torque_mNm, _MEANS), "o", ms=5, color=_OUTLINE, label="means")
     panel.set_title(
         f"unknown: torque about {regions.axis} that the model with all named causes lacks",
         fontsize=10.5,
@@ -177,5 +175,4 @@ def _outline_failing_cells(panel: Axes, regions: FailingRegions, test: RegionTes
 
 def _display_factor_and_unit(quantity: str) -> tuple[float, str]:
     """Return the factor from the SI unit of a quantity to its display unit, and that unit."""
-    unit = QUANTITIES[quantity][1]
-    return SHOWN.get(unit, (1.0, unit))
+    return display_unit(QUANTITIES[quantity][1])

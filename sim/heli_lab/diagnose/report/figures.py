@@ -40,12 +40,12 @@ def figure_of_flight(before: Fit, after: Fit) -> Figure:
     figure = Figure(figsize=(11, 9))
     panels = figure.subplots(6, 1, sharex=True, height_ratios=[2, 1.2, 2, 1.2, 2, 1.2])
     figure.subplots_adjust(0.075, 0.06, 0.87, 0.95, hspace=0.12)
-    thinned_rows = slice(None, None, max(1, len(baseline.t_s) // _MAX_POINTS))
+    thinned_rows = thinned(len(baseline.t_s), _MAX_POINTS)
     for axis in range(3):
         angle_panel, error_panel = panels[2 * axis], panels[2 * axis + 1]
         angle_panel.plot(
             baseline.t_s[thinned_rows],
-            _axis_deg(baseline.measured_rad, axis, thinned_rows),
+            np.rad2deg(baseline.measured_rad[thinned_rows, axis]),
             ".",
             ms=1.8,
             color=MEASURED,
@@ -183,13 +183,7 @@ def _draw_round(round_: Round, number: int, panel: Axes) -> None:
             color = AFTER if scored.candidate.id == round_.accepted_id else "#8fb3d1"
             panel.barh(row, max(refit.gain, 0.1), height=0.4, color=color)
             text = f"  {refit.gain:.0f} refitted"
-            panel.text(
-                max(scored.log_likelihood_gain, refit.gain, 1.0),
-                row,
-                text,
-                va="center",
-                fontsize=7,
-            )
+            panel.text(max(scored.log_likelihood_gain, refit.gain, 1.0), row, text, va="center", fontsize=7)
     panel.set_xscale("log")
     largest_gain = max([*gains, *(refit.gain for refit in refits.values())])
     panel.set_xlim(1.0, max(10.0, 5.0 * largest_gain))
@@ -262,6 +256,21 @@ def figure_of_latex(latex: str) -> Figure | None:
     return figure
 
 
+def thinned(count: int, most: int) -> slice:
+    """Return evenly spaced rows of `count`, about `most`."""
+    return slice(None, None, max(1, count // most))
+
+
+def bin_means(quantity: Floats, value: Floats, bins: int) -> tuple[Floats, Floats]:
+    """Return the means of a `quantity` and of a `value` of it, (bins,) each, in `bins` bins of equally many
+    rows.
+    """
+    bin_rows = np.array_split(np.argsort(quantity), min(bins, len(quantity)))
+    mean_quantity = np.array([quantity[rows].mean() for rows in bin_rows])
+    mean_value = np.array([value[rows].mean() for rows in bin_rows])
+    return mean_quantity, mean_value
+
+
 def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
@@ -275,11 +284,6 @@ def _legend_above(panel: Axes) -> None:
     """Place the legend in a line above a panel."""
     position = (1.0, 0.97)
     panel.legend(loc="lower right", bbox_to_anchor=position, ncols=4, fontsize=8, frameon=False)
-
-
-def _axis_deg(angles_rad: Floats, axis: int, keep: slice) -> Floats:
-    result: Floats = np.rad2deg(angles_rad[keep, axis])
-    return result
 
 
 def _with_window_gaps(run: Trace, axis: int) -> tuple[Floats, Floats]:

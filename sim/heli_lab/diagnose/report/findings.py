@@ -175,7 +175,7 @@ def unexplained(result: Diagnosis) -> dict[str, Any] | None:
             "log_likelihood_gain": residual.dependences[0].log_likelihood_gain,
         }
     strongest = result.verdict.unlisted[0]
-    channel = strongest.candidate.id.split(":")[1]
+    channel, _ = strongest.candidate.dependence
     first_round = next(r for r in result.search.rounds if r.accepted_id == strongest.candidate.id)
     others = [name for name in correlates(first_round.splines) if name != f"{channel} on {quantity}"]
     reductions = result.held_out.splines

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from heli_lab.diagnose.report.cause_sections import plus_minus, shown_unit
+from heli_lab.diagnose.report.cause_sections import plus_minus
+from heli_lab.diagnose.wording import display_unit
 
 
 def gain_rows(gain: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
@@ -47,7 +48,7 @@ def calibration_tables(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]
             cells = [name]
             for constant in (flight["before"][name], after):
                 cells += [plus_minus(constant["prior"], unit), plus_minus(constant, unit)]
-            rows.append([*cells, shown_unit(unit)])
+            rows.append([*cells, display_unit(unit)[1]])
         note = (
             f"{flight['flight']}: zeros and constant torques from its first "
             f"{flight['calibrated_s']:.1f} s of free flight; "

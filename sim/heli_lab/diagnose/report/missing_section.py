@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from heli_lab.diagnose.discover import TIME, MissingTerm
-from heli_lab.diagnose.report.cause_sections import SaveFigure, capital
+from heli_lab.diagnose.report.cause_sections import SaveFigure
 from heli_lab.diagnose.report.result_figures import figure_of_missing_terms
-from heli_lab.diagnose.wording import readable_id
+from heli_lab.diagnose.wording import capital, readable_id
 
 _DOTS: Final = "Each grey dot is 40 ms of the fitted flights; black dots are means."
 _OVER_TIME: Final = "Each dot is 40 ms of the seconds in which the cause acts most."
@@ -49,7 +49,7 @@ def _how_drawn(terms: Sequence[MissingTerm]) -> list[str]:
         lines.append(_DOTS)
     if any(term.on == TIME for term in torques):
         lines.append(_OVER_TIME)
-    if any(readable_id(term.id) != term.id for term in torques):
+    if any(term.is_spline for term in torques):
         return [*lines, _SMOOTHED.format("curve", "curve")]
     return [*lines, _SMOOTHED.format("cause", "equation of the cause"), _STEADY]
 
@@ -57,7 +57,7 @@ def _how_drawn(terms: Sequence[MissingTerm]) -> list[str]:
 def _caption(term: MissingTerm) -> str:
     """State the share of variance that a cause or curve explains."""
     name, kind = term.id, "equation"
-    if readable_id(name) != name:
+    if term.is_spline:
         name, kind = capital(readable_id(name)), "curve"
     hidden_text = " Disturbances hide it in these dots." if term.share < _FAINT else ""
     return f"{name}: the {kind} explains {100 * max(term.share, 0.0):.0f} % of the variance.{hidden_text}"

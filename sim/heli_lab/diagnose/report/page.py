@@ -7,20 +7,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.discover import MissingTerm, missing_term
 from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
 from heli_lab.diagnose.report import equation_figures, figures
-from heli_lab.diagnose.report.cause_sections import (
-    SaveFigure,
-    capital,
-    cause_section,
-    full_sentence,
-    plus_minus,
-    shown_unit,
-)
+from heli_lab.diagnose.report.cause_sections import SaveFigure, cause_section, full_sentence, plus_minus
 from heli_lab.diagnose.report.gain_section import calibration_tables, gain_rows
 from heli_lab.diagnose.report.missing_section import missing_section
 from heli_lab.diagnose.report.regions_section import regions_section, unknown_torque
@@ -28,6 +20,7 @@ from heli_lab.diagnose.report.residual_section import residual_section
 from heli_lab.diagnose.report.result_figures import figure_of_gain, figure_of_prediction
 from heli_lab.diagnose.report.sentences import (
     disturbances_in_words,
+    equation_evidence,
     next_step,
     small_effect_lines,
     summary,
@@ -36,8 +29,15 @@ from heli_lab.diagnose.report.sentences import (
 from heli_lab.diagnose.report.serialize import proposal_json, to_json
 from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.thresholds import MIN_MARGIN
-from heli_lab.diagnose.wording import dependence_in_words, evidence_in_words, nats_in_words, readable_id
-from heli_lab.identify import Fit, trace
+from heli_lab.diagnose.wording import (
+    capital,
+    dependence_in_words,
+    display_unit,
+    evidence_in_words,
+    nats_in_words,
+    readable_id,
+)
+from heli_lab.identify import trace
 from heli_lab.identify.thresholds import UNINFORMED
 from heli_lab.page import folder_with, write_page
 from heli_lab.page.drawing import Drawing, Picture
@@ -76,7 +76,7 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
     held_out = diagnosis.held_out.extension
     before, after = held_out.before[0].fit, held_out.after[0].fit
     terms = missing_terms(diagnosis)
-    unknown_terms = [term for term in terms if readable_id(term.id) != term.id]
+    unknown_terms = [term for term in terms if term.is_spline]
     extended = before is not after
     model = diagnosis.assessment.after.fit.problem.model
     meanings = {quantity.name: quantity.meaning for quantity in model.parameters}
@@ -108,7 +108,7 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
         ),
         gain={
             "address": save_figure(
-                "gain", figure_of_gain(held_out.horizons, extended, _rounding_rad(before))
+                "gain", figure_of_gain(held_out.horizons, extended, before.problem.records[0].sigma_rad)
             ),
             "rows": gain_rows(numbers["gain"]["axis"]),
         },
@@ -220,17 +220,12 @@ def _uninformed(parameters: Mapping[str, Mapping[str, Any]], meanings: Mapping[s
             name,
             plus_minus(parameter["prior"], parameter["unit"]),
             plus_minus(parameter, parameter["unit"]),
-            shown_unit(parameter["unit"]),
+            display_unit(parameter["unit"])[1],
             meanings.get(name, ""),
         ]
         for name, parameter in parameters.items()
         if parameter["std"] > UNINFORMED * parameter["prior"]["std"]
     ]
-
-
-def _rounding_rad(fit: Fit) -> Floats:
-    """Root mean square of each encoder's rounding."""
-    return fit.problem.records[0].sigma_rad
 
 
 def _equation(diagnosis: Diagnosis, save_figure: SaveFigure) -> dict[str, Any] | None:
@@ -239,15 +234,10 @@ def _equation(diagnosis: Diagnosis, save_figure: SaveFigure) -> dict[str, Any] |
         return None
     proposed = diagnosis.proposal.term
     numbers, discovery = proposal_json(diagnosis.proposal), proposed.discovery
-    confirmed = (
-        "no other flight confirms it"
-        if discovery.held_out is None
-        else f"{evidence_in_words(discovery.held_out)} on held-out flights"
-    )
     return {
         "sentence": proposed.sentence,
-        "evidence": f"Confidence {proposed.confidence:.2f}: {evidence_in_words(discovery.train)} "
-        f"on the fitted flights, {confirmed}, the best of {discovery.tried} terms.",
+        "evidence": f"Confidence {proposed.confidence:.2f}: {equation_evidence(discovery)}, "
+        f"the best of {discovery.tried} terms.",
         "address": save_figure("equation", equation_figures.figure_of_equation(proposed)),
         "axis": proposed.trace.axis,
         "symbols": _EQUATION_SYMBOLS,
@@ -255,7 +245,7 @@ def _equation(diagnosis: Diagnosis, save_figure: SaveFigure) -> dict[str, Any] |
             # A dimensionless parameter is shown as it is, not in per cent.
             [name, f"{number['value']:g}", ""]
             if number["unit"] == "1" and not number["std"]
-            else [name, plus_minus(number, number["unit"]), shown_unit(number["unit"])]
+            else [name, plus_minus(number, number["unit"]), display_unit(number["unit"])[1]]
             for name, number in numbers["numbers"].items()
         ],
         "rivals": [[rival.key, f"{rival.log_likelihood_ratio:.0f}"] for rival in discovery.rivals],
@@ -270,7 +260,7 @@ def _unknown(missing: dict[str, Any] | None) -> dict[str, Any] | None:
     if missing is None:
         return None
     return {
-        "said": f"A part of the motion about {missing['axis']} can be predicted, with "
+        "text": f"A part of the motion about {missing['axis']} can be predicted, with "
         f"{evidence_in_words(missing['log_likelihood_gain'])}, but no effect of the catalogue explains it. "
         "Possible causes, the most likely first:",
         "depends": [capital(dependence_in_words(dependence)) for dependence in missing["correlates_with"]],
@@ -289,10 +279,7 @@ def _disturbances(diagnosis: Diagnosis, numbers: dict[str, Any]) -> dict[str, An
         fast_mNm, slow_mNm = 1e3 * values["fast_std_Nm"], 1e3 * values["slow_std_Nm"]
         correlation_time_s = values["correlation_time_s"]
         rows.append([axis, f"{fast_mNm:.2g}", f"{correlation_time_s:.2g}", f"{slow_mNm:.2g}", evidence])
-    return {
-        "said": f"Disturbances that no model predicts: {disturbances_in_words(diagnosis)}.",
-        "rows": rows,
-    }
+    return {"text": f"Disturbances that no model predicts: {disturbances_in_words(diagnosis)}.", "rows": rows}
 
 
 def _ranking(ranking: Sequence[dict[str, Any]]) -> list[list[str]]:
@@ -328,7 +315,7 @@ def _flights(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         cuts = [[f"{cut['from_s']:.2f}", f"{cut['to_s']:.2f}", cut["why"]] for cut in flight["left_out"]]
         sections.append(
             {
-                "said": f"{flight['flight']}, {role}: {flight['seconds_used']:.1f} s used ({spans}).{notes}",
+                "text": f"{flight['flight']}, {role}: {flight['seconds_used']:.1f} s used ({spans}).{notes}",
                 "left_out": cuts,
             }
         )

@@ -30,7 +30,7 @@ def regions_section(diagnosis: Diagnosis, save_figure: SaveFigure) -> dict[str, 
     figure = equation_figures.figure_of_failing_regions(all_regions, models)
     return {
         "address": save_figure("regions", figure),
-        "said": [_regions_sentence(regions, models) for regions in all_regions],
+        "sentences": [_regions_sentence(regions, models) for regions in all_regions],
         "note": _regions_note(diagnosis, len(models) > 1),
     }
 

@@ -12,7 +12,7 @@ from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.discover import TIME, MissingTerm
 from heli_lab.diagnose.evaluate import ErrorReduction
-from heli_lab.diagnose.report.figures import AFTER, BEFORE, MEASURED
+from heli_lab.diagnose.report.figures import AFTER, BEFORE, MEASURED, bin_means, thinned
 from heli_lab.diagnose.wording import readable_id
 from heli_lab.identify import Fit, Trace, trace
 
@@ -53,8 +53,7 @@ def figure_of_missing_terms(terms: Sequence[MissingTerm]) -> Figure:
 def _draw_missing_term(term: MissingTerm, before: Axes, after: Axes) -> None:
     """Draw the missing values of a term with its contribution, and what remains with it in the model."""
     noun = f"torque about {term.axis}" if term.what == "torque" else f"angle of the {term.axis} encoder"
-    is_spline = readable_id(term.id) != term.id
-    if is_spline:
+    if term.is_spline:
         name = f"curve in place of the unknown: {readable_id(term.id).removeprefix('any ')}"
         kind, label = "curve", "smooth curve"
     else:
@@ -63,7 +62,7 @@ def _draw_missing_term(term: MissingTerm, before: Axes, after: Axes) -> None:
     _draw_dots(after, term.remaining, term)
     quantity, contribution = term.quantity, term.contribution
     if term.what == "torque" and term.on != TIME:
-        quantity, contribution = _bin_means(quantity, contribution, 4 * _BINS)
+        quantity, contribution = bin_means(quantity, contribution, 4 * _BINS)
     before.plot(quantity, contribution, color=AFTER, lw=1.4 if term.on == TIME else 2.2, label=label)
     before.set_title(f"{name}\nbefore: {noun} that the model lacks", fontsize=10.5, color=BEFORE, loc="left")
     after.set_title(
@@ -110,29 +109,12 @@ def _draw_dots(panel: Axes, value: Floats, term: MissingTerm) -> None:
         return
     if term.what == "angle":
         panel.errorbar(
-            quantity,
-            value,
-            2.0 * term.std,
-            fmt="o",
-            ms=4,
-            lw=1,
-            color=MEASURED,
-            label="from the flights",
+            quantity, value, 2.0 * term.std, fmt="o", ms=4, lw=1, color=MEASURED, label="from the flights"
         )
         return
-    thinned_rows = slice(None, None, max(1, len(quantity) // _MAX_DOTS))
+    thinned_rows = thinned(len(quantity), _MAX_DOTS)
     panel.plot(quantity[thinned_rows], value[thinned_rows], ".", ms=2.5, color="#b4b9bf", rasterized=True)
-    panel.plot(
-        *_bin_means(quantity, value, _BINS), "o", ms=5, color=MEASURED, label="from the flights, means"
-    )
-
-
-def _bin_means(quantity: Floats, value: Floats, bins: int) -> tuple[Floats, Floats]:
-    """Return the means of quantity and value, (bins,) each, in `bins` bins of equally many dots."""
-    bin_rows = np.array_split(np.argsort(quantity), min(bins, len(quantity)))
-    mean_quantity = np.array([quantity[rows].mean() for rows in bin_rows])
-    mean_value = np.array([value[rows].mean() for rows in bin_rows])
-    return mean_quantity, mean_value
+    panel.plot(*bin_means(quantity, value, _BINS), "o", ms=5, color=MEASURED, label="from the flights, means")
 
 
 def figure_of_prediction(
@@ -185,9 +167,11 @@ def figure_of_prediction(
             name = "voltages that were not fitted" if not number and panel is angle_panel else None
             panel.axvspan(begin_s, end_s, color="#f3e3c3", lw=0.0, zorder=-1, label=name)
     angle_panel.set_ylabel(f"{AXES[axes[0]]} [deg]", fontsize=10)
+    # The largest rounding error is half a count.
+    half_counts_deg = np.rad2deg(np.sqrt(3.0) * baseline.sigma_rad)
     for panel, axis in zip(panels[1:], axes, strict=True):
         panel.axhline(0.0, color="#9aa0a6", lw=0.8, zorder=0)
-        half_deg = _half_count_deg(baseline)[axis]
+        half_deg = half_counts_deg[axis]
         panel.axhspan(-half_deg, half_deg, color="#c9ced4", lw=0.0, zorder=0.5)
         panel.set_ylabel(f"{AXES[axis]}\nerror [deg]", fontsize=9)
     for panel in panels:
@@ -204,12 +188,6 @@ def figure_of_prediction(
     angle_panel.set_title(f"{baseline.label}, simulated in runs of 2 s", fontsize=10.5, loc="left")
     panels[-1].set_xlabel("time of the flight [s]", fontsize=10)
     return figure
-
-
-def _half_count_deg(run: Trace) -> Floats:
-    """Return half a count of each encoder [deg], (3,): the largest rounding error."""
-    result: Floats = np.rad2deg(np.sqrt(3.0) * run.sigma_rad)
-    return result
 
 
 def _excerpt(run: Trace, axis: int) -> slice:

@@ -5,18 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
+from heli_lab.diagnose.discover import Discovery
 from heli_lab.diagnose.evaluate import ErrorReduction
 from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
 from heli_lab.diagnose.report import findings
 from heli_lab.diagnose.report.cautions import cautions
 from heli_lab.diagnose.result import Diagnosis, Proposal
-from heli_lab.diagnose.thresholds import (
-    CONFIDENCE_NATS,
-    CONFIDENCE_RANDOM_TORQUE,
-    MATTERS_COUNTS,
-    MIN_MARGIN,
-)
-from heli_lab.diagnose.wording import dependence_in_words, evidence_in_words
+from heli_lab.diagnose.thresholds import CONFIDENCE_NATS, CONFIDENCE_RANDOM_TORQUE, MATTERS_COUNTS, MIN_MARGIN
+from heli_lab.diagnose.wording import capital, dependence_in_words, evidence_in_words
 
 METRIC: Final = "2 s free-run rms on the validation flights, deg"
 """Quantity that the error reductions compare if flights are held out."""
@@ -66,8 +62,8 @@ def _verdict_text(result: Diagnosis) -> str:
         for cause in causes:
             family = cause.get("family")
             if family and {*cause["ambiguous_with"]} & {*family["members"]}:
-                ambiguity_text += f" {family['sentence'][:1].upper()}{family['sentence'][1:]}."
-        return f"{text[:1].upper()}{text[1:]}.{ambiguity_text}{disturbance_text}"
+                ambiguity_text += f" {capital(family['sentence'])}."
+        return f"{capital(text)}.{ambiguity_text}{disturbance_text}"
     missing = findings.unexplained(result) or {}
     text = (
         "Something is missing that no effect of the catalogue explains: "
@@ -197,15 +193,8 @@ def metric(result: Diagnosis) -> str:
 def proposal_lines(proposal: Proposal) -> list[str]:
     """Describe a proposed equation, one line per fact."""
     term, discovery = proposal.term, proposal.term.discovery
-    confirmed = (
-        "no other flight confirms it"
-        if discovery.held_out is None
-        else f"{evidence_in_words(discovery.held_out)} on held-out flights"
-    )
-    lines = [
-        f"proposed equation: {term.sentence} (confidence {term.confidence:.2f}; "
-        f"{evidence_in_words(discovery.train)} on the fitted flights, {confirmed})"
-    ]
+    evidence_text = f"confidence {term.confidence:.2f}; {equation_evidence(discovery)}"
+    lines = [f"proposed equation: {term.sentence} ({evidence_text})"]
     for name, (value, std, unit) in discovery.values.items():
         error = f" \N{PLUS-MINUS SIGN} {std:.2g}" if std else ""
         lines.append(f"  {name} = {value:.4g}{error} {'' if unit == '1' else unit}".rstrip())
@@ -216,6 +205,14 @@ def proposal_lines(proposal: Proposal) -> list[str]:
     if discovery.superfluous:
         lines.append(f"  not needed any more with it: {', '.join(discovery.superfluous)}")
     return lines
+
+
+def equation_evidence(discovery: Discovery) -> str:
+    """State the evidence for the equation of a `discovery` on the fitted and on the held-out flights."""
+    fitted_text = f"{evidence_in_words(discovery.train)} on the fitted flights"
+    if discovery.held_out is None:
+        return f"{fitted_text}, no other flight confirms it"
+    return f"{fitted_text}, {evidence_in_words(discovery.held_out)} on held-out flights"
 
 
 def _reductions(reductions: Mapping[str, ErrorReduction]) -> list[str]:

@@ -232,10 +232,7 @@ def _residual(result: Diagnosis) -> dict[str, Any]:
             correlation[role] = {when: of_fit.correlation for when, of_fit in errors.items()}
     return {
         "axis": {
-            axis: {
-                "before": float(before.train.axes[i]),
-                "after": float(after.train.axes[i]),
-            }
+            axis: {"before": float(before.train.axes[i]), "after": float(after.train.axes[i])}
             for i, axis in enumerate(AXES)
         },
         "normalised": {

@@ -80,9 +80,7 @@ _DIFFERENT: Final[Mapping[str, Mapping[str, str]]] = {
         "r": "position of a rotor",
     },
     "random_torque": {"w": "white noise"},
-    "supply_sag": {
-        "l": "0 if each driver loses a share of its voltage, 1 if both lose the same voltage",
-    },
+    "supply_sag": {"l": "0 if each driver loses a share of its voltage, 1 if both lose the same voltage"},
 }
 """Meanings by effect id without its axis."""
 

@@ -3,9 +3,9 @@
 from heli_lab.diagnose.search.candidate import Candidate, ScoredCandidate, may_join, typical_candidate
 from heli_lab.diagnose.search.estimate_cache import EstimateCache, fingerprint
 from heli_lab.diagnose.search.folds import split
-from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, Refit, Round
+from heli_lab.diagnose.search.hypothesis import Cause, Hypothesis, Refit, Round
 from heli_lab.diagnose.search.model_comparison import ModelComparison
-from heli_lab.diagnose.search.regressors import ExtendedModel, spline_candidates
+from heli_lab.diagnose.search.regressors import ExtendedModel, spline_candidate, spline_candidates
 from heli_lab.diagnose.search.replication import Direction, direction
 from heli_lab.diagnose.search.screening import ScoreStatistics, Screening, coefficient_std, score_of
 from heli_lab.diagnose.search.splines import (
@@ -22,7 +22,6 @@ from heli_lab.diagnose.search.stepwise import Search, search
 __all__ = [
     "KNOTS",
     "QUANTITIES",
-    "Alternative",
     "Candidate",
     "Cause",
     "Direction",
@@ -46,6 +45,7 @@ __all__ = [
     "quantity_values",
     "score_of",
     "search",
+    "spline_candidate",
     "spline_candidates",
     "spline_term",
     "split",

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
 from heli_sim.model.effects.spec import EffectSpec
 
 from heli_lab.diagnose import thresholds
@@ -80,11 +79,8 @@ def is_significant(
     kind = kinds.get(candidate.id)
     if kind is None:
         return True
-    parameter_vector, estimate = hypothesis.estimate.parameter_vector, hypothesis.estimate
-    std = dict(zip(parameter_vector.names, np.sqrt(np.diag(estimate.covariance)), strict=True))
-    values = hypothesis.values
+    values, std, neutral = hypothesis.values, hypothesis.std, kind.neutral
     sizes = [size for size in ([name] if name else kind.size) if size in values]
-    neutral = kind.neutral
     return not sizes or any(
         abs(values[size] - neutral[size]) > thresholds.SIGNIFICANT_STD_ERRORS * std[size] for size in sizes
     )

@@ -127,6 +127,7 @@ class BackwardElimination:
                 reduced_by_id[candidate.id] = reduced
             if len(reduced_by_id) == len(causes):
                 return final, reduced_by_id
+            # The last refit is the model without the cause that is not significant.
             final = reduced
 
     def _held_out_ratios(

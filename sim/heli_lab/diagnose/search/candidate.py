@@ -36,8 +36,9 @@ class Candidate:
 
     @property
     def neutral(self) -> dict[str, float]:
-        """Values of its sizes at which it has practically no influence, within the priors' bounds,
-        by full name.
+        """Values of its sizes at which it has practically no influence, within the priors' bounds.
+
+        Its sizes are the linear parameters, or, if there are none, the first parameter that has a prior.
         """
         sizes = self.linear_parameters or tuple(self.effect.priors)[:1]
         values = {}
@@ -50,6 +51,12 @@ class Candidate:
     def is_spline(self) -> bool:
         """Whether it is a spline term, not an effect of the catalogue."""
         return self.id.startswith("spline:")
+
+    @property
+    def dependence(self) -> tuple[str, str]:
+        """Channel and quantity of a spline term, such as ``torque.pitch`` and ``elevation``."""
+        _, channel, quantity = self.id.split(":")
+        return channel, quantity
 
     def start_values(self, coefficients: Floats) -> dict[str, float]:
         """Start values of a fit, by full name, within the priors' bounds; `coefficients` are those that a

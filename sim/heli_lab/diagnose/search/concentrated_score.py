@@ -18,7 +18,7 @@ from heli_lab.diagnose.search.candidate import ScoredCandidate
 from heli_lab.diagnose.search.screening import Screening, coefficient_std, signals_of
 from heli_lab.diagnose.thresholds import CHANCE_NATS
 from heli_lab.estimation import DisturbanceModel, estimate_disturbances
-from heli_lab.estimation.innovations_model import FlightErrors
+from heli_lab.estimation.innovations_model import FlightErrors, ModelErrors
 
 _ITERATIONS: Final = 2
 """Turns of coefficient and disturbances: the second changes the coefficient by less than its error."""
@@ -112,22 +112,22 @@ def _residuals_after(
     signals: Sequence[tuple[Floats, Floats | None]],
     coefficients: Floats,
 ) -> FlightErrors:
-    """Return the residuals that remain if a candidate with these coefficients is in the model.
+    """Return the residuals that remain if a candidate with these coefficients, (g,), is in the model.
 
-    `residuals` are those without it; `signals` are its changes of rates and of measured angles.
+    `residuals` are those without it. `signals` are its changes of the rates, (n, states, g), and of the
+    measured angles, (n, 3, g). Signs are those of `InnovationsModel.regressors`: the candidate adds to the
+    drive, and is subtracted from the measured angles.
     """
-    result: list[list[tuple[Floats, Floats]]] = []
+    result: list[list[ModelErrors]] = []
     flights = screening.filtered.linearised_flights
     for flight, flight_residuals, (rates, angles) in zip(flights, residuals, signals, strict=True):
         windows = []
-        state_changes = flight.over_blocks(rates)
-        for blocks, state_change, (state_residual, output_residual) in zip(
-            flight.blocks, state_changes, flight_residuals, strict=True
+        drives = flight.over_blocks(rates)
+        for blocks, added_drive, (drive, measured) in zip(
+            flight.blocks, drives, flight_residuals, strict=True
         ):
-            remaining_output = output_residual
-            if angles is not None:
-                remaining_output = output_residual - (angles[blocks.rows] @ coefficients)[:, :, None]
-            remaining_state = state_residual + (state_change @ coefficients)[:, :, None]
-            windows.append((remaining_state, remaining_output))
+            added_angle = 0.0 if angles is None else (angles[blocks.rows] @ coefficients)[:, :, None]
+            new_drive = drive + (added_drive @ coefficients)[:, :, None]
+            windows.append(ModelErrors(new_drive, measured - added_angle))
         result.append(windows)
     return result

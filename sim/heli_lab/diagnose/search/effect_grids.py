@@ -180,7 +180,4 @@ def _coarsened(kind: EffectSpec, duration_s: float, moments_s: tuple[float, ...]
 
 def _scaled_values(kind: EffectSpec, candidate: Candidate, share: float) -> Mapping[str, float]:
     """Return the parameters of a candidate with a `share` of the typical size."""
-    return {
-        **candidate.effect.values,
-        **{name: share * kind.typical[name] for name in kind.size},
-    }
+    return {**candidate.effect.values, **{name: share * kind.typical[name] for name in kind.size}}

@@ -30,7 +30,7 @@ from heli_lab.estimation import (
     ReferenceTrajectory,
 )
 from heli_lab.identify import Record
-from heli_lab.identify.flight_model import RigParameters
+from heli_lab.identify.flight_model import RigParameters, model_functions
 
 _PACKAGES: Final = ("heli_sim.model", "heli_lab.identify", "heli_lab.estimation")
 """Packages whose code, compiled code included, an estimate depends on."""
@@ -45,7 +45,7 @@ class EstimateCache:
     ----------
     path : Path, optional
         File to read and to append to; it is made if it is missing.
-    of : str
+    search_fingerprint : str
         `fingerprint` of everything that the estimates of a search share.
 
     Raises
@@ -54,7 +54,7 @@ class EstimateCache:
         If the file has another fingerprint, or is not a file of a search.
     """
 
-    def __init__(self, path: Path | None = None, of: str = "") -> None:
+    def __init__(self, path: Path | None = None, search_fingerprint: str = "") -> None:
         self._path = path
         self._entries: dict[str, Mapping[str, Any]] = {}
         self.used_keys: set[str] = set()
@@ -63,18 +63,18 @@ class EstimateCache:
         if path is None:
             return
         if not path.exists() or not path.stat().st_size:
-            path.write_text(json.dumps({"search_of": of}) + "\n", encoding="utf-8")
+            path.write_text(json.dumps({"search_of": search_fingerprint}) + "\n", encoding="utf-8")
             return
-        self._read(path, of)
+        self._read(path, search_fingerprint)
 
-    def _read(self, path: Path, of: str) -> None:
+    def _read(self, path: Path, search_fingerprint: str) -> None:
         """Read the entries of a file, and remove an incomplete last line."""
         try:
             first, *lines = path.read_text(encoding="utf-8").splitlines()
             file_fingerprint = json.loads(first)["search_of"]
         except (ValueError, KeyError, TypeError):
             raise IdentifyError(f"{path} is not a --resume file", "give --resume a new file name") from None
-        if file_fingerprint != of:
+        if file_fingerprint != search_fingerprint:
             raise IdentifyError(
                 f"{path} is from a search with other flights, another rig, model or program version",
                 "give another name to --resume, or the same flights, rig, model and effects",
@@ -96,8 +96,7 @@ class EstimateCache:
         key: str,
         parameter_vector: RigParameters,
         references: Sequence[ReferenceTrajectory],
-        functions: ModelFunctions,
-        compute: Callable[[], Estimate],
+        compute: Callable[[ModelFunctions], Estimate],
     ) -> Estimate:
         """Look up an estimate, or compute and keep it; threads may do so at the same time for different keys.
 
@@ -105,11 +104,14 @@ class EstimateCache:
         ----------
         key : str
             `cache_key` of the estimate.
-        parameter_vector, references, functions
-            Free parameters, reference trajectories and model functions of the estimate.
+        parameter_vector : RigParameters
+            Free parameters of the estimate.
+        references : sequence of ReferenceTrajectory
+            Its flights.
         compute : callable
-            Returns the estimate if the cache lacks it.
+            Takes the functions of the model, and returns the estimate; called if the cache lacks it.
         """
+        functions = model_functions(parameter_vector.model, parameter_vector.quantities)
         self.used_keys.add(key)
         cached = self._entries.get(key)
         if cached is not None:
@@ -123,7 +125,7 @@ class EstimateCache:
                 references=tuple(references),
                 functions=functions,
             )
-        estimate = compute()
+        estimate = compute(functions)
         entry = {
             "key": key,
             "theta": estimate.theta.tolist(),

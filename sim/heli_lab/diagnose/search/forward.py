@@ -43,11 +43,6 @@ class ForwardSelection:
     removable: Sequence[EffectSpec]
     rounds: list[Round] = field(default_factory=list)
 
-    @property
-    def kinds(self) -> Mapping[str, EffectSpec]:
-        """Catalogue by effect id."""
-        return self.acceptance.kinds
-
     def select(self, hypothesis: Hypothesis) -> tuple[Hypothesis, Screening, bool]:
         """Add causes to a `hypothesis`.
 
@@ -64,22 +59,26 @@ class ForwardSelection:
             number = len(self.rounds)
             self.progress.round(number)
             screening = Screening(hypothesis.estimate)
-            compatible = [
-                kind for kind in self.kinds.values() if may_join(kind.id, hypothesis.ids, self.kinds)
-            ]
+            kinds = self.acceptance.kinds
+            compatible = [kind for kind in kinds.values() if may_join(kind.id, hypothesis.ids, kinds)]
             screened = with_concentrated_scores(
                 screening, self.acceptance.worth_a_refit, screening.effects(compatible)
             )
             splines = screening.splines(number)
             is_full = len(hypothesis.candidates) >= thresholds.MAX_CAUSES or not self.progress.refits_left()
-            refits: list[Refit] = []
-            accepted: Refit | None = None
             absent_terms = (
                 [] if is_full else tightly_specified_terms(self.comparison, self.removable, screening)
             )
             screening.release()
+            round_refits = RoundRefits(
+                self.comparison, self.acceptance, self.progress, number, hypothesis, screened
+            )
+            accepted = None
             if not is_full:
-                refits, accepted = self._refit_round(hypothesis, screening, screened, splines, absent_terms)
+                round_refits.refit_effects(screening)
+                round_refits.refit_without_terms(absent_terms)
+                accepted = round_refits.best_after_splines(splines)
+            refits = sorted(round_refits.refits, key=lambda refit: -refit.margin)
             accepted_id = accepted.candidate.id if accepted else ""
             self.rounds.append(Round(hypothesis, tuple(screened), tuple(splines), tuple(refits), accepted_id))
             if accepted is None:
@@ -87,144 +86,111 @@ class ForwardSelection:
             self.progress.accepted += 1
             hypothesis = accepted.hypothesis
 
-    def _refit_round(
-        self,
-        base: Hypothesis,
-        screening: Screening,
-        screened: Sequence[ScoredCandidate],
-        splines: Sequence[ScoredCandidate],
-        absent: Sequence[RemovedTerm],
-    ) -> tuple[list[Refit], Refit | None]:
-        """Refit the best candidates of a round.
 
-        `screened` are the scores of effects, `splines` of spline terms, `absent` of terms of the baseline
-        that the rig may lack.
+@dataclass
+class RoundRefits:
+    """Refits of one round of the forward selection.
 
-        Returns
-        -------
-        list of Refit
-            All refits, the largest margin first.
-        Refit or None
-            The accepted one.
-        """
-        refits, refitted = self._refit_effects(base, screening, screened)
-        best_score = max((scored.log_likelihood_gain for scored in screened), default=0.0)
-        for term in absent:
-            if (
-                self.progress.refits_left()
-                and term.candidate.id not in base.ids
-                and term.log_likelihood_gain > thresholds.SHORTLIST_SHARE * best_score
-            ):
-                refits.append(self._refit_without_term(base, term))
-        best = self._best_accepted(refits)
-        if splines:
-            spline_refits, best = self._try_spline(base, splines[0], best, screened, refitted, refits)
-            refits += spline_refits
-        return sorted(refits, key=lambda refit: -refit.margin), best
+    Parameters
+    ----------
+    number : int
+        Number of the round, from 0.
+    base : Hypothesis
+        The model before the round.
+    screened : sequence of ScoredCandidate
+        All effects with their scores, the best first.
+    refits : list of Refit
+        The refits so far.
+    tried_ids : set of str
+        Ids of the effects whose turn has come, whether or not the limit of refits left them out.
+    """
 
-    def _try_spline(
-        self,
-        base: Hypothesis,
-        spline: ScoredCandidate,
-        best: Refit | None,
-        screened: Sequence[ScoredCandidate],
-        refitted: Sequence[ScoredCandidate],
-        refits: Sequence[Refit],
-    ) -> tuple[list[Refit], Refit | None]:
-        """Let the best `spline` compete with the `best` effect.
+    comparison: ModelComparison
+    acceptance: Acceptance
+    progress: Progress
+    number: int
+    base: Hypothesis
+    screened: Sequence[ScoredCandidate]
+    refits: list[Refit] = field(default_factory=list)
+    tried_ids: set[str] = field(default_factory=set)
 
-        Returns
-        -------
-        list of Refit
-            Refits of the spline, and of further effects on its channel.
-        Refit or None
-            The refit to accept.
-        """
-        required_margin = max(thresholds.SPLINE_MIN, best.margin if best else 0.0)
-        expected_gain = thresholds.EXPECTED_REFIT_GAIN * spline.log_likelihood_gain
-        if expected_gain <= required_margin or not self.progress.refits_left():
-            return [], best
-        spline_refit = self._refit(base, spline)
-        channel_refits: list[Refit] = []
-        if spline_refit.margin > required_margin:
-            channel_refits = self._refit_same_channel(base, spline, screened, refitted)
-            best = self._best_accepted([*refits, *channel_refits])
-        lead = spline_refit.margin - (best.margin if best else 0.0)
-        if lead > max(thresholds.SPLINE_MIN, thresholds.SPLINE_MARGIN * spline_refit.margin):
-            best = spline_refit
-        return [*channel_refits, spline_refit], best
-
-    def _best_accepted(self, refits: Sequence[Refit]) -> Refit | None:
-        """Return the refit of the largest margin among those that are accepted; None without one."""
-        accepted = [refit for refit in refits if self.acceptance.accepts(refit)]
+    @property
+    def best(self) -> Refit | None:
+        """The refit of the largest margin among those that are accepted; None without one."""
+        accepted = [refit for refit in self.refits if self.acceptance.accepts(refit)]
         return max(accepted, key=lambda refit: refit.margin, default=None)
 
-    def _refit_effects(
-        self, base: Hypothesis, screening: Screening, screened: Sequence[ScoredCandidate]
-    ) -> tuple[list[Refit], list[ScoredCandidate]]:
-        """Refit the effects with the best scores.
-
-        Returns
-        -------
-        list of Refit
-            The refits.
-        list of ScoredCandidate
-            The effects with their scores.
+    def refit_effects(self, screening: Screening) -> None:
+        """Refit the effects with the best scores, then those that a score cannot show; `screening` is about
+        the base.
         """
-        remaining, refitted, refits = (
-            self.acceptance.worth_a_refit(screened),
-            list[ScoredCandidate](),
-            list[Refit](),
-        )
+        remaining = self.acceptance.worth_a_refit(self.screened)
         # A high score that no refit confirms, such as that of an encoder at rest, must not end the round.
-        while remaining and self._best_accepted(refits) is None:
+        while remaining and self.best is None:
             min_gain = thresholds.SHORTLIST_SHARE * remaining[0].log_likelihood_gain
             shortlist = [scored for scored in remaining if scored.log_likelihood_gain >= min_gain]
             shortlist = shortlist[: thresholds.SHORTLIST]
-            refits += [self._refit(base, scored) for scored in shortlist if self.progress.refits_left()]
-            refitted += shortlist
+            self._refit_each(shortlist)
             remaining = remaining[len(shortlist) :]
-        refitted_ids = {scored.candidate.id for scored in refitted}
-        unscored = paused_play(base, screening, self.kinds, refitted_ids)
-        if self._best_accepted(refits) is None:
-            unscored += resting_friction(base, screening, self.kinds, refitted_ids)
-        refits += [self._refit(base, scored) for scored in unscored if self.progress.refits_left()]
-        return refits, [*refitted, *unscored]
+        unscored = paused_play(self.base, screening, self.acceptance.kinds, self.tried_ids)
+        if self.best is None:
+            unscored += resting_friction(self.base, screening, self.acceptance.kinds, self.tried_ids)
+        self._refit_each(unscored)
 
-    def _refit_same_channel(
-        self,
-        base: Hypothesis,
-        spline: ScoredCandidate,
-        screened: Sequence[ScoredCandidate],
-        refitted: Sequence[ScoredCandidate],
-    ) -> list[Refit]:
-        """Refit further effects on a spline's channel.
+    def refit_without_terms(self, absent: Sequence[RemovedTerm]) -> None:
+        """Refit the model without each of the terms that the rig may lack, if its score is high enough."""
+        best_score = max((scored.log_likelihood_gain for scored in self.screened), default=0.0)
+        for term in absent:
+            if (
+                self.progress.refits_left()
+                and term.candidate.id not in self.base.ids
+                and term.log_likelihood_gain > thresholds.SHORTLIST_SHARE * best_score
+            ):
+                candidates = [*self.base.candidates, term.candidate]
+                reduced = self.comparison.refit(candidates, term.start, self.base)
+                gain = reduced.log_likelihood - self.base.log_likelihood
+                penalty = self.acceptance.penalty(term.candidate)
+                self.refits.append(Refit(reduced, gain, penalty, term.log_likelihood_gain))
+
+    def best_after_splines(self, splines: Sequence[ScoredCandidate]) -> Refit | None:
+        """Let the best of the `splines` compete with the best effect; return the refit to accept.
 
         A spline displaces a listed effect only after that effect was refitted over its grid.
         """
-        channel = spline.candidate.id.split(":")[1]
-        refitted_ids = {scored.candidate.id for scored in refitted}
-        on_channel = [
-            scored
-            for scored in screened
-            if scored.candidate.id not in refitted_ids and _acts_on(self.kinds[scored.candidate.id], channel)
-        ]
-        return [
-            self._refit(base, scored)
-            for scored in on_channel[: thresholds.ALTERNATIVES]
-            if scored.log_likelihood_gain > 0.0 and self.progress.refits_left()
-        ]
+        best = self.best
+        required_margin = max(thresholds.SPLINE_MIN, best.margin if best else 0.0)
+        if (
+            not splines
+            or thresholds.EXPECTED_REFIT_GAIN * splines[0].log_likelihood_gain <= required_margin
+            or not self.progress.refits_left()
+        ):
+            return best
+        spline_refit = self._refit(splines[0])
+        if spline_refit.margin > required_margin:
+            channel, _ = splines[0].candidate.dependence
+            on_channel = [
+                scored
+                for scored in self.screened
+                if scored.candidate.id not in self.tried_ids
+                and _acts_on(self.acceptance.kinds[scored.candidate.id], channel)
+            ]
+            shortlist = on_channel[: thresholds.ALTERNATIVES]
+            self._refit_each([scored for scored in shortlist if scored.log_likelihood_gain > 0.0])
+            best = self.best
+        self.refits.append(spline_refit)
+        lead = spline_refit.margin - (best.margin if best else 0.0)
+        is_ahead = lead > max(thresholds.SPLINE_MIN, thresholds.SPLINE_MARGIN * spline_refit.margin)
+        return spline_refit if is_ahead else best
 
-    def _refit_without_term(self, base: Hypothesis, term: RemovedTerm) -> Refit:
-        """Refit the model without a term of the baseline."""
-        reduced = self.comparison.refit([*base.candidates, term.candidate], term.start, base)
-        gain = reduced.log_likelihood - base.log_likelihood
-        return Refit(reduced, gain, self.acceptance.penalty(term.candidate), term.log_likelihood_gain)
+    def _refit_each(self, candidates: Sequence[ScoredCandidate]) -> None:
+        """Refit the base with each candidate, until the limit of refits."""
+        self.tried_ids |= {scored.candidate.id for scored in candidates}
+        self.refits += [self._refit(scored) for scored in candidates if self.progress.refits_left()]
 
-    def _refit(self, base: Hypothesis, scored: ScoredCandidate) -> Refit:
-        """Refit the model with one more candidate over its grid."""
-        self.progress.trial(scored.candidate.id, len(self.rounds))
-        return refit_on_grid(self.comparison, self.acceptance, base, scored)
+    def _refit(self, scored: ScoredCandidate) -> Refit:
+        """Refit the base with one more candidate over its grid."""
+        self.progress.trial(scored.candidate.id, self.number)
+        return refit_on_grid(self.comparison, self.acceptance, self.base, scored)
 
 
 def refit_on_grid(

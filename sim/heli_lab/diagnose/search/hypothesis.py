@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.search.candidate import Candidate, ScoredCandidate
 from heli_lab.estimation import Estimate
@@ -39,6 +41,13 @@ class Hypothesis:
         """Estimates of the free parameters by name."""
         values: dict[str, float] = self.estimate.parameter_vector.by_name(self.estimate.theta)
         return values
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard errors of the free parameters by name."""
+        errors = np.sqrt(np.diag(self.estimate.covariance))
+        std: dict[str, float] = self.estimate.parameter_vector.by_name(errors)
+        return std
 
 
 @dataclass(frozen=True, eq=False)

@@ -241,24 +241,18 @@ class ModelComparison:
         return max(submodels, key=lambda hypothesis: hypothesis.log_likelihood, default=None)
 
     def _estimate(
-        self,
-        candidates: Sequence[Candidate],
-        start: Mapping[str, float],
-        warm_start: Hypothesis | None,
+        self, candidates: Sequence[Candidate], start: Mapping[str, float], warm_start: Hypothesis | None
     ) -> Estimate:
         """Estimate the model with some candidates on the fitted flights, or take the estimate from the
         cache.
         """
         parameter_vector = self._parameter_vector(candidates)
-        functions = model_functions(parameter_vector.model, parameter_vector.quantities)
-        start_values = {**(warm_start.values if warm_start else {}), **start}
-        theta = parameter_vector.started_from(start_values)
+        theta = parameter_vector.started_from({**(warm_start.values if warm_start else {}), **start})
         return self._cache.estimate(
             cache_key(f"{self.side}train", candidates, start, warm_start.estimate if warm_start else None),
             parameter_vector,
             self.references,
-            functions,
-            lambda: _estimate_from(parameter_vector, self.references, functions, theta, warm_start),
+            lambda functions: _estimate_from(parameter_vector, self.references, functions, theta, warm_start),
         )
 
     def with_effects(self, hypothesis: Hypothesis, candidates: Sequence[Candidate]) -> Hypothesis:
@@ -282,14 +276,12 @@ class ModelComparison:
         may be those of other flights.
         """
         vector = self._parameter_vector(candidates)
-        functions = model_functions(vector.model, vector.quantities)
         theta, disturbances = vector.started_from(start), replace(disturbances, curvature=None)
         result = self._cache.estimate(
             cache_key(f"{self.side}from", candidates, start, None, disturbances),
             vector,
             self.references,
-            functions,
-            lambda: estimate(vector, self.references, functions, theta, disturbances),
+            lambda functions: estimate(vector, self.references, functions, theta, disturbances),
         )
         return Hypothesis(tuple(candidates), result)
 
@@ -304,19 +296,16 @@ class ModelComparison:
             Estimate of the held-out flights whose constants and disturbances to start from.
         """
         fitted = hypothesis.estimate
-        model = fitted.parameter_vector.model
         shared = fitted.parameter_vector.shared_by_name(fitted.theta)
-        parameter_vector = RigParameters(model, self.rig, self.held_out, fixed=shared)
-        functions = model_functions(model, parameter_vector.quantities)
+        vector = RigParameters(fitted.parameter_vector.model, self.rig, self.held_out, fixed=shared)
         start = warm_start.parameter_vector.by_name(warm_start.theta) if warm_start else {}
-        theta = parameter_vector.started_from(start)
+        theta = vector.started_from(start)
         disturbances = replace((warm_start or fitted).disturbances, curvature=None)
         return self._cache.estimate(
             cache_key(f"{self.side}held out", hypothesis.candidates, {**start, **shared}, fitted),
-            parameter_vector,
+            vector,
             self.held_out_references,
-            functions,
-            lambda: estimate(parameter_vector, self.held_out_references, functions, theta, disturbances),
+            lambda functions: estimate(vector, self.held_out_references, functions, theta, disturbances),
         )
 
 

@@ -26,6 +26,7 @@ from heli_lab.diagnose.search.splines import (
 )
 from heli_lab.estimation import EFFECT_SUBSTEPS, AlongTrajectory, EffectStates, LinearisedFlight, Trajectory
 from heli_lab.identify.flight_model import known_directions
+from heli_lab.identify.model_along import model_along
 
 _MIN_RANGE: Final = 1e-6
 """Range of a quantity, in its SI unit, below which it is constant and no curve over it is tried."""
@@ -58,10 +59,7 @@ class ChangeFunctions:
     @cached_property
     def rates(self) -> AlongTrajectory:
         """Rates of the model without any candidate."""
-        model = self.model
-        x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
-        t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
-        return AlongTrajectory(ca.Function("rates", [x, u, t, p], [ca.densify(model.dynamics(x, u, p, t))]))
+        return model_along(self.model, lambda x, u, p, t: [self.model.dynamics(x, u, p, t)])
 
 
 class Regressors:
@@ -100,8 +98,7 @@ class Regressors:
         if instant not in self._quantities:
             trajectory = self.linear.nodes if instant == "nodes" else self.linear.trajectory
             self._quantities[instant] = quantity_values(self.model, trajectory)
-        low, step = effect.values[f"{effect.name}_low"], effect.values[f"{effect.name}_step"]
-        basis = bspline_basis(self._quantities[instant][effect.on], low, step)[:, None, :]
+        basis = bspline_basis(self._quantities[instant][effect.on], *effect.knots)[:, None, :]
         return rates * basis, measured * basis if np.any(measured) else None
 
     def influence(self, effect: SplineTerm) -> tuple[Floats, Floats]:
@@ -175,18 +172,18 @@ class ExtendedModel:
 
     Attributes
     ----------
-    more : Model
+    extended_model : Model
         The model with the effect.
-    places : list of int
-        Indices of the model's parameters among those of `more`.
-    own_places : dict of int
+    model_parameters : list of int
+        Indices of the model's parameters among those of the extended model.
+    effect_parameters : dict of int
         Indices of the effect's parameters among them, by full name.
-    state_count : int
+    effect_state_count : int
         Number of states of the effect.
     change : AlongTrajectory
         Function of a trajectory with two results: derivatives of rates and measured angles by each linear
         parameter, or their changes by the whole effect.
-    own : EffectStates
+    effect_states : EffectStates
         Integrator of the effect's states, if it has any.
     """
 
@@ -195,7 +192,6 @@ class ExtendedModel:
         self.effect, self.linear_parameters = effect, linear
         self.extended_model = type(model)((*model.effects, effect))
         names = [quantity.name for quantity in self.extended_model.parameters]
-        # Indices of the parameters of model and effect among those of the extended model.
         self.model_parameters = [names.index(quantity.name) for quantity in model.parameters]
         self.effect_parameters = {quantity.name: names.index(quantity.name) for quantity in effect.parameters}
         state_names = [state.name for state in self.extended_model.states]
@@ -302,6 +298,10 @@ def spline_candidates(linearised_flights: Sequence[LinearisedFlight], number: in
         low, step = knot_span(np.concatenate(values_by_quantity[quantity]))
         if step * (KNOTS - 1) < _MIN_RANGE:
             continue
-        term = spline_term(channel, quantity, low, step, number)
-        candidates.append(Candidate(f"spline:{channel}:{quantity}", term, tuple(term.priors)))
+        candidates.append(spline_candidate(spline_term(channel, quantity, low, step, number)))
     return candidates
+
+
+def spline_candidate(term: SplineTerm) -> Candidate:
+    """Make a candidate of a spline `term`."""
+    return Candidate(f"spline:{term.channel}:{term.on}", term, tuple(term.priors))

@@ -18,7 +18,7 @@ from heli_lab.diagnose.search.splines import KNOTS, SplineTerm
 from heli_lab.diagnose.thresholds import MIN_MARGIN
 from heli_lab.estimation import Estimate
 from heli_lab.estimation.arrowhead import solve_arrowhead
-from heli_lab.threads import default_thread_count, parallel_map
+from heli_lab.threads import batches, default_thread_count, parallel_map
 
 _BATCH_NUMBERS: Final = 1_250_000
 """Floating-point numbers of the regressors that a thread filters together, 10 MB: 32 regressors of a flight
@@ -90,7 +90,6 @@ class Screening:
         rows = max(model.rows for model in filtered.linearised_flights)
         batch = _BATCH_NUMBERS // (rows * filtered.linearised_flights[0].states)
         self.batch = max(KNOTS, batch)
-        """Number of regressors that are filtered together, one flight after the other."""
         # On a long flight, one batch of the least size exceeds the memory of a thread.
         self.threads = default_thread_count() if batch >= KNOTS else 1
         self._innovations = innovations = filtered.innovations(disturbances)
@@ -132,26 +131,30 @@ class Screening:
         candidates = spline_candidates(self.filtered.linearised_flights, number)
         self._precompute_influences(candidates)
         scores = self.score(candidates)
-        return _by_gain(map(_scored, candidates, scores, itertools.repeat(1)))
+        return _by_gain(
+            ScoredCandidate(candidate, *score, tried=1)
+            for candidate, score in zip(candidates, scores, strict=True)
+        )
 
     def score(self, candidates: Sequence[Candidate]) -> list[Score]:
         """Score each of the `candidates` by itself, in their order."""
-        batches: list[list[Candidate]] = []
-        regressors_in_batch = self.batch
-        for candidate in candidates:
-            regressors = max(1, len(candidate.linear_parameters))
-            if regressors_in_batch + regressors > self.batch:
-                batches.append([])
-                regressors_in_batch = 0
-            batches[-1].append(candidate)
-            regressors_in_batch += regressors
-        scores_by_batch = parallel_map(self._score_batch, batches, self.threads)
-        return list(itertools.chain.from_iterable(scores_by_batch))
+        candidate_batches = batches(candidates, _regressor_count, self.batch)
+        statistics_by_batch = parallel_map(self._statistics, candidate_batches, self.threads)
+        statistics = itertools.chain.from_iterable(statistics_by_batch)
+        return [
+            score_of(*candidate_statistics, coefficient_std(candidate))
+            for candidate_statistics, candidate in zip(statistics, candidates, strict=True)
+        ]
 
-    def score_signals(
-        self, signals: Iterable[tuple[Floats, Floats | None]], sizes: Sequence[int], priors: Sequence[Floats]
-    ) -> list[Score]:
-        """Score candidates by the signals of their regressors.
+    def _statistics(self, candidates: Sequence[Candidate]) -> list[ScoreStatistics]:
+        """Return the score statistics of candidates, which are filtered together."""
+        signals = (signals_of(flight, candidates) for flight in self.regressors)
+        return self.information(signals, list(map(_regressor_count, candidates)))
+
+    def information(
+        self, signals: Iterable[tuple[Floats, Floats | None]], sizes: Sequence[int]
+    ) -> list[ScoreStatistics]:
+        """Compute Fisher information and score of each candidate's coefficients over all flights.
 
         Parameters
         ----------
@@ -160,20 +163,6 @@ class Screening:
             None, by the regressors of all candidates along the last axis.
         sizes : sequence of int
             Number of regressors of each candidate.
-        priors : sequence of ndarray (g,)
-            Prior standard deviations of each candidate's coefficients about 0.
-        """
-        statistics = self.information(signals, sizes)
-        return [
-            score_of(information, score, prior_std)
-            for (information, score), prior_std in zip(statistics, priors, strict=True)
-        ]
-
-    def information(
-        self, signals: Iterable[tuple[Floats, Floats | None]], sizes: Sequence[int]
-    ) -> list[ScoreStatistics]:
-        """Compute Fisher information and score of each candidate's coefficients over all flights; `signals`
-        and `sizes` as in `score_signals`.
         """
         return self.projected(self.filtered.regressors(self.estimate.disturbances, signals), sizes)
 
@@ -231,10 +220,10 @@ class Screening:
         `information` does.
         """
         self._precompute_influences(candidates)
-        batch_size = self.batch // KNOTS
-        batches = [candidates[first : first + batch_size] for first in range(0, len(candidates), batch_size)]
-        statistics_by_batch = parallel_map(self._spline_statistics, batches, self.threads)
-        return list(itertools.chain.from_iterable(statistics_by_batch))
+        candidate_batches = batches(candidates, _regressor_count, self.batch)
+        return list(
+            itertools.chain.from_iterable(parallel_map(self._statistics, candidate_batches, self.threads))
+        )
 
     def _precompute_influences(self, candidates: Iterable[Candidate]) -> None:
         """Compute the influence of each channel of spline terms once, before threads share it."""
@@ -247,17 +236,6 @@ class Screening:
             list(term_of_channel.values()),
             self.threads,
         )
-
-    def _spline_statistics(self, candidates: Sequence[Candidate]) -> list[ScoreStatistics]:
-        """Return the score statistics of spline terms, which are filtered together."""
-        signals = (signals_of(flight, candidates) for flight in self.regressors)
-        return self.information(signals, [len(candidate.linear_parameters) for candidate in candidates])
-
-    def _score_batch(self, candidates: Sequence[Candidate]) -> list[Score]:
-        """Score candidates, which are filtered together."""
-        sizes = [max(1, len(candidate.linear_parameters)) for candidate in candidates]
-        signals = (signals_of(flight, candidates) for flight in self.regressors)
-        return self.score_signals(signals, sizes, [coefficient_std(candidate) for candidate in candidates])
 
 
 def score_of(information: Floats, score: Floats, prior_std: Floats) -> Score:
@@ -305,14 +283,14 @@ def signals_of(flight: Regressors, candidates: Sequence[Candidate]) -> tuple[Flo
     return all_rates, np.concatenate(all_angles, axis=2)
 
 
+def _regressor_count(candidate: Candidate) -> int:
+    """Return the number of regressors of a candidate: one per linear parameter, at least one."""
+    return max(1, len(candidate.linear_parameters))
+
+
 def _by_gain(scored: Iterable[ScoredCandidate]) -> list[ScoredCandidate]:
     """Sort candidates by their gain, the highest first."""
     return sorted(scored, key=lambda candidate: -candidate.log_likelihood_gain)
-
-
-def _scored(candidate: Candidate, score: Score, tried: int) -> ScoredCandidate:
-    """Return a candidate with its score, the best of so many points that were `tried`."""
-    return ScoredCandidate(candidate, score.log_likelihood_gain, score.coefficients, score.std, tried)
 
 
 def coefficient_std(candidate: Candidate) -> Floats:
@@ -346,7 +324,7 @@ def _best_on_grid(
         return None
     # Of equal scores the last point counts.
     best_index = max(allowed, key=lambda index: (scores[index].log_likelihood_gain, index))
-    best = _scored(candidates[best_index], scores[best_index], len(candidates))
+    best = ScoredCandidate(candidates[best_index], *scores[best_index], tried=len(candidates))
     has_neighbours = bool(best.candidate.grid) and len(candidates) > 1
     if has_neighbours and best.log_likelihood_gain > _MIN_REFINED_NATS:
         best = _refine_on_grid(screening, kind, candidates, best)
@@ -391,5 +369,5 @@ def _refine_on_grid(
             for neighbour, score in zip(neighbours, screening.score(neighbours), strict=True):
                 is_better = score.log_likelihood_gain > best.log_likelihood_gain
                 if is_better and _signs_are_allowed(neighbour, score.coefficients):
-                    best = _scored(neighbour, score, best.tried)
+                    best = ScoredCandidate(neighbour, *score, tried=best.tried)
     return best

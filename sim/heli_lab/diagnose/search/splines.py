@@ -20,7 +20,8 @@ from heli_sim.model.parts import AXES
 from heli_sim.model.parts import thrust_N as static_thrust_N
 from heli_sim.rig.quantity import Prior, Quantity
 
-from heli_lab.estimation import AlongTrajectory, Trajectory
+from heli_lab.estimation import Trajectory
+from heli_lab.identify.model_along import model_along
 
 KNOTS: Final = 8
 """Basis functions of a curve: fewer do not follow a kink or bump, more have a higher penalty."""
@@ -92,6 +93,11 @@ class SplineTerm(Effect):
 
     channel: str = ""
     on: str = ""
+
+    @property
+    def knots(self) -> tuple[float, float]:
+        """Second knot, where the curve begins, and distance of the knots, in the unit of the quantity."""
+        return self.values[f"{self.name}_low"], self.values[f"{self.name}_step"]
 
     def _curve(self, at: Operands) -> ca.SX:
         """Return the value of the curve: the sum of coefficients times basis functions."""
@@ -199,13 +205,12 @@ def bspline_basis(values: Floats, low: float, step: float) -> Floats:
 
 def quantity_values(model: Model, trajectory: Trajectory) -> dict[str, Floats]:
     """Evaluate all `QUANTITIES` of a `model` along a `trajectory`; shape (n,) each, by name."""
-    x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
-    t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
-    operands = model.operands(x, u, p, t)
-    expressions = ca.vertcat(*(evaluation(operands) for evaluation, _ in QUANTITIES.values()))
-    (values,) = AlongTrajectory(ca.Function("quantities", [x, u, t, p], [ca.densify(expressions)]))(
-        trajectory
-    )
+
+    def quantities(x: ca.SX, u: ca.SX, p: ca.SX, t: ca.SX) -> list[ca.SX]:
+        operands = model.operands(x, u, p, t)
+        return [ca.vertcat(*(expression(operands) for expression, _ in QUANTITIES.values()))]
+
+    (values,) = model_along(model, quantities)(trajectory)
     return dict(zip(QUANTITIES, values[:, :, 0].T, strict=True))
 
 
