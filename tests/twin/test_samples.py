@@ -32,11 +32,11 @@ def told(steps: list[Step]) -> list[object]:
     ]
 
 
-@given(st.integers(0, 50), st.lists(st.integers(1, 60), min_size=1, max_size=12))
-def test_steps_do_not_depend_on_the_pieces(first: int, sizes: list[int]) -> None:
+@given(st.integers(0, 50), st.lists(st.integers(1, 60), min_size=1, max_size=12), st.sampled_from([1, 4, 10]))
+def test_steps_do_not_depend_on_the_pieces(first: int, sizes: list[int], sample_ms: int) -> None:
     whole = made(first, sum(sizes))
-    at_once = list(Stepper(0.001).update(whole))
-    stepper, pieces, low = Stepper(0.001), [], 0
+    at_once = list(Stepper(1e-3 * sample_ms).update(whole))
+    stepper, pieces, low = Stepper(1e-3 * sample_ms), [], 0
     for size in sizes:
         pieces += list(stepper.update(whole.select(slice(low, low + size))))
         low += size

@@ -116,7 +116,7 @@ class Stepper:
     def _reset(self, first: int) -> None:
         """Discard all samples; `first` is the number of the next one."""
         # Samples that later steps need, the number of the first of them, and the number after the last.
-        self._kept = _NO_SAMPLES
+        self._kept = self._newest = _NO_SAMPLES
         self._first = self._next = first
 
     def update(self, samples: Samples) -> Iterator[Step]:
@@ -135,7 +135,7 @@ class Stepper:
         """
         number = int(samples.number[rows.start])
         missing = number - self._next
-        if not len(self._kept) or missing < 0 or missing > self._max_gap:
+        if not len(self._newest) or missing < 0 or missing > self._max_gap:
             # Steps begin at multiples of their length, as in every other reader of the same log.
             skipped = -number % self.samples_per_step
             rows = slice(rows.start + skipped, rows.stop)
@@ -147,7 +147,7 @@ class Stepper:
             self._after_gap = True
         elif missing:
             # The last sample holds over the gap, except for its angles.
-            repeated = self._kept.select(np.full(missing, len(self._kept) - 1))
+            repeated = self._newest.select(np.zeros(missing, int))
             self._append(replace(repeated, angles_rad=np.full((missing, 3), np.nan)))
         self._append(samples.select(rows))
         yield from self._complete_steps()
@@ -155,6 +155,7 @@ class Stepper:
     def _append(self, samples: Samples) -> None:
         """Append samples, whose angles are nan where they are missing."""
         self._kept = self._kept.followed_by(samples)
+        self._newest = samples.select(slice(-1, None))
         self._next += len(samples)
 
     def _complete_steps(self) -> Iterator[Step]:
