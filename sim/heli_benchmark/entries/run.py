@@ -78,14 +78,14 @@ def run_method(
     method = find_method(text)
     _check_folder(split, method, text, folder, limits)
     if resources is not None and not (folder / _TRAINED_FILE).exists():
-        result = _called(method, "-", resources, limits, folder / _TRAINED_FILE)
+        result = _run_worker(method, "-", resources, limits, folder / _TRAINED_FILE)
         if result["failure"]:
             (folder / _TRAINED_FILE).unlink()
             raise BenchmarkError(f"{text} cannot be trained: {result['failure']}", "correct the method")
     waiting = [case for case in split.cases if not (folder / f"{case.name}.json").exists()]
 
     def work(case: Path) -> None:
-        result = _called(method, str(case), resources, limits, folder / f"{case.name}.json")
+        result = _run_worker(method, str(case), resources, limits, folder / f"{case.name}.json")
         if say is not None:
             say(case.name, result["failure"])
 
@@ -154,7 +154,7 @@ def _check_folder(split: Split, method: MethodAddress, text: str, folder: Path, 
     write_json(mark, content)
 
 
-def _called(
+def _run_worker(
     method: MethodAddress, case: str, resources: Path | None, limits: RunLimits, file: Path
 ) -> dict[str, Any]:
     """Run the worker, and return its result; a worker that dies has a failure instead of an answer."""
@@ -167,7 +167,7 @@ def _called(
     environment = {**os.environ, **threads, "PYTHONHASHSEED": "0"}
     failure = ""
     try:
-        ended = subprocess.run(
+        process = subprocess.run(
             command,
             env=environment,
             stdin=subprocess.DEVNULL,
@@ -175,8 +175,8 @@ def _called(
             timeout=_WALL_FACTOR * limits.cpu_s,
             check=False,
         )
-        if ended.returncode:
-            failure = f"the process ended with code {ended.returncode}; its limits are {limits}"
+        if process.returncode:
+            failure = f"the process ended with code {process.returncode}; its limits are {limits}"
     except subprocess.TimeoutExpired:
         failure = f"the process took more than {_WALL_FACTOR * limits.cpu_s:.0f} s"
     if failure:

@@ -175,7 +175,9 @@ def truth_content(case: PublishedCase, flight: Flight) -> dict[str, Any]:
         "case": case.name,
         "causes": causes,
         "unlisted": unlisted,
-        "rig": {one: true_rig[one].value for one in true_rig if true_rig[one].value != nominal[one].value},
+        "rig": {
+            name: true_rig[name].value for name in true_rig if true_rig[name].value != nominal[name].value
+        },
         "conditions": {
             "rig": case.rig_name,
             "rate_Hz": case.rate_Hz,
