@@ -71,11 +71,13 @@ def _wrong_entries(file: ForeignFile, table: object, guess: Guess) -> tuple[str,
     # Delays are compared as such; without them the flights can be compared row by row.
     guessed = replace(guess, profile=_with_delays(guess.profile, file.profile))
     wrong = list(corrections(table, guessed, file.truth))  # type: ignore[arg-type]
+    wrong_unit: list[str] = []
     in_true_units = _with_voltage_units(guessed.profile, file.profile)
     if in_true_units is not None and any(entry.endswith(".column") for entry in wrong):
         # Commands in a wrong unit are clipped elsewhere, and then do not even resemble the voltages.
         guessed = replace(guessed, profile=in_true_units)
-        wrong = [*corrections(table, guessed, file.truth), "voltages.unit"]  # type: ignore[arg-type]
+        wrong = list(corrections(table, guessed, file.truth))  # type: ignore[arg-type]
+        wrong_unit = ["voltages.unit"]
     supply_V = next(iter(file.profile.voltages.values())).supply_V
     as_logged = wrong
     for smallest_V in (-supply_V, 0.0):
@@ -83,6 +85,7 @@ def _wrong_entries(file: ForeignFile, table: object, guess: Guess) -> tuple[str,
         others = list(corrections(table, replace(guessed, profile=clipped), file.truth))  # type: ignore[arg-type]
         if len(others) < len(as_logged) and (wrong is as_logged or len(others) + 1 < len(wrong)):
             wrong = [*others, f"voltages.clip_V {smallest_V:g} to {supply_V:g}"]
+    wrong += wrong_unit
     units = [entry for entry in wrong if ".unit" in entry and entry.split(".")[0] in file.profile.voltages]
     if len(units) == len(file.profile.voltages) and len({unit.split(".")[1] for unit in units}) == 1:
         # One entry gives the unit of both voltages.

@@ -18,6 +18,7 @@ from heli_sim.model import Model, MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import Rig
 from heli_sim.rig.encoders import count_rad
+from heli_sim.runge_kutta import runge_kutta_step
 from scipy.signal import savgol_filter
 
 from heli_benchmark.task import Answer, BenchmarkCase
@@ -115,12 +116,8 @@ class _Predictor:
         p = ca.SX(ca.DM(self._parameters))
         self._states = len(model.states)
         rates = ca.Function("rates", [x, u, t], [model.dynamics(x, u, p, t)])
-        h = _STEP_s
-        first = rates(x, u, t)
-        second = rates(x + h / 2 * first, u, t + h / 2)
-        third = rates(x + h / 2 * second, u, t + h / 2)
-        fourth = rates(x + h * third, u, t + h)
-        after = model.reset_map(x + h / 6 * (first + 2 * second + 2 * third + fourth), u, p, t + h)
+        after = runge_kutta_step(lambda state, later_s: rates(state, u, t + later_s), x, _STEP_s)
+        after = model.reset_map(after, u, p, t + _STEP_s)
         self._step = ca.Function("step", [x, u, t], [ca.densify(after)])
         self._seen = ca.Function("seen", [x, u, t], [ca.densify(model.measurement(x, u, p, t))])
 

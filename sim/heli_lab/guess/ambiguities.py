@@ -162,7 +162,10 @@ def unit_ambiguities(
             Ambiguity(
                 "the units",
                 _describe_units(best),
-                ", or ".join(_describe_units(scale) for scale in close[:_MAX_ALTERNATIVES]),
+                ", or ".join(
+                    f"{_describe_units(scale)}{_clipping(scale, motion, reference)}"
+                    for scale in close[:_MAX_ALTERNATIVES]
+                ),
                 f"for rig {rig.name} they differ by only "
                 f"{best.log_likelihood - close[0].log_likelihood:.1f} nats; state the unit in the header or "
                 "the profile",
@@ -225,6 +228,11 @@ def _volts_of_another_gain(possible: list[Scale]) -> str:
     in_volts = [scale.log_likelihood for scale in possible if scale.voltage == "V"]
     lead_nats = possible[0].log_likelihood - max(in_volts, default=-math.inf)
     return ", or V" if lead_nats < 2.0 * thresholds.DECISIVE_NATS else ""
+
+
+def _clipping(scale: Scale, motion: MeasuredMotion, reference: Reference) -> str:
+    """Words for the limit that commands need in the units of a `scale`; empty if they need none."""
+    return f", clipped to {reference.supply_V:g} V" if scale.voltage_scale in motion.limited else ""
 
 
 def _describe_units(scale: Scale) -> str:

@@ -68,8 +68,9 @@ def limited(
     profile, ambiguities = _clipped_to_supply(tables, profile, reference.supply_V)
     volts_V = np.concatenate([flight.voltages_V for table in tables for flight in flights_of(table, profile)])
     share_below = float(np.mean(volts_V < (1.0 - thresholds.CLIP_SHARE) * reference.supply_V))
+    min_share = thresholds.MIN_REVERSED_SHARE if reference.reverses else thresholds.MIN_CLIPPED_SHARE
     # Motors that push down most of the time do not fly: then signs or zeros are wrong, not the limits.
-    if not thresholds.MIN_REVERSED_SHARE <= share_below <= thresholds.MAX_CLIPPED_SHARE:
+    if not min_share <= share_below <= thresholds.MAX_CLIPPED_SHARE:
         return profile, ambiguities
     nats = nats_for_one_way()
     if nats < -thresholds.DECISIVE_NATS:
