@@ -19,7 +19,7 @@ from tests.guess.exports import corrections
 from tests.guess.foreign import ForeignFile, write
 
 DEVELOPMENT_SEEDS: Final = range(20)
-JUDGING_SEEDS: Final = range(2000, 2020)
+JUDGING_SEEDS: Final = range(3000, 3020)
 _MAX_DELAY_s: Final = 0.06
 """Delays as a flight shows them scatter by this much."""
 _REFUSED: Final = 9
@@ -110,12 +110,13 @@ def _with_voltage_units(profile: Profile, true: Profile) -> Profile | None:
     pairs = [(voltage, true.voltages.get(role)) for role, voltage in profile.voltages.items()]
     if any(right is None or voltage.column != right.column for voltage, right in pairs):
         return None
-    if all(right is not None and voltage.unit == right.unit for voltage, right in pairs):
-        return None
+    names = ("unit", "full", "factor")
     voltages = {
-        role: replace(voltage, unit=true.voltages[role].unit, full=true.voltages[role].full)
+        role: replace(voltage, **{name: getattr(true.voltages[role], name) for name in names})
         for role, voltage in profile.voltages.items()
     }
+    if voltages == dict(profile.voltages):
+        return None
     return replace(profile, voltages=voltages)
 
 
