@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
 from heli_host.files import file_digest
 
+from heli_benchmark.entries.case_process import RunLimits, run_case
+from heli_benchmark.entries.cluster import run_on_cluster
 from heli_benchmark.entries.method import MethodAddress, find_method
 from heli_benchmark.errors import BenchmarkError
 from heli_benchmark.task.commitments import COMMITMENTS_FILE
@@ -21,25 +20,6 @@ from heli_benchmark.task.split import CAUSES_FILE, SCHEMA, Split
 
 RUN_FILE: Final = "run.json"
 _TRAINED_FILE: Final = "trained.json"
-_WALL_FACTOR: Final = 30.0
-"""Elapsed time per CPU time from which a process counts as hanging without work. At 4, a case on a computer
-with 25 busy processes was stopped before its CPU limit."""
-
-
-@dataclass(frozen=True)
-class RunLimits:
-    """Limits of the process of a case.
-
-    Parameters
-    ----------
-    cpu_s : int
-        CPU time.
-    memory_MB : int
-        Address space.
-    """
-
-    cpu_s: int = 300
-    memory_MB: int = 6000
 
 
 def run_method(
@@ -50,6 +30,7 @@ def run_method(
     limits: RunLimits | None = None,
     resources: Path | None = None,
     workers: int = 1,
+    scheduler: str | None = None,
     say: Callable[[str, str], None] | None = None,
 ) -> None:
     """Run a method on the cases of a split that have no result yet.
@@ -65,7 +46,10 @@ def run_method(
     resources : Path, optional
         Folder for the method, such as training cases.
     workers : int
-        Number of processes.
+        Number of processes on this machine.
+    scheduler : str, optional
+        Address of a Dask scheduler. Its workers must see the folders of split, method and resources under
+        the same paths.
     say : callable, optional
         Called with the name of a finished case and its failure, if it has one.
 
@@ -73,19 +57,28 @@ def run_method(
     ------
     BenchmarkError
         If the folder has results of another method or split, or the training fails.
+    CampaignError
+        If the cluster cannot be used, or is gone before all cases have ended.
     """
     limits = limits or RunLimits()
     method = find_method(text)
     _check_folder(split, method, text, folder, limits)
     if resources is not None and not (folder / _TRAINED_FILE).exists():
-        result = _run_worker(method, "-", resources, limits, folder / _TRAINED_FILE)
+        result = run_case(method, "-", resources, limits, folder / _TRAINED_FILE)
         if result["failure"]:
             (folder / _TRAINED_FILE).unlink()
             raise BenchmarkError(f"{text} cannot be trained: {result['failure']}", "correct the method")
     waiting = [case for case in split.cases if not (folder / f"{case.name}.json").exists()]
 
+    if scheduler is not None:
+        for name, result in run_on_cluster(method, waiting, resources, limits, scheduler):
+            write_json(folder / f"{name}.json", result)
+            if say is not None:
+                say(name, result["failure"])
+        return
+
     def work(case: Path) -> None:
-        result = _run_worker(method, str(case), resources, limits, folder / f"{case.name}.json")
+        result = run_case(method, str(case), resources, limits, folder / f"{case.name}.json")
         if say is not None:
             say(case.name, result["failure"])
 
@@ -152,33 +145,3 @@ def _check_folder(split: Split, method: MethodAddress, text: str, folder: Path, 
                 "choose another folder, or delete it",
             )
     write_json(mark, content)
-
-
-def _run_worker(
-    method: MethodAddress, case: str, resources: Path | None, limits: RunLimits, file: Path
-) -> dict[str, Any]:
-    """Run the worker, and return its result; a worker that dies has a failure instead of an answer."""
-    text = method.file.stem if method.builtin else f"{method.file}:{method.function}"
-    where = "-" if resources is None else str(resources.resolve())
-    command = [sys.executable, "-m", "heli_benchmark.entries.worker", text, case, str(file.resolve()), where]
-    command += [str(limits.cpu_s), str(limits.memory_MB)]
-    # Threads that wait for each other cost CPU time, and sums in another order change the last digits.
-    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    environment = {**os.environ, **threads, "PYTHONHASHSEED": "0"}
-    failure = ""
-    try:
-        process = subprocess.run(
-            command,
-            env=environment,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            timeout=_WALL_FACTOR * limits.cpu_s,
-            check=False,
-        )
-        if process.returncode:
-            failure = f"the process ended with code {process.returncode}; its limits are {limits}"
-    except subprocess.TimeoutExpired:
-        failure = f"the process took more than {_WALL_FACTOR * limits.cpu_s:.0f} s"
-    if failure:
-        write_json(file, {"answer": None, "failure": failure, "cpu_s": None, "peak_MB": None})
-    return read_json(file, "run the method again")

@@ -105,6 +105,7 @@ def _sums(scores: Sequence[CaseScore]) -> dict[str, SumsPerCase]:
         "sizes_given": (np.array([float(len(case.sizes)) for case in scores]), asked),
         "sizes_within": sizes(lambda size: size[0]),
         "interval_score": sizes(lambda size: size[1]),
+        "equation_correlation": each(lambda case: case.equation),
         "prediction_error": each(lambda case: None if case.prediction is None else np.log(case.prediction)),
     }
 

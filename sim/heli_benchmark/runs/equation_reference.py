@@ -23,7 +23,8 @@ from heli_sim.rig import Prior, Quantity, load_rig
 from heli_benchmark.cases.clean import VALIDATE_S
 from heli_benchmark.cases.disturbed_case import DisturbedCase
 from heli_benchmark.effects.equations import EQUATIONS, EquationInputs, TrueEquation, Unlisted
-from heli_benchmark.reference.replay import FINE, GRID_S, ReplayedRig, inertia_kg_m2, steps
+from heli_benchmark.reference.equation_torque import torque_correlation, true_torque_Nm
+from heli_benchmark.reference.replay import inertia_kg_m2
 from heli_benchmark.runs.ask import REFITS, run_diagnosis
 
 _AXES = ("elevation", "pitch", "travel")
@@ -89,28 +90,6 @@ def true_equation_effect(hidden: Unlisted) -> TrueEquationEffect:
     )
 
 
-def true_torque_Nm(case: DisturbedCase) -> tuple[Floats, Floats]:
-    """Return times and torques of the hidden equation along the validation flight, shapes (n,) and (n, 3).
-
-    The torque is the difference of MuJoCo with and without the equation.
-    """
-    trajectory = case.fly(1, VALIDATE_S)[1]
-    rig = case.rig()
-    # Effects may have a memory, so each rig gets new ones.
-    with_equation, without_equation = (
-        rig_with.accelerations(trajectory, rig_with.forces(trajectory), FINE)
-        for rig_with in (
-            ReplayedRig(rig, case.hidden(1)),
-            ReplayedRig(rig, [effect for effect in case.hidden(1) if not isinstance(effect, Unlisted)]),
-        )
-    )
-    halves = len(trajectory.time_s) // steps(trajectory)
-    middle = slice(halves // 2, steps(trajectory) * halves, halves)
-    inertia = inertia_kg_m2(rig, trajectory.angles_rad[middle])
-    torque = np.einsum("nij,nj->ni", inertia, with_equation - without_equation)
-    return np.asarray(GRID_S * (np.arange(len(torque)) + 0.5), float), np.asarray(torque, float)
-
-
 def judge_equation(
     case: DisturbedCase, flights: tuple[Flight, Flight], refits: int = REFITS
 ) -> dict[str, Any]:
@@ -153,41 +132,13 @@ def judge_equation(
         return answer
     records = [prepare(flight, rig, label) for flight, label in zip(flights, "ab", strict=True)]
     comparison = ModelComparison(MultibodyModel(), rig, records[:1], records[1:])
-    true_s, true_Nm = true_torque_Nm(case)
+    true_s, true_Nm = true_torque_Nm(case, 1, VALIDATE_S)
     proposed_s, proposed_Nm = equation_torque_Nm(comparison, proposed.discovery.hypothesis, case)
     axis, correlation = torque_correlation(true_s, true_Nm, proposed_s, proposed_Nm)
     answer["axis"] = _AXES[axis]
     answer["correlation"] = correlation
     answer["error_ratio"] = _error_ratio(comparison, diagnosis, case, unlisted[0], axis)
     return answer
-
-
-def torque_correlation(
-    true_s: Floats, true_Nm: Floats, proposed_s: Floats, proposed_Nm: Floats
-) -> tuple[int, float]:
-    """Correlate proposed torques with the true ones, about the axis on which the true ones vary most.
-
-    Parameters
-    ----------
-    true_s, proposed_s : ndarray (n,), (m,)
-        Times of the torques; the overlap is used.
-    true_Nm, proposed_Nm : ndarray (n, 3), (m, 3)
-        Torques about the three axes.
-
-    Returns
-    -------
-    axis : int
-        Index of the axis.
-    correlation : float
-        Correlation coefficient; 0 if one of the torques is constant.
-    """
-    overlap = (true_s >= proposed_s[0]) & (true_s <= proposed_s[-1])
-    axis = int(np.argmax(true_Nm[overlap].std(axis=0)))
-    truth = true_Nm[overlap, axis]
-    proposal = np.interp(true_s[overlap], proposed_s, proposed_Nm[:, axis])
-    if not truth.std() or not proposal.std():
-        return axis, 0.0
-    return axis, float(np.corrcoef(truth, proposal)[0, 1])
 
 
 def equation_torque_Nm(

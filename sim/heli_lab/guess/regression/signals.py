@@ -139,7 +139,7 @@ def unwrapped(values: Floats, counts_per_turn: Collection[float] = ()) -> Floats
 
 
 def _steps_nearby(jumps: Floats, is_far: Booleans) -> Floats:
-    """Median of the other steps next to each far jump, shape (k,); at least the smallest step of the column."""
+    """Median of the other steps next to each far jump, shape (k,), and at least the smallest step."""
     others = np.where(is_far, 0.0, jumps)
     smallest = float(np.min(others[others > 0.0], initial=np.inf))
     if np.isinf(smallest):
