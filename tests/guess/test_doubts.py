@@ -49,7 +49,9 @@ def test_a_doubt_of_a_weakly_excited_elevation_names_the_possible_delays() -> No
 
 
 def test_voltages_that_act_without_any_lag_were_logged_late() -> None:
-    assert subjects(fits(0.0, (0.0, 0.0), pitch_s=0.0)) == ["the voltages' time"]
+    (ambiguity,), _ = lag_ambiguities(fits(0.0, (0.0, 0.0), pitch_s=0.0))
+    assert ambiguity.alternative == "late by about 0.10 s relative to the angles"
+    assert "as only a simulation without rotor lag does" in ambiguity.reason
     assert subjects(fits(0.04, (0.04, 0.04), pitch_s=0.04)) == []
 
 

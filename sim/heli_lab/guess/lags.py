@@ -51,13 +51,18 @@ def lag_ambiguities(regressions: dict[str, RegressionFit]) -> tuple[list[Ambigui
         )
     low, high = thresholds.PLAUSIBLE_LAGS_S
     if not low <= lag["pitch"] <= high:
+        reason = (
+            "pitch responds without a lag, as only a simulation without rotor lag does"
+            if 0.0 <= round(lag["pitch"], 3) < low
+            else "no rotor responds with such a lag"
+        )
         ambiguities.append(
             Ambiguity(
                 "the voltages' time",
                 "logged with the angles",
                 f"{'late' if lag['pitch'] < low else 'early'} by about "
                 f"{abs(lag['pitch'] - 0.1):.2f} s relative to the angles",
-                "no rotor responds with such a lag; check how they are logged, and set delay_s",
+                f"{reason}; check how they are logged, and set delay_s",
             )
         )
     sentence = (

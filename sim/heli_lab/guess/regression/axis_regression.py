@@ -107,7 +107,7 @@ def _best(signals: Signals, column: str, axis: str, cause: Floats, reference: Re
     rest = signal.value * 0.0 if axis == "travel" else signal.value - signal.value.mean()
     stiffness = reference.stiffness.get(axis, (0.0, 0.1))
     fits = []
-    for lag_s in np.arange(*thresholds.LAGS_S):
+    for lag_s in np.round(np.arange(*thresholds.LAGS_S), 3) + 0.0:
         fit = regress_acceleration(
             signal.acceleration, (rest, signal.rate), delay(cause, float(lag_s)), stiffness, rows
         )
