@@ -41,7 +41,7 @@ def run_case(
     Parameters
     ----------
     method : MethodAddress
-        The method.
+        File and function, which the process imports.
     case : str
         Folder of the case, or ``-`` to train the method.
     resources : Path or None

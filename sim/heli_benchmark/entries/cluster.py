@@ -58,8 +58,14 @@ def run_on_cluster(
 
     Parameters
     ----------
+    method : MethodAddress
+        File and function, which every worker must see under the same path.
     cases : sequence of Path
         Folders of the cases.
+    resources : Path or None
+        Folder for the method.
+    limits : RunLimits
+        Limits of the process of each case.
     scheduler : str
         Address of a Dask scheduler.
     """

@@ -52,7 +52,7 @@ class CauseContribution:
     ----------
     torque_Nm : ndarray (n, 3)
         Torques about the axes.
-    seen_rad : ndarray (n, 3)
+    encoder_error_rad : ndarray (n, 3)
         Errors of the measured angles.
     """
 

@@ -12,7 +12,7 @@ from heli_host.arrays import Floats
 
 from heli_benchmark.errors import BenchmarkError
 
-AXES: Final = ("elevation", "pitch", "travel")
+_AXES: Final = ("elevation", "pitch", "travel")
 _FLIGHT: Final = re.compile(r"validation-[1-9]\d?")
 _MIN_ROWS, _MAX_ROWS = 2, 100_000
 
@@ -33,13 +33,25 @@ class AxisSeries:
     values: Floats
 
     def at(self, t_s: Floats) -> Floats:
-        """Interpolate at other times, shape (m, 3); NaN outside of its own."""
+        """Interpolate at other times, shape (m, 3); NaN outside of the times of the series.
+
+        Parameters
+        ----------
+        t_s : ndarray (m,)
+            Times on the clock of the flight.
+        """
         columns = [np.interp(t_s, self.t_s, column, np.nan, np.nan) for column in self.values.T]
         return np.stack(columns, axis=1)
 
 
 def flight_name(number: int) -> str:
-    """Return the name of a validation flight, from its index in the case."""
+    """Return the name of a validation flight.
+
+    Parameters
+    ----------
+    number : int
+        Index of the flight in the case, from 0.
+    """
     return f"validation-{number + 1}"
 
 
@@ -60,7 +72,7 @@ def read_series(content: object, unit: str, where: str) -> dict[str, AxisSeries]
     BenchmarkError
         If a key or a number is invalid; the message is one line.
     """
-    keys = ["t_s", *(f"{axis}_{unit}" for axis in AXES)]
+    keys = ["t_s", *(f"{axis}_{unit}" for axis in _AXES)]
     if not isinstance(content, Mapping):
         raise BenchmarkError(f"{where} is not an object", "give one entry per validation flight")
     series = {}
@@ -98,6 +110,6 @@ def series_content(series: Mapping[str, AxisSeries], unit: str) -> dict[str, dic
     """Return series by flight as the content of a file; `unit` ends the keys of the axes."""
     return {
         name: {"t_s": of.t_s.tolist()}
-        | {f"{axis}_{unit}": column.tolist() for axis, column in zip(AXES, of.values.T, strict=True)}
+        | {f"{axis}_{unit}": column.tolist() for axis, column in zip(_AXES, of.values.T, strict=True)}
         for name, of in series.items()
     }

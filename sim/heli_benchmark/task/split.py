@@ -122,7 +122,13 @@ class Split:
 
 
 def torques_file(case: str) -> str:
-    """Return the name of the file with the torques of the unlisted causes of a case."""
+    """Return the name of the file with the torques of the unlisted causes of a case.
+
+    Parameters
+    ----------
+    case : str
+        Name of the case.
+    """
     return f"{case}-torques.json"
 
 
