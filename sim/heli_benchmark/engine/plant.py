@@ -237,10 +237,10 @@ class MujocoPlant:
 
         Call it once per millisecond, because play has a memory.
         """
-        seen = angles_rad + self._zeros_rad
+        encoder_rad = angles_rad + self._zeros_rad
         for effect in self.hidden:
-            seen = effect.measured(seen)
-        return seen
+            encoder_rad = effect.measured(encoder_rad)
+        return encoder_rad
 
     def _step(
         self, state: list[float], volts_V: list[float], locked: list[float], parameters: list[float]

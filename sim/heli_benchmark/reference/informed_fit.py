@@ -78,7 +78,7 @@ def fit_informed(rig: Rig, flights: tuple[Flight, Flight], hidden: Sequence[True
         train,
         held_out,
         *_errors(nothing, records[1]),
-        {one.id: _significance(informed, kinds[one.id].size) for one in hidden},
+        {effect.id: _significance(informed, kinds[effect.id].size) for effect in hidden},
         {name: value for name, value in informed.values.items() if name in names},
         {name: value for name, value in informed.std.items() if name in names},
     )
