@@ -16,7 +16,8 @@ from heli_lab.guess.regression.assignment import RegressionFit
 from heli_lab.guess.regression.reference import Reference
 from heli_lab.guess.regression.scales import AXES
 
-REFERENCE = Reference({}, {}, 6.0, -25.0, 1.0, {}, 12.0, reverses=True)
+REVERSING = Reference({}, {}, 6.0, -25.0, 1.0, {}, 12.0, reverses=True)
+ONE_WAY = replace(REVERSING, reverses=False)
 PROFILE = Profile(
     {axis: Angle(axis) for axis in AXES}, {"front": Voltage("front"), "back": Voltage("back")}, "t"
 )
@@ -77,16 +78,16 @@ def table(front_V: float, back_V: float) -> Table:
 @pytest.mark.parametrize(
     ("nats", "reverses", "clip_V", "chosen"),
     [
-        (-7.0, True, None, None),
-        (-1.0, True, None, "as logged, down to -4.0 V"),
-        (7.0, True, (0.0, 12.0), "clipped to 0 V"),
+        (1.0, True, None, None),
+        (7.0, True, None, "as logged, down to -4.0 V"),
         (-1.0, False, (0.0, 12.0), "clipped to 0 V"),
+        (-7.0, False, None, None),
     ],
 )
 def test_commands_below_zero_are_limited_as_the_motion_and_the_rig_say(
     nats: float, reverses: bool, clip_V: tuple[float, float] | None, chosen: str | None
 ) -> None:
-    reference = replace(REFERENCE, reverses=reverses)
+    reference = REVERSING if reverses else ONE_WAY
     profile, ambiguities = limited([table(-4.0, 5.0)], PROFILE, reference, lambda: nats)
     assert profile.clip_V == clip_V
     assert [ambiguity.chosen for ambiguity in ambiguities] == ([chosen] if chosen else [])
@@ -96,20 +97,20 @@ def test_commands_below_zero_are_limited_as_the_motion_and_the_rig_say(
 
 
 def test_motors_that_seem_to_push_down_most_of_the_time_raise_no_question_of_limits() -> None:
-    assert limited([table(-4.0, -5.0).aligned()], PROFILE, REFERENCE, lambda: 0.0)[1] != []
+    assert limited([table(-4.0, -5.0)], PROFILE, ONE_WAY, lambda: 0.0)[1] != []
     upside_down = {role: replace(voltage, sign=-1.0) for role, voltage in PROFILE.voltages.items()}
-    assert limited([table(0.0, 5.0)], replace(PROFILE, voltages=upside_down), REFERENCE, lambda: 0.0)[1] == []
+    assert limited([table(0.0, 5.0)], replace(PROFILE, voltages=upside_down), ONE_WAY, lambda: 0.0)[1] == []
 
 
 def test_a_log_without_commands_below_zero_asks_no_question() -> None:
     def unused() -> float:
         raise AssertionError
 
-    assert limited([table(0.0, 5.0)], PROFILE, REFERENCE, unused) == (PROFILE, [])
+    assert limited([table(0.0, 5.0)], PROFILE, ONE_WAY, unused) == (PROFILE, [])
 
 
 def test_commands_below_zero_keep_the_limit_of_the_supply() -> None:
-    profile, ambiguities = limited([table(-4.0, 15.0)], PROFILE, REFERENCE, lambda: 7.0)
+    profile, ambiguities = limited([table(-4.0, 15.0)], PROFILE, ONE_WAY, lambda: 7.0)
     assert profile.clip_V == (0.0, 12.0)
     assert [ambiguity.subject for ambiguity in ambiguities] == [
         "the voltages' limit",

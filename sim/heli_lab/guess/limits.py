@@ -68,27 +68,27 @@ def limited(
     profile, ambiguities = _clipped_to_supply(tables, profile, reference.supply_V)
     volts_V = np.concatenate([flight.voltages_V for table in tables for flight in flights_of(table, profile)])
     share_below = float(np.mean(volts_V < (1.0 - thresholds.CLIP_SHARE) * reference.supply_V))
-    min_share = thresholds.MIN_REVERSED_SHARE if reference.reverses else thresholds.MIN_CLIPPED_SHARE
     # Motors that push down most of the time do not fly: then signs or zeros are wrong, not the limits.
-    if not min_share <= share_below <= thresholds.MAX_CLIPPED_SHARE:
+    if not thresholds.MIN_CLIPPED_SHARE <= share_below <= thresholds.MAX_CLIPPED_SHARE:
         return profile, ambiguities
     nats = nats_for_one_way()
-    if nats < -thresholds.DECISIVE_NATS:
+    if nats < (thresholds.DECISIVE_NATS if reference.reverses else -thresholds.DECISIVE_NATS):
         return profile, ambiguities
-    # A model whose reversed rotors do not push flies alike with both limits.
-    is_one_way = nats > thresholds.DECISIVE_NATS or not reference.reverses
+    # A reversed propeller may hardly push although its driver reverses, so the motion alone clips nothing. In
+    # a rig file whose reversed rotors do not push, clipped commands fly like the commands themselves.
+    is_clipped = not reference.reverses
     top_V = max(reference.supply_V, math.ceil(volts_V.max()))
     values = ("clipped to 0 V", f"as logged, down to {volts_V.min():.1f} V")
-    chosen, alternative = values if is_one_way else values[::-1]
+    chosen, alternative = values if is_clipped else values[::-1]
     ambiguity = Ambiguity(
         "the voltages' lower limit",
         chosen,
         alternative,
         f"{100.0 * share_below:.1f} % of the rows are below 0 V, and the motion is {abs(nats):.1f} nats "
-        f"{'for' if nats >= 0.0 else 'against'} motors that do not reverse; if yours do not, set clip_V to "
-        f"[0, {top_V:g}]",
+        f"{'for' if nats >= 0.0 else 'against'} motors that do not push when reversed; if yours cannot "
+        f"reverse, set clip_V to [0, {top_V:g}]",
     )
-    if is_one_way:
+    if is_clipped:
         profile = replace(profile, clip_V=(0.0, top_V))
     return profile, [*ambiguities, ambiguity]
 

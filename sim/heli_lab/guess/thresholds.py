@@ -101,9 +101,6 @@ CLIP_SHARE: Final = 1.02
 """Share of the supply from which on a voltage is a command before saturation. Rounding stays below it."""
 MIN_CLIPPED_SHARE: Final = 0.002
 """Share of rows beyond the supply from which on the fits use limited commands. Fewer rows change no gain."""
-MIN_REVERSED_SHARE: Final = 0.01
-"""Share of voltages below 0 V from which on the guess asks whether motors reverse, although the rig file
-states that they do. Set on simulated flights: at 0.002, one file in six got a needless question."""
 MAX_CLIPPED_SHARE: Final = 0.5
 """Share of rows beyond the supply from which on the supply differs from the rig file's, so that no limit is
 set. Set on simulated flights: control loops with commands beyond the supply for 40 % of the time still
