@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
+from heli_benchmark.cluster import run_on_cluster
+from heli_benchmark.cluster.run import answer_case
 from heli_benchmark.entries import RunLimits, read_run, run_method
-from heli_benchmark.entries.cluster import answer_case
 from heli_benchmark.entries.method import find_method
 from heli_benchmark.errors import BenchmarkError
 from heli_lab.errors import CampaignError
@@ -43,7 +45,7 @@ def test_a_run_on_a_cluster_gives_the_same_answers_and_continues(tmp_path: Path)
                 text,
                 tmp_path / "cluster",
                 limits=LIMITS,
-                scheduler=cluster.address,
+                distribute=partial(run_on_cluster, cluster.address),
                 say=lambda case, failure: ended.append((case, failure)),
             )
     assert sorted(ended) == [("case-001", ""), ("case-002", "ValueError: no root"), ("case-003", "")]
@@ -60,9 +62,9 @@ def test_without_a_scheduler_the_run_ends_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("heli_lab.campaign.cluster.CONNECT_s", 0.5)
-    split = make(tmp_path / "small", cases=1)
+    split, address = make(tmp_path / "small", cases=1), f"tcp://127.0.0.1:{free_port()}"
     with pytest.raises(CampaignError, match="no scheduler answers at"):
-        run_method(split, "base_rates", tmp_path / "run", scheduler=f"tcp://127.0.0.1:{free_port()}")
+        run_method(split, "base_rates", tmp_path / "run", distribute=partial(run_on_cluster, address))
     assert not (tmp_path / "run" / "case-001.json").exists()
 
 

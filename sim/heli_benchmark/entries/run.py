@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
@@ -11,13 +11,16 @@ from typing import Any, Final
 from heli_host.files import file_digest
 
 from heli_benchmark.entries.case_process import RunLimits, run_case
-from heli_benchmark.entries.cluster import run_on_cluster
 from heli_benchmark.entries.method import MethodAddress, find_method
 from heli_benchmark.errors import BenchmarkError
 from heli_benchmark.task.commitments import COMMITMENTS_FILE
 from heli_benchmark.task.json_file import read_json, write_json
 from heli_benchmark.task.split import CAUSES_FILE, SCHEMA, Split
 
+Distribute = Callable[
+    [MethodAddress, Sequence[Path], Path | None, RunLimits], Iterator[tuple[str, dict[str, Any]]]
+]
+"""Runs a method on cases with resources and limits, and yields names and results."""
 RUN_FILE: Final = "run.json"
 _TRAINED_FILE: Final = "trained.json"
 
@@ -30,7 +33,7 @@ def run_method(
     limits: RunLimits | None = None,
     resources: Path | None = None,
     workers: int = 1,
-    scheduler: str | None = None,
+    distribute: Distribute | None = None,
     say: Callable[[str, str], None] | None = None,
 ) -> None:
     """Run a method on the cases of a split that have no result yet.
@@ -47,9 +50,9 @@ def run_method(
         Folder for the method, such as training cases.
     workers : int
         Number of processes on this machine.
-    scheduler : str, optional
-        Address of a Dask scheduler. Its workers must see the folders of split, method and resources under
-        the same paths.
+    distribute : callable, optional
+        Runs the cases on other machines, such as those of a cluster, and yields the name and the result of
+        each. They must see the folders of split, method and resources under the same paths.
     say : callable, optional
         Called with the name of a finished case and its failure, if it has one.
 
@@ -57,8 +60,6 @@ def run_method(
     ------
     BenchmarkError
         If the folder has results of another method or split, or the training fails.
-    CampaignError
-        If the cluster cannot be used, or is gone before all cases have ended.
     """
     limits = limits or RunLimits()
     method = find_method(text)
@@ -70,8 +71,8 @@ def run_method(
             raise BenchmarkError(f"{text} cannot be trained: {result['failure']}", "correct the method")
     waiting = [case for case in split.cases if not (folder / f"{case.name}.json").exists()]
 
-    if scheduler is not None:
-        for name, result in run_on_cluster(method, waiting, resources, limits, scheduler):
+    if distribute is not None:
+        for name, result in distribute(method, waiting, resources, limits):
             write_json(folder / f"{name}.json", result)
             if say is not None:
                 say(name, result["failure"])

@@ -122,6 +122,9 @@ def run(
 
     Example: `heli-host benchmark run public --method mymethod.py:diagnose -o runs/mymethod`
     """
+    from functools import partial
+
+    from heli_benchmark.cluster import run_on_cluster
     from heli_benchmark.entries import RunLimits, run_method
     from heli_benchmark.task import read_split
 
@@ -138,7 +141,7 @@ def run(
         limits=limits,
         resources=resources,
         workers=workers,
-        scheduler=scheduler,
+        distribute=None if scheduler is None else partial(run_on_cluster, scheduler),
         say=show,
     )
     say_files([output])

@@ -14,7 +14,7 @@ from heli_benchmark.entries.case_process import WALL_FACTOR, RunLimits, run_case
 from heli_benchmark.entries.method import MethodAddress, find_method
 from heli_benchmark.errors import BenchmarkError
 
-_WORK: Final = "heli_benchmark.entries.cluster:answer_case"
+_WORK: Final = "heli_benchmark.cluster.run:answer_case"
 _MARGIN_s: Final = 60.0
 """Time for which the engine waits longer than the limit of a case, so that the case reports its end."""
 
@@ -48,16 +48,18 @@ def answer_case(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, 
 
 
 def run_on_cluster(
+    scheduler: str,
     method: MethodAddress,
     cases: Sequence[Path],
     resources: Path | None,
     limits: RunLimits,
-    scheduler: str,
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """Run a method on cases, and yield the name and the result of each case that ends.
 
     Parameters
     ----------
+    scheduler : str
+        Address of a Dask scheduler.
     method : MethodAddress
         File and function, which every worker must see under the same path.
     cases : sequence of Path
@@ -66,8 +68,11 @@ def run_on_cluster(
         Folder for the method.
     limits : RunLimits
         Limits of the process of each case.
-    scheduler : str
-        Address of a Dask scheduler.
+
+    Raises
+    ------
+    CampaignError
+        If the cluster cannot be used, or is gone before all cases have ended.
     """
     if not cases:
         return
